@@ -112,6 +112,11 @@ def whole(path: Path) -> Iterator[Path]:
             temporary.unlink(missing_ok=True)
 
 
+def shown_name(name: str) -> str:
+    """Return the name of a file as a text; bytes of it that are not UTF-8 are escaped."""
+    return name.encode("utf-8", "backslashreplace").decode("utf-8")
+
+
 def write_json(path: Path, document: dict[str, Any]) -> None:
     """Write a JSON document.
 
@@ -122,7 +127,9 @@ def write_json(path: Path, document: dict[str, Any]) -> None:
         Document of plain Python values.
     """
     with whole(path) as temporary:
-        temporary.write_text(json.dumps(document, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+        temporary.write_text(
+            json.dumps(document, indent=2, ensure_ascii=False) + "\n", encoding="utf-8", errors="backslashreplace"
+        )
 
 
 def read_object(path: Path) -> dict[str, Any] | None:

@@ -96,11 +96,11 @@ _ONE_SIDED = rf"(?as)\s*([<>])=?\s*({_SIMPLE})\s*{_AFTER}?\s*"
 _HYPHEN = r"(?s)(.*\d\s*[a-z]*)\s*(?:(?<!\d[eE])-|\bto\b)\s*(\d.*)"
 _COMMA = r"(?as)([-+]?)(\d+),(\d+)\s*([^\d.].*)?"
 _GROUPS = r"(?as)([-+]?\d{1,3}(?:[ ,._'\u2019]\d{3})+)(?:[.,](\d+))?\s*(\D.*)?"
-_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,4})?"
+_NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d{1,4})?"
 _QUANTITY = re.compile(rf"\s*({_NUMBER})\s*(1\s*/.*?|[^\s\d].*?)?\s*", re.DOTALL | re.ASCII)
 _PLAIN_NUMBER = re.compile(rf"\s*{_NUMBER}\s*", re.ASCII)
 _POWER = r"(?:\s*(?:\^|\*\*)\s*(-?[1-4](?:\.5)?)|([2-4]))?"  # "m^2", "m**2", "m2"
-_FACTOR = rf"(\s*[*/]\s*|\s+|-|)([A-Za-z_]+){_POWER}"  # "kg m^2" and "N-m" are products
+_FACTOR = rf"(\s*[*/]\s*|\s+|-|)([A-Za-z_]++){_POWER}"  # "kg m^2" and "N-m" are products; a name is never cut into several
 _UNIT = re.compile(re.sub(r"\((?!\?)", "(?:", rf"(1\s*(?=/))?{_FACTOR}({_FACTOR}){{0,4}}"))
 _COMPACT = re.compile(r"(N|kN|lbf|kg|g)(m|cm|mm|in|ft|s)")  # "Nm", "kgm^2"
 _PLAIN = str.maketrans(

@@ -70,19 +70,20 @@ def show(
         print(f"{file.name}: {file.kind}")
         return
     if as_toml:
-        print(_template(file), end="")
+        print(_template(file, problem), end="")
         return
     from optlink.report.views import problem_tables
 
     console.show(problem_tables.problem(file))
 
 
-def _template(problem: ProblemFile) -> str:
-    """Return the problem with default limits as TOML text, with the comments and the spellings of its file."""
+def _template(problem: ProblemFile, name: str = "") -> str:
+    """Return the problem of a path with default limits as TOML text, with the comments and the spellings of its file."""
     from optlink.problem.file import complete
     from optlink.report.toml_text import rewritten, tables
 
-    text = (problem.folder / os.path.basename(problem.file)).read_text(encoding="utf-8-sig")
+    path = Path(name) if name.endswith(".toml") else problem.folder / os.path.basename(problem.file)
+    text = path.read_text(encoding="utf-8-sig")
     return rewritten(text, tables(text), complete(problem))
 
 
@@ -124,7 +125,7 @@ def new(
         from optlink.io import whole
 
         with whole(out) as temporary:
-            temporary.write_text(text.text, encoding="utf-8")
+            temporary.write_text(text.text, encoding="utf-8", errors="backslashreplace")
     if as_json:
         document = {"schema": "optlink/template/1", "name": name, "summary": text.summary, "commands": text.commands}
         console.print_json(document | {"file": None if out is None else str(out), "text": text.text})

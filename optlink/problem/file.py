@@ -16,7 +16,7 @@ import pydantic
 from pydantic_core import core_schema
 
 from optlink.errors import InputError, shown
-from optlink.io import data_files, load_extensions
+from optlink.io import data_files, load_extensions, shown_name
 from optlink.problem.arguments import typed
 from optlink.problem.base_model import DEEPEST, SPELLED, SPELLINGS, with_ranges, with_spellings
 from optlink.problem.file_errors import (
@@ -190,14 +190,14 @@ def load(problem: str | Path, overrides: Mapping[str, object] | None = None) -> 
         path, name = names[text], text
     else:
         path = Path(text)
-        name = path.stem
+        name = shown_name(path.stem)
         if not text.endswith(".toml") and not os.path.exists(text):  # False for a name that is too long
             if text in data_files("templates"):
                 remedy = f"Write a problem file from it: optlink new {text} --out {text}.toml"
                 raise InputError("this is a template, not a problem", remedy, key="PROBLEM", value=text)
             raise InputError("no such problem", similar_name(text, names), key="PROBLEM", value=text)
     raw = with_ranges(with_spellings(_read_toml(path)), skip=WORDS)
-    file = path.name if text in names else text
+    file = shown_name(path.name if text in names else text)
     changes = _without_arrays(overrides or {})
     _change(raw, changes, file)
     return replace(read(raw, name, file, path.parent), overrides=changes)
@@ -270,12 +270,14 @@ def _model(raw: Mapping[str, Any], file: str) -> type[Problem]:
 
 
 def _check_values(raw: Mapping[str, Any], file: str) -> None:
-    """Refuse integers beyond the 64 bits of TOML at any level, and tables or lists that are nested too deep."""
+    """Refuse integers beyond the 64 bits of TOML, text that is not UTF-8, and tables or lists that are nested too deep."""
     todo: list[tuple[str, object, int]] = [("", raw, 0)]
     while todo:
         key, value, depth = todo.pop()
         if isinstance(value, int) and value.bit_length() > 64:
             raise InputError("the number is too large", "Write a number of at most 19 digits", file, key, value)
+        if any(shown_name(text) != text for text in (key, value) if isinstance(text, str)):  # as a command line may pass bytes
+            raise InputError("the text is not UTF-8", "Write it in UTF-8", file, key, value)
         if depth > MOST_NESTED:
             where = ".".join(key.split(".")[:3]).partition("[")[0]
             raise InputError(f"nested more than {MOST_NESTED} deep", "Simplify it", file, where)

@@ -119,7 +119,7 @@ BELONGS = {
 
 
 def check_keys(task: PathRequirement) -> None:
-    """Refuse keys that the kind of requirement does not have.
+    """Refuse keys that the kind of requirement does not have, and a function without its law.
 
     Raises
     ------
@@ -129,6 +129,9 @@ def check_keys(task: PathRequirement) -> None:
     for key, kinds in BELONGS.items():
         if getattr(task, key) is not None and task.kind not in kinds:
             raise Unusable(f"a {task.kind} has no {key}", f'Leave it out, or write kind = "{kinds[0]}"', f"requirement.{key}")
+    if task.kind == "function" and task.law is None:
+        remedy = f'Write law = "psi0 + 0.5*(phi - phi0)", {SLIDE} or {SLIDES}'
+        raise Unusable("the law of the output is missing", remedy, "requirement.law")
 
 
 def inapplicable_keys(section: str, kind: str, *, four_bar: bool) -> set[str]:
@@ -165,9 +168,6 @@ def check_output(task: PathRequirement, linkage: Mechanism, *, slides: bool, bas
     Unusable
         with the full key of the cause.
     """
-    if task.law is None:
-        remedy = f'Write law = "psi0 + 0.5*(phi - phi0)", {SLIDE} or {SLIDES}'
-        raise Unusable("the law of the output is missing", remedy, "requirement.law")
     guides, bodies = [guide.name for guide in linkage.guides], [link.body for link in linkage.links[1:]]
     outputs = guides if slides else bodies
     what = "guide" if slides else "body that turns"

@@ -295,7 +295,7 @@ def read_number(raw: object, key: str) -> float:
     Unusable
         when it is not a finite number.
     """
-    if isinstance(raw, str) and (share := re.fullmatch(r"\s*([-+]?(?:\d+\.?\d*|\.\d+))\s*%\s*", raw, re.ASCII)):
+    if isinstance(raw, str) and (share := re.fullmatch(r"\s*([-+]?(?:\d+(?:\.\d*)?|\.\d+))\s*%\s*", raw, re.ASCII)):
         raw = float(share.group(1)) / 100.0
     if isinstance(raw, bool) or not isinstance(raw, int | float):
         remedy = "Write a number without a unit, for example 1.2"

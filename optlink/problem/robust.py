@@ -20,7 +20,7 @@ MAX_SIGMAS = 100.0  # standard deviations
 WORST, EXPECTED = "worst case", "expected value"
 SQUARES, LARGEST = ("sum of squares", "rms"), ("max",)  # measures for the expected value, and for the others
 SMOOTHED = 1e-8  # rad; a programme has sqrt(s^2 + SMOOTHED^2) for |s|, which has a derivative where the scatter s vanishes
-_SIGMAS = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?) *sigma")
+_SIGMAS = re.compile(r"([-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?) *sigma")
 _REMEDY = f'Write robust = "3 sigma" or "{WORST}" with measure = "max", or "{EXPECTED}" with squares'
 
 

@@ -21,7 +21,7 @@ MAX_POINTS = 10_000_000
 ROW_BYTES, POINTS_PER_SECOND = 160, 5000  # for the error message on too many points
 EXAMPLE = 'Write KEY=LOW..HIGH UNIT:N, for example mechanism.frame="450..550 mm:101", or a list: "450 mm, 500 mm"'
 
-_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
 _RANGE = re.compile(
     rf"\s*({_NUMBER})\s*((?:1\s*/)?[^\s\d.:,][^.:,]*?)?\s*(?:\.\.\.(?=\s)|\.\.)\s*({_NUMBER})\s*((?:1\s*/)?[^\s\d.:,][^:,]*?)?\s*"
     rf"(?::\s*([-+]?\d+)\s*(log)?|step\s+({_NUMBER}))\s*"
@@ -122,7 +122,7 @@ def read_axis(assignment: str) -> Axis:
             )
         steps = math.floor(ratio)
         return Axis(key, unit, tuple(_rounded(a + size * i) for i in range(steps + 1)))
-    number = int(count)
+    number = int(count) if len(count) < 20 else int(min(max(float(count), -1.0), 1e18))  # int refuses thousands of digits
     if number < 2:
         raise fault(f"{number} points do not make a range", "Give at least 2 points, or one value with --set")
     if number > MAX_POINTS:

@@ -468,3 +468,42 @@ def test_help_and_version():
     for command in ("list", "show", "solve", "validate", "analyze", "balance", "simulate", "report", "export", "study"):
         assert run(command, "--help").exit_code == 0
         assert command in run("--help").stdout
+
+
+@pytest.mark.parametrize(
+    ("change", "key"),
+    [
+        ("mechanism.frame=\udcff", "mechanism.frame"),
+        ("title=a\udcff", "title"),
+        ("mechanism.\udcff=1", "mechanism."),
+        ("\udcff=1", ""),
+    ],
+)
+def test_bytes_that_are_no_text_are_refused(change, key):
+    done = run("show", "crank-rocker", "--set", change)
+    assert done.exit_code == 2
+    assert "the text is not UTF-8. Write it in UTF-8" in done.stderr
+    assert key in done.stderr
+    with pytest.raises(optlink.InputError, match="not UTF-8"):
+        optlink.load("crank-rocker", {"requirement.law": "\udcff"})
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="names of files are bytes on Linux only")
+def test_a_file_whose_name_is_no_text_is_read_and_written(tmp_path):
+    name = os.fsdecode(os.fsencode(tmp_path) + b"/pa\xffrt.toml")
+    for words in (("new", "wiper", "--out", name), ("show", name), ("show", name, "--toml")):
+        done = process(*words)
+        assert done.returncode == 0, done.stderr
+    out = os.fsdecode(os.fsencode(tmp_path) + b"/o\xffut")
+    axis = "mechanism.links.rod.length=300..310mm:2"
+    done = process("study", "sweep", "slider-crank", "--analyze", "--vary", axis, "--out", out, "--workers", "1")
+    assert done.returncode == 0, done.stderr
+    assert json.loads((Path(out) / "result.json").read_text(encoding="utf-8"))["table"] == f"{out}/sweep.csv"
+
+
+@pytest.mark.parametrize("sign", ["", "-"])
+def test_a_count_of_thousands_of_digits_is_refused(sign):
+    done = run("study", "sweep", "crank-rocker", "--vary", f"mechanism.frame=450..550 mm:{sign}{'9' * 5000}")
+    assert done.exit_code == 2
+    assert ("exceed the limit" if not sign else "do not make a range") in done.stderr

@@ -530,3 +530,10 @@ def test_values_that_overflow_are_refused(key: str, value: str, most: str) -> No
         load("six-bar", {key: value})
     assert f'{key} = "{value}"' in str(caught.value)
     assert f"Give at most {most}" in str(caught.value)
+
+
+@pytest.mark.parametrize("requirement", [{}, {"points": 5}, {"output": "slider"}, {"kind": "function", "span": "90 deg"}])
+@pytest.mark.parametrize("name", ["slider-crank", "six-bar", "shaper"])
+def test_a_function_without_a_law_names_what_is_missing(name, requirement):
+    with pytest.raises(InputError, match=r"requirement\.law: (the law of the output|this key) is missing\. (Write|Add) law = "):
+        load(name, {"requirement": requirement})

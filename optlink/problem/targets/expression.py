@@ -45,7 +45,7 @@ _BINARY: dict[str, np.ufunc] = {
     "^": np.power,
 }
 _TOKEN = re.compile(
-    r"\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)|(?P<name>[A-Za-z_][A-Za-z_0-9]*)|(?P<sign>\*\*|[-+*/^()]))",
+    r"\s*(?:(?P<number>(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?)|(?P<name>[A-Za-z_][A-Za-z_0-9]*)|(?P<sign>\*\*|[-+*/^()]))",
     re.ASCII,
 )
 # binding powers: left, right; a higher one binds tighter. -x^2 is -(x^2), 2^-1 is 0.5, 2^3^2 is 2^9

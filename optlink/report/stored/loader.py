@@ -9,6 +9,7 @@ from typing import Any
 from pydantic import Field
 
 from optlink.errors import InputError
+from optlink.io import shown_name
 from optlink.problem.assignment import parse_assignments
 from optlink.problem.base_model import Contradiction, Record, ResultRecord, damaged, read_document, read_record
 from optlink.problem.file import ProblemFile, load, shipped
@@ -99,7 +100,7 @@ def load_stored(text: str, problem: str | None = None, changes: Sequence[str] = 
             report: ReportModel | StoredStudy = read_report_model(record, file, path)
         else:
             with single_units():
-                report = replace(view_of(kind).page(record, file, path), notes=(f"shown as recorded in {path.name}",))
+                report = replace(view_of(kind).page(record, file, path), notes=(f"shown as recorded in {shown_name(path.name)}",))
     except Contradiction as error:
         raise damaged(error, path) from None
     if record.optlink != VERSION:
@@ -115,7 +116,7 @@ def _extension_model(
     about = read_record(_Head, {name: document[name] for name in _Head.model_fields if name in document}, path)
     file = problem_of(about, path, problem, changes)
     try:
-        return report_model_of(file, view.stored(document, file), notes=(f"read from {path.name}",))
+        return report_model_of(file, view.stored(document, file), notes=(f"read from {shown_name(path.name)}",))
     except Contradiction as error:
         raise damaged(error, path) from None
 

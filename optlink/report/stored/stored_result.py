@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from optlink.errors import InputError, Status
+from optlink.io import shown_name
 from optlink.linkage.vector2d import TURN, Array
 from optlink.optimization.nlp import NLP, build
 from optlink.problem.base_model import Contradiction, ResultRecord, check_length
@@ -60,7 +61,7 @@ def read_report_model(record: ResultRecord, file: ProblemFile, path: Path) -> Re
     Contradiction
         If the record does not fit the problem.
     """
-    notes = [f"read from {path.name}; kinematics and checks are recomputed from the design in it"]
+    notes = [f"read from {shown_name(path.name)}; kinematics and checks are recomputed from the design in it"]
     if isinstance(record, SensitivitiesRecord):
         return _sensitivity_model(record, file, tuple(notes))
     outcome = _solved(_certified(_outcome(record, path, file), record))
