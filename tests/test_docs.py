@@ -491,3 +491,16 @@ def test_the_record_of_the_measurements_names_its_machine() -> None:
         for row in part["rows"]:
             assert not row["cut"] or row["holds"] is None or row["ratio"] > float((row["target"] or ">= 0").split()[1])
     assert "against a compiled loop" in hook("measurements").page()
+
+
+def test_the_comparison_names_the_versions_that_were_run() -> None:
+    """A version that the page calls run is that of the record of the measurements."""
+    text = (DOCS / "comparison.md").read_text(encoding="utf-8")
+    run = {name.lower(): version for name, version in re.findall(r"^\| \[(\w+)\]\S+ ([\d.]+), \*\*run\*\*", text, re.MULTILINE)}
+    record = json.loads((DOCS.parent / "benchmarks" / "measurements.json").read_text(encoding="utf-8"))
+    used: dict[str, set[str]] = {}
+    for part in record["parts"].values():
+        for name, version in part["packages"].items():
+            used.setdefault(name, set()).add(version)
+    assert {name: {version} for name, version in run.items()} == {name: used[name] for name in run}
+    assert run.keys() >= {"pylinkage", "fourbarhinge", "pymoo", "exudyn"}
