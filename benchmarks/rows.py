@@ -9,6 +9,7 @@ import json
 import math
 import os
 import platform
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,29 +17,32 @@ from rich.console import Console
 from rich.table import Table
 from timing import Row
 
+LOAD = os.getloadavg()[0] if hasattr(os, "getloadavg") else None  # programs that ran on the machine before the measurements began
 PEERS = ("pylinkage", "fourbarhinge", "pymoo", "numba", "exudyn")
 
 
-def show(rows: list[Row], file: Path | None) -> None:
-    """Print one table; write the JSON document if a file is given."""
+def show(parts: Mapping[str, list[Row]], file: Path | None) -> None:
+    """Print one table; replace these parts in the JSON document if a file is given."""
     console = Console()
     if not console.is_terminal:
         console = Console(width=160)
-    console.print(table(rows))
+    console.print(table([row for rows in parts.values() for row in rows]))
     if file:
-        file.write_text(json.dumps(document(rows), indent=2) + "\n", encoding="utf-8")
+        before = json.loads(file.read_text(encoding="utf-8"))["parts"] if file.exists() else {}
+        document = {"schema": "optlink/benchmarks/2", "parts": before | {name: record(rows) for name, rows in parts.items()}}
+        file.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
 
 
 def table(rows: list[Row]) -> Table:
     """The rows as text."""
-    result = Table(title="optlink: medians of this run; ratio > 1: optlink is better (processes: less is better)")
+    result = Table(title="optlink: medians of this run; ratio > 1: optlink is better, unless the target begins with <=")
     result.add_column("what", ratio=3)
     for heading in ("ours", "theirs", "ratio", "target"):
         result.add_column(heading, justify="right", no_wrap=True)
     result.add_column("note", ratio=4)
     colours = {None: "", True: "green", False: "bold red"}
     for row in rows:
-        ratio = row.shown(row.ratio) + (" !" if row.holds is False else "")
+        ratio = ("> " if row.cut else "") + row.shown(row.ratio) + (" !" if row.holds is False else "")
         cells = (row.what, row.ours, row.theirs, f"[{colours[row.holds]}]{ratio}[/]" if colours[row.holds] else ratio)
         result.add_row(*cells, row.wanted, row.note)
     return result
@@ -50,19 +54,22 @@ def version(package: str) -> str | None:
     return None
 
 
-def document(rows: list[Row]) -> dict[str, Any]:
-    """The rows with what they were measured on; seconds, positions per second, ratios."""
+def record(rows: list[Row]) -> dict[str, Any]:
+    """The rows of one part with what they were measured on; seconds, positions per second, ratios."""
     return {
-        "schema": "optlink/benchmarks/1",
         "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
         "python": platform.python_version(),
         "system": f"{platform.system()} {platform.machine()}, {os.cpu_count()} processors",
+        "load": LOAD,
         "packages": {name: version(name) for name in ("numpy", "scipy", "casadi", "cvxpy", "distributed", *PEERS)},
         "rows": [
             {
                 "what": row.what,
+                "kind": row.kind,
                 **row.figures,
                 "ratio": None if math.isnan(row.ratio) else row.ratio,
+                "percent": row.percent,
+                "cut": row.cut,
                 "target": row.target or None,
                 "holds": row.holds,
                 "note": row.note,

@@ -1,7 +1,8 @@
-"""Speed against peers and limits, everything measured in this one run: `python benchmarks/run.py [--parts NAMES] [--json FILE]`.
+"""Ratios to peers and to what a machine can do: `python benchmarks/run.py [--parts NAMES] [--json FILE]`.
 
-Medians only, contenders in turn. A peer that is not installed is skipped. Nothing here asserts a time. Of the synthesis a run has
-a small sample; `python benchmarks/synthesis.py` measures all of it.
+Medians only, contenders in turn. A peer that is not installed is skipped. Nothing here asserts a time. With `--json` the parts
+that were measured replace those of the file, each with its date and the load of the machine. Of the synthesis a run has a sample
+of several seeds and linkages; `python benchmarks/synthesis.py` measures all of it.
 """
 
 from __future__ import annotations
@@ -14,12 +15,12 @@ from pathlib import Path
 
 from rich.console import Console
 from rows import show
-from timing import ROOT, Row, child, race
+from timing import COST, ROOT, Row, child, race
 
 sys.path.insert(0, str(ROOT))  # the checkout is measured, whether it is installed or not
 
 PROCESS_RUNS = 9
-SYNTHESIS = {"seeds": 1, "linkages": 1, "laws": 10}  # minutes rather than hours
+SYNTHESIS = {"seeds": 3, "linkages": 3, "laws": 40}  # half an hour rather than hours
 YARDSTICK = ("-c", "import numpy, scipy.optimize, casadi")
 PROCESSES = {
     "help": (("-m", "optlink", "--help"), "<= 0.25"),
@@ -37,7 +38,7 @@ def process_rows() -> list[Row]:
     rows = []
     for name, (_, target) in PROCESSES.items():
         if codes[name]:
-            rows.append(Row(f"process: optlink {name}", "failed", "", target=target, note=f"exit code {codes[name]}"))
+            rows.append(Row(f"process: optlink {name}", "failed", "", target=target, note=f"exit code {codes[name]}", kind=COST))
             continue
         figures = {"ours": taken[name], "theirs": taken["yardstick"]}
         rows.append(
@@ -49,6 +50,7 @@ def process_rows() -> list[Row]:
                 target,
                 f"ours / python {YARDSTICK[0]} '{YARDSTICK[1]}'",
                 figures=figures,
+                kind=COST,
             )
         )
     return rows
@@ -88,10 +90,10 @@ def main() -> None:
         if part not in every:
             parser.error(f"no part {part!r}; known: {', '.join(every)}")
     progress = Console(stderr=True)
-    rows: list[Row] = []
+    rows: dict[str, list[Row]] = {}
     for part in parts:
         with progress.status(f"Timing {part} ..."):
-            rows += every[part]()
+            rows[part] = every[part]()
     show(rows, arguments.json)
 
 

@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from timing import ROOT, Row
+from timing import GROWTH, ROOT, Row
 
 SIDE, LARGE, MILLION = 100, 300, 1000  # points along each of the two axes of a grid
 COLD = 25  # points solved each from the start of the file
@@ -89,7 +89,8 @@ def rows() -> list[Row]:
         note = f"without the start of the cluster (from a sweep of {SIDE**2:,}); with it {single / (2.0 * dask):.0%}"
         figures = {"ours": dask, "theirs": single, "ours_small": begun, "theirs_small": short}
         share = (single - short) / (2.0 * (dask - begun))
-        result.append(Row(what, f"{dask:.1f} s", f"{single:.1f} s", share, note=note, percent=True, figures=figures))
+        shown = f"{dask:.1f} s", f"{single:.1f} s"
+        result.append(Row(what, *shown, share, note=note, percent=True, figures=figures, kind=GROWTH))
     else:
         result.append(Row(what, "skipped", "", note="distributed is not installed"))
     seconds = [taken(lambda: tolerance(problem, TOLERANCES, limit="2.5 deg", samples=SAMPLES)) for _ in range(RUNS)]

@@ -454,3 +454,53 @@ def test_the_schema_of_results_is_up_to_date() -> None:
     """Write it again: optlink show --schema result > docs/reference/result.schema.json."""
     published = json.loads((ROOT / "docs/reference/result.schema.json").read_text())
     assert published == json_schema("result")
+
+
+def test_measurements_mark_what_is_missed_and_what_is_open(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A ratio at which the peer was stopped meets no target that it equals, and no error stands among the speeds."""
+    monkeypatch.syspath_prepend(str(DOCS.parent / "benchmarks"))
+    from rows import show
+    from timing import COST, ERROR, Row
+
+    def row(ratio: float, target: str, **more: Any) -> Row:
+        return Row(f"row {ratio:g} {target} {more.get('cut', False)}", "1 s", f"{ratio} s", ratio, target, **more)
+
+    shown = [
+        row(30.0, ">= 20"), row(19.0, ">= 20"), row(20.0, ">= 20", cut=True), row(31.0, ">= 20", cut=True),
+        row(float("nan"), ">= 20"), row(0.9, "<= 1", kind=COST), row(1.1, "<= 1", kind=COST), row(5.0, "", kind=ERROR),
+    ]  # fmt: skip
+    assert [one.holds for one in shown] == [True, False, None, True, None, True, False, None]
+    module, file = hook("measurements"), tmp_path / "measurements.json"
+    show({"first": shown[:5]}, file)
+    show({"second": shown[5:]}, file)  # the other part stays
+    monkeypatch.setattr(module, "RECORD", file)
+    text = module.page()
+    assert "Of 7 targets: 3 met, 2 missed, 2 open." in text
+    parts = re.split(r"^## ", text, flags=re.MULTILINE)
+    assert [part.partition("\n")[0] for part in parts[1:]] == ["Speed", "Errors", "Cost", "Times of optlink alone"]
+    assert parts[1].count("| > ") == 2
+    assert (parts[1].count("**missed**"), parts[3].count("**missed**")) == (1, 1)
+    assert ("other programs ran" in text) or ("nothing else ran" in text) or ("not recorded" in text)
+
+
+def test_the_record_of_the_measurements_names_its_machine() -> None:
+    """And a bare numpy call is not called a limit: the ratio to a compiled loop stands beside it."""
+    record = json.loads((DOCS.parent / "benchmarks" / "measurements.json").read_text(encoding="utf-8"))
+    for part in record["parts"].values():
+        assert {"date", "python", "system", "load", "packages"} <= part.keys()
+        for row in part["rows"]:
+            assert not row["cut"] or row["holds"] is None or row["ratio"] > float((row["target"] or ">= 0").split()[1])
+    assert "against a compiled loop" in hook("measurements").page()
+
+
+def test_the_comparison_names_the_versions_that_were_run() -> None:
+    """A version that the page calls run is that of the record of the measurements."""
+    text = (DOCS / "comparison.md").read_text(encoding="utf-8")
+    run = {name.lower(): version for name, version in re.findall(r"^\| \[(\w+)\]\S+ ([\d.]+), \*\*run\*\*", text, re.MULTILINE)}
+    record = json.loads((DOCS.parent / "benchmarks" / "measurements.json").read_text(encoding="utf-8"))
+    used: dict[str, set[str]] = {}
+    for part in record["parts"].values():
+        for name, version in part["packages"].items():
+            used.setdefault(name, set()).add(version)
+    assert {name: {version} for name, version in run.items()} == {name: used[name] for name in run}
+    assert run.keys() >= {"pylinkage", "fourbarhinge", "pymoo", "exudyn"}
