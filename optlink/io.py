@@ -71,19 +71,42 @@ def folder(path: Path, option: str = "--out") -> Path:
     return path
 
 
-@contextlib.contextmanager
-def whole(path: Path) -> Iterator[Path]:
-    """Yield a temporary file name; rename it to `path` on success, remove it on failure.
+def check_link(path: Path) -> Path:
+    """Return the file that is written under a name: the target of a symbolic link.
 
-    For a symbolic link the target is replaced, not the link; a pipe or device, such as /dev/stdout, is written directly.
+    Parameters
+    ----------
+    path : Path
 
     Raises
     ------
     InputError
-        If the file cannot be written.
+        If the name is a link out of its folder, whose target the user did not name; but links to standard output are followed.
+    """
+    if not path.is_symlink():
+        return path
+    target, home = Path(os.path.realpath(path)), os.path.realpath(path.parent)
+    if not target.is_relative_to(home) and not os.path.abspath(path).startswith(("/dev/", "/proc/")):
+        message, remedy = f"this is a link out of its folder, to {target}", "Remove the link, or choose another place"
+        raise InputError(message, remedy, str(path))
+    return target
+
+
+@contextlib.contextmanager
+def whole(path: Path) -> Iterator[Path]:
+    """Yield a temporary file name; rename it to `path` on success, remove it on failure.
+
+    For a symbolic link within its folder the target is replaced, not the link; a pipe or device, such as /dev/stdout, is written
+    directly.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written, or is a link out of its folder.
     BrokenPipeError
         If the reader has closed the pipe.
     """
+    target = check_link(path)
     if path.exists() and not path.is_file():
         try:
             yield path
@@ -92,8 +115,7 @@ def whole(path: Path) -> Iterator[Path]:
         except OSError as error:
             raise InputError(f"cannot write there: {error.strerror}", "Choose another place", str(path)) from None
         return
-    path = path.resolve() if path.is_symlink() else path
-    temporary = None
+    path, temporary = target, None
     try:
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem[:40]}-", suffix=path.suffix)
         os.close(handle)

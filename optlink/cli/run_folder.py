@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from optlink.errors import InputError
-from optlink.io import check_sum, locked, read_object, write_json, written_files
+from optlink.io import check_link, check_sum, locked, read_object, write_json, written_files
 
 MANIFEST = ".optlink-run.json"
 """File that records the command of an earlier run in the folder, and the files that it wrote with their check sums."""
@@ -67,9 +67,11 @@ def run_folder(path: Path, command: str, problem: str) -> Iterator[None]:
     Raises
     ------
     InputError
-        If another run holds the folder, or it contains a result of another command or problem.
+        If another run holds the folder, it contains a result of another command or problem, or the name of its result is a link
+        out of it.
     """
     with locked(path):
+        check_link(path / RESULT)
         check_owner(path, command, problem)
         before = (read_object(path / MANIFEST) or {}).get("files")
         with written_files() as written:

@@ -17,7 +17,7 @@ from typing import Any, Self
 from optlink.errors import InputError
 from optlink.execution.runner import run
 from optlink.execution.worker import ChunkTask
-from optlink.io import LOCK, check_sum, checked, folder, locked, read_object, whole, with_check_sum, write_json
+from optlink.io import LOCK, check_link, check_sum, checked, folder, locked, read_object, whole, with_check_sum, write_json
 
 ABOUT, TABLE, CHUNKS = "study.json", "sweep.csv", "chunks"
 SPREAD = 1000  # chunks per folder
@@ -181,6 +181,7 @@ class Store:
         return self.chunks / f"{index // SPREAD:05d}" / f"{index:08d}.csv"
 
     def _folder(self, path: Path) -> None:
+        check_link(path)
         try:
             path.mkdir(exist_ok=True)
         except OSError as error:

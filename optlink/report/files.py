@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from optlink.errors import InputError
-from optlink.io import checked, folder, read_object, whole
+from optlink.io import check_link, checked, folder, read_object, whole
 from optlink.problem.file import ProblemFile, dump
 from optlink.problem.fixed_design import with_files_beside
 from optlink.problem.quantity import input_of, nearest
@@ -38,7 +38,7 @@ def check_target(path: Path, suffixes: tuple[str, ...], example: str, key: str =
     Raises
     ------
     InputError
-        If the extension is unknown, or the folder does not exist or is not writable.
+        If the extension is unknown, the folder does not exist or is not writable, or the name is a link out of it.
     """
     if len(os.fsencode(path.name)) > MAX_NAME_BYTES:
         raise InputError("the name is too long", f"Give a shorter one, for example {example}", key=key, value=str(path))
@@ -52,6 +52,7 @@ def check_target(path: Path, suffixes: tuple[str, ...], example: str, key: str =
         message = f"there is no folder {path.parent}"
         raise InputError(message, "Make it first, or choose another place", key=key, value=str(path))
     folder(path.parent, key)
+    check_link(path)
     return path
 
 

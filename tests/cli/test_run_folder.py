@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -18,6 +19,7 @@ from optlink.cli.app import app
 from optlink.errors import InputError
 from optlink.io import LOCK, locked
 from optlink.studies.sweep import sweep
+from tests.tiers import mostly_slow
 
 ROOT = Path(__file__).parents[2]
 HOLD = """
@@ -192,3 +194,64 @@ def test_ctrl_c_releases_the_folder(tmp_path):
         process.send_signal(signal.SIGINT)
         assert process.wait() == 130
     assert not (out / LOCK).exists()
+
+
+SWEPT = ("study", "sweep", "crank-rocker", "--vary", "mechanism.frame=490 mm, 500 mm", "--workers", "1", "--out", "out")
+LINKED = {
+    "result.json": ("validate", "crank-rocker", "--design", "coupler=412 mm", "--design", "rocker=232.5 mm", "--out", "out"),
+    "design.toml": ("validate", "crank-rocker", "--design", "coupler=412 mm", "--design", "rocker=232.5 mm", "--out", "out"),
+    "mechanism.png": ("analyze", "slider-crank", "--points", "12", "--out", "out"),
+    "checkpoint.json": ("simulate", "slider-crank-clearance", "--revolutions", "1", "--points", "12", "--out", "out"),
+    "study.json": SWEPT,
+    "sweep.csv": SWEPT,
+    "motion.csv": ("analyze", "slider-crank", "--points", "12", "--csv", "out/motion.csv"),
+    "page.html": ("report", "slider-crank", "-o", "out/page.html"),
+    "drawing.dxf": ("export", "slider-crank", "-o", "out/drawing.dxf"),
+    "mine.toml": ("new", "law", "--force", "-o", "out/mine.toml"),
+}
+
+
+@pytest.mark.skipif(os.name != "posix", reason="links need a privilege on Windows")
+@pytest.mark.parametrize("there", [True, False], ids=["file", "nothing"])
+@pytest.mark.parametrize("name", mostly_slow(LINKED, "result.json", "motion.csv", "mine.toml"))
+def test_a_link_out_of_the_folder_is_refused(name, there, tmp_path, monkeypatch):
+    """Whoever prepared the folder does not choose which file of the user is replaced."""
+    monkeypatch.chdir(tmp_path)
+    Path("out").mkdir()
+    if there:
+        Path("precious").write_text("mine", encoding="utf-8")
+    Path("out", name).symlink_to("../precious")
+    done = run(*LINKED[name])
+    assert done.exit_code == 2, done.output
+    if not (there and name in ("study.json", "sweep.csv")):  # what these hold is not of optlink
+        sentence = rf"Error: out/{name}: this is a link out of its folder, to \S+/precious. Remove the link, .*\n"
+        assert re.fullmatch(sentence, done.stderr), done.stderr
+    assert Path("precious").exists() is there
+    assert not there or Path("precious").read_text(encoding="utf-8") == "mine"
+    assert sorted(path.name for path in Path().iterdir()) == ["out", *(["precious"] if there else [])]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="links need a privilege on Windows")
+def test_chunks_are_not_written_through_a_link_out_of_the_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("out", "elsewhere"):
+        Path(name).mkdir()
+    Path("out", "chunks").symlink_to("../elsewhere")
+    done = run(*SWEPT)
+    assert done.exit_code == 2
+    assert "link out of its folder" in done.stderr
+    assert not list(Path("elsewhere").iterdir())
+
+
+@pytest.mark.skipif(os.name != "posix", reason="links need a privilege on Windows")
+def test_links_within_the_folder_and_of_the_folder_itself_are_followed(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("real").mkdir()
+    Path("out").symlink_to("real")  # the user names it
+    Path("out", "loop.toml").symlink_to("loop.toml")
+    Path("out", "motion.csv").symlink_to("first.csv")
+    assert run(*LINKED["motion.csv"]).exit_code == 0
+    assert Path("real", "motion.csv").is_symlink()
+    assert Path("real", "first.csv").read_text(encoding="utf-8").startswith("crank_angle_deg,")
+    assert run("new", "law", "--force", "-o", "out/loop.toml").exit_code == 0
+    assert Path("real", "loop.toml").is_file()
