@@ -16,7 +16,7 @@ from optlink.linkage.mechanism import FRAME, Pose
 from optlink.linkage.vector2d import TURN, Array, Value, angle_from, dot, minus, turn, unit
 from optlink.problem.function import DesignProblem
 from optlink.problem.limits import LIMITS, Limits, LimitTerm
-from optlink.problem.machine.model import MAX_SHIFT, Problem
+from optlink.problem.machine.model import MAX_SHIFT, Problem, ShownObjective
 from optlink.problem.mechanism import FourBarSection, check_one_mode
 from optlink.problem.path_requirement import (
     PathLimits,
@@ -227,6 +227,18 @@ class PathProblem(Problem):
         """Factor from SI to the displayed value of the objective, and the unit of that."""
         factor, unit = DISPLAYED[self.unit]
         return (factor**2, f"{unit}^2" if unit else unit) if self.measure == "sum of squares" else (factor, unit)
+
+    @property
+    def by_angle(self) -> bool:
+        """Whether the objective is shown as an angle: the largest cosine of a transmission angle, by its distance from 90 deg."""
+        return self.requirement.kind == "transmission" and self.measure == "max"
+
+    def shown_objective(self, objective: float) -> ShownObjective:
+        """Return an objective, and how changes of it are shown; see `Problem.shown_objective`."""
+        if not self.by_angle or not abs(objective) < 1.0:
+            return super().shown_objective(objective)
+        slope = 1.0 / math.sqrt(1.0 - objective * objective)
+        return ShownObjective(math.degrees(math.asin(objective)), math.degrees(slope), "deg", "transmission angle from 90 deg")
 
     @property
     def whole(self) -> float:

@@ -39,6 +39,17 @@ def precise(value: float, digits: int) -> str:
     return number(value, digits) if value == 0.0 or abs(value) >= 1e-5 else f"{value:.{digits - 1}e}"
 
 
+def price_step(unit: str) -> tuple[float, str]:
+    """Return the step of a limit or parameter to which a price refers, with its text: 0.01 of a ratio, else one unit.
+
+    Parameters
+    ----------
+    unit : str
+        Unit of the limit; empty for a ratio.
+    """
+    return (1.0, unit) if unit else (0.01, "0.01")
+
+
 def fixed(value: float, decimals: int = 3) -> str:
     """Format a number with fixed decimals; a dash if it is not finite.
 

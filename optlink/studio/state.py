@@ -14,6 +14,7 @@ from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import quantity_key
 from optlink.problem.limits import Limits
 from optlink.problem.path import PathProblem
+from optlink.report.format import price_step
 from optlink.report.style import scale
 from optlink.studio.design import Design
 from optlink.studio.kinds import kind_of
@@ -96,13 +97,14 @@ def objective(problem: ProblemFile, value: float) -> dict[str, Any] | None:
 
 def active(design: Design) -> list[dict[str, Any]]:
     """Return the active limits of a design with their shadow prices, in display units."""
-    factor, unit, _ = kind_of(design.problem).objective(design.problem.model)
+    _, factor, unit, _ = design.problem.model.shown_objective(design.objective)
     rows = []
     for limit in design.limits:
         if limit.active:
             row = {"limit": f"{limit.name} {limit.sense}", "value": limit.bound, "unit": limit.unit}
-            price = {"price": limit.multiplier * factor, "price_unit": f"{unit or '1'} per {limit.unit or 'unit'}"}
-            joint = {"joint_price": limit.joint_gain * factor} if limit.depends_on else {}
+            size, step = price_step(limit.unit)
+            price = {"price": limit.multiplier * factor * size, "price_unit": f"{unit.replace('^2', '²') or '1'} per {step}"}
+            joint = {"joint_price": limit.joint_gain * factor * size} if limit.depends_on else {}
             rows.append(row | price | joint)
     return finite(rows)  # type: ignore[no-any-return]
 

@@ -13,6 +13,7 @@ import pytest
 from rich.console import Console
 
 import optlink
+from optlink.problem.machine.model import ShownObjective
 from optlink.report import terminal
 from optlink.report.format import change, dimension, figure, fixed, number, pretty, significant
 from optlink.report.registry import table_of
@@ -114,15 +115,16 @@ def test_the_price_of_an_equality_has_its_sign() -> None:
         return LimitState("key", "time ratio", 1.6, 1.6, sense, "", True, multiplier, 0.0)
 
     def priced(*limits: LimitState, size: float = 1.0) -> str:
-        return words(active(SimpleNamespace(objective_display=(size, "N")), 100.0 / size, limits))
+        model = SimpleNamespace(shown_objective=lambda objective: ShownObjective(size * objective, size, "N"))
+        return words(active(model, 100.0 / size, limits))
 
     rising, falling = priced(limit("=", 5.0)), priced(limit("=", -5.0))
-    assert "= 1.6 +5 N per unit (5.00 %) =: change of the objective if the value is raised by one unit" in rising
-    assert "= 1.6 -5 N per unit" in falling
-    assert "= 1.6 -5 N per unit (5.00 %)" in priced(limit("=", 5.0), size=-1.0)  # of a maximised force
-    assert "= 1.6 +5000 N per unit (5000.00 %)" in priced(limit("=", 5.0), size=1e3)
+    assert "= 1.6 +0.05 N per 0.01 (0.05 %) =: change of the objective if the value is raised by that much" in rising
+    assert "= 1.6 -0.05 N per 0.01" in falling
+    assert "= 1.6 -0.05 N per 0.01 (0.05 %)" in priced(limit("=", 5.0), size=-1.0)  # of a maximised force
+    assert "= 1.6 +50 N per 0.01 (50.00 %)" in priced(limit("=", 5.0), size=1e3)
     relaxed = priced(limit("<=", -5.0))
-    assert "<= 1.6 5 N per unit" in relaxed
+    assert "<= 1.6 0.05 N per 0.01" in relaxed
     assert "raised" not in relaxed
     none = priced(limit("=", 0.0), limit(">=", 0.0))
     assert none.count("no effect") == 2

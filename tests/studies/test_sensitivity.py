@@ -191,9 +191,9 @@ def test_the_tables_use_display_units_and_name_what_the_file_states(crank_rocker
     stroke = sensitivities(optlink.load("stroke-slider-crank"))
     optimum, _, prices, *_ = summary(stroke).parts
     assert np.isclose(float(optimum.rows[0][1].text), math.degrees(stroke.solution.objective), rtol=1e-5)
-    assert "deg per unit" in str(prices)
+    assert "deg per 0.01" in str(prices)
     price = next(row for row in stroke.moving if row.parameter.key == "requirement.time_ratio").objective
-    assert f"{math.degrees(price):+.6g}" in str(prices)
+    assert f"{math.degrees(0.01 * price):+.6g}" in str(prices)
     still = str(summary(crank_rocker).parts[-1])
     assert "No effect to first order" in still
     assert "rocker, largest allowed" in still

@@ -536,7 +536,7 @@ def test_the_first_design_fills_the_canvas_and_prices_have_their_unit(page, tmp_
         f"const ends = {ends}; return [Math.min(...ends.map((e) => e.top)), Math.max(...ends.map((e) => e.bottom))]"
     )
     assert bottom - top > 0.3 * page.find("#canvas").size["height"]
-    assert "deg per unit" in page.text("#active")
+    assert "deg per 0.01" in page.text("#active")
 
 
 @pytest.mark.slow

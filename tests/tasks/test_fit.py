@@ -459,7 +459,7 @@ def test_the_fixed_dimension_with_the_largest_effect_is_named() -> None:
     """Its first-order effect is the slope of the optimum, solved again with other values."""
     file = optlink.read(BUCKET)
     result = optlink.solve(file)
-    effects = fixed_effects(result.solution)
+    effects = fixed_effects(result.solution, file.spec)
     slopes = {}
     for name in ("crank", "frame"):
         size = 1e3 * result.design[name]
@@ -489,3 +489,24 @@ def test_the_other_assembly_mode_is_named_where_the_same_lengths_are_better() ->
     assert f"with C to the {better.assembly} the same lengths" in named[0].reason
     assert not any("either" in each.remedy for each in better.fit.reasons)
     assert either.objective == pytest.approx(better.objective, rel=1e-9)
+
+
+@pytest.mark.slow
+def test_prices_of_a_transmission_angle_are_angles() -> None:
+    """The headline is an angle, and the price of a limit is the change of that angle: solved again beside it."""
+    result = solve(optlink.load("transmission-optimal"), starts=60, designs=1)
+    console = terminal.console()
+    with console.capture() as text:
+        console.print(terminal.rendered(path_tables.path_result(result)))
+    shown = " ".join(text.get().split())
+    assert "worst transmission angle 37.73 deg 52.27 deg from ideal" in shown
+    assert "cosine" not in shown
+    for key, values, moved, per in (
+        ("limits.swing_angle", ("80.02 deg", "79.98 deg"), 0.04, "deg"),
+        ("limits.time_ratio", (10.0 / 9.0 + 2e-4, 10.0 / 9.0 - 2e-4), 0.04, "0.01"),
+    ):
+        files = [result.problem.override({key: value}) for value in values]
+        above, below = (math.degrees(solve(file, starts=60, designs=1).best.least_transmission) for file in files)
+        told = re.search(rf"\+(\S+) deg per {per} ", shown)
+        assert float(told[1]) == pytest.approx((below - above) / moved, rel=5e-3)
+    assert result.to_dict()["designs"][0]["objective"]["value"] == pytest.approx(math.cos(math.radians(37.73)), abs=1e-3)

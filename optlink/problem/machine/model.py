@@ -3,7 +3,7 @@
 import datetime
 from collections.abc import Mapping, Sequence
 from functools import cached_property
-from typing import Annotated, ClassVar, Self
+from typing import Annotated, ClassVar, NamedTuple, Self
 
 import numpy as np
 from pydantic import BeforeValidator, Field
@@ -85,6 +85,15 @@ class ReportSection(Section):
     """Date; default: the day on which the page is written."""
 
 
+class ShownObjective(NamedTuple):
+    """An objective in its display `unit`: `value`, and the `factor` from a small change of the minimised value [SI]."""
+
+    value: float
+    factor: float
+    unit: str
+    name: str = "objective"
+
+
 class Problem(Section):
     """A problem file, read and checked; immutable. Change it with `optlink.load(..., overrides)` or `override`."""
 
@@ -142,6 +151,17 @@ class Problem(Section):
     def objective_display(self) -> tuple[float, str]:
         """Factor from the minimised value [SI] to the displayed value of the objective, and the unit of that."""
         return 1.0, self.objective_unit
+
+    def shown_objective(self, objective: float) -> ShownObjective:
+        """Return an objective, and how changes of it are shown.
+
+        Parameters
+        ----------
+        objective : float [SI]
+            Minimised value.
+        """
+        factor, unit = self.objective_display
+        return ShownObjective(factor * objective, factor, unit)
 
     @property
     def sense(self) -> float:

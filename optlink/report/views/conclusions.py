@@ -123,9 +123,10 @@ def sensitivities(result: Sensitivities) -> str:
     """Return the conclusion of a sensitivity analysis."""
     if not result.moving:
         return "No prescribed value has an effect on this optimum, to first order."
-    first, base = result.moving[0], result.solution.objective
+    first = result.moving[0]
+    base, factor, *_ = result.problem.model.shown_objective(result.solution.objective)
     step = study_tables.step(first).replace(" deg", "°")
-    change = percent(first.effect / base, 2, signed=True) if base else figure(first.effect, result.unit)
+    change = percent(factor * first.effect / base, 2, signed=True) if base else figure(first.effect, result.unit)
     return f"The optimum reacts most to {first.parameter.name}: {step} more changes the objective by {change.replace('-', '−')}."
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from optlink.errors import Status
 from optlink.optimization.objectives import MEASURES
-from optlink.report.format import dimension, fixed, joined, number, times
+from optlink.report.format import dimension, fixed, joined, number, price_step, times
 from optlink.report.table_spec import (
     Inline,
     Line,
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 
 MAX_OPTIMA, MAX_VARIABLES = 12, 6  # largest number of optima listed, and of their design variables
 NEAREST_DESIGN = "Nearest design found (it does not meet the limits)"
-RELAXED_NOTE = "; <=, >=: its improvement if the bound is relaxed by one unit"
+RELAXED_NOTE = "; <=, >=: its improvement if the bound is relaxed by that much"
 
 
 def result(outcome: FunctionResult) -> Summary:
@@ -235,8 +235,9 @@ def _objective(outcome: FunctionResult) -> TableSpec:
 def active(model: Problem, objective: float, limits: Iterable[LimitState]) -> Part:
     """Tabulate the active constraints with their shadow prices.
 
-    The price of an inequality is the improvement of the objective per unit by which its bound alone is relaxed; that of an
-    equality is the change of the objective, with its sign, per unit by which its value is raised.
+    The price of an inequality is the improvement of the objective per step by which its bound alone is relaxed; that of an
+    equality is the change of the objective, with its sign, per step by which its value is raised. A step is one unit, or 0.01
+    of a ratio.
 
     Parameters
     ----------
@@ -247,34 +248,38 @@ def active(model: Problem, objective: float, limits: Iterable[LimitState]) -> Pa
     limits : iterable of LimitState
         All constraints; inactive ones are left out.
     """
-    (factor, unit), rows, raised = model.objective_display, [], False
-    base, joint = objective * factor, {}
+    (base, factor, unit, _), rows, raised = model.shown_objective(objective), [], False
+    joint: dict[frozenset[str], tuple[float, set[str]]] = {}
 
     def share(gain: float) -> str:
         return f" ({percent(gain / base, 2)})" if 5e-5 * base <= gain < 100.0 * base else ""  # otherwise not informative
 
     for limit in (limit for limit in limits if limit.active):
-        price = limit.multiplier * factor
+        size, step = price_step(limit.unit)
+        price = limit.multiplier * factor * size
         gain = abs(price)
         shown = f"{price:+.4g}" if limit.sense == "=" else f"{gain:.4g}"
-        effect = f"{shown} {unit} per {limit.unit or 'unit'}{share(gain)}" if gain > 0 else "no effect"
+        effect = f"{shown} {unit} per {step}{share(gain)}" if gain > 0 else "no effect"
         if math.isinf(gain):
             effect = "cannot be raised alone"
         raised |= limit.sense == "=" and gain > 0
         if limit.depends_on:
             effect = effect if gain > 0 else "no effect alone"
-            joint[frozenset((limit.name, *limit.depends_on))] = abs(limit.joint_gain * factor)
+            together = frozenset((limit.name, *limit.depends_on))
+            joint[together] = abs(limit.joint_gain * factor), joint.get(together, (0.0, set()))[1] | {limit.unit}
         rows.append((limit.name, f"{limit.sense} {limit.bound:g} {limit.unit}".rstrip(), effect))
     if not rows:
         return Paragraph(strong("Active constraints"), "none: only the requirement determines this design")
     notes = (
-        [quiet(f"=: change of the objective if the value is raised by one unit{RELAXED_NOTE * (len(rows) > 1)}")]
+        [quiet(f"=: change of the objective if the value is raised by that much{RELAXED_NOTE * (len(rows) > 1)}")]
         if raised
         else []
     )
-    for names, gain in joint.items():
+    for names, (gain, units) in joint.items():
         words = joined([name for name, *_ in rows if name in names])
-        text = f"{words} hold together: the objective improves by {gain:.4g} {unit}{share(gain)} if each is relaxed by one unit"
+        size, step = price_step("") if units == {""} else (1.0, "one unit")
+        effect = f"the objective improves by {size * gain:.4g} {unit}{share(size * gain)} if each is relaxed by {step}"
+        text = f"{words} hold together: {effect}"
         notes.append(quiet(text))
     return table("Active constraints and their shadow prices", "<<<", rows, notes=notes)
 

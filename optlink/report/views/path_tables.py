@@ -106,10 +106,12 @@ def _objective(design: PathDesign) -> TableSpec:
     rows: list[Row] = [
         (measure(task), strong((number if exact(design) else precise)(scale * design.objective, 8)), square, quiet(remark))
     ]
-    least = math.degrees(design.least_transmission)
+    least, where = math.degrees(design.least_transmission), "over the revolution" if design.crank_turns else "between the points"
+    if task.by_angle and math.isfinite(least):
+        remark = f"{number(90.0 - least, 4)} deg from ideal, {where}"
+        return table("Objective", "<><<", [("worst transmission angle", strong(fixed(least, 2)), "deg", quiet(remark))])
     if math.isfinite(least):
-        remark = "least distance from 0 or 180 deg " + ("over the revolution" if design.crank_turns else "between the points")
-        rows.append(("transmission angle", fixed(least, 2), "deg", quiet(remark)))
+        rows.append(("transmission angle", fixed(least, 2), "deg", quiet(f"least distance from 0 or 180 deg {where}")))
     return table("Objective", "<><<", rows)
 
 
@@ -154,7 +156,8 @@ def _alternatives(outcome: PathResult) -> TableSpec:
     """Tabulate the distinct designs side by side."""
     designs, related, task = outcome.designs, cognate_sources(outcome.designs), outcome.designs[0].task
     columns = [_column(design, related.get(k)) for k, design in enumerate(designs)]
-    names = [(measure(task), task.objective_display[1]), ("least transmission angle", "deg"), ("same curve as", "")]
+    names = [("least transmission angle", "deg"), ("same curve as", "")]
+    names = names if task.by_angle else [(measure(task), task.objective_display[1]), *names]
     names += [(name, quantity.display[1]) for name, quantity in task.quantities.items() if quantity.free]
     names += [(joint, "") for joint in dict.fromkeys(f"assembly {mode}".rstrip() for design in designs for mode in modes(design))]
     rows: list[Row] = [

@@ -243,6 +243,8 @@ def figures(view: PathView) -> list[str]:
     """Return the captions of objective, deviations and transmission angle."""
     design, task, unit = view.design, view.task, view.sketch.scale
     distances, turned = design.measured.distances, design.measured.turned
+    if task.by_angle:
+        return list(filter(None, [transmission(design)]))
     if not task.pointed:
         return [objective(view), *_error(view), *filter(None, [transmission(design)])]
     texts = []

@@ -23,7 +23,8 @@ def charts(result: Sensitivities) -> list[ChartSpec]:
     if largest <= ZERO_CHANGE * base:
         return []
     rows = [row for row in result.moving if abs(row.effect) >= MIN_BAR * largest][:MAX_BARS]
-    factor, unit = (100.0 / base, "%") if base > 0.0 else result.problem.model.objective_display
+    value, factor, unit, _ = result.problem.model.shown_objective(base)
+    factor, unit = (100.0 * factor / value, "%") if value > 0.0 and base > 0.0 else (factor, unit)
     effects = np.array([abs(factor) * row.effect for row in rows])
     places = np.arange(len(rows), 0.0, -1.0)
     shown = [(row, f"{row.parameter.value:.5g} {row.parameter.unit}".rstrip()) for row in rows]

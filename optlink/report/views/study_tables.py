@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from optlink.report.format import change, dimension, fixed, number, points, signed
+from optlink.report.format import change, dimension, fixed, number, points, price_step, signed
 from optlink.report.table_spec import (
     Inline,
     Line,
@@ -49,8 +49,8 @@ def step(row: Sensitivity) -> str:
 
 def sensitivities(result: Sensitivities) -> Summary:
     """Summarise the sensitivities of an optimum to its fixed parameters, largest effect first."""
-    factor, unit = result.problem.model.objective_display
-    rows = [("objective", strong(number(factor * result.solution.objective)), unit)]
+    shown = result.problem.model.shown_objective(result.solution.objective)
+    rows = [(shown.name, strong(number(shown.value)), shown.unit)]
     rows += [(name, strong(dimension(value)), result.units[name]) for name, value in result.values.items()]
     return summary(result.problem.model.title, noted(result.notes), table("Optimum", "<><", rows), *sensitivity_parts(result))
 
@@ -71,11 +71,12 @@ def sensitivity_parts(result: Sensitivities) -> Iterator[Part]:
 
 def _effects(result: Sensitivities) -> TableSpec:
     """Tabulate the effect of one step of every parameter on the objective and the design."""
-    names, objective, rows = list(result.units), result.solution.objective, []
+    names, rows = list(result.units), []
+    objective, factor, *_ = result.problem.model.shown_objective(result.solution.objective)
     narrow = len(names) <= MAX_VARIABLES
     for row in result.moving:
         p = row.parameter
-        share = _percent(row.effect / objective if objective else math.nan)
+        share = _percent(factor * row.effect / objective if objective else math.nan)
         responses = [signed(row.design[name] * p.step) for name in names] if narrow else [_largest_responses(result, row)]
         changed = f"{number(p.value)} {p.unit}".rstrip() + f" + {step(row)}"
         rows.append((p.name, changed, good(share) if row.effect < 0.0 else share, *responses))
@@ -96,11 +97,12 @@ def _largest_responses(result: Sensitivities, row: Sensitivity) -> str:
 
 def _prices(result: Sensitivities) -> TableSpec:
     """Tabulate the derivatives of the objective."""
-    (factor, unit), rows = result.problem.model.objective_display, []
+    (_, factor, unit, _), rows = result.problem.model.shown_objective(result.solution.objective), []
     for row in result.moving:
-        per = quiet(f"{unit} per {row.parameter.unit or 'unit'}".strip())
-        rows.append((row.parameter.key, f"{factor * row.objective:+.6g}" if row.objective else "0", per))
-    return table("Change of the objective if the value is raised by one unit", "<><", rows)
+        size, words = price_step(row.parameter.unit)
+        per = quiet(f"{unit} per {words}".strip())
+        rows.append((row.parameter.key, f"{factor * size * row.objective:+.6g}" if row.objective else "0", per))
+    return table("Change of the objective if the value is raised", "<><", rows)
 
 
 def _events(result: Sensitivities) -> TableSpec:

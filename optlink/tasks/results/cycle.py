@@ -161,7 +161,7 @@ class CycleResult(SingleResult):
         angle = 0.5 * math.pi - angle if goal.quantity == "pressure angle" else angle
         limits = () if self.solution is None else self.solution.limits
         least, values = min(angle, math.pi - angle), self.complete(self.design)
-        return transmission_fit(least, self.task.mechanism.quantities, values, limits, self.solution)
+        return transmission_fit(least, self.task.mechanism.quantities, values, limits, self.solution, self.task)
 
     @cached_property
     def figures(self) -> tuple[CycleFigure, ...]:

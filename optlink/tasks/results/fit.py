@@ -35,6 +35,7 @@ from optlink.tasks.results.remedies import PoorFitReason, fixed_reasons, mode_re
 
 if TYPE_CHECKING:
     from optlink.problem.file import ProblemFile
+    from optlink.problem.machine.model import Problem
     from optlink.problem.path import PathProblem
     from optlink.validation.path import MeasuredDeviations
 
@@ -177,6 +178,7 @@ def transmission_fit(
     values: Mapping[str, float],
     limits: Sequence[LimitState] = (),
     solution: Solution | None = None,
+    task: Problem | None = None,
 ) -> TransmissionFit | None:
     """Grade a design whose transmission angle is optimised; return None if it has no transmission angle.
 
@@ -192,6 +194,8 @@ def transmission_fit(
         Limits of the optimum with their multipliers; empty for a given design.
     solution : Solution, optional
         The optimum; None for a given design.
+    task : Problem, optional
+        Its model.
     """
     if not math.isfinite(least):
         return None
@@ -200,7 +204,7 @@ def transmission_fit(
     if fit.grade != "poor":
         return fit
     remaining = [limit for limit in limits if not any(words in f"{limit.key} {limit.name}" for words in TRANSMISSION_KEYS)]
-    return replace(fit, reasons=(*active_reasons(remaining), *fixed_reasons(quantities, values, solution)))
+    return replace(fit, reasons=(*active_reasons(remaining), *fixed_reasons(quantities, values, solution, task)))
 
 
 def _rms(values: Array) -> float:
@@ -265,7 +269,7 @@ def path_fit(
         *_timed(task, values, crank_angles, measured),
         *_placed(task, values, measured),
     ]
-    reasons += [*active_reasons(limits), *fixed_reasons(_quantities(task), values, solution), *_kind(task, values)]
+    reasons += [*active_reasons(limits), *fixed_reasons(_quantities(task), values, solution, task), *_kind(task, values)]
     return Fit(worst.error, worst.size, worst.unit, worst.of, tuple(reasons))
 
 
@@ -303,7 +307,7 @@ def law_fit(problem: ProblemFile, values: Mapping[str, float], error: Array, sol
         return fit
     measured = (*start_reasons(task, values, fit.error), *mode_reasons(problem, values, fit.error))
     limits = () if solution is None else solution.limits
-    return replace(fit, reasons=(*measured, *active_reasons(limits), *fixed_reasons(task.quantities, values, solution)))
+    return replace(fit, reasons=(*measured, *active_reasons(limits), *fixed_reasons(task.quantities, values, solution, task)))
 
 
 def _diameter(places: NDArray[np.complex128]) -> float:

@@ -89,9 +89,8 @@ class PathDesign(Summary):
     def fit(self) -> Fit | None:
         """Error relative to the size of the task, or least transmission angle; None if neither is defined."""
         if self.task.requirement.kind == "transmission":
-            return transmission_fit(
-                self.least_transmission, self.task.mechanism.quantities, self.values, self.limits, self.solution
-            )
+            quantities = self.task.mechanism.quantities
+            return transmission_fit(self.least_transmission, quantities, self.values, self.limits, self.solution, self.task)
         return path_fit(self.task, self.values, self.crank_angles, self.measured, self.between, self.limits, self.solution)
 
     @cached_property

@@ -21,6 +21,7 @@ from optlink.units import show
 if TYPE_CHECKING:
     from optlink.problem.file import ProblemFile
     from optlink.problem.function import DesignProblem
+    from optlink.problem.machine.model import Problem
 
 BETTER = 0.9  # fraction of the error below which another start or mode counts as a reason
 STARTS = 72  # start angles of a law that are tried
@@ -106,7 +107,10 @@ def mode_reasons(problem: ProblemFile, values: Mapping[str, float], error: float
 
 
 def fixed_reasons(
-    quantities: Mapping[str, Quantity], values: Mapping[str, float], solution: Solution | None = None
+    quantities: Mapping[str, Quantity],
+    values: Mapping[str, float],
+    solution: Solution | None = None,
+    task: Problem | None = None,
 ) -> Iterator[PoorFitReason]:
     """Yield the fixed dimensions as a reason; of an optimum, the one with the largest effect comes first.
 
@@ -118,8 +122,10 @@ def fixed_reasons(
         Quantities of the design.
     solution : Solution, optional
         The optimum, with its multipliers.
+    task : Problem, optional
+        Its model.
     """
-    effects = {} if solution is None else fixed_effects(solution)
+    effects = {} if solution is None or task is None else fixed_effects(solution, task)
     fixed = [name for name, quantity in quantities.items() if not quantity.free]
     fixed.sort(key=lambda name: -abs(effects.get(name, 0.0)))
     if not fixed:
@@ -140,15 +146,18 @@ def fixed_reasons(
     yield PoorFitReason(f"{which}: {step}", f"free {fixed[0]} by bounds")
 
 
-def fixed_effects(solution: Solution) -> dict[str, float]:
-    """Return the relative change of the optimal objective per display unit of each fixed dimension, to first order.
+def fixed_effects(solution: Solution, task: Problem) -> dict[str, float]:
+    """Return the relative change of the shown optimal objective per display unit of each fixed dimension, to first order.
 
     It is the partial derivative of the Lagrangian (the envelope theorem), by central differences.
 
     Parameters
     ----------
     solution : Solution
+    task : Problem
     """
+    shown = task.shown_objective(solution.objective)
+    size = shown.factor * solution.objective / shown.value if shown.value else 1.0
     nlp, x = solution.nlp, solution.x
     multipliers = solution.conditions.multipliers[len(x) :]
     priced = multipliers != 0.0
@@ -161,7 +170,7 @@ def fixed_effects(solution: Solution) -> dict[str, float]:
             p[1 + k] += way * STEP
             f, g = nlp.values(x, p)
             sides.append(f + float(multipliers[priced] @ g[priced]))
-        slope = (sides[0] - sides[1]) / (2.0 * STEP * here) if here > 0.0 else 0.0
+        slope = size * (sides[0] - sides[1]) / (2.0 * STEP * here) if here > 0.0 else 0.0
         effects[constant.name] = slope / constant.scale.slope(0.0) if math.isfinite(slope) else 0.0
     return effects
 
