@@ -28,7 +28,6 @@ from optlink.cli.options import (
     Quiet,
     Scheduler,
     Set,
-    Speed,
     flag,
     number,
     option,
@@ -44,6 +43,8 @@ CONTROLS = "With clearance, control: none, inverse, pid, inverse+pid; compare: a
 TUNED = "Control parameter to tune: proportional, integral, derivative, regularisation, bandwidth. Repeatable."
 TOLERANCE = "With clearance: relative tolerance of the integrator. Default: 1e-10; to compare or tune 1e-8."
 INTEGRATOR = "With clearance, integrator: cvodes, compiled (needs numba); auto (default): compiled for long work."
+SPEED = 'Crank speed, as drive.speed; under a torque the one at the start: --speed "64 rpm"; negative: clockwise.'
+TORQUE = 'Constant driving torque: --torque "5 N*m". The crank starts at --speed, else at initial_speed or speed of [drive].'
 CLEARANCE_EXAMPLE = "joints.B={ clearance = '0.5 mm', bearing_radius = '10 mm', modulus = '207 GPa' }"
 
 
@@ -53,8 +54,8 @@ def simulate(
     points: Annotated[
         int | None, number("Steps of the table. Default: 1000; with clearance 360 per revolution, 200 to compare or tune.")
     ] = None,
-    speed: Speed = None,
-    torque: Annotated[str | None, option("TORQUE", 'Constant driving torque: --torque "5 N*m".')] = None,
+    speed: Annotated[str | None, option("SPEED", SPEED, "--speed")] = None,
+    torque: Annotated[str | None, option("TORQUE", TORQUE)] = None,
     flywheel: Annotated[str | None, option("INERTIA", 'Flywheel inertia at the crank: --flywheel "0.2 kg*m^2".')] = None,
     revolutions: Annotated[int | None, number("With clearance: number of revolutions. Default: 20.")] = None,
     control: Annotated[str | None, option("HOW", CONTROLS)] = None,

@@ -37,6 +37,7 @@ from optlink.tasks.machine import (
     motion_range,
     pole_notes,
     start_value_notes,
+    starting_speed,
     with_flywheel,
 )
 from optlink.tasks.results.checkpoint import ClearanceCheckpoint, RevolutionState, read_checkpoint
@@ -149,7 +150,8 @@ def simulate_clearance(
     points : int
         Rows per revolution.
     speed : float [rad/s], optional
-        Nominal crank speed. Default: that of the problem.
+        Crank speed, of which a time of one revolution counts as one; under a torque also the speed at the start. Default:
+        `drive.speed` of the problem; under a torque it starts at `drive.initial_speed`, else at that.
     control : str
         "none", "inverse", "pid" or "inverse+pid"; all but the first need `[drive] servo` and `[control]`.
     start : float [rad], optional
@@ -416,9 +418,7 @@ def _setting(
     if servo is not None:
         processes["drive.servo.bandwidth"] = ("a vibration of the servo", TURN / servo.bandwidth)
     check_pace(problem, nominal, processes)
-    first = nominal
-    if drive.torque is not None:
-        first = drive.initial_speed.value if drive.initial_speed is not None else 0.0
+    first = starting_speed(problem, speed)
     available = outputs(machine)
     requested = model.control.output if model.control is not None else None
     output = available[requested] if requested is not None else default_output(machine)

@@ -147,6 +147,28 @@ def crank_speed(problem: ProblemFile, speed: float | None = None, key: str = "sp
     return value
 
 
+def starting_speed(problem: ProblemFile, speed: float | None = None) -> float:
+    """Return the crank speed at the start of a simulation [rad/s]: under a torque, zero if none is stated.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    speed : float [rad/s], optional
+        In place of that of the problem: `drive.initial_speed`, else `drive.speed`.
+
+    Raises
+    ------
+    InputError
+        If it is out of range, or zero without a torque.
+    """
+    drive = problem.model.drive
+    if drive.torque is None:
+        return crank_speed(problem, speed)
+    key = "speed" if drive.initial_speed is None else "initial_speed"
+    stated = speed if speed is not None else getattr(drive, key).value if key in drive.model_fields_set else 0.0
+    return crank_speed(problem, speed, key) if stated else 0.0
+
+
 def duration_of(problem: ProblemFile, duration: float | None = None) -> float | None:
     """Return the simulated time [s]; None if neither the argument nor the problem states it.
 

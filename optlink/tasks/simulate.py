@@ -24,12 +24,12 @@ from optlink.problem.quantity import check_range
 from optlink.tasks.machine import (
     MAX_DURATION,
     check_design,
-    crank_speed,
     duration_of,
     machine_of,
     motion_range,
     pole_notes,
     start_value_notes,
+    starting_speed,
     with_flywheel,
 )
 from optlink.tasks.results.common import check_entries
@@ -135,7 +135,8 @@ def simulate(
     rows : int
         Number of evenly spaced time steps of the table, which has one row more. The integrator chooses its own steps.
     speed : float [rad/s], optional
-        Initial crank speed; without a torque, the constant speed. Default: that of the problem; under a torque at rest.
+        Crank speed at the start, which stays constant without a torque. Default: `drive.initial_speed` of the problem under a
+        torque, else its `drive.speed`; under a torque without either at rest.
     design : mapping of str to float [SI], optional
         Values of design variables. Default: their starting values.
     progress : function of the completed fraction, optional
@@ -165,11 +166,7 @@ def simulate(
     torque = drive.torque
     machine, start = machine_of(problem, design), drive.start.value
     machine = with_flywheel(machine, flywheel)
-    initial = speed if speed is not None or drive.initial_speed is None else drive.initial_speed.value
-    if torque is not None and not initial:
-        speed = 0.0
-    else:
-        speed = crank_speed(problem, speed, "speed" if torque is None else "initial_speed")
+    speed = starting_speed(problem, speed)
     duration = duration_of(problem, duration)
     if duration is None:
         if MAX_DURATION * abs(drive.speed.value) < TURN:

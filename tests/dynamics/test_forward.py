@@ -18,6 +18,7 @@ from optlink.dynamics.ending import Ending
 from optlink.dynamics.flywheel import Fluctuation, flywheel
 from optlink.dynamics.inertia import Inertia
 from optlink.dynamics.inverse import reactions, reduced_inertia
+from optlink.tasks.clearance import _setting
 from optlink.tasks.machine import machine_of
 from tests.tiers import mostly_slow
 
@@ -472,3 +473,25 @@ def test_mean_speed_states_whether_it_is_over_angle_or_time(tmp_path):
     mean = float(shown.split("last turn: mean speed ")[1].split()[0])
     assert mean == pytest.approx(TURN / (time[-1] - begin), rel=2e-3)
     assert "rad/s, mean over time" in shown
+
+
+SPEEDS = [
+    ({"speed": "25 rad/s"}, None, 25.0),  # of the file, under a torque of the command line or the file
+    ({"speed": "25 rad/s"}, -8.0, -8.0),
+    ({"speed": "25 rad/s", "initial_speed": "3 rad/s"}, None, 3.0),
+    ({"speed": "25 rad/s", "initial_speed": "0 rad/s"}, None, 0.0),
+    ({"speed": "25 rad/s", "initial_speed": "3 rad/s"}, 8.0, 8.0),
+    ({"initial_speed": "3 rad/s"}, None, 3.0),
+    ({}, None, 0.0),
+    ({}, 8.0, 8.0),
+]
+
+
+@pytest.mark.parametrize(("drive", "speed", "expected"), SPEEDS)
+@pytest.mark.parametrize("torque", ["5 N*m", {"expression": "5 - 0.1*omega", "unit": "N*m"}])
+def test_one_speed_at_the_start_under_a_torque(torque, drive, speed, expected):
+    problem = optlink.load("six-bar", {"drive": {**drive, "torque": torque}})
+    run = optlink.simulate(problem, duration=1e-3, rows=1, speed=speed)
+    assert run[f"{run.machine.mechanism.crank.body}.omega_rad_s"][0] == expected
+    gaps = optlink.load("slider-crank-clearance", {"drive": {**drive, "torque": torque}, "control": None})
+    assert _setting(gaps, 12, speed, "none", None, None, 0.0).speed == expected

@@ -113,13 +113,13 @@ class DriveSection(Section):
     start: FixedAngle = Quantity(0.0, "angle", "deg")
     """Crank angle of the first row."""
     speed: Speed = Quantity(1.0, "angular velocity", "rad/s")
-    """Constant speed of the crank, negative clockwise."""
+    """Constant speed of the crank, negative clockwise; for `optlink simulate` under a torque the speed at the start."""
     torque: Annotated[Any, in_folder(partial(read_size, kind="torque", names=("phi", "omega")))] = None
     """For `optlink simulate`, instead of the constant speed: a torque, or a table or expression over phi or omega."""
     servo: ServoSection | None = None
     """For `optlink simulate` with clearance: the crank follows a reference signal; not together with `torque`."""
     initial_speed: Speed | None = None
-    """Initial crank speed for `optlink simulate` under a torque; default: at rest."""
+    """Crank speed at the start of `optlink simulate` under a torque; default: `speed` if that is given, else at rest."""
     duration: Duration | None = None
     """Duration of `optlink simulate`."""
     fluctuation: Annotated[Number, _SMALL] | None = None
