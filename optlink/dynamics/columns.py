@@ -12,6 +12,7 @@ from optlink.dynamics.machine import Machine, Moving, slider_names
 from optlink.linkage.alignment import AlignedPosition
 from optlink.linkage.dyad_types import RRR
 from optlink.linkage.mechanism import FRAME
+from optlink.linkage.motion import continuous
 from optlink.linkage.vector2d import Array, Value, Vector, cross, dot, magnitude, minus
 
 NEAR, NEARER, ASIDE = 1e-4, 1e-5, 1e-2
@@ -19,6 +20,15 @@ NEAR, NEARER, ASIDE = 1e-4, 1e-5, 1e-2
 
 GROWS, NOTHING = 0.3, 1e-9
 """An unbounded force has at least this ratio of force times distance at `NEARER` and `NEAR`, and this share of usual forces."""
+
+ANGLE = ".angle_rad"
+"""Ending of the columns that are continuous from row to row."""
+
+FAULTS = ("singular", "jammed", "undefined")
+"""Kinds of positions without finite reactions: attributes of `MotionColumns`."""
+
+BLOCK = 2_000
+"""Positions whose motion is kept in memory at a time."""
 
 SINGULAR = 1e-7
 """Sine below which a group counts as singular: its reactions are rounding errors."""
@@ -46,23 +56,38 @@ def _part(whole: Callable[..., Any], part: Any, *arguments: str) -> Callable[[],
 
 
 class MotionColumns:
-    """Columns by name of a machine at crank angles (n,), or of a batch of designs (designs, n); each is computed when it is read.
-
-    `singular`: positions without finite reactions; `jammed`: positions in which friction locks a guide; `undefined`: positions in
-    which a load has no finite value.
-    """
+    """Columns by name of a machine at crank angles (n,), or of a batch of designs (designs, n); each is computed when read."""
 
     def __init__(self, moving: Moving) -> None:
         self.moving, self.machine = moving, moving.machine
-        self.shape = np.shape(moving.motion.assembled)
+        self.shape = moving.motion.shape
         self._values: dict[str, Array] = {}
+
+    @cached_property
+    def reactions(self) -> Reactions:
+        """Joint reactions and torque of the drive."""
         with np.errstate(all="ignore"):
-            self.reactions: Reactions = reactions(moving)
+            return reactions(self.moving)
+
+    @cached_property
+    def jammed(self) -> NDArray[np.bool_]:
+        """Positions in which friction locks a guide."""
+        return self.full(self.reactions.jammed).astype(bool) & self.moving.motion.assembled
+
+    @cached_property
+    def singular(self) -> NDArray[np.bool_]:
+        """Positions without finite reactions."""
+        with np.errstate(all="ignore"):
             near = [np.abs(self.full(sine)) < SINGULAR for sine in self.reactions.singularity.values()]
-            closed = moving.motion.assembled
-            self.jammed = self.full(self.reactions.jammed).astype(bool) & closed
-            self.singular: NDArray[np.bool_] = np.any([*near, np.zeros(self.shape)], axis=0) & closed
-            self.undefined = ~np.isfinite(self.full(self.reactions.torque)) & closed & ~self.jammed & ~self.singular
+            singular: NDArray[np.bool_] = np.any([*near, np.zeros(self.shape)], axis=0) & self.moving.motion.assembled
+        return singular
+
+    @cached_property
+    def undefined(self) -> NDArray[np.bool_]:
+        """Positions in which a load has no finite value."""
+        known = np.isfinite(self.full(self.reactions.torque))
+        undefined: NDArray[np.bool_] = ~known & self.moving.motion.assembled & ~self.jammed & ~self.singular
+        return undefined
 
     def full(self, value: Value) -> Array:
         """Broadcast a value to all positions."""
@@ -84,8 +109,13 @@ class MotionColumns:
     @cached_property
     def columns(self) -> dict[str, Column]:
         """All columns by name."""
+        return {name: Column(name, meaning, self[name]) for name, meaning in self.meanings.items()}
+
+    @cached_property
+    def meanings(self) -> dict[str, str]:
+        """The meanings of all columns by name."""
         sections = (self._motion, self._reactions, self._loads, self._drive)
-        return {name: Column(name, meaning, self[name]) for part in sections for name, (meaning, _) in part.items()}
+        return {name: meaning for part in sections for name, (meaning, _) in part.items()}
 
     @property
     def reaction_names(self) -> Collection[str]:
@@ -134,7 +164,7 @@ class MotionColumns:
 
     def _turning(self, body: str) -> Named:
         moving = self.moving
-        yield f"{body}.angle_rad", f"angle of {body}'s axis from +x", lambda: moving.motion.body_angle(body).value
+        yield f"{body}{ANGLE}", f"angle of {body}'s axis from +x", lambda: moving.motion.body_angle(body).value
         yield f"{body}.omega_rad_s", f"angular velocity of {body}", lambda: moving.state(body).omega
         yield f"{body}.alpha_rad_s2", f"angular acceleration of {body}", lambda: moving.state(body).alpha
 
@@ -167,6 +197,41 @@ class MotionColumns:
         yield "energy.kinetic_J", "kinetic energy", lambda: moving.kinetic
         what = "potential energy of gravity and springs, gravity's zero at y = 0"
         yield "energy.potential_J", what, lambda: moving.potential
+
+
+class Table(NamedTuple):
+    """Columns by name over many positions (n,), and where there is a fault, by `FAULTS`."""
+
+    columns: dict[str, Column]
+    faults: dict[str, NDArray[np.bool_]]
+
+
+def tabulated(moving: Callable[[slice], Moving], count: int) -> Table:
+    """Return all columns of a machine over many positions, computed in blocks so that only the results take memory.
+
+    Parameters
+    ----------
+    moving : function of the rows of a block to the machine in motion there
+    count : int
+        Number of rows.
+    """
+    columns: dict[str, Column] = {}
+    faults = {kind: np.zeros(count, dtype=bool) for kind in FAULTS}
+    for begin in range(0, count, BLOCK):
+        rows = slice(begin, min(begin + BLOCK, count))
+        record = MotionColumns(moving(rows))
+        for name, meaning in record.meanings.items():
+            if name not in columns:
+                columns[name] = Column(name, meaning, np.empty(count))
+            turns = name.endswith(ANGLE)
+            values = record.moving.motion.wrapped_angle(name.removesuffix(ANGLE)) if turns else record[name]
+            columns[name].values[rows] = values
+        for kind, fault in faults.items():
+            fault[rows] = getattr(record, kind)
+    for name, column in columns.items():
+        if name.endswith(ANGLE):
+            column.values[:] = continuous(column.values)
+    return Table(columns, faults)
 
 
 def joint_forces(

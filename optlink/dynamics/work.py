@@ -15,6 +15,7 @@ from optlink.linkage.zeros import zeros
 PANELS = 180  # per range or revolution: 2 degrees each in a revolution
 BESIDE = 1e-8  # rad from a jump, where some loads may have jumped and others not
 HALVINGS = 30  # of the panels at most, where the torque is not smooth
+BLOCK = 500  # crank angles whose panels are evaluated at a time
 MOST_ROUGH = 2_000  # panels that are halved again; more are rough from rounding errors, as beside singular positions
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)
 TAILS = (np.polynomial.legendre.legvander(NODES, 7)[:, 6:] * WEIGHTS[:, None]) * (np.array([6.0, 7.0]) + 0.5)
@@ -131,7 +132,7 @@ class Work:
         beside = (even[1] - even[0]) * np.outer([-1.0, 1.0], 0.5 ** np.arange(HALVINGS))
         graded = (self.peaks[:, None] + beside.ravel()).ravel()
         knots = distinct(np.concatenate([even, self.breaks, graded[(graded > low) & (graded < high)]]))
-        self.knots, pieces = self._panels(knots)
+        self.knots, pieces, self._torques = self._panels(knots)
         for pole in np.concatenate([*self.poles.values(), np.empty(0)]):
             pieces[(self.knots[:-1] <= pole) & (pole <= self.knots[1:])] = np.nan
         self._sum = np.concatenate([[0.0], np.cumsum(pieces)])
@@ -142,6 +143,12 @@ class Work:
         """Return the driving torque [N m] at crank angles (n,)."""
         torque = reactions(self.machine.moving(angles, self.speed)).torque
         return np.broadcast_to(np.asarray(torque, dtype=float), angles.shape)
+
+    @property
+    def rms_torque(self) -> float:
+        """The driving torque [N m], root mean square over the range."""
+        half = 0.5 * np.diff(self.knots)
+        return math.sqrt(float(np.sum(half * (self._torques**2 @ WEIGHTS))) / float(self.knots[-1] - self.knots[0]))
 
     def mean(self, signal: Callable[[Array], Array], *, square: bool = False) -> float:
         """Return the mean, or root mean square, of a function of crank angles (n,) over the range.
@@ -157,9 +164,9 @@ class Work:
         mean = float(np.sum(half * ((values**2 if square else values) @ WEIGHTS))) / float(self.knots[-1] - self.knots[0])
         return math.sqrt(mean) if square else mean
 
-    def _panels(self, knots: Array) -> tuple[Array, Array]:
-        """Return knots between which the torque is smooth, halved where it is not, and the works between them."""
-        a, b, total, panels = knots[:-1], knots[1:], None, []
+    def _panels(self, knots: Array) -> tuple[Array, Array, Array]:
+        """Return knots between which the torque is smooth, halved where it is not, and the works and torques between them."""
+        a, b, total, panels, torques = knots[:-1], knots[1:], None, [], []
         for level in range(HALVINGS):
             points, half = gauss_points(a, b)
             values = self.torque(points.ravel()).reshape(points.shape)
@@ -170,13 +177,14 @@ class Work:
             last = level == HALVINGS - 1 or np.count_nonzero(rough) > MOST_ROUGH
             done = np.ones(len(a), dtype=bool) if last else ~rough
             panels.append(np.array([a, b, half * (values @ WEIGHTS)])[:, done])
+            torques.append(values[done])
             a, middle, b = a[~done], 0.5 * (a + b)[~done], b[~done]
             if not a.size:
                 break
             a, b = np.concatenate([a, middle]), np.concatenate([middle, b])
         begins, _, works = np.concatenate(panels, axis=1)
         order = np.argsort(begins)
-        return np.append(begins[order], knots[-1]), works[order]
+        return np.append(begins[order], knots[-1]), works[order], np.concatenate(torques)[order]
 
     def _integral(self, a: Array, b: Array) -> Array:
         points, half = gauss_points(a, b)
@@ -186,4 +194,6 @@ class Work:
     def __call__(self, angles: Array) -> Array:
         """Return the work [J] from the start to crank angles (n,)."""
         place = np.clip(np.searchsorted(self.knots, angles, side="right") - 1, 0, len(self.knots) - 2)
-        return np.asarray(self._sum[place] + self._integral(self.knots[place], angles) - self._start)
+        blocks = [slice(begin, begin + BLOCK) for begin in range(0, len(angles), BLOCK)]
+        rest = [self._integral(self.knots[place[block]], angles[block]) for block in blocks]
+        return np.asarray(self._sum[place] + np.concatenate([np.empty(0), *rest]) - self._start)

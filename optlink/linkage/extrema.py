@@ -93,20 +93,58 @@ def _refined_extremes(
     signs: tuple[float, ...],
 ) -> tuple[Array, Array]:
     """Angles and values (functions, signs) of the least value of every function times each sign."""
-    edges = np.asarray(breaks, dtype=float)
-    if periodic:
-        edges = (edges + (grid[-1] - grid[0]) * np.array([[-1.0], [0.0], [1.0]])).ravel()
-        grid = _continued(grid)
-    edges = edges[(edges > grid[0]) & (edges < grid[-1])]
-    if edges.size:
-        apart = np.min(np.abs(grid[:, None] - edges), axis=1) > BEFORE
-        grid = distinct(np.concatenate([grid[apart], edges - BEFORE, edges]))
-    values = in_portions(function, grid)
+    sampled = SampledFunctions(function, grid, breaks, kinds, periodic=periodic)
+    return sampled.extremes(np.arange(len(sampled.values)), lambda angles, rows: function(angles)[rows], signs)
 
-    def own(points: Array, which: Index) -> Array:
-        return in_portions(function, points.ravel(), (which // len(signs)).repeat(points.shape[1])).reshape(points.shape)
 
-    return _extremes(values, grid, edges, _zero(values, kinds), own, int(periodic), signs)
+class SampledFunctions:
+    """Functions sampled over the range of a grid; the extremes of some of them are refined at a time.
+
+    Parameters
+    ----------
+    function, grid, breaks, kinds, periodic
+        See `extremes`.
+    """
+
+    def __init__(
+        self,
+        function: Function,
+        grid: Array,
+        breaks: Sequence[float] = (),
+        kinds: Sequence[Hashable] | None = None,
+        *,
+        periodic: bool = False,
+    ) -> None:
+        edges = np.asarray(breaks, dtype=float)
+        if periodic:
+            edges = (edges + (grid[-1] - grid[0]) * np.array([[-1.0], [0.0], [1.0]])).ravel()
+            grid = _continued(grid)
+        edges = edges[(edges > grid[0]) & (edges < grid[-1])]
+        if edges.size:
+            apart = np.min(np.abs(grid[:, None] - edges), axis=1) > BEFORE
+            grid = distinct(np.concatenate([grid[apart], edges - BEFORE, edges]))
+        self.grid, self.edges, self.beyond = grid, edges, int(periodic)
+        self.values = in_portions(function, grid)
+        self._zero = _zero(self.values, kinds)
+
+    def extremes(
+        self, rows: Index, function: Callable[[Array, Index], Array], signs: tuple[float, ...] = (1.0, -1.0)
+    ) -> tuple[Array, Array]:
+        """Return angles and values (rows, signs) of the least value of some functions times each sign.
+
+        Parameters
+        ----------
+        rows : array (rows,) of int, rising
+            Numbers of the functions.
+        function : callable, crank angles (n,) and numbers of functions (k,) -> values (k, n)
+        signs : tuple of float
+        """
+
+        def own(points: Array, which: Index) -> Array:
+            numbers = rows[which // len(signs)].repeat(points.shape[1])
+            return own_values(function, points.ravel(), numbers, len(self.values)).reshape(points.shape)
+
+        return _extremes(self.values[rows], self.grid, self.edges, self._zero[rows], own, self.beyond, signs)
 
 
 def extremes_of_rows(function: Function, grid: Array) -> Array:
@@ -360,3 +398,30 @@ def in_portions(function: Function, angles: Array, rows: Index | None = None) ->
         parts.append(values if rows is None else values[rows[done : done + size], np.arange(values.shape[1])])
         done, size = done + size, max(PORTION, VALUES // max(1, len(values)))
     return np.concatenate(parts, axis=-1)
+
+
+def own_values(function: Callable[[Array, Index], Array], angles: Array, rows: Index, functions: int) -> Array:
+    """Evaluate at each crank angle one of many functions, in portions, each of the functions that it needs.
+
+    Parameters
+    ----------
+    function : callable, crank angles (n,) and numbers of functions (k,) -> values (k, n)
+    angles : array (n,) [rad]
+    rows : array (n,) of int
+        The number of the function at each crank angle.
+    functions : int
+        Number of all functions.
+
+    Returns
+    -------
+    array (n,)
+    """
+    parts: list[Array] = [np.empty(0)]
+    done, size = 0, PORTION
+    while done < len(angles):
+        part = slice(done, done + size)
+        needed = distinct(rows[part])
+        values = function(angles[part], needed)
+        parts.append(values[np.searchsorted(needed, rows[part]), np.arange(values.shape[1])])
+        done, size = done + size, max(PORTION, VALUES // max(1, functions))
+    return np.concatenate(parts)

@@ -31,7 +31,7 @@ class Motion:
     crank_acceleration: Value = 0.0
 
     def __repr__(self) -> str:
-        return f"<Motion {self.mechanism.name!r}: crank angles {self._shape}>"
+        return f"<Motion {self.mechanism.name!r}: crank angles {self.shape}>"
 
     def position(self, point: str) -> Array:
         """Return the coordinates [m], shape (..., 2)."""
@@ -66,6 +66,11 @@ class Motion:
             value, rate, acceleration = map(self._full, as_jet(angle(self._direction(body))).parts)
         return Jet(continuous(value), rate, acceleration)
 
+    def wrapped_angle(self, body: str) -> Array:
+        """Return the angle of a body [rad] in (-pi, pi]."""
+        with np.errstate(all="ignore"):
+            return self._full(as_jet(angle(self.pose.direction(body))).value)
+
     def body_rate(self, body: str) -> Array:
         """Return the angular velocity of a body [rad/s]."""
         with np.errstate(all="ignore"):
@@ -82,7 +87,7 @@ class Motion:
     def assembled(self) -> NDArray[np.bool_]:
         """Whether every group closes, at each position."""
         margins = [self.margin(joint) for joint in self.pose.margins]
-        return np.all([margin >= 0.0 for margin in margins], axis=0) if margins else np.ones(self._shape, dtype=bool)
+        return np.all([margin >= 0.0 for margin in margins], axis=0) if margins else np.ones(self.shape, dtype=bool)
 
     def scaled(self, speed: Value, acceleration: Value) -> Motion:
         """Return the motion at the same positions and another crank speed; this motion must have 1 rad/s and no acceleration.
@@ -107,11 +112,12 @@ class Motion:
         return Motion(self.mechanism, self.sizes, self.crank_angle, speed, pose, acceleration)
 
     @cached_property
-    def _shape(self) -> tuple[int, ...]:
+    def shape(self) -> tuple[int, ...]:
+        """Shape of all arrays."""
         return np.broadcast_shapes(self.crank_angle.shape, *(np.shape(size) for size in self.sizes.values()))
 
     def _full(self, x: Any) -> Array:
-        return np.broadcast_to(np.asarray(x, dtype=float), self._shape)
+        return np.broadcast_to(np.asarray(x, dtype=float), self.shape)
 
     def _stack(self, point: str, part: Callable[[Jet], Value]) -> Array:
         return np.stack([self._full(part(as_jet(x))) for x in self._point(point)], axis=-1)

@@ -5,18 +5,16 @@ from collections.abc import Iterable, Iterator, Mapping
 
 import numpy as np
 
-from optlink.dynamics.columns import MotionColumns, pin_columns, unbounded_reactions
+from optlink.dynamics.columns import FAULTS, MotionColumns, pin_columns, tabulated, unbounded_reactions
 from optlink.dynamics.flywheel import flywheel
 from optlink.dynamics.machine import Machine, slider_names
-from optlink.dynamics.poles import without_values
 from optlink.dynamics.strokes import acting_loads
 from optlink.dynamics.work import Work
 from optlink.errors import InputError
 from optlink.linkage.alignment import AlignedPosition, angles_text, positions_text
-from optlink.linkage.extrema import distinct, extremes
-from optlink.linkage.stroke import Ranges, Travel, range_end_reason, travels, within_cycle
+from optlink.linkage.extrema import distinct
+from optlink.linkage.stroke import Ranges, Travel, range_end_reason, travels
 from optlink.linkage.vector2d import TURN, Array
-from optlink.linkage.zeros import zeros
 from optlink.problem.arguments import typed
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import check_range
@@ -30,11 +28,11 @@ from optlink.tasks.machine import (
     start_value_notes,
     table_angles,
 )
-from optlink.tasks.results.analysis import Analysis, Extreme
+from optlink.tasks.results.analysis import Analysis
+from optlink.tasks.results.extremes import Extremes
 
 MAX_POINTS = 1_000_000
 GRID = 720  # positions among which extremes are bracketed
-CHANGE_POINT_WIDTH = 1e-5  # rad from a passed change point: reactions are inaccurate there
 SINGULAR_WIDTH = 1e-6  # rad from a singular position: rates and forces are rounding errors there
 
 
@@ -96,22 +94,20 @@ def analyze(
         low, high = start - cycle, start
     work = Work(machine, start, low, high, speed)
     columns, meanings, (singular, jammed, undefined) = _table(machine, angles, speed, work)
-    column_extremes: dict[str, Extreme] = {}
     swings: dict[str, Travel] = {}
     strokes: dict[str, Travel] = {}
     unbounded: tuple[str, ...] = ()
+    grid = even = _even(low, high, ranges.full, cycle)
     if ranges.singular:  # two branches continue the motion: it is not determined as a whole
         singular = _undetermined(columns, singular, ranges.singular, low, high)
     else:
         unbounded = unbounded_reactions(machine, ranges.followed, speed)
         singular = _beyond(singular, ranges.followed, machine.mechanism.cycle)
-        even = _even(low, high, ranges.full, cycle)
         scanned = MotionColumns(machine.moving(even, speed))
         jammed, undefined = (
             rows if rows.size else even[between] for rows, between in ((jammed, scanned.jammed), (undefined, scanned.undefined))
         )
-        column_extremes = _extremes(machine, scanned, even, ranges, speed, work, np.concatenate([jammed, undefined]))
-        column_extremes = {name: extreme for name, extreme in column_extremes.items() if name not in unbounded}
+        grid = distinct(np.concatenate([even, work.breaks, work.peaks, _least_forces(scanned, even, pin_columns(machine))]))
         end = low + machine.mechanism.cycle if ranges.full and cycle > machine.mechanism.cycle else high
         swings, strokes = travels(machine.mechanism, machine.sizes, low, end, ranges.full)
     names = slider_names(machine)
@@ -127,7 +123,17 @@ def analyze(
         high,
         columns,
         meanings,
-        column_extremes,
+        Extremes(
+            machine,
+            ranges,
+            grid,
+            float(even[0]),
+            float(even[-1]),
+            speed,
+            work,
+            np.concatenate([jammed, undefined]),
+            None if ranges.singular else unbounded,
+        ),
         swings,
         {names[guide]: travel for guide, travel in strokes.items()},
         work.jumps,
@@ -143,7 +149,7 @@ def analyze(
         ),
         flywheel(machine, speed, share, low) if share is not None and ranges.full else None,
         unbounded,
-        math.nan if unsound or not ranges.full else work.mean(work.torque, square=True),
+        math.nan if unsound or not ranges.full else work.rms_torque,
     )
 
 
@@ -157,23 +163,18 @@ PLACES = ("_deg", "_rad", "_m", "time_s", "energy.potential_J")
 """Endings of the columns that a position alone determines, and time."""
 
 CONTINUED = 'assembly = "continue" (or ", continue" behind a mode)'
-FAULTS = ("singular", "jammed", "undefined")
-CHUNK = 20_000  # positions of the table per block
 
 
 def _table(machine: Machine, angles: Array, speed: float, work: Work) -> tuple[dict[str, Array], dict[str, str], list[Array]]:
     """Return the columns of the table, their meanings, and the positions without finite reactions (by `FAULTS`)."""
-    parts = [MotionColumns(machine.moving(angles[k : k + CHUNK], speed)) for k in range(0, len(angles), CHUNK)]
+    table = tabulated(lambda rows: machine.moving(angles[rows], speed), len(angles))
     columns = {"crank_angle_deg": np.degrees(angles), "time_s": np.abs(angles - angles[0]) / abs(speed)}
     meanings = {"crank_angle_deg": "crank angle", "time_s": "time since the first row"}
-    for name, column in parts[0].columns.items():
-        columns[name] = np.concatenate([part[name] for part in parts])
-        meanings[name] = column.meaning
-        if name.endswith(".angle_rad") and len(parts) > 1:
-            columns[name] = np.unwrap(columns[name])
+    for name, column in table.columns.items():
+        columns[name], meanings[name] = column.values, column.meaning
         if name == "input.power_W":
             columns["input.work_J"], meanings["input.work_J"] = work(angles), "work of the drive since the first row"
-    return columns, meanings, [angles[np.concatenate([getattr(p, kind) for p in parts])] for kind in FAULTS]
+    return columns, meanings, [angles[table.faults[kind]] for kind in FAULTS]
 
 
 def _undetermined(columns: dict[str, Array], rows: Array, positions: Iterable[AlignedPosition], low: float, high: float) -> Array:
@@ -203,72 +204,6 @@ def _even(low: float, high: float, full: bool, cycle: float) -> Array:
     """Return the crank angles [rad] between which extremes are sought."""
     count = GRID * (max(1, round(cycle / TURN)) if full else 1)
     return np.asarray(low + (high - low) / count * np.arange(count + 1), dtype=float)
-
-
-def _extremes(
-    machine: Machine, scanned: MotionColumns, even: Array, ranges: Ranges, speed: float, work: Work, without: Array
-) -> dict[str, Extreme]:
-    """Return the least and largest value of every column over the motion, one-sided at load jumps.
-
-    `scanned`: the columns at the crank angles `even`. Columns without a value at the crank angles `without` [rad], and those that
-    depend on a load with a pole, are left out.
-    """
-    pins, full, cycle, low, high = pin_columns(machine), ranges.full, machine.cycle, even[0], even[-1]
-    turn = machine.mechanism.cycle
-    passed = np.array([position.crank_angle for position in ranges.followed])
-
-    def values(angles: Array, side: int = 1, machine: Machine = machine) -> Array:
-        record = MotionColumns(machine.moving(angles, speed, side=side))
-        distances = np.abs(np.remainder(angles[:, None] - passed + 0.5 * turn, turn) - 0.5 * turn)
-        singular = record.singular | np.any(distances < CHANGE_POINT_WIDTH, axis=1)
-        rows = [
-            np.where(singular, np.nan, column.values) if name in record.reaction_names else column.values
-            for name, column in record.columns.items()
-            if not name.endswith(".angle_rad")
-        ]
-        for _, point, body in pins:
-            x, y = (record.full(part) for part in record.reactions.pins[point][body])
-            rows.append(np.where(singular, np.nan, np.hypot(x, y)))
-        return np.array(rows)
-
-    names = [name for name in scanned.columns if not name.endswith(".angle_rad")]
-    names += [name for name, _, _ in pins]
-    nearly_zero = _least_forces(scanned, even, pins)
-    grid = distinct(np.concatenate([even, work.breaks, work.peaks, nearly_zero]))
-    at, best = extremes(values, grid, tuple(work.breaks), [name.rpartition("_")[2] for name in names], periodic=full)
-    if work.jumps.size:
-        before = values(work.jumps, side=-1)
-        for k, sign in ((0, 1.0), (1, -1.0)):
-            scored = np.where(np.isfinite(before), before * sign, np.inf)
-            place = np.argmin(scored, axis=1)
-            one_sided = before[np.arange(len(before)), place]
-            better = np.isfinite(one_sided) & ~(best[:, k] * sign <= one_sided * sign)
-            best[:, k], at[:, k] = np.where(better, one_sided, best[:, k]), np.where(better, work.jumps[place], at[:, k])
-
-    def placed(angle: float) -> float:
-        return within_cycle(angle, cycle) if full and math.isfinite(angle) else float(angle)
-
-    result = {
-        name: Extreme(float(best[i, 0]), placed(at[i, 0]), float(best[i, 1]), placed(at[i, 1])) for i, name in enumerate(names)
-    }
-    if without.size or work.poles:
-        defined = np.all(np.isfinite(values(without)), axis=1)
-        if work.poles:
-            defined &= np.isfinite(values(low[None], machine=without_values(machine, work.poles)))[:, 0]
-        return {name: result[name] for name, valid in zip(names, defined, strict=True) if valid}
-    inside = grid[(grid >= low) & (grid <= high)]
-    turning = zeros(lambda angles: work.torque(angles)[None, :], inside)[0]
-    places = distinct(np.concatenate([[low, high], turning, work.jumps]))
-    amounts = work(places)
-    if np.any(np.isfinite(amounts)):
-        i, j = int(np.nanargmin(amounts)), int(np.nanargmax(amounts))
-        end = high if speed > 0.0 else low  # work does not repeat: the end of the cycle is not its start
-        rounding = 1e-10 * float(np.nanmax(np.abs(amounts)))
-        at_least, at_largest = (
-            float(end) if full and places[k] == end and abs(amounts[k]) > rounding else placed(places[k]) for k in (i, j)
-        )
-        result["input.work_J"] = Extreme(float(amounts[i]), at_least, float(amounts[j]), at_largest)
-    return result
 
 
 def _least_forces(record: MotionColumns, angles: Array, pins: Iterable[tuple[str, str, str]]) -> Array:
@@ -361,9 +296,12 @@ def _notes(
 
 def _missing_notes(machine: Machine, jammed: Array, undefined: Array, speed: float, poles: Mapping[str, Array]) -> Iterator[str]:
     """Yield notes on the positions without forces: friction has no solution or several, or a load has no finite value."""
-    several = np.broadcast_to(MotionColumns(machine.moving(jammed, speed)).reactions.several, jammed.shape).astype(bool)
-    columns = MotionColumns(machine.moving(undefined, speed)).columns
-    guilty = {name.rpartition(".")[0] for name, column in columns.items() if not np.all(np.isfinite(column.values))}
+    several, guilty = np.zeros(jammed.shape, dtype=bool), set[str]()
+    if jammed.size:
+        several = np.broadcast_to(MotionColumns(machine.moving(jammed, speed)).reactions.several, jammed.shape).astype(bool)
+    if undefined.size:
+        columns = MotionColumns(machine.moving(undefined, speed)).columns
+        guilty = {name.rpartition(".")[0] for name, column in columns.items() if not np.all(np.isfinite(column.values))}
     loads = ", ".join(load.name for load in machine.loads if load.name in guilty) or "a load"
     for angles, what in (
         (jammed[~several], "friction jams a guide: no forces satisfy its law"),

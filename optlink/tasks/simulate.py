@@ -8,11 +8,11 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from optlink.dynamics.columns import MotionColumns
+from optlink.dynamics.columns import tabulated
 from optlink.dynamics.ending import Ending
 from optlink.dynamics.forward import Run, run
 from optlink.dynamics.inverse import reduced_inertia
-from optlink.dynamics.machine import Machine
+from optlink.dynamics.machine import Machine, Moving
 from optlink.errors import InputError
 from optlink.execution import interrupts
 from optlink.linkage.continuation import continue_through_singularities
@@ -209,12 +209,15 @@ def simulate(
 
 def _columns(machine: Machine, run_result: Run) -> tuple[dict[str, Array], dict[str, str]]:
     """Return the table: the columns of `analyze` over time."""
-    moving = machine.moving(run_result.crank_angle, run_result.speed, run_result.acceleration, direction=run_result.direction)
-    record = MotionColumns(moving)
+
+    def moving(rows: slice) -> Moving:
+        angles, speeds, accelerations = run_result.crank_angle[rows], run_result.speed[rows], run_result.acceleration[rows]
+        return machine.moving(angles, speeds, accelerations, direction=run_result.direction[rows])
+
     crank = machine.mechanism.crank.body
     columns = {"time_s": run_result.time, "crank_angle_deg": np.degrees(run_result.crank_angle)}
     meanings = {"time_s": "time", "crank_angle_deg": "crank angle"}
-    for name, column in record.columns.items():
+    for name, column in tabulated(moving, len(run_result.time)).columns.items():
         columns[name], meanings[name] = column.values, column.meaning
         if name == "input.power_W":
             columns["input.work_J"], meanings["input.work_J"] = run_result.works["input"], "work of the drive, integrated"

@@ -6,6 +6,7 @@ import csv
 import json
 import math
 import os
+import pickle
 import re
 import tracemalloc
 
@@ -20,7 +21,7 @@ from optlink.cli.app import app
 from optlink.dynamics.columns import MotionColumns
 from optlink.dynamics.work import Work, jumps
 from optlink.linkage import stroke as cycle
-from optlink.linkage.extrema import extremes
+from optlink.linkage.extrema import SampledFunctions, extremes
 from optlink.linkage.fourbar import four_bar, grashof, reachable as four_bar_reachable
 from optlink.linkage.zeros import zeros
 from optlink.problem.function import DesignProblem
@@ -28,6 +29,7 @@ from optlink.studies.sweep import sweep
 from optlink.symbolic import symbols_in_numpy
 from optlink.tasks.machine import machine_of
 from tests.clearance.test_joint_clearance import ending_after
+from tests.tiers import mostly_slow
 
 TURN = 2.0 * math.pi
 DESIGNED = {name for name in optlink.shipped() if isinstance(optlink.load(name).model, DesignProblem)}
@@ -929,3 +931,53 @@ def test_a_simulation_names_loads_that_grow_without_bound(torque, speed, where):
     computed = [note for note in result.notes if "grows without bound" in note]
     words = f"brake grows without bound at crank angle {where} deg: forces and torque have no largest value there"
     assert computed == ([words] if where else [])
+
+
+# --- memory and effort -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", mostly_slow(["six-bar", "shaper", "toggle-press"], "six-bar"))
+def test_extremes_are_refined_only_where_they_are_read(name, monkeypatch):
+    """One column at a time has the digits of all together, whatever the order of reading."""
+    refined = []
+    whole = SampledFunctions.extremes
+
+    def counted(self, rows, *others):
+        refined.append(len(rows))
+        return whole(self, rows, *others)
+
+    monkeypatch.setattr(SampledFunctions, "extremes", counted)
+    problem = optlink.load(name)
+    together = dict(optlink.analyze(problem, points=10).extremes.items())
+    assert refined == [len(together) - 1]  # all but the work of the drive
+    refined.clear()
+    alone = optlink.analyze(problem, points=10).extremes
+    assert refined == []
+    assert list(alone) == list(together)
+    for column in sorted(together, reverse=True)[::5]:
+        assert alone[column] == together[column]
+        assert alone[column] == alone.get(column)
+    assert set(refined) <= {1}
+    assert len(refined) <= 1 + len(together) // 5
+    assert "no such column" not in alone
+    assert pickle.loads(pickle.dumps(alone))["input.torque_Nm"] == together["input.torque_Nm"]
+
+
+@pytest.mark.parametrize("points", mostly_slow([3_000, 25_000], 3_000))
+def test_a_long_table_takes_little_more_memory_than_its_columns(points):
+    problem = optlink.load("six-bar")
+    optlink.analyze(problem, points=10)
+    tracemalloc.start()
+    result = optlink.analyze(problem, points=points)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    size = sum(column.nbytes for column in result.columns.values())
+    assert peak < 3.0 * size + 20e6  # that of a block, whatever the length
+
+
+def test_angles_of_a_long_table_are_continuous_over_its_blocks():
+    result = optlink.analyze(optlink.load("crank-rocker-clearance"), points=5_000, speed=-7.0)
+    few = optlink.analyze(optlink.load("crank-rocker-clearance"), points=500, speed=-7.0)
+    for name in (name for name in result.columns if name.endswith(".angle_rad")):
+        assert np.max(np.abs(np.diff(result[name]))) < 0.02
+        np.testing.assert_allclose(result[name][::10], few[name], rtol=0.0, atol=1e-13)

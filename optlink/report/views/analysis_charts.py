@@ -16,7 +16,7 @@ from optlink.linkage.vector2d import TURN
 from optlink.report.chart_spec import Axis, ChartSpec, Curve, Dash, Line, Mark, Panel, Span, crank_angle
 from optlink.report.style import BODIES, CRANK, LIMIT, MUTED, RESULT, TARGET, Scale, degrees, scale
 from optlink.report.views.analysis_curves import ROUNDING, CycleCurves
-from optlink.tasks.results.analysis import Extreme
+from optlink.tasks.results.extremes import Extreme
 
 MAX_DEAD_CENTRES = 12  # largest number of dead centres to draw; a body at rest has spurious ones due to rounding
 MAX_SLIDERS = 4  # largest number of sliders in motion.png

@@ -193,18 +193,18 @@ UNITS = ("s", "s2", "rad", "N", "Nm", "W")
 
 
 def _extremes(outcome: Analysis) -> TableSpec:
-    sizes = {name: max(abs(extreme.least), abs(extreme.largest)) for name, extreme in outcome.extremes.items()}
-    scale = {u: max((s for name, s in sizes.items() if name.endswith(f"_{u}") and math.isfinite(s)), default=0.0) for u in UNITS}
-    moving = {name for name, size in sizes.items() if size > 1e-9 * scale.get(name.rpartition("_")[2], 0.0)}  # else rounding
+    worth = {name: shown for name in outcome.extremes for ending, shown in WORTH.items() if name.endswith(ending)}
+    amounts = outcome.extremes.amounts
+    scale = {unit: max((size for name, size in amounts.items() if name.endswith(f"_{unit}")), default=0.0) for unit in UNITS}
     rows = []
-    for name, extreme in outcome.extremes.items():
-        word, unit = next((shown for ending, shown in WORTH.items() if name.endswith(ending)), ("", ""))
-        if not word or name not in moving or not math.isfinite(extreme.least):
+    for name, extreme in outcome.extremes.select(worth).items():
+        (word, unit), size = worth[name], max(abs(extreme.least), abs(extreme.largest))
+        if not size > 1e-9 * scale.get(name.rpartition("_")[2], 0.0) or not math.isfinite(extreme.least):  # else rounding
             continue
         factor = math.degrees(1.0) if unit == "deg" else 1.0
         ends = ((extreme.least, extreme.least_at), (extreme.largest, extreme.largest_at))
         cells = [
-            (number(factor * (0.0 if abs(value) <= ROUNDING * sizes[name] else value), 7), fixed(math.degrees(at), 4))
+            (number(factor * (0.0 if abs(value) <= ROUNDING * size else value), 7), fixed(math.degrees(at), 4))
             for value, at in ends
         ]
         rows.append((f"{name.rpartition('.')[0]}: {word}", *cells[0], *cells[1], quiet(unit)))

@@ -141,7 +141,8 @@ def analysis(outcome: Analysis) -> str:
         low = abs(torque.least) > abs(torque.largest)
         value, at = (torque.least, torque.least_at) if low else (torque.largest, torque.largest_at)
         words.append(f"the drive needs up to {si(abs(value), 'N m')} (at a crank angle of {figure(math.degrees(at), 'deg')})")
-    forces = {name.removesuffix(".f_N"): extreme.largest for name, extreme in extremes.items() if name.endswith(".f_N")}
+    pins = extremes.select(name for name in extremes if name.endswith(".f_N"))
+    forces = {name.removesuffix(".f_N"): extreme.largest for name, extreme in pins.items()}
     if max(forces.values(), default=0.0) > 0.0 and not outcome.unbounded:
         pin = max(forces, key=lambda name: forces[name])
         words.append(f"the largest joint reaction is {si(forces[pin], 'N')} at {pin.replace('.', ' on ')}")

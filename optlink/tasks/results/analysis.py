@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
@@ -18,19 +18,7 @@ from optlink.linkage.stroke import Ranges, Travel, within_cycle
 from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.base_model import Columns, Number, Record, ResultRecord, Tabled, absent
 from optlink.problem.file import ProblemFile
-
-
-class Extreme(NamedTuple):
-    """Least and largest value of a column over the motion, and the crank angles [rad] at which they occur.
-
-    If the crank turns fully, the angles lie within one cycle from 0 on, except the end of the cycle for the work since the start;
-    otherwise within the range.
-    """
-
-    least: float
-    least_at: float
-    largest: float
-    largest_at: float
+from optlink.tasks.results.extremes import Extremes
 
 
 class GroupRecord(Record):
@@ -108,10 +96,10 @@ class Analysis(Tabled):
     """Result of the analysis of a machine over its cycle.
 
     `columns` by name (unit at the end), each an array over the sampled crank angles: `pandas.DataFrame(run.columns)`;
-    `meanings` describe them; `extremes` are refined to their exact crank angles, one-sided at load jumps; `unbounded`: columns of
-    reactions that grow without bound towards change points through which the motion is continued; `swings` of bodies and
-    `strokes` of sliders (by slider name); `rms_torque`: torque of the drive [N m], root mean square over a cycle, by which the
-    heating of a motor is rated; NaN unless the crank turns fully.
+    `meanings` describe them; `extremes` are refined to their exact crank angles when they are read, one-sided at load jumps;
+    `unbounded`: columns of reactions that grow without bound towards change points through which the motion is continued;
+    `swings` of bodies and `strokes` of sliders (by slider name); `rms_torque`: torque of the drive [N m], root mean square over a
+    cycle, by which the heating of a motor is rated; NaN unless the crank turns fully.
     """
 
     record = AnalysisRecord
@@ -124,7 +112,7 @@ class Analysis(Tabled):
     high: float
     columns: Mapping[str, Array]
     meanings: Mapping[str, str]
-    extremes: Mapping[str, Extreme]
+    extremes: Extremes
     swings: Mapping[str, Travel]
     strokes: Mapping[str, Travel]
     jumps: Array
