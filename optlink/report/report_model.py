@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from optlink.errors import InputError
+from optlink.errors import InputError, Status
 from optlink.problem.file import ProblemFile
 from optlink.solvers.solution import LimitState
 from optlink.tasks.analyze import analyze
@@ -19,6 +19,7 @@ from optlink.tasks.results.path import PathResult
 from optlink.tasks.run import solve, validate
 
 if TYPE_CHECKING:
+    from optlink.report.html.shell import StoredStudy
     from optlink.studies.sensitivity import Sensitivities
 
 Outcome = FunctionResult | PathResult | CycleResult | Analysis
@@ -117,3 +118,25 @@ def report_model_of(
     except InputError as error:
         return ReportModel(problem, outcome, None, error.faults[0].message, limits, notes)
     return ReportModel(problem, outcome, cycle, "" if cycle else "no linkage was found", limits, notes)
+
+
+def verdict(model: ReportModel | StoredStudy) -> str:
+    """Return the verdict: whether the design is valid, and which checks failed."""
+    if not isinstance(model, ReportModel):
+        return model.verdict
+    if isinstance(model.result, Analysis):
+        return f"{model.result.status[0].upper()}{model.result.status[1:]}"
+    if model.valid:
+        fit = getattr(getattr(model.result, "best", None), "fit", None)
+        return f"Valid, {fit.text}" if fit is not None and fit.grade == "poor" else "Valid: every check passed"
+    if model.result.status is Status.INFEASIBLE:
+        return "No feasible design found"
+    failed = _failed(model)
+    return f"Not valid: {failed}" if failed else f"Not valid: {model.result.status.value}"
+
+
+def _failed(model: ReportModel) -> str:
+    """Return the names of the failed checks."""
+    checked = getattr(model.result, "validation", None)
+    names = checked.failed if checked else ()
+    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")

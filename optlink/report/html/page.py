@@ -12,7 +12,7 @@ from optlink.report.html import chart_plotly
 from optlink.report.html.moving_linkage import Moving, turning
 from optlink.report.html.shell import PageSection, StoredStudy
 from optlink.report.registry import table_of, view_of
-from optlink.report.report_model import ReportModel
+from optlink.report.report_model import ReportModel, verdict
 from optlink.report.stored.stored_study import study_page
 from optlink.report.table_spec import Paragraph, Part, Span, Summary, TableSpec
 from optlink.report.views import (
@@ -121,21 +121,6 @@ def sensitivities_of(model: ReportModel) -> Sensitivities | None:
     return result if result.moving else None
 
 
-def verdict(model: ReportModel | StoredStudy) -> str:
-    """Return the verdict: whether the design is valid, and which checks failed."""
-    if isinstance(model, StoredStudy):
-        return model.verdict
-    if isinstance(model.result, Analysis):
-        return f"{model.result.status[0].upper()}{model.result.status[1:]}"
-    if model.valid:
-        fit = getattr(getattr(model.result, "best", None), "fit", None)
-        return f"Valid, {fit.text}" if fit is not None and fit.grade == "poor" else "Valid: every check passed"
-    if model.result.status is Status.INFEASIBLE:
-        return "No feasible design found"
-    failed = _failed(model)
-    return f"Not valid: {failed}" if failed else f"Not valid: {model.result.status.value}"
-
-
 def _conclusion(model: ReportModel, shown: Summary) -> str:
     """Return the conclusion of the result; of the kind of an extension the first line of its status."""
     outcome = model.result
@@ -154,13 +139,6 @@ def _status(model: ReportModel, shown: Summary) -> Sequence[Sequence[Span]]:
     if not isinstance(outcome, CycleResult) or not outcome.task.single or not outcome.comparison.startswith("objective"):
         return shown.status.lines
     return [[span for span in line if span.text != f"; {outcome.comparison}"] for line in shown.status.lines]
-
-
-def _failed(model: ReportModel) -> str:
-    """Return the names of the failed checks."""
-    checked = getattr(model.result, "validation", None)
-    names = checked.failed if checked else ()
-    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
 
 
 def _kind(model: ReportModel) -> str:
