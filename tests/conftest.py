@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 import gc
-import inspect
 import os
 import signal
 import sys
@@ -16,8 +14,6 @@ import pytest
 import typer.main
 
 import optlink
-from optlink.report import registry
-from optlink.report.view import View
 from tests import solved as shared
 from tests.browser import browser
 
@@ -93,26 +89,6 @@ def _one_command_line() -> Iterator[None]:
     """Build the tree of all commands once per process: it takes as long as most calls that tests make."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("typer.testing._get_command", functools.cache(typer.main.get_command))
-        yield
-
-
-FRAMES = 6
-
-
-@pytest.fixture(scope="session", autouse=True)
-def _short_films() -> Iterator[None]:
-    """Let commands draw animations of a few frames; the tests of pictures write their views themselves, and whole ones."""
-    view_of = registry.view_of
-
-    def shortened(kind: str) -> View:
-        view = view_of(kind)
-        frames = (
-            functools.partial(view.frames, count=FRAMES) if "count" in inspect.signature(view.frames).parameters else view.frames
-        )
-        return dataclasses.replace(view, frames=frames)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(registry, "view_of", shortened)
         yield
 
 

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 quiet = False  # whether only the verdict and errors are printed
 pictures = "png"  # format of the pictures of --out
+film = False  # whether --out has an animation
 printed = False  # whether the JSON document is printed
 _kept: list[contextlib.ExitStack] = []  # contexts held until the command ends
 
@@ -186,7 +187,7 @@ def deliver(
     if out is not None and not lacking:
         try:
             with working(f"Drawing into {out}"):
-                view_of(kind).write(result, out, pictures)
+                view_of(kind).write(result, out, pictures, film=film)
             if state:
                 (out / state).unlink(missing_ok=True)
         except KeyboardInterrupt:
@@ -390,7 +391,8 @@ def places(out: Path | None, command: str, problem: str, csv: Path | None = None
         If nothing can be written, or the folder holds or receives the results of another command or problem.
     """
     if out is None:
-        refuse({"--format": None if pictures == "png" else pictures}, "pictures need a folder", "Add --out DIR")
+        unused = {"--format": None if pictures == "png" else pictures, "--film": film}
+        refuse(unused, "pictures need a folder", "Add --out DIR")
     else:
         _kept[-1].enter_context(_result_folder(out, command, problem))
     if csv is not None:

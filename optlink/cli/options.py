@@ -137,6 +137,14 @@ def _set_pictures(text: str) -> str:
 
 
 Format = Annotated[str, option("<png|svg|pdf>", "Format of the pictures of --out.", "--format", callback=_set_pictures)]
+
+
+def _set_film(chosen: bool) -> bool:
+    console.film = chosen
+    return chosen
+
+
+Film = Annotated[bool, flag("With --out: draw the animation motion.gif too.", "--film", callback=_set_film)]
 Quiet = Annotated[bool, flag("Print only the verdict and errors.", "-q", "--quiet", callback=_set_quiet)]
 Json = Annotated[bool, flag("One JSON document on standard output and nothing else.", "--json")]
 Out = Annotated[Path | None, option("DIR", "Folder for result.json, pictures and tables.", "-o", "--out")]

@@ -89,9 +89,9 @@ def export(
     with console.working("Reading or solving the problem"):
         about = _report_model(source, output, problem, (backend, starts, seed), changes, design)
         interrupts.check()
-    from optlink.report.html.shell import StoredStudy
+    from optlink.report.report_model import ReportModel
 
-    if isinstance(about, StoredStudy):
+    if not isinstance(about, ReportModel):
         remedy = f"Export the problem with one design:  optlink export {about.problem.name} --design NAME=VALUE"
         raise InputError(f"a {about.kind} is not a single design, so it cannot be drawn", remedy, source)
     if not (about.valid or even_invalid):
@@ -104,14 +104,16 @@ def _report_model(
     text: str, output: Path, problem: str | None, search: tuple[str, int | None, int], changes: Words, design: Words
 ) -> ReportModel | StoredStudy:
     """Return the subject of the command: a stored result, or a problem with its solution."""
+    from optlink.report.files import is_result
     from optlink.report.report_model import report_model_of, solve_or_validate
-    from optlink.report.stored.loader import is_result, load_stored
 
     if output.exists() and os.path.exists(text) and os.path.samefile(output, text):
         raise InputError("this would overwrite the input file", "Choose another name", key="--out", value=str(output))
     if is_result(text):
         remedy = "Leave it out, or name the problem instead of its result"
         console.refuse({"--design": design, "--starts": search[1]}, "a result already contains its design", remedy, text)
+        from optlink.report.stored.loader import load_stored
+
         return load_stored(text, problem, changes or ())
     remedy = "Leave it out, or name a result.json first"
     console.refuse({"--problem": problem}, "the option applies to a RESULT only", remedy, text)
@@ -121,7 +123,7 @@ def _report_model(
 
 def _refuse(about: ReportModel, as_json: bool) -> None:
     """Report why an invalid design is not written."""
-    from optlink.report.html.page import verdict
+    from optlink.report.report_model import verdict
 
     message = f"{verdict(about)}. Nothing was written; use --even-invalid to write it anyway"
     print(f"Error: {message}", file=sys.stderr)
@@ -133,7 +135,7 @@ def _refuse(about: ReportModel, as_json: bool) -> None:
 
 def _written(about: ReportModel | StoredStudy, output: Path, as_json: bool) -> None:
     """Report the written file, and exit with code 1 for an invalid design."""
-    from optlink.report.html.page import verdict
+    from optlink.report.report_model import verdict
 
     size = output.stat().st_size
     if as_json:

@@ -15,6 +15,7 @@ from optlink.cli.options import (
     Csv,
     Design,
     Engine,
+    Film,
     Format,
     Json,
     Out,
@@ -74,6 +75,7 @@ def solve(
     as_json: Json = False,
     quiet: Quiet = False,
     picture: Format = "png",
+    film: Film = False,
     out: Out = None,
 ) -> None:
     """Optimise a design, verify it independently, and report the shadow prices of the active constraints."""
@@ -131,6 +133,7 @@ def validate(
     as_json: Json = False,
     quiet: Quiet = False,
     picture: Format = "png",
+    film: Film = False,
     out: Out = None,
 ) -> None:
     """Check a design against all requirements and limits, or a certificate of the global optimum."""
@@ -229,6 +232,7 @@ def analyze(
     as_json: Json = False,
     quiet: Quiet = False,
     picture: Format = "png",
+    film: Film = False,
     out: Out = None,
 ) -> None:
     """Analyse a machine: motion, joint reactions, driving torque and work over the cycle."""
@@ -258,6 +262,7 @@ def balance(
     as_json: Json = False,
     quiet: Quiet = False,
     picture: Format = "png",
+    film: Film = False,
     out: Out = None,
 ) -> None:
     """Optimise counterweights and springs: least shaking force, torque or reactions, with a lower bound and shadow prices."""

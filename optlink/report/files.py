@@ -11,7 +11,7 @@ from typing import Any
 
 from optlink.errors import InputError
 from optlink.io import check_link, checked, folder, read_object, whole
-from optlink.problem.file import ProblemFile, dump
+from optlink.problem.file import ProblemFile, dump, shipped
 from optlink.problem.fixed_design import with_files_beside
 from optlink.problem.quantity import input_of, nearest
 
@@ -20,6 +20,11 @@ MAX_NAME_BYTES = 255  # largest length of a file name on common systems [bytes]
 
 CHECKPOINT = "checkpoint.json"
 """File of a folder from which a simulation is resumed."""
+
+
+def is_result(text: str) -> bool:
+    """Return whether an argument names a result file or its folder; the name of a shipped problem takes precedence."""
+    return text.endswith(".json") or (os.path.isdir(text) and text not in shipped())
 
 
 def check_target(path: Path, suffixes: tuple[str, ...], example: str, key: str = "--out") -> Path:

@@ -45,6 +45,21 @@ def in_points(axes: Axes, length: float) -> float:
     return float(length * axes.get_window_extent().width / np.ptp(axes.get_xlim()) * 72.0 / fig.dpi)
 
 
+def lay_out(figure: Figure) -> None:
+    """Finish the layout of a figure, once, without drawing it: sizes in it are then known.
+
+    Parameters
+    ----------
+    figure : Figure
+    """
+    engine = figure.get_layout_engine()
+    if engine is not None:
+        engine.execute(figure)
+    figure.set_layout_engine("none")
+    for axes in figure.axes:
+        axes.apply_aspect()
+
+
 def place_labels(figure: Figure, labels: Iterable[Label]) -> None:
     """Finish the layout of a figure and place every label where it hides least.
 
@@ -54,8 +69,7 @@ def place_labels(figure: Figure, labels: Iterable[Label]) -> None:
     labels : iterable of Label
         Those outside their axes are left out.
     """
-    figure.draw_without_rendering()
-    figure.set_layout_engine("none")
+    lay_out(figure)
     by_axes: dict[Axes, list[Label]] = {}
     for label in labels:
         if _in_sight(label):

@@ -69,25 +69,59 @@ def view_of(kind: str) -> View:
     """
     if kind in REGISTERED:
         return REGISTERED[kind]
-    from optlink.report.views import (
-        analysis,
-        balance,
-        clearance,
-        control_comparison,
-        cycle,
-        function,
-        pareto,
-        path,
-        sensitivity,
-        simulation,
-        sweep,
-        tolerance,
-    )
+    match kind:
+        case "function":
+            from optlink.report.views import function
 
-    designs = (function, path, cycle, balance)
-    studies = (analysis, simulation, clearance, control_comparison, sweep, sensitivity, tolerance, pareto)
-    views = {module.__name__.rpartition(".")[2].replace("_", " "): module.VIEW for module in (*designs, *studies)}
-    return View() if kind == "tuning" else views[kind]
+            return function.VIEW
+        case "path":
+            from optlink.report.views import path
+
+            return path.VIEW
+        case "cycle":
+            from optlink.report.views import cycle
+
+            return cycle.VIEW
+        case "balance":
+            from optlink.report.views import balance
+
+            return balance.VIEW
+        case "analysis":
+            from optlink.report.views import analysis
+
+            return analysis.VIEW
+        case "simulation":
+            from optlink.report.views import simulation
+
+            return simulation.VIEW
+        case "clearance":
+            from optlink.report.views import clearance
+
+            return clearance.VIEW
+        case "control comparison":
+            from optlink.report.views import control_comparison
+
+            return control_comparison.VIEW
+        case "sweep":
+            from optlink.report.views import sweep
+
+            return sweep.VIEW
+        case "sensitivity":
+            from optlink.report.views import sensitivity
+
+            return sensitivity.VIEW
+        case "tolerance":
+            from optlink.report.views import tolerance
+
+            return tolerance.VIEW
+        case "pareto":
+            from optlink.report.views import pareto
+
+            return pareto.VIEW
+        case "tuning":
+            return View()
+        case _:
+            raise KeyError(kind)
 
 
 def records() -> dict[str, type[ResultRecord]]:

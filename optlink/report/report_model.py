@@ -7,8 +7,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from optlink.errors import InputError
+from optlink.errors import InputError, Status
 from optlink.problem.file import ProblemFile
+from optlink.report.causes import why_invalid
 from optlink.solvers.solution import LimitState
 from optlink.tasks.analyze import analyze
 from optlink.tasks.function import FunctionResult
@@ -19,6 +20,7 @@ from optlink.tasks.results.path import PathResult
 from optlink.tasks.run import solve, validate
 
 if TYPE_CHECKING:
+    from optlink.report.html.shell import StoredStudy
     from optlink.studies.sensitivity import Sensitivities
 
 Outcome = FunctionResult | PathResult | CycleResult | Analysis
@@ -117,3 +119,18 @@ def report_model_of(
     except InputError as error:
         return ReportModel(problem, outcome, None, error.faults[0].message, limits, notes)
     return ReportModel(problem, outcome, cycle, "" if cycle else "no linkage was found", limits, notes)
+
+
+def verdict(model: ReportModel | StoredStudy) -> str:
+    """Return the verdict: whether the design is valid, and which checks failed."""
+    if not isinstance(model, ReportModel):
+        return model.verdict
+    if isinstance(model.result, Analysis):
+        return f"{model.result.status[0].upper()}{model.result.status[1:]}"
+    if model.valid:
+        fit = getattr(getattr(model.result, "best", None), "fit", None)
+        return f"Valid, {fit.text}" if fit is not None and fit.grade == "poor" else "Valid: every check passed"
+    if model.result.status is Status.INFEASIBLE:
+        return "No feasible design found"
+    checks = getattr(getattr(model.result, "validation", None), "checks", ())
+    return f"Not valid: {why_invalid(checks, model.result.status.value)}"

@@ -42,6 +42,7 @@ STYLE: dict[Any, Any] = {
 P = ParamSpec("P")
 T = TypeVar("T")
 MAX_NAME_LETTERS = 12  # most letters of the name of a point in a drawing
+DPI = 150  # pixels per inch of a picture
 MAX_GIF_BYTES = 1_500_000  # largest size of an animation [bytes]
 
 
@@ -129,8 +130,14 @@ def save(fig: Figure, path: Path) -> None:
     """
     with whole(path) as temporary, apply_style():
         kind = path.suffix.removeprefix(".")
+        if kind == "png":  # `savefig` draws a figure twice
+            shown = fig.get_dpi()
+            fig.set_dpi(DPI)
+            FigureCanvasAgg(fig).print_png(temporary)  # type: ignore[no-untyped-call]
+            fig.set_dpi(shown)
+            return
         dates = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
-        fig.savefig(temporary, format=kind, dpi=150, metadata=dates.get(kind))
+        fig.savefig(temporary, format=kind, dpi=DPI, metadata=dates.get(kind))
 
 
 def save_film(pictures: Sequence[Image.Image], path: Path) -> None:

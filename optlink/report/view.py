@@ -65,8 +65,8 @@ class View:
     schema: str = ""
     stored: Callable[[dict[str, Any], ProblemFile], Any] = _unreadable
 
-    def write(self, result: Any, folder: Path, pictures: str = "png") -> list[Path]:
-        """Write result.json, the certificate, the tables, the design, the pictures and the animation; return the paths.
+    def write(self, result: Any, folder: Path, pictures: str = "png", *, film: bool = False) -> list[Path]:
+        """Write result.json, the certificate, the tables, the design and the pictures; return the paths.
 
         Parameters
         ----------
@@ -75,6 +75,8 @@ class View:
             Existing folder to write to.
         pictures : str, optional
             Format of the pictures: "png", "svg" or "pdf".
+        film : bool, optional
+            Write the animation too, which takes as long as all pictures.
 
         Raises
         ------
@@ -104,7 +106,7 @@ class View:
             if fig is not None:
                 written.append(folder / f"{name}.{pictures}")
                 save(fig, written[-1])
-        frames = self.frames(model)
+        frames = self.frames(model) if film else []
         if frames:
             written.append(folder / "motion.gif")
             save_film(frames, written[-1])

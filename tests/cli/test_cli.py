@@ -115,7 +115,6 @@ def test_out_writes_everything_and_can_be_validated_again(tmp_path):
         "law.png",
         "transmission.png",
         "map.png",
-        "motion.gif",
         ".optlink-run.json",
     }
     assert json.loads((out / "result.json").read_text()) == json.loads(done.stdout)

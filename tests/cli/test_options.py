@@ -192,7 +192,7 @@ def test_quiet_ends_with_its_command():
     assert run("list", "--quiet").stdout.splitlines() == [
         row["name"] for row in json.loads(run("list", "--json").stdout)["problems"]
     ]
-    assert "description" in run("list").stdout
+    assert "Path design" in run("list").stdout
     failed = run("solve", "nothing", "-q")
     assert failed.exit_code == 2
     assert failed.stderr.startswith("Error: ")
@@ -364,3 +364,15 @@ def test_a_duration_that_is_rounded_to_revolutions_is_noted(options, note):
     done = run(*GAPPED, "--points", "12", *options)
     assert done.exit_code == 0
     assert done.stderr.strip() == ("" if note is None else f"Note: {note}")
+
+
+def test_an_animation_is_drawn_on_request_only(tmp_path):
+    for folder, options in (("plain", ()), ("film", ("--film",))):
+        assert run("analyze", "slider-crank", "--points", "36", "--out", str(tmp_path / folder), *options).exit_code == 0
+    assert {path.name for path in (tmp_path / "film").iterdir()} - {path.name for path in (tmp_path / "plain").iterdir()} == {
+        "motion.gif"
+    }
+    done = run("analyze", "slider-crank", "--film")
+    assert done.exit_code == 2
+    assert "--film" in done.stderr
+    assert "Add --out DIR" in done.stderr

@@ -612,7 +612,7 @@ def test_titles_accept_dollar_signs_and_foreign_letters(tmp_path):
 
 @pytest.mark.slow
 def test_no_force_charts_without_forces(tmp_path):
-    files = view_of("analysis").write(analysed("no masses"), tmp_path)
+    files = view_of("analysis").write(analysed("no masses"), tmp_path, film=True)
     assert [file.name for file in files] == ["result.json", "cycle.csv", "mechanism.png", "motion.png", "motion.gif"]
     assert {file.name for file in files} == {path.name for path in tmp_path.iterdir()}
 
@@ -662,7 +662,7 @@ def test_rounding_errors_are_not_drawn_as_motion():
 @pytest.mark.parametrize("name", ["six-bar", "partial"])
 def test_film_is_smooth_small_and_does_not_flicker(name, tmp_path):
     if name == "six-bar":
-        files = view_of("analysis").write(analysed(name), tmp_path)
+        files = view_of("analysis").write(analysed(name), tmp_path, film=True)
         assert {file.name for file in files} == {path.name for path in tmp_path.iterdir()}
         assert {"torque.png", "reactions.png", "work.png", "shaking.png", "mechanism.png", "motion.png"} <= {
             f.name for f in files

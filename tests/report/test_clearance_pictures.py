@@ -243,7 +243,7 @@ def test_without_rows_there_are_no_pictures(tmp_path: Path, monkeypatch: pytest.
 
 def test_all_files_are_written(tmp_path: Path) -> None:
     result = simulated("interrupted")
-    written = view_of("clearance").write(result, tmp_path)
+    written = view_of("clearance").write(result, tmp_path, film=True)
     assert {path.name for path in written} == {
         "result.json",
         "play.csv",

@@ -13,6 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 from rich.console import Console
@@ -483,7 +484,7 @@ def test_a_failed_write_leaves_no_partial_files(tmp_path, monkeypatch):
         path.write_bytes(b"half")
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(Figure, "savefig", half)
+    monkeypatch.setattr(FigureCanvasAgg, "print_png", half)
     with pytest.raises(optlink.InputError, match="No space left"):
         view_of("path").write(result("path"), tmp_path)
     assert {path.name for path in tmp_path.iterdir()} == {"result.json", "points.csv", "design.toml"}
@@ -494,7 +495,7 @@ def test_a_failed_write_leaves_no_partial_files(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_all_files_are_written_and_the_animation_is_complete(tmp_path):
-    written = view_of("path").write(result("cognates"), tmp_path)
+    written = view_of("path").write(result("cognates"), tmp_path, film=True)
     names = ["result.json", "points.csv", "design.toml", "path.png", "designs.png", "errors.png", "motion.gif"]
     assert [path.name for path in written] == names
     assert {path.name for path in tmp_path.iterdir()} == set(names)

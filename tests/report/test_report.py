@@ -107,7 +107,7 @@ def test_film_moves_through_the_revolution(solved, tmp_path):
     assert len(pictures) == 12
     arrays = [np.asarray(picture.convert("RGB")) for picture in pictures]
     assert all(np.any(a != b) for a, b in itertools.pairwise(arrays))
-    files = view_of("function").write(solved, tmp_path)
+    files = view_of("function").write(solved, tmp_path, film=True)
     with Image.open(tmp_path / "motion.gif") as film:
         assert film.n_frames == 90
     assert {file.name for file in files} == {path.name for path in tmp_path.iterdir()}
@@ -136,7 +136,7 @@ def test_an_oscillating_crank_is_drawn_over_its_reachable_range(crank_rocker, tm
     highest = math.degrees(math.acos((0.3**2 + 0.5**2 - 0.53**2) / (2 * 0.3 * 0.5)))
     assert angles[-1] == pytest.approx(highest, abs=1e-3)
     assert angles[0] == pytest.approx(-highest, abs=1e-3)
-    view_of("function").write(result, tmp_path)
+    view_of("function").write(result, tmp_path, film=True)
     assert (tmp_path / "motion.gif").exists()
 
 

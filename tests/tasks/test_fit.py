@@ -14,8 +14,8 @@ import optlink
 from optlink.cli.app import app
 from optlink.problem.file import dump
 from optlink.report import terminal
-from optlink.report.html.page import page, verdict
-from optlink.report.report_model import ReportModel
+from optlink.report.html.page import page
+from optlink.report.report_model import ReportModel, verdict
 from optlink.report.views import cycle_tables, path_tables
 from optlink.solvers.solution import LimitState
 from optlink.tasks.cycle import solve as solve_cycle

@@ -15,11 +15,8 @@ from optlink.linkage.motion import sweep
 from optlink.linkage.stroke import failure
 from optlink.linkage.vector2d import Vector
 from optlink.problem.quantity import LARGEST_ANGLE, LONGEST, SHORTEST, check_range
-from optlink.report.export.dxf import document, travelled
-from optlink.report.export.svg import svg
 from optlink.report.files import check_target, write_csv
 from optlink.report.report_model import ReportModel
-from optlink.report.scene import scene
 from optlink.tasks.analyze import MAX_POINTS, analyze
 from optlink.tasks.results.analysis import Analysis
 
@@ -108,6 +105,8 @@ def place_of(model: ReportModel, cycle: Analysis, at: float | None) -> float:
 
 
 def _dxf(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> None:
+    from optlink.report.export.dxf import document
+
     at = place_of(model, cycle, options.at)
     drawing = document(cycle, at, model.problem.model.title, options.hole, options.width)
     with whole(path) as temporary:
@@ -115,6 +114,9 @@ def _dxf(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> N
 
 
 def _svg(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> None:
+    from optlink.report.export.svg import svg
+    from optlink.report.scene import scene
+
     at = place_of(model, cycle, options.at)
     whole_motion, position = scene(cycle), scene(cycle, at=at)
     text = svg(position, f"{model.problem.model.title}: crank angle {math.degrees(at):.6g} deg", motion=whole_motion)
@@ -143,6 +145,8 @@ def geometry(model: ReportModel, cycle: Analysis, at: float) -> dict[str, Any]:
     at : float [rad]
         Crank angle.
     """
+    from optlink.report.export.dxf import travelled
+
     machine = cycle.machine
     mechanism = machine.mechanism
     motion = sweep(mechanism, machine.sizes, [at])

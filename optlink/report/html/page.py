@@ -6,14 +6,13 @@ from pathlib import Path
 
 from optlink.errors import Status
 from optlink.io import whole
-from optlink.report.causes import why_invalid
 from optlink.report.chart_spec import ChartSpec
 from optlink.report.format import single_units
 from optlink.report.html import chart_plotly
 from optlink.report.html.moving_linkage import Moving, turning
 from optlink.report.html.shell import PageSection, StoredStudy
 from optlink.report.registry import table_of, view_of
-from optlink.report.report_model import ReportModel
+from optlink.report.report_model import ReportModel, verdict
 from optlink.report.stored.stored_study import study_page
 from optlink.report.table_spec import Paragraph, Part, Span, Summary, TableSpec
 from optlink.report.views import (
@@ -120,21 +119,6 @@ def sensitivities_of(model: ReportModel) -> Sensitivities | None:
         return None
     result = of_solution(best.problem, best.solution)
     return result if result.moving else None
-
-
-def verdict(model: ReportModel | StoredStudy) -> str:
-    """Return the verdict: whether the design is valid, and which checks failed."""
-    if isinstance(model, StoredStudy):
-        return model.verdict
-    if isinstance(model.result, Analysis):
-        return f"{model.result.status[0].upper()}{model.result.status[1:]}"
-    if model.valid:
-        fit = getattr(getattr(model.result, "best", None), "fit", None)
-        return f"Valid, {fit.text}" if fit is not None and fit.grade == "poor" else "Valid: every check passed"
-    if model.result.status is Status.INFEASIBLE:
-        return "No feasible design found"
-    checks = getattr(getattr(model.result, "validation", None), "checks", ())
-    return f"Not valid: {why_invalid(checks, model.result.status.value)}"
 
 
 def _conclusion(model: ReportModel, shown: Summary) -> str:

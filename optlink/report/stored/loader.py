@@ -58,11 +58,6 @@ class _Head(Record):
     overrides: dict[str, Any] = Field(default_factory=dict)
 
 
-def is_result(text: str) -> bool:
-    """Return whether an argument names a result file or its folder; the name of a shipped problem takes precedence."""
-    return text.endswith(".json") or (os.path.isdir(text) and text not in shipped())
-
-
 def load_stored(text: str, problem: str | None = None, changes: Sequence[str] = ()) -> ReportModel | StoredStudy:
     """Load a result file.
 

@@ -11,7 +11,7 @@ from matplotlib.patches import Circle
 from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import Array
 from optlink.report.drawing import Sketch
-from optlink.report.labels import Label, in_points, place_labels
+from optlink.report.labels import Label, in_points, lay_out, place_labels
 from optlink.report.style import figure, heading, scale, styled
 from optlink.tasks.results.balance import AddedCounterweight, Balance
 
@@ -54,7 +54,7 @@ def mechanism(result: Balance) -> Figure | None:
         axes.set_title(f"φ {math.degrees(at) % 360.0:.4g}°", fontsize=9.5)
     sketch.add_legend(fig)
     fig.suptitle(heading(f"{result.problem.model.title}: counterweights to scale", 2.0 * panel), fontsize=11)
-    fig.draw_without_rendering()  # computes the layout, so that sizes in the figure are known
+    lay_out(fig)
     labels += [_mass_label(axes, sketch, counterweight, centre) for axes, counterweight, centre in shown]
     place_labels(fig, labels)
     return fig

@@ -300,7 +300,7 @@ def objective_map(result: FunctionResult) -> Figure | None:
         return None
     x_name, y_name = problem.free
     (x_low, x_high), (y_low, y_high) = (problem.quantities[name].bounds for name in problem.free)
-    x, y = np.meshgrid(np.linspace(x_low, x_high, 241), np.linspace(y_low, y_high, 241))
+    x, y = np.meshgrid(np.linspace(x_low, x_high, 121), np.linspace(y_low, y_high, 121))
     fixed = {name: quantity.value for name, quantity in problem.quantities.items()}
     flat: dict[str, Any] = {**fixed, x_name: x, y_name: y}
     with np.errstate(all="ignore"):

@@ -23,7 +23,7 @@ from optlink.report.animation import STACKED_RATIO, film
 from optlink.report.chart_mpl import FONT, TITLE
 from optlink.report.drawing import Sketch
 from optlink.report.format import round_below
-from optlink.report.labels import Label, in_points, place_labels
+from optlink.report.labels import Label, in_points, lay_out, place_labels
 from optlink.report.style import GROUND, MUTED, TARGET, degrees, figure, heading, styled
 from optlink.report.views.revolutions import FULL, RevolutionCurves, joint_name, rough
 from optlink.tasks.results.clearance import ClearanceSimulation
@@ -303,7 +303,7 @@ def mechanism(result: ClearanceSimulation) -> Figure | None:
     caption = heading("journals, their paths, contact forces on them", width if strip.get_position().x0 < 0.5 else 3.0, 9.5)
     strip.set_title(caption, fontsize=9.5)
     sketch.add_legend(fig, int(width))
-    fig.draw_without_rendering()
+    lay_out(fig)
     place_labels(fig, sketch.letters(stage, sketch.steps))
     return fig
 
