@@ -175,6 +175,7 @@ def _path(record: PathRecord, file: ProblemFile) -> PathResult:
         conflict=(),
         certificate=None,
         rejected=_rejected(record.rejected, file),
+        backends={},
     )
 
 
