@@ -17,6 +17,7 @@ from optlink.solvers.path_exchange import solve_semi_infinite
 from optlink.synthesis.batch_search import PER_ROUND, PERFECT, Searcher
 from optlink.tasks.path_search import DesignCollection, Polisher, designs_from_four_bar, has_several_dyads, path_model
 from optlink.tasks.protocol import DesignTask, Search, Timer, agreement, completed, part
+from optlink.tasks.results.default_margins import margin_notes
 from optlink.tasks.results.evidence import INCOMPLETE, evidence
 from optlink.tasks.results.path import PathDesign, PathResult
 from optlink.tasks.results.rotation import cannot_turn
@@ -79,6 +80,8 @@ class PathTask(DesignTask[PathResult]):
             error = math.sqrt(float(np.mean(rounds.better.measured.distances**2)))
             notes.append(FOUR_BAR_BETTER.format(1e3 * error))
         notes += () if collection.rejected is None else (collection.rejected.note,)
+        for best in collection.designs[:1]:
+            notes += margin_notes(best.problem, best.values, best.limits, best.objective, collection.polisher.relaxed(best))
         notes += () if collection.designs else cannot_turn(task.quantities, task.limits.crank, task.limits.alignment.value)
         if collection.designs and coverage.missed > MISSED_CHANCE:
             count = rounds.searcher.exploration.starts

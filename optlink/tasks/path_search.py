@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -129,6 +129,23 @@ class Polisher:
         backend = next(name for name in BACKENDS if name != self.backend)
         again = validated_design(design.problem, solve_semi_infinite(path_model(design.problem), solution, backend, near=True))
         return min(design, again, key=lambda one: (not one.valid, one.objective))
+
+    def relaxed(self, design: PathDesign) -> Callable[[ProblemFile], float]:
+        """Return a function of a problem with other margins: the objective of its local optimum near a design.
+
+        Parameters
+        ----------
+        design : PathDesign
+        """
+
+        def objective(other: ProblemFile) -> float:
+            solution, angles = design.solution, design.crank_angles
+            assert solution is not None
+            nlp = build_path_nlp(path_model(other), 1 if angles[-1] >= angles[0] else -1)
+            start = multistart.solution_at(nlp, solution.x, solution.message)
+            return solve_semi_infinite(path_model(other), start, self.method, near=True).objective
+
+        return objective
 
     def each(self, candidates: Sequence[Candidate], *, near: bool = False) -> Iterator[PathDesign]:
         """Yield the refined designs of candidates in order; see `polish`. The caller may leave the iterator at any of them.
