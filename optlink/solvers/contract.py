@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 BACKENDS = ("slsqp", "ipopt")
 """Back ends of a search with "both"."""
 MINIMAX = "minimax"  # only for NLPs that minimise the largest of many deviations
+LEAST_SQUARES, FOUND = "least squares", "found by least squares"  # a method before any back end, and its message: none changed it
 CLOSE = "ipopt, close"  # IPOPT with a small barrier parameter, for a start near an optimum
 
 

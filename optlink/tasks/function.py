@@ -35,6 +35,7 @@ from optlink.tasks.modes import best_mode
 from optlink.tasks.protocol import DesignTask, Search, agreement, part
 from optlink.tasks.results.certificate import CertificateRecord
 from optlink.tasks.results.common import ROUNDED, SingleRecord, SingleResult, better
+from optlink.tasks.results.default_margins import margin_notes
 from optlink.tasks.results.evidence import Evidence, evidence
 from optlink.tasks.results.fit import Fit, law_fit
 from optlink.tasks.results.rejected import RejectedDesign, best_rejected
@@ -88,6 +89,7 @@ class FunctionResult(SingleResult):
     record = FunctionRecord
 
     first: FirstStep | None = None  # best convex first design of a function
+    margins: tuple[str, ...] = ()  # notes on default margins that exclude a better optimum
     counts: tuple[int, ...] = ()  # random starts that reached each value of the objective, that of the design first
 
     @property
@@ -97,7 +99,8 @@ class FunctionResult(SingleResult):
         if self.conflict:
             limits = self.problem.spec.limits
             return cannot_turn(self.problem.spec.quantities, limits.crank, limits.alignment.value)
-        notes = () if self.rejected is None else (self.rejected.note,)
+        notes: tuple[str, ...] = () if self.rejected is None else (self.rejected.note,)
+        notes += self.margins
         if self.solution is None or not free.issuperset(LENGTHS) or self.solution.curvature > MIN_CURVATURE:
             return notes
         return (
@@ -234,7 +237,16 @@ class FunctionTask(DesignTask[FunctionResult]):
         search : Search
         """
         result = best_mode(problem, search, _search)
-        return result if result.valid else replace(result, rejected=None)
+        if not result.valid or result.solution is None:
+            return replace(result, rejected=None)
+
+        def relaxed(other: ProblemFile) -> float:
+            from optlink.tasks.function_search import near_optimum
+
+            return near_optimum(other.spec, result.design, result.backend).objective
+
+        notes = margin_notes(result.problem, result.design, result.solution.limits, result.objective, relaxed)
+        return replace(result, margins=notes)
 
     def validate(self, problem: ProblemFile, design: Mapping[str, float]) -> FunctionResult:
         """Validate a given design, in the better assembly mode if the file leaves it open; see `DesignTask.validate`.

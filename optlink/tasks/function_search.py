@@ -21,7 +21,7 @@ from optlink.execution.runner import ordered
 from optlink.execution.worker import Runs
 from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.vector2d import TURN, Array
-from optlink.optimization.nlp import NLP
+from optlink.optimization.nlp import NLP, build
 from optlink.problem.function import DesignProblem
 from optlink.problem.targets.function import Function
 from optlink.solvers import multistart
@@ -147,6 +147,19 @@ def start_sequence(problem: DesignProblem, nlp: NLP, seed: int, begin: Mapping[s
     return StartSequence([*first, start], rest, steps[0] if steps else None)
 
 
+def near_optimum(problem: DesignProblem, design: Mapping[str, float], backend: str) -> Solution:
+    """Return the local optimum near a design, over the whole range.
+
+    Parameters
+    ----------
+    problem : DesignProblem
+    design : mapping of str to float [m, rad]
+    backend : str
+    """
+    nlp = build(problem)
+    return FunctionSearch(problem, nlp, backend).everywhere(multistart.solve_from(nlp, nlp.x_of(design), CLOSE))
+
+
 def _alike(first: Solution, second: Solution) -> bool:
     """Return whether two solutions are one design, up to whole turns of its angles, and up to scale if only ratios matter."""
     if not (second.usable and multistart.compare(first, second).same):
@@ -249,16 +262,16 @@ class FunctionSearch:
         least = best.solution.objective if best is not None and best.verified else math.inf
         if self.problem.everywhere and solution.objective > REFINE_RATIO * least + multistart.SAME_ERROR:
             return None
-        candidate = self.judge(self._everywhere(solution, self.backend))
+        candidate = self.judge(self.everywhere(solution))
         if candidate.solution.objective >= least or not inexact(candidate.solution.status, candidate.validation):
             return candidate
         other = next(name for name in BACKENDS if name != self.backend)
         again = multistart.solve_from(self.nlp, candidate.solution.x, other)
-        return min(candidate, self.judge(self._everywhere(again, other)), key=lambda one: one.rank)
+        return min(candidate, self.judge(self.everywhere(again, other)), key=lambda one: one.rank)
 
-    def _everywhere(self, solution: Solution, backend: str) -> Solution:
+    def everywhere(self, solution: Solution, backend: str = "") -> Solution:
         """Return a solution whose largest error is that of the whole range, where it is the objective."""
-        return add_peak_errors(self.problem, self.nlp, solution, backend) if self.problem.everywhere else solution
+        return add_peak_errors(self.problem, self.nlp, solution, backend or self.backend) if self.problem.everywhere else solution
 
     @property
     def result(self) -> FunctionCandidate:

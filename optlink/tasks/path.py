@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -10,11 +10,14 @@ import numpy as np
 from optlink.errors import Status
 from optlink.execution import interrupts
 from optlink.problem.file import ProblemFile
-from optlink.solvers.contract import MINIMAX
+from optlink.solvers import multistart
+from optlink.solvers.contract import FOUND, LEAST_SQUARES
 from optlink.solvers.infeasibility import Explanation, explain, feasible_point
+from optlink.solvers.path_exchange import solve_semi_infinite
 from optlink.synthesis.batch_search import PER_ROUND, PERFECT, Searcher
 from optlink.tasks.path_search import DesignCollection, Polisher, designs_from_four_bar, has_several_dyads, path_model
-from optlink.tasks.protocol import DesignTask, Search, completed
+from optlink.tasks.protocol import DesignTask, Search, Timer, agreement, completed, part
+from optlink.tasks.results.default_margins import margin_notes
 from optlink.tasks.results.evidence import INCOMPLETE, evidence
 from optlink.tasks.results.path import PathDesign, PathResult
 from optlink.tasks.results.rotation import cannot_turn
@@ -36,6 +39,7 @@ FOUR_BAR_BETTER = (
     "coupler curve was found within all limits, and no other design is as good"
 )
 MAX_FAILED_ROUNDS = 12  # rounds without a valid design
+SAME_DESIGN = 1e-5  # scaled difference of equal designs of two back ends
 STARTS_PER_EXACT = 3  # starts per exact design after which no other one is expected
 
 
@@ -47,7 +51,6 @@ class PathTask(DesignTask[PathResult]):
     """
 
     most_starts = 1_000_000
-    compares = False
     designs = 3
     certified = True
     divisible = True
@@ -60,7 +63,9 @@ class PathTask(DesignTask[PathResult]):
         problem : ProblemFile
         search : Search
         """
-        backend, seed, timer = search.backend, search.seed, search.timer
+        if search.backend == "both":
+            return _compared(problem, search, self.search)
+        seed, timer = search.seed, search.timer
         rounds = SearchRounds(problem, search)
         timer.lap("build")
         rounds.run()
@@ -75,6 +80,8 @@ class PathTask(DesignTask[PathResult]):
             error = math.sqrt(float(np.mean(rounds.better.measured.distances**2)))
             notes.append(FOUR_BAR_BETTER.format(1e3 * error))
         notes += () if collection.rejected is None else (collection.rejected.note,)
+        for best in collection.designs[:1]:
+            notes += margin_notes(best.problem, best.values, best.limits, best.objective, collection.polisher.relaxed(best))
         notes += () if collection.designs else cannot_turn(task.quantities, task.limits.crank, task.limits.alignment.value)
         if collection.designs and coverage.missed > MISSED_CHANCE:
             count = rounds.searcher.exploration.starts
@@ -83,7 +90,7 @@ class PathTask(DesignTask[PathResult]):
             problem=problem,
             designs=tuple(collection.designs),
             nearest=near if near is None or reason is None else replace(near, status=Status.INFEASIBLE),
-            backend=MINIMAX if task.measure == "max" else backend,
+            backend=_method(collection),
             seed=seed,
             starts=rounds.searcher.exploration.starts,
             evidence=coverage,
@@ -134,13 +141,49 @@ TASK = PathTask()
 solve, validate = TASK.solve, TASK.validate
 
 
+def _method(collection: DesignCollection) -> str:
+    """Return the name of the method that found the best design."""
+    solution = collection.designs[0].solution if collection.designs else None
+    return LEAST_SQUARES if solution is not None and solution.message == FOUND else collection.polisher.method
+
+
+def _compared(problem: ProblemFile, search: Search, one: Callable[[ProblemFile, Search], PathResult]) -> PathResult:
+    """Search with each back end; return the better result, in which both must agree."""
+    results = {
+        name: one(problem, replace(search, backend=name, timer=Timer(), progress=part(search.progress, k, len(search.names))))
+        for k, name in enumerate(search.names)
+    }
+    winner = min(results.values(), key=lambda result: (not result.valid, result.objective))
+    seconds = {key: sum(result.seconds[key] for result in results.values()) for key in winner.seconds}
+    winner = replace(winner, seconds=seconds, interrupted=any(result.interrupted for result in results.values()))
+    best = winner.best
+    if best is None or best.solution is None or not winner.valid:
+        return winner
+    solutions = {}
+    for name, result in results.items():
+        solution = result.solution
+        if solution is None or not multistart.compare(solution, best.solution).same:  # a true optimum does not move
+            again = solve_semi_infinite(best.task, best.solution, name, near=True)
+            solution = again if solution is None else multistart.best([solution, again])
+        solutions[name] = solution
+    gaps = multistart.compare(*solutions.values())
+    checks = agreement("design", gaps.same, (gaps.objective, gaps.design), SAME_DESIGN, f"<= {SAME_DESIGN:.0e} of the size")
+    judged = replace(best, validation=replace(best.validation, checks=(*best.validation.checks, *checks)))
+    return replace(
+        winner,
+        designs=(judged, *winner.designs[1:]) if judged.valid else (),
+        nearest=None if judged.valid else judged,
+        backends=solutions,
+    )
+
+
 class SearchRounds:
     """Rounds of starts, each followed by refinement, until the stopping criterion holds."""
 
     def __init__(self, problem: ProblemFile, options: Search) -> None:
         files = problem.variants()
         self.searcher = Searcher([path_model(file) for file in files], options.seed)
-        self.collection = DesignCollection(Polisher(files, options.backend), options.designs)
+        self.collection = DesignCollection(Polisher(files, options.backend, alone=len(options.names) > 1), options.designs)
         self.problem, self.options, self.interrupted = problem, options, False
         self.compound = has_several_dyads(path_model(problem))
         self.notes: list[str] = []

@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -17,7 +17,7 @@ from optlink.optimization.path_nlp import build_path_nlp, solved_values
 from optlink.problem.file import ProblemFile
 from optlink.problem.path import PathProblem
 from optlink.solvers import multistart
-from optlink.solvers.contract import BACKENDS, MINIMAX
+from optlink.solvers.contract import BACKENDS, FOUND, MINIMAX
 from optlink.solvers.path_exchange import best_slow_stroke, solve_semi_infinite
 from optlink.solvers.solution import Solution
 from optlink.synthesis.batch import Batch
@@ -63,7 +63,7 @@ class PolishTask:
 
     def __call__(self, index: int) -> dict[str, Any]:
         """Return the fields of a refined and validated design, without problem and programme."""
-        design = built(Polisher, self.polisher).polish(self.candidates[index], near=self.near)
+        design = built(_polisher, self.polisher).polish(self.candidates[index], near=self.near)
         parts = {field.name: getattr(design, field.name) for field in fields(design) if field.name != "problem"}
         return parts | {"solution": None if design.solution is None else design.solution.parts}
 
@@ -71,11 +71,14 @@ class PolishTask:
 class Polisher:
     """Refines candidates to designs by the NLP with all limits, built once per assembly mode and crank direction.
 
+    The largest deviation is minimised by the minimax method, unless this back end `alone` is to be compared with another one.
     `runs`: processes that refine several candidates at a time, if any.
     """
 
-    def __init__(self, files: list[ProblemFile], backend: str) -> None:
-        self.files, self.backend = files, backend
+    def __init__(self, files: list[ProblemFile], backend: str, *, alone: bool = False) -> None:
+        self.files, self.backend, self.alone = files, backend, alone
+        minimax = path_model(files[0]).measure == "max" and not alone
+        self.method = MINIMAX if minimax else backend
         self.programmes: dict[tuple[int, int], NLP] = {}
         self.runs: Runs | None = None
 
@@ -104,14 +107,14 @@ class Polisher:
             Whether the candidate itself satisfies its limits everywhere.
         """
         file, start = self.files[candidate.variant], self._scaled_point(candidate)
-        task, minimax = path_model(file), path_model(file).measure == "max"
-        solution = solve_semi_infinite(task, start, MINIMAX if minimax else self.backend, near=near)
+        task, minimax = path_model(file), self.method == MINIMAX
+        solution = solve_semi_infinite(task, start, self.method, near=near)
         if minimax and solution.status is not Status.OPTIMAL:
             solution = multistart.best([solution, solve_semi_infinite(task, start, self.backend, near=near)])
         begun = multistart.solution_at(start.nlp, start.x, start.message).objective  # with the exchange points of the solution
         if minimax and start.usable and solution.objective > begun * (1.0 + 1e-9):
             solution = replace(solution, status=Status.STALLED)  # an optimum, but not that near the start
-        solution = best_slow_stroke(task, solution, MINIMAX if minimax else self.backend)
+        solution = best_slow_stroke(task, solution, self.method)
         return validated_design(file, solution)
 
     def refined(self, design: PathDesign) -> PathDesign:
@@ -127,6 +130,23 @@ class Polisher:
         again = validated_design(design.problem, solve_semi_infinite(path_model(design.problem), solution, backend, near=True))
         return min(design, again, key=lambda one: (not one.valid, one.objective))
 
+    def relaxed(self, design: PathDesign) -> Callable[[ProblemFile], float]:
+        """Return a function of a problem with other margins: the objective of its local optimum near a design.
+
+        Parameters
+        ----------
+        design : PathDesign
+        """
+
+        def objective(other: ProblemFile) -> float:
+            solution, angles = design.solution, design.crank_angles
+            assert solution is not None
+            nlp = build_path_nlp(path_model(other), 1 if angles[-1] >= angles[0] else -1)
+            start = multistart.solution_at(nlp, solution.x, solution.message)
+            return solve_semi_infinite(path_model(other), start, self.method, near=True).objective
+
+        return objective
+
     def each(self, candidates: Sequence[Candidate], *, near: bool = False) -> Iterator[PathDesign]:
         """Yield the refined designs of candidates in order; see `polish`. The caller may leave the iterator at any of them.
 
@@ -139,7 +159,7 @@ class Polisher:
         if self.runs is None:
             yield from (self.polish(candidate, near=near) for candidate in candidates)
             return
-        task = PolishTask(packed((self.files, self.backend)), tuple(candidates), near)
+        task = PolishTask(packed((self.files, self.backend, self.alone)), tuple(candidates), near)
         for candidate, parts in zip(candidates, ordered(task, len(candidates), self.runs), strict=True):
             if parts["solution"] is not None:
                 parts["solution"] = Solution(nlp=self.programme(candidate.variant, candidate.direction), **parts["solution"])
@@ -172,7 +192,12 @@ class Polisher:
         x = np.concatenate([candidate.x, candidate.t]) if timed else candidate.x
         if len(nlp.variables) > len(x):
             x = np.append(x, 0.0)  # the largest deviation; `given` sets it
-        return multistart.solution_at(nlp, np.clip(x, nlp.x_low, nlp.x_high), "found by least squares")
+        return multistart.solution_at(nlp, np.clip(x, nlp.x_low, nlp.x_high), FOUND)
+
+
+def _polisher(files: list[ProblemFile], backend: str, alone: bool) -> Polisher:
+    """Return a polisher for `PolishTask`."""
+    return Polisher(files, backend, alone=alone)
 
 
 def feasible(design: PathDesign) -> PathDesign:

@@ -134,8 +134,6 @@ class DesignTask(ABC, Generic[R]):
     """Largest number of starting points; None for a kind without starting points and design variables."""
     no_starts: ClassVar[str] = "this kind of problem has no starting points"
     """Error message where a number of starting points is given nevertheless."""
-    compares: ClassVar[bool] = True
-    """Whether two back ends can search separately and be compared, with the back end "both"."""
     designs: ClassVar[int | None] = None
     """Default number of distinct designs; None if only one is found."""
     certified: ClassVar[bool] = False
@@ -238,8 +236,7 @@ class DesignTask(ABC, Generic[R]):
             if starts is not None:
                 raise InputError(self.no_starts, "Leave it out", problem.file, "--starts", starts)
             return ()
-        valid = [*contract.selectable(), *(["both"] if self.compares else [])]
-        check_choice("backend", backend, valid, "unknown back end")
+        check_choice("backend", backend, [*contract.selectable(), "both"], "unknown back end")
         check_range("starts", 1 if starts is None else starts, 1, self.most_starts)
         if seed < 0:
             raise InputError("a seed must not be negative", "Give 0 or more", key="seed", value=seed)

@@ -82,7 +82,7 @@ def solve(
         From `optlink.load`, with a `[requirement]` (motion law, function, path, motion, transmission), an `[objective]` over
         the cycle of a machine, or a section `[balance]`.
     backend : "ipopt", "slsqp" or "both"
-        Local solver. With "both", each solver searches separately and the results must agree (laws, functions, cycles).
+        Local solver. With "both", each solver searches separately and the results must agree.
     starts : int, optional
         Number of starting points; a larger number never gives a worse result. Default: chosen by the kind of problem.
     seed : int

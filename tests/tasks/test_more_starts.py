@@ -233,11 +233,13 @@ def test_a_law_that_is_met_exactly_needs_no_further_start(digits: int) -> None:
 
 
 @pytest.mark.slow
-def test_random_starts_end_at_the_first_exact_design() -> None:
+def test_random_starts_and_assembly_modes_end_at_the_first_exact_design() -> None:
     """From a start that leads elsewhere; the number of processes changes nothing."""
     far = {f"mechanism.{name}": {"start": "290 mm", "bounds": ["10 mm", "300 mm"]} for name in SIZES}
     far["requirement.from"] = {"start": "340 deg", "bounds": ["0 deg", "360 deg"]}
     file = rocker_table(12).override(far)
+    both = optlink.solve(rocker_table(12).override({"mechanism.assembly": "either"}))
+    assert both.starts == 1  # the first assembly mode has the design
     one, other = optlink.solve(file), optlink.solve(file, workers=2)
     assert (one.starts, one.design) == (other.starts, other.design)
     assert 1 < one.starts < 30

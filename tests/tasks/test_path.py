@@ -8,15 +8,19 @@ import re
 import tomllib
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import optlink
 from optlink.linkage.fourbar import LENGTHS
+from optlink.report.html.page import page
 from optlink.report.registry import view_of
+from optlink.report.stored.loader import load_stored
 from optlink.solvers.multistart import solve_from
 from optlink.tasks.path import solve
+from optlink.tasks.run import design_task
 from tests import synthesis_oracle as oracle
 from tests.random_linkages import judged
 from tests.solved import solution
@@ -271,3 +275,43 @@ def test_a_design_is_a_machine_to_analyze() -> None:
     curve = np.column_stack([cycle["P.x_m"], cycle["P.y_m"]])
     for place in best.measured.generated:
         assert np.min(np.hypot(*(curve - place).T)) < 2e-5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "changes", "methods"),
+    [
+        ("path-vline6", {}, {"least squares"}),
+        ("motion-3-poses", {}, {"least squares"}),
+        ("path-slider-egg", {"requirement.measure": "max"}, {"slsqp", "ipopt"}),
+        ("transmission-optimal", {}, {"slsqp", "ipopt"}),
+    ],
+)
+def test_both_back_ends_search_every_kind_of_path_and_agree(
+    name: str, changes: dict[str, Any], methods: set[str], tmp_path
+) -> None:
+    """The method that found the design is named: exact designs come from the least squares before any back end."""
+    result = optlink.solve(optlink.load(name).override(changes), "both")
+    alone = optlink.solve(optlink.load(name).override(changes))
+    assert result.valid
+    assert result.best.error == pytest.approx(alone.best.error, rel=1e-6, abs=1e-9 * result.best.task.whole)
+    agreed = [check for check in result.validation.checks if check.name.startswith("both back ends agree")]
+    assert len(agreed) == 2
+    assert set(result.backends) == {"slsqp", "ipopt"}
+    one, other = result.backends.values()
+    assert one.objective == pytest.approx(other.objective, rel=1e-6, abs=1e-16)
+    assert result.backend in methods
+    document = result.to_dict()
+    assert set(document["backends"]) == {"slsqp", "ipopt"}
+    stored = tmp_path / "result.json"
+    stored.write_text(json.dumps(document), encoding="utf-8")
+    assert "both back ends agree" in page(load_stored(str(stored)))
+
+
+@pytest.mark.parametrize("name", ["path-arc5", "law-slider-crank", "crank-rocker", "stroke-slider-crank"])
+def test_no_kind_of_problem_refuses_a_back_end_that_the_help_offers(name: str) -> None:
+    task = optlink.load(name)
+    for backend in ("ipopt", "slsqp", "both"):
+        assert design_task(task)._back_ends(task, backend, None, 0) == (("slsqp", "ipopt") if backend == "both" else (backend,))
+    with pytest.raises(optlink.InputError, match="unknown back end"):
+        optlink.solve(task, "simplex")

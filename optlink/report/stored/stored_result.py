@@ -30,6 +30,7 @@ from optlink.tasks.results.analysis import Analysis, AnalysisRecord
 from optlink.tasks.results.certificate import Certificate, Cover, exact
 from optlink.tasks.results.common import SingleRecord, check_entries
 from optlink.tasks.results.cycle import CycleResult
+from optlink.tasks.results.default_margins import MARGIN_NOTE
 from optlink.tasks.results.path import PathDesign, PathDesignRecord, PathRecord, PathResult
 from optlink.tasks.results.rejected import RejectedDesign, RejectedRecord
 from optlink.tasks.run import validate
@@ -152,6 +153,8 @@ def _outcome(record: ResultRecord, path: Path, file: ProblemFile) -> Outcome:
     about |= {"validation": _with_stored(result.validation, record.validation), "seconds": {}}
     about |= {"conflict": record.conflict or (), "together": record.relax_together or ()}
     about |= {"rejected": _rejected(record.rejected, file)}
+    if isinstance(result, FunctionResult):
+        about |= {"margins": tuple(note for note in record.notes if note.startswith(MARGIN_NOTE))}
     return replace(result, **about | ({"notes": record.notes} if isinstance(result, CycleResult) else {}))
 
 
@@ -175,6 +178,7 @@ def _path(record: PathRecord, file: ProblemFile) -> PathResult:
         conflict=(),
         certificate=None,
         rejected=_rejected(record.rejected, file),
+        backends={},
     )
 
 

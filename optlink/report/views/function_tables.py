@@ -30,6 +30,7 @@ from optlink.report.table_spec import (
 from optlink.report.views.certificate_view import certificate_lines, certificate_table, certified
 from optlink.report.views.relaxations import conflict
 from optlink.report.views.short_text import dimensions, first_rows, objective_line, short_text, verdict_lines
+from optlink.solvers.contract import FOUND, LEAST_SQUARES
 from optlink.solvers.solution import LimitState
 from optlink.tasks.function import FunctionResult
 from optlink.tasks.machine import turning_machine
@@ -41,6 +42,7 @@ from optlink.validation import Check
 if TYPE_CHECKING:
     from optlink.problem.machine.model import Problem
     from optlink.tasks.results.cycle import CycleResult
+    from optlink.tasks.results.path import PathResult
     from optlink.validation.certificate import CertificateCheck
 
     SearchedResult = FunctionResult | CycleResult
@@ -116,7 +118,7 @@ def search_summary(
         checked,
         Paragraph(strong("Multistart search"), hits, appendix=True) if hits and outcome.optima else None,
         _optima(outcome, over) if len(outcome.optima) > 1 or (outcome.optima and outcome.starts > 1) else None,
-        _backends(outcome) if len(outcome.backends) > 1 else None,
+        backends(outcome) if len(outcome.backends) > 1 else None,
         Paragraph(quiet(effort), appendix=True),
     )
     unproven = [] if certified(proof) else certificate_lines(proof)
@@ -329,7 +331,8 @@ def _optima(outcome: SearchedResult, over: str) -> TableSpec:
     return table(f"Distinct optima{over}", columns, rows, appendix=True, notes=notes)
 
 
-def _backends(outcome: SearchedResult) -> TableSpec:
+def backends(outcome: SearchedResult | PathResult) -> TableSpec:
+    """Tabulate the solutions of the back ends side by side."""
     model, solutions = outcome.problem.model, outcome.backends.values()
     scale, shown = model.objective_display
     rows = [("status", *(solution.status.value for solution in solutions), "")]
@@ -337,6 +340,9 @@ def _backends(outcome: SearchedResult) -> TableSpec:
     for name in model.free:
         factor, unit = model.display(name)
         rows.append((name, *(fixed(solution.design[name] * factor, 5) for solution in solutions), unit))
+    methods = [LEAST_SQUARES if solution.message == FOUND else name for name, solution in outcome.backends.items()]
+    if LEAST_SQUARES in methods:
+        rows.append(("found by", *methods, ""))
     rows.append(("steps", *(str(solution.iterations) for solution in solutions), ""))
     rows.append(("KKT residual", *(f"{solution.kkt:.1e}" for solution in solutions), ""))
     return table("Back ends", ["", *(f">{name}" for name in outcome.backends), ""], rows, appendix=True)

@@ -13,9 +13,10 @@ from optlink.problem.path import PathProblem
 from optlink.report.format import fixed, number, precise, significant, times
 from optlink.report.table_spec import Line, Paragraph, Row, Summary, TableSpec, bad, noted, quiet, strong, summary, table
 from optlink.report.views.certificate_view import certificate_lines, certificate_table, certified
-from optlink.report.views.function_tables import active, checks, dimension_rows, graded_status, search_verdict
+from optlink.report.views.function_tables import active, backends, checks, dimension_rows, graded_status, search_verdict
 from optlink.report.views.relaxations import conflict
 from optlink.report.views.short_text import dimensions, first_rows, objective_line, short_text, verdict_lines
+from optlink.solvers.contract import LEAST_SQUARES
 from optlink.tasks.machine import turning_machine
 from optlink.tasks.results.path import LEVEL, PathDesign, PathResult
 from optlink.units import DISPLAYED
@@ -60,6 +61,7 @@ def path_result(outcome: PathResult) -> Summary:
         checked,
         _alternatives(outcome) if len(outcome.designs) > 1 else None,
         _cognates(outcome, best) if best.cognates else None,
+        backends(outcome) if len(outcome.backends) > 1 else None,
         _times(outcome),
     )
     evidence = [quiet(reached)] if reached else []
@@ -204,7 +206,8 @@ def _reached(outcome: PathResult) -> str:
 
 
 def _times(outcome: PathResult) -> Paragraph:
-    method = f"batch of least squares, then {outcome.backend}" if outcome.starts else ""
+    then = f", then {outcome.backend}" * (outcome.backend != LEAST_SQUARES)
+    method = f"batch of least squares{then}" if outcome.starts else ""
     return Paragraph(quiet("; ".join(filter(None, (_reached(outcome), method, times(outcome.seconds))))), appendix=True)
 
 

@@ -212,8 +212,8 @@ class SearchRecord(ResultRecord):
     seconds: dict[str, float]
 
 
-def _backends(result: SingleResult) -> dict[str, SolutionRecord] | None:
-    """Return the solutions of the back ends in display units."""
+def solution_records(result: Any) -> dict[str, SolutionRecord] | None:
+    """Return the solutions of the back ends of a result in display units."""
     return {
         name: SolutionRecord.of(solution, design=result.displayed(solution.design)) for name, solution in result.backends.items()
     } or None
@@ -236,7 +236,7 @@ class SingleRecord(SearchRecord):
     kkt: Annotated[Number, lambda result: getattr(result.solution, "kkt", None)] = absent()
     violation: Annotated[Number, lambda result: getattr(result.solution, "violation", None)] = absent()
     curvature: Annotated[Number, lambda result: getattr(result.solution, "curvature", None)] = absent()
-    backends: Annotated[dict[str, SolutionRecord] | None, _backends] = absent()
+    backends: Annotated[dict[str, SolutionRecord] | None, solution_records] = absent()
     optima: Annotated[tuple[OptimumRecord, ...] | None, _optima] = absent()
     rejected: Annotated[RejectedRecord | None, rejected_record] = absent()
     conflict: Annotated[tuple[Relaxation, ...] | None, lambda result: result.conflict or None] = absent()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Annotated, Any, Literal, Self
@@ -28,7 +28,7 @@ from optlink.solvers.solution import LimitState, Relaxation, Solution
 from optlink.tasks.machine import turning_machine
 from optlink.tasks.results.analysis import stroke_document
 from optlink.tasks.results.certificate import Certificate, CertificateRecord, message
-from optlink.tasks.results.common import ROUNDED, SearchRecord, verified
+from optlink.tasks.results.common import ROUNDED, SearchRecord, SolutionRecord, solution_records, verified
 from optlink.tasks.results.evidence import INCOMPLETE, Evidence
 from optlink.tasks.results.fit import Fit, FitRecord, path_fit, transmission_fit
 from optlink.tasks.results.rejected import RejectedDesign, RejectedRecord, rejected_record
@@ -284,6 +284,7 @@ class PathRecord(SearchRecord):
     fit: Annotated[FitRecord | None, lambda result: result.best and result.best.fit]
     designs: tuple[PathDesignRecord, ...]
     rejected: Annotated[RejectedRecord | None, rejected_record] = absent()
+    backends: Annotated[dict[str, SolutionRecord] | None, solution_records] = absent()
     conflict: Annotated[tuple[Relaxation, ...] | None, lambda result: result.conflict or None] = absent()
     relax_together: Annotated[tuple[Relaxation, ...] | None, lambda result: result.together if result.conflict else None] = (
         absent()
@@ -312,6 +313,7 @@ class PathResult(Recorded):
     together: tuple[Relaxation, ...] = ()
     certificate: Certificate | None = None
     rejected: RejectedDesign | None = None
+    backends: dict[str, Solution] = field(default_factory=dict)
 
     @property
     def hits(self) -> int:
@@ -363,6 +365,11 @@ class PathResult(Recorded):
     def design(self) -> dict[str, float]:
         """Quantities of the best design [m, rad]; empty if there is none."""
         return {} if self.best is None else dict(self.best.values)
+
+    def displayed(self, design: Mapping[str, float]) -> dict[str, float]:
+        """Return the design variables [SI] of a solution in display units, which end the keys."""
+        model = self.problem.model
+        return model.displayed({name: design[name] for name in model.free})
 
     @property
     def solution(self) -> Solution | None:
