@@ -8,11 +8,13 @@ import asyncio
 import contextlib
 import json
 import mimetypes
+import os
 import secrets
 import signal
 import socket
 from collections.abc import AsyncIterator, Callable, Iterator
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 import uvicorn
@@ -283,13 +285,20 @@ class _Server(uvicorn.Server):
         super().__init__(config)
         self._ready = ready
 
+    def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+        """End the server in order, within about a second; a second signal changes nothing."""
+        self.should_exit = True
+
     @contextlib.contextmanager
     def capture_signals(self) -> Iterator[None]:
-        """End the server in order at Ctrl-C; uvicorn would raise the signal again afterwards."""
+        """End the server in order at Ctrl-C; uvicorn, and the handler of the command, would raise the signal again."""
         before = {number: signal.signal(number, self.handle_exit) for number in (signal.SIGINT, signal.SIGTERM)}
+        watched = signal.set_wakeup_fd(-1) if os.name == "posix" else None
         try:
             yield
         finally:
+            if watched is not None:
+                signal.set_wakeup_fd(watched)
             for number, handler in before.items():
                 signal.signal(number, handler)
 

@@ -457,6 +457,30 @@ def test_a_four_bar_that_is_called_valid_is_drawn_as_verified(page):
 
 
 @pytest.mark.slow
+def test_the_token_belongs_to_one_tab(driver):
+    """A private file leads to the page; its tab can be reloaded, another one needs the address, and no cookie is set."""
+    pytest.importorskip("selenium", reason="selenium is not installed")
+    from optlink.cli.studio import _link_file
+    from tests.studio.browser import Page, studio
+
+    ready = "return document.documentElement.dataset.ready !== undefined"
+    with studio() as address:
+        page, first = Page(driver, address), driver.current_window_handle
+        with _link_file(address) as link:
+            assert address.partition("token=")[2] not in link
+            driver.get(link)
+            page.until(ready)
+        driver.refresh()
+        page.until(ready)
+        assert (driver.get_cookies(), "token" in driver.current_url) == ([], False)
+        driver.switch_to.new_window("tab")
+        driver.get(address.partition("?")[0])
+        page.until("return document.querySelector('#hint').textContent.startsWith('This address lacks its token.')")
+        driver.close()
+        driver.switch_to.window(first)
+
+
+@pytest.mark.slow
 def test_a_lost_studio_leaves_the_problem_to_save(driver, tmp_path):
     """Of the last release: a drag is given up, and what is typed afterwards does not stay; the message is never covered."""
     pytest.importorskip("selenium", reason="selenium is not installed")

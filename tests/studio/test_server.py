@@ -454,6 +454,30 @@ def test_a_page_too_many_is_told_why() -> None:
     assert heard == ["accepted", FULL]
 
 
+async def _ends(*pauses: float) -> tuple[int | None, bytes]:
+    """Exit code and standard error of a studio with an open page that is interrupted several times, with pauses before it [s]."""
+    async with studio("crank-rocker") as (address, token, process), socket(address, token) as ws:
+        await until(ws, "state")
+        for pause in pauses:
+            await asyncio.sleep(pause)
+            with contextlib.suppress(ProcessLookupError):
+                process.send_signal(signal.SIGINT)
+        await asyncio.wait_for(process.wait(), 10.0)
+        assert process.stderr is not None
+        return process.returncode, await process.stderr.read()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name != "posix", reason="no such signal here")
+def test_the_studio_ends_in_order_however_often_it_is_interrupted() -> None:
+    """Its workers as well, with no traceback and no word of lost work."""
+    before = {child.pid for child in psutil.Process().children(recursive=True)}
+    for pauses in ((0.0,), (0.0, 0.02), (0.0, 0.01, 0.01, 0.05)):
+        code, words = asyncio.run(_ends(*pauses))
+        assert (code, words) == (0, b"Stop it with Ctrl-C.\n")
+    assert {child.pid for child in psutil.Process().children(recursive=True)} <= before
+
+
 async def _save_in_a_search() -> None:
     async with studio("path-closed18-untimed") as (address, token, _), socket(address, token) as ws:
         changed = {"type": "set", "id": 2, "key": "requirement.closed", "value": "false"}
