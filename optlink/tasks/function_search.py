@@ -270,7 +270,14 @@ class FunctionSearch:
         return min(candidate, self.judge(self.everywhere(again, other)), key=lambda one: one.rank)
 
     def everywhere(self, solution: Solution, backend: str = "") -> Solution:
-        """Return a solution whose largest error is that of the whole range, where it is the objective."""
+        """Return a solution whose largest error is that of the whole range, where it is the objective.
+
+        Parameters
+        ----------
+        solution : Solution
+        backend : str, optional
+            Default: the back end of the search.
+        """
         return add_peak_errors(self.problem, self.nlp, solution, backend or self.backend) if self.problem.everywhere else solution
 
     @property
