@@ -262,7 +262,7 @@ def _no_rotatable_design(problem: ProblemFile, seed: int, starts: int, seconds: 
         "widen the bounds, or start from a design that does"
     )
     task = task_of(problem)
-    notes = cannot_turn(task.mechanism.quantities, "", task.limits.alignment.value) or (note,)
+    notes = cannot_turn(task.mechanism, task.linkage, "", task.limits.alignment.value) or (note,)
     result = TASK.validate(problem, {})
     times = result.seconds | seconds
     return replace(result, status=Status.INFEASIBLE, seconds=times, seed=seed, starts=starts, notes=notes)

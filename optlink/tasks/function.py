@@ -97,8 +97,8 @@ class FunctionResult(SingleResult):
         """Notes for the user."""
         free = set(self.problem.spec.free)
         if self.conflict:
-            limits = self.problem.spec.limits
-            return cannot_turn(self.problem.spec.quantities, limits.crank, limits.alignment.value)
+            spec = self.problem.spec
+            return cannot_turn(spec.mechanism, spec.linkage, spec.limits.crank, spec.limits.alignment.value)
         notes: tuple[str, ...] = () if self.rejected is None else (self.rejected.note,)
         notes += self.margins
         if self.solution is None or not free.issuperset(LENGTHS) or self.solution.curvature > MIN_CURVATURE:

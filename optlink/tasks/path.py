@@ -82,7 +82,8 @@ class PathTask(DesignTask[PathResult]):
         notes += () if collection.rejected is None else (collection.rejected.note,)
         for best in collection.designs[:1]:
             notes += margin_notes(best.problem, best.values, best.limits, best.objective, collection.polisher.relaxed(best))
-        notes += () if collection.designs else cannot_turn(task.quantities, task.limits.crank, task.limits.alignment.value)
+        if not collection.designs:
+            notes += cannot_turn(task.mechanism, task.linkage, task.limits.crank, task.limits.alignment.value)
         if collection.designs and coverage.missed > MISSED_CHANCE:
             count = rounds.searcher.exploration.starts
             notes.append(f"{INCOMPLETE}: {count} starts, {coverage.chance}; use --starts {min(4 * count, PathTask.most_starts)}")

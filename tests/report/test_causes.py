@@ -11,9 +11,8 @@ from scipy.optimize import linprog
 
 import optlink
 from optlink.linkage.fourbar import LENGTHS
-from optlink.problem.quantity import Quantity
 from optlink.report.causes import causes, why_invalid
-from optlink.tasks.results.rotation import cannot_turn
+from optlink.tasks.results.rotation import Length, cannot_turn, four_bar_conflict
 from optlink.validation.check import Check
 
 
@@ -69,9 +68,9 @@ def test_an_infeasible_design_has_no_check_of_its_optimality() -> None:
     assert not {"optimality (KKT residual)", "all limits met (scaled)"} & set(names)
 
 
-def lengths(bounds: dict[str, list[float]]) -> dict[str, Quantity]:
+def lengths(bounds: dict[str, list[float]]) -> dict[str, Length]:
     """Free lengths between two bounds [mm]."""
-    return {name: Quantity(1e-3 * low, "length", "mm", 1e-3 * low, 1e-3 * high) for name, (low, high) in bounds.items()}
+    return {name: Length(name, 1e-3 * low, 1e-3 * high) for name, (low, high) in bounds.items()}
 
 
 SUMS = {"crank": [[1, -1, -1, 1], [1, 1, -1, -1], [1, -1, 1, -1]], "frame": [[1, -1, -1, 1], [-1, 1, -1, 1], [-1, -1, 1, 1]]}
@@ -90,32 +89,76 @@ def test_bounds_that_let_no_crank_turn_are_named_with_a_change_that_does(crank: 
     for _ in range(300):
         low = random.uniform(5.0, 250.0, 4)
         bounds = np.column_stack([low, low + random.choice([0.0, 10.0, 60.0], 4) * random.random(4)])
-        quantities = {
-            name: Quantity(1e-3 * a, "length", "mm", 1e-3 * a, 1e-3 * b) for name, (a, b) in zip(LENGTHS, bounds, strict=True)
-        }
-        sentences = cannot_turn(quantities, crank, math.radians(1.0))
+        sentence = four_bar_conflict(lengths(dict(zip(LENGTHS, bounds.tolist(), strict=True))), crank, math.radians(1.0))
         possible = any(turns(bounds.tolist(), shortest) for shortest in kinds)
-        if not sentences:
+        if not sentence:
             continue
         named += 1
         assert not possible
-        changes = re.findall(r"a (\w+) of (at most|at least) ([\d.]+) mm", sentences[0])
+        changes = re.findall(r"a (\w+) of (at most|at least) ([\d.]+) mm", sentence)
         assert changes
         wider = dict(zip(LENGTHS, bounds.tolist(), strict=True))
         for name, side, value in changes:
             number = float(value)
             wider[name] = [number, wider[name][1]] if side == "at most" else [wider[name][0], number]
             wider[name] = [min(wider[name]), max(wider[name])]
-        assert any(turns(list(wider.values()), shortest) for shortest in kinds), sentences
+        assert any(turns(list(wider.values()), shortest) for shortest in kinds), sentence
     assert named > 50
 
 
-def test_the_inequality_is_stated_with_its_numbers() -> None:
-    bounds = {"crank": [20.0, 60.0], "coupler": [200.0, 600.0], "rocker": [20.0, 80.0], "frame": [90.0, 99.8]}
-    quantities = lengths(bounds)
-    (sentence,) = cannot_turn(quantities, "", math.radians(1.0))
-    assert sentence == (
-        "no sizes within the bounds let the crank turn: crank 20 + coupler 200 > rocker 80 + frame 99.8 mm. "
-        "Allow a coupler of at most 159.7 mm"
+FOUR_BAR = {
+    "type": "four-bar",
+    "crank": {"bounds": ["20 mm", "60 mm"]},
+    "coupler": {"bounds": ["200 mm", "600 mm"]},
+    "rocker": {"bounds": ["20 mm", "80 mm"]},
+    "frame": {"bounds": ["90 mm", "99.8 mm"]},
+    "assembly": "left",
+}
+LINKS = {
+    "crank": {"joints": ["A", "B"], "length": FOUR_BAR["crank"]},
+    "rod": {"joints": ["B", "C"], "length": FOUR_BAR["coupler"]},
+    "arm": {"joints": ["D", "C"], "length": FOUR_BAR["rocker"]},
+}
+GROUND = {"A": ["0 mm", "0 mm"], "D": [{"bounds": ["90 mm", "99.8 mm"]}, "0 mm"]}
+DYADS = {"type": "dyads", "ground": GROUND, "links": LINKS, "assembly": {"C": "left of B-D"}}
+SLIDER = {
+    "type": "dyads",
+    "ground": {"A": ["0 mm", "0 mm"]},
+    "links": {
+        "crank": {"joints": ["A", "B"], "length": {"bounds": ["60 mm", "90 mm"]}},
+        "rod": {"joints": ["B", "C"], "length": {"bounds": ["40 mm", "75 mm"]}},
+        "ram": {"joints": ["C"]},
+    },
+    "guides": {"G": {"slider": "ram", "through": "A", "offset": {"bounds": ["20 mm", "50 mm"]}}},
+    "assembly": {"C": "forward"},
+}
+ROD = "mechanism.links.rod.length"
+
+
+@pytest.mark.parametrize(
+    ("mechanism", "output", "key", "inequality", "remedy"),
+    [
+        (
+            FOUR_BAR,
+            "rocker",
+            "mechanism.coupler",
+            "crank 20 + coupler 200 > rocker 80 + frame 99.8 mm",
+            "coupler of at most 159.7 mm",
+        ),
+        (DYADS, "arm", ROD, "crank 20 + rod 200 > arm 80 + distance A-D 99.8 mm", "rod of at most 159.7 mm"),
+        (SLIDER, "ram", ROD, "crank 60 + offset 20 > rod 75 mm", "rod of at least 80.03 mm"),
+    ],
+)
+def test_the_inequality_is_stated_with_its_numbers_and_its_remedy_works(
+    mechanism: dict[str, object], output: str, key: str, inequality: str, remedy: str
+) -> None:
+    stroke = ">= 1 mm" if output == "ram" else ">= 1 deg"
+    task = {"kind": "stroke", "output": output, "stroke": stroke}
+    file = optlink.read({"title": "No crank", "mechanism": mechanism, "requirement": task})
+    assert optlink.solve(file, starts=1).notes == (
+        f"no sizes within the bounds let the crank turn: {inequality}. Allow a {remedy}",
     )
-    assert cannot_turn(quantities, "span", 0.0) == ()
+    value, side = remedy.split()[-2], "min" if "at most" in remedy else "max"
+    wider = file.override({f"{key}.{side}": f"{value} mm"}).model
+    assert cannot_turn(wider.mechanism, wider.linkage, "", math.radians(1.0)) == ()
+    assert cannot_turn(file.model.mechanism, file.model.linkage, "span", 0.0) == ()

@@ -1,4 +1,4 @@
-"""Bounds of a four-bar that let no crank turn: the inequality of Grashof that fails for all sizes, and which bound to change."""
+"""Bounds that let no crank turn: the inequality of Grashof that fails for all sizes, and which bound to change."""
 
 from __future__ import annotations
 
@@ -8,7 +8,10 @@ from collections.abc import Iterator, Mapping
 from decimal import ROUND_CEILING, ROUND_FLOOR, Context
 from typing import NamedTuple
 
+from optlink.linkage.dyad_types import RRP, RRR
 from optlink.linkage.fourbar import LENGTHS
+from optlink.linkage.mechanism import FRAME, Link, Mechanism
+from optlink.problem.mechanism import DyadsSection, FourBarSection
 from optlink.problem.quantity import Quantity
 
 SHORTEST = {"full rotation": ("crank",), "double-crank": ("frame",), "": ("crank", "frame")}
@@ -16,7 +19,14 @@ SHORTEST = {"full rotation": ("crank",), "double-crank": ("frame",), "": ("crank
 INSIDE = 1e-4  # share of the longest link by which a changed bound goes beyond the least change, at first
 DIGITS = 4
 
-Bounds = Mapping[str, tuple[float, float]]
+
+class Length(NamedTuple):
+    """A length between two bounds [m], with its name for display."""
+
+    name: str
+    low: float
+    high: float
+    free: bool = True
 
 
 class Violation(NamedTuple):
@@ -27,41 +37,122 @@ class Violation(NamedTuple):
     excess: float
 
 
-def cannot_turn(quantities: Mapping[str, Quantity], crank: str, least_angle: float) -> tuple[str, ...]:
+Loop = Mapping[str, Length]  # by the names of `LENGTHS`
+
+
+def cannot_turn(section: FourBarSection | DyadsSection, mechanism: Mechanism, crank: str, least_angle: float) -> tuple[str, ...]:
     """Return a sentence that no sizes within the bounds let the crank turn, with the change that does; else nothing.
+
+    The first loop of the mechanism decides: crank, a link, and a link or slider on the frame.
 
     Parameters
     ----------
-    quantities : mapping of str to Quantity
-        The four lengths.
+    section : FourBarSection or DyadsSection
+    mechanism : Mechanism
     crank : str
         `limits.crank` of the problem; empty if it has none.
     least_angle : float [rad]
+        Least angle of the two links of a joint off alignment.
+    """
+    quantities = section.quantities
+    if crank not in SHORTEST:
+        return ()
+    inversion = crank if isinstance(section, FourBarSection) else ""
+    for group in mechanism.groups:
+        reason = ""
+        if isinstance(group, RRR) and (loop := _four_bar(group, mechanism, quantities)) is not None:
+            reason = four_bar_conflict(loop, inversion, least_angle)
+        elif isinstance(group, RRP):
+            reason = _slider_conflict(group, mechanism, quantities, least_angle)
+        if reason:
+            span = ', or write limits.crank = "span"' * bool(crank)
+            return (f"no sizes within the bounds let the crank turn: {reason}{span}",)
+    return ()
+
+
+def _length(link: Link, ends: set[str], quantities: Mapping[str, Quantity]) -> Length | None:
+    """Return the length of a link between two of its joints; None if it is not one quantity."""
+    quantity = quantities.get(str(link.length)) if {link.start, link.end} == ends else None
+    return None if quantity is None else Length(link.body, *quantity.bounds, quantity.free)
+
+
+def _four_bar(group: RRR, mechanism: Mechanism, quantities: Mapping[str, Quantity]) -> Loop | None:
+    """Return the lengths of the four-bar of crank, group and frame; None if there is none."""
+    crank, links = mechanism.crank, dict(zip(group.outer, group.links, strict=True))
+    ground = next((pin for pin in group.outer if pin in mechanism.ground), "")
+    if crank.end not in links or not ground:
+        return None
+    lengths = [
+        _length(crank, {crank.start, crank.end}, quantities),
+        _length(links[crank.end], {crank.end, group.inner}, quantities),
+        _length(links[ground], {ground, group.inner}, quantities),
+        _distance(mechanism, crank.start, ground, quantities),
+    ]
+    return {role: length for role, length in zip(LENGTHS, lengths, strict=True) if length is not None} if all(lengths) else None
+
+
+def _distance(mechanism: Mechanism, one: str, other: str, quantities: Mapping[str, Quantity]) -> Length | None:
+    """Return the distance of two points of the frame; None if their coordinates are not given."""
+    places = mechanism.ground[one], mechanism.ground[other]
+    if not all(isinstance(place, tuple) for place in places):
+        return None
+    least, most, free = [], [], False
+    for ends in zip(*places, strict=True):  # type: ignore[arg-type]
+        known = [quantities[size] for size in ends if isinstance(size, str) and size in quantities]
+        sides = [quantities[size].bounds if isinstance(size, str) else (size, size) for size in ends]
+        (low, high), (first, last) = sides
+        least.append(max(0.0, first - high, low - last))
+        most.append(max(abs(first - high), abs(last - low)))
+        free |= any(quantity.free for quantity in known)
+    name = "frame" if "frame" in quantities else f"distance {one}-{other}"
+    return Length(name, math.hypot(*least), math.hypot(*most), free)
+
+
+def _slider_conflict(group: RRP, mechanism: Mechanism, quantities: Mapping[str, Quantity], least_angle: float) -> str:
+    """Return why the crank of a slider-crank cannot turn: crank and offset are longer than the rod; else an empty text."""
+    (pin, guide), crank = group.outer, mechanism.crank
+    own = crank.end == pin and guide.on == FRAME and guide.through == crank.start and guide.tilt == 0.0
+    short, rod = (_length(link, {link.start, link.end}, quantities) for link in (crank, group.first))
+    offset = quantities.get(str(guide.offset))
+    if not own or short is None or rod is None or {group.first.start, group.first.end} != {pin, group.inner}:
+        return ""
+    low, high = (0.0, 0.0) if offset is None else offset.bounds
+    aside = max(0.0, low, -high)
+    if short.low + aside <= rod.high:
+        return ""
+    lengths = f"{short.name} {1e3 * short.low:.6g}" + f" + offset {1e3 * aside:.6g}" * (aside > 0.0)
+    longer = _outward((short.low + aside) / math.cos(least_angle) * (1.0 + INSIDE), True)
+    return f"{lengths} > {rod.name} {1e3 * rod.high:.6g} mm. Allow a {rod.name} of at least {1e3 * longer:.6g} mm"
+
+
+def four_bar_conflict(loop: Loop, crank: str, least_angle: float) -> str:
+    """Return which inequality of Grashof fails for all sizes, and the change that helps; empty if none does.
+
+    Parameters
+    ----------
+    loop : mapping of str to Length
+    crank : str
+        As for `cannot_turn`.
+    least_angle : float [rad]
         Least angle of coupler and rocker off alignment.
     """
-    if crank not in SHORTEST or not quantities.keys() >= set(LENGTHS):
-        return ()
-    bounds = {name: quantities[name].bounds for name in LENGTHS}
-    missed = [(shortest, violation) for shortest in SHORTEST[crank] if (violation := _violation(bounds, shortest)) is not None]
+    missed = [(shortest, violation) for shortest in SHORTEST[crank] if (violation := _violation(loop, shortest)) is not None]
     if len(missed) < len(SHORTEST[crank]):
-        return ()
-    free = {name for name in LENGTHS if quantities[name].free}
-    ways = [(_remedies(bounds, shortest, free, least_angle), violation) for shortest, violation in missed]
+        return ""
+    ways = [(_remedies(loop, shortest, least_angle), violation) for shortest, violation in missed]
     remedies, violation = min(ways, key=lambda way: len(way[0]) or len(LENGTHS))
     remedy = f"Allow {' and '.join(remedies)}" if remedies else "Widen several bounds"
-    span = ', or write limits.crank = "span"' * bool(crank)
-    return (f"no sizes within the bounds let the crank turn: {_inequality(violation, bounds)}. {remedy}{span}",)
+    return f"{_inequality(violation, loop)}. {remedy}"
 
 
-def _violation(bounds: Bounds, shortest: str) -> Violation | None:
+def _violation(loop: Loop, shortest: str) -> Violation | None:
     """Return the inequality that fails for all sizes; the simplest one, else the one missed by most."""
     others = [name for name in LENGTHS if name != shortest]
     for count in (1, 2):
         found = []
-        for names in itertools.combinations(others, count):
-            right = names
-            left = (shortest, *(name for name in others if count == 2 and name not in names))
-            excess = sum(bounds[name][0] for name in left) - sum(bounds[name][1] for name in right)
+        for right in itertools.combinations(others, count):
+            left = (shortest, *(name for name in others if count == 2 and name not in right))
+            excess = sum(loop[name].low for name in left) - sum(loop[name].high for name in right)
             if excess > 0.0:
                 found.append(Violation(left, right, excess))
         if found:
@@ -69,46 +160,44 @@ def _violation(bounds: Bounds, shortest: str) -> Violation | None:
     return None
 
 
-def _inequality(violation: Violation, bounds: Bounds) -> str:
+def _inequality(violation: Violation, loop: Loop) -> str:
     if len(violation.left) == 1:
-        (shortest,), (other,) = violation.left, violation.right
-        least, most = 1e3 * bounds[shortest][0], 1e3 * bounds[other][1]
-        return f"the {shortest}, at least {least:.6g} mm, cannot be the shortest link, as the {other} is at most {most:.6g} mm"
-    left, right = (
-        " + ".join(f"{name} {1e3 * bounds[name][side]:.6g}" for name in names)
-        for side, names in enumerate((violation.left, violation.right))
-    )
+        shortest, other = loop[violation.left[0]], loop[violation.right[0]]
+        least, most = 1e3 * shortest.low, 1e3 * other.high
+        between = f"cannot be the shortest link, as the {other.name} is at most {most:.6g} mm"
+        return f"the {shortest.name}, at least {least:.6g} mm, {between}"
+    left = " + ".join(f"{loop[name].name} {1e3 * loop[name].low:.6g}" for name in violation.left)
+    right = " + ".join(f"{loop[name].name} {1e3 * loop[name].high:.6g}" for name in violation.right)
     return f"{left} > {right} mm"
 
 
-def _remedies(bounds: Bounds, shortest: str, free: set[str], least_angle: float) -> list[str]:
+def _remedies(loop: Loop, shortest: str, least_angle: float) -> list[str]:
     """Return the bounds to change so that no inequality fails; none if none are found."""
-    changed = dict(bounds)
+    changed = dict(loop)
     shown: dict[str, str] = {}
     while (violation := _violation(changed, shortest)) is not None and len(shown) < len(LENGTHS):
-        name, value = next(_changes(violation, changed, free, least_angle), ("", math.nan))
-        if not name:
+        role, value = next(_changes(violation, changed, least_angle), ("", math.nan))
+        if not role:
             return []
-        upper = name in violation.right
-        changed[name] = (changed[name][0], value) if upper else (value, changed[name][1])
-        shown[name] = f"a {name} of {'at least' if upper else 'at most'} {1e3 * value:.6g} mm"
+        upper = role in violation.right
+        changed[role] = changed[role]._replace(high=value) if upper else changed[role]._replace(low=value)
+        shown[role] = f"a {changed[role].name} of {'at least' if upper else 'at most'} {1e3 * value:.6g} mm"
     return list(shown.values())
 
 
-def _changes(violation: Violation, bounds: Bounds, free: set[str], least_angle: float) -> Iterator[tuple[str, float]]:
+def _changes(violation: Violation, loop: Loop, least_angle: float) -> Iterator[tuple[str, float]]:
     """Yield lengths with the value that satisfies an inequality: free ones first, then the least relative change."""
-    names = sorted((*violation.left, *violation.right), key=lambda name: (name not in free, -max(bounds[name])))
-    for name in names:
-        upper = name in violation.right
-        extra = INSIDE * max(high for _, high in bounds.values())
+    for role in sorted((*violation.left, *violation.right), key=lambda role: (not loop[role].free, -loop[role].high)):
+        upper = role in violation.right
+        extra = INSIDE * max(length.high for length in loop.values())
         for _ in range(40):
-            value = bounds[name][1] + violation.excess + extra if upper else bounds[name][0] - violation.excess - extra
-            value = _outward(value, upper)
+            change = violation.excess + extra
+            value = _outward(loop[role].high + change if upper else loop[role].low - change, upper)
             if value <= 0.0:
                 break
-            corner = {one: bounds[one][0 if one in violation.left else 1] for one in LENGTHS} | {name: value}
+            corner = {one: loop[one].low if one in violation.left else loop[one].high for one in LENGTHS} | {role: value}
             if len(violation.left) == 1 or _angle(violation, corner) >= least_angle:
-                yield name, value
+                yield role, value
                 break
             extra *= 1.5
 
