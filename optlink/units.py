@@ -242,6 +242,20 @@ def factor(unit: str, kind: str) -> float:
     return _unit(unit, kind).scale
 
 
+def measures(text: str, kind: str) -> bool:
+    """Return whether a text is a quantity of a kind.
+
+    Parameters
+    ----------
+    text : str
+    kind : str
+        One of `KINDS`.
+    """
+    with contextlib.suppress(UnitProblem):
+        return math.isfinite(parse(text, kind)[0])
+    return False
+
+
 def is_unit(text: str) -> bool:
     """Return whether a text is a unit of any kind."""
     for kind in KINDS:

@@ -15,6 +15,7 @@ from optlink.errors import InvalidValue
 from optlink.io import Registry
 from optlink.linkage.dyad_types import FORWARD, RPR, LineDyad, ModalDyad, Transmitting
 from optlink.linkage.mechanism import FRAME, BodyPoint, Dyad, Ground, Guide, Joint, Link, Mechanism
+from optlink.unsupported import unsupported
 
 _SIDE = re.compile(r"\s*(left|right)\s+of\s+(\S+)\s*(?:->|-|–|→|to)\s*(\S+)\s*", re.ASCII)
 CONTINUE = "continue"
@@ -193,14 +194,17 @@ class Assembly:
         """
         crank = self.links[self.driver]
         if FRAME not in self.members[crank.start]:
-            ends = self.members.get(crank.end, [])
-            remedy = "Exchange its two joints" if FRAME in ends else "Give its first joint a place under [mechanism.ground]"
-            raise StructureError(
-                f"the driven body turns about its first joint, and {crank.start} of {crank.body} is not on the frame",
-                remedy,
-                f"links.{crank.body}.joints",
-                crank.start,
-            )
+            message = f"the driven body turns about its first joint, and {crank.start} of {crank.body} is not on the frame"
+            remedy, missing = "Give its first joint a place under [mechanism.ground]", ""
+            if FRAME in self.members.get(crank.end, []):
+                remedy = "Exchange its two joints"
+            elif self.rails(self.driver):
+                missing, remedy = unsupported("linear drive")
+            elif len(self.members[crank.start]) > 1:
+                pinned = [body for body in self.links if any(FRAME in self.members[point] for point in self.pins(body))]
+                missing, remedy = unsupported("drive on a moving link", bodies=", ".join(pinned))
+            message = f"{message}: {missing}" if missing else message
+            raise StructureError(message, remedy, f"links.{crank.body}.joints", crank.start)
         for body in self.links:
             if not self.pins(body) and not self.rails(body):
                 points = [point for point, bodies in self.members.items() if body in bodies]
@@ -312,13 +316,15 @@ class Assembly:
     def refusal(self, left: list[str]) -> StructureError:
         """Return the error that explains why no further group can be formed."""
         for body in left:
+            for other in self.links:
+                both = [point for point in self.pins(body) if other != body and other in self.members[point]]
+                if other in self.placed and len(both) > 1:
+                    return self._one_body(other, body, both)
             joints = [joint if isinstance(joint, str) else joint.name for joint in self.placed_joints(body)]
             if len(joints) > 1:
-                return StructureError(
-                    f"{body} cannot move: {_list(joints)} already fix its position",
-                    "Remove one of these joints, or add a body between",
-                    f"links.{body}",
-                )
+                missing, remedy = unsupported("redundant body", body=body)
+                message = f"{body} moves only with special lengths, as {_list(joints)} already fix its position: {missing}"
+                return StructureError(message, remedy, f"links.{body}")
         for first, second in combinations(left, 2):
             both = [joint if isinstance(joint, str) else joint.name for joint in self._shared(first, second)]
             if len(both) > 1:
@@ -327,13 +333,10 @@ class Assembly:
         if free > 1:
             ends = (point for body in left for point in (self.links[body].start, self.links[body].end))
             unshared = [point for point in ends if point and len(self.members[point]) == 1]
-            check = f"; check the names of {_list(unshared)}, joints of one body alone" if len(unshared) > 1 else ""
-            them = "them" if len(left) > 1 else "it"
-            return StructureError(
-                f"{_list(left)} cannot be placed: the mechanism has {free} degrees of freedom and one driver",
-                f"Join {them} to the frame or to another body, or remove {them}{check}",
-                f"links.{left[-1]}",
-            )
+            check = f" (check the names of {_list(unshared)}, joints of one body alone)" if len(unshared) > 1 else ""
+            missing, remedy = unsupported("free links", them="them" if len(left) > 1 else "it", check=check)
+            message = f"{_list(left)} cannot be placed: the mechanism has {free} degrees of freedom and one driver; {missing}"
+            return StructureError(message, remedy, f"links.{left[-1]}")
         if free < 1:
             return StructureError(
                 f"{_list(left)} cannot be placed: the mechanism has {free} degrees of freedom, it is a rigid structure",
@@ -350,12 +353,12 @@ class Assembly:
                     "Replace one guide by a pin",
                     f"links.{first}",
                 )
-        return StructureError(
+        missing, remedy = unsupported("higher class")
+        message = (
             f"{_list(left)} are not a chain of dyads: they form a group of a higher class (Assur class III or above), "
-            "or depend on one another in a ring",
-            "Drive another body, or change the structure so that the bodies can be placed two at a time",
-            f"links.{left[0]}",
+            f"or depend on one another in a ring; {missing}"
         )
+        return StructureError(message, remedy, f"links.{left[0]}")
 
 
 # --- the types of dyads --------------------------------------------------------------------------------------------------

@@ -20,6 +20,7 @@ from optlink.problem.mechanism import DyadsSection, FourBarSection
 from optlink.problem.quantity import Unusable, nearest
 from optlink.problem.targets.target_points import file_kind
 from optlink.units import split
+from optlink.unsupported import unsupported_key
 
 
 def as_written(fault: Fault, raw: object) -> Fault:
@@ -179,6 +180,9 @@ def _faults(error: pydantic.ValidationError, model: type[Problem], raw: Mapping[
             fitting = _fitting(tuple(path[:-1]), model, raw)
             deeper = _elsewhere(str(path[0]), str(path[-1]), model)
             deeper = deeper if path[1:] else keys_ending(raw, key) or deeper
+            if asked := unsupported_key(key):
+                yield Fault(*asked, file, key)
+                continue
             yield Fault(UNKNOWN, nearest(str(path[-1]), fitting, deeper if len(path) < 3 else []), file, key)
         elif kind == "union_tag_invalid":
             linkage_type = raw["mechanism"].get("type")

@@ -13,6 +13,7 @@ from optlink.linkage.mechanism import FRAME, BodyPoint, Guide, Link, Mechanism, 
 from optlink.problem.base_model import RESERVED, Name, Section
 from optlink.problem.nearby import NearPlace, read_near
 from optlink.problem.quantity import Angle, Coordinate, Friction, Length, Quantity, Unusable, below, check_name, read_quantity
+from optlink.unsupported import unsupported
 
 
 def _read_place(raw: object) -> tuple[Quantity, Quantity]:
@@ -159,7 +160,11 @@ class FourBarSection(Section):
             when another body is driven, or a point has a reserved name.
         """
         if driver not in (None, "crank"):
-            raise Unusable("a four-bar is driven at its crank", 'Leave body out, or write body = "crank"', "drive.body", driver)
+            message, remedy = "a four-bar is driven at its crank", 'Leave body out, or write body = "crank"'
+            if driver in ("coupler", "rocker"):
+                missing, remedy = unsupported("drive of a four-bar", body=driver)
+                message = f"{message}: {missing}"
+            raise Unusable(message, remedy, "drive.body", driver)
         for point in self.points:
             if point in RESERVED or point in "ABCD" or point in LENGTHS:
                 raise Unusable(f"{point} is a name of the four-bar itself", "Choose another", "mechanism.points", point)

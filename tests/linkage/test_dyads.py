@@ -714,7 +714,7 @@ REFUSED = [
             pinned("brace", "E", "G"),
             modes={"C": "left of B-D"},
         ),
-        ("brace cannot move", "E and G"),
+        ("brace moves only with special lengths", "E and G already fix its position", "redundant bodies are not supported"),
         ("Remove one of these joints", "add a body between"),
         "links.brace",
     ),
@@ -736,7 +736,7 @@ REFUSED = [
         "two degrees of freedom",
         lambda: structure(BASE, pinned("one", "B", "C"), pinned("two", "C", "E"), pinned("three", "E", "D")),
         ("one, two and three", "2 degrees of freedom", "one driver"),
-        ("Join them", "remove them"),
+        ("join them to the frame", "hold them still"),
         "links.three",
     ),
     Refused(
@@ -745,7 +745,7 @@ REFUSED = [
             BASE, pinned("coupler", "B", "C"), pinned("rocker", "D", "C"), pinned("tail", "C", "T"), modes={"C": "left of B-D"}
         ),
         ("tail", "2 degrees of freedom"),
-        ("Join it to the frame", "remove it"),
+        ("join it to the frame", "hold it still"),
         "links.tail",
     ),
     Refused(
@@ -761,7 +761,7 @@ REFUSED = [
             modes={"C": "left of B-D"},
         ),
         ("one, two, three and four", "5 degrees of freedom"),
-        ("Join them",),
+        ("join them to the frame",),
         "links.four",
     ),
     Refused(

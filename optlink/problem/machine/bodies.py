@@ -5,7 +5,7 @@ from functools import partial
 from typing import Annotated, Any, Self
 
 import numpy as np
-from pydantic import BeforeValidator, field_validator, model_validator
+from pydantic import BeforeValidator, model_validator
 
 from optlink.dynamics.inertia import Inertia
 from optlink.linkage.mechanism import Mechanism, Pose
@@ -26,6 +26,8 @@ from optlink.problem.quantity import (
     read_positive,
     where,
 )
+from optlink.units import measures
+from optlink.unsupported import unsupported
 
 # --- bodies ----------------------------------------------------------------------------------------------------------
 
@@ -105,6 +107,10 @@ _SMALL = where(
 )
 
 
+LINEAR = {"speed": "velocity", "initial_speed": "velocity", "start": "length"}
+"""Kinds of the values that a drive along a guide would have."""
+
+
 class DriveSection(Section):
     """Drive of the machine: a constant speed, or (for `simulate`) a torque or motor curve."""
 
@@ -125,11 +131,17 @@ class DriveSection(Section):
     fluctuation: Annotated[Number, _SMALL] | None = None
     """Permitted speed fluctuation relative to the mean speed, 0.02 or "2 %"; `optlink analyze` computes the flywheel for it."""
 
-    @field_validator("body", mode="before")
+    @model_validator(mode="before")
     @classmethod
-    def _one(cls, raw: object) -> object:
-        if isinstance(raw, list):
-            raise Unusable("exactly one body must be driven", 'Name one: body = "crank"', "", raw)
+    def _supported(cls, raw: object) -> object:
+        for key, value in raw.items() if isinstance(raw, dict) else ():
+            if key in ("body", "speed", "start") and isinstance(value, list):
+                message, remedy = unsupported("several drives")
+                raise Unusable(f"exactly one body must be driven: {message}", remedy, key, value)
+            if key in ("speed", "initial_speed") and isinstance(value, dict) and {"over", "expression"} & set(value):
+                raise Unusable(*unsupported("varying speed"), key, value)
+            if key in LINEAR and isinstance(value, str) and measures(value, LINEAR[key]):
+                raise Unusable(*unsupported("linear drive"), key, value)
         return raw
 
     @model_validator(mode="after")

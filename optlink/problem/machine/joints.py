@@ -1,5 +1,6 @@
 """The joints of a problem file: the body whose reaction is reported, and the clearance of a pin."""
 
+from collections.abc import Sequence
 from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field
@@ -23,6 +24,7 @@ from optlink.problem.quantity import (
     read_scalar,
     where,
 )
+from optlink.unsupported import unsupported
 
 RADII_AGREE = 1e-6
 """Share of the clearance by which the difference of two given radii may differ from it."""
@@ -183,8 +185,15 @@ class JointSection(Section):
         first, second = (compliance(e, nu) for e, nu in zip(self.modulus, self.poisson, strict=True))
         return float(stiffness(radius + clearance, radius, first, second))
 
-    def check_unused(self) -> None:
+    def check_unused(self, point: str, bodies: Sequence[str]) -> None:
         """Refuse keys without effect in a joint without clearance.
+
+        Parameters
+        ----------
+        point : str
+            Name of the pin.
+        bodies : sequence of str
+            The bodies that it joins.
 
         Raises
         ------
@@ -192,6 +201,9 @@ class JointSection(Section):
             with the first such key.
         """
         unused = sorted(key for key in self.model_fields_set - {"on"} if getattr(self, key) is not None)
+        if "friction" in unused and not self.has_clearance:
+            other, body = bodies[0], bodies[-1]
+            raise Unusable(*unsupported("pin friction", point=point, body=body, other=other), "friction")
         if unused and not self.has_clearance:
             message = f"the joint has no clearance, so {unused[0]} has no effect"
             raise Unusable(message, f"Add {EXAMPLE}, or remove the key", unused[0])

@@ -16,6 +16,7 @@ from optlink.problem.targets.csv_table import read_columns
 from optlink.problem.targets.expression import Expression, parse
 from optlink.problem.targets.repetition import MOST_REVOLUTIONS, revolutions_of
 from optlink.units import factor, show
+from optlink.unsupported import unsupported
 
 OVER = {"phi": "angle", "s": "coordinate", "omega": "angular velocity"}
 """Independent variables of a table of forces: crank angle, slider position, crank speed."""
@@ -156,6 +157,8 @@ def read_size(raw: object, folder: Path, kind: str, names: Iterable[str]) -> Siz
             return Formula(expression, unit, factor(unit, kind))
     over = raw.get("over")
     if over not in variables:
+        if isinstance(over, str) and over in ("t", "time"):
+            raise Unusable(*unsupported("load over time"), "over", over)
         raise Unusable("the table has no independent variable", f"Write over = one of: {', '.join(variables)}", "over", over)
     check_keys(raw, ("over", "at", "values", "csv"))
     if "csv" in raw and ("at" in raw or "values" in raw):

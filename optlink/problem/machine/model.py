@@ -306,7 +306,7 @@ class Problem(Section):
             with below(f"joints.{name}"):
                 if joint.on is not None:
                     check_name(joint.on, mechanism.pins[name], "the joint is not one of that body", "on")
-                joint.check_unused()
+                joint.check_unused(name, mechanism.pins[name])
         inertias = {}
         for name, body in self.bodies.items():
             with below(f"bodies.{name}"):
