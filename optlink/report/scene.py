@@ -4,8 +4,9 @@ The y axis points down, as in SVG, and angles turn with it.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from optlink.linkage.mechanism import FRAME
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.vector2d import TURN, Array
 from optlink.report.drawing import Sketch
+from optlink.report.names import NamePlaces, place_names
 from optlink.report.shapes import Part
 from optlink.tasks.results.analysis import Analysis
 
@@ -31,6 +33,15 @@ class Body:
     parts: tuple[Part, ...]
     centroid: Array | None
     poses: Array
+
+    def placed(self) -> Iterator[Array]:
+        """Yield the outlines of the parts at all positions (positions, corners, 2), closed ones to their first corner."""
+        x, y, angle = self.poses.T[:, :, None]
+        c, s = np.cos(np.radians(angle)), np.sin(np.radians(angle))
+        for part in self.parts:
+            outline = part.outline if part.kind == "bar" else np.concatenate([part.outline, part.outline[:1]])
+            u, v = outline.T
+            yield np.stack([x + c * u - s * v, y + s * u + c * v], axis=-1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +72,13 @@ class Scene:
         """Names of the points of the frame."""
         return frozenset(self.points).difference(self.moving)
 
+    @cached_property
+    def names(self) -> dict[str, NamePlaces]:
+        """Places of the names of the points."""
+        links = [placed for body in self.bodies for placed in body.placed()]
+        ground = [line for line, _, _ in self.ground]
+        return place_names(self.points, self.still, links, ground, self.moving, self.box, self.size)
+
     @property
     def decimals(self) -> int:
         """Number of decimals of coordinates."""
@@ -80,6 +98,7 @@ class Scene:
                 for body in self.bodies
             },
             "points": {name: columns(self.points[name], "xy") for name in self.moving},
+            "names": {name: columns(self.names[name].middles, "xy") | {"side": self.names[name].code} for name in self.moving},
             "springs": {name: columns(ends.reshape(len(ends), 4), "xyuv") for name, ends in self.springs.items()},
             "size": self.size,
         }

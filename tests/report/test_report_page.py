@@ -32,7 +32,7 @@ from optlink.report.style import BODIES, CRANK, LIMIT, MUTED, TARGET
 from optlink.report.views import conclusions, sensitivity
 from optlink.report.views.relaxations import outward
 from optlink.tasks.analyze import analyze
-from optlink.tasks.results.analysis import Extreme
+from optlink.tasks.results.extremes import Extreme
 from tests.browser import colours, console, faults, opened, requests
 from tests.cli.test_cli import run
 from tests.solved import folder_once
@@ -169,13 +169,20 @@ def test_a_page_begins_with_its_conclusion(crank_rocker_subject):
     assert re.search(r"Not valid: the transmission angle rises to [\d.]+ deg, at most 135 deg are required", worse)
 
 
+class Shared(dict):
+    """Extremes that are given."""
+
+    def select(self, names):
+        return {name: self[name] for name in names}
+
+
 def test_the_conclusion_of_a_machine_has_the_figures_of_its_table():
     """The largest reactions of the shaper lie beside a jump of its load, between two rows of the table."""
     result = analyze(optlink.load("shaper"))
     largest = max((extreme.largest, name) for name, extreme in result.extremes.items() if name.endswith(".f_N"))[0]
     assert f"largest joint reaction is {1e-3 * largest:.4g} kN at A." in conclusions.analysis(result)
     names = dict.fromkeys(("B", "C"), 1.0) | {"C.rocker": 2.5}
-    shared = {f"{name}.f_N": Extreme(0.0, 0.0, size, 0.0) for name, size in names.items()}
+    shared = Shared({f"{name}.f_N": Extreme(0.0, 0.0, size, 0.0) for name, size in names.items()})
     assert "largest joint reaction is 2.5 N at C on rocker." in conclusions.analysis(replace(result, extremes=shared))
 
 

@@ -8,7 +8,7 @@ function optlinkPose(stage, motion) {
     }
     return found;
   };
-  const [bodies, points, springs] = ["body", "point", "spring"].map(byName);
+  const [bodies, points, springs, names] = ["body", "point", "spring", "name"].map(byName);
   return (at) => {
     for (const [name, pose] of Object.entries(motion.bodies)) {
       for (const node of bodies.get(name) || []) {
@@ -18,6 +18,12 @@ function optlinkPose(stage, motion) {
     for (const [name, place] of Object.entries(motion.points)) {
       for (const node of points.get(name) || []) {
         node.setAttribute("transform", `translate(${place.x[at]} ${place.y[at]})`);
+      }
+    }
+    for (const [name, { x, y, side }] of Object.entries(motion.names)) {
+      const k = parseInt(side[at], 36);
+      for (const node of names.get(name) || []) {
+        node.setAttribute("transform", `translate(${x[k]} ${y[k]})`);
       }
     }
     for (const [name, ends] of Object.entries(motion.springs)) {

@@ -5,7 +5,6 @@ import math
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from html import escape
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from optlink.linkage.mechanism import FRAME
 from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import TURN, Array
 from optlink.report.export.placement import HIGH, Place, arrange
-from optlink.report.export.svg import svg
+from optlink.report.export.svg import rimmed, svg
 from optlink.report.html.theme import readable
 from optlink.report.scene import FLIP, Scene, scene
 from optlink.report.shapes import finite, hull, in_line
@@ -356,8 +355,8 @@ class _Sheet:
     def _text(self, place: Place, text: str, colour: str, angle: float) -> None:
         x, y = place.middle
         turned = f' transform="rotate({angle:.4g} {x:.6g} {y:.6g})"' if angle else ""
-        look = f'fill="{colour}" stroke="#ffffff" stroke-width="{0.28 * self.size:.4g}" paint-order="stroke"'
-        self.texts.append(f'<text x="{x:.6g}" y="{y:.6g}" dy="0.35em" text-anchor="middle" {look}{turned}>{escape(text)}</text>')
+        at = f'x="{x:.6g}" y="{y + 0.35 * self.font:.6g}"{turned}'
+        self.texts.append(rimmed(at, text, colour, f"{0.28 * self.size:.4g}"))
 
     def svg(self) -> str:
         """Return the dimensions as a group, the texts above all lines."""

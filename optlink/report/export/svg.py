@@ -7,6 +7,7 @@ from html import escape
 import numpy as np
 
 from optlink.linkage.vector2d import Array
+from optlink.report.names import LETTER
 from optlink.report.scene import Body, Scene
 from optlink.report.shapes import Part, zigzag
 from optlink.report.style import GROUND, MUTED, short_name
@@ -56,8 +57,8 @@ def svg(scene: Scene, title: str, motion: Scene | None = None, k: int = 0, *, tr
     lines += _joints(scene, k)
     lines.append("</g>")
     if names:
-        lines.append(f'<g data-layer="names" font-family="sans-serif" font-size="{_number(9.0 * POINT * scene.size, scene)}">')
-        lines += _names(scene, motion or scene, k)
+        lines.append(f'<g data-layer="names" font-family="sans-serif" font-size="{_number(LETTER * scene.size, scene)}">')
+        lines += _names(scene, k)
         lines.append("</g>")
     lines.append("</svg>")
     return "\n".join(lines) + "\n"
@@ -170,56 +171,34 @@ def _joints(scene: Scene, k: int) -> Iterator[str]:
         yield f"<circle {place} {look}><title>{escape(name)}</title></circle>"
 
 
-def _names(scene: Scene, motion: Scene, k: int) -> Iterator[str]:
-    """Yield the names of the points with a white outline, beside the points or their ground supports."""
-    rim = _wide(2.2, scene)
-    offsets = name_offsets(motion)
+def _names(scene: Scene, k: int) -> Iterator[str]:
+    """Yield the names of the points, beside them."""
+    rim, drop = _wide(2.2, scene), 0.35 * LETTER * scene.size
     for name, places in scene.points.items():
         x, y = places[k]
         if math.isfinite(x) and math.isfinite(y):
             place = f'data-point="{escape(name)}" transform="translate({_number(x, scene)} {_number(y, scene)})"'
-            look = f'fill="{GROUND}" stroke="#ffffff" stroke-width="{rim}" paint-order="stroke" stroke-linejoin="round"'
-            right, down = offsets[name]
-            side = ' text-anchor="end"' if right < 0.0 else ""
-            at = f'x="{_number(right, scene)}" y="{_number(down, scene)}"{side}'
+            right, down = scene.names[name].at(k)
+            at = f'data-name="{escape(name)}" transform="translate({_number(right, scene)} {_number(down, scene)})"'
             tooltip = "" if short_name(name) == name else f"<title>{escape(name)}</title>"
-            yield f"<g {place}><text {at} {look}>{tooltip}{escape(short_name(name))}</text></g>"
+            text = rimmed(f'y="{_number(drop, scene)}"', short_name(name), GROUND, rim, tooltip)
+            yield f"<g {place}><g {at}>{text}</g></g>"
 
 
-def name_offsets(scene: Scene) -> dict[str, tuple[float, float]]:
-    """Return the place of every name beside its point (right, down) [mm]; to the left of it, it ends there.
-
-    Each name takes the corner of four where it overlaps the names before it, and leaves the drawing, least over all positions.
+def rimmed(place: str, text: str, colour: str, rim: str, tooltip: str = "") -> str:
+    """Return a centred text over its own white rim, as two texts: not every program draws the rim of a letter below it.
 
     Parameters
     ----------
-    scene : Scene
+    place : str
+        Attributes that place the text.
+    text : str
+    colour : str
+    rim : str
+        Width of the rim.
+    tooltip : str
+        Element that is shown on hovering.
     """
-    letter, unit = 9.0 * POINT * scene.size, scene.size
-    left, top, wide, high = scene.box
-    occupied: list[Array] = []
-    offsets = {}
-    for name, places in scene.points.items():
-        length = 0.6 * letter * len(short_name(name))
-        right, down = (1.15, 1.3) if name in scene.still else (0.5, -0.55)
-        choices: list[tuple[float, int, float, float, Array]] = []
-        for x, y in ((right, down), (-right, down), (right, 0.75 - down), (-right, 0.75 - down)):
-            begin = places + np.array([x * unit - (length if x < 0.0 else 0.0), y * unit - letter])
-            box = np.concatenate([begin, begin + np.array([length, 1.2 * letter])], axis=1)
-            inside = np.clip(box, [left, top] * 2, [left + wide, top + high] * 2)
-            overlap = sum(_common(box, name_box) for name_box in occupied) + _area(box) - _area(inside)
-            choices.append((float(np.nansum(overlap)), len(choices), x * unit, y * unit, box))
-        _, _, x, y, box = min(choices, key=lambda choice: choice[:2])
-        occupied.append(box)
-        offsets[name] = x, y
-    return offsets
-
-
-def _area(boxes: Array) -> Array:
-    return np.asarray(np.prod(boxes[:, 2:] - boxes[:, :2], axis=1))
-
-
-def _common(boxes: Array, others: Array) -> Array:
-    """Return the areas that boxes (n, 4) have in common with others."""
-    sides = np.minimum(boxes[:, 2:], others[:, 2:]) - np.maximum(boxes[:, :2], others[:, :2])
-    return np.asarray(np.prod(np.maximum(sides, 0.0), axis=1))
+    begin, letters = f'<text {place} text-anchor="middle"', escape(text)
+    white = f'fill="none" stroke="#ffffff" stroke-width="{rim}" stroke-linejoin="round" aria-hidden="true"'
+    return f'{begin} {white}>{letters}</text>{begin} fill="{colour}">{tooltip}{letters}</text>'
