@@ -154,7 +154,7 @@ class FunctionResult(SingleResult):
     @property
     def fit(self) -> Fit | None:
         """Error at the design positions relative to the output range; None if there is no error to measure."""
-        return law_fit(self.problem.spec, self.design, self.error(), self.solution.limits if self.solution else ())
+        return law_fit(self.problem.spec, self.design, self.error(), self.solution.displayed_limits if self.solution else ())
 
     @property
     def alternations(self) -> int:

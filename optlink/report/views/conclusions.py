@@ -132,7 +132,7 @@ def sensitivities(result: Sensitivities) -> str:
     """Return the conclusion of a sensitivity analysis."""
     if not result.moving:
         return "No prescribed value has an effect on this optimum, to first order."
-    first, base = result.moving[0], result.solution.objective
+    first, base = result.displayed.moving[0], result.solution.objective
     step = study_tables.step(first).replace(" deg", "°")
     change = percent(first.effect / base, 2, signed=True) if base else figure(first.effect, result.unit)
     return f"The optimum reacts most to {first.parameter.name}: {step} more changes the objective by {change.replace('-', '−')}."

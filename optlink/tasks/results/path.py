@@ -88,8 +88,8 @@ class PathDesign(Summary):
     def fit(self) -> Fit | None:
         """Error relative to the size of the task, or least transmission angle; None if neither is defined."""
         if self.task.requirement.kind == "transmission":
-            return transmission_fit(self.least_transmission, self.task.mechanism.quantities, self.values, self.limits)
-        return path_fit(self.task, self.values, self.crank_angles, self.measured, self.between, self.limits)
+            return transmission_fit(self.least_transmission, self.task.mechanism.quantities, self.values, self.displayed_limits)
+        return path_fit(self.task, self.values, self.crank_angles, self.measured, self.between, self.displayed_limits)
 
     @cached_property
     def between(self) -> Array | None:
@@ -187,8 +187,13 @@ class PathDesign(Summary):
 
     @property
     def limits(self) -> tuple[LimitState, ...]:
-        """All bounds and limits in display units."""
+        """All bounds and limits in SI."""
         return self.solution.limits if self.solution is not None else ()
+
+    @property
+    def displayed_limits(self) -> tuple[LimitState, ...]:
+        """All bounds and limits in display units."""
+        return self.solution.displayed_limits if self.solution is not None else ()
 
     def to_dict(self) -> dict[str, Any]:
         """Return the design as a JSON document: SI, or the unit that ends the key."""
@@ -225,7 +230,7 @@ class PathDesignRecord(Record):
     fit: FitRecord | None
     least_transmission_deg: Annotated[Number, lambda result: math.degrees(result.least_transmission)]
     points: dict[str, Rows]
-    limits: tuple[LimitState, ...]
+    limits: Annotated[tuple[LimitState, ...], "displayed_limits"]
     validation: Annotated[tuple[Check, ...], "validation.checks"]
     cognates: tuple[CognateRecord, ...]
     kkt: Annotated[Number, lambda result: getattr(result.solution, "kkt", None)] = absent()
