@@ -258,10 +258,29 @@ def measures(text: str, kind: str) -> bool:
 
 def is_unit(text: str) -> bool:
     """Return whether a text is a unit of any kind."""
+    return kind_of_unit(text) is not None
+
+
+@functools.lru_cache(maxsize=512)
+def kind_of_unit(unit: str) -> str | None:
+    """Return the first physical kind that has a unit; None for any other text."""
     for kind in KINDS:
         with contextlib.suppress(UnitProblem):
-            return bool(_unit(text, kind))
-    return False
+            _unit(unit, kind)
+            return kind
+    return None
+
+
+def in_si(unit: str) -> tuple[float, str]:
+    """Return the SI value of one `unit`, and the SI unit of its kind; any other text, as that of a ratio, remains with 1.
+
+    Parameters
+    ----------
+    unit : str
+        A unit, for example "mm" or "kg*m^2".
+    """
+    kind = kind_of_unit(unit)
+    return (1.0, unit) if kind is None else (factor(unit, kind), KINDS[kind].si.replace("**", "^"))
 
 
 def read_number(text: str) -> float:
@@ -298,7 +317,9 @@ def parse(text: object, kind: str) -> tuple[float, str]:
     if not isinstance(text, str):
         if abs(text) > 1e300 or not math.isfinite(text):
             raise UnitProblem(f"{_a(kind)} must be finite", f'Write a number and a unit: "{expected_kind.example}"')
-        raise UnitProblem(f"{_a(kind)} needs a unit", f'Write "{_digits(text)} {expected_kind.display}", with the quotes')
+        units = dict.fromkeys((expected_kind.display, expected_kind.si.replace("**", "^")))  # of people, and of results
+        written = " or ".join(f'"{_digits(text)} {unit}"' for unit in units)
+        raise UnitProblem(f"{_a(kind)} needs a unit", f"Write {written}, with the quotes")
     text = plain(text[:201])
     match = _QUANTITY.fullmatch(text) if len(text) <= 200 else None
     if match is None or _UNIT.fullmatch(match[2] or "m") is None:

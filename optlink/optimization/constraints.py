@@ -25,6 +25,7 @@ from optlink.linkage.vector2d import Value, magnitude
 from optlink.problem.function import DEAD_CENTRES, DesignProblem
 from optlink.problem.limits import COUPLER_JOINT, Alignment, Reach, limits_in_file
 from optlink.problem.mechanism import FourBarSection
+from optlink.units import in_si
 
 if TYPE_CHECKING:
     from optlink.problem.path import PathProblem
@@ -86,6 +87,31 @@ class SineSquared(Scale):
     def slope(self, value: float) -> float:
         """Return the derivative of the displayed angle with respect to the row's value."""
         return math.degrees(0.5 / math.sqrt(max(value * (1.0 - value), 1e-300)))
+
+
+@dataclass(frozen=True)
+class SIScale(Scale):
+    """A scale whose displayed values are SI, in place of those of the scale `shown`."""
+
+    shown: Scale = Scale("")
+
+    @classmethod
+    def of(cls, shown: Scale) -> SIScale:
+        """Return the scale of the same rows in SI."""
+        size, unit = in_si(shown.unit)
+        return cls(unit, size, shown.cosine, shown=shown)
+
+    def to_display(self, value: float) -> float:
+        """Return the value in SI."""
+        return self.shown.to_display(value) * self.factor
+
+    def to_internal(self, displayed: float) -> float:
+        """Convert a value in SI to the row's value."""
+        return self.shown.to_internal(displayed / self.factor)
+
+    def slope(self, value: float) -> float:
+        """Return the derivative of the SI value with respect to the row's value."""
+        return self.shown.slope(value) * self.factor
 
 
 DEGREES = Scale("deg", math.degrees(1.0))

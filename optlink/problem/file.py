@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import itertools
 import os
 import tomllib
 from collections.abc import Mapping
@@ -15,7 +16,7 @@ import numpy as np
 import pydantic
 from pydantic_core import core_schema
 
-from optlink.errors import InputError, shown
+from optlink.errors import OPTIONS_NAMED, InputError, shown
 from optlink.io import data_files, load_extensions, shown_name
 from optlink.problem.arguments import typed
 from optlink.problem.base_model import DEEPEST, SPELLED, SPELLINGS, with_ranges, with_spellings
@@ -38,6 +39,7 @@ from optlink.problem.nearby import read_near
 from optlink.problem.overview import linkage_type
 from optlink.problem.quantity import input_of, nearest
 from optlink.problem.tolerances import with_tolerance
+from optlink.units import in_si, is_unit, split
 
 MAX_BYTES = 1_000_000
 MOST_NESTED = 50
@@ -47,6 +49,8 @@ REQUIREMENTS = ("function", "path", "motion", "transmission", STROKE)
 OTHER_KINDS = {"point", "timing", "mark", "angle_length", "closed", "stroke"}
 """Keys of a requirement that no motion law has."""
 SIDES = ("min", "max")
+RANGE_KEYS = {"start", "bounds", "exactly", *SIDES}
+"""Keys of a table that states one quantity: a free one, or a range of it."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -139,8 +143,9 @@ class ProblemFile:
         ----------
         changes : mapping of str to object
             Values by dotted key, for example {"mechanism.frame": "480 mm"}; None removes a key. One side of a range also has a
-            key: "limits.transmission_angle.max", "mechanism.coupler.min". A change of any key that affects the result removes
-            `[expected]`.
+            key: "limits.transmission_angle.max", "mechanism.coupler.min". A float in place of a quantity that has a unit in
+            the problem is SI, as all numbers of results are: {"mechanism.coupler": result.design["coupler"]}. A change of any
+            key that affects the result removes `[expected]`.
 
         Raises
         ------
@@ -148,7 +153,7 @@ class ProblemFile:
             If a key or value is invalid.
         """
         raw = copy.deepcopy(dict(self.raw))
-        changes = _without_arrays(changes)
+        changes = _with_units(raw, _without_arrays(changes))
         _change(raw, changes, self.file)
         earlier = {key: value for key, value in self.overrides.items() if key not in changes}
         return replace(read(raw, self.name, self.file, self.folder), overrides={**earlier, **changes})
@@ -171,8 +176,8 @@ def load(problem: str | Path, overrides: Mapping[str, object] | None = None) -> 
     problem : str or Path
         "crank-rocker", or "my/problem.toml".
     overrides : mapping of str to object, optional
-        Values by dotted key, for example {"mechanism.frame": "480 mm"}; None removes a key. They replace the values of the
-        file before it is checked.
+        Values by dotted key, for example {"mechanism.frame": "480 mm"}, as in `ProblemFile.override`. They replace the values
+        of the file before it is checked.
 
     Returns
     -------
@@ -198,7 +203,7 @@ def load(problem: str | Path, overrides: Mapping[str, object] | None = None) -> 
             raise InputError("no such problem", similar_name(text, names), key="PROBLEM", value=text)
     raw = with_ranges(with_spellings(_read_toml(path)), skip=WORDS)
     file = shown_name(path.name if text in names else text)
-    changes = _without_arrays(overrides or {})
+    changes = _with_units(raw, _without_arrays(overrides or {}))
     _change(raw, changes, file)
     return replace(read(raw, name, file, path.parent), overrides=changes)
 
@@ -351,6 +356,42 @@ def _without_arrays(raw: Any, depth: int = 0) -> Any:
     if isinstance(raw, Mapping) and depth < DEEPEST:
         return {key: _without_arrays(value, depth + 1) for key, value in raw.items()}
     return [_without_arrays(value, depth + 1) for value in raw] if type(raw) in (list, tuple) and depth < DEEPEST else raw
+
+
+def _with_units(raw: Mapping[str, Any], changes: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return changes with the SI unit after each float that replaces a quantity with a unit; a command has no numbers in SI.
+
+    A whole number remains without a unit and is refused: it was meant in the unit of the file.
+    """
+    if OPTIONS_NAMED.get():
+        return changes
+    present = {key: _at(raw, key.removesuffix(".min").removesuffix(".max")) for key in changes}
+    return {key: _stated(value, present[key], in_si(_unit(present[key]))[1]) for key, value in changes.items()}
+
+
+def _unit(value: Any) -> str:
+    """Return the unit of the first quantity in a value, a range or a list of a file; empty if there is none."""
+    if isinstance(value, str):
+        parts = split(value)
+        return parts[1] if parts is not None and is_unit(parts[1]) else ""
+    items = value if isinstance(value, list) else value.values() if _is_range(value) else ()
+    return next(filter(None, map(_unit, itertools.islice(items, 2))), "")
+
+
+def _is_range(value: Any) -> bool:
+    return isinstance(value, Mapping) and RANGE_KEYS.issuperset(value)
+
+
+def _stated(value: Any, present: Any, unit: str) -> Any:
+    """Return a value, or a range or pair in place of one, with a unit after each number."""
+    if not unit:
+        return value
+    if _is_range(value):
+        return {key: _stated(item, [], unit) for key, item in value.items()}
+    if isinstance(value, list):
+        pair = isinstance(present, list) and any(type(item) is float for item in value)
+        return [f"{item!r} {unit}" if pair and type(item) in (int, float) else item for item in value]
+    return f"{value!r} {unit}" if type(value) is float else value
 
 
 def _change(raw: dict[str, Any], changes: Mapping[str, object], file: str) -> None:

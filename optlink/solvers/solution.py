@@ -6,7 +6,7 @@ The solver's own flag and message are recorded but not relied on.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Protocol
@@ -16,11 +16,12 @@ import numpy as np
 from optlink.errors import Status
 from optlink.io import Summary
 from optlink.linkage.vector2d import Array
+from optlink.optimization.constraints import Scale, SIScale
 from optlink.optimization.multipliers import ACTIVE, LEAST_PRICE, SAME_SUM, MultiplierSet, active_sides
 from optlink.problem.base_model import Number
+from optlink.units import in_si
 
 if TYPE_CHECKING:
-    from optlink.optimization.constraints import Scale
     from optlink.optimization.nlp import NLP, NLPValues
 
 
@@ -51,7 +52,7 @@ class Backend(Protocol):
 
 @dataclass(frozen=True)
 class LimitState:
-    """State of one limit at a design, in display units.
+    """State of one limit at a design, `value`, `bound` and `slack` in `unit`.
 
     `multiplier`: change of the optimal objective per unit by which the bound of this limit alone is raised (zero if inactive);
     infinite if an equality cannot be raised alone. `slack`: distance to the bound, negative where it is violated. `depends_on`:
@@ -79,7 +80,7 @@ class LimitState:
 
 @dataclass(frozen=True)
 class Relaxation:
-    """A relaxed limit, in display units: from `bound` to `relaxed`, which differs by `amount`.
+    """A relaxed limit: from `bound` to `relaxed`, which differs by `amount`, all in its display `unit`; `in_si`: the same in SI.
 
     NaN if relaxing this limit alone does not make the problem feasible. The amount is the least found by local searches, not
     proven to be the least; `approximate`: a limit may still be exceeded between the positions of the NLP; `both_sides`: the
@@ -95,6 +96,12 @@ class Relaxation:
     unit: str
     approximate: bool = False
     both_sides: bool = False
+
+    @property
+    def in_si(self) -> Relaxation:
+        """The same relaxation in SI."""
+        size, unit = in_si(self.unit)
+        return replace(self, bound=self.bound * size, relaxed=self.relaxed * size, amount=self.amount * size, unit=unit)
 
 
 @dataclass(frozen=True)
@@ -152,7 +159,15 @@ class Solution(Summary):
 
     @cached_property
     def limits(self) -> tuple[LimitState, ...]:
-        """State of every bound and limit, in display units."""
+        """State of every bound and limit, in SI."""
+        return self._limits(SIScale.of)
+
+    @cached_property
+    def displayed_limits(self) -> tuple[LimitState, ...]:
+        """State of every bound and limit, in display units: for tables and documents."""
+        return self._limits(lambda scale: scale)
+
+    def _limits(self, scaled: Callable[[Scale], Scale]) -> tuple[LimitState, ...]:
         residuals = np.abs(self.nlp.residuals(self.x))
         met = bool(np.max(residuals, initial=0.0) <= self.nlp.exact)  # no improvement is possible
         multipliers = self.conditions.multipliers
@@ -160,7 +175,7 @@ class Solution(Summary):
         point = self.nlp.at(self.x, self.p)
         known = point.finite and bool(np.any(significant))
         all_multipliers = MultiplierSet.of(self.nlp, self.x, point, significant) if known else MultiplierSet.unique(significant)
-        return tuple(_limit_states(self.nlp, self.x, self.g, all_multipliers, self.price))
+        return tuple(_limit_states(self.nlp, self.x, self.g, all_multipliers, self.price, scaled))
 
     @property
     def usable(self) -> bool:
@@ -324,20 +339,22 @@ def _optimal(nlp: NLP, x: Array, p: Array, point: NLPValues, conditions: Station
     return conditions.kkt <= STEEPEST and conditions.kkt <= NEXT_TO * curvature(nlp, x, p, point, conditions)
 
 
-def _limit_states(nlp: NLP, x: Array, g: Array, multiplier_set: MultiplierSet, price: float) -> list[LimitState]:
-    """Return every finite bound of the design variables and every limit in display units.
+def _limit_states(
+    nlp: NLP, x: Array, g: Array, multiplier_set: MultiplierSet, price: float, scaled: Callable[[Scale], Scale]
+) -> list[LimitState]:
+    """Return every finite bound of the design variables and every limit, in the units of its `scaled` scale.
 
     Rows that share a limit and a label are one limit: the tightest of them is shown, with the sum of their multipliers.
     """
     n = len(x)
     around = nlp.around
     entries = [
-        (v.key or v.name, v.name, i, x[i], nlp.x_low[i], nlp.x_high[i], v.scale, not around[i])
+        (v.key or v.name, v.name, i, x[i], nlp.x_low[i], nlp.x_high[i], scaled(v.scale), not around[i])
         for i, v in enumerate(nlp.variables)
         if v.name not in nlp.helpers
     ]
     entries += [
-        (row.limit, row.label, n + j, g[j], nlp.low[j], nlp.high[j], row.scale, True)
+        (row.limit, row.label, n + j, g[j], nlp.low[j], nlp.high[j], scaled(row.scale), True)
         for j, row in enumerate(nlp.rows)
         if row.limit not in nlp.helpers
     ]

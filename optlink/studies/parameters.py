@@ -1,5 +1,7 @@
 """Parameters of an optimum: fixed quantities, and all bounds and limits, in display units."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -8,13 +10,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.optimization.constraints import Scale
+from optlink.optimization.constraints import Scale, SIScale
 from optlink.optimization.nlp import NLP
 from optlink.problem.limits import MARGIN_KEYS
+from optlink.units import in_si
 
 ROUNDING = 1e-14  # of a scaled quantity: smaller values count as zero
 SHARE = 0.01
 """Step of a length or a plain number by which effects are compared, as a share of its value; that of an angle is 1 deg."""
+
+
+ANGULAR = {"deg": 1.0, "rad": math.radians(1.0)}
+"""A degree in the units of angles."""
 
 
 @dataclass(frozen=True)
@@ -45,12 +52,18 @@ class Parameter:
     def positive(self) -> bool:
         """Whether it is a mass, a force, a tolerance or another positive number that cannot or should not change its sign."""
         outside = self.constant < 0 and not self.entries
-        return self.value > 0.0 and ((outside and self.unit != "deg") or self.key.startswith("tolerances."))
+        return self.value > 0.0 and ((outside and self.unit not in ANGULAR) or self.key.startswith("tolerances."))
 
     @property
     def step(self) -> float:
         """Reference change for the comparison of effects: 1 deg of an angle, else 1 % of the value (0.01 of a zero)."""
-        return 1.0 if self.unit == "deg" else SHARE * (self.value or 1.0)
+        return ANGULAR.get(self.unit) or SHARE * (self.value or 1.0)
+
+    @property
+    def in_si(self) -> Parameter:
+        """The same parameter in SI."""
+        size, unit = in_si(self.unit)
+        return replace(self, value=self.value * size, unit=unit, scale=SIScale.of(self.scale))
 
     def rate(self) -> float:
         """Return the change of the scaled number of the programme per unit of the parameter."""

@@ -3,6 +3,8 @@
 The method is described in `optlink.studies.kkt_derivatives`.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -23,6 +25,7 @@ from optlink.studies.parameters import Parameter, design_variables, displayed
 from optlink.tasks.protocol import completed
 from optlink.tasks.results.balance import Balance
 from optlink.tasks.run import solve
+from optlink.units import in_si
 
 MIN_OBJECTIVE_REFERENCE = 1e-2  # least reference of relative differences: of the objective, per parameter change of its own value
 MIN_DESIGN_REFERENCE = 1e-3  # the same for the design
@@ -38,13 +41,26 @@ class DifferenceCheck:
     design: Mapping[str, float]
     gap: float  # largest difference from the exact derivatives, relative to the largest of the kind
 
+    def in_si(self, size: float, sizes: Mapping[str, float]) -> DifferenceCheck:
+        """Return the derivatives in SI.
+
+        Parameters
+        ----------
+        size : float
+            SI value of one unit of the parameter.
+        sizes : mapping of str to float
+            SI values of the units of the design variables.
+        """
+        design = {name: rate * sizes[name] / size for name, rate in self.design.items()}
+        return DifferenceCheck(self.step * size, self.objective / size, design, self.gap)
+
 
 @dataclass(frozen=True)
 class Sensitivity:
     """Sensitivity of an optimum to one parameter.
 
-    `objective`: change of the objective [SI] per `parameter.unit`; `design`: change of each design variable [its unit] per
-    `parameter.unit`; `below`, `above`: range of validity.
+    `objective`: change of the objective [SI] per `parameter.unit`; `design`: change of each design variable [its unit in
+    `Sensitivities.units`] per `parameter.unit`; `below`, `above`: range of validity.
     """
 
     parameter: Parameter
@@ -63,6 +79,20 @@ class Sensitivity:
     def moves(self) -> bool:
         """Whether the parameter has any effect."""
         return self.objective != 0.0 or any(self.design.values())
+
+    def in_si(self, sizes: Mapping[str, float]) -> Sensitivity:
+        """Return the sensitivity in SI.
+
+        Parameters
+        ----------
+        sizes : mapping of str to float
+            SI values of the units of the design variables.
+        """
+        parameter, size = self.parameter.in_si, in_si(self.parameter.unit)[0]
+        below, above = (replace(end, value=end.value * size) for end in (self.below, self.above))
+        design = {name: rate * sizes[name] / size for name, rate in self.design.items()}
+        check = None if self.check is None else self.check.in_si(size, sizes)
+        return Sensitivity(parameter, self.objective / size, design, below, above, check)
 
 
 class SensitivityRecord(Record):
@@ -97,15 +127,18 @@ class SensitivitiesRecord(ResultRecord):
     format: Literal["optlink/sensitivity/2"] = Field(alias="schema")
     notes: tuple[str, ...]
     objective: Annotated[OptimumValueRecord, itself]
-    design: Annotated[dict[str, float], "values"]
-    design_units: Annotated[dict[str, str], "units"]
+    design: Annotated[dict[str, float], "displayed.values"]
+    design_units: Annotated[dict[str, str], "displayed.units"]
     largest_gap: Annotated[float | None, "gap"]
-    parameters: Annotated[tuple[SensitivityRecord, ...], "rows"]
+    parameters: Annotated[tuple[SensitivityRecord, ...], "displayed.rows"]
 
 
 @dataclass(frozen=True, repr=False)
 class Sensitivities(Recorded):
-    """All sensitivities of an optimum: `rows` by decreasing effect; `units` of the design variables."""
+    """All sensitivities of an optimum [SI]: `rows` by decreasing effect; `units` of the design variables.
+
+    `shown`: the same in display units, for tables and documents.
+    """
 
     record = SensitivitiesRecord
 
@@ -115,6 +148,21 @@ class Sensitivities(Recorded):
     rows: tuple[Sensitivity, ...]
     units: Mapping[str, str]
     notes: tuple[str, ...]
+    shown: Sensitivities | None = None
+
+    @property
+    def displayed(self) -> Sensitivities:
+        """The same in display units."""
+        return self.shown or self
+
+    @property
+    def in_si(self) -> Sensitivities:
+        """The same in SI."""
+        if self.shown is not None:
+            return self
+        sizes = {name: in_si(unit)[0] for name, unit in self.units.items()}
+        units = {name: in_si(unit)[1] for name, unit in self.units.items()}
+        return replace(self, rows=tuple(row.in_si(sizes) for row in self.rows), units=units, shown=self)
 
     def __getitem__(self, key: str) -> Sensitivity:
         return next(row for row in self.rows if key in (row.parameter.key, row.parameter.name))
@@ -132,8 +180,11 @@ class Sensitivities(Recorded):
 
     @property
     def values(self) -> dict[str, float]:
-        """Design variables of the optimum, in their units."""
-        return displayed(self.solution.nlp, self.solution.x)
+        """Design variables of the optimum, in their `units`."""
+        values = displayed(self.solution.nlp, self.solution.x)
+        return (
+            values if self.shown is None else {name: value * in_si(self.shown.units[name])[0] for name, value in values.items()}
+        )
 
     @property
     def status(self) -> str:
@@ -182,7 +233,7 @@ def sensitivities(
     >>> from optlink.studies.sensitivity import sensitivities
     >>> row = sensitivities(optlink.load("crank-rocker")).moving[0]
     >>> row.parameter.name, float(f"{row.objective:.4g}"), row.parameter.unit  # of the objective [rad^2] per unit
-    ('largest transmission angle', -0.0001465, 'deg')
+    ('largest transmission angle', -0.008392, 'rad')
     """
     if problem.task == "balance":
         remedy = "`optlink balance` lists the shadow prices of its limits"
@@ -193,7 +244,7 @@ def sensitivities(
     if solution is None or solution.status is not Status.OPTIMAL:
         how = "infeasible" if solution is None else solution.status.value
         raise InputError(f"there is no optimum to analyse: {how}", "`optlink solve` gives the reason", problem.file)
-    return of_solution(file, solution, backend, check=check, progress=progress)
+    return of_solution(file, solution, backend, check=check, progress=progress).in_si
 
 
 def of_solution(
@@ -204,7 +255,7 @@ def of_solution(
     check: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> Sensitivities:
-    """Return the sensitivities of a known optimum to all parameters.
+    """Return the sensitivities of a known optimum to all parameters, in display units.
 
     Parameters
     ----------

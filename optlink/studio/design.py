@@ -94,7 +94,7 @@ def from_solution(problem: ProblemFile, solution: Solution) -> Design:
     solution : Solution
     """
     values, angles = kind_of(problem).values(problem.model, solution)
-    return Design(problem, values, UNVERIFIED, solution.objective, solution, angles, limits=solution.limits)
+    return Design(problem, values, UNVERIFIED, solution.objective, solution, angles, limits=solution.displayed_limits)
 
 
 def in_modes(problem: ProblemFile, design: Design) -> ProblemFile:
@@ -154,7 +154,7 @@ def design_of(result: Any) -> Design:
         return Design(result.problem, values, "infeasible", conclusion=words, conflicts=(words,), result=result)
     infeasible = bool(text) or result.status is Status.INFEASIBLE
     status = "verified" if result.valid else "infeasible" if infeasible else "not valid"
-    limits = () if best.solution is None else best.solution.limits
+    limits = () if best.solution is None else best.solution.displayed_limits
     return Design(
         best.problem,
         best.problem.model.design(best.design),

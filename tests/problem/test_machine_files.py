@@ -263,7 +263,7 @@ BAD: dict[str, tuple[dict[str, Any], str, str]] = {
     ),
     # gravity
     "gravity of three": ({"gravity": ["0 m/s^2"] * 3}, "gravity", "two components"),
-    "gravity without a unit": ({"gravity": 9.81}, "gravity", "needs a unit"),
+    "gravity without a unit": ({"gravity": 9}, "gravity", "needs a unit"),
     "gravity in m/s": ({"gravity": "9.81 m/s"}, "gravity", "not a unit of acceleration"),
     "gravity that is true": ({"gravity": True}, "gravity", "acceleration"),
     # keys

@@ -105,7 +105,7 @@ def test_a_limit_without_a_price_shows_none() -> None:
     """A law that the four-bar meets exactly has nothing to gain from any limit."""
     result = solve(optlink.load("crank-rocker"))
     assert result.solution is not None
-    assert any(limit.multiplier for limit in result.solution.limits)
+    assert any(limit.multiplier for limit in result.solution.displayed_limits)
     conditions = result.solution.conditions
     dead = replace(conditions, multipliers=conditions.multipliers * (0.1 * LEAST_PRICE / np.max(np.abs(conditions.multipliers))))
     f = result.solution.nlp.values(result.solution.x, result.solution.p)[0]

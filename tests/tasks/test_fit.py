@@ -55,7 +55,7 @@ def test_a_poor_path_is_called_poor(star) -> None:
     assert star.to_dict()["fit"]["grade"] == "poor"
     assert any("limits.crank" in each.remedy for each in fit.reasons)
     assert any("A.x" in each.reason or "crank pivot is fixed" in each.reason for each in fit.reasons)
-    limited = [limit.key for limit in best.limits if limit.active and limit.multiplier]
+    limited = [limit.key for limit in best.displayed_limits if limit.active and limit.multiplier]
     named = [each.remedy.removeprefix("widen ") for each in fit.reasons if each.remedy.startswith("widen")]
     assert set(named) <= set(limited)
     assert bool(named) == bool([key for key in limited if not key.startswith("requirement.points")])

@@ -213,7 +213,7 @@ def test_price_of_the_limit_is_the_difference_of_two_optima(key: str) -> None:
             assert result.valid
             computed[backend, bound] = result
     for backend in ("ipopt", "slsqp"):
-        limits = computed[backend, 45.0].best.limits
+        limits = computed[backend, 45.0].best.displayed_limits
         (price,) = (one.multiplier for one in limits if one.key == f"limits.{limit}" and one.active)
         slope = (computed[backend, 45.05].objective - computed[backend, 44.95].objective) / 0.1
         assert price == pytest.approx(slope, rel=1e-3)

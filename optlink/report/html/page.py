@@ -128,7 +128,7 @@ def _conclusion(model: ReportModel, shown: Summary) -> str:
         return conclusions.analysis(outcome)
     if isinstance(outcome, FunctionResult | PathResult | CycleResult):
         solution = None if outcome.best is None else outcome.best.solution
-        text = conclusions.design(outcome, model.limits if solution is None else solution.limits)
+        text = conclusions.design(outcome, model.limits if solution is None else solution.displayed_limits)
         return f"{conclusions.sensitivities(model.effects)} {text}" if model.effects is not None else text
     return "".join(span.text for line in shown.status.lines[:1] for span in line)
 

@@ -123,7 +123,7 @@ def sensitivities(result: Sensitivities) -> str:
     """Return the conclusion of a sensitivity analysis."""
     if not result.moving:
         return "No prescribed value has an effect on this optimum, to first order."
-    first = result.moving[0]
+    first = result.displayed.moving[0]
     base, factor, *_ = result.problem.model.shown_objective(result.solution.objective)
     step = study_tables.step(first).replace(" deg", "°")
     change = percent(factor * first.effect / base, 2, signed=True) if base else figure(first.effect, result.unit)

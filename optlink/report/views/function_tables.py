@@ -100,7 +100,7 @@ def search_summary(
     priced = None
     opposed = conflict(outcome.conflict, outcome.together) if outcome.conflict else None
     if solution is not None and outcome.status != Status.INFEASIBLE:  # elsewhere multipliers are not prices
-        priced = active(model, outcome.objective, solution.limits)
+        priced = active(model, outcome.objective, solution.displayed_limits)
     counted = ["" if outcome.backend == "none" else outcome.backend]
     counted.append(f"{outcome.starts} start{'s' * (outcome.starts != 1)}" if outcome.starts else "")
     counted.append(f"{solution.iterations} iterations" if solution is not None and solution.iterations else "")

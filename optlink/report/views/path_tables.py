@@ -44,7 +44,7 @@ def path_result(outcome: PathResult) -> Summary:
     strokes = None if machine is None else machine_strokes(machine, float(best.crank_angles[-1] - best.crank_angles[0]))
     bounds = [check for check in best.validation.checks if check.passed and check.name.endswith(BOUNDED)]
     priced = best.solution is not None and best.status != Status.INFEASIBLE
-    limits = active(best.task, best.objective, best.limits) if priced else None
+    limits = active(best.task, best.objective, best.displayed_limits) if priced else None
     verdict, notes, proof = list(_verdict(outcome, best)), [*noted(outcome.notes)], certificate_lines(outcome.certificate)
     design, objective = _sizes(best, "either" in str(outcome.problem.model.mechanism.assembly)), _objective(best)
     checked, reached = checks(best.validation.checks, bounds if len(bounds) > 1 else ()), _reached(outcome)

@@ -18,7 +18,7 @@ ZERO_CHANGE = 5e-5  # share of the objective below which a change is shown as ze
 
 def charts(result: Sensitivities) -> list[ChartSpec]:
     """Return the tornado chart: the change of the objective by one step of each parameter up and down, largest on top."""
-    base = result.solution.objective
+    result, base = result.displayed, result.solution.objective
     largest = max((abs(row.effect) for row in result.moving), default=0.0)
     if largest <= ZERO_CHANGE * base:
         return []
@@ -54,6 +54,7 @@ def charts(result: Sensitivities) -> list[ChartSpec]:
 
 def table(result: Sensitivities) -> Mapping[str, list[float | str]]:
     """Return one row for each parameter by column."""
+    result = result.displayed
     parameters = [row.parameter for row in result.rows]
     return {
         "key": [parameter.key for parameter in parameters],

@@ -49,7 +49,7 @@ def step(row: Sensitivity) -> str:
 
 def sensitivities(result: Sensitivities) -> Summary:
     """Summarise the sensitivities of an optimum to its fixed parameters, largest effect first."""
-    shown = result.problem.model.shown_objective(result.solution.objective)
+    result, shown = result.displayed, result.problem.model.shown_objective(result.solution.objective)
     rows = [(shown.name, strong(number(shown.value)), shown.unit)]
     rows += [(name, strong(dimension(value)), result.units[name]) for name, value in result.values.items()]
     return summary(result.problem.model.title, noted(result.notes), table("Optimum", "<><", rows), *sensitivity_parts(result))
@@ -57,6 +57,7 @@ def sensitivities(result: Sensitivities) -> Summary:
 
 def sensitivity_parts(result: Sensitivities) -> Iterator[Part]:
     """Yield the tables of the sensitivities without the optimum itself."""
+    result = result.displayed
     if result.moving:
         yield from (_effects(result), _prices(result), _events(result))
     else:

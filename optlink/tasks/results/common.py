@@ -230,7 +230,7 @@ class SingleRecord(SearchRecord):
     design: Annotated[dict[str, float], lambda result: result.displayed(result.complete(result.design))]
     fit: FitRecord | None
     strokes: dict[str, dict[str, Any]]
-    limits: Annotated[tuple[LimitState, ...], lambda result: result.solution.limits if result.solution else ()]
+    limits: Annotated[tuple[LimitState, ...], lambda result: result.solution.displayed_limits if result.solution else ()]
     validation: Annotated[tuple[Check, ...], "validation.checks"]
     iterations: Annotated[int, lambda result: result.solution.iterations if result.solution else 0]
     kkt: Annotated[Number, lambda result: getattr(result.solution, "kkt", None)] = absent()

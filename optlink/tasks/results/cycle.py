@@ -20,7 +20,7 @@ from optlink.tasks.analyze import analyze
 from optlink.tasks.results.analysis import Analysis, stroke_document
 from optlink.tasks.results.common import SingleRecord, SingleResult
 from optlink.tasks.results.fit import Fit, transmission_fit
-from optlink.units import KINDS, display_unit, factor, percent
+from optlink.units import KINDS, factor, percent
 from optlink.validation.check import Validation
 from optlink.validation.cycle import Cycle, validate_cycle
 
@@ -41,7 +41,7 @@ class CycleObjectiveRecord(Record):
     """Minimised value [SI]."""
 
     value: Annotated[Number, "objective"]
-    unit: Annotated[str, lambda result: KINDS[result.task.unit_kind].si if result.task.unit_kind else ""]
+    unit: str
 
 
 class InitialRecord(Record):
@@ -84,8 +84,8 @@ class CycleResult(SingleResult):
 
     @property
     def unit(self) -> str:
-        """Display unit of the objective."""
-        return display_unit(self.task.unit_kind)[1] if self.task.unit_kind else ""
+        """Unit of the objective, SI."""
+        return KINDS[self.task.unit_kind].si if self.task.unit_kind else ""
 
     @cached_property
     def machine(self) -> ProblemFile:
@@ -159,7 +159,7 @@ class CycleResult(SingleResult):
         cycle = self.measured
         angle = math.nan if cycle is None else cycle.figure(goal)
         angle = 0.5 * math.pi - angle if goal.quantity == "pressure angle" else angle
-        limits = () if self.solution is None else self.solution.limits
+        limits = () if self.solution is None else self.solution.displayed_limits
         least, values = min(angle, math.pi - angle), self.complete(self.design)
         return transmission_fit(least, self.task.mechanism.quantities, values, limits, self.solution, self.task)
 

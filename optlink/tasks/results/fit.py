@@ -306,7 +306,7 @@ def law_fit(problem: ProblemFile, values: Mapping[str, float], error: Array, sol
     if fit.grade != "poor":
         return fit
     measured = (*start_reasons(task, values, fit.error), *mode_reasons(problem, values, fit.error))
-    limits = () if solution is None else solution.limits
+    limits = () if solution is None else solution.displayed_limits
     return replace(fit, reasons=(*measured, *active_reasons(limits), *fixed_reasons(task.quantities, values, solution, task)))
 
 

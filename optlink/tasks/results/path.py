@@ -89,9 +89,10 @@ class PathDesign(Summary):
     def fit(self) -> Fit | None:
         """Error relative to the size of the task, or least transmission angle; None if neither is defined."""
         if self.task.requirement.kind == "transmission":
-            quantities = self.task.mechanism.quantities
-            return transmission_fit(self.least_transmission, quantities, self.values, self.limits, self.solution, self.task)
-        return path_fit(self.task, self.values, self.crank_angles, self.measured, self.between, self.limits, self.solution)
+            quantities, limits = self.task.mechanism.quantities, self.displayed_limits
+            return transmission_fit(self.least_transmission, quantities, self.values, limits, self.solution, self.task)
+        measured, limits = self.measured, self.displayed_limits
+        return path_fit(self.task, self.values, self.crank_angles, measured, self.between, limits, self.solution)
 
     @cached_property
     def between(self) -> Array | None:
@@ -190,8 +191,13 @@ class PathDesign(Summary):
 
     @property
     def limits(self) -> tuple[LimitState, ...]:
-        """All bounds and limits in display units."""
+        """All bounds and limits in SI."""
         return self.solution.limits if self.solution is not None else ()
+
+    @property
+    def displayed_limits(self) -> tuple[LimitState, ...]:
+        """All bounds and limits in display units."""
+        return self.solution.displayed_limits if self.solution is not None else ()
 
     def to_dict(self) -> dict[str, Any]:
         """Return the design as a JSON document: SI, or the unit that ends the key."""
@@ -228,7 +234,7 @@ class PathDesignRecord(Record):
     fit: FitRecord | None
     least_transmission_deg: Annotated[Number, lambda result: math.degrees(result.least_transmission)]
     points: dict[str, Rows]
-    limits: tuple[LimitState, ...]
+    limits: Annotated[tuple[LimitState, ...], "displayed_limits"]
     validation: Annotated[tuple[Check, ...], "validation.checks"]
     cognates: tuple[CognateRecord, ...]
     kkt: Annotated[Number, lambda result: getattr(result.solution, "kkt", None)] = absent()
