@@ -23,6 +23,22 @@ from typing import Any
 SHOWN = 80  # maximum number of characters shown of an invalid value
 
 
+_UNSEEN = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")
+
+
+def visible(text: str) -> str:
+    """Return a text whose control characters, those of the direction of writing too, are written as in Python, such as \\x1b.
+
+    Lines and tabs stay.
+    """
+    return _UNSEEN.sub(lambda match: ascii(match[0])[1:-1], text)
+
+
+def on_one_line(text: str) -> str:
+    """Return a text with visible control characters, ends of lines too."""
+    return visible(text).replace("\n", "\\n")
+
+
 def shown(value: object) -> str:
     """Format a value for a message: short, on one line."""
     if isinstance(value, int) and value.bit_length() > 256:  # Python refuses to print the largest ones
@@ -46,10 +62,10 @@ class Fault:
     value: object = None
 
     def __str__(self) -> str:
-        where = self.key or ""
+        where = on_one_line(self.key or "")
         if where and self.value is not None:
             where += f" = {shown(self.value)}"
-        return ": ".join(part for part in (self.file, where, f"{self.message}. {self.remedy}") if part)
+        return ": ".join(part for part in (on_one_line(self.file or ""), where, f"{self.message}. {self.remedy}") if part)
 
     def in_python(self) -> Fault:
         """Return the fault with the arguments of functions in place of the options of commands."""

@@ -10,13 +10,14 @@ import io
 import os
 import sys
 from collections.abc import Sequence
-from typing import Annotated, TextIO
+from typing import Annotated, Any, TextIO, cast
 
 import typer
 
 from optlink.cli import report, show, simulate, solve, studio, study
 from optlink.cli.command import COMMANDS, App
 from optlink.cli.console import is_lost_output
+from optlink.errors import visible
 from optlink.execution import interrupts
 
 CLOSED = 141
@@ -61,6 +62,26 @@ def _options(
     """Planar linkage design optimisation."""
 
 
+class VisibleStream:
+    """A stream that writes control characters visibly: texts of files and names do not steer the terminal.
+
+    Parameters
+    ----------
+    stream : text stream
+        Tables and bars are written to it directly, as they have escape sequences of their own; their texts are escaped before.
+    """
+
+    def __init__(self, stream: Any) -> None:
+        self.rich_proxied_file = stream
+
+    def write(self, text: str) -> int:
+        """Write a text."""
+        return int(self.rich_proxied_file.write(visible(text)))
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.rich_proxied_file, name)
+
+
 def main() -> None:
     """Run the `optlink` command."""
     for name in ("stdin", "stdout", "stderr"):
@@ -69,6 +90,7 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # unsupported characters must not raise
+    sys.stdout, sys.stderr = cast(TextIO, VisibleStream(sys.stdout)), cast(TextIO, VisibleStream(sys.stderr))
     sys.argv[1:] = rejoined(sys.argv[1:])
     interrupts.listen()
     output = sys.stdout

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from optlink.errors import OPTIONS_NAMED, Fault, InputError, OptlinkError, shown
+from optlink.errors import OPTIONS_NAMED, Fault, InputError, OptlinkError, shown, visible
 from optlink.execution import interrupts
 
 if TYPE_CHECKING:
@@ -224,7 +224,7 @@ def working(what: str) -> Iterator[None]:
     """Show on standard error what is in progress, without an estimate of its duration."""
     from optlink.report import terminal
 
-    with contextlib.nullcontext() if quiet else terminal.console(stderr=True).status(what):
+    with contextlib.nullcontext() if quiet else terminal.console(stderr=True).status(visible(what)):
         yield
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -280,7 +281,7 @@ def _resuming(
     except KeyboardInterrupt:
         interrupts.handled()
         message = "no results were kept: --out is not given" if out is None else "completed points are kept; "
-        typer.echo(f"Interrupted: {message}{'' if out is None else f'resume with --resume --out {out}'}.", err=True)
+        print(f"Interrupted: {message}{'' if out is None else f'resume with --resume --out {out}'}.", file=sys.stderr)
         raise typer.Exit(130) from None
 
 

@@ -1,10 +1,12 @@
 """Tables and texts of a result on a terminal."""
 
+import copy
 import os
 import re
 import sys
 from collections.abc import Iterator, Sequence
-from typing import Literal
+from dataclasses import fields, is_dataclass
+from typing import Literal, TypeVar
 
 from rich import box
 from rich.console import Console, ConsoleDimensions, ConsoleOptions, Group, RenderableType, RenderResult
@@ -12,8 +14,11 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
+from optlink.errors import visible
 from optlink.report.format import product
 from optlink.report.table_spec import Paragraph, Part, Span, Summary, TableSpec
+
+T = TypeVar("T")
 
 STYLES = {"": "", "good": "green", "bad": "bold red", "quiet": "dim", "strong": "bold"}
 GAP = 2  # gap between columns [characters]
@@ -42,8 +47,22 @@ def console(*, stderr: bool = False) -> Console:
 
 
 def show(content: Summary | Part) -> None:
-    """Print a summary or a table on standard output."""
-    console().print(rendered(content))
+    """Print a summary or a table on standard output, with visible control characters."""
+    console().print(rendered(_visible(content)))
+
+
+def _visible(content: T) -> T:
+    """Return a copy of a content with visible control characters in its texts."""
+    if isinstance(content, str):
+        return visible(content)  # type: ignore[return-value]
+    if isinstance(content, tuple | list):
+        return type(content)(map(_visible, content))
+    if not is_dataclass(content):
+        return content
+    result = copy.copy(content)
+    for item in fields(content):
+        object.__setattr__(result, item.name, _visible(getattr(content, item.name)))
+    return result
 
 
 def rendered(content: Summary | Part) -> RenderableType:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import re
 import subprocess
 import sys
 import time
@@ -206,3 +208,55 @@ def test_a_second_run_cannot_write_to_the_folder_of_the_first(tmp_path: Path) ->
             first.kill()
     assert done.returncode == 2
     assert f"process {first.pid}" in done.stderr
+
+
+UNSEEN = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")
+HOSTILE = "\x1b]0;renamed\x07\x1b[31mred\u202e\x9b2J\r\u2066"
+SEEN = r"\x1b]0;renamed\x07\x1b[31mred\u202e\x9b2J\r\u2066"
+TITLE = SEEN.replace(r"\r", " ")  # of one line
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("show", "mine.toml"), TITLE),
+        (("analyze", "mine.toml", "--points", "12"), TITLE),
+        (("analyze", f"{HOSTILE}.toml", "--points", "12", "--set", "mechanism.crank=3"), f"{SEEN}.toml: mechanism.crank"),
+        (("analyze", "mine.toml", "--set", f"mech{HOSTILE}=3"), f"mech{SEEN.split(']')[0]}"),
+        (("analyze", f"{HOSTILE}\nError: no.toml"), rf"{SEEN}\nError: no.toml: no such file"),
+        (("analyze", "mine.toml", f"--{HOSTILE}"), "no such option"),
+        (("report", "mine.toml", "-o", f"{HOSTILE}.html"), f"{SEEN}.html"),
+        (("analyze", "name.toml"), f"bodies.{SEEN[:5]}"),
+    ],
+    ids=["show", "title", "file", "key", "line", "option", "page", "name"],
+)
+def test_control_characters_do_not_reach_the_terminal(arguments, words, tmp_path):
+    """Of a title, a name, a key, a file: they could rename the window, turn text around or hide a verdict."""
+    title, sides = json.dumps(HOSTILE), 'crank = "100 mm"\nframe = "500 mm"\ncoupler = "412 mm"\nrocker = "232 mm"'
+    for name in ("mine", HOSTILE):
+        (tmp_path / f"{name}.toml").write_text(f"title = {title}\n[mechanism]\n{sides}\n", encoding="utf-8")
+    (tmp_path / "name.toml").write_text(f"[mechanism]\n{sides}\n[bodies]\n{title} = {{}}\n", encoding="utf-8")
+    environment = {**os.environ, "PYTHONIOENCODING": "utf-8", "COLUMNS": "200"}
+    done = subprocess.run(
+        [sys.executable, "-m", "optlink", *arguments],
+        capture_output=True,
+        check=False,
+        timeout=120,
+        cwd=tmp_path,
+        env=environment,
+    )
+    text = (done.stdout + done.stderr).decode()
+    assert UNSEEN.sub("", text) == text
+    assert words in text, text
+
+
+def test_colours_and_json_are_as_before(tmp_path):
+    words = [sys.executable, "-m", "optlink", "analyze", "slider-crank", "--points", "12"]
+    coloured = subprocess.run(words, capture_output=True, check=True, env={**os.environ, "FORCE_COLOR": "1", "NO_COLOR": ""})
+    assert b"\x1b[1m" in coloured.stdout
+    (tmp_path / "mine.toml").write_text(
+        f'title = {json.dumps(HOSTILE)}\n[mechanism]\ncrank = "1 mm"\nframe = "5 mm"\ncoupler = "4 mm"\nrocker = "3 mm"\n',
+        encoding="utf-8",
+    )
+    as_json = subprocess.run([*words[:4], "mine.toml", "--json"], capture_output=True, check=True, cwd=tmp_path)
+    assert json.loads(as_json.stdout)["title"] == " ".join(HOSTILE.splitlines())

@@ -6,7 +6,7 @@ from functools import cached_property
 from typing import Annotated, ClassVar, NamedTuple, Self
 
 import numpy as np
-from pydantic import BeforeValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field
 
 from optlink.clearance.joint import Gap
 from optlink.dynamics.machine import Machine
@@ -97,7 +97,9 @@ class ShownObjective(NamedTuple):
 class Problem(Section):
     """A problem file, read and checked; immutable. Change it with `optlink.load(..., overrides)` or `override`."""
 
-    title: str = Field(default="problem", min_length=1, max_length=200)
+    title: Annotated[str, AfterValidator(lambda text: " ".join(text.splitlines()))] = Field(
+        "problem", min_length=1, max_length=200
+    )
     """Title, one line of at most 200 characters; default: the name of the file."""
     source: str = ""
     """Origin of the problem."""
