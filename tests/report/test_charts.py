@@ -1,5 +1,7 @@
 """A chart is described once: the picture and the page show the same curves, bars, bands, maps, lines and labels."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -106,3 +108,17 @@ def test_a_constant_is_a_straight_line() -> None:
     assert (low, high) == pytest.approx((0.98 * 0.153397, 1.02 * 0.153397))
     assert Panel(Axis("objective [m]"), noisy, lines=[Line(0.2, "limit")]).y.limits is None
     assert Panel(Axis("objective [m]"), [Curve(X, 1.0 + 1e-6 * Y)]).y.limits is None
+
+
+@pytest.mark.parametrize("names", [("across the curve, to the left", "along the curve, forward"), ("a", "b"), tuple("abcdefgh")])
+def test_legends_between_panels_have_room_on_a_phone(names):
+    """A legend grows upwards from its panel; where the page is narrow its entries stand below one another."""
+    x = np.linspace(0.0, 1.0, 5)
+    panels = [Panel(Axis("y"), [Curve(x, x + k, name) for k, name in enumerate(labels)]) for labels in (("",), names)]
+    layout = chart_plotly.chart(ChartSpec("file", "two panels", panels, Axis("x"))).figure["layout"]
+    inner = layout["height"] - layout["margin"]["t"] - layout["margin"]["b"]
+    (low, high), (other, below) = layout["yaxis"]["domain"], layout["yaxis2"]["domain"]
+    columns = max(1, int(270 / (45 + 6.5 * max(map(len, names)))))
+    assert (low - below) * inner >= 19.0 * math.ceil(len(names) / columns)
+    assert high - low == pytest.approx(below - other)
+    assert other == pytest.approx(0.0, abs=1e-9)

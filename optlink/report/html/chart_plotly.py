@@ -23,7 +23,7 @@ FONT = "system-ui, -apple-system, 'Segoe UI', 'DejaVu Sans', sans-serif"
 THIN_ABOVE = 1200  # number of points from which a curve is thinned, about two per pixel of a wide page
 MAX_CELLS = 150  # largest number of rows and columns of a map
 PIXELS_PER_POINT = 4.0 / 3.0  # pixels per point
-LAYOUT = {
+LAYOUT: dict[str, Any] = {
     "margin": {"l": 70, "r": 20, "t": 24, "b": 50},
     "font": {"family": FONT, "size": 12, "color": "#22262b"},
     "paper_bgcolor": "#ffffff",
@@ -42,7 +42,8 @@ AXIS = {
     "exponentformat": "none",
     "separatethousands": True,
 }
-PANEL_GAP = 0.07  # least distance of panels as a share of the height: room for a legend
+PANEL_GAP = 0.07  # least distance of panels as a share of the height
+NARROW, ENTRY, LETTER, ROW = 270.0, 45.0, 6.5, 19.0  # pixels: axes of a chart on a phone; symbol, letter and row of a legend
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +68,15 @@ class Chart:
         return {} if self.draw is None else self.draw()
 
 
+def _legend_room(panel: Panel) -> float:
+    """Return the height [pixel] of the legend above a panel where the page is narrow: it must not cover the panel before it."""
+    names = [trace.name for trace in panel.traces if trace.name and getattr(trace, "legend", True)]
+    if not names:
+        return 0.0
+    columns = max(1, int(NARROW / (ENTRY + LETTER * max(map(len, names)))))
+    return ROW * math.ceil(len(names) / columns) + 0.5 * ROW
+
+
 def escape(text: str) -> str:
     """Write a text with the signs of units, safe for plotly."""
     return escaped(pretty(text))
@@ -81,9 +91,13 @@ def chart(spec: ChartSpec) -> Chart:
     """Return a chart of the page."""
     kinds = {type(trace) for panel in spec.panels for trace in panel.traces}
     total = sum(panel.height for panel in spec.panels)
-    gap = max(PANEL_GAP, 3.0 * PANEL_GAP / len(spec.panels))
-    unit = (1.0 - gap * (len(spec.panels) - 1)) / total
-    layout: dict[str, Any] = LAYOUT | {"height": 480 if spec.equal or kinds & {HeatMap, Boxes} else int(110 + 200 * total)}
+    height = 480 if spec.equal or kinds & {HeatMap, Boxes} else int(110 + 200 * total)
+    inner = height - LAYOUT["margin"]["t"] - LAYOUT["margin"]["b"]
+    least = max(PANEL_GAP, 3.0 * PANEL_GAP / len(spec.panels)) * inner
+    gaps = [max(least, _legend_room(panel)) for panel in spec.panels[1:]]
+    height, inner = height + round(sum(gaps) - least * len(gaps)), inner + sum(gaps) - least * len(gaps)
+    unit = (1.0 - sum(gaps) / inner) / total
+    layout: dict[str, Any] = LAYOUT | {"height": height}
     if spec.equal or spec.picks is not None or not _lined(spec):
         layout["hovermode"] = "closest"
     if HeatMap in kinds:
@@ -100,7 +114,7 @@ def chart(spec: ChartSpec) -> Chart:
             layout[f"yaxis{key}"] |= {"scaleanchor": "x", "constrain": "domain"}
         layout[f"legend{key}"] = LEGEND | {"y": top + 0.01} | ({"bgcolor": "#e3e6ea"} if HeatMap in kinds else {})
         data += [trace | {"yaxis": f"y{key}", "legend": f"legend{key}"} for trace in _traces(spec, panel)]
-        top = bottom - gap
+        top = bottom - (gaps[number - 1] / inner if number <= len(gaps) else 0.0)
     layout["xaxis"] = _axis(spec.x, spec.reach) | {"anchor": f"y{key}", "hoverformat": ".2f"}
     if spec.equal:
         layout["xaxis"] |= {"constrain": "domain"}
