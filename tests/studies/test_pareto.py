@@ -658,7 +658,7 @@ def test_objectives_without_sense_are_refused(objectives, words):
     with pytest.raises(InputError) as error:
         pareto(optlink.load("crank-rocker"), objectives, points=3, workers=1)
     assert words in str(error.value)
-    assert "--objectives" in str(error.value)
+    assert "objectives" in str(error.value)
 
 
 @pytest.mark.parametrize(
@@ -678,7 +678,7 @@ def test_terms_without_sense_are_refused(press, objectives, words):
     with pytest.raises(InputError) as error:
         pareto(press, objectives, points=3, workers=1)
     assert words in str(error.value)
-    assert "--objectives" in str(error.value)
+    assert "objectives" in str(error.value)
 
 
 def test_other_problems_and_sizes_are_refused():

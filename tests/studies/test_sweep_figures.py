@@ -233,7 +233,7 @@ def test_the_table_of_the_command_shows_the_columns(pump):
 
 
 def test_unknown_figures_are_refused_with_the_nearest(pump):
-    with pytest.raises(InputError, match=r'--column = "plunger.strok_m": no such column. Did you mean "plunger.stroke_m"'):
+    with pytest.raises(InputError, match=r'columns = "plunger.strok_m": no such column. Did you mean "plunger.stroke_m"'):
         sweep(optlink.load(str(pump())), ["mechanism.links.rod.length=120..150 mm:3"], analyze=True, columns=["plunger.strok_m"])
 
 

@@ -676,5 +676,5 @@ def test_an_output_that_no_tolerance_changes_is_refused():
     """A slider does not turn: a table of zeros would read like an exact machine."""
     with pytest.raises(InputError, match="no tolerance has an effect on this output") as refused:
         tolerance(optlink.load("slider-crank"), ["rod.length=0.1 mm"], output="slider", samples=0)
-    assert (refused.value.faults[0].key, refused.value.faults[0].value) == ("--quantity", "slider")
+    assert (refused.value.faults[0].key, refused.value.faults[0].value) == ("output", "slider")
     assert tolerance(optlink.load("slider-crank"), ["F.direction=0.1 deg"], output="slider", samples=0).by.any()

@@ -357,7 +357,7 @@ def test_checkpoints_of_other_kinds_are_refused(saved):
     simulation, comparison = saved
     assert optlink.compare(rocker(), resume=comparison, **options).finished
     for changes, message in (
-        ({"schema": "optlink/trials/1"}, r"has another format: its schema is 'optlink/trials/1'.*--resume"),
+        ({"schema": "optlink/trials/1"}, r"has another format: its schema is 'optlink/trials/1'.*resume"),
         ({"optlink": "0.0.1"}, r"is that of another version: its optlink is '0\.0\.1'"),
         ({"seed": 1}, "is that of another command: its seed is 1, not 0"),
         (simulation, "has another format"),
@@ -384,7 +384,7 @@ def test_a_complete_run_is_resumed_at_its_last_revolution():
 def test_a_longer_run_is_not_resumed():
     kept: list[dict] = []
     optlink.simulate_clearance(rocker(), 3, 60, tolerance=1e-6, checkpoint=kept.append)
-    with pytest.raises(InputError, match=r"3 revolutions are already complete\. Request more, or leave out --resume"):
+    with pytest.raises(InputError, match=r"3 revolutions are already complete\. Request more, or leave out resume"):
         optlink.simulate_clearance(rocker(), 2, 60, tolerance=1e-6, resume=kept[-1])
 
 

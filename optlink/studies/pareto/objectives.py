@@ -68,10 +68,10 @@ def _no_front(problem: ProblemFile) -> InputError:
     kind = getattr(getattr(problem.model, "requirement", None), "kind", None)
     if kind in PRESCRIBED:
         label = problem.file if Path(problem.file).is_file() else problem.name  # of a shipped one the name
-        instead = f"to see how a limit changes the optimum: optlink study sweep {label} --vary KEY=LOW..HIGH:N"
+        instead = f"to see how a limit changes the optimum: `optlink study sweep {label} --vary KEY=LOW..HIGH:N`"
         return InputError(f"{PRESCRIBED[kind]} prescribed here", f"{whose}; {instead}", problem.file)
     if getattr(problem.model, "balance", None) is not None:
-        instead = f"that of two measures of balancing: optlink balance {problem.name} --trade force,torque"
+        instead = f"that of two measures of balancing: `optlink balance {problem.name} --trade force,torque`"
         return InputError("a balancing problem has no such objectives", f"{whose}; {instead}", problem.file)
     return InputError("the problem has no [objective]", f"{whose}; add an [objective] and design variables", problem.file)
 
