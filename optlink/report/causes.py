@@ -73,6 +73,20 @@ def why_invalid(checks: Sequence[Check], otherwise: str) -> str:
     return f"{first}{more}"
 
 
+def marked(title: str, valid: bool, checks: Sequence[Check], otherwise: str) -> list[str]:
+    """Return the lines of a picture's title, the second one the cause why the design is not valid, if it is not.
+
+    Parameters
+    ----------
+    title : str
+    valid : bool
+    checks : sequence of Check
+    otherwise : str
+        Text if every check passed.
+    """
+    return [title] if valid else [title, f"NOT VALID: {why_invalid(checks, otherwise)}"]
+
+
 def _cause(check: Check, checks: Sequence[Check]) -> str:
     value = f"{number(check.value, 4)} {check.unit}".rstrip()
     for name, words in OTHERS:

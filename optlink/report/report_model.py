@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from optlink.errors import InputError, Status
 from optlink.problem.file import ProblemFile
-from optlink.report.causes import why_invalid
+from optlink.report.causes import causes, why_invalid
 from optlink.solvers.solution import LimitState
 from optlink.tasks.analyze import analyze
 from optlink.tasks.function import FunctionResult
@@ -130,7 +130,7 @@ def verdict(model: ReportModel | StoredStudy) -> str:
     if model.valid:
         fit = getattr(getattr(model.result, "best", None), "fit", None)
         return f"Valid, {fit.text}" if fit is not None and fit.grade == "poor" else "Valid: every check passed"
-    if model.result.status is Status.INFEASIBLE:
-        return "No feasible design found"
     checks = getattr(getattr(model.result, "validation", None), "checks", ())
+    if model.result.status is Status.INFEASIBLE:
+        return f"No feasible design found{''.join(f': {cause}' for cause in causes(checks)[:1])}"
     return f"Not valid: {why_invalid(checks, model.result.status.value)}"

@@ -12,6 +12,7 @@ from optlink.optimization.objectives import MEASURES
 from optlink.optimization.path_nlp import solved_values
 from optlink.problem.file import WORDS as PROSE, ProblemFile
 from optlink.problem.limits import MARGINS
+from optlink.problem.machine.model import ShownObjective
 from optlink.problem.quantity import Quantity
 from optlink.problem.targets.expression import Expression
 from optlink.problem.targets.function import Function
@@ -67,9 +68,9 @@ class Kind:
         """
         return model.design({name: solution.design[name] for name in model.free}), None
 
-    def objective(self, model: Any) -> tuple[float, str, str]:
-        """Return the factor from SI and the display unit of the objective, and its name; no name if there is none."""
-        return 1.0, "", ""
+    def objective(self, model: Any, value: float) -> ShownObjective:
+        """Return the objective [SI] as it is shown, with its name; no name if there is none."""
+        return ShownObjective(value, 1.0, "", "")
 
     def error_curves(self, model: Any, values: Mapping[str, float], start: float, angles: Array | None) -> Iterator[ErrorCurve]:
         """Yield the error of a design, if the kind has one.
@@ -137,11 +138,12 @@ class _FunctionSynthesis(_Searched):
     def values(self, model: Any, solution: Solution) -> tuple[dict[str, float], Array | None]:
         return model.design(solution.design), None
 
-    def objective(self, model: Any) -> tuple[float, str, str]:
+    def objective(self, model: Any, value: float) -> ShownObjective:
         measure = model.requirement.measure
         words = {"max": "largest error", "rms": "root mean square error"}.get(measure, "sum of squared errors")
         unit = MEASURES[measure].unit
-        return (math.degrees(1.0), "deg", words) if unit == "rad" else (1.0, unit.replace("^2", "²"), words)
+        factor, unit = (math.degrees(1.0), "deg") if unit == "rad" else (1.0, unit.replace("^2", "²"))
+        return ShownObjective(factor * value, factor, unit, words)
 
     def error_curves(self, model: Any, values: Mapping[str, float], start: float, angles: Array | None) -> Iterator[ErrorCurve]:
         offsets = model.span * np.linspace(0.0, 1.0, CURVE_POSITIONS + 1)
@@ -167,11 +169,13 @@ class _PathSynthesis(_Searched):
     def values(self, model: Any, solution: Solution) -> tuple[dict[str, float], Array | None]:
         return solved_values(model, solution.design, solution.x)
 
-    def objective(self, model: Any) -> tuple[float, str, str]:
+    def objective(self, model: Any, value: float) -> ShownObjective:
+        shown = model.shown_objective(value)
+        if model.by_angle:
+            return shown  # type: ignore[no-any-return]
         words = {"max": "largest deviation", "rms": "root mean square deviation"}.get(model.measure, "sum of squared deviations")
-        words = "worst cosine of the transmission angle" if model.requirement.kind == "transmission" else words
-        per, unit = model.objective_display
-        return per, unit.replace("^2", "²"), words
+        words += " of the cosines" * (model.requirement.kind == "transmission")
+        return shown._replace(unit=shown.unit.replace("^2", "²"), name=words)  # type: ignore[no-any-return]
 
     def error_curves(self, model: Any, values: Mapping[str, float], start: float, angles: Array | None) -> Iterator[ErrorCurve]:
         if model.requirement.kind != "transmission" and angles is not None:
@@ -196,8 +200,9 @@ class _CycleOptimisation(_Searched):
     def name(self, model: Any) -> str:
         return "machine"
 
-    def objective(self, model: Any) -> tuple[float, str, str]:
-        return (*model.objective_display, model.goals[0].words if model.single else "objective")
+    def objective(self, model: Any, value: float) -> ShownObjective:
+        shown = model.shown_objective(value)
+        return shown._replace(name=model.goals[0].words) if model.single else shown  # type: ignore[no-any-return]
 
     def follower(self, problem: ProblemFile, values: Mapping[str, float], direction: int) -> Follower | None:
         return CycleFollower(problem, values)

@@ -91,19 +91,19 @@ def objective(problem: ProblemFile, value: float) -> dict[str, Any] | None:
     problem : ProblemFile
     value : float [SI]
     """
-    factor, unit, label = kind_of(problem).objective(problem.model)
-    return {"label": label, "value": finite(value * factor), "unit": unit} if label else None
+    shown = kind_of(problem).objective(problem.model, value)
+    return {"label": shown.name, "value": finite(shown.value), "unit": shown.unit} if shown.name else None
 
 
 def active(design: Design) -> list[dict[str, Any]]:
     """Return the active limits of a design with their shadow prices, in display units."""
-    _, factor, unit, _ = design.problem.model.shown_objective(design.objective)
+    _, factor, unit, _ = kind_of(design.problem).objective(design.problem.model, design.objective)
     rows = []
     for limit in design.limits:
         if limit.active:
             row = {"limit": f"{limit.name} {limit.sense}", "value": limit.bound, "unit": limit.unit}
             size, step = price_step(limit.unit)
-            price = {"price": limit.multiplier * factor * size, "price_unit": f"{unit.replace('^2', '²') or '1'} per {step}"}
+            price = {"price": limit.multiplier * factor * size, "price_unit": f"{unit or '1'} per {step}"}
             joint = {"joint_price": limit.joint_gain * factor * size} if limit.depends_on else {}
             rows.append(row | price | joint)
     return finite(rows)  # type: ignore[no-any-return]

@@ -12,6 +12,8 @@ from scipy.optimize import linprog
 import optlink
 from optlink.linkage.fourbar import LENGTHS
 from optlink.report.causes import causes, why_invalid
+from optlink.report.report_model import ReportModel, verdict
+from optlink.report.views.function import mechanism as drawn_mechanism
 from optlink.tasks.results.rotation import Length, cannot_turn, four_bar_conflict
 from optlink.validation.check import Check
 
@@ -162,3 +164,16 @@ def test_the_inequality_is_stated_with_its_numbers_and_its_remedy_works(
     wider = file.override({f"{key}.{side}": f"{value} mm"}).model
     assert cannot_turn(wider.mechanism, wider.linkage, "", math.radians(1.0)) == ()
     assert cannot_turn(file.model.mechanism, file.model.linkage, "span", 0.0) == ()
+
+
+def test_pictures_and_pages_name_the_cause() -> None:
+    """Of a law that breaks its limit of the transmission angle; a valid one has no such line."""
+    law, design = optlink.load("crank-rocker"), {"coupler": 0.41, "rocker": 0.22}
+    cause = "the transmission angle rises to"
+    for result, wrong in ((optlink.validate(law, design), True), (optlink.solve(law), False)):
+        titles = drawn_mechanism(result).get_suptitle().split("\n")
+        assert any(line.startswith(f"NOT VALID: {cause}") for line in titles) == wrong
+        assert (cause in verdict(ReportModel(result.problem, result, None))) == wrong
+    narrow = optlink.load("crank-rocker", {"limits.transmission_angle": ["88 deg", "92 deg"]})
+    infeasible = optlink.solve(narrow)
+    assert verdict(ReportModel(narrow, infeasible, None)).startswith("No feasible design found: the transmission angle")

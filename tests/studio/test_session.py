@@ -589,3 +589,8 @@ def test_a_maximised_quantity_has_its_own_sign() -> None:
     shown = state.objective(read({key: value for key, value in raw.items() if value is not None}), -0.5)
     assert shown is not None
     assert (shown["value"], shown["unit"]) == (pytest.approx(math.degrees(0.5)), "deg")
+
+
+def test_the_best_transmission_is_shown_as_an_angle() -> None:
+    shown = state.objective(optlink.load("transmission-optimal"), math.cos(math.radians(37.73)))
+    assert shown == {"label": "transmission angle from 90 deg", "value": pytest.approx(90.0 - 37.73), "unit": "deg"}

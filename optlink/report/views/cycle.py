@@ -14,6 +14,7 @@ from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import TURN, Value
 from optlink.problem.cycle.terms import Term
 from optlink.report import chart_spec
+from optlink.report.causes import marked
 from optlink.report.chart_spec import Array, Axis, ChartSpec, Curve, Panel, crank_angle
 from optlink.report.drawing import Sketch
 from optlink.report.labels import place_labels
@@ -138,7 +139,9 @@ def mechanisms(result: CycleResult) -> Figure | None:
     names = main.show(axes, sweep(optimal.machine.mechanism, optimal.machine.sizes, at))
     grey = {} if initial is None else {"initial_machine": Line2D([], [], color=INITIAL, linewidth=3.0)}
     main.add_legend(fig, 5, **grey)
-    fig.suptitle(heading(f"{result.task.title}: at crank angle {math.degrees(float(at[0])):z.1f}°", width))
+    title = f"{result.task.title}: at crank angle {math.degrees(float(at[0])):z.1f}°"
+    titles = marked(title, result.valid, result.validation.checks, result.status.text)
+    fig.suptitle("\n".join(heading(line, width) for line in titles), color=None if result.valid else LIMIT)
     place_labels(fig, names)
     return fig
 

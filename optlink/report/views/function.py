@@ -17,6 +17,7 @@ from optlink.optimization.constraints import rows as limit_rows
 from optlink.optimization.output_derivatives import ErrorResiduals
 from optlink.problem.targets.function import Function
 from optlink.report.animation import film, there_and_back
+from optlink.report.causes import marked
 from optlink.report.chart_spec import Array, Axis, Band, ChartSpec, Curve, Line, Mark, Panel, Span, Trace, crank_angle
 from optlink.report.drawing import Sketch, merged_positions
 from optlink.report.format import dimension
@@ -97,8 +98,9 @@ def mechanism(result: FunctionResult) -> Figure | None:
         psi = math.degrees(float(position.body_angle("rocker").value[0]))
         axes.set_title(f"{name}\nφ {math.degrees(phi) % 360.0:z.2f}°   ψ {psi:z.2f}°   γ {gamma:z.2f}°", fontsize=9.5)
     lengths = "   ".join(f"{name} {value * sketch.scale.factor:z.3f}" for name, value in result.sizes.items())
-    title = heading(result.problem.spec.title, 3.9 * columns)
-    fig.suptitle(f"{title}\n{heading(f'{lengths} {sketch.scale.unit}', 3.9 * columns)}", fontsize=11)
+    titles = marked(result.problem.spec.title, result.valid, result.validation.checks, result.status.text)
+    lines = [heading(line, 3.9 * columns) for line in (*titles, f"{lengths} {sketch.scale.unit}")]
+    fig.suptitle("\n".join(lines), fontsize=11, color=None if result.valid else LIMIT)
     place_labels(fig, letters)
     return fig
 
