@@ -92,6 +92,14 @@ def _one_command_line() -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _nothing_compiled() -> Iterator[None]:
+    """Let the choice of an integrator depend on the request alone, not on the cache of the user."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("optlink.clearance.compiled.machine.is_cached", lambda equations: False)
+        yield
+
+
 @pytest.fixture(scope="session")
 def crank_rocker() -> optlink.ProblemFile:
     return optlink.load("crank-rocker")

@@ -43,7 +43,9 @@ COMPARE = "compare"
 CONTROLS = "With clearance, control: none, inverse, pid, inverse+pid; compare: all of them, from several starts."
 TUNED = "Control parameter to tune: proportional, integral, derivative, regularisation, bandwidth. Repeatable."
 TOLERANCE = "With clearance: relative tolerance of the integrator. Default: 1e-10; to compare or tune 1e-8."
-INTEGRATOR = "With clearance, integrator: cvodes, compiled (needs numba); auto (default): compiled for long work."
+INTEGRATOR = (
+    "With clearance, integrator: cvodes, compiled (needs numba); auto (default): compiled for long work or if compiled already."
+)
 SPEED = 'Crank speed, as drive.speed; under a torque the one at the start: --speed "64 rpm"; negative: clockwise.'
 TORQUE = 'Constant driving torque: --torque "5 N*m". The crank starts at --speed, else at initial_speed or speed of [drive].'
 CLEARANCE_EXAMPLE = "joints.B={ clearance = '0.5 mm', bearing_radius = '10 mm', modulus = '207 GPa' }"

@@ -87,6 +87,7 @@ def simulate_machine(
     """
     settings = dict(options)
     if has_clearances:
+        settings = {"integrator": "cvodes", **settings}  # one for all points, whatever is compiled meanwhile
         simulation = simulate_clearance(problem, design=design, check_predictability=False, **settings)
         return MachineFigures(simulation.figures, simulation.ending.value, "" if simulation.finished else simulation.message)
     if "points" in settings:

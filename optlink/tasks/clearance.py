@@ -165,8 +165,8 @@ def simulate_clearance(
     check_predictability : bool
         Whether a second run at a coarser tolerance determines how long the motion is predictable.
     integrator : str
-        Integrator: "cvodes", "compiled" (needs numba), or "auto": compiled for long work, if numba is installed; a run that
-        resumes keeps its integrator.
+        Integrator: "cvodes", "compiled" (needs numba), or "auto": compiled for long work, and where the machine is compiled
+        already, if numba is installed; a run that resumes keeps its integrator.
     progress : function of the completed fraction, optional
     stream : function of the rows of a revolution, optional
         Called after every revolution; memory does not grow with the number of revolutions.
@@ -198,7 +198,8 @@ def simulate_clearance(
     setting = _setting(problem, points, speed, control, start, design, flywheel)
     _check(revolutions, points, tolerance)
     closed_loop = setting.closed_loop(tolerance)
-    integrator = chosen(resumed(integrator, resume), closed_loop, revolutions + min(revolutions, WATCHED) * check_predictability)
+    work = revolutions + min(revolutions, WATCHED) * check_predictability
+    integrator = chosen(resumed(integrator, resume), closed_loop, work, cache=True)
     pair = PredictabilityCheck(setting.closed_loop(tolerance * TOLERANCE_RATIO)) if check_predictability else None
     closed_loops = [closed_loop] if pair is None else [closed_loop, pair.closed_loop]
     if integrator is IntegratorKind.COMPILED:

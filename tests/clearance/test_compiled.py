@@ -243,6 +243,36 @@ def test_engine_is_chosen_by_the_work(monkeypatch):
         chosen("compiled", plant, 1)
 
 
+CACHED = machine.is_cached  # the fixture of all tests replaces it
+
+
+@pytest.mark.slow
+def test_what_is_compiled_already_is_used_for_shorter_work(monkeypatch):
+    plant = plant_of(SHIPPED[0])
+    plant.compile()
+    monkeypatch.setattr(machine, "is_cached", CACHED)
+    assert machine.is_cached(plant.equations)
+    assert chosen("auto", plant, 30, cache=True) is IntegratorKind.COMPILED
+    assert chosen("auto", plant, 2, cache=True) is IntegratorKind.CVODES  # it takes longer to load
+    assert chosen("auto", plant, 30) is IntegratorKind.CVODES  # of a study
+    assert chosen("cvodes", plant, 30, cache=True) is IntegratorKind.CVODES
+    plant.integration.slow = True
+    assert chosen("auto", plant, 30, cache=True) is IntegratorKind.CVODES
+    run = simulate_clearance(optlink.load(SHIPPED[0]), 20, 36)
+    assert run.integrator == "compiled"
+    reference = simulate_clearance(optlink.load(SHIPPED[0]), 20, 36, integrator="cvodes")
+    assert run.figures["contacts"] == reference.figures["contacts"]
+    loads = {"loads.push": {"on": "slider", "force": {"expression": "3*sin(phi)*s^5 + 2*v^3", "unit": "N"}}}
+    assert not machine.is_cached(plant_of(SHIPPED[0], **loads).equations)
+
+
+def test_without_a_cache_nothing_is_compiled_already(tmp_path, monkeypatch):
+    monkeypatch.setenv(machine.FOLDER, str(tmp_path))
+    assert not CACHED(plant_of(SHIPPED[0]).equations)
+    (tmp_path / "__pycache__").mkdir()
+    assert not CACHED(plant_of(SHIPPED[0]).equations)
+
+
 @pytest.mark.slow
 def test_short_run_does_not_import_numba():
     code = (

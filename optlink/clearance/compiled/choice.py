@@ -1,4 +1,4 @@
-"""Choice of the integrator of a machine with joint clearance from the amount of requested work, independent of the cache."""
+"""Choice of the integrator of a machine with joint clearance from the amount of requested work."""
 
 import enum
 from collections.abc import Mapping
@@ -17,7 +17,10 @@ class IntegratorKind(enum.StrEnum):
 
 
 WORTH = 6.0
-"""Seconds of work of CVODES from which on the compiled integrator is faster even if everything must be compiled first."""
+"""Seconds of work of CVODES from which on the compiled integrator is faster even if everything must be compiled first ..."""
+
+LOADED = 0.6
+"""... and from which on it is faster if it only has to be loaded from the cache."""
 
 REVOLUTION, ROW = 0.02, 2.5e-5
 """Seconds of CVODES for a revolution and for each of its rows, per joint with clearance (measured on the shipped machines)."""
@@ -47,10 +50,8 @@ def resumed(integrator: str, checkpoint: Mapping[str, Any] | None) -> str:
     return str(checkpoint.get("integrator", IntegratorKind.CVODES))
 
 
-def chosen(integrator: str, closed_loop: ClosedLoop, revolutions: float) -> IntegratorKind:
+def chosen(integrator: str, closed_loop: ClosedLoop, revolutions: float, *, cache: bool = False) -> IntegratorKind:
     """Return the integrator for some work: the requested one, or the faster one.
-
-    The choice depends on the request alone, not on the state of the cache, so that repeated commands give identical results.
 
     Parameters
     ----------
@@ -60,6 +61,9 @@ def chosen(integrator: str, closed_loop: ClosedLoop, revolutions: float) -> Inte
         A machine of the work.
     revolutions : float
         Revolutions of all runs.
+    cache : bool
+        Whether what is compiled already counts; else the choice depends on the request alone, as it must where several processes
+        or an interrupted run take part in one work.
 
     Raises
     ------
@@ -70,7 +74,12 @@ def chosen(integrator: str, closed_loop: ClosedLoop, revolutions: float) -> Inte
         raise InputError("no such integrator", f"Take one of {', '.join(IntegratorKind)}", key="integrator", value=integrator)
     kind = IntegratorKind(integrator)
     seconds = revolutions * len(closed_loop.equations.gaps) * (REVOLUTION + ROW * closed_loop.rows)
-    if kind is IntegratorKind.CVODES or (kind is IntegratorKind.AUTO and (closed_loop.integration.slow or seconds < WORTH)):
+    if kind is IntegratorKind.AUTO and not closed_loop.integration.slow:
+        from optlink.clearance.compiled.machine import is_cached
+
+        worth = LOADED if cache and LOADED < seconds < WORTH and is_cached(closed_loop.equations) else WORTH
+        kind = kind if seconds >= worth else IntegratorKind.CVODES
+    if kind is IntegratorKind.CVODES or (kind is IntegratorKind.AUTO and closed_loop.integration.slow):
         return IntegratorKind.CVODES
     if not installed():
         if kind is IntegratorKind.AUTO:

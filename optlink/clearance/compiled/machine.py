@@ -8,18 +8,22 @@ import sys
 import tempfile
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from importlib import metadata
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import casadi
 
-from optlink.clearance.compiled.source import written
+from optlink.clearance.compiled.source import Unsupported, written
 from optlink.clearance.equations import Equations
 from optlink.linkage.vector2d import Array
 
 FOLDER = "OPTLINK_CACHE"
 """Environment variable with the cache folder; default: that of the user."""
+
+FUNCTIONS = ("rhs", "gaps", "watch", "project")
+"""Compiled functions of a machine."""
 
 STAMP = 1_000_000_000
 """Modification time of every source file: numba's cache compares it, and processes may write the same file."""
@@ -57,7 +61,8 @@ class MachineCode:
     def addresses(self) -> tuple[int, int, int, int]:
         """Addresses of the compiled functions; the first use compiles them or reads the cache."""
         module = _module(self.text, _key(self.text))
-        return module.rhs.address, module.gaps.address, module.watch.address, module.project.address
+        rhs, gaps, watch, project = (getattr(module, name).address for name in FUNCTIONS)
+        return rhs, gaps, watch, project
 
 
 def code_of(equations: Equations) -> MachineCode:
@@ -81,17 +86,36 @@ def code_of(equations: Equations) -> MachineCode:
 
 def engine() -> Any:
     """Return the module `motion`, imported from the cache folder: numba's cache then knows all that it is compiled from."""
+    return _module(*_engine_source())
+
+
+def _engine_source() -> tuple[str, str]:
+    """Return the source of the engine and its key, which depends on all that it is compiled from."""
     here = Path(__file__).parent
     parts = [(here / f"{name}.py").read_text(encoding="utf-8") for name in ("motion", "maxima", "switches", "dop853")]
-    return _module(parts[0], _key("".join(parts)))
+    return parts[0], _key("".join(parts))
+
+
+def is_cached(equations: Equations) -> bool:
+    """Return whether the machine code of equations and that of the engine are on the disk, without importing numba.
+
+    Parameters
+    ----------
+    equations : Equations
+    """
+    folder = cache_folder() / "__pycache__"
+    if not folder.is_dir():
+        return False
+    try:
+        keys = {_engine_source()[1]: ("advance",), _key(code_of(equations).text): FUNCTIONS}
+    except (Unsupported, metadata.PackageNotFoundError):
+        return False
+    return all(any(folder.glob(f"optlink_{key}.{name}-*.nbi")) for key, names in keys.items() for name in names)
 
 
 def _key(text: str) -> str:
     """Hash of a source, and of the versions of Python, SciPy and numba."""
-    import numba
-    import scipy
-
-    content = f"{text}\n{sys.version}\n{scipy.__version__}\n{numba.__version__}"
+    content = "\n".join([text, sys.version, *map(metadata.version, ("scipy", "numba"))])
     return hashlib.sha256(content.encode()).hexdigest()[:24]
 
 
