@@ -264,7 +264,7 @@ def test_ctrl_c_ends_long_work_with_one_sentence_and_no_pictures(case, files):
 @pytest.mark.slow
 def test_ctrl_c_during_a_proof_keeps_the_design_and_the_bound(files):
     """Five seconds of work: the local search takes two of them, the proof would take minutes."""
-    code, out, err = press(("solve", "law-slider-crank", "--certify", "--gap", "1e-9"), 5.0, files)
+    code, out, err = press(("solve", "law-slider-crank", "--certify", "--gap", "1e-9", "--details"), 5.0, files)
     assert code == 130, err
     assert "Interrupted: the design is complete, the proof that it is the global optimum is not closed" in err
     assert "Traceback" not in err
