@@ -119,19 +119,22 @@ def _least(enough: Callable[[float], bool], likely: float) -> float:
 
 
 class LastTurn:
-    """Speed of a simulated crank over its last revolution, from places within the steps of the integrator.
+    """Speed of a simulated crank over its last revolution or cycle, from places within the steps of the integrator.
 
     Parameters
     ----------
     angle, speed : float [rad], [rad/s]
         Initial crank angle and speed.
+    turn : float [rad]
+        Crank rotation after which motion and loads repeat.
     """
 
-    def __init__(self, angle: float, speed: float) -> None:
+    def __init__(self, angle: float, speed: float, turn: float = TURN) -> None:
+        self.turn = turn
         self.blocks = [np.array([[0.0, angle, speed]])]  # time, crank angle, speed
 
     def add(self, steps: Sequence[Step], until: float) -> None:
-        """Add consecutive steps, and drop what lies more than a revolution before their end.
+        """Add consecutive steps, and drop what lies more than a cycle before their end.
 
         Parameters
         ----------
@@ -142,20 +145,21 @@ class LastTurn:
         """
         self.blocks.append(np.column_stack(between(steps, until, 2)))
         end = self.blocks[-1][-1, 1]
-        while len(self.blocks) > 2 and abs(end - self.blocks[1][-1, 1]) >= TURN:
+        while len(self.blocks) > 2 and abs(end - self.blocks[1][-1, 1]) >= self.turn:
             del self.blocks[0]
 
     @property
     def speed(self) -> tuple[float, float] | None:
-        """Mean over time [rad/s], and (largest - least) / mean; None if the crank has not turned a revolution in one sense."""
+        """Mean over time [rad/s], and (largest - least) / mean; None if the crank has not turned a cycle in one sense."""
+        turn = self.turn
         time, angle, speed = np.concatenate(self.blocks).T
         turned = np.abs(angle - angle[-1])
-        before = np.flatnonzero(turned >= TURN * (1.0 - ROUNDING))
+        before = np.flatnonzero(turned >= turn * (1.0 - ROUNDING))
         if not before.size or np.any(np.diff(turned[before[-1] :]) > 0.0):
             return None
         k = int(before[-1])
-        share = (turned[k] - TURN) / (turned[k] - turned[k + 1])
+        share = (turned[k] - turn) / (turned[k] - turned[k + 1])
         speeds = np.abs(np.append(speed[k + 1 :], speed[k] + share * (speed[k + 1] - speed[k])))  # the last: where it begins
-        duration = time[-1] - time[k + 1] + (TURN - turned[k + 1]) / (0.5 * (speeds[0] + speeds[-1]))
-        mean = TURN / float(duration)
+        duration = time[-1] - time[k + 1] + (turn - turned[k + 1]) / (0.5 * (speeds[0] + speeds[-1]))
+        mean = turn / float(duration)
         return mean, float(np.ptp(speeds)) / mean

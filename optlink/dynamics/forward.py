@@ -47,7 +47,7 @@ class Run:
 
     `works`: of the drive, of each load, of friction; `kinetic`, `potential`: energies, that of gravity zero at y = 0. `drift`
     [m]: largest distance between the twice integrated and the closed-loop positions of the bodies; `imbalance` [J]: largest error
-    of the energy balance. `last_turn`: mean speed [rad/s] and its fluctuation over the last revolution (`LastTurn.speed`).
+    of the energy balance. `last_turn`: mean speed [rad/s] and its fluctuation over the last cycle (`LastTurn.speed`).
     """
 
     time: Array
@@ -261,7 +261,7 @@ class _Integration:
         self.may_rest = equations.drive is not None and equations.machine.switching
         self.time, self.state = 0.0, equations.start(angle, speed)
         self.blocks, self.ways, self.recent = [self.state[None]], [equations.direction], list[Step]()
-        self.last_turn = LastTurn(angle, speed)
+        self.last_turn = LastTurn(angle, speed, equations.machine.cycle)
         self.steps, self.mark, self.ending = 0, 0.0, Ending.FINISHED
 
     def travel(self, progress: Callable[[float], None] | None, interrupted: Callable[[], None] | None) -> None:

@@ -217,6 +217,7 @@ def _faults(error: pydantic.ValidationError, model: type[Problem], raw: Mapping[
 
 _WRONG = {
     **dict.fromkeys(("int_type", "int_parsing", "int_from_float"), "this is not a whole number"),
+    "int_parsing_size": "the number is too large",
     "greater_than": "this is not above {gt}",
     "greater_than_equal": "this is below {ge}",
     "less_than": "this is not below {lt}",
@@ -228,6 +229,7 @@ _WRONG = {
 QUOTED = 'Write text and values with a unit in quotes: "250 mm"'
 ONE_LINE = "Write the whole table between { and } in one line, without a comma before }"
 TOML_FAULTS = (
+    (r"Exceeds the limit .* digits", "", "a number has thousands of digits", "Write a number of at most 19 digits"),
     (r"Illegal character '\\n'|Expected \"'\"|Unterminated string", "", "a quote is not closed", "Close it in that line"),
     (r"Cannot declare \((.*?),?\) twice", "", "the section [{0}] occurs twice", "Put its keys into one of them"),
     (

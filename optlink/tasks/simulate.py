@@ -106,6 +106,8 @@ class Simulation(Tabled):
         }
         if self.run.last_turn is not None:
             figures["last_turn.mean_speed_rad_s"], figures["last_turn.fluctuation"] = self.run.last_turn
+            if (revolutions := round(self.machine.cycle / TURN)) > 1:
+                figures["last_turn.revolutions"] = float(revolutions)
         return figures
 
     @property

@@ -537,3 +537,12 @@ def test_values_that_overflow_are_refused(key: str, value: str, most: str) -> No
 def test_a_function_without_a_law_names_what_is_missing(name, requirement):
     with pytest.raises(InputError, match=r"requirement\.law: (the law of the output|this key) is missing\. (Write|Add) law = "):
         load(name, {"requirement": requirement})
+
+
+def test_an_integer_of_thousands_of_digits_is_refused(tmp_path):
+    path = tmp_path / "long.toml"
+    path.write_text(f"title = 'x'\nmechanism = {{ crank = {'9' * 5000} }}\n", encoding="utf-8")
+    with pytest.raises(InputError, match=r"a number has thousands of digits\. Write a number of at most 19 digits"):
+        load(path)
+    with pytest.raises(InputError, match=r"balance\.positions = .*the number is too large"):
+        load("balance-four-bar", {"balance.positions": "9" * 5000})

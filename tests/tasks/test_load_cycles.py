@@ -335,3 +335,16 @@ def test_a_sweep_takes_the_whole_cycle(engine, tmp_path: Path):
     assert [float(table[name][1]) for name in columns] == pytest.approx(
         [4.0 * math.pi * np.mean(torque), np.max(torque), np.sqrt(np.mean(torque**2))], rel=1e-5
     )
+
+
+def test_simulated_speed_is_that_of_the_last_cycle(engine):
+    size, force = written("-40*(1 + cos(phi/2 - 0.2))^3")
+    mean = float(np.mean(judged(force)))
+    drive = {"drive.torque": f"{mean!r} N*m", "drive.initial_speed": "20 rad/s"}
+    problem = engine.override({"loads.gas.force": size, **drive})
+    run = optlink.simulate(problem, duration=1.0, rows=20_000, flywheel=0.5)
+    turned = np.abs(run["crank_angle_deg"] - run["crank_angle_deg"][-1])
+    last = run["crank.omega_rad_s"][turned <= 720.0]
+    assert run.figures["last_turn.revolutions"] == 2.0
+    assert run.figures["last_turn.mean_speed_rad_s"] == pytest.approx(float(np.mean(last)), rel=1e-3)
+    assert run.figures["last_turn.fluctuation"] == pytest.approx(float(np.ptp(last) / np.mean(last)), rel=1e-2)

@@ -265,7 +265,8 @@ def simulation_parts(figures: Mapping[str, float], columns: Mapping[str, Array],
     ]
     if "last_turn.mean_speed_rad_s" in figures:
         mean, share = figures["last_turn.mean_speed_rad_s"], figures["last_turn.fluctuation"]
-        end.append(("last turn: mean speed", number(mean), f"rad/s, mean over time; fluctuation {percent(share, 4)}"))
+        last = "cycle" if "last_turn.revolutions" in figures else "turn"
+        end.append((f"last {last}: mean speed", number(mean), f"rad/s, mean over time; fluctuation {percent(share, 4)}"))
     works = {name.removesuffix(".work_J"): work for name, work in figures.items() if name.endswith(".work_J")}
     account = [("work of the drive" if name == "input" else f"work of {name}", number(work), "J") for name, work in works.items()]
     share = figures["imbalance_J"] / figures["turnover_J"] if figures["turnover_J"] > 0.0 else 0.0

@@ -176,7 +176,8 @@ def simulation(figures: Mapping[str, float], finished: bool, message: str) -> st
         f"After {figure(time, 's')} the crank turns at {figure(speed, 'rpm')}, {figure(turns)} revolutions from its zero position"
     )
     if "last_turn.fluctuation" in figures:
-        text += f"; its speed fluctuates by {100.0 * figures['last_turn.fluctuation']:z.2f} % in the last revolution"
+        last = "cycle" if "last_turn.revolutions" in figures else "revolution"
+        text += f"; its speed fluctuates by {100.0 * figures['last_turn.fluctuation']:z.2f} % in the last {last}"
     if "input.work_J" in figures:
         text += f"; the drive has done {si(figures['input.work_J'], 'J')} of work"
     return f"{text}." if finished else f"Not finished: {message}. {text}."

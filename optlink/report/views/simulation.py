@@ -99,11 +99,13 @@ def drive(run: History) -> list[ChartSpec]:
         if "last_turn.mean_speed_rad_s" in run.figures:
             mean_speed, share = run.figures["last_turn.mean_speed_rad_s"], run.figures.get("last_turn.fluctuation", math.nan)
             mean, crank = math.copysign(mean_speed, values[-1]) * RPM, run.columns["crank_angle_deg"]
-            turned = np.abs(crank - crank[-1]) <= 360.0 * (1.0 + 1e-12)
+            revolutions = run.figures.get("last_turn.revolutions", 1.0)
+            turned = np.abs(crank - crank[-1]) <= 360.0 * revolutions * (1.0 + 1e-12)
             over = run.columns["time_s"][turned]
             curves.append(Curve(over, np.full(len(over), mean), "mean", TARGET, 1.2, "dash", legend=False, gid="mean"))
             note = (
-                f"last turn: mean over time {mean_speed:.4g} rad/s ({mean_speed * RPM:.4g} rpm), fluctuation {percent(share, 2)}"
+                f"last {'turn' if revolutions == 1.0 else 'cycle'}: mean over time {mean_speed:.4g} rad/s "
+                f"({mean_speed * RPM:.4g} rpm), fluctuation {percent(share, 2)}"
             )
         room = 0.16 * float(np.ptp(values)) or 0.1 * abs(mean) or 1.0
         limits = float(np.min(values)) - room, float(np.max(values)) + 0.4 * room
