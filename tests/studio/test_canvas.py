@@ -597,6 +597,45 @@ def test_the_scale_of_a_constant_is_not_that_of_its_rounding(page):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["crank-rocker", "watt-i"])
+def test_joint_names_stay_beside_their_own_joints_while_the_crank_turns(page, name):
+    """A name is nearest to its own joint at every position, also where the links lie flat, and no link crosses it."""
+    page.open(name)
+    wrong, crossed = page.run(
+        """const slider = document.querySelector('#crank'), wrong = [], crossed = [];
+        const bars = [...document.querySelectorAll('#world [data-body] path')];
+        for (let k = 0; k < 24; k += 1) {
+          slider.value = Number(slider.min) + (k / 24) * (Number(slider.max) - Number(slider.min));
+          slider.dispatchEvent(new Event('input', { bubbles: true }));
+          const joints = [...document.querySelectorAll('.joints circle')].map((node) => {
+            const { left, right, top, bottom } = node.getBoundingClientRect();
+            return [node.dataset.point, (left + right) / 2, (top + bottom) / 2];
+          });
+          for (const text of document.querySelectorAll('.names text')) {
+            const box = text.getBoundingClientRect();
+            const [x, y] = [(box.left + box.right) / 2, (box.top + box.bottom) / 2];
+            const away = ([, u, v]) => Math.hypot(u - x, v - y);
+            const nearest = joints.reduce((best, one) => (away(one) < away(best) - 1 ? one : best));
+            const own = joints.find(([point]) => point === text.textContent);
+            if (away(nearest) < away(own) - 1) wrong.push(`${text.textContent} at ${nearest[0]}, ${slider.value}`);
+            for (const path of bars) {
+              const matrix = path.getScreenCTM(), length = path.getTotalLength();
+              for (let n = 0; n <= 200; n += 1) {
+                const { x: u, y: v } = path.getPointAtLength((n / 200) * length).matrixTransform(matrix);
+                if (u > box.left && u < box.right && v > box.top + 3 && v < box.bottom - 3) {
+                  crossed.push(`${text.textContent} on ${path.parentNode.dataset.body}, ${slider.value}`), n = 201;
+                }
+              }
+            }
+          }
+        }
+        return [wrong, crossed];"""
+    )
+    assert wrong == []
+    assert len(crossed) <= 2, crossed
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["crank-rocker", "watt-i"])
 def test_joint_names_do_not_overlap_the_links(page, name):
     """And beside the handles that lie on the joints."""
     page.open(name)

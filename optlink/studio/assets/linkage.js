@@ -6,6 +6,7 @@ const WIDTHS = { slot: 1.1, plate: 2.2, bar: 3.4, block: 1.5, crank: 4.2 };
 const RAD = Math.PI / 180;
 const SIDES = [45, 135, 90, -45, -135, -90, 0, 180]; // of a joint on which its name can stand, best first [deg]
 const CLEAR = 40; // between a name and a link [deg]
+const BESIDE = 36; // distance of joints whose names could be confused [px]
 const POINT = 1 / 8; // line width of one point, as a share of the height of a ground pivot
 
 export function pathOf(line, closed = false) {
@@ -165,7 +166,7 @@ export class Linkage {
       shown,
       (name) => name,
       (name) => svg("text", { text: name, "text-anchor": "middle" }),
-      (node, name) => (node.side = side(node.side, this.directions(name)))
+      () => {} // its side follows the motion
     );
     const { points = [], poses = [] } = this.targets;
     keyed(
@@ -177,14 +178,17 @@ export class Linkage {
     );
   }
 
-  // Directions in which links leave a joint where the motion begins, and those of the ground below a pivot [deg].
-  directions(name) {
+  // Directions in which links leave a joint at a position, and those of the ground below a pivot [deg].
+  directions(name, position) {
     const { bodies, points } = this.scene;
     const path = points[name];
-    const joint = path[0];
+    const joint = path.length > position ? path[position] : path[0]; // of a pivot one place is enough
     const found = path.every((at) => at && Math.hypot(at[0] - joint[0], at[1] - joint[1]) < 1e-6) ? [-60, -90, -120] : [];
     for (const { parts, poses } of joint ? bodies : []) {
-      const [x, y, turn] = poses[0];
+      if (!poses[position] || poses[position][0] === null) {
+        continue;
+      }
+      const [x, y, turn] = poses[position];
       const [c, s] = [Math.cos(turn * RAD), Math.sin(turn * RAD)];
       for (const { outline, kind } of parts) {
         const line = outline.map(([u, v]) => [x + c * u - s * v - joint[0], y + s * u + c * v - joint[1]]);
@@ -300,13 +304,18 @@ export class Linkage {
       node.setAttribute("d", spring(line, tail, scene.size || 10));
     }
     const names = [...this.names.children];
+    const places = [...this.joints.children].map((node) => this.point(node.dataset.point)).map((at) => at && view.px(...at));
     [...this.joints.children].forEach((node, k) => {
-      const at = this.point(node.dataset.point);
+      const at = places[k];
       node.setAttribute("visibility", at ? "inherit" : "hidden");
       names[k].setAttribute("visibility", at ? "inherit" : "hidden");
       if (at) {
-        const [x, y] = view.px(...at);
+        const [x, y] = at;
         node.setAttribute("transform", `translate(${x.toFixed(2)} ${y.toFixed(2)})`);
+        const beside = places.filter((other) => other && other !== at && Math.hypot(other[0] - x, other[1] - y) < BESIDE);
+        const taken = beside.filter((other) => Math.hypot(other[0] - x, other[1] - y) > 1).map((other) => Math.atan2(y - other[1], other[0] - x) / RAD);
+        const joints = taken.flatMap((way) => [way - CLEAR / 2, way + CLEAR / 2]); // a name there would seem to be theirs
+        names[k].side = side(names[k].side, [...this.directions(node.dataset.point, low), ...joints]);
         const turn = names[k].side * RAD;
         const [dx, dy] = [(9.5 + 3.6 * node.dataset.point.length) * Math.cos(turn), 4 - 18 * Math.sin(turn)];
         names[k].setAttribute("transform", `translate(${(x + dx).toFixed(2)} ${(y + dy).toFixed(2)})`);
