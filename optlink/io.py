@@ -7,6 +7,7 @@ the entry-point group `optlink.extensions`: problem files cannot name code.
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import enum
 import functools
 import json
@@ -20,7 +21,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
-from optlink.errors import InputError
+from optlink.errors import InputError, UnknownName, nearest
 from optlink.version import VERSION
 
 GROUP = "optlink.extensions"
@@ -324,8 +325,43 @@ def head(schema: str, problem: Any, status: str) -> dict[str, Any]:
     }
 
 
+def _read_only(value: Any) -> Any:
+    """Return a view of an array that cannot be written to; any other value unchanged."""
+    if type(value).__name__ == "ndarray":  # without an import of numpy, which takes time
+        value = value.view()
+        value.setflags(write=False)
+    return value
+
+
+class Frozen(dict[Any, Any]):
+    """A dictionary of a result: it cannot be changed, and an unknown name is refused with the nearest."""
+
+    def __missing__(self, name: Any) -> Any:
+        raise UnknownName("unknown name", nearest(str(name), map(str, self)), key=str(name))
+
+    def __reduce__(self) -> tuple[type[Frozen], tuple[dict[Any, Any]]]:
+        """Return what copies and pickles are made from."""
+        return type(self), (dict(self),)
+
+    def _refuse(self, *args: Any, **more: Any) -> Any:
+        raise TypeError("a result cannot be changed: change a copy, dict(...)")
+
+    __setitem__ = __delitem__ = clear = pop = popitem = setdefault = update = _refuse
+
+    def __ior__(self, other: Any) -> dict[Any, Any]:  # type: ignore[override,misc]
+        return {**self, **other}
+
+
 class Summary:
-    """Base class of results, with a one-line `repr`: problem, status, validity, objective and certificate of the optimum."""
+    """Base class of results, with a one-line `repr`: problem, status, validity, objective and certificate of the optimum.
+
+    Dictionaries of a result cannot be changed, nor can their arrays.
+    """
+
+    def __post_init__(self) -> None:
+        for item in dataclasses.fields(self):  # type: ignore[arg-type]
+            if type(value := getattr(self, item.name)) is dict:
+                object.__setattr__(self, item.name, Frozen({key: _read_only(entry) for key, entry in value.items()}))
 
     def __repr__(self) -> str:
         status = getattr(self, "status", getattr(self, "ending", ""))

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 import inspect
 import math
+import pickle
 import types
 from pathlib import Path
 
@@ -135,6 +137,41 @@ def test_kinematics_refuse_what_no_linkage_is(call, message) -> None:
         call()
 
 
+def test_results_cannot_be_changed_and_problems_can_be_keys() -> None:
+    result, analysis = optlink.validate(LAW, DESIGN), optlink.analyze(MACHINE, points=12)
+    before = result.to_dict()
+    for change in (
+        lambda: result.design.update(crank=9.9),
+        lambda: result.design.__setitem__("crank", 9.9),
+        lambda: result.design.pop("crank"),
+        lambda: analysis.columns["input.torque_Nm"].__setitem__(0, 1.0),
+        lambda: setattr(result, "objective", 0.0),
+    ):
+        with pytest.raises((TypeError, ValueError, AttributeError)):
+            change()
+    assert result.to_dict() == before
+    design = result.design
+    design |= {"crank": 9.9}
+    assert (design["crank"], result.design["crank"]) == (9.9, 0.1)
+    for copied in (copy.deepcopy(result), pickle.loads(pickle.dumps(result))):
+        assert copied.design == result.design
+        assert type(copied.design) is type(result.design)
+    with pytest.raises(KeyError, match=r'crnk: unknown name\. Did you mean "crank"'):
+        _ = result.design["crnk"]
+    with pytest.raises(InputError, match=r'torque: unknown name\. Did you mean "input\.torque_Nm"'):
+        _ = analysis.columns["torque"]
+    assert len({LAW, optlink.load("crank-rocker"), LAW.override({"mechanism.frame": "480 mm"}), MACHINE}) == 3
+
+
+def test_a_template_is_read_as_it_is() -> None:
+    for name in ("wiper", "law"):
+        assert optlink.read(optlink.new(name), name).model.mechanism.quantities
+    with pytest.raises(InputError, match=r'not the text of a problem file\. Load a file: optlink\.load\("crank-rocker"\)'):
+        optlink.read("crank-rocker")
+    with pytest.raises(InputError, match="mine: not valid TOML"):
+        optlink.read("[mechanism\ncrank = 3", "mine", "mine")
+
+
 def test_inner_kinematics_take_any_values() -> None:
     """The checks stand at the boundary only: the formulas inside stay fast and take what a search gives them."""
     motion = sweep_unchecked(optlink.four_bar(), {**SIZES, "coupler": -0.7, "other": 1.0}, [0.0, math.nan])
@@ -184,6 +221,9 @@ def test_an_unknown_part_of_a_motion_is_named(method) -> None:
         (lambda: sensitivities("crank-rocker"), 'problem = "crank-rocker": not a problem'),
         (lambda: sweep(LAW, "mechanism.frame=480..520 mm:3"), "vary = .*not a list"),
         (lambda: sweep(MACHINE, SPEEDS, 3, analyze=True), "out = 3: not a file or folder"),
+        (lambda: sweep(LAW, 3), "vary = 3: not a list"),
+        (lambda: sweep(LAW, {"mechanism.frame": "x"}), "vary.mechanism.frame = .*not a list of finite numbers"),
+        (lambda: sweep(LAW, {"mechanism.frame": [0.4, math.nan]}), "vary.mechanism.frame = .*not a list of finite numbers"),
         (lambda: tolerance(LAW, [3]), "tolerances.0 = 3: not a text"),
         (lambda: tolerance(LAW, ["coupler=0.1 mm"], robust=[3]), "robust = .*not a number"),
         (lambda: pareto(LAW, ["error"]), "objectives = .*not a text"),

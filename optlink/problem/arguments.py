@@ -100,7 +100,9 @@ def _accepted(hint: Any) -> Any:
 
 
 def _fault(item: Any) -> Fault:
-    message, remedy = WRONG.get(item["type"].partition("_")[0], (item["msg"], "See the description of the function"))
+    kind = item["type"].partition("_")[0]
+    kind = item["ctx"]["class"].lower() if kind == "is" and item["ctx"]["class"] != "ProblemFile" else kind
+    message, remedy = WRONG.get(kind, (item["msg"], "See the description of the function"))
     if isinstance(item["input"], str) and message == WRONG["is"][0]:
         remedy = f'Load it: optlink.load("{item["input"]}")'
     if isinstance(item["input"], dict) and item["type"].startswith("string"):

@@ -72,6 +72,9 @@ class ProblemFile:
     def __get_pydantic_core_schema__(cls, source: Any, handler: Any) -> Any:
         return core_schema.is_instance_schema(cls)
 
+    def __hash__(self) -> int:
+        return hash((self.name, self.file, self.hash))
+
     def __repr__(self) -> str:
         return f"<ProblemFile {self.name!r}: {self.kind}>"
 
@@ -209,13 +212,13 @@ def load(problem: str | Path, overrides: Mapping[str, object] | None = None) -> 
 
 
 @typed
-def read(raw: Mapping[str, Any], name: str = "problem", file: str = "problem", folder: Path | None = None) -> ProblemFile:
-    """Read and check a problem from nested tables (the content of a TOML file).
+def read(raw: Mapping[str, Any] | str, name: str = "problem", file: str = "problem", folder: Path | None = None) -> ProblemFile:
+    """Read and check a problem from nested tables (the content of a TOML file), or from the text of such a file.
 
     Parameters
     ----------
-    raw : mapping
-        Nested tables.
+    raw : mapping or str
+        Nested tables, or the text of a problem file such as `optlink.new("wiper")`.
     name : str
         Name of the problem.
     file : str
@@ -230,9 +233,12 @@ def read(raw: Mapping[str, Any], name: str = "problem", file: str = "problem", f
     """
     load_extensions()
     where = folder or Path()
-    raw = _without_arrays(raw)
-    _check_values(raw, file)
-    raw = _typed(with_ranges(with_spellings(raw), skip=WORDS))
+    if isinstance(raw, str) and "=" not in raw:
+        remedy = f"Load a file: optlink.load({shown(raw)})"
+        raise InputError("not the text of a problem file", remedy, key="raw", value=raw)
+    tables = _without_arrays(_parse(raw, file) if isinstance(raw, str) else raw)
+    _check_values(tables, file)
+    raw = _typed(with_ranges(with_spellings(tables), skip=WORDS))
     model = _model(raw, file)
     try:
         problem = model.model_validate({"title": name[:200], **raw}, context={"folder": where})
@@ -337,6 +343,10 @@ def _read_toml(path: Path) -> dict[str, Any]:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(text_fault(data, error, file)) from None
+    return _parse(text, file)
+
+
+def _parse(text: str, file: str) -> dict[str, Any]:
     try:
         raw = tomllib.loads(text)
         _check_values(raw, file)
@@ -366,7 +376,12 @@ def _with_units(raw: Mapping[str, Any], changes: Mapping[str, Any]) -> Mapping[s
     if OPTIONS_NAMED.get():
         return changes
     present = {key: _at(raw, key.removesuffix(".min").removesuffix(".max")) for key in changes}
-    return {key: _stated(value, present[key], in_si(_unit(present[key]))[1]) for key, value in changes.items()}
+    return {key: _stated(value, present[key], si_unit(present[key])) for key, value in changes.items()}
+
+
+def si_unit(value: Any) -> str:
+    """Return the SI unit of a quantity, a range or a list in a file; empty if it has none."""
+    return in_si(_unit(value))[1]
 
 
 def _unit(value: Any) -> str:

@@ -3,17 +3,17 @@
 import contextlib
 import math
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from optlink.errors import InputError
 from optlink.problem.base_model import Record
-from optlink.problem.file import WORDS, ProblemFile
+from optlink.problem.file import WORDS, ProblemFile, si_unit
 from optlink.studies.toml_keys import Raw, exact_text
 from optlink.units import plain
 
@@ -216,6 +216,30 @@ def _of_axis(axis: Axis) -> Iterator[None]:
     except InputError as error:
         first = error.faults[0]
         raise InputError(replace(first, key=f"--vary {first.key or axis.key}")) from None
+
+
+def axes_of_arrays(problem: ProblemFile, arrays: Mapping[str, ArrayLike]) -> list[str]:
+    """Return axes as `KEY=VALUES` from arrays of SI values by key.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    arrays : mapping of str to array [SI]
+
+    Raises
+    ------
+    InputError
+        For an array without values, or with one that is not a finite number.
+    """
+    axes = []
+    for key, values in arrays.items():
+        numbers = np.asarray(values)
+        if numbers.ndim > 1 or not numbers.size or numbers.dtype.kind not in "iuf" or not np.all(np.isfinite(numbers)):
+            remedy = "Give SI values, for example np.linspace(0.45, 0.55, 11)"
+            raise InputError("not a list of finite numbers", remedy, problem.file, f"vary.{key}", values)
+        unit = si_unit(problem.at(key.removesuffix(".min").removesuffix(".max")))
+        axes.append(f"{key}={', '.join(f'{float(value)!r} {unit}'.rstrip() for value in numbers.ravel())}")
+    return axes
 
 
 def read_grid(problem: ProblemFile, vary: Sequence[str]) -> Grid:

@@ -18,7 +18,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from annotated_types import MinLen
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pydantic import AfterValidator, Field
 
 from optlink.errors import InputError, Status
@@ -29,7 +29,7 @@ from optlink.problem.base_model import Recorded, ResultRecord, absent
 from optlink.problem.file import ProblemFile
 from optlink.studies.analysis_task import MAX_ANGLES, analysis_task
 from optlink.studies.cycle_task import optimum_task
-from optlink.studies.grid import AxisRecord, Grid, read_grid
+from optlink.studies.grid import AxisRecord, Grid, axes_of_arrays, read_grid
 from optlink.studies.reoptimise_task import SEARCHED, check_backend, chunk_of
 from optlink.studies.simulation_task import simulation_task
 from optlink.studies.sweep_task import OPTIMISE, SweepTask
@@ -198,7 +198,7 @@ class TemporaryFolder:
 @typed
 def sweep(
     problem: ProblemFile,
-    vary: Sequence[str],
+    vary: Sequence[str] | Mapping[str, ArrayLike],
     out: Path | None = None,
     *,
     resume: bool = False,
@@ -219,9 +219,10 @@ def sweep(
     ----------
     problem : ProblemFile
         From `optlink.load`.
-    vary : sequence of str
+    vary : sequence of str, or mapping of str to array [SI]
         Axes of the grid, each a key with its values, for example "mechanism.frame=450..550 mm:101" (101 values) or
-        "mechanism.frame=450 mm, 500 mm". The last axis varies fastest.
+        "mechanism.frame=450 mm, 500 mm"; or arrays of SI values by key, for example
+        {"mechanism.frame": np.linspace(0.45, 0.55, 11)}. The last axis varies fastest.
     out : Path, optional
         Folder for completed chunks and for the final table `sweep.csv`. Default: a temporary folder.
     resume : bool
@@ -264,7 +265,7 @@ def sweep(
     begin = time.perf_counter()
     if not 2 <= points <= MAX_ANGLES:
         raise InputError("out of range", f"Give 2 to {MAX_ANGLES:,} crank angles", key="--points", value=points)
-    grid = read_grid(problem, vary)
+    grid = read_grid(problem, axes_of_arrays(problem, vary) if isinstance(vary, Mapping) else vary)
     if simulate is not None:
         task: SweepTask = simulation_task(problem, grid, simulate, design)
     elif analyze:

@@ -126,7 +126,7 @@ def solve(
     >>> result = optlink.solve(optlink.load("crank-rocker"))
     >>> result.valid, round(1e3 * result.design["coupler"], 3)  # [mm]
     (True, 412.865)
-    >>> [limit.name for limit in result.solution.limits if limit.active]
+    >>> [limit.name for limit in result.limits if limit.active]
     ['largest transmission angle']
     """
     from optlink.execution.runner import check, pool

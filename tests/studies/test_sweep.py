@@ -1064,3 +1064,15 @@ def test_the_objective_of_a_sweep_has_the_unit_of_a_single_design(name, vary, un
     assert shown.replace("^", "") == unit
     column = f"objective_{unit}".rstrip("_")
     assert swept.columns[column][0] == pytest.approx(factor * single.objective, rel=1e-6, abs=1e-12)
+
+
+def test_a_sweep_over_arrays_is_that_over_texts():
+    """Arrays are in SI, and so are their columns; the values may differ by rounding."""
+    problem, frames = optlink.load("crank-rocker"), np.linspace(0.48, 0.52, 3)
+    arrays = sweep(problem, {"mechanism.frame": frames, "limits.transmission_angle.max": np.radians([128.0, 135.0])}).columns
+    texts = sweep(problem, ["mechanism.frame=480..520 mm:3", "limits.transmission_angle.max=128 deg, 135 deg"]).columns
+    assert np.array_equal(arrays["mechanism.frame_m"], np.repeat(frames, 2))
+    assert np.allclose(np.degrees(arrays["limits.transmission_angle.max_rad"]), texts["limits.transmission_angle.max_deg"])
+    for name in ("objective_rad2", "coupler_mm", "rocker_mm"):
+        assert np.allclose(arrays[name], texts[name], rtol=1e-8)
+    assert list(arrays["status"]) == list(texts["status"])

@@ -126,6 +126,11 @@ class SingleResult(Recorded):
         return message(self.status, self.certificate, conflicting=bool(self.conflict))
 
     @property
+    def limits(self) -> tuple[LimitState, ...]:
+        """All bounds and limits of the design, in SI; none without a search."""
+        return () if self.solution is None else self.solution.limits
+
+    @property
     def definite(self) -> ProblemFile:
         """The problem with the assembly modes of the design."""
         return self.problem
