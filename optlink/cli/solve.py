@@ -154,7 +154,7 @@ def _validate(
     file = console.load(problem, changes)
     values, hashes = read_design(file, design), [document.get("problem_hash") for _, document in _documents(design)]
     file = next((mode for mode in possible_modes(file) if mode.hash in hashes), file)  # of a result file
-    result = check(file, values)
+    result = check(_in_mode(file, design), values)
     failed = _contradictions(design, file, result)
     _show(result.with_checks(failed) if failed else result, as_json, out, details=details)
 
@@ -176,6 +176,15 @@ def _validate_certificate(
         console.show(certificate_check(verdict))
     if not verdict.valid:
         raise typer.Exit(1)
+
+
+def _in_mode(file: ProblemFile, design: list[str]) -> ProblemFile:
+    """Return a problem that leaves its assembly mode open in the mode of a result file: its mirror image may do as well."""
+    for _, document in _documents(design)[:1]:
+        designs = document.get("designs")
+        best = designs[0] if isinstance(designs, list) and designs and isinstance(designs[0], dict) else document
+        return file.variant(best.get("assembly")) or file
+    return file
 
 
 def _documents(design: list[str]) -> list[tuple[str, dict[str, Any]]]:

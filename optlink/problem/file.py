@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import itertools
+import json
 import os
 import tomllib
 from collections.abc import Mapping
@@ -137,6 +138,17 @@ class ProblemFile:
         modes, key = self.model.mechanism.assembly, f"mechanism.assembly.{joint}".rstrip(".")
         mode = modes if isinstance(modes, str) else modes.get(joint, "")
         return f"{mode} ({self.at(key)})" if key in self.located else mode
+
+    def variant(self, assembly: object) -> ProblemFile | None:
+        """Return the problem with the assembly mode of a result, in the words of its file; None if it has no such mode.
+
+        Parameters
+        ----------
+        assembly : object
+        """
+        wanted = json.dumps(assembly, sort_keys=True)
+        modes = ((json.dumps(one.raw["mechanism"].get("assembly", "left"), sort_keys=True), one) for one in self.variants())
+        return next((one for mode, one in modes if mode == wanted), None)
 
     @typed
     def override(self, changes: Mapping[str, object]) -> ProblemFile:

@@ -125,8 +125,12 @@ def scene(cycle: Analysis, steps: int = STEPS, at: float | None = None) -> Scene
     angles = np.linspace(first, last, count + 1)
     full_motion = sweep(machine.mechanism, machine.sizes, angles, cycle.speed)
     sketch = Sketch(full_motion, machine)
-    shown = full_motion if at is None else sweep(machine.mechanism, machine.sizes, [at], cycle.speed)
-    return scene_of(sketch, shown, closed=cycle.full and at is None)
+    if at is not None:
+        return scene_of(sketch, sweep(machine.mechanism, machine.sizes, [at], cycle.speed), closed=False)
+    known = np.all([np.isfinite(full_motion.position(name)).all(axis=-1) for name in machine.mechanism.owners], axis=0)
+    if not known.all() and known.any():  # a singular position has none, for example
+        full_motion = sweep(machine.mechanism, machine.sizes, angles[known], cycle.speed)
+    return scene_of(sketch, full_motion, closed=cycle.full)
 
 
 def scene_at(cycle: Analysis, angles: Array) -> Scene:

@@ -83,7 +83,7 @@ class AnalysisTask(FiguresTask):
         """Yield the figures of the designs at points of the grid."""
         values = [self.grid.values(point) for point in points]
         quantities = self.problem.model.mechanism.quantities
-        designs = {name: np.full(len(values), value) for name, value in self.design}
+        designs = {name: np.full(len(values), value) for name, value in self.design if name in quantities}  # none of a task alone
         for name, axis, column in zip(self.quantities, self.grid.axes, np.array(values).T, strict=True):
             designs[name] = column * factor(axis.unit, quantities[name].kind)
         clear = self._batched(designs)

@@ -13,7 +13,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 from rich.console import Console
@@ -480,11 +479,11 @@ def test_a_design_that_never_assembles_is_not_drawn(tmp_path):
 
 
 def test_a_failed_write_leaves_no_partial_files(tmp_path, monkeypatch):
-    def half(self, path, **_):
+    def half(path, *_, **__):
         path.write_bytes(b"half")
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(FigureCanvasAgg, "print_png", half)
+    monkeypatch.setattr("matplotlib.image.imsave", half)
     with pytest.raises(optlink.InputError, match="No space left"):
         view_of("path").write(result("path"), tmp_path)
     assert {path.name for path in tmp_path.iterdir()} == {"result.json", "points.csv", "design.toml"}

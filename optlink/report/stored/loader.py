@@ -155,7 +155,12 @@ def problem_of(about: _Head | ResultRecord, path: Path, problem: str | None = No
     overrides = parse_assignments(changes) or about.overrides
     hashes = []
     for place in places:
-        file = load(place, overrides)
+        try:
+            file = load(place, overrides)
+        except InputError:
+            if place == places[-1]:
+                raise
+            continue  # another problem of this name, without the keys of the changes
         for variant in (file, *file.variants()):
             if variant.hash == expected:
                 return variant

@@ -2,7 +2,6 @@
 
 A result file contains only the name and hash of its problem, which is searched by name and must have that hash."""
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import replace
@@ -141,8 +140,9 @@ def _size(file: ProblemFile, units: Mapping[str, str], name: str) -> float:
 
 def _outcome(record: ResultRecord, path: Path, file: ProblemFile) -> Outcome:
     if isinstance(record, AnalysisRecord):
-        check_entries("sizes", record.sizes, file.model.free)
-        design = {name: record.sizes[name] for name in file.model.free}
+        free = [name for name in file.model.free if name in file.model.mechanism.quantities]  # others determine a task alone
+        check_entries("sizes", record.sizes, free)
+        design = {name: record.sizes[name] for name in free}
         count = len(next(iter(record.columns.values()), ()))
         return analyze(file, max(1, count - 1), speed=record.speed_rad_s, design=design)
     if isinstance(record, PathRecord):
@@ -196,10 +196,7 @@ def _rejected(record: RejectedRecord | None, file: ProblemFile) -> RejectedDesig
 
 
 def _path_design(record: PathDesignRecord, where: str, file: ProblemFile) -> PathDesign:
-    modes = {
-        json.dumps(candidate.raw["mechanism"].get("assembly", "left"), sort_keys=True): candidate for candidate in file.variants()
-    }
-    variant = modes.get(json.dumps(record.assembly, sort_keys=True))
+    variant = file.variant(record.assembly)
     if variant is None:
         raise Contradiction(f"{where}.assembly", "the problem has no such assembly mode")
     values = named_si(variant, record.design)
