@@ -69,7 +69,13 @@ class Kind:
         return model.design({name: solution.design[name] for name in model.free}), None
 
     def objective(self, model: Any, value: float) -> ShownObjective:
-        """Return the objective [SI] as it is shown, with its name; no name if there is none."""
+        """Return an objective as it is shown, with its name; no name if there is none.
+
+        Parameters
+        ----------
+        model : Problem
+        value : float [SI]
+        """
         return ShownObjective(value, 1.0, "", "")
 
     def error_curves(self, model: Any, values: Mapping[str, float], start: float, angles: Array | None) -> Iterator[ErrorCurve]:
