@@ -36,6 +36,22 @@ def test_formulas_become_mathml():
         formulas.mathml(r"\nosuchcommand x")
 
 
+@pytest.mark.parametrize("path", sorted((ROOT / "notebooks").glob("*.ipynb")), ids=lambda path: path.stem)
+def test_no_latex_is_left_on_the_page_of_a_notebook(path):
+    pytest.importorskip("latex2mathml")
+    text, _ = hook("links").notebook(f"notebooks/{path.name}")
+    marked, found = hook("formulas").marked(text)
+    prose = re.sub(r"^(`{3,}).*?^\1\s*$|`[^`\n]*`", "", marked, flags=re.DOTALL | re.MULTILINE)
+    assert "$" not in prose
+    assert not re.search(r"\\(frac|tfrac|sqrt|omega|dot|psi|sum)", prose)
+    assert bool(found) == (path.stem in {"clearance", "crank_rocker", "six_bar"})
+
+
+def test_a_price_in_dollars_is_no_formula():
+    text = hook("links").with_formulas("costs $5 and $ 6, but $a_1$ and `$b$`\n$$x\n= y$$ end")
+    assert text == "costs $5 and $ 6, but $`a_1`$ and `$b$`\n\n\n```math\nx\n= y\n```\n\n end"
+
+
 @pytest.mark.slow
 def test_formulas_of_every_page_are_read_and_their_letters_are_in_the_font():
     pytest.importorskip("latex2mathml")

@@ -103,6 +103,12 @@ def below(path: str) -> list[str]:
     return [path, *(f"{path}/{one.name}" for one in inside)]
 
 
+def with_formulas(text: str) -> str:
+    """The text of a notebook with its formulas, `$` or `$$` around LaTeX, in the form of the pages (`formulas.marked`)."""
+    text = re.sub(r"\$\$(.+?)\$\$", lambda found: f"\n\n```math\n{found[1].strip()}\n```\n\n", text, flags=re.DOTALL)
+    return re.sub(r"(?<![\\$`])\$(?=[^\s$`])([^$`\n]*[^\s$`])\$(?!\w)", r"$`\1`$", text)
+
+
 def notebook(path: str) -> tuple[str, dict[str, bytes]]:
     """A notebook as Markdown, and its pictures by their file names."""
     cells = json.loads((ROOT / path).read_text(encoding="utf-8"))["cells"]
@@ -112,7 +118,7 @@ def notebook(path: str) -> tuple[str, dict[str, bytes]]:
     for cell in cells:
         text = _joined(cell["source"])
         if cell["cell_type"] == "markdown":
-            parts.append(rewritten(text, "notebooks", page_of(path)))
+            parts.append(_outside_fences(rewritten(text, "notebooks", page_of(path)), with_formulas))
             continue
         if cell["cell_type"] != "code" or not text.strip():
             continue
