@@ -51,21 +51,25 @@ class Candidate:
 class Exploration:
     """Distinct candidates, best first, and the number of starting points and rounds.
 
-    `repaired` are the designs of the last round that violated the order of the points or a limit and were reordered.
+    `repaired` are the designs of the last round that violated the order of the points or a limit and were reordered; `accepted`
+    counts the starting points that did not end at such a design.
     """
 
     candidates: list[Candidate] = field(default_factory=list)
     repaired: list[Candidate] = field(default_factory=list)
     starts: int = 0
+    accepted: int = 0
     rounds: int = 0
 
 
 @dataclass(frozen=True)
 class _Round:
-    """Results of a round: the final designs of each combination of assembly modes, and its reordered designs."""
+    """Results of a round: the final designs of each combination of assembly modes, its reordered designs, and how many of its
+    starting points ended in order and within the limits."""
 
     ends: list[FinalDesigns]
     repaired: list[Candidate]
+    accepted: int
 
 
 @dataclass(frozen=True)
@@ -116,6 +120,7 @@ class Searcher:
         for variant, ends in enumerate(finished.ends):
             self._keep(variant, ends)
         exploration.starts += self._share(exploration.rounds) * len(self.batches)
+        exploration.accepted += finished.accepted
         exploration.rounds += 1
         return exploration
 
@@ -142,7 +147,8 @@ class Searcher:
         for k in range(0, len(groups), len(self.batches)):
             part = slice(k, k + len(self.batches))
             repaired = [c for variant, first in enumerate(firsts[part]) for c in self._repaired(variant, first)]
-            rounds.append(_Round(ends[part], repaired))
+            accepted = sum(int(np.count_nonzero(acceptable(self.batch, first)[0])) for first in firsts[part])
+            rounds.append(_Round(ends[part], repaired, accepted))
         return rounds
 
     def _sample(self, variant: int, count: int, number: int) -> tuple[Array, Array]:
