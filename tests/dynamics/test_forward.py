@@ -375,7 +375,7 @@ def test_massless_machine_is_refused():
 
 @pytest.mark.parametrize(
     ("arguments", "key"),
-    [({"duration": 0.0}, "duration"), ({"duration": math.nan}, "duration"), ({"rows": 0}, "points"), ({"speed": 1e9}, "speed"),
+    [({"duration": 0.0}, "duration"), ({"duration": math.nan}, "duration"), ({"rows": 0}, "rows"), ({"speed": 1e9}, "speed"),
      ({"flywheel": -1.0}, "flywheel")],
 )  # fmt: skip
 def test_arguments_out_of_range(arguments, key):
