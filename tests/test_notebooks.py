@@ -62,7 +62,9 @@ def told(notebook: NotebookNode) -> dict[str, str]:
     texts = {}
     for cell in code_cells(notebook):
         parts = [output.get("text") or output.get("data", {}).get("text/plain", "") for output in cell.outputs]
-        texts[cell.id] = re.sub(r"[ \u2500-\u257f-]+", " ", VARYING.sub("#", "".join(parts)))  # columns as wide as their numbers
+        texts[cell.id] = re.sub(
+            r"(?:-{2,}|[ \u2500-\u257f])+", " ", VARYING.sub("#", "".join(parts))
+        )  # columns as wide as their numbers
     return texts
 
 
