@@ -38,6 +38,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 FIRST = (
     "test_the_site_builds",
     "test_notebooks.py",
+    "test_every_command_ends_with_its_exit_code",
     "test_six_bars.py",
     "test_path_evidence.py",
     "test_same_front_whatever",

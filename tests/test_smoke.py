@@ -27,11 +27,8 @@ SHIPPED = [("problem", name) for name in optlink.shipped()] + [("template", name
 FEW = ("--starts", "3")
 ROWS = ("--points", "24")
 SHORT = ("--duration", "20 ms")
-FRONTS = {
-    "function": "error,limits.transmission_angle.max",
-    "cycle": "peak torque,rms torque",
-}
-"""Two objectives by the task of a problem that has a front."""
+LAW, MACHINE = "error,limits.transmission_angle.max", "peak torque,rms torque"
+"""Two objectives of a motion law, and of a machine with masses or loads."""
 
 
 class Session:
@@ -149,9 +146,12 @@ def studies(session: Session, designed: bool, of: tuple[str, ...]) -> None:
     deviation = ("--tolerance", f"{length}=0.1 mm", "--samples", "64", *of)
     run(0, "study", "tolerance", name, *deviation, "--quantity", output, "--angles", "90 deg", "--out", "tolerance")
 
-    front = FRONTS.get(file.task)
+    model = file.model
+    front = file.task == "function" or (file.task == "cycle" and bool(model.bodies or model.loads))
     run(2, "study", "pareto", name)
-    asked = ("--objectives", front or "error,limits.transmission_angle.max", "--points", "2", "--workers", "1")
+    if file.task == "function" and file.spec.everywhere:
+        return  # each point takes as long as all other commands
+    asked = ("--objectives", MACHINE if file.task == "cycle" else LAW, "--points", "2", "--workers", "1")
     run(0 if front else 2, "study", "pareto", name, *asked, *(("--out", "front") if front else ()))
 
 
