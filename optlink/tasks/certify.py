@@ -127,7 +127,7 @@ def certify(
     original : ProblemFile, optional
         The problem whose open assembly modes are searched too; `result` has the best ones. Default: that of `result`.
     folder : Path, optional
-        Folder for the state of a long search, from which an interrupted search resumes.
+        Folder for the state of a long search, from which it resumes; the state stays there until it is removed.
     resume : bool
         Continue the search that was interrupted there, with the bound that it would have had.
     runs : function, optional

@@ -103,7 +103,7 @@ def solve(
     proving : function of (completed fraction of the proof, current gap), optional
         Called with the progress of the proof.
     folder : Path, optional
-        Folder for the state of a long proof, from which an interrupted proof resumes.
+        Folder for the state of a long proof, from which it resumes; the state stays there until it is removed.
     resume : bool
         Resume the interrupted proof in `folder`.
     engine, workers, scheduler

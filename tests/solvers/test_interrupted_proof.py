@@ -144,7 +144,6 @@ def test_an_interrupt_while_the_checkpoint_is_read_leaves_it_and_proves_nothing(
     assert result.certificate is None
     assert [file.read_bytes() for file in tmp_path.iterdir()] == [before]
     assert certify(solved, folder=tmp_path, resume=True).certificate.status == "global"
-    assert not list(tmp_path.iterdir())
 
 
 def test_an_interrupt_while_the_checkpoint_of_a_timed_path_is_read_leaves_it(monkeypatch, tmp_path):
