@@ -226,15 +226,15 @@ def test_the_effect_of_a_tolerance_is_its_derivative(problem):
     result = sensitivities(problem, starts=4, check=True)
     assert result.gap < 1e-4
     coupler = result["tolerances.coupler"]
-    assert coupler.parameter.value == pytest.approx(1.0)
-    assert coupler.parameter.unit == "mm"
+    assert coupler.parameter.value == pytest.approx(1e-3)
+    assert coupler.parameter.unit == "m"
     low, high = (solve(problem.override({"tolerances.coupler": f"{1.0 + d} mm"})).objective for d in (-1e-3, 1e-3))
-    assert coupler.objective == pytest.approx((high - low) / 2e-3, rel=1e-5)
+    assert coupler.objective == pytest.approx((high - low) / 2e-6, rel=1e-5)
     assert coupler.objective > 0.0
     assert coupler.below.value == -math.inf  # was -10 mm: a tolerance is not negative
     uniform, step = result["tolerances.rocker"], 1e-3
     low, high = (solve(problem.override({"tolerances.rocker": f"{0.8 + d} mm"})).objective for d in (-step, step))
-    assert uniform.objective == pytest.approx((high - low) / (2.0 * step), rel=1e-5)
+    assert uniform.objective == pytest.approx((high - low) / (2e-3 * step), rel=1e-5)
 
 
 @pytest.mark.slow
