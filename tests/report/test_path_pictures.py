@@ -394,7 +394,9 @@ def test_transmission_angles_are_those_of_the_cosine_law():
     assert np.ptp(drawn[:, 0]) == pytest.approx(360.0)
     legend = picture("transmission", "curve").axes[0].get_legend().get_texts()[0].get_text()
     assert legend == f"at C: {drawn[:, 1].min():.2f}° to {drawn[:, 1].max():.2f}°"
-    assert "largest cosine of a transmission angle" in picture("transmission", "mechanism").get_suptitle()
+    heading = picture("transmission", "mechanism").get_suptitle()
+    assert f"least transmission angle {math.degrees(best.least_transmission):.1f}°" in heading
+    assert "cosine" not in heading
     assert not {"path", "errors"} & {name for name, drawn in drawings(result("transmission")).items() if drawn}
 
 
