@@ -330,7 +330,7 @@ def test_three_objectives_have_a_colour(results, tmp_path):
 
 def test_a_machine_that_stays_at_rest_has_a_page(tmp_path):
     """One row, no curve; a drive that is too weak is no damage."""
-    change = ("--set", "drive.torque=1 N*m")
+    change = ("--set", "drive.torque=1 N*m", "--set", "drive.initial_speed=0 rad/s")
     done = run("simulate", "shaper", *change, "--json")
     (tmp_path / "result.json").write_text(done.stdout)
     assert len(json.loads(done.stdout)["columns"]["time_s"]) == 1
