@@ -353,7 +353,6 @@ OPTIONS = [
     "designs 51",
     "designs x",
     "backend foo",
-    "backend both",
 ]
 
 
