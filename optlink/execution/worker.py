@@ -30,7 +30,7 @@ class ChunkTask(Protocol):
         ...
 
 
-_CHUNK_LOCK = threading.Lock()
+_CHUNK_LOCK = threading.RLock()
 _BUILT: dict[tuple[Any, bytes], Any] = {}
 MOST_BUILT = 4
 

@@ -1176,7 +1176,7 @@ REFUSED = {
         "too large for the mechanism: at a crank angle of 90 deg",
         "smaller clearance",
     ),
-    "friction without clearance": ({"joints.B.friction": 0.1}, "joints.B.friction", "no clearance", "Add clearance"),
+    "friction without clearance": ({"joints.B.friction": 0.1}, "joints.B.friction", "not supported", "give its torque as a load"),
     "radius without clearance": ({"joints.B.bearing_radius": "9 mm"}, "joints.B.bearing_radius", "no clearance", "clearance"),
     "a key misspelt": ({C + "clearence": "0.5 mm"}, C + "clearence", "unknown key", 'Did you mean "clearance"'),
     "unknown law": ({C + "law": "hertzian"}, C + "law", "no such contact law", 'Did you mean "hertz"'),
@@ -1278,7 +1278,7 @@ def test_unusable_option_is_refused(options, key, remedy):
     [
         ({"drive.servo.bandwidth": "1e9 Hz"}, {}, "drive.servo.bandwidth", '= "1e9 Hz": a vibration of the servo takes 1e-09 s'),
         ({"drive.speed": "0.01 rpm"}, {}, "drive.speed", '"0.01 rpm": a vibration of a journal on its bearing takes'),
-        ({}, {"speed": 1e-6}, "--speed", "a revolution of 6.28e+06 s"),
+        ({}, {"speed": 1e-6}, "speed", "a revolution of 6.28e+06 s"),
         (
             {"drive.speed": "1 rpm", "control.sample_time": "1e-6 s"},
             {"control": "pid"},
