@@ -1,4 +1,4 @@
-"""Calibration of the chance that a search missed a better optimum: what is told against how often it happens.
+"""Calibration of the chance that a search missed a better optimum: the stated chance against the observed frequency.
 
     python benchmarks/missed_optima.py --problems 200 --json benchmarks/missed_optima_record.json
 

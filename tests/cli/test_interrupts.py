@@ -226,7 +226,7 @@ PARALLEL = {
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
 @pytest.mark.parametrize("case", PARALLEL)
 def test_workers_end_with_their_parent(case, number, files):
-    """However the parent process ends, in the middle of long and compiled work too: nobody works for nobody."""
+    """However the parent process ends, in the middle of long and compiled work too, its workers end."""
     with subprocess.Popen(
         [*COMMAND, *PARALLEL[case]], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, cwd=files, start_new_session=True
     ) as process:
