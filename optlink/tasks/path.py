@@ -24,7 +24,6 @@ from optlink.tasks.results.rotation import cannot_turn
 from optlink.validation.path import validate_path
 
 MISSED_CHANCE = 0.02  # estimated chance that a better design was missed at which a search ends
-MISSED_CHANCE_IN_ORDER = 0.005  # the same if the order of the points decides: it divides the designs into many small regions
 MIN_ROUNDS, MAX_ROUNDS = 3, 20
 MAX_ROUNDS_POOR_FIT = 40  # largest number, while the best design fits poorly
 BATCH_ROUNDS = 2  # rounds computed together after the first one, while no design is exact
@@ -310,5 +309,4 @@ class SearchRounds:
             return False
         if not collection.designs and collection.beyond_tolerances(self.searcher.exploration.candidates) <= MISSED_CHANCE:
             return True
-        small = MISSED_CHANCE_IN_ORDER if collection.ordered else MISSED_CHANCE
-        return rounds >= self._most or collection.evidence().missed <= small
+        return rounds >= self._most or collection.evidence().missed <= MISSED_CHANCE * collection.in_order

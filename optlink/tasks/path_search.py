@@ -287,13 +287,15 @@ class DesignCollection:
         return self.grade == "poor"
 
     @property
-    def ordered(self) -> bool:
-        """Whether the order of the points decides which optima exist: they have no timing, and the best design misses them.
+    def in_order(self) -> float:
+        """How far the counts of optima can be relied on: 1, or less where few starts pass untimed points in their order.
 
-        Any crank passes three points in their order, in one direction or the other.
+        The order then divides the designs into regions that few starts reach, so that counts look complete too early. Any crank
+        passes three points in their order, in one direction or the other.
         """
         data = path_model(self.polisher.files[0]).data
-        return data.offsets is None and len(data.columns) > ANY_ORDER and self.grade in ("fair", "poor")
+        untimed = data.offsets is None and len(data.columns) > ANY_ORDER
+        return min(1.0, self._accepted / MOST_IN_ORDER) if untimed else 1.0
 
     def _follow_reordered(self, candidates: list[Candidate], tries: int, failures: int, costly: int) -> None:
         """Refine reordered candidates as in `_follow`, and count the rounds in which this improves no design."""
@@ -375,10 +377,6 @@ class DesignCollection:
 
         Only starts whose refined designs are valid and come near the best one (`COUNTED_RATIO`) are counted, as a better optimum
         would be one of these, and those of better optima that fail a check.
-
-        Where most starts end out of the order of the points, the order divides the designs into regions that few starts reach,
-        and the chance that a better one was missed is larger than the counts of those in order tell: in proportion to their
-        share, see `benchmarks/missed_optima.py`.
         """
         ends = sorted(((d.error, c.count) for c, d in self._ends.items() if d.valid), key=lambda end: end[0])
         if not ends:
@@ -397,12 +395,7 @@ class DesignCollection:
                 for _, count in tally(some, lambda known, error: error <= known * (1.0 + OBJECTIVE_TOLERANCE))
             ]
         )
-        if best.exact:
-            return replace(found_evidence, missed=0.0)  # no design is better than an exact one
-        if best.task.data.offsets is not None or len(best.task.data.columns) <= ANY_ORDER:
-            return found_evidence
-        rare = min(1.0, self._accepted / MOST_IN_ORDER)
-        return replace(found_evidence, missed=min(1.0, found_evidence.missed / rare) if rare else 1.0)
+        return replace(found_evidence, missed=0.0) if best.exact else found_evidence  # no design is better than an exact one
 
     def beyond_tolerances(self, candidates: list[Candidate]) -> float:
         """Return the estimated chance that a candidate within the tolerances was missed; 1 if one of all, cheapest first, is."""

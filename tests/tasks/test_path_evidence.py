@@ -198,13 +198,13 @@ def test_a_search_ends_early_where_no_curve_comes_near_the_tolerances() -> None:
     assert narrow.objective == pytest.approx(wide.objective, rel=0.1)
 
 
-def test_the_order_decides_only_between_more_than_three_points(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(DesignCollection, "grade", "poor")
-    orders = {
-        name: DesignCollection(Polisher(optlink.load(name).variants(), "ipopt"), 3).ordered
-        for name in ("motion-3-poses", "motion-5-poses", "path-closed18")
-    }
-    assert orders == {"motion-3-poses": False, "motion-5-poses": True, "path-closed18": False}
+def test_the_order_decides_only_between_more_than_three_points() -> None:
+    relied = {}
+    for name in ("motion-3-poses", "motion-5-poses", "path-closed18"):
+        collection = DesignCollection(Polisher(optlink.load(name).variants(), "ipopt"), 3)
+        collection._accepted = 0.1
+        relied[name] = collection.in_order
+    assert relied == {"motion-3-poses": 1.0, "motion-5-poses": 0.2, "path-closed18": 1.0}
 
 
 @pytest.mark.slow
@@ -243,24 +243,20 @@ def calibration() -> Any:
 
 
 @pytest.mark.slow
-def test_starts_that_end_out_of_order_raise_the_told_chance() -> None:
+def test_starts_that_end_out_of_order_prolong_a_search() -> None:
     """Of five points, three in reverse order, few starts pass all in order; of points along a curve most do."""
-    module, told = calibration(), {}
-    for number, file in enumerate((optlink.load("path-bean"), module.problem(1))):
+    module, shares = calibration(), []
+    for file in (module.problem(1), optlink.load("path-bean")):
         files = file.variants()
         collection, search = DesignCollection(Polisher(files, "ipopt"), 1), Searcher([path_model(file) for file in files], 0)
         for _ in range(3):
             exploration = search.advance()
             collection.add(exploration)
         share = exploration.accepted / exploration.starts
-        chance, collection._accepted = collection.evidence().missed, 1.0
-        told[number] = share, chance, collection.evidence().missed
-    share, chance, plain = told[1]
-    assert share < 0.4
-    assert chance == pytest.approx(min(1.0, plain / (2.0 * share)))
-    share, chance, plain = told[0]
-    assert share > 0.5
-    assert chance == plain
+        assert collection.in_order == pytest.approx(min(1.0, 2.0 * share))
+        shares.append(share)
+    assert shares[0] < 0.4
+    assert shares[1] > 0.5
 
 
 def test_recorded_searches_that_told_two_per_cent_missed_no_more_than_four() -> None:
