@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from optlink.tasks.results.analysis import Analysis
     from optlink.tasks.results.balance import Balance
     from optlink.tasks.results.clearance import ClearanceSimulation
+    from optlink.tasks.results.common import DesignResult
     from optlink.tasks.results.control_comparison import Comparison, Tuning
     from optlink.tasks.results.cycle import CycleResult
     from optlink.tasks.results.path import PathDesign, PathResult
@@ -53,6 +54,7 @@ _NAMES = {
     "optlink.tasks.results.analysis": ("Analysis",),
     "optlink.tasks.results.balance": ("Balance",),
     "optlink.tasks.results.clearance": ("ClearanceSimulation",),
+    "optlink.tasks.results.common": ("DesignResult",),
     "optlink.tasks.results.control_comparison": ("Comparison", "Tuning"),
     "optlink.tasks.results.cycle": ("CycleResult",),
     "optlink.tasks.results.path": ("PathDesign", "PathResult"),
@@ -67,6 +69,7 @@ __all__ = [
     "ClearanceSimulation",
     "Comparison",
     "CycleResult",
+    "DesignResult",
     "Explorer",
     "FunctionResult",
     "InputError",

@@ -194,6 +194,9 @@ def test_a_new_kind_of_result_and_its_view(extended, tmp_path):
     file.write_text(optlink.problem.file.dump(optlink.read(stated)))
     document = solved("solve", str(file), "--out", str(tmp_path / "out"))
     assert document["valid"]
+    assert {name for name in vars(optlink.DesignResult) if not name.startswith("_")} <= set(
+        dir(optlink.solve(optlink.load(file)))
+    )
     assert json.loads((tmp_path / "out" / "result.json").read_text())["distance_m"] == document["distance_m"]
     assert "least distance" in run("solve", str(file))
     shown = page(tmp_path, str(file))

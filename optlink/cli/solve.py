@@ -36,10 +36,8 @@ from optlink.errors import Fault, InputError, Status
 
 if TYPE_CHECKING:
     from optlink.problem.file import ProblemFile
-    from optlink.tasks.function import FunctionResult
     from optlink.tasks.results.balance import Balance
-    from optlink.tasks.results.cycle import CycleResult
-    from optlink.tasks.results.path import PathResult
+    from optlink.tasks.results.common import DesignResult
     from optlink.validation.check import Check
 
 CERTIFY = (
@@ -192,7 +190,7 @@ def _documents(design: list[str]) -> list[tuple[str, dict[str, Any]]]:
     return [(text, json.loads(Path(text).read_text(encoding="utf-8"))) for text in design if text.endswith(".json")]
 
 
-def _contradictions(design: list[str], file: ProblemFile, result: FunctionResult | PathResult | CycleResult) -> tuple[Check, ...]:
+def _contradictions(design: list[str], file: ProblemFile, result: DesignResult) -> tuple[Check, ...]:
     """Check a result file used as the design against the recomputed result; report a file of another problem."""
     from optlink.validation.consistency import contradictions
 
@@ -206,7 +204,7 @@ def _contradictions(design: list[str], file: ProblemFile, result: FunctionResult
     return tuple(failed)
 
 
-def _interrupted(result: FunctionResult | PathResult | CycleResult | Balance) -> str:
+def _interrupted(result: DesignResult | Balance) -> str:
     """Describe what an interrupted search or proof has reached."""
     certificate = getattr(result, "certificate", None)
     if certificate is not None:
@@ -217,7 +215,7 @@ def _interrupted(result: FunctionResult | PathResult | CycleResult | Balance) ->
 
 
 def _show(
-    result: FunctionResult | PathResult | CycleResult | Balance,
+    result: DesignResult | Balance,
     as_json: bool,
     out: Path | None,
     *,

@@ -15,6 +15,7 @@ from optlink.tasks.analyze import analyze
 from optlink.tasks.function import FunctionResult
 from optlink.tasks.results.analysis import Analysis
 from optlink.tasks.results.balance import Balance
+from optlink.tasks.results.common import DesignResult
 from optlink.tasks.results.cycle import CycleResult
 from optlink.tasks.results.path import PathResult
 from optlink.tasks.run import solve, validate
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from optlink.studies.sensitivity import Sensitivities
 
 Outcome = FunctionResult | PathResult | CycleResult | Analysis
+"""What is stored, and shown in motion; an extension has results of its own."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +39,7 @@ class ReportModel:
     """
 
     problem: ProblemFile
-    result: Outcome
+    result: DesignResult | Analysis
     cycle: Analysis | None
     unmoved: str = ""
     limits: tuple[LimitState, ...] = ()
@@ -66,7 +68,7 @@ def solve_or_validate(
     starts: int | None = None,
     seed: int = 0,
     design: Mapping[str, float] | None = None,
-) -> Outcome:
+) -> DesignResult | Analysis:
     """Solve a problem, validate a given design of it, or analyse it.
 
     An analysis or balancing problem is analysed. Any other problem is solved, or validated if a design is given.
@@ -96,14 +98,14 @@ def solve_or_validate(
 
 
 def report_model_of(
-    problem: ProblemFile, outcome: Outcome, limits: tuple[LimitState, ...] = (), notes: tuple[str, ...] = ()
+    problem: ProblemFile, outcome: DesignResult | Analysis, limits: tuple[LimitState, ...] = (), notes: tuple[str, ...] = ()
 ) -> ReportModel:
     """Return the report model of a solved problem.
 
     Parameters
     ----------
     problem : ProblemFile
-    outcome : Outcome
+    outcome : DesignResult or Analysis
     limits : tuple of LimitState, optional
         Constraint states with shadow prices.
     notes : tuple of str, optional

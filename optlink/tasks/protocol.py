@@ -4,7 +4,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import ClassVar, Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, ClassVar, Generic, TypeVar
 
 from optlink.errors import InputError
 from optlink.execution import interrupts
@@ -15,7 +15,11 @@ from optlink.problem.quantity import check_choice, check_range
 from optlink.solvers import contract
 from optlink.validation.check import Check
 
-R = TypeVar("R")
+if TYPE_CHECKING:
+    from optlink.tasks.results.balance import Balance
+    from optlink.tasks.results.common import DesignResult
+
+R = TypeVar("R", bound="DesignResult | Balance")
 MAX_DESIGNS = 50
 Progress = Callable[[float], None] | None
 """Receives the share of the work that is done, from 0 to 1."""
@@ -73,19 +77,7 @@ def part(progress: Progress, k: int, count: int) -> Progress:
     return None if progress is None else lambda share: progress((k + share) / count)
 
 
-class Interruptible(Protocol):
-    """A result that an interrupt may have ended early."""
-
-    @property
-    def interrupted(self) -> bool:
-        """Whether Ctrl-C ended the search."""
-        ...
-
-
-Found = TypeVar("Found", bound=Interruptible)
-
-
-def completed(result: Found) -> Found:
+def completed(result: R) -> R:
     """Return the result of a search that is a part of other work.
 
     Raises
@@ -122,8 +114,7 @@ class Search:
 class DesignTask(ABC, Generic[R]):
     """A kind of problem: how it is searched, and how a given design of it is validated.
 
-    The results have `problem`, `status`, `valid`, `interrupted`, `validation`, `with_checks` and `to_dict`; and, for the motion
-    on their page, `machine`: the problem with all dimensions fixed, or None.
+    The results are `DesignResult`s, or a `Balance`; on their page they show the motion of their `machine`.
     """
 
     section: ClassVar[str]

@@ -18,6 +18,7 @@ from optlink.tasks.protocol import DesignTask, Progress, Search
 if TYPE_CHECKING:
     from optlink.tasks.function import FunctionResult
     from optlink.tasks.results.balance import Balance
+    from optlink.tasks.results.common import DesignResult
     from optlink.tasks.results.cycle import CycleResult
     from optlink.tasks.results.path import PathResult
 
@@ -73,7 +74,7 @@ def solve(
     engine: str = "local",
     workers: int | None = None,
     scheduler: str | None = None,
-) -> FunctionResult | PathResult | CycleResult | Balance:
+) -> DesignResult | Balance:
     """Find the best design for a problem and validate it.
 
     Parameters
@@ -112,8 +113,9 @@ def solve(
 
     Returns
     -------
-    FunctionResult, PathResult, CycleResult or Balance
-        Depends on the kind of problem. All have `valid`, `status`, `design`, `objective` and `to_dict()`.
+    DesignResult or Balance
+        `FunctionResult`, `PathResult`, `CycleResult` or `Balance`, by the kind of problem. All have `valid`, `status`, `design`,
+        `objective`, `limits`, `machine` and `to_dict()`.
 
     Raises
     ------
@@ -141,7 +143,7 @@ def solve(
         proof.check_options(gap, time_limit)
     if certify:
         proof.check_problem(problem)
-    result: FunctionResult | PathResult | CycleResult | Balance
+    result: DesignResult | Balance
     shared = workers is not None or engine != "local"
     check(engine, workers, scheduler)
     with contextlib.ExitStack() as ends:
@@ -172,7 +174,7 @@ def _default_boxes(problem: ProblemFile, result: Any) -> int:
 
 
 @typed
-def validate(problem: ProblemFile, design: Mapping[str, float]) -> FunctionResult | PathResult | CycleResult:
+def validate(problem: ProblemFile, design: Mapping[str, float]) -> DesignResult:
     """Check a design against all requirements and limits, without optimisation.
 
     Parameters
@@ -185,8 +187,8 @@ def validate(problem: ProblemFile, design: Mapping[str, float]) -> FunctionResul
 
     Returns
     -------
-    FunctionResult, PathResult or CycleResult
-        Depends on the kind of problem; `valid` if all checks pass.
+    DesignResult
+        `FunctionResult`, `PathResult` or `CycleResult`, by the kind of problem; `valid` if all checks pass.
 
     Raises
     ------
@@ -206,7 +208,7 @@ def validate(problem: ProblemFile, design: Mapping[str, float]) -> FunctionResul
     if task.most_starts is not None:  # a kind with design variables
         check_design(problem, design)
         check_complete(problem, design)
-    result: FunctionResult | PathResult | CycleResult = task.validate(problem, design)
+    result: DesignResult = task.validate(problem, design)
     return result
 
 

@@ -11,6 +11,7 @@ from optlink.linkage.motion import sweep
 from optlink.problem.base_model import Section
 from optlink.problem.machine.model import Problem
 from optlink.problem.quantity import FixedLength
+from optlink.tasks.results.common import SingleResult
 from optlink.tasks.run import DesignTask, add_task
 from optlink.validation.check import Check, Validation
 
@@ -25,13 +26,9 @@ class ClearingProblem(Problem):
     task = property(lambda self: "clearing")
 
 
-@dataclass(frozen=True)
-class ClearingResult:
-    problem: object
-    objective: float
-    validation: Validation
-    status, backend, interrupted, starts, seed = Status.NOT_SEARCHED, "none", False, 0, 0
-    valid = property(lambda self: self.validation.valid)
+@dataclass(frozen=True, eq=False, repr=False)
+class ClearingResult(SingleResult):
+    notes = ()
     machine = property(lambda self: self.problem)
 
     def to_dict(self):
@@ -54,7 +51,7 @@ class ClearingTask(DesignTask):
             Check("least distance", computed >= least, computed * 1e3, f">= {least * 1e3:.6g}", "mm"),
             Check("agrees with a sweep", abs(computed - swept) <= 1e-6 * swept, abs(computed - swept) * 1e3, "<= 1e-06", ""),
         )
-        return ClearingResult(problem, computed, Validation(checks, swept))
+        return ClearingResult(problem, Status.NOT_SEARCHED, "none", {}, computed, Validation(checks, swept), {})
 
 
 add_task("clearing", ClearingTask)

@@ -35,6 +35,17 @@ def test_every_shipped_design_problem_is_solved(name: str) -> None:
     assert result.problem.hash == SOLVED[name].hash or result.problem.task == "function"  # of one assembly mode
 
 
+MEMBERS = {name for name in vars(optlink.DesignResult) if not name.startswith("_")}
+
+
+@pytest.mark.parametrize("name", ["crank-rocker", "path-arc5", "stroke-crank-rocker"])
+def test_the_results_of_all_kinds_have_the_same_members(name: str) -> None:
+    result = solution(name)
+    assert {"valid", "limits", "with_checks"} <= MEMBERS <= set(dir(result))
+    assert len(result.limits) > 3
+    assert result.limits == result.solution.limits
+
+
 @pytest.mark.parametrize("name", sorted(set(QUESTIONS) - set(SOLVED)))
 def test_a_machine_without_a_requirement_names_the_commands_that_fit(name: str) -> None:
     with pytest.raises(InputError, match=r"nothing to solve.*optlink analyze"):

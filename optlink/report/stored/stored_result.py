@@ -116,7 +116,7 @@ def _sensitivity_model(record: SensitivitiesRecord, file: ProblemFile, notes: tu
     values = {name: value * _size(file, record.design_units, name) for name, value in record.design.items()}
     check_entries("design", values, file.model.free)
     design = values if file.task == "path" else {name: values[name] for name in file.model.free}
-    outcome = _solved(validate(file, design).with_best(status=Status.OPTIMAL))
+    outcome = _solved(_validated(file, design).with_best(status=Status.OPTIMAL))
     best = getattr(outcome, "best", None)
     if best is None or best.solution is None:
         raise Contradiction("design", "this is not the optimum of its problem")
@@ -125,6 +125,12 @@ def _sensitivity_model(record: SensitivitiesRecord, file: ProblemFile, notes: tu
     sensitivities = of_solution(best.problem, best.solution)
     rows = tuple(replace(row, check=checks.get(row.parameter.key)) for row in sensitivities.rows)
     return replace(report_model_of(file, outcome, (), notes), effects=replace(sensitivities, rows=rows))
+
+
+def _validated(file: ProblemFile, design: Mapping[str, float]) -> FunctionResult | PathResult | CycleResult:
+    result = validate(file, design)
+    assert isinstance(result, FunctionResult | PathResult | CycleResult)
+    return result
 
 
 def _size(file: ProblemFile, units: Mapping[str, str], name: str) -> float:
@@ -148,7 +154,7 @@ def _outcome(record: ResultRecord, path: Path, file: ProblemFile) -> Outcome:
     if isinstance(record, PathRecord):
         return _path(record, file)
     assert isinstance(record, SingleRecord)
-    result = validate(file, read_design(file, [str(path)]))
+    result = _validated(file, read_design(file, [str(path)]))
     about: dict[str, Any] = {name: getattr(record, name) for name in ("status", "backend", "seed", "starts")}
     about |= {"validation": _with_stored(result.validation, record.validation), "seconds": {}}
     about |= {"conflict": record.conflict or (), "together": record.relax_together or ()}

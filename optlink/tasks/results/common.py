@@ -2,7 +2,7 @@
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Any, ClassVar, Self
+from typing import Annotated, Any, ClassVar, Protocol, Self
 
 from optlink.errors import Status
 from optlink.problem.base_model import Contradiction, Number, Record, Recorded, ResultRecord, absent
@@ -80,6 +80,122 @@ def _stationary(solution: Solution) -> Check:
     if small and not passed:
         limit = "of the design searched for"
     return Check(OPTIMALITY_CHECK, passed, solution.kkt, limit, "")
+
+
+class DesignResult(Protocol):
+    """What every kind of design problem has in its result, whatever else its class adds.
+
+    A type checker knows these members of what `solve` and `validate` return; `assert isinstance(result, optlink.PathResult)`
+    tells it the kind of the problem, and with it the others.
+    """
+
+    @property
+    def problem(self) -> ProblemFile:
+        """The problem."""
+        ...
+
+    @property
+    def status(self) -> Status:
+        """How the search ended."""
+        ...
+
+    @property
+    def message(self) -> str:
+        """The same in words."""
+        ...
+
+    @property
+    def valid(self) -> bool:
+        """Whether there is a design, validated and, if it was searched, optimal."""
+        ...
+
+    @property
+    def design(self) -> Mapping[str, float]:
+        """Design variables, or all quantities, of the best design by name [SI]."""
+        ...
+
+    @property
+    def objective(self) -> float:
+        """Its objective [SI]."""
+        ...
+
+    @property
+    def limits(self) -> tuple[LimitState, ...]:
+        """All its bounds and limits [SI]; none without a search."""
+        ...
+
+    @property
+    def validation(self) -> Validation:
+        """Its independent checks."""
+        ...
+
+    @property
+    def solution(self) -> Solution | None:
+        """The optimum of the solver; None without a search."""
+        ...
+
+    @property
+    def backends(self) -> Mapping[str, Solution]:
+        """The optimum of each of several solvers by its name."""
+        ...
+
+    @property
+    def definite(self) -> ProblemFile:
+        """The problem with the assembly modes of the design."""
+        ...
+
+    @property
+    def machine(self) -> ProblemFile | None:
+        """The problem with all dimensions fixed, for `analyze`, `simulate` and pictures; None without a design."""
+        ...
+
+    @property
+    def conflict(self) -> tuple[Relaxation, ...]:
+        """Limits that exclude each other, each relaxed as far as it must be; none if there is a design."""
+        ...
+
+    @property
+    def certificate(self) -> Certificate | None:
+        """Proof that it is the global optimum, or None."""
+        ...
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Notes for the user."""
+        ...
+
+    @property
+    def backend(self) -> str:
+        """Solver of the search, "both", or "none"."""
+        ...
+
+    @property
+    def starts(self) -> int:
+        """Number of starting points."""
+        ...
+
+    @property
+    def seed(self) -> int | None:
+        """Seed of the random ones."""
+        ...
+
+    @property
+    def seconds(self) -> Mapping[str, float]:
+        """Wall time by stage [s]."""
+        ...
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether Ctrl-C ended the search."""
+        ...
+
+    def with_checks(self, checks: Sequence[Check]) -> Self:
+        """Return the result with further checks."""
+        ...
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the result as a JSON document."""
+        ...
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -383,6 +383,11 @@ class PathResult(Recorded):
         return None if self.best is None else self.best.solution
 
     @property
+    def limits(self) -> tuple[LimitState, ...]:
+        """All bounds and limits of the best design, in SI; none without a search."""
+        return () if self.best is None else self.best.limits
+
+    @property
     def validation(self) -> Validation:
         """Checks of the best design."""
         return Validation((), math.nan) if self.best is None else self.best.validation
