@@ -13,7 +13,15 @@ import casadi
 import numpy as np
 
 from optlink.linkage.vector2d import TURN, Array, Value, unit
-from optlink.optimization.constraints import DEGREES, PLAIN, ConstraintRow, Scale, position_rows, rows as limit_rows
+from optlink.optimization.constraints import (
+    DEGREES,
+    PLAIN,
+    ConstraintRow,
+    Scale,
+    SquareRootScale,
+    position_rows,
+    rows as limit_rows,
+)
 from optlink.optimization.mapped_terms import MappedTerms
 from optlink.optimization.nlp import NLP, Variable, boxed
 from optlink.optimization.objectives import error_measures
@@ -156,8 +164,8 @@ def build_path_nlp(problem: PathProblem, direction: int = 1, *, movable: bool = 
         for i, (error, tolerance) in enumerate(zip(errors, data.tolerances, strict=True)):
             if math.isfinite(tolerance):
                 square = casadi.sumsqr(error[:2]) / (data.roots[i] * size) ** 2
-                label = f"tolerance of point {i + 1}, squared share of the curve's size"
-                rows.append(ConstraintRow("requirement.points", label, square, -math.inf, (tolerance / size) ** 2, PLAIN))
+                label, scale = f"distance from point {i + 1}", SquareRootScale("mm", 1e3 * size)
+                rows.append(ConstraintRow("requirement.points", label, square, -math.inf, (tolerance / size) ** 2, scale))
             if minimax:
                 largest = (x[-1] * x[-1] - casadi.sumsqr(error) / share**2) / (p[0] * p[0])
                 rows.append(ConstraintRow(EPIGRAPH, f"deviation at point {i + 1}", largest, 0.0, math.inf, PLAIN))

@@ -1,6 +1,6 @@
 """Animation of a mechanism beside a curve with a moving marker."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -24,7 +24,7 @@ def film(
     steps: Motion,
     curve: ChartSpec | Callable[[Axes], object],
     marks: Array,
-    title: str,
+    titles: Sequence[str],
     *,
     more: Callable[[Axes], object] | None = None,
 ) -> list[Image.Image]:
@@ -39,7 +39,8 @@ def film(
         The curve, or a function that draws it and its labels into axes.
     marks : array (frames, 2)
         Position of the marker in the axes of the curve; NaN for no marker.
-    title : str
+    titles : sequence of str
+        Lines of the title.
     more : callable or None, optional
         Draws further fixed parts into the axes of the mechanism.
 
@@ -63,7 +64,7 @@ def film(
     draw_into(strip, curve) if isinstance(curve, ChartSpec) else curve(strip)
     mark = Line2D([], [], linestyle="none", marker="o", markersize=7, color=CRANK, zorder=8, animated=True)
     strip.add_artist(mark)
-    fig.suptitle(heading(title, fig.get_figwidth(), 10.0), fontsize=10)
+    fig.suptitle("\n".join(heading(title, fig.get_figwidth(), 10.0) for title in titles), fontsize=10)
     canvas.draw()  # type: ignore[no-untyped-call] # all that stands still is drawn once
     fig.set_layout_engine("none")
     still = canvas.copy_from_bbox(fig.bbox)  # type: ignore[no-untyped-call]

@@ -73,7 +73,21 @@ def why_invalid(checks: Sequence[Check], otherwise: str) -> str:
     return f"{first}{more}"
 
 
-def marked(title: str, valid: bool, checks: Sequence[Check], otherwise: str) -> list[str]:
+def mark(checks: Sequence[Check], otherwise: str, refuted: str = "") -> str:
+    """Return the mark of a design that is not valid: which limits exclude each other, or the first cause.
+
+    Parameters
+    ----------
+    checks : sequence of Check
+    otherwise : str
+        Text if every check passed.
+    refuted : str, optional
+        Which limits exclude each other, if it is known.
+    """
+    return refuted or f"NOT VALID: {why_invalid(checks, otherwise)}"
+
+
+def marked(title: str, valid: bool, checks: Sequence[Check], otherwise: str, refuted: str = "") -> list[str]:
     """Return the lines of a picture's title, the second one the cause why the design is not valid, if it is not.
 
     Parameters
@@ -83,8 +97,10 @@ def marked(title: str, valid: bool, checks: Sequence[Check], otherwise: str) -> 
     checks : sequence of Check
     otherwise : str
         Text if every check passed.
+    refuted : str, optional
+        Which limits exclude each other, if it is known.
     """
-    return [title] if valid else [title, f"NOT VALID: {why_invalid(checks, otherwise)}"]
+    return [title] if valid else [title, mark(checks, otherwise, refuted)]
 
 
 def _cause(check: Check, checks: Sequence[Check]) -> str:

@@ -134,5 +134,6 @@ def verdict(model: ReportModel | StoredStudy) -> str:
         return f"Valid, {fit.text}" if fit is not None and fit.grade == "poor" else "Valid: every check passed"
     checks = getattr(getattr(model.result, "validation", None), "checks", ())
     if model.result.status is Status.INFEASIBLE:
-        return f"No feasible design found{''.join(f': {cause}' for cause in causes(checks)[:1])}"
+        named = [] if getattr(model.result, "refuted", "") else causes(checks)[:1]
+        return f"No feasible design found{''.join(f': {cause}' for cause in named)}"
     return f"Not valid: {why_invalid(checks, model.result.status.value)}"

@@ -12,7 +12,6 @@ from optlink.problem.file import ProblemFile
 from optlink.problem.mechanism import sizes_of
 from optlink.report.format import single_units
 from optlink.report.views import conclusions
-from optlink.report.views.relaxations import contradiction
 from optlink.solvers.solution import LimitState, Solution
 from optlink.studio.kinds import kind_of
 from optlink.tasks.machine import machine_of
@@ -147,7 +146,7 @@ def design_of(result: Any) -> Design:
     """Return the design of an ordinary result, with the verdict of its validation."""
     if isinstance(result, Analysis | Balance):
         return _machine(result)
-    best, text = result.best, contradiction(result.conflict, result.together)
+    best, text = result.best, conclusions.shown(result.refuted)
     if best is None:
         words = text or "No design was found."
         values = result.problem.model.design({})

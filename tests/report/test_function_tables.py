@@ -21,11 +21,12 @@ from optlink.report.table_spec import Part, Summary
 from optlink.report.views import conclusions, path as path_view, problem_tables
 from optlink.report.views.function import function_values
 from optlink.report.views.function_tables import active
-from optlink.report.views.relaxations import conflict, contradiction
+from optlink.report.views.relaxations import conflict
 from optlink.solvers.solution import LimitState, Relaxation
 from optlink.tasks.function import validate
 from optlink.tasks.path import validate as validate_path
 from optlink.tasks.results.common import Optimum
+from optlink.tasks.results.conflict import refutation
 
 
 def words(shown: Summary | Part) -> str:
@@ -177,10 +178,10 @@ def test_a_conflicting_single_value_limit_is_explained_as_exact() -> None:
     shown = " ".join(words(conflict(exact, [])).split())
     assert "exactly 40 deg" in shown
     assert hint in shown
-    assert contradiction(exact, []).endswith(hint)
+    assert refutation(exact).startswith("No such linkage: exactly 40 deg of transmission angle cannot be met")
     apart = [exact[0], replace(exact[1], bound=50.0)]
     assert "40 ... 50 deg" in words(conflict(apart, []))
-    assert "exact" not in contradiction(apart, [])
+    assert "exact" not in refutation(apart)
 
 
 def test_the_generated_function_is_that_of_the_linkage() -> None:

@@ -454,7 +454,9 @@ def test_invalid_designs_are_marked_everywhere(tmp_path, monkeypatch):
     caught = []
     monkeypatch.setattr(view, "film", lambda sketch, steps, curve, marks, title, *, more=None: caught.append(title) or [])
     view.frames(result("miss"), 4)
-    assert caught == ["NOT VALID: A path"]
+    ((title, cause),) = caught
+    assert title == "A path"
+    assert cause.startswith("NOT VALID: a point is missed by")
     written = view_of("path").write(result("miss"), tmp_path)
     assert [path.name for path in written] == ["result.json", "points.csv", "design.toml", "path.png", "errors.png"]
     assert (tmp_path / "design.toml").read_text(encoding="utf-8").startswith("# NOT VALID: a point is missed by")

@@ -10,9 +10,9 @@ import pytest
 
 import optlink
 from optlink.optimization.nlp import build
-from optlink.report.views.relaxations import outward
 from optlink.solvers.elastic_programme import limit_sides
 from optlink.solvers.infeasibility import Explanation, explain, tightest
+from optlink.tasks.results.conflict import outward
 from optlink.tasks.run import solve
 
 TEMPLATES = Path(__file__).parents[2] / "templates"

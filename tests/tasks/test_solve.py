@@ -12,10 +12,10 @@ import optlink
 from optlink.errors import InputError, Status
 from optlink.linkage.fourbar import LENGTHS, crank_rocker_conditions, transmission_cosine
 from optlink.optimization.nlp import build
-from optlink.report.views.relaxations import outward
 from optlink.solvers import multistart
 from optlink.solvers.infeasibility import Explanation, explain
 from optlink.solvers.solution import verified_solution
+from optlink.tasks.results.conflict import outward
 
 BACKENDS = ("slsqp", "ipopt")
 TABLE = {

@@ -134,8 +134,10 @@ def _conclusion(model: ReportModel, shown: Summary) -> str:
 
 
 def _status(model: ReportModel, shown: Summary) -> Sequence[Sequence[Span]]:
-    """Return the lines of the status, without the change of a single objective of a machine, which the conclusion states."""
+    """Return the lines of the status, without what the conclusion states: a conflict, the change of one objective."""
     outcome = model.result
+    if getattr(outcome, "refuted", ""):
+        return shown.status.lines[1:]
     if not isinstance(outcome, CycleResult) or not outcome.task.single or not outcome.comparison.startswith("objective"):
         return shown.status.lines
     return [[span for span in line if span.text != f"; {outcome.comparison}"] for line in shown.status.lines]

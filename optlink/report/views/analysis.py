@@ -165,7 +165,7 @@ def frames(cycle: CycleCurves, count: int = FRAMES) -> list[Image.Image]:
     traces = analysis_charts.curves(cycle, name, unit, "", CRANK)
     strip = analysis_charts.chart(cycle, "", "", [analysis_charts.panel(cycle, f"{word} [{unit.unit}]", traces)])
     marks = np.array([[math.degrees(at), cycle.at(at, name) * unit.factor] for at in steps])
-    return film(sketch, sweep(machine.mechanism, machine.sizes, steps), strip, marks, result.problem.model.title)
+    return film(sketch, sweep(machine.mechanism, machine.sizes, steps), strip, marks, [result.problem.model.title])
 
 
 VIEW = View(

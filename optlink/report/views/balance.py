@@ -366,7 +366,7 @@ def stored_study(record: BalanceRecord, file: ProblemFile, _: Path) -> StoredStu
         verdict=VERDICTS[result.status] if result.valid or result.status is Status.INFEASIBLE else "Not valid",
         valid=result.valid,
         conclusion=conclusions.balance(result),
-        status=shown.status.lines,
+        status=shown.status.lines[1:] if result.refuted else shown.status.lines,  # the conclusion states the conflict
         sections=[PageSection("Balance and verification", (shown.parts,)), *curves],
         moving=no_animation if result.machine is None else partial(turning_linkage, result.machine, {}),
         by=f"a convex programme, {result.solver}; verified by the inverse dynamics of the balanced machine",

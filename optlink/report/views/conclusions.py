@@ -1,6 +1,7 @@
 """Conclusion of every kind of result: verdict, main figures with their limits, and what limits them, in one or two sentences."""
 
 import math
+import re
 from collections.abc import Iterable, Mapping
 
 import numpy as np
@@ -8,10 +9,9 @@ import numpy as np
 from optlink.optimization.objectives import MEASURES
 from optlink.problem.cycle.model import REQUIRED, StrokeProblem
 from optlink.report.causes import why_invalid
-from optlink.report.format import figure, joined, si
+from optlink.report.format import figure, joined, pretty, si
 from optlink.report.views import path_tables, study_tables
 from optlink.report.views.certificate_view import clause
-from optlink.report.views.relaxations import contradiction
 from optlink.solvers.solution import LimitState
 from optlink.studies.pareto.epsilon_constraint import Pareto
 from optlink.studies.sensitivity import Sensitivities
@@ -45,7 +45,7 @@ def design(outcome: FunctionResult | PathResult | CycleResult, limits: Iterable[
     """
     best, certified = outcome.best, clause(outcome.certificate)
     if best is None or outcome.conflict:
-        return _sentences(contradiction(outcome.conflict, outcome.together) or "No design was found.", certified)
+        return _sentences(shown(outcome.refuted) or "No design was found.", certified)
     if isinstance(best, PathDesign | CycleResult):
         achieved = _path(best) if isinstance(best, PathDesign) else _cycle(best)
     else:
@@ -53,6 +53,11 @@ def design(outcome: FunctionResult | PathResult | CycleResult, limits: Iterable[
     if outcome.valid:
         return _sentences(achieved, _limiting(limits), certified)
     return f"Not valid: {why_invalid(best.validation.checks, best.status.text)}. {achieved}"
+
+
+def shown(text: str) -> str:
+    """Write the units and relations in a sentence with their signs, as the values of a page have them."""
+    return re.sub(r"(?<=\d) deg\b", "°", pretty(text))
 
 
 def _sentences(*sentences: str) -> str:
@@ -221,12 +226,7 @@ def comparison(result: Comparison) -> str:
 def balance(result: Balance) -> str:
     """Return the conclusion of a balancing: change of the objective, and active limits."""
     if result.conflict:
-        names = joined([f"{limit.name} ({limit.sense} {figure(limit.bound, limit.unit)})" for limit in result.conflict][:4])
-        eased = [limit for limit in result.conflict if math.isfinite(limit.alone)]
-        remedy = (
-            " or ".join(f"{limit.name} to {figure(limit.alone, limit.unit)}" for limit in eased[:3]) or "several of them together"
-        )
-        return f"No counterweights meet all limits: {names} conflict. To make it feasible, relax {remedy}."
+        return shown(result.refuted)
     if not result.rows:
         return "No balancing was found."
     left = result.objective if abs(result.objective) > ROUNDING * abs(result.before) else 0.0

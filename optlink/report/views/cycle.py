@@ -140,7 +140,7 @@ def mechanisms(result: CycleResult) -> Figure | None:
     grey = {} if initial is None else {"initial_machine": Line2D([], [], color=INITIAL, linewidth=3.0)}
     main.add_legend(fig, 5, **grey)
     title = f"{result.task.title}: at crank angle {math.degrees(float(at[0])):z.1f}°"
-    titles = marked(title, result.valid, result.validation.checks, result.status.text)
+    titles = marked(title, result.valid, result.validation.checks, result.status.text, result.refuted)
     fig.suptitle("\n".join(heading(line, width) for line in titles), color=None if result.valid else LIMIT)
     place_labels(fig, names)
     return fig
@@ -178,5 +178,5 @@ VIEW = View(
     charts=charts,
     drawings={"mechanisms": mechanisms},
     tables=lambda result: {} if result.analysis is None else {"cycle": result.analysis.columns},
-    design=lambda result: with_verdict(None if result.analysis is None else result.machine, result),
+    design=lambda result: with_verdict(None if result.analysis is None else result.machine, result, result.refuted),
 )

@@ -98,7 +98,7 @@ def mechanism(result: FunctionResult) -> Figure | None:
         psi = math.degrees(float(position.body_angle("rocker").value[0]))
         axes.set_title(f"{name}\nφ {math.degrees(phi) % 360.0:z.2f}°   ψ {psi:z.2f}°   γ {gamma:z.2f}°", fontsize=9.5)
     lengths = "   ".join(f"{name} {value * sketch.scale.factor:z.3f}" for name, value in result.sizes.items())
-    titles = marked(result.problem.spec.title, result.valid, result.validation.checks, result.status.text)
+    titles = marked(result.problem.spec.title, result.valid, result.validation.checks, result.status.text, result.refuted)
     lines = [heading(line, 3.9 * columns) for line in (*titles, f"{lengths} {sketch.scale.unit}")]
     fig.suptitle("\n".join(lines), fontsize=11, color=None if result.valid else LIMIT)
     place_labels(fig, letters)
@@ -247,7 +247,8 @@ def frames(result: FunctionResult, count: int = 90) -> list[Image.Image]:
         axes.add_patch(Arc((0.0, 0.0), size, size, color=MUTED, linewidth=1.3, **ends))
 
     marks = np.stack([at, np.interp(at, crank, psi)], axis=-1)
-    return film(sketch, _moved(result, steps), strip, marks, result.problem.spec.title, more=required)
+    titles = marked(result.problem.spec.title, result.valid, result.validation.checks, result.status.text, result.refuted)
+    return film(sketch, _moved(result, steps), strip, marks, titles, more=required)
 
 
 def function_chart(function: Function, offsets: Array, error: Array, title: str, *, warning: bool = False) -> ChartSpec:

@@ -101,16 +101,17 @@ def search_summary(
     opposed = conflict(outcome.conflict, outcome.together) if outcome.conflict else None
     if solution is not None and outcome.status != Status.INFEASIBLE:  # elsewhere multipliers are not prices
         priced = active(model, outcome.objective, solution.displayed_limits)
+    proven = certificate_lines(proof) if certified(proof) else []
     counted = ["" if outcome.backend == "none" else outcome.backend]
     counted.append(f"{outcome.starts} start{'s' * (outcome.starts != 1)}" if outcome.starts else "")
     counted.append(f"{solution.iterations} iterations" if solution is not None and solution.iterations else "")
     effort = "; ".join(filter(None, [", ".join(filter(None, counted)), times(outcome.seconds, 1)]))
     verdict, checked = list(_verdict(outcome, tail)), checks(outcome.validation.checks)
-    notes, ended = [*noted(outcome.notes)], quiet(_message(outcome))
-    evidence = [quiet(hits) if hits and outcome.optima and outcome.status is Status.OPTIMAL else ended]
+    notes, ended = [*noted(outcome.notes)], proven if outcome.refuted else [quiet(_message(outcome))]
+    evidence = [quiet(hits)] if hits and outcome.optima and outcome.status is Status.OPTIMAL else ended
     full = summary(
         model.title,
-        [*verdict, *notes, ended],
+        [*verdict, *notes, *ended],
         design,
         *tables,
         opposed or priced,
@@ -123,12 +124,22 @@ def search_summary(
     )
     unproven = [] if certified(proof) else certificate_lines(proof)
     status = [*verdict_lines(verdict), *notes, *measured, *evidence, *unproven]
-    return replace(full, short=short_text(model.title, status, dimensions(design), opposed or first_rows(priced), checked))
+    return replace(
+        full,
+        short=short_text(model.title, status, dimensions(design), opposed or first_rows(priced), None if opposed else checked),
+    )
 
 
 def _verdict(outcome: SearchedResult, tail: str) -> Iterator[Line]:
+    yield from refuted_first(outcome)
     line = search_verdict(outcome.status, "valid" if outcome.valid else "not valid", outcome.valid, outcome.certificate)
-    return graded_status(line, outcome.fit if outcome.valid else None, tail)
+    yield from graded_status(line, outcome.fit if outcome.valid else None, tail)
+
+
+def refuted_first(outcome: SearchedResult | PathResult) -> Iterator[Line]:
+    """Yield which limits exclude each other, the first line of the status of an infeasible problem."""
+    if outcome.refuted:
+        yield [bad(outcome.refuted)]
 
 
 def _message(outcome: SearchedResult) -> str:

@@ -17,6 +17,7 @@ from optlink.linkage.dyad_types import transmitting
 from optlink.linkage.motion import Motion
 from optlink.linkage.vector2d import TURN
 from optlink.report.animation import film, there_and_back
+from optlink.report.causes import marked
 from optlink.report.chart_spec import Array, ChartSpec
 from optlink.report.drawing import Sketch
 from optlink.report.labels import place_labels
@@ -181,25 +182,25 @@ def frames(result: PathResult, count: int = FRAMES) -> list[Image.Image]:
     view = best(result)
     if view is None:
         return []
-    title = view.task.title if view.design.valid else f"NOT VALID: {view.task.title}"
+    titles = marked(view.task.title, view.design.valid, view.design.validation.checks, view.design.status.text, view.refuted)
     steps = view.begin + view.direction * np.linspace(0.0, TURN, count, endpoint=False)
     if view.task.requirement.kind == "function" or (view.task.pointed and not view.design.crank_turns):
         steps = there_and_back(view.begin, view.end, count)
     if not view.task.pointed:
-        return output_film(view, steps, title)
+        return output_film(view, steps, titles)
     sketch, motion = Passing(view), view.sweep(steps)
     marks = view.position(motion) * sketch.close.unit.factor
 
     def points(axes: Axes) -> None:
         points_on(axes, view.targets * sketch.scale.factor)
 
-    return film(sketch, motion, sketch.lay, marks, title, more=points)
+    return film(sketch, motion, sketch.lay, marks, titles, more=points)
 
 
 VIEW = View(
     charts=charts,
     drawings={"path": partial(drawing, pointed=True), "mechanism": partial(drawing, pointed=False), "designs": designs},
     tables=lambda result: {} if result.best is None else {"points": columns(result.best)},
-    design=lambda result: with_verdict(result.machine, result.best),
+    design=lambda result: with_verdict(result.machine, result.best, result.refuted),
     frames=frames,
 )

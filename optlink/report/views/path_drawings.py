@@ -1,6 +1,7 @@
 """Figures of a synthesised mechanism at its first position, of several designs side by side, and of outputs."""
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -227,7 +228,7 @@ def _outputs(shown: OutputCurves) -> Panel:
     return Panel(Axis(shown.name), traces, 1.6)
 
 
-def output_film(view: PathView, steps: Array, title: str) -> list[Image.Image]:
+def output_film(view: PathView, steps: Array, titles: Sequence[str]) -> list[Image.Image]:
     """Draw the frames of the mechanism beside its output or its transmission angles.
 
     Parameters
@@ -235,10 +236,11 @@ def output_film(view: PathView, steps: Array, title: str) -> list[Image.Image]:
     view : PathView
     steps : array (frames,) [rad]
         Crank angles.
-    title : str
+    titles : sequence of str
+        Lines of the title.
     """
     shown = output(view)
     order = np.argsort(shown.crank)
     height = np.interp(np.degrees(steps), shown.crank[order], shown.generated[order, 0])
     marks = np.stack([np.degrees(steps), height], axis=-1)
-    return film(view.sketch, view.sweep(steps), ChartSpec("", "", [_outputs(shown)], _crank(view, shown)), marks, title)
+    return film(view.sketch, view.sweep(steps), ChartSpec("", "", [_outputs(shown)], _crank(view, shown)), marks, titles)

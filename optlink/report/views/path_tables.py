@@ -13,7 +13,15 @@ from optlink.problem.path import PathProblem
 from optlink.report.format import fixed, number, precise, significant, times
 from optlink.report.table_spec import Line, Paragraph, Row, Summary, TableSpec, bad, noted, quiet, strong, summary, table
 from optlink.report.views.certificate_view import certificate_lines, certificate_table, certified
-from optlink.report.views.function_tables import active, backends, checks, dimension_rows, graded_status, search_verdict
+from optlink.report.views.function_tables import (
+    active,
+    backends,
+    checks,
+    dimension_rows,
+    graded_status,
+    refuted_first,
+    search_verdict,
+)
 from optlink.report.views.relaxations import conflict
 from optlink.report.views.short_text import dimensions, first_rows, objective_line, short_text, verdict_lines
 from optlink.solvers.contract import LEAST_SQUARES
@@ -38,7 +46,7 @@ def path_result(outcome: PathResult) -> Summary:
         remark = "no start could be assembled at all points within the bounds; widen them, or give more starts"
         proof = certificate_lines(outcome.certificate)
         reason: list[Line] = [*noted(outcome.notes)] or ([] if certified(outcome.certificate) else [quiet(remark)])
-        status: list[Line] = [bad("no linkage found"), *reason, *proof]
+        status: list[Line] = [*refuted_first(outcome), bad("no linkage found"), *reason, *proof]
         return summary(model.title, status, impossible, certificate, _times(outcome))
     machine = turning_machine(best.problem, best.values)
     strokes = None if machine is None else machine_strokes(machine, float(best.crank_angles[-1] - best.crank_angles[0]))
@@ -66,14 +74,20 @@ def path_result(outcome: PathResult) -> Summary:
     )
     evidence = [quiet(reached)] if reached else []
     status = [*verdict_lines(verdict), *notes, objective_line(objective), *proof, *evidence]
-    return replace(full, short=short_text(model.title, status, dimensions(design), impossible or first_rows(limits), checked))
+    return replace(
+        full,
+        short=short_text(
+            model.title, status, dimensions(design), impossible or first_rows(limits), None if impossible else checked
+        ),
+    )
 
 
 def _verdict(outcome: PathResult, best: PathDesign) -> Iterator[Line]:
     count = len(outcome.designs)
     suffix = f"; {count} distinct design{'s' * (count != 1)} verified" if best.valid else "; the nearest design is shown"
+    yield from refuted_first(outcome)
     line = search_verdict(best.status, "valid" if best.valid else "not valid", best.valid, outcome.certificate)
-    return graded_status(line, best.fit if best.valid else None, "" if outcome.starts == 0 else suffix)
+    yield from graded_status(line, best.fit if best.valid else None, "" if outcome.starts == 0 else suffix)
 
 
 def _sizes(design: PathDesign, chosen: bool) -> TableSpec:

@@ -10,7 +10,7 @@ from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.file import ProblemFile
 from optlink.problem.path import MARK
-from optlink.report.causes import why_invalid
+from optlink.report.causes import mark, why_invalid
 from optlink.report.drawing import Sketch
 from optlink.report.files import verdict
 from optlink.report.format import round_below
@@ -32,8 +32,8 @@ class PathView:
     to the last, or a revolution if the points are closed. `at` contains the positions at the points.
     """
 
-    def __init__(self, design: PathDesign) -> None:
-        self.design, self.task = design, design.task
+    def __init__(self, design: PathDesign, refuted: str = "") -> None:
+        self.design, self.task, self.refuted = design, design.task, refuted
         angles = design.crank_angles
         self.begin, self.end = float(angles[0]), float(angles[-1])
         self.direction = 1.0 if self.end >= self.begin else -1.0
@@ -135,7 +135,7 @@ def best(result: PathResult) -> PathView | None:
     """Return the best design or the nearest miss; None if there is nothing to draw."""
     if result.best is None:
         return None
-    view = PathView(result.best)
+    view = PathView(result.best, result.refuted)
     return view if view.reached else None
 
 
@@ -198,7 +198,7 @@ def _digits(value: float, count: int) -> str:
 
 
 def with_verdict(
-    machine: ProblemFile | None, design: PathDesign | FunctionResult | CycleResult | None
+    machine: ProblemFile | None, design: PathDesign | FunctionResult | CycleResult | None, refuted: str = ""
 ) -> tuple[ProblemFile, str] | None:
     """Return the machine of a design with its verdict; None if there is none.
 
@@ -206,10 +206,13 @@ def with_verdict(
     ----------
     machine : ProblemFile or None
     design : result or None
+    refuted : str, optional
+        Which limits exclude each other, if it is known.
     """
     if machine is None or design is None:
         return None
-    return machine, verdict(design.status.value, design.valid, why_invalid(design.validation.checks, design.status.text))
+    why = refuted or why_invalid(design.validation.checks, design.status.text)
+    return machine, verdict(design.status.value, design.valid, why)
 
 
 def objective(view: PathView) -> str:
@@ -337,9 +340,7 @@ def title_of(view: PathView, width: float, title: str, *more: str) -> str:
     """
     text = [heading(title, width, TITLE)]
     if not view.design.valid:
-        text.append(
-            wrapped(f"NOT VALID: {why_invalid(view.design.validation.checks, view.design.status.text)}".split(", "), width, ", ")
-        )
+        text.append(heading(mark(view.design.validation.checks, view.design.status.text, view.refuted), width, TITLE))
     elif view.design.fit is not None and view.design.fit.grade == "poor":
         text.append(heading(view.design.fit.text.capitalize(), width, TITLE))
     return "\n".join([*text, *filter(None, more)])

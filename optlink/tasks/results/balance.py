@@ -18,6 +18,8 @@ from optlink.linkage.vector2d import Array
 from optlink.problem.base_model import Contradiction, Never, Number, Record, Recorded, ResultRecord, absent
 from optlink.problem.file import ProblemFile
 from optlink.problem.machine.balance import read_measure
+from optlink.solvers.solution import Relaxation
+from optlink.tasks.results.conflict import refutation
 
 AGREES = 1e-8
 """Tolerance between the programme and the inverse dynamics of the balanced machine, relative to the largest amount."""
@@ -176,6 +178,13 @@ class RelaxedLimit:
     alone: Never
     together: float
     unit: str
+
+    @property
+    def relaxation(self) -> Relaxation:
+        """The limit relaxed alone."""
+        sense = {"at most": "<=", "at least": ">="}[self.sense]
+        alone = self.alone if math.isfinite(self.alone) else math.nan
+        return Relaxation(self.name, self.name, sense, self.bound, alone, abs(alone - self.bound), self.unit)
 
 
 @dataclass(frozen=True)
@@ -364,10 +373,15 @@ class Balance(Recorded):
         """Whether the design is proven to be the optimum."""
         return self.status is Status.OPTIMAL
 
+    @cached_property
+    def refuted(self) -> str:
+        """Which limits exclude each other, in a sentence; empty if no limits conflict."""
+        return refutation([limit.relaxation for limit in self.conflict], "counterweights")
+
     @property
     def message(self) -> str:
         """What the status means, in one sentence."""
-        return MESSAGES[self.status]
+        return self.refuted or MESSAGES[self.status]
 
     @property
     def valid(self) -> bool:

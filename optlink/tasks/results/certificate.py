@@ -160,19 +160,20 @@ class Certificate:
         return self.objective == objective or abs(self.objective - objective) <= OBJECTIVE_TOLERANCE * max(abs(objective), TINY)
 
 
-def message(status: Status, certificate: Certificate | None, *, conflicting: bool) -> str:
+def message(status: Status, certificate: Certificate | None, refuted: str) -> str:
     """Describe how a search ended: by its certificate where that proves more than the status of the local search.
 
     Parameters
     ----------
     status : Status
     certificate : Certificate or None
-    conflicting : bool
-        Whether the limits that conflict are named.
+    refuted : str
+        Which limits exclude each other, if it is known.
     """
-    text = status.text if certificate is None or not certificate.closed else certificate.text
-    remedy = "relax one of the limits named in the conflict" if conflicting else "relax a limit whose check fails"
-    return f"{text}; {remedy}" if status == Status.INFEASIBLE else text
+    proof = certificate.text if certificate is not None and certificate.closed else ""
+    if refuted:
+        return f"{refuted}{f' {proof[:1].upper()}{proof[1:]}.' if proof else ''}"
+    return f"{proof or status.text}{'; relax a limit whose check fails' * (status == Status.INFEASIBLE)}"
 
 
 def share_text(share: float) -> str:

@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Annotated, Any, ClassVar, Protocol, Self
 
 from optlink.errors import Status
@@ -9,6 +10,7 @@ from optlink.problem.base_model import Contradiction, Number, Record, Recorded, 
 from optlink.problem.file import ProblemFile
 from optlink.solvers.solution import FEASIBLE, STATIONARY, LimitState, Relaxation, Solution
 from optlink.tasks.results.certificate import Certificate, message
+from optlink.tasks.results.conflict import refutation
 from optlink.tasks.results.fit import FitRecord
 from optlink.tasks.results.rejected import RejectedDesign, RejectedRecord, best_rejected, rejected_record
 from optlink.validation.check import MEASURED, MEASURED_ROBUST, Check, Validation
@@ -236,10 +238,15 @@ class SingleResult(Recorded):
         """Whether no design can be better, because it is without errors."""
         return False
 
+    @cached_property
+    def refuted(self) -> str:
+        """Which limits exclude each other, in a sentence; empty if no limits conflict."""
+        return refutation(self.conflict)
+
     @property
     def message(self) -> str:
         """Description of how the search ended."""
-        return message(self.status, self.certificate, conflicting=bool(self.conflict))
+        return message(self.status, self.certificate, self.refuted)
 
     @property
     def limits(self) -> tuple[LimitState, ...]:

@@ -29,6 +29,7 @@ from optlink.tasks.machine import turning_machine
 from optlink.tasks.results.analysis import stroke_document
 from optlink.tasks.results.certificate import Certificate, CertificateRecord, message
 from optlink.tasks.results.common import ROUNDED, SearchRecord, SolutionRecord, solution_records, verified
+from optlink.tasks.results.conflict import refutation
 from optlink.tasks.results.evidence import INCOMPLETE, Evidence
 from optlink.tasks.results.fit import Fit, FitRecord, path_fit, transmission_fit
 from optlink.tasks.results.rejected import RejectedDesign, RejectedRecord, rejected_record
@@ -331,10 +332,15 @@ class PathResult(Recorded):
         """Whether a note states that the search may have missed the best design."""
         return any(note.startswith(INCOMPLETE) for note in self.notes)
 
+    @cached_property
+    def refuted(self) -> str:
+        """Which limits exclude each other, in a sentence; empty if no limits conflict."""
+        return refutation(self.conflict)
+
     @property
     def message(self) -> str:
         """Description of how the search ended."""
-        return message(self.status, self.certificate, conflicting=bool(self.conflict))
+        return message(self.status, self.certificate, self.refuted)
 
     @property
     def valid(self) -> bool:

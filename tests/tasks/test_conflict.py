@@ -1,0 +1,133 @@
+"""The sentence that states which limits exclude each other."""
+
+import json
+import math
+import re
+
+import pytest
+
+import optlink
+from optlink.report import terminal
+from optlink.report.registry import table_of
+from optlink.report.report_model import report_model_of, verdict
+from optlink.report.stored.stored_result import read_report_model
+from optlink.report.views import conclusions, path as path_view
+from optlink.report.views.path_drawings import title_of
+from optlink.solvers.solution import Relaxation
+from optlink.tasks.results.conflict import opposed_limits, refutation
+
+
+def limit(name: str, sense: str, bound: float, relaxed: float, unit: str, *, both: bool = False) -> Relaxation:
+    return Relaxation(name, name, sense, bound, relaxed, abs(relaxed - bound), unit, both_sides=both)
+
+
+SWING = limit("swing angle of the rocker", "=", 100.0, 89.8159, "deg")
+GUIDE = limit("peak guide force in F", "<=", 200.0, 695.83, "N")
+COUPLER = limit("coupler", ">=", 300.0, 212.34, "mm")
+TURNS = limit("crank + frame <= coupler + rocker", ">=", 0.0, -12.346, "mm")
+NEVER = limit("time ratio", ">=", 1.5, math.nan, "")
+
+
+@pytest.mark.parametrize(
+    ("limits", "sentence"),
+    [
+        ((), ""),
+        ((GUIDE,), "peak guide force in F at most 200 N cannot be met; the peak guide force in F is 695.9 N at best."),
+        ((NEVER,), "time ratio at least 1.5 cannot be met."),
+        (
+            (SWING, COUPLER),
+            "100 deg of swing and coupler at least 300 mm exclude each other. "
+            "With 300 mm the rocker swings 89.81 deg; with 100 deg the coupler is 212.3 mm.",
+        ),
+        (
+            (TURNS, COUPLER),
+            f"the condition {TURNS.name} and coupler at least 300 mm exclude each other. "
+            f"With 300 mm the condition {TURNS.name} is missed by 12.35 mm; "
+            f"with the condition {TURNS.name} the coupler is 212.3 mm.",
+        ),
+        (
+            (NEVER, SWING),
+            "time ratio at least 1.5 and 100 deg of swing exclude each other. With 1.5 the rocker swings 89.81 deg.",
+        ),
+        (
+            (SWING, NEVER, COUPLER, GUIDE),
+            "100 deg of swing (89.81 deg is possible otherwise), time ratio at least 1.5, coupler at least 300 mm (212.3 mm is "
+            "possible otherwise) and peak guide force in F at most 200 N (695.9 N is possible otherwise) exclude one another.",
+        ),
+    ],
+)
+def test_every_conflict_is_stated_in_one_form(limits: tuple[Relaxation, ...], sentence: str) -> None:
+    assert refutation(limits) == (f"No such linkage: {sentence}" if limits else "")
+
+
+def test_equal_values_are_told_apart_by_their_names() -> None:
+    text = refutation([limit("frame length", "<=", 80.0, 95.0, "mm"), limit("coupler", ">=", 80.0, 71.0, "mm")])
+    assert text.endswith("With coupler at least 80 mm the frame length is 95.01 mm; with frame length at most 80 mm "
+                         "the coupler is 70.99 mm.")  # fmt: skip
+
+
+def test_a_range_of_transmission_angles_is_one_angle_if_it_lies_around_90_deg() -> None:
+    name = "transmission angle at E"
+    around = [limit(name, ">=", 50.0, 43.21, "deg", both=True), limit(name, "<=", 130.0, 136.79, "deg", both=True)]
+    assert refutation(around) == (
+        "No such linkage: 50 deg of transmission angle at E cannot be met; the transmission angle at E falls to 43.2 deg at best."
+    )
+    aside = [around[0], limit(name, "<=", 120.0, 126.79, "deg", both=True)]
+    assert "covers 43.2 ... 126.8 deg at best" in refutation(aside)
+    (above,) = opposed_limits([limit("largest transmission angle", "<=", 130.0, 136.79, "deg")])
+    assert (above.named, above.outcome) == (
+        "at most 130 deg of transmission angle",
+        "the transmission angle rises to 136.8 deg",
+    )
+
+
+PUMP = {
+    "title": "pump drive",
+    "mechanism": {
+        "type": "four-bar",
+        "frame": "180 mm",
+        "crank": {"bounds": ["15 mm", "90 mm"]},
+        "coupler": {"bounds": ["60 mm", "320 mm"]},
+        "rocker": {"bounds": ["60 mm", "320 mm"]},
+        "assembly": "left",
+    },
+    "requirement": {"kind": "transmission"},
+    "limits": {"swing_angle": "110 deg", "transmission_angle": ["48 deg", "132 deg"], "crank": "full rotation"},
+}
+
+
+def text_of(result: object) -> str:
+    console = terminal.console()
+    with console.capture() as caught:
+        console.print(terminal.rendered(table_of("path")(result).short))
+    return " ".join(caught.get().split())
+
+
+@pytest.mark.slow
+def test_the_sentence_leads_in_every_place(tmp_path) -> None:
+    result = optlink.solve(optlink.read(PUMP), starts=20)
+    swing, angle = opposed_limits(result.conflict)
+    sentence = (
+        "No such linkage: 110 deg of swing and 48 deg of transmission angle exclude each other. "
+        f"With 48 deg the rocker swings {swing.possible}; with 110 deg the transmission angle falls to {angle.possible}."
+    )
+    assert result.refuted == sentence
+    assert result.to_dict()["message"] == sentence
+    text = text_of(result)
+    assert text.startswith(f"pump drive {sentence} no feasible design found")
+    assert "FAIL" not in text  # a consequence
+    page = conclusions.design(result, ())
+    assert page == re.sub(r"(\d) deg", r"\1°", sentence)
+    assert verdict(report_model_of(result.problem, result)) == "No feasible design found"
+    view = path_view.best(result)
+    assert view is not None
+    assert sentence in " ".join(title_of(view, 7.0, "pump drive").split())
+    path = tmp_path / "result.json"
+    path.write_text(json.dumps(result.to_dict()), encoding="utf-8")
+    assert read_report_model(result.record.model_validate(result.to_dict()), result.problem, path).result.refuted == sentence
+    for key, value in {
+        "swing_angle": swing.possible,
+        "transmission_angle": [angle.possible, f"{180 - float(angle.possible[:-4])} deg"],
+    }.items():
+        eased = optlink.read({**PUMP, "limits": {**PUMP["limits"], key: value}})  # type: ignore[dict-item]
+        assert optlink.solve(eased, starts=20).valid, key
