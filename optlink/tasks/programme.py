@@ -311,9 +311,9 @@ def build(problem: ProblemFile) -> Programme:
     >>> programme = optlink.build(optlink.load("crank-rocker"))
     >>> [(variable.name, variable.unit, variable.low, variable.high) for variable in programme.variables]
     [('coupler', 'm', 0.1, 0.9), ('rocker', 'm', 0.1, 0.9)]
-    >>> x = programme.x_of({"coupler": 0.41, "rocker": 0.24})  # [m]
-    >>> round(programme.f(x), 6), programme.gradient(x).round(4)
-    (0.008, array([0., 0.]))
+    >>> x = programme.x_of({"coupler": 0.412865, "rocker": 0.232246})  # [m]
+    >>> round(programme.f(x), 6), programme.f_unit, programme.gradient(x).round(3)  # [rad^2], [rad^2/m]
+    (0.007592, 'rad^2', array([0.071, 0.065]))
     """
     task = design_task(problem)
     task.check(problem)
