@@ -13,12 +13,14 @@ import pytest
 import optlink
 from optlink.errors import InputError
 from optlink.tasks.programme import Programme
+from tests.crank_rocker_oracle import FRAME, error, extreme_cosines, slacks
 from tests.tiers import mostly_slow
 
 Array = np.ndarray
 OTHERS = {"analysis", "balance"}
 DESIGNED = [name for name in optlink.shipped() if optlink.load(name).task not in OTHERS]
 QUICK = ("crank-rocker", "crank-rocker-robust", "path-ellipse10", "stroke-slider-crank")
+MARGIN = optlink.load("crank-rocker").spec.limits.length_margin
 STEP = 1e-6  # of a central difference, as a share of the size of a variable
 
 
@@ -85,55 +87,24 @@ def test_derivatives_are_those_of_finite_differences(name: str, form: str) -> No
     assert np.array_equal(hessian, hessian.T) or np.allclose(hessian, hessian.T, rtol=1e-9)
 
 
-def parabola(lengths: tuple[float, float]) -> float:
-    """Sum of squares of the errors at 31 positions by the law of cosines, from scratch."""
-    a, b, c, d = 0.1, *lengths, 0.5
-    phi0 = math.acos(((a + b) ** 2 + d * d - c * c) / (2.0 * (a + b) * d))
-    psi0 = math.pi - math.acos((c * c + d * d - (a + b) ** 2) / (2.0 * c * d))
-    total = 0.0
-    for k in range(31):
-        phi = phi0 + math.pi / 2.0 * k / 30
-        diagonal = math.sqrt(a * a + d * d - 2.0 * a * d * math.cos(phi))
-        to_rocker = math.acos((diagonal**2 + c * c - b * b) / (2.0 * diagonal * c))
-        to_crank = math.acos((diagonal**2 + d * d - a * a) / (2.0 * diagonal * d))
-        total += (psi0 + 2.0 / (3.0 * math.pi) * (phi - phi0) ** 2 - (math.pi - to_rocker - to_crank)) ** 2
-    return total
-
-
-def conditions(b: float, c: float) -> dict[str, list[float]]:
-    """Lengths [m] that must not be negative, and cosines of the extreme transmission angles, by name."""
-    a, d = 0.1, 0.5
-    least, most = ((b * b + c * c - (d + sign * a) ** 2) / (2.0 * b * c) for sign in (-1.0, 1.0))
-    return {
-        "crank <= coupler": [b - a],
-        "crank <= rocker": [c - a],
-        "crank <= frame": [d - a],
-        "crank + frame <= coupler + rocker": [b + c - a - d],
-        "crank + coupler <= rocker + frame": [c + d - a - b],
-        "crank + rocker <= coupler + frame": [b + d - a - c],
-        "smallest transmission angle": [least],
-        "largest transmission angle": [most],
-        "coupler and rocker not in line": [least, most],
-    }
-
-
 def test_the_crank_rocker_has_the_formulas_of_the_law_of_cosines() -> None:
     built, random = programme("crank-rocker"), np.random.default_rng(0)
     names = [constraint.name for constraint in built.constraints]
-    seen = 0
-    while seen < 20:
-        b, c = random.uniform(0.15, 0.6, 2)
-        if min(value for key, (value, *_) in conditions(b, c).items() if "<=" in key) < 0.01:
-            continue
-        seen += 1
-        assert built.f([b, c]) == pytest.approx(parabola((b, c)), rel=1e-12, abs=1e-15)
-        expected = conditions(b, c)
-        values = built.g([b, c])
-        for name in set(names):
-            margin = 1e-3 if "+" in name else 0.0
-            measured = sorted(values[[k for k, other in enumerate(names) if other == name]])
-            longest = {"crank + frame": b, "crank + coupler": c, "crank + rocker": b}.get(name.partition(" <=")[0], 0.0)
-            assert measured == pytest.approx(sorted(expected[name]), abs=1e-12 + margin * longest), name
+    pairs = [pair for pair in random.uniform(0.15, 0.6, (60, 2)).tolist() if min(slacks(*pair).values()) > 0.01]
+    assert len(pairs) > 20
+    for pair in pairs:
+        longer = {"crank + frame <= coupler + rocker": FRAME, "crank + coupler <= rocker + frame": pair[0]}
+        longer["crank + rocker <= coupler + frame"] = pair[1]
+        near, far = extreme_cosines(*pair)
+        expected = {name: [slack - MARGIN * longer.get(name, 0.0)] for name, slack in slacks(*pair).items()}
+        expected |= {"smallest transmission angle": [near], "largest transmission angle": [far]}
+        expected["coupler and rocker not in line"] = [near, far]
+        assert built.f(pair) == pytest.approx(error(*pair), rel=1e-11, abs=1e-15)
+        values = built.g(pair)
+        measured = {name: [float(v) for other, v in zip(names, values, strict=True) if other == name] for name in names}
+        assert measured.keys() == expected.keys()
+        for name, numbers in expected.items():
+            assert measured[name] == pytest.approx(numbers, abs=1e-12), name
     root = math.sqrt(0.5)
     by_name = {constraint.name: constraint for constraint in built.constraints}
     assert by_name["smallest transmission angle"].high == pytest.approx(root)
