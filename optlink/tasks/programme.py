@@ -93,7 +93,8 @@ class Programme:
             self._p = np.array([1.0, *nlp.p[1:]])
             units = [(v.size, v.origin, v.scale.in_si[2]) for v in nlp.variables] + [row.scale.in_si for row in nlp.rows]
             self.f_unit, self._f_size = nlp.measure.smooth_unit, nlp.factor
-        sizes, origins = np.array([(size, origin) for size, origin, _ in units]).T
+        sizes: Array = np.array([size for size, *_ in units])
+        origins: Array = np.array([origin for _, origin, _ in units])
         self._x_size, self._x_origin, self._g_size, self._g_origin = sizes[:n], origins[:n], sizes[n:], origins[n:]
         self._point: tuple[bytes, NLPValues] | None = None
         self.x_start, self.x_low, self.x_high = (self._shown(y) for y in (start, nlp.x_low, nlp.x_high))
