@@ -99,12 +99,63 @@ CASES = [
 PAGE = "docs/crank-rocker.md"
 OPTIMUM = ("optlink, both back ends", "412.86542", "232.24617", "0.00759237", "$`\\gamma_\\text{max}`$ = 135 deg")
 PRINTED = 'validate crank-rocker --design coupler="412.26 mm" --design rocker="232.2417 mm"'
+ROUNDED = f"""{LAW} --set 'limits={{crank="full rotation", transmission_cosine=[-0.707, 0.707]}}'"""
+ROUNDED_ANGLE = f'{LAW} --set limits.transmission_angle.max="134.99135 deg"'
+SHORTER = f'{LAW} --set requirement.points=29 --set requirement.span="87 deg"'
+ANYWHERE = """ --set requirement.from='{start="60 deg", bounds=["0 deg", "180 deg"]}'"""
+ANY_FRAME = """ --set mechanism.frame='{start="500 mm", bounds=["100 mm", "900 mm"]}'"""
+METRES = (
+    f'{LAW} --set mechanism.crank="1 m" --set mechanism.frame="5 m"'
+    """ --set mechanism.coupler='{start="4 m", bounds=["1 m", "9 m"]}'"""
+    """ --set mechanism.rocker='{start="4 m", bounds=["1 m", "9 m"]}'"""
+)
+INEQUALITIES = {
+    "crank <= coupler": "312.865",
+    "crank <= rocker": "132.246",
+    "crank <= frame": "400",
+    "crank + frame <= coupler + rocker": "45.062",
+    "crank + coupler <= rocker + frame": "219.339",
+    "crank + rocker <= coupler + frame": "580.596",
+    "smallest transmission angle": "70.379",
+    "largest transmission angle": "135.000",
+}
 CRANK_ROCKER = [
     *row(PAGE, OPTIMUM, LAW, {1: ("design/coupler_mm", 1.0), 2: ("design/rocker_mm", 1.0), 3: ("objective/value", 1.0)}),
     Figure(PAGE, "lowers $`f`$ by {0.000146} rad²", LAW, PRICE, -1.0),
     Figure(PAGE, "by 0.000146 rad² ({1.9} %)", LAW, PRICE, -100.0, over="objective/value"),
     Figure(PAGE, "| 412.26 | 232.2417 | {0.0075491} |", PRINTED, "objective/value"),
     Figure(PAGE, "= {135.298} deg |", PRINTED, "validation/name=largest transmission angle/value"),
+    Figure(PAGE, "| {412.88606} | 232.24298 | 0.00759364 |", ROUNDED, "design/coupler_mm"),
+    Figure(PAGE, "| 412.88606 | {232.24298} | 0.00759364 |", ROUNDED, "design/rocker_mm"),
+    Figure(PAGE, "| 412.88606 | 232.24298 | {0.00759364} |", ROUNDED, "objective/value"),
+    Figure(PAGE, "result `phi0` | `optlink solve crank-rocker` | {26.472} deg", LAW, "design/phi0_deg"),
+    Figure(PAGE, "result `psi0` | `optlink solve crank-rocker` | {100.145} deg", LAW, "design/psi0_deg"),
+    Figure(PAGE, "as shipped | `optlink solve crank-rocker` | {0.00759237} rad²", LAW, "objective/value"),
+    Figure(PAGE, "`requirement.measure` | `optlink solve crank-rocker` | {0.00759237} rad²", LAW, "objective/value"),
+    Figure(PAGE, "`design` | `optlink solve crank-rocker` | {412.86542} and", LAW, "design/coupler_mm"),
+    Figure(PAGE, "| 412.86542 and {232.24617} mm", LAW, "design/rocker_mm"),
+    Figure(PAGE, "`optlink solve crank-rocker --backend both` | {412.86542} mm", LAW, "design/coupler_mm"),
+    Figure(PAGE, 'rocker="232.2417 mm"` | {0.00754909} rad²', PRINTED, "objective/value"),
+    Figure(PAGE, '"134.99135 deg"` | {412.88605} and 232.24298 mm', ROUNDED_ANGLE, "design/coupler_mm"),
+    Figure(PAGE, '"134.99135 deg"` | 412.88605 and {232.24298} mm', ROUNDED_ANGLE, "design/rocker_mm"),
+    *(
+        Figure(PAGE, f"`{name}` | `optlink solve crank-rocker --json` | {{{value}}}", LAW, f"limits/name={name}/value")
+        for name, value in INEQUALITIES.items()
+    ),
+    Figure(PAGE, "| {0.00164188} rad² |", f"{LAW} --starts 8{ANYWHERE}{ANY_FRAME}", "objective/value"),
+    Figure(PAGE, "| {0.00590805} rad² |", f"{LAW} --starts 8{ANY_FRAME}", "objective/value"),
+    Figure(PAGE, "| {0.0019916} |", f"{LAW} --starts 8{ANYWHERE}", "objective/value"),
+    Figure(PAGE, "$`\\varphi_0`$ = {15.2} deg", f"{LAW} --starts 8{ANYWHERE}", "design/phi0_deg"),
+    Figure(PAGE, "$`f`$ is {0.00577} rad²", SHORTER, "objective/value"),
+    Figure(PAGE, "| {4.1286542} and 2.3224617 m |", METRES, "design/coupler_mm", 1e-3),
+    Figure(PAGE, "| 4.1286542 and {2.3224617} m |", METRES, "design/rocker_mm", 1e-3),
+    Figure(
+        PAGE,
+        "`optlink solve path-crank-rocker` | {12.3445} mm²",
+        "show path-crank-rocker",
+        "problem/expected/objective",
+        SQUARE_MM,
+    ),
 ]
 
 SYSTEMS = [

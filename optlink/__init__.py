@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from optlink.tasks.clearance import simulate_clearance
     from optlink.tasks.control_comparison import compare, tune
     from optlink.tasks.function import FunctionResult, read_design
+    from optlink.tasks.programme import Programme, build
     from optlink.tasks.results.analysis import Analysis
     from optlink.tasks.results.balance import Balance
     from optlink.tasks.results.clearance import ClearanceSimulation
@@ -51,6 +52,7 @@ _NAMES = {
     "optlink.tasks.clearance": ("simulate_clearance",),
     "optlink.tasks.control_comparison": ("compare", "tune"),
     "optlink.tasks.function": ("FunctionResult", "read_design"),
+    "optlink.tasks.programme": ("Programme", "build"),
     "optlink.tasks.results.analysis": ("Analysis",),
     "optlink.tasks.results.balance": ("Balance",),
     "optlink.tasks.results.clearance": ("ClearanceSimulation",),
@@ -77,6 +79,7 @@ __all__ = [
     "PathDesign",
     "PathResult",
     "ProblemFile",
+    "Programme",
     "Simulation",
     "SolverError",
     "Status",
@@ -86,6 +89,7 @@ __all__ = [
     "analyze",
     "analyze_batch",
     "balance",
+    "build",
     "compare",
     "explore",
     "four_bar",

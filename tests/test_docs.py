@@ -25,6 +25,7 @@ from optlink.problem.base_model import Section
 from optlink.problem.targets.expression import FUNCTIONS
 from optlink.problem.templates import templates
 from optlink.report.registry import json_schema
+from tests.crank_rocker_oracle import best_of_ratio, shortest_pair
 from tests.solved import once
 
 ROOT = Path(__file__).parent.parent
@@ -285,6 +286,32 @@ def test_the_tutorial_output_is_correct(tmp_path, monkeypatch):
                     compared += 1
     assert compared > 40
     assert {"arm.toml", "final.toml", "arm.html", "arm.dxf", "frames", "out"} <= {place.name for place in tmp_path.iterdir()}
+
+
+SHOWN = re.findall(
+    r"^```python\n(.*?)^```\n\n```text\n(.*?)^```$", (DOCS / "builders.md").read_text(encoding="utf-8"), re.DOTALL | re.M
+)
+
+
+@pytest.mark.parametrize(
+    ("script", "shown"), [pytest.param(*pair, marks=pytest.mark.slow if "function-sin" in pair[0] else ()) for pair in SHOWN]
+)
+def test_every_script_of_the_page_of_builders_prints_what_it_shows(script, shown):
+    """Each on its own, as a reader copies it."""
+    with contextlib.redirect_stdout(io.StringIO()) as stream:
+        exec(script, {})
+    assert stream.getvalue() == shown
+
+
+def test_the_page_of_builders_has_the_optima_of_independent_formulas():
+    page = (DOCS / "builders.md").read_text(encoding="utf-8")
+    assert len(SHOWN) == page.count("```python") == 7
+    assert sum("coupler 412.865 mm rocker 232.246 mm" in shown for _, shown in SHOWN) == 3
+    shortest = shortest_pair()
+    assert f"coupler {1e3 * shortest[0]:.3f} mm rocker {1e3 * shortest[1]:.3f} mm" in page
+    coupler, rocker, error = best_of_ratio(1.7)
+    assert f"coupler {1e3 * coupler:.3f} mm rocker {1e3 * rocker:.3f} mm" in page
+    assert f"objective {error:.8f} rad^2" in page
 
 
 # --- the reference -------------------------------------------------------------------------------------------------------

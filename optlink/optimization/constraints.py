@@ -54,6 +54,12 @@ class Scale:
         """Return the derivative of the displayed value with respect to the row's value."""
         return -math.degrees(1.0 / math.sqrt(max(1.0 - value * value, 1e-300))) if self.cosine else self.factor
 
+    @property
+    def in_si(self) -> tuple[float, float, str]:
+        """Factor and offset from the row's value to the same value in SI, and its unit: a cosine remains a cosine."""
+        size, unit = in_si(self.unit)
+        return (1.0, 0.0, "") if self.cosine else (self.factor * size, self.offset * size, unit)
+
 
 @dataclass(frozen=True)
 class SquareRootScale(Scale):
@@ -71,6 +77,12 @@ class SquareRootScale(Scale):
         """Return the derivative of the displayed value with respect to the row's value."""
         return 0.5 * self.factor / math.sqrt(max(value, 1e-300))
 
+    @property
+    def in_si(self) -> tuple[float, float, str]:
+        """Factor and offset from the row's value to the square in SI, and its unit."""
+        size, unit = in_si(self.unit)
+        return (self.factor * size) ** 2, 0.0, f"({unit})^2" if unit else ""
+
 
 @dataclass(frozen=True)
 class SineSquared(Scale):
@@ -87,6 +99,11 @@ class SineSquared(Scale):
     def slope(self, value: float) -> float:
         """Return the derivative of the displayed angle with respect to the row's value."""
         return math.degrees(0.5 / math.sqrt(max(value * (1.0 - value), 1e-300)))
+
+    @property
+    def in_si(self) -> tuple[float, float, str]:
+        """The squared sine as it is."""
+        return 1.0, 0.0, ""
 
 
 @dataclass(frozen=True)
@@ -112,6 +129,11 @@ class SIScale(Scale):
     def slope(self, value: float) -> float:
         """Return the derivative of the SI value with respect to the row's value."""
         return self.shown.slope(value) * self.factor
+
+    @property
+    def in_si(self) -> tuple[float, float, str]:
+        """That of the scale `shown`."""
+        return self.shown.in_si
 
 
 DEGREES = Scale("deg", math.degrees(1.0))

@@ -3,8 +3,8 @@
 import functools
 import itertools
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi
@@ -397,6 +397,20 @@ class CycleTerms:
         first, width = self.place(goal)
         sign, peak = -1.0 if goal.how == "least" else 1.0, goal.how == "peak"
         return WatchedTerm(first, width, peak, sign, size, index, math.inf, goal.nature.general)
+
+    def levelled(self, sizes: Sequence[float]) -> list[Variable]:
+        """Return the variables that are the largest values of terms, whose units [SI] are known only now.
+
+        Parameters
+        ----------
+        sizes : sequence of float [SI]
+            Of each term.
+        """
+        found = []
+        for variable, goal, size in zip(self.variables[len(self.variables) - len(sizes) :], self.epigraphs, sizes, strict=True):
+            kind = self.problem.kind(goal)
+            found.append(replace(variable, size=size, scale=Scale(KINDS[kind].si.replace("**", "^") if kind else "", size)))
+        return found
 
     def heights(self, goal: Goal, size: float) -> Any:
         """Return the values at all positions whose largest is the level of a term, in units of `size`.

@@ -21,7 +21,6 @@ from optlink.optimization.nlp import NLP, boxed
 from optlink.optimization.objectives import ErrorMeasure
 from optlink.problem.function import EPIGRAPH
 from optlink.symbolic import CompiledFunction, symbols_in_numpy
-from optlink.units import KINDS
 
 NODES = 48  # per revolution with integral terms; half of it with maxima only
 EXCHANGE_POINTS = 24  # positions that are moved to the maxima of terms, shared among the strokes ...
@@ -31,9 +30,7 @@ SLOTS = (4, 6)  # ... least and most per stroke
 
 @dataclass(frozen=True)
 class Figure(ErrorMeasure):
-    """An objective with a single value, `worth` times the objective of the NLP."""
-
-    worth: float = 1.0
+    """An objective with a single value."""
 
     def sizes(self, residuals: ArrayLike) -> Array:
         """Return the absolute value of the residuals."""
@@ -45,7 +42,7 @@ class Figure(ErrorMeasure):
 
     def slope(self, residuals: ArrayLike) -> float:
         """Return the derivative of the objective with respect to that of the NLP."""
-        return self.worth
+        return 1.0
 
 
 @dataclass(frozen=True)
@@ -183,13 +180,14 @@ def build_cycle(
     box += [(-2.0 * TURN, 2.0 * TURN)] * events
     box += [(0.0 if goal.how == "peak" else -math.inf, math.inf) for goal in parts.epigraphs]
     x_low, x_high = np.array(box).reshape(-1, 2).T.copy()
-    kind = problem.unit_kind
     helpers = {EPIGRAPH, EVENT, *(v.name for v in parts.variables[count:])}
+    levels = parts.levelled([size for goal, size in zip(parts.goals, sizes, strict=True) if goal.extreme])
     return CycleNLP(
-        variables=tuple(parts.variables),
+        variables=(*parts.variables[: count + events], *levels),
         fixed=parts.fixed,
         rows=tuple(replace(row, value=g[k]) for k, row in enumerate(parts.rows)),
-        measure=Figure("figure", KINDS[kind].si if kind else "", 1, worth),
+        measure=Figure("figure", problem.objective_unit),
+        factor=worth,
         x_start=at,
         x_low=x_low,
         x_high=x_high,

@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import casadi
 import numpy as np
@@ -122,6 +122,12 @@ class NLP:
             attributes["mapped"] = MappedTerms(**{name.removeprefix(MAPPED): value for name, value in parts.items()})
         rows = tuple(replace(row, value=attributes["g_expression"][k]) for k, row in enumerate(attributes["rows"]))
         vars(self).update(attributes | {"rows": rows})
+
+    def copy(self) -> Self:
+        """Return the same programme with parameters of its own; the compiled functions are shared."""
+        other = object.__new__(type(self))
+        vars(other).update(vars(self) | {"p": self.p.copy()})
+        return other
 
     @cached_property
     def low(self) -> Array:

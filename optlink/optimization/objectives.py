@@ -32,6 +32,11 @@ class ErrorMeasure:
         square = float(r @ r)
         return square if self.name == "sum of squares" else float(np.sqrt(square * self.width / r.size))
 
+    @property
+    def smooth_unit(self) -> str:
+        """Unit of the objective of the NLP: of an rms the mean square."""
+        return f"{self.unit}^2" if self.name == "rms" and self.unit else self.unit
+
     def slope(self, residuals: ArrayLike) -> float:
         """Return the derivative with respect to the objective of the NLP (sum of squares, mean square, largest)."""
         return 0.5 / max(self.of(residuals), 1e-150) if self.name == "rms" else 1.0

@@ -95,7 +95,7 @@ def build_path_nlp(problem: PathProblem, direction: int = 1, *, movable: bool = 
     if free_timing:
         variables += [Variable(angle_name(i), 1.0, DEGREES) for i in range(count)]
     if minimax:
-        variables.append(Variable(EPIGRAPH, share, Scale("", share)))
+        variables.append(Variable(EPIGRAPH, share, Scale(problem.unit, share)))
     constants = [scaled_variable(problem, name) for name in fixed]
     moving = target_constants(problem) if movable and problem.pointed else []
 

@@ -228,6 +228,21 @@ def add_peak_errors(problem: DesignProblem, nlp: NLP, solution: Solution, backen
     return replace(exchange.placed(*best), status=Status.STALLED, message="the largest errors did not become level")
 
 
+def place_at_peaks(problem: DesignProblem, nlp: NLP, x: Array) -> None:
+    """Move the exchange points, if there are any, to the peaks of the error of a design.
+
+    Parameters
+    ----------
+    problem : DesignProblem
+    nlp : NLP
+    x : array (n,)
+        Scaled point.
+    """
+    if nlp.exchange_count:
+        exchange, solution = _Exchange(problem, nlp, ""), multistart.solution_at(nlp, x, "")
+        exchange.placed(solution, exchange.peaks(solution))
+
+
 def _largest(design: tuple[Solution, list[ErrorPeak]]) -> float:
     """Return the largest error of a design over the range."""
     return design[1][0].height

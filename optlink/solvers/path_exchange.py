@@ -100,6 +100,20 @@ def solve_semi_infinite(task: PathProblem, start: Solution, backend: str, *, nea
     )
 
 
+def place_at_peaks(task: PathProblem, nlp: NLP, x: Array) -> None:
+    """Move the exchange points, if there are any, to the peaks of the limits of a design.
+
+    Parameters
+    ----------
+    task : PathProblem
+    nlp : NLP
+    x : array (n,)
+        Scaled point.
+    """
+    if nlp.exchange_count:
+        nlp.set_exchange_points(_places(_tops(task, local.solution_at(nlp, x, "")), nlp.exchange_count))
+
+
 def best_slow_stroke(task: PathProblem, solution: Solution, backend: str) -> Solution:
     """Return the better one of a solution and the optimum near it whose slow stroke has the other direction.
 

@@ -30,6 +30,7 @@ from optlink.validation.cycle import validate_cycle
 
 if TYPE_CHECKING:
     from optlink.optimization.cycle_nlp import CycleNLP
+    from optlink.optimization.nlp import NLP
     from optlink.solvers.continuum import Continuum
     from optlink.solvers.cycle_search import CycleSearchResult
     from optlink.solvers.cycle_starts import StartGroup, StartSequence
@@ -65,6 +66,45 @@ class CycleTask(DesignTask[CycleResult]):
         if result.problem is problem:
             return result
         return replace(result, notes=(f"assembly mode: {mode_of(result.problem)}, the best of those left open", *result.notes))
+
+    def programme(self, problem: ProblemFile) -> NLP:
+        """Return the programme of the order of events at the start; see `DesignTask.programme`.
+
+        Parameters
+        ----------
+        problem : ProblemFile
+
+        Raises
+        ------
+        InputError
+            If no dimensions within the bounds let the crank turn fully.
+        """
+        from optlink.optimization.cycle_signals import TracedCycle
+        from optlink.solvers.cycle_search import build_programme
+        from optlink.solvers.cycle_starts import StartSequence
+
+        with input_of(problem.file):
+            trace = TracedCycle(task_of(problem), slow=task_of(problem).slow_assumed)
+        groups = _first_starts(problem, StartSequence(trace, 0), 1)
+        if not groups:
+            message = "no dimensions were found within the bounds with which the crank turns fully"
+            raise InputError(message, "Widen the bounds, or start from a design that turns", problem.file, "mechanism")
+        return build_programme(trace, groups[0])
+
+    def place(self, problem: ProblemFile, nlp: NLP, x: Array) -> None:
+        """Move the exchange points to the peaks of limits and of the objective; see `DesignTask.place`.
+
+        Parameters
+        ----------
+        problem : ProblemFile
+        nlp : NLP
+        x : array (n,)
+        """
+        from optlink.optimization.cycle_nlp import CycleNLP
+        from optlink.solvers.semi_infinite import peaks
+
+        assert isinstance(nlp, CycleNLP)
+        nlp.set_exchange_points(peaks(nlp, nlp.lifted(x)).shares)
 
     def validate(self, problem: ProblemFile, design: Mapping[str, float]) -> CycleResult:
         """Validate given dimensions; those not named have their value in the file.

@@ -18,6 +18,7 @@ from pydantic import Field
 from optlink.errors import OPTIONS_NAMED, InputError, Status
 from optlink.execution import interrupts
 from optlink.linkage.fourbar import LENGTHS
+from optlink.linkage.vector2d import Array
 from optlink.optimization.nlp import NLP, build
 from optlink.optimization.objectives import MEASURES
 from optlink.problem.arguments import typed
@@ -28,7 +29,7 @@ from optlink.problem.fixed_design import fixed_design, started
 from optlink.problem.quantity import Quantity, input_of, read_quantity
 from optlink.problem.targets.expression import Expression
 from optlink.solvers import multistart
-from optlink.solvers.function_exchange import ALONG, error_at, error_function
+from optlink.solvers.function_exchange import ALONG, error_at, error_function, place_at_peaks
 from optlink.solvers.solution import EXACTLY_MET, Relaxation, Solution
 from optlink.tasks.machine import check_names, turning_machine
 from optlink.tasks.modes import best_mode
@@ -247,6 +248,27 @@ class FunctionTask(DesignTask[FunctionResult]):
 
         notes = margin_notes(result.problem, result.design, result.solution.limits, result.objective, relaxed)
         return replace(result, margins=notes)
+
+    def programme(self, problem: ProblemFile) -> NLP:
+        """Return the programme of the design positions; see `DesignTask.programme`.
+
+        Parameters
+        ----------
+        problem : ProblemFile
+        """
+        self.check(problem)
+        return build(problem.spec)
+
+    def place(self, problem: ProblemFile, nlp: NLP, x: Array) -> None:
+        """Move the exchange points to the peaks of the error; see `DesignTask.place`.
+
+        Parameters
+        ----------
+        problem : ProblemFile
+        nlp : NLP
+        x : array (n,)
+        """
+        place_at_peaks(problem.spec, nlp, x)
 
     def validate(self, problem: ProblemFile, design: Mapping[str, float]) -> FunctionResult:
         """Validate a given design, in the better assembly mode if the file leaves it open; see `DesignTask.validate`.

@@ -7,13 +7,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from optlink.errors import Status
+from optlink.errors import InputError, Status
 from optlink.execution import interrupts
+from optlink.linkage.vector2d import Array
+from optlink.optimization.nlp import NLP
+from optlink.optimization.path_nlp import angle_name, build_path_nlp
 from optlink.problem.file import ProblemFile
 from optlink.solvers import multistart
 from optlink.solvers.contract import FOUND, LEAST_SQUARES
 from optlink.solvers.infeasibility import Explanation, explain, feasible_point
-from optlink.solvers.path_exchange import solve_semi_infinite
+from optlink.solvers.path_exchange import place_at_peaks, solve_semi_infinite
 from optlink.synthesis.batch_search import PER_ROUND, PERFECT, Searcher
 from optlink.tasks.path_search import DesignCollection, Polisher, designs_from_four_bar, has_several_dyads, path_model
 from optlink.tasks.protocol import DesignTask, Search, Timer, agreement, completed, part
@@ -101,6 +104,52 @@ class PathTask(DesignTask[PathResult]):
             together=() if reason is None else reason.together,
             rejected=collection.rejected,
         )
+
+    def programme(self, problem: ProblemFile) -> NLP:
+        """Return the programme of one sense of crank rotation; see `DesignTask.programme`.
+
+        Parameters
+        ----------
+        problem : ProblemFile
+
+        Raises
+        ------
+        InputError
+            If the crank may turn either way.
+        """
+        task = path_model(problem)
+        if task.data.offsets is None and task.requirement.rotation == "either":
+            message = "the crank may pass the points in either direction: each has its own programme"
+            remedy = 'Choose one: problem.override({"requirement.rotation": "clockwise"})'
+            raise InputError(message, remedy, problem.file, "requirement.rotation")
+        return build_path_nlp(task, -1 if task.requirement.rotation == "clockwise" else 1)
+
+    def place(self, problem: ProblemFile, nlp: NLP, x: Array) -> None:
+        """Move the exchange points to the peaks of limits and of the transmission angle; see `DesignTask.place`.
+
+        Parameters
+        ----------
+        problem : ProblemFile
+        nlp : NLP
+        x : array (n,)
+        """
+        place_at_peaks(path_model(problem), nlp, x)
+
+    def unknowns(self, problem: ProblemFile, nlp: NLP, design: Mapping[str, float]) -> Array:
+        """Return the scaled unknowns; free crank angles are those with the least deviation.
+
+        Parameters
+        ----------
+        problem : ProblemFile
+        nlp : NLP
+        design : mapping of str to float [SI]
+        """
+        from optlink.validation.timing import passing
+
+        task = path_model(problem)
+        values = {name: float(design.get(name, quantity.value)) for name, quantity in task.quantities.items()}
+        angles = {angle_name(k): float(angle) for k, angle in enumerate(passing(task, values))}
+        return super().unknowns(problem, nlp, {**values, **angles})
 
     def validate(self, problem: ProblemFile, design: Mapping[str, float]) -> PathResult:
         """Validate a given design; with free timing, at the crank angles with the least deviation.

@@ -1,5 +1,7 @@
 """`DesignTask`, which each kind of design problem registers, and common parts of searches: checked options, stages, progress."""
 
+from __future__ import annotations
+
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
@@ -16,6 +18,8 @@ from optlink.solvers import contract
 from optlink.validation.check import Check
 
 if TYPE_CHECKING:
+    from optlink.linkage.vector2d import Array
+    from optlink.optimization.nlp import NLP
     from optlink.tasks.results.balance import Balance
     from optlink.tasks.results.common import DesignResult
 
@@ -165,6 +169,44 @@ class DesignTask(ABC, Generic[R]):
             raise InputError(message, "State its dimensions in the file", problem.file, "--design", ", ".join(design))
         return self.solve(problem)
 
+    def programme(self, problem: ProblemFile) -> NLP:
+        """Return the scaled nonlinear programme of a problem with definite assembly modes.
+
+        Parameters
+        ----------
+        problem : ProblemFile
+
+        Raises
+        ------
+        InputError
+            If this kind of problem has none, or several.
+        """
+        message = "this kind of problem has no nonlinear programme of its dimensions"
+        raise InputError(message, "Use optlink.solve", problem.file)
+
+    def unknowns(self, problem: ProblemFile, nlp: NLP, design: Mapping[str, float]) -> Array:
+        """Return the scaled unknowns of the programme at a design: those that the formulation adds follow from it.
+
+        Parameters
+        ----------
+        problem : ProblemFile
+        nlp : NLP
+            From `programme`.
+        design : mapping of str to float [SI]
+        """
+        return nlp.x_of(design, bounded=False)
+
+    def place(self, problem: ProblemFile, nlp: NLP, x: Array) -> None:
+        """Move the exchange points of the programme to the peaks of limits and of the objective at x, if it has any.
+
+        Parameters
+        ----------
+        problem : ProblemFile
+        nlp : NLP
+        x : array (n,)
+            Scaled point.
+        """
+
     def check(self, problem: ProblemFile) -> None:
         """Refuse a problem that has nothing to solve."""
 
@@ -231,10 +273,24 @@ class DesignTask(ABC, Generic[R]):
         check_range("starts", 1 if starts is None else starts, 1, self.most_starts)
         if seed < 0:
             raise InputError("a seed must not be negative", "Give 0 or more", key="seed", value=seed)
-        if not problem.model.free:
-            message = "no design variables: every dimension is fixed"
-            raise InputError(message, f"Free one: {self.free_example}, or {self.without_free}", problem.file, "mechanism")
+        self.check_free(problem)
         names = contract.BACKENDS if backend == "both" else (backend,)
         for name in names:
             contract.backend(name)  # imports do not count as solving time
         return names
+
+    def check_free(self, problem: ProblemFile) -> None:
+        """Refuse a problem without design variables.
+
+        Parameters
+        ----------
+        problem : ProblemFile
+
+        Raises
+        ------
+        InputError
+            If every dimension is fixed.
+        """
+        if not problem.model.free:
+            message = "no design variables: every dimension is fixed"
+            raise InputError(message, f"Free one: {self.free_example}, or {self.without_free}", problem.file, "mechanism")

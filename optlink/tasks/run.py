@@ -16,6 +16,7 @@ from optlink.problem.file_errors import SECTIONS
 from optlink.tasks.protocol import DesignTask, Progress, Search
 
 if TYPE_CHECKING:
+    from optlink.optimization.nlp import NLP
     from optlink.tasks.function import FunctionResult
     from optlink.tasks.results.balance import Balance
     from optlink.tasks.results.common import DesignResult
@@ -235,6 +236,10 @@ def _cycle() -> DesignTask[CycleResult]:
 
 class _BalanceTask(DesignTask["Balance"]):
     no_starts = "balancing is a convex programme with one optimum: it has no starting points"
+
+    def programme(self, problem: ProblemFile) -> NLP:
+        message = "balancing is a cone programme of masses, not a nonlinear programme of dimensions"
+        raise InputError(message, "Use optlink.balance", problem.file, "balance")
 
     def search(self, problem: ProblemFile, search: Search) -> Balance:
         from optlink.tasks.balance import balance
