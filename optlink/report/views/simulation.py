@@ -136,7 +136,7 @@ def output(run: History) -> list[ChartSpec]:
     if not sliders:
         rows = [("angle", ".angle_rad", "deg"), ("angular velocity", ".omega_rad_s", "rad/s")]
         rows.append(("angular acceleration", ".alpha_rad_s2", "rad/s²"))
-    panels = []
+    panels: list[Panel] = []
     for word, ending, unit in rows:
         if name + ending in run.columns:
             values = np.unwrap(run.columns[name + ending]) if unit == "deg" else run.columns[name + ending]
@@ -171,7 +171,7 @@ def reactions(run: History) -> list[ChartSpec]:
     names = [name for name in amounts if largest(amounts, [name]) > 0.0][:MAX_REACTIONS]
     if not names:
         return []
-    panels = []
+    panels: list[Panel] = []
     for name in names:
         joint = name.partition(".")[0]
         of_frame = guides[joint].on == FRAME if joint in guides else FRAME in mechanism.pins[joint]
