@@ -131,7 +131,7 @@ def test_force_curves_are_distinguishable_without_colours():
     assert [look for look in looks if len(set(look)) < len(look)] == []
 
 
-KINDS = ("mechanism", "motion", "torque", "reactions", "guides", "work", "shaking")
+KINDS = ("mechanism", "motion", "bodies", "torque", "reactions", "guides", "work", "shaking")
 
 
 def titles(figure) -> list[str]:
@@ -177,6 +177,9 @@ EVERY = {
         ("six-bar", "torque", "input.torque_Nm", 1.0),
         ("six-bar", "torque", "input.torque_load_Nm", 1.0),
         ("six-bar", "motion", "slider.s_m", 1e3),
+        ("six-bar", "bodies", "link5.omega_rad_s", 1.0),
+        ("shaper", "bodies", "coupler.alpha_rad_s2", 1.0),
+        ("partial", "bodies", "rocker.omega_rad_s", 1.0),
         ("six-bar", "motion", "slider.a_m_s2", 1.0),
         ("six-bar", "reactions", "A.fx_N", 1.0),
         ("six-bar", "guides", "F.normal_N", 1.0),
@@ -607,13 +610,40 @@ def test_titles_accept_dollar_signs_and_foreign_letters(tmp_path):
     assert figure._suptitle.get_parse_math() is False
 
 
+def test_every_body_that_turns_unevenly_is_drawn_with_its_extremes():
+    """In the colours of the drawing; a block has the angular velocity of its rocker, and a slider has none."""
+    speeds, _ = pictures(analysis_charts.bodies(course("shaper")))["bodies"].axes
+    result = analysed("shaper")
+    texts = [text.get_text() for text in speeds.get_legend().get_texts()]
+    assert [text.partition(":")[0] for text in texts] == ["block, rocker", "coupler"]
+    low, high = (np.max(sign * result["coupler.omega_rad_s"]) for sign in (-1.0, 1.0))
+    numbers = texts[1].partition(":")[2].removesuffix(" rad/s").replace("−", "-").split(" to ")
+    np.testing.assert_allclose([float(number) for number in numbers], [-low, high], rtol=1e-3)
+    (curve,) = by_gid(picture("shaper", "bodies"), "coupler.omega_rad_s")
+    sketch = Sketch(sweep(result.machine.mechanism, result.machine.sizes, course("shaper").angles, result.speed), result.machine)
+    assert curve.get_color() == sketch.colours["coupler"]
+
+
+def test_bodies_that_slide_or_turn_alike_have_no_curves_of_their_own():
+    assert analysis_charts.bodies(course("yoke")) == []  # block and yoke slide
+    (chart,) = analysis_charts.bodies(course("rod"))
+    assert [curve.name.partition(":")[0] for curve in chart.panels[0].traces] == ["rod, block"]
+
+
 # --- what is left out, and what breaks down ------------------------------------------------------------------------------------
 
 
 @pytest.mark.slow
 def test_no_force_charts_without_forces(tmp_path):
     files = view_of("analysis").write(analysed("no masses"), tmp_path, film=True)
-    assert [file.name for file in files] == ["result.json", "cycle.csv", "mechanism.png", "motion.png", "motion.gif"]
+    assert [file.name for file in files] == [
+        "result.json",
+        "cycle.csv",
+        "mechanism.png",
+        "motion.png",
+        "bodies.png",
+        "motion.gif",
+    ]
     assert {file.name for file in files} == {path.name for path in tmp_path.iterdir()}
 
 
@@ -664,7 +694,7 @@ def test_film_is_smooth_small_and_does_not_flicker(name, tmp_path):
     if name == "six-bar":
         files = view_of("analysis").write(analysed(name), tmp_path, film=True)
         assert {file.name for file in files} == {path.name for path in tmp_path.iterdir()}
-        assert {"torque.png", "reactions.png", "work.png", "shaking.png", "mechanism.png", "motion.png"} <= {
+        assert {"torque.png", "reactions.png", "work.png", "shaking.png", "mechanism.png", "motion.png", "bodies.png"} <= {
             f.name for f in files
         }
         for file in files:

@@ -28,7 +28,12 @@ FRAMES = 80
 
 def charts(cycle: CycleCurves) -> list[ChartSpec]:
     """Return the charts of an analysis: motion, transmission angles and any forces."""
-    return [*analysis_charts.motion(cycle), *analysis_charts.transmission(cycle), *analysis_forces.forces(cycle)]
+    return [
+        *analysis_charts.motion(cycle),
+        *analysis_charts.bodies(cycle),
+        *analysis_charts.transmission(cycle),
+        *analysis_forces.forces(cycle),
+    ]
 
 
 # --- mechanism -------------------------------------------------------------------------------------------------------------

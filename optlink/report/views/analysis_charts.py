@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,7 +12,7 @@ from optlink.dynamics.machine import slider_names
 from optlink.dynamics.strokes import last_output
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.stroke import Travel
-from optlink.linkage.vector2d import TURN
+from optlink.linkage.vector2d import TURN, Array
 from optlink.report.chart_spec import Axis, ChartSpec, Curve, Dash, Line, Mark, Panel, Span, crank_angle
 from optlink.report.style import BODIES, CRANK, LIMIT, MUTED, RESULT, TARGET, Scale, degrees, scale
 from optlink.report.views.analysis_curves import ROUNDING, CycleCurves
@@ -20,6 +20,8 @@ from optlink.tasks.results.extremes import Extreme
 
 MAX_DEAD_CENTRES = 12  # largest number of dead centres to draw; a body at rest has spurious ones due to rounding
 MAX_SLIDERS = 4  # largest number of sliders in motion.png
+MAX_BODIES = 9  # largest number of curves in bodies.png
+DASHES: tuple[Dash, ...] = ("solid", "dash", "dashdot")
 LIMIT_MARGIN = 0.16  # margin above and below cut values, as a share of the range
 
 
@@ -279,6 +281,62 @@ def motion(cycle: CycleCurves, initial: CycleCurves | None = None) -> list[Chart
             chart(cycle, "motion", title, panels, heading=heading, remark=caption, lines=lines, spans=spans, width=width)
         )
     return charts
+
+
+def bodies(cycle: CycleCurves) -> list[ChartSpec]:
+    """Return angular velocity and acceleration of the bodies that turn at a variable speed, with their extremes.
+
+    Parameters
+    ----------
+    cycle : CycleCurves
+    """
+    mechanism, turning = cycle.result.machine.mechanism, abs(cycle.result.speed)
+    others = [body for body in mechanism.bodies if body != mechanism.crank.body]
+    colours = {f"{body}.omega_rad_s": BODIES[k % len(BODIES)] for k, body in enumerate(others)}  # those of mechanism.png
+    names = {body: f"{body}.omega_rad_s" for body in others}
+    windows = {body: cycle.window(cycle[name]) for body, name in names.items()}
+    variable = {body: names[body] for body, (low, high) in windows.items() if high - low > 1e-8 * turning}
+    shown = dict(list(together(cycle.columns, variable).items())[:MAX_BODIES])
+    if not shown:
+        return []
+    panels = []
+    for word, ending, si in (("velocity", ".omega_rad_s", "rad/s"), ("acceleration", ".alpha_rad_s2", "rad/s²")):
+        columns = {label: name.replace(".omega_rad_s", ending) for label, name in shown.items()}
+        unit, traces = scale(cycle.peak(*columns.values()), si), []
+        for k, (label, name) in enumerate(columns.items()):
+            extreme = cycle.result.extremes.get(name)
+            least = unit.text(extreme.least).removesuffix(f" {unit.unit}") if extreme else ""
+            words = f"{label}:  {least} to {unit.text(extreme.largest)}" if extreme else label
+            colour, (width, dash) = colours[shown[label]], look(k, len(columns))
+            traces += curves(cycle, name, unit, words, colour, width, dash)
+        panels.append(panel(cycle, f"angular {word} [{unit.unit}]", traces, 1.4))
+    return [chart(cycle, "bodies", "Rotation of the bodies", panels, width=8.6)]
+
+
+def look(k: int, count: int) -> tuple[float, Dash]:
+    """Return width [pt] and dash of one of several curves: overlapping ones stay visible, and without colours distinct."""
+    return 2.5 - 1.3 * k / max(1, count - 1), DASHES[(k + k // (len(BODIES) + 1)) % len(DASHES)]
+
+
+def together(columns: Mapping[str, Array], names: Mapping[str, str]) -> dict[str, str]:
+    """Merge columns with identical values under one combined label.
+
+    Parameters
+    ----------
+    columns : mapping of str to array (n,)
+    names : mapping of str to str
+        Columns to draw by label.
+    """
+    merged: dict[str, str] = {}
+    for label, name in names.items():
+        values = columns[name]
+        least = ROUNDING * float(np.max(np.abs(values), initial=0.0, where=np.isfinite(values)))
+        same = next((k for k, v in merged.items() if np.allclose(columns[v], values, ROUNDING, least, equal_nan=True)), None)
+        if same is None:
+            merged[label] = name
+        else:
+            merged = {f"{k}, {label}" if k == same else k: v for k, v in merged.items()}
+    return merged
 
 
 def _strokes(cycle: CycleCurves, travel: Travel | None) -> tuple[list[Line], list[Span]]:

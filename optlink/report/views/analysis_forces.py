@@ -8,14 +8,13 @@ import numpy as np
 from optlink.dynamics.columns import pin_columns
 from optlink.dynamics.inverse import shaking as shaken
 from optlink.linkage import extrema
-from optlink.report.chart_spec import Array, Axis, ChartSpec, Curve, Dash, Line, Mark, Panel
+from optlink.report.chart_spec import Array, Axis, ChartSpec, Curve, Line, Mark, Panel
 from optlink.report.style import BODIES, COUPLER, CRANK, MUTED, RESULT, ROCKER, TARGET, Scale, degrees, scale
-from optlink.report.views.analysis_charts import axis, chart, curves, extremes, machine_title, panel
+from optlink.report.views.analysis_charts import DASHES, axis, chart, curves, extremes, look, machine_title, panel, together
 from optlink.report.views.analysis_curves import ROUNDING, CycleCurves
 
 TORQUE = "input.torque_Nm"
 SHAKING = ("frame.shaking_fx_N", "frame.shaking_fy_N", "frame.shaking_moment_Nm")
-DASHES: tuple[Dash, ...] = ("solid", "dash", "dashdot")
 
 
 def forces(cycle: CycleCurves, initial: CycleCurves | None = None) -> list[ChartSpec]:
@@ -83,16 +82,14 @@ def reactions(cycle: CycleCurves) -> list[ChartSpec]:
     pivot_chart = chart(cycle, "reactions", f"Crank pivot {crank.start}: {caption}", force, heading=heading, width=6.2)
     pivot_hodograph = hodograph(cycle, x, y, unit, "reactions", "Hodograph of this force, crank angle marked")
     unit = scale(cycle.peak(*amounts.values()), "N")
-    shown = _together(cycle, {label: name for label, name in amounts.items() if cycle.has(name, list(amounts.values()))})
+    shown = together(cycle.columns, {label: name for label, name in amounts.items() if cycle.has(name, list(amounts.values()))})
     traces = []
     for k, (label, name) in enumerate(shown.items()):
         colour = (CRANK, *BODIES)[k % (len(BODIES) + 1)]
         extreme = cycle.result.extremes.get(name)
         amount = f"{unit.text(extreme.largest)} at {degrees(extreme.largest_at)}" if extreme else ""
         amount = "without bound" if name in cycle.result.unbounded else amount
-        width = 2.5 - 1.3 * k / max(1, len(shown) - 1)  # overlapping curves stay visible
-        dash = DASHES[(k + k // (len(BODIES) + 1)) % len(DASHES)]  # to be told apart without colours too
-        traces += curves(cycle, name, unit, f"{label}:  {amount}" if amount else label, colour, width, dash)
+        traces += curves(cycle, name, unit, f"{label}:  {amount}" if amount else label, colour, *look(k, len(shown)))
     y_axis = axis(cycle, f"amount of force [{unit.unit}]", traces)
     high = y_axis.limits[1] if y_axis.limits else 1.06 * max(float(np.nanmax(trace.y)) for trace in traces)
     every = Panel(Axis(y_axis.name, (0.0, high)), traces, 1.7)
@@ -101,20 +98,6 @@ def reactions(cycle: CycleCurves) -> list[ChartSpec]:
         pivot_hodograph,
         chart(cycle, "reactions", "Joint reactions, with their largest amounts", [every], row=1, width=11.0),
     ]
-
-
-def _together(cycle: CycleCurves, names: dict[str, str]) -> dict[str, str]:
-    """Merge columns with identical values under one combined label."""
-    merged: dict[str, str] = {}
-    for label, name in names.items():
-        same = next(
-            (k for k, v in merged.items() if np.allclose(cycle[v], cycle[name], ROUNDING, ROUNDING * cycle.peak(v), True)), None
-        )
-        if same is None:
-            merged[label] = name
-        else:
-            merged = {f"{k}, {label}" if k == same else k: v for k, v in merged.items()}
-    return merged
 
 
 def hodograph(

@@ -1,4 +1,4 @@
-"""Charts of a simulation in time, and the HTML sections of a stored one: speed and torque, output, reactions, energy balance."""
+"""Charts of a simulation in time, and the HTML sections of a stored one: speed and torque, output, bodies, reactions, energy."""
 
 import math
 from collections.abc import Iterable, Mapping
@@ -10,6 +10,7 @@ import numpy as np
 
 from optlink.dynamics.ending import Ending
 from optlink.dynamics.machine import Machine, slider_names
+from optlink.linkage.mechanism import FRAME
 from optlink.problem.file import ProblemFile
 from optlink.report.chart_spec import TIME, Array, Axis, ChartSpec, Curve, Dash, Panel
 from optlink.report.html import chart_plotly
@@ -18,16 +19,19 @@ from optlink.report.html.shell import PageSection, StoredStudy
 from optlink.report.scene import scene_at
 from optlink.report.shapes import even
 from optlink.report.stored.stored_study import cycle_of, no_animation
-from optlink.report.style import BODIES, CRANK, MUTED, TARGET, Scale, scale
+from optlink.report.style import BODIES, CRANK, MUTED, RESULT, TARGET, Scale, scale
 from optlink.report.view import View
 from optlink.report.views import analysis_tables, conclusions
+from optlink.report.views.analysis_charts import MAX_BODIES, look, together
 from optlink.tasks.machine import machine_of
+from optlink.tasks.results.analysis import reaction_conventions
 from optlink.tasks.results.common import check_entries
 from optlink.tasks.simulate import Simulation, SimulationRecord
 from optlink.units import percent
 
 RPM = 30.0 / math.pi
 MAX_REACTIONS = 10  # largest number of joint reactions
+MAX_FRAME_JOINTS = 4  # largest number of joints of the frame whose forces are shown by components
 
 
 @dataclass(frozen=True)
@@ -87,7 +91,7 @@ def charts(run: History) -> list[ChartSpec]:
     ----------
     run : History
     """
-    return [*drive(run), *output(run), *reactions(run), *energy(run)] if len(run.columns["time_s"]) > 1 else []
+    return [*drive(run), *output(run), *bodies(run), *reactions(run), *energy(run)] if len(run.columns["time_s"]) > 1 else []
 
 
 def drive(run: History) -> list[ChartSpec]:
@@ -132,7 +136,7 @@ def output(run: History) -> list[ChartSpec]:
     if not sliders:
         rows = [("angle", ".angle_rad", "deg"), ("angular velocity", ".omega_rad_s", "rad/s")]
         rows.append(("angular acceleration", ".alpha_rad_s2", "rad/s²"))
-    panels = []
+    panels: list[Panel] = []
     for word, ending, unit in rows:
         if name + ending in run.columns:
             values = np.unwrap(run.columns[name + ending]) if unit == "deg" else run.columns[name + ending]
@@ -142,23 +146,48 @@ def output(run: History) -> list[ChartSpec]:
     return [ChartSpec("output", f"Motion of {name}", panels, Axis(TIME), f"{run.title}: {name}")] if panels else []
 
 
+def bodies(run: History) -> list[ChartSpec]:
+    """Plot the angular velocities of the bodies that turn, but that of the crank, which `drive` shows."""
+    crank = run.machine.mechanism.crank.body
+    names = {body: f"{body}.omega_rad_s" for body in run.machine.mechanism.bodies if body != crank}
+    colours = {name: BODIES[k % len(BODIES)] for k, name in enumerate(names.values())}
+    floor = 1e-8 * run.largest({*colours, f"{crank}.omega_rad_s"} & run.columns.keys())
+    turning = {body: name for body, name in names.items() if name in run.columns and run.largest([name]) > floor}
+    shown = dict(list(together(run.columns, turning).items())[:MAX_BODIES])
+    curves = []
+    for k, (label, name) in enumerate(shown.items()):
+        width, dash = look(k, len(shown))
+        curves.append(run.curve(name, 1.0, label, colours[name], width, dash))
+    panels, heading = [Panel(Axis("angular velocity [rad/s]"), curves, 1.6)], f"{run.title}: rotation of the bodies"
+    return [ChartSpec("bodies", "Rotation of the bodies", panels, Axis(TIME), heading)] if curves else []
+
+
 def reactions(run: History) -> list[ChartSpec]:
-    """Plot the magnitudes of the joint reactions; a pin of three bodies has two."""
-    mechanism = run.machine.mechanism
-    joints = {*mechanism.pins, *(guide.name for guide in mechanism.guides)}
-    forces = {name: values for name, values in run.columns.items() if name.partition(".")[0] in joints}
-    for name in [name for name in forces if name.endswith(".fx_N") and name.replace(".fx_N", ".fy_N") in forces]:
-        forces[name.replace(".fx_N", ".f_N")] = np.hypot(forces[name], forces[name.replace(".fx_N", ".fy_N")])
-    names = [name for name in forces if name.endswith((".f_N", ".normal_N")) and largest(forces, [name]) > 0.0][:MAX_REACTIONS]
+    """Plot the forces of the frame at its pins and guides, and the magnitudes of all joint reactions."""
+    mechanism, columns, conventions = run.machine.mechanism, run.columns, reaction_conventions(run.machine)
+    guides = {guide.name: guide for guide in mechanism.guides}
+    parts = {name: [f"{name}.normal_N"] if name in guides else [f"{name}.fx_N", f"{name}.fy_N"] for name in conventions}
+    amounts = {name: np.linalg.norm([columns[one] for one in pair], axis=0) for name, pair in parts.items() if pair[0] in columns}
+    names = [name for name in amounts if largest(amounts, [name]) > 0.0][:MAX_REACTIONS]
     if not names:
         return []
-    shown = scale(largest(forces, names), "N")
+    panels: list[Panel] = []
+    for name in names:
+        joint = name.partition(".")[0]
+        of_frame = guides[joint].on == FRAME if joint in guides else FRAME in mechanism.pins[joint]
+        if of_frame and len(panels) < MAX_FRAME_JOINTS:
+            unit = scale(run.largest(parts[name]), "N")
+            x, *y = parts[name]
+            pair = [run.curve(x, unit.factor, "in x" if y else "", RESULT)]
+            pair += [run.curve(one, unit.factor, "in y", CRANK, dash="dash") for one in y]
+            panels.append(Panel(Axis(f"{name} [{unit.unit}]\n{conventions[name].partition(',')[0]}"), pair, 0.9))
+    unit = scale(largest(amounts, names), "N")
     curves = []
     for k, name in enumerate(names):
-        dash: Dash = "solid" if name.endswith(".f_N") else "dash"
-        values, words = forces[name] * shown.factor, name.rpartition(".")[0]
-        curves.append(Curve(run.columns["time_s"], values, words, BODIES[k % len(BODIES)], dash=dash))
-    return [ChartSpec("", "Joint reactions", [Panel(Axis(f"force [{shown.unit}]"), curves, 1.6)], Axis(TIME))]
+        width, dash = look(k, len(names))
+        curves.append(Curve(columns["time_s"], amounts[name] * unit.factor, name, BODIES[k % len(BODIES)], width, dash))
+    panels.append(Panel(Axis(f"amount of force [{unit.unit}]"), curves, 1.6))
+    return [ChartSpec("reactions", "Joint reactions", panels, Axis(TIME), f"{run.title}: joint reactions")]
 
 
 def energy(run: History) -> list[ChartSpec]:
