@@ -7,6 +7,7 @@ import errno
 import json
 import os
 import sys
+import warnings
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -186,7 +187,7 @@ def deliver(
     lacking = "contains result.json, but no pictures" if interrupts.interrupted() else ""
     if out is not None and not lacking:
         try:
-            with working(f"Drawing into {out}"):
+            with noted_letters(), working(f"Drawing into {out}"):
                 view_of(kind).write(result, out, pictures, film=film)
             if state:
                 (out / state).unlink(missing_ok=True)
@@ -207,6 +208,28 @@ def deliver(
         show(shown if details or shown.short is None else shown.short)
     if code:
         raise typer.Exit(code)
+
+
+@contextlib.contextmanager
+def noted_letters() -> Iterator[None]:
+    """Print warnings about letters that no font has as notes on standard error, in the end."""
+    from optlink.report.fonts import LettersNotDrawn
+
+    notes: list[str] = []
+    others = warnings.showwarning
+
+    def note(message: Warning | str, category: type[Warning], *place: Any, **options: Any) -> None:
+        if issubclass(category, LettersNotDrawn):
+            notes.append(str(message))
+        else:
+            others(message, category, *place, **options)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", LettersNotDrawn)
+        warnings.showwarning = note
+        yield
+    for words in notes:
+        print(f"Note: {words}", file=sys.stderr)
 
 
 def show(content: Summary | TableSpec) -> None:

@@ -13,6 +13,7 @@ from optlink.linkage.vector2d import Array
 from optlink.report.chart_mpl import draw_into
 from optlink.report.chart_spec import ChartSpec
 from optlink.report.drawing import Sketch
+from optlink.report.fonts import legible
 from optlink.report.style import CRANK, figure, heading, one_palette, styled
 
 STACKED_RATIO = 0.42  # ratio of height to width below which the curve is drawn below the mechanism
@@ -65,6 +66,7 @@ def film(
     mark = Line2D([], [], linestyle="none", marker="o", markersize=7, color=CRANK, zorder=8, animated=True)
     strip.add_artist(mark)
     fig.suptitle("\n".join(heading(title, fig.get_figwidth(), 10.0) for title in titles), fontsize=10)
+    legible(fig)
     canvas.draw()  # type: ignore[no-untyped-call] # all that stands still is drawn once
     fig.set_layout_engine("none")
     still = canvas.copy_from_bbox(fig.bbox)  # type: ignore[no-untyped-call]

@@ -11,7 +11,7 @@ from typing import Any, Literal, ParamSpec, TypeVar
 
 import matplotlib as mpl
 import numpy as np
-from matplotlib import font_manager, patheffects
+from matplotlib import patheffects
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from optlink.io import whole
+from optlink.report.fonts import families, legible, without_weight_messages
 from optlink.report.format import Scale as Scale, degrees as degrees, scale as scale
 
 CRANK, COUPLER, ROCKER, GROUND = "#c0392b", "#2c6fbb", "#2e8b57", "#444444"
@@ -27,9 +28,7 @@ BODIES = (COUPLER, ROCKER, "#d07d00", "#7d55a8", "#17888f", "#a0522d", "#c2527f"
 MUTED, TARGET, RESULT, LIMIT = "#9a9a9a", "#111111", "#2c6fbb", "#c0392b"
 SHADE = "#f3e3c3"
 HALO: list[patheffects.AbstractPathEffect] = [patheffects.withStroke(linewidth=2.5, foreground="white")]
-OTHER_SCRIPTS = ("Noto Sans CJK SC", "Source Han Sans SC", "Microsoft YaHei", "SimHei", "PingFang SC", "WenQuanYi Zen Hei")
 STYLE: dict[Any, Any] = {
-    "font.family": ["DejaVu Sans", *sorted({f.name for f in font_manager.fontManager.ttflist}.intersection(OTHER_SCRIPTS))],
     "font.size": 9.5,
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -49,8 +48,8 @@ MAX_GIF_BYTES = 1_500_000  # largest size of an animation [bytes]
 
 @contextlib.contextmanager
 def apply_style() -> Iterator[None]:
-    """Apply the style of the project, independent of the settings of the caller; missing glyphs give no warning."""
-    with mpl.rc_context(STYLE), warnings.catch_warnings():
+    """Apply the style of the project, independent of the settings of the caller; matplotlib gives no messages about fonts."""
+    with mpl.rc_context({**STYLE, "font.family": families()}), warnings.catch_warnings(), without_weight_messages():
         warnings.filterwarnings("ignore", message="Glyph .* missing from", category=UserWarning)
         yield
 
@@ -126,6 +125,7 @@ def save(fig: Figure, path: Path) -> None:
     path : Path
     """
     with whole(path) as temporary, apply_style():
+        legible(fig)
         kind = path.suffix.removeprefix(".")
         if kind == "png":  # `savefig` draws a figure twice
             fig.set_dpi(DPI)

@@ -98,10 +98,13 @@ def _svg(figure: Figure) -> str:
     from matplotlib import rc_context
     from matplotlib.text import Text
 
+    from optlink.report.style import apply_style
+
     text = io.StringIO()
     for text_artist in figure.findobj(Text):
         text_artist.set_path_effects([])
-    with rc_context({"svg.fonttype": "none"}):  # letters as text: a tenth of the size of outlines
+    # Letters as text have a tenth of the size of outlines; without a salt, no other picture has the same names.
+    with apply_style(), rc_context({"svg.fonttype": "none", "svg.hashsalt": None}):
         figure.savefig(text, format="svg")
     shown = text.getvalue()[text.getvalue().index("<svg") :]
     return re.sub(r' d="[^"]*"', lambda path: re.sub(r"(\.\d\d)\d+", r"\1", path[0]), shown)  # a hundredth of a point is enough
