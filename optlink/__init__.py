@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from optlink.tasks.analyze import analyze
     from optlink.tasks.balance import balance
     from optlink.tasks.batch import analyze_batch
-    from optlink.tasks.clearance import simulate_clearance
+    from optlink.tasks.clearance import InverseMotion, inverse_model, simulate_clearance
     from optlink.tasks.control_comparison import compare, tune
     from optlink.tasks.function import FunctionResult, read_design
     from optlink.tasks.programme import Programme, build
@@ -49,7 +49,7 @@ _NAMES = {
     "optlink.tasks.analyze": ("analyze",),
     "optlink.tasks.balance": ("balance",),
     "optlink.tasks.batch": ("analyze_batch",),
-    "optlink.tasks.clearance": ("simulate_clearance",),
+    "optlink.tasks.clearance": ("InverseMotion", "inverse_model", "simulate_clearance"),
     "optlink.tasks.control_comparison": ("compare", "tune"),
     "optlink.tasks.function": ("FunctionResult", "read_design"),
     "optlink.tasks.programme": ("Programme", "build"),
@@ -75,6 +75,7 @@ __all__ = [
     "Explorer",
     "FunctionResult",
     "InputError",
+    "InverseMotion",
     "OptlinkError",
     "PathDesign",
     "PathResult",
@@ -94,6 +95,7 @@ __all__ = [
     "explore",
     "four_bar",
     "grashof",
+    "inverse_model",
     "load",
     "new",
     "read",

@@ -96,6 +96,7 @@ FORMS = {
     "LinkSection.points": "names with `[along, across]`, each fixed or free",
     "GuideSection.through": "text, or `[x, y]`, each fixed or free",
     "DyadsSection.ground": "names with `[x, y]`, each fixed or free",
+    "Problem.measured": "table of `csv`, `column`, `per_volt`, `at_zero`",
     "Problem.tolerances": "names with text or tables",
     "Term.quantity": "one of the [quantities](#quantities)",
     "TermSection.quantity": "one of the [quantities](#quantities)",

@@ -62,7 +62,10 @@ def predicted(machine: Machine, gaps: Sequence[Gap], angles: Array, speed: float
 
 
 class Inverse:
-    """Loop closure of a machine with prescribed gap vectors, at `POINTS` positions of a revolution at once."""
+    """Loop closure of a machine with prescribed gap vectors, at `POINTS` positions of a revolution at once.
+
+    The `target` of the output at these positions is that of the machine without clearance.
+    """
 
     def __init__(self, machine: Machine, gaps: Sequence[Gap], output: Output, start: float, speed: float) -> None:
         self.output, self.start, self.speed = output, start, speed
@@ -127,6 +130,25 @@ class Inverse:
                 break
         return np.concatenate([shares[:1], shares[1::2] - 1j * shares[2::2]])
 
+    def motion(self, regularisation: float, bandwidth: float) -> tuple[Array, Array, Array, Array, Array]:
+        """Return time [s], target, crank angle [rad], crank speed [rad/s] and reached output at the positions, each (POINTS,).
+
+        Parameters
+        ----------
+        regularisation : float [m/rad, -]
+            Weight of the correction.
+        bandwidth : float [rad/s]
+            Highest frequency of the correction.
+        """
+        signal = ReferenceSignal(self.start, self.speed, self.solve(regularisation, self._order(bandwidth)))
+        time: Array = np.asarray(2.0 * np.pi / (POINTS * abs(self.speed)) * np.arange(POINTS), dtype=float)
+        angle, speed = (np.asarray(part, dtype=float) for part in signal.at(time))
+        return time, self.target, angle, speed, self.close(angle)[0]
+
+    def _order(self, bandwidth: float) -> int:
+        """Number of harmonics up to a frequency [rad/s]."""
+        return int(min(HIGHEST, max(1.0, bandwidth / abs(self.speed) + 1e-9)))
+
     def reference_signal(self, regularisation: float, servo: Servo, bandwidth: float) -> ReferenceSignal:
         """Return the crank command: the correction up to a bandwidth, multiplied by the inverse transfer function of the servo.
 
@@ -140,7 +162,7 @@ class Inverse:
         bandwidth : float [rad/s]
             Highest frequency of the correction.
         """
-        order = min(HIGHEST, max(1, int(bandwidth / abs(self.speed) + 1e-9)))
+        order = self._order(bandwidth)
         s = 1j * np.arange(order + 1) * abs(self.speed)
         follows = 2.0 * servo.damping * servo.bandwidth * s + servo.bandwidth**2
         return ReferenceSignal(self.start, self.speed, self.solve(regularisation, order) * (s * s + follows) / follows)

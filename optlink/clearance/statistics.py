@@ -90,6 +90,8 @@ class Statistics:
         command = self.closed_loop.equations.drive.reference
         if command is not None:
             rows["command.correction_rad"] = command.correction(turn.block.time) + turn.further
+            rows["command.speed_rad_s"] = np.asarray(command.at(turn.block.time)[1])
+            self.meanings["command.speed_rad_s"] = "crank-speed command of the inverse model; constant without it"
             self.meanings["command.correction_rad"] = "crank-angle command minus the crank angle at constant speed"
         return rows
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import json
 import math
 import sys
 from collections.abc import Iterator, Mapping
@@ -48,6 +49,7 @@ INTEGRATOR = (
 )
 SPEED = 'Crank speed, as drive.speed; under a torque the one at the start: --speed "64 rpm"; negative: clockwise.'
 TORQUE = 'Constant driving torque: --torque "5 N*m". The crank starts at --speed, else at initial_speed or speed of [drive].'
+MEASURED = "With clearance: CSV file of the measured output to compare: time_s or angle_deg, displacement_mm or voltage_V."
 CLEARANCE_EXAMPLE = "joints.B={ clearance = '0.5 mm', bearing_radius = '10 mm', modulus = '207 GPa' }"
 
 
@@ -75,6 +77,7 @@ def simulate(
     integrator: Annotated[str | None, option("NAME", INTEGRATOR)] = None,
     resume: Annotated[bool, flag("With clearance: resume the interrupted run in --out DIR.", "--resume")] = False,
     ideal: Annotated[bool, flag("Ignore joint clearance.", "--ideal")] = False,
+    measured: Annotated[Path | None, option("FILE", MEASURED)] = None,
     changes: Set = None,
     design: Design = None,
     csv: Csv = None,
@@ -85,13 +88,14 @@ def simulate(
     out: Out = None,
 ) -> None:
     """Simulate a machine in time, under a torque or at constant speed, with joint clearance and control."""
-    file = console.load(problem, changes)
+    file = console.load(problem, [*(changes or []), *_series(measured)])
     if torque is not None:
         file = file.override({"drive.torque": torque, "drive.servo": None})
     values = console.read_design_option(file, design)
     with_clearance = file.model.has_clearance and not ideal
     if not with_clearance:
         of_gaps: dict[str, Any] = {"--revolutions": revolutions, "--control": control, "--tolerance": tolerance}
+        of_gaps |= {"--measured": measured}
         of_gaps |= {"--integrator": integrator, "--resume": resume, "--tune": tune}
         message = f"{'joints count as ideal' if ideal else 'no joint has clearance'}, so the option has no effect"
         console.refuse(of_gaps, message, "Leave --ideal out" if ideal else f'Give one: --set "{CLEARANCE_EXAMPLE}"', file.file)
@@ -110,7 +114,7 @@ def simulate(
     else:
         message = "the option has no effect on a comparison of controllers or a parameter search"
         remedy = "Leave it out, or simulate one kind: --control inverse+pid"
-        console.refuse({"--csv": csv, "--flywheel": flywheel}, message, remedy, file.file)
+        console.refuse({"--csv": csv, "--flywheel": flywheel, "--measured": measured}, message, remedy, file.file)
     console.places(out, "simulate", problem, csv)
     common: dict[str, Any] = {"speed": console.quantity(speed, "angular velocity", "--speed"), "design": values}
     time = console.quantity(duration, "time", "--duration")
@@ -159,6 +163,21 @@ def simulate(
         with _streamed(csv, done) as stream, console.share("simulating") as progress:
             result = simulate_clearance(file, whole_revolutions, progress=progress, stream=stream, **common)
         _deliver(result, "clearance", result.ending.value, as_json, out)
+
+
+def _series(measured: Path | None) -> list[str]:
+    """Return the change of the problem that names the file of a measured series.
+
+    Raises
+    ------
+    InputError
+        If there is no such file.
+    """
+    if measured is None:
+        return []
+    if not measured.is_file():
+        raise InputError("no such file", "Check the path", key="--measured", value=str(measured))
+    return [f"measured.csv={json.dumps(str(measured.absolute()))}"]
 
 
 def _rows_done(begun: Mapping[str, Any], revolutions: int, out: Path | None) -> int:

@@ -17,13 +17,15 @@ from optlink.clearance.equations import Drive, Servo, Weightless
 from optlink.clearance.integration import TOO_DEEP, Stalled
 from optlink.clearance.inverse_model import Inverse, leverage
 from optlink.clearance.joint import Gap
-from optlink.clearance.output import Output, default_output, outputs
+from optlink.clearance.measurement import MeasuredComparison, measured_comparison
+from optlink.clearance.output import Output
 from optlink.clearance.reference_signal import ReferenceSignal
 from optlink.clearance.statistics import WATCHED, PredictabilityCheck, Statistics, table
 from optlink.dynamics.ending import Ending
 from optlink.dynamics.machine import Machine
 from optlink.errors import InputError
 from optlink.execution import interrupts
+from optlink.io import Summary
 from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.arguments import typed
 from optlink.problem.file import ProblemFile
@@ -99,15 +101,25 @@ class _Setting:
         """Drive of the crank."""
         if self.servo is None:
             return Drive(torque=self.file.model.drive.torque)
-        section = self.file.model.control
         command = ReferenceSignal(self.start, self.nominal)
-        if self.control.inverted and section is not None:
-            modelled = [gap for gap in self.gaps if section.known is None or gap.point in section.known]
-            bandwidth = 0.5 * self.servo.bandwidth if section.bandwidth is None else section.bandwidth.value
-            if modelled:
-                inverse = Inverse(self.machine, modelled, self.output, self.start, self.nominal)
-                command = inverse.reference_signal(self.regularisation, self.servo, bandwidth)
+        if self.control.inverted and self.modelled:
+            inverse = Inverse(self.machine, self.modelled, self.output, self.start, self.nominal)
+            command = inverse.reference_signal(self.regularisation, self.servo, self.bandwidth)
         return Drive(self.servo, command)
+
+    @property
+    def modelled(self) -> tuple[Gap, ...]:
+        """Joints with clearance that the inverse model includes."""
+        known = None if self.file.model.control is None else self.file.model.control.known
+        return tuple(gap for gap in self.gaps if known is None or gap.point in known)
+
+    @property
+    def bandwidth(self) -> float:
+        """Highest frequency [rad/s] that the inverse model corrects: that of the file, else half of the servo's bandwidth."""
+        section = self.file.model.control
+        if section is not None and section.bandwidth is not None:
+            return section.bandwidth.value
+        return math.inf if self.servo is None else 0.5 * self.servo.bandwidth
 
     @property
     def regularisation(self) -> float:
@@ -290,6 +302,8 @@ def simulate_clearance(
             "single values of the trajectory are meaningless; root mean squares and other statistics remain valid"
         )
     kept = {} if not account.rows else {name: np.concatenate([rows[name] for rows in account.rows]) for name in account.meanings}
+    measured = _measured(setting, kept, (skipped, revolutions)) if ending is Ending.FINISHED else None
+    figures = account.figures() | ({} if measured is None else measured.figures)
     return ClearanceSimulation(
         problem,
         setting.machine,
@@ -304,7 +318,7 @@ def simulate_clearance(
         table(account.per_revolution),
         (*account.impacts, *closed_loop.integration.lasting),
         table(account.poincare_map),
-        account.figures(),
+        figures,
         prediction,
         ending,
         closed_loop.time,
@@ -312,7 +326,88 @@ def simulate_clearance(
         tuple(notes),
         tolerance,
         str(integrator),
+        {} if measured is None else measured.columns,
     )
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class InverseMotion(Summary):
+    """Crank motion of the inverse model over one revolution, each (n,): the displacement r1 is its input, omega2 its output.
+
+    Attributes
+    ----------
+    time
+        Time since the start of the revolution [s].
+    target
+        Given output [m, rad].
+    angle, speed
+        Crank angle [rad] and crank speed [rad/s].
+    reached
+        Output at this crank angle, with the journals at their predicted positions [m, rad].
+    """
+
+    time: Array
+    target: Array
+    angle: Array
+    speed: Array
+    reached: Array
+
+
+@typed
+def inverse_model(
+    problem: ProblemFile, displacement: Any = None, *, speed: float | None = None, design: Mapping[str, float] | None = None
+) -> InverseMotion:
+    """Compute the crank motion with which the output of a machine with joint clearance has a given displacement.
+
+    The journals lie where the load of the machine without clearance presses them, in the joints of `control.known`. At a dead
+    centre of the output the motion is regularised (`control.regularisation`), and it has harmonics up to `control.bandwidth`.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+        From `optlink.load`; at least one joint has a clearance.
+    displacement : array (n,) [m, rad], optional
+        Output at n equal intervals of a revolution, the first at `drive.start`. Default: that of the machine without clearance.
+    speed : float [rad/s], optional
+        Mean crank speed. Default: `drive.speed`.
+    design : mapping of str to float [SI], optional
+        Values of design variables. Default: their starting values.
+
+    Raises
+    ------
+    InputError
+        If no joint has a clearance, or an argument is invalid.
+
+    Examples
+    --------
+    >>> motion = optlink.inverse_model(optlink.load("slider-crank-clearance"))
+    >>> [round(float(speed), 2) for speed in (motion.speed.min(), motion.speed.max())]  # 1200 rpm are 125.66 rad/s
+    [118.9, 139.92]
+    """
+    setting = _setting(problem, 360, speed, "none", None, design, 0.0)
+    if not setting.modelled:
+        raise InputError("the inverse model includes no joint", 'Name one: known = ["C"]', problem.file, "control.known")
+    inverse = Inverse(setting.machine, setting.modelled, setting.output, setting.start, setting.nominal)
+    if displacement is not None:
+        from scipy.signal import resample
+
+        given = np.asarray(displacement, dtype=float)
+        if given.ndim != 1 or len(given) < 3 or not np.all(np.isfinite(given)):
+            message = "expected the output at three or more equal intervals of a revolution, all finite"
+            raise InputError(message, "Give an array (n,) in m or rad", key="displacement", value=f"{given.shape} array")
+        angles = setting.start + math.copysign(TURN, setting.nominal) * np.arange(len(given)) / len(given)
+        ideal = np.broadcast_to(np.asarray(setting.output.ideal(setting.machine.moving(angles))[0]), angles.shape)
+        inverse.target = inverse.target + resample(setting.output.difference(given, ideal), len(inverse.target))
+    return InverseMotion(*inverse.motion(setting.regularisation, setting.bandwidth))
+
+
+def _measured(setting: _Setting, rows: Mapping[str, Array], counted: tuple[int, int]) -> MeasuredComparison | None:
+    """Compare the rows with the measured series of the problem, if it has one."""
+    series = setting.file.model.measured
+    if series is None:
+        return None
+    times = series.times(setting.start, setting.nominal)
+    return measured_comparison(times, series.values, rows, setting.output, TURN / abs(setting.nominal), counted)
 
 
 def revolutions_counted(revolutions: int) -> int:
@@ -420,9 +515,7 @@ def _setting(
         processes["drive.servo.bandwidth"] = ("a vibration of the servo", TURN / servo.bandwidth)
     check_pace(problem, nominal, processes)
     first = starting_speed(problem, speed)
-    available = outputs(machine)
-    requested = model.control.output if model.control is not None else None
-    output = available[requested] if requested is not None else default_output(machine)
+    output = model.controlled_output(machine)
     return _Setting(problem, machine, gaps, output, kind, servo, begin, first, nominal, points)
 
 

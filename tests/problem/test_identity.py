@@ -59,6 +59,7 @@ SLIDE = rows(phi_deg=np.degrees(PHI), s_mm=-25.0 * PHI)
 TURN = np.linspace(0.0, 360.0, 9)
 FORCE = rows(phi_deg=TURN, force_N=100.0 + 20.0 * np.cos(np.radians(TURN)))
 TORQUE = rows(phi_deg=TURN, torque_Nm=3.0 + np.cos(np.radians(TURN)))
+MEASURED = rows(angle_deg=TURN[:-1], displacement_mm=120.0 + 50.0 * np.cos(np.radians(TURN[:-1])))
 PARTS = rows("coupler_mm", coupler_mm=[-0.05, 0.0, 0.02, 0.06])
 
 FREE = {
@@ -283,6 +284,14 @@ CASES = {
         TORQUE,
         scaled(TORQUE, 1.5),
         (report, analyses, clearance),
+    ),
+    "measured": Case(
+        "measured",
+        machine("slider-crank-clearance", measured={"csv": "data.csv"}),
+        "data.csv",
+        MEASURED,
+        scaled(MEASURED, 1.01),
+        (report, clearance),
     ),
     "drive": Case(
         "drive.torque",

@@ -3,7 +3,7 @@
 import datetime
 from collections.abc import Mapping, Sequence
 from functools import cached_property
-from typing import Annotated, ClassVar, NamedTuple, Self
+from typing import TYPE_CHECKING, Annotated, ClassVar, NamedTuple, Self
 
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field
@@ -14,12 +14,13 @@ from optlink.linkage.continuation import continue_through_singularities
 from optlink.linkage.mechanism import FRAME, Mechanism
 from optlink.linkage.stroke import Direction
 from optlink.linkage.vector2d import Array, Value
-from optlink.problem.base_model import RESERVED, Name, Section
+from optlink.problem.base_model import RESERVED, Name, Section, in_folder
 from optlink.problem.machine.balance import BalanceSection
 from optlink.problem.machine.bodies import BodySection, DriveSection, Gravity
 from optlink.problem.machine.control import ControlSection
 from optlink.problem.machine.joints import JointSection
 from optlink.problem.machine.loads import LoadSection
+from optlink.problem.machine.measured import MeasuredSeries, read_measured
 from optlink.problem.machine.revolution import RevolutionSamples
 from optlink.problem.mechanism import DyadsSection, FourBarSection, sizes_of
 from optlink.problem.nearby import nearest_modes
@@ -27,6 +28,9 @@ from optlink.problem.quantity import FixedAngle, FixedLength, Number, Quantity, 
 from optlink.problem.targets.repetition import MOST_REVOLUTIONS
 from optlink.problem.tolerances import Deviation, Tolerances, deviations, with_deviating_pivots
 from optlink.units import display_unit
+
+if TYPE_CHECKING:
+    from optlink.clearance.output import Output
 
 MAX_SHIFT = 1e6  # largest distance of a mechanism or a curve from the origin, in multiples of its size
 
@@ -119,6 +123,8 @@ class Problem(Section):
     """Driven body, speed, torque or servo of the drive."""
     control: ControlSection | None = None
     """Controller of the crank that compensates joint clearance."""
+    measured: Annotated[MeasuredSeries | None, in_folder(read_measured)] = None
+    """Measured series of the output with which a simulation with joint clearance is compared."""
     balance: BalanceSection | None = None
     """Counterweights and springs to be dimensioned, their objective and limits."""
     tolerances: Tolerances = Field(default_factory=dict)
@@ -210,11 +216,21 @@ class Problem(Section):
         if self.control is not None:
             with below("control"):
                 self.control.check(machine, gaps)
+        if self.measured is not None:
+            with below("measured"):
+                self.measured.check(self.controlled_output(machine), steady=self.drive.torque is None)
         if self.balance is not None:
             with below("balance"):
                 self.balance.build(machine)
         if self.drive.servo is not None and self.drive.torque is not None:
             raise Unusable("the drive has a torque and a servo", "Give one of the two", "drive.servo")
+
+    def controlled_output(self, machine: Machine) -> "Output":
+        """Return the output whose deviation is measured: that of `control.output`, else the default one."""
+        from optlink.clearance.output import default_output, outputs
+
+        named = None if self.control is None else self.control.output
+        return default_output(machine) if named is None else outputs(machine)[named]
 
     def _check_places(self) -> None:
         """Refuse points of the frame so far from the origin that rounding errors of their coordinates distort the motion."""

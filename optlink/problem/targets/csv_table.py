@@ -167,12 +167,19 @@ COLUMN_UNITS = {
     "force": {"N": "N", "kN": "kN"},
     "torque": {"Nm": "N*m"},
     "angular velocity": {"rpm": "rpm", "rad_s": "rad/s"},
+    "time": {"s": "s", "ms": "ms"},
+    "voltage": {"V": ""},
 }
-"""Units by the suffix of a column name, for each kind."""
+"""Units by the suffix of a column name, for each kind; "" for a plain number."""
 
 
 def read_columns(
-    raw: Mapping[str, Any], folder: Path, kinds: Mapping[str, str], *, ordered: Literal["", "rising", "either way"] = ""
+    raw: Mapping[str, Any],
+    folder: Path,
+    kinds: Mapping[str, str],
+    *,
+    ordered: Literal["", "rising", "either way"] = "",
+    most: int = MAX_ROWS,
 ) -> list[list[float]]:
     """Read columns of a CSV file whose header names them with their units: phi_deg, s_mm, force_N.
 
@@ -186,6 +193,8 @@ def read_columns(
         Physical kind for each column name.
     ordered : "", "rising" or "either way"
         Whether the first of them must rise from row to row, or rise or fall.
+    most : int
+        Largest number of rows.
 
     Returns
     -------
@@ -196,7 +205,7 @@ def read_columns(
     Unusable
         with the file, and the row of the error.
     """
-    table = read_csv(raw, folder, MAX_ROWS)
+    table = read_csv(raw, folder, most)
     columns = [(*_column(table, name, kind), kind) for name, kind in kinds.items()]
     numbers, values = [], []
     for number, cells in table.rows:
@@ -205,7 +214,8 @@ def read_columns(
         for value, (index, size, kind) in zip(values[-1], columns, strict=True):
             if abs(value * size) > largest(kind):
                 message = f"row {number} of {table.name} has too large a value in column {table.titles[index]}"
-                raise Unusable(message, f"Give at most {largest(kind):.0e} {KINDS[kind].si}", "csv", shortened(cells[index]))
+                unit = KINDS[kind].si if kind in KINDS else ""
+                raise Unusable(message, f"Give at most {largest(kind):.0e} {unit}".rstrip(), "csv", shortened(cells[index]))
     if len(values) < 2:
         message = f"{table.name} has {'a single row' if values else 'no row'} below its titles"
         raise Unusable(message, "Give two or more", "csv", table.name)
@@ -236,4 +246,5 @@ def _column(table: CsvTable, name: str, kind: str) -> tuple[int, float]:
         raise Unusable(message, remedy, "csv", shortened(", ".join(table.titles)) or None)
     if len(indices) > 1:
         raise Unusable(f"{table.name} has two columns of {name}", "Keep one of them", "csv")
-    return indices[0], factor(units[table.titles[indices[0]]], kind)
+    unit = units[table.titles[indices[0]]]
+    return indices[0], factor(unit, kind) if unit else 1.0

@@ -55,7 +55,7 @@ def charts(result: ClearanceSimulation) -> list[ChartSpec]:
     if not turns:
         return []
     joints = clearance_joints.charts(turns)
-    return [*displacement(turns), *error(turns), *joints, *torque(turns), *energy(turns)]
+    return [*displacement(turns), *measured(turns), *error(turns), *joints, *torque(turns), *energy(turns)]
 
 
 # --- output --------------------------------------------------------------------------------------------------------------
@@ -88,6 +88,44 @@ def displacement(turns: RevolutionCurves) -> list[ChartSpec]:
         ChartSpec("displacement", over_time_title, over_time, Axis(TIME), heading, lines=turns.ends(rows), width=5.8),
         ChartSpec("displacement", last, over_angle, turns.crank_axis, cursor=False, width=5.2),
         _forces_over_time(turns, rows),
+    ]
+
+
+def measured(turns: RevolutionCurves) -> list[ChartSpec]:
+    """Plot a measured series beside the simulated output, and the difference, over its last revolutions."""
+    rows, out = turns.result.measured, turns.result.output
+    if not rows:
+        return []
+    time = rows["time_s"]
+    last = time > time[-1] - WINDOW * turns.period
+    time, values, simulated, ideal, lost = (
+        rows[name][last]
+        for name in ("time_s", f"measured_{out.unit}", f"simulated_{out.unit}", f"ideal_{out.unit}", f"difference_{out.unit}")
+    )
+    unit, without = turns.shares(float(np.max(np.abs(simulated)))), np.asarray(out.difference(values, ideal))
+    small = turns.shares(max(float(np.max(np.abs(part))) for part in (lost, without)))
+    sparse = len(time) <= MAX_MARKERS * WINDOW
+    points = partial(Curve, time, mode="lines+markers" if sparse else "lines", size=3.0)
+    motions = [
+        Curve(time, simulated * unit.factor, "simulated", ROCKER, 1.7, gid="simulated"),
+        Curve(time, values * unit.factor, "measured", TARGET, size=3.5, mode="markers", gid="measured")
+        if sparse
+        else Curve(time, values * unit.factor, "measured", TARGET, 1.1, "dash", gid="measured"),
+    ]
+    differences = [
+        points(without * small.factor, "measured minus ideal machine", MUTED, 1.1, gid="from ideal"),
+        points(lost * small.factor, "measured minus simulated", LIMIT, 1.4, gid="difference"),
+    ]
+    panels = [
+        Panel(Axis(f"{out.name}: {'slide' if out.guide else 'angle'} [{unit.unit}]"), motions, 1.35),
+        Panel(Axis(f"difference [{small.unit}]"), differences),
+    ]
+    rms = turns.result.figures[f"measured.rms_{out.unit}"]
+    caption = f"RMS of measured minus simulated {rms * small.factor:.4g} {small.unit}"
+    return [
+        ChartSpec(
+            "measured", f"Measured and simulated {out.name}", panels, Axis(TIME), turns.title("measured and simulated"), caption
+        )
     ]
 
 

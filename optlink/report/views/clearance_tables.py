@@ -20,7 +20,8 @@ def simulation(outcome: ClearanceSimulation) -> Summary:
     remark = f"Tolerance {outcome.tolerance:g}{', compiled integrator' if outcome.integrator == 'compiled' else ''}"
     if outcome.sample_time is not None:
         remark += f", controller sampled every {outcome.sample_time * 1e3:.6g} ms"
-    parts = _error(outcome), _contacts(outcome), _account(outcome), Paragraph(quiet(remark), appendix=True)
+    measured = _measured(outcome) if outcome.measured else None
+    parts = _error(outcome), measured, _contacts(outcome), _account(outcome), Paragraph(quiet(remark), appendix=True)
     return summary(title, _status(outcome), *parts)
 
 
@@ -52,6 +53,17 @@ def _error(outcome: ClearanceSimulation) -> TableSpec:
     if len(rms) > 1:
         rows.append(("scatter between revolutions", f"{float(np.std(rms)) * factor:.2g}", displayed))
     return table(f"Deviation of {outcome.output.name} from the machine without clearance, {span}", "<><", rows)
+
+
+def _measured(outcome: ClearanceSimulation) -> TableSpec:
+    figures, unit = outcome.figures, outcome.output.unit
+    factor, displayed = DISPLAYED[unit]
+    rows = [
+        (words, *(fixed(figures[f"{name}.{what}_{unit}"] * factor, 4) for what in ("rms", "peak", "mean")))
+        for words, name in (("the simulation", "measured"), ("the machine without clearance", "measured.ideal"))
+    ]
+    title = f"Measured {outcome.output.name}, {figures['measured.rows']:.0f} rows: difference from"
+    return table(title, ["", f">rms\n[{displayed}]", ">largest", ">mean"], rows)
 
 
 def _contacts(outcome: ClearanceSimulation) -> TableSpec:

@@ -1,7 +1,7 @@
 """The result of a simulation with joint clearance, as data and JSON."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
 from pydantic import Field
@@ -68,6 +68,7 @@ class ClearanceRecord(ResultRecord):
     poincare_map: Columns
     meanings: dict[str, str]
     columns: Columns
+    measured: Columns = Field(default_factory=dict)
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -76,7 +77,7 @@ class ClearanceSimulation(Tabled):
 
     `columns` by name over the rows of the retained revolutions, `meanings` describe them; `per_revolution`: figures of each
     revolution, (revolutions,) arrays; `impacts` ordered by their ends, those still in contact last; `poincare_map`: one row per
-    revolution, at its end.
+    revolution, at its end; `measured`: rows of a measured series beside the simulated output, by name.
     """
 
     record = ClearanceRecord
@@ -102,6 +103,7 @@ class ClearanceSimulation(Tabled):
     notes: tuple[str, ...]
     tolerance: float
     integrator: str = "cvodes"
+    measured: Mapping[str, Array] = field(default_factory=dict)
 
     @property
     def finished(self) -> bool:
