@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -102,7 +103,7 @@ def angle_of_lengths(phi: float) -> float:
 def one_branch_is_enough() -> float:
     """The largest start angle [deg] of all lengths that satisfy the constraints, on a grid of 1 mm."""
     l2, l3 = np.meshgrid(np.arange(100.0, 901.0), np.arange(100.0, 901.0))
-    feasible = np.all(np.array(constraints(l2, l3)) <= 0.0, axis=0)  # type: ignore[arg-type]
+    feasible = np.all(np.array(constraints(l2, l3)) <= 0.0, axis=0)
     whole = L1 + l2[feasible]
     return float(np.degrees(np.arccos((whole**2 - l3[feasible] ** 2 + L4**2) / (2 * whole * L4)).max()))
 
@@ -170,7 +171,7 @@ def stated(*keys: str | int) -> Callable[[], float]:
     """The number of a quantity of the problem file."""
 
     def number() -> float:
-        found = FILE
+        found: Any = FILE
         for key in keys:
             found = found[key]
         return float(str(found).partition(" ")[0])
