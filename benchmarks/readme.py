@@ -222,7 +222,7 @@ def long_commands() -> set[str]:
 
 def pages() -> list[str]:
     """Pages with commands, without the tutorial, whose commands and outputs its own test checks, and the generated pages."""
-    names = ["README.md", *(path.relative_to(ROOT).as_posix() for path in sorted((ROOT / "docs").glob("*.md")))]
+    names = ["README.md", "README.zh.md", *(path.relative_to(ROOT).as_posix() for path in sorted((ROOT / "docs").glob("*.md")))]
     return [name for name in names if name != "docs/tutorial.md" and calls(name)]
 
 

@@ -237,6 +237,15 @@ BESIDE = {
 """Values beside those of the document of the shaper, by their words in the table."""
 SYSTEMS += [Figure("docs/shaper.md", text, SHAPER, path, scale) for text, (path, scale) in BESIDE.items()]
 
+CHINESE = [
+    Figure("README.zh.md", "连杆 {412.865} mm", LAW, "design/coupler_mm"),
+    Figure("README.zh.md", "摇杆 {232.246} mm", LAW, "design/rocker_mm"),
+    Figure("README.zh.md", "驱动力矩 {-320.05} 至", SIX, "extremes/input.torque_Nm/min"),
+    Figure("README.zh.md", "至 {278.83} N·m", SIX, "extremes/input.torque_Nm/max"),
+    Figure("README.zh.md", "行程 {545.4545} mm", SHAPER, "strokes/ram/span_m", 1e3),
+    Figure("README.zh.md", "每转的功 {3207.27} J", SHAPER, "work_J"),
+]
+
 FRONT = 'study pareto crank-rocker --objectives "error, limits.transmission_angle.max" --points 25'
 ENDS = (
     (0, "decreases from {178.5} deg", "largest_transmission_angle_deg"),
@@ -376,7 +385,7 @@ def single_gap() -> list[Figure]:
     return found
 
 
-FIGURES = [*CRANK_ROCKER, *SYSTEMS, *CASES, *FRONTS, *yields(), *CONTROL, *compensation(), *single_gap(), *balancing()]
+FIGURES = [*CRANK_ROCKER, *SYSTEMS, *CHINESE, *CASES, *FRONTS, *yields(), *CONTROL, *compensation(), *single_gap(), *balancing()]
 
 BLOCKS = [
     Block("README.md", "Crank-rocker that reproduces", LAW),

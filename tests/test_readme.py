@@ -26,6 +26,16 @@ def test_readme_has_at_most_150_lines():
     assert readme.page("README.md").count("\n") <= 150
 
 
+def test_both_languages_have_the_same_two_commands_and_link_to_each_other():
+    english, chinese = (
+        re.findall(r"^python3 -m venv .*$", readme.page(name), re.MULTILINE) for name in ("README.md", "README.zh.md")
+    )
+    assert english == chinese
+    assert len(english) == 2
+    assert "](README.zh.md)" in readme.page("README.md")
+    assert "](README.md)" in readme.page("README.zh.md")
+
+
 def test_quoted_words_are_on_their_pages():
     assert len(readme.FIGURES) > 60
     for figure in readme.FIGURES:
@@ -62,7 +72,7 @@ def own(monkeypatch):
     monkeypatch.setattr(readme, "BLOCKS", list(readme.BLOCKS))
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/crank-rocker.md"])
+@pytest.mark.parametrize("page", ["README.md", "README.zh.md", "docs/crank-rocker.md"])
 def test_quick_values_agree_with_the_commands(page, own):
     quick(page)
     assert readme.FIGURES or readme.BLOCKS

@@ -73,7 +73,14 @@ def legible(figure: Figure) -> None:
 
 
 def lacking(text: str, names: Iterable[str]) -> list[str]:
-    """Return the letters of a text that none of the fonts has, each once."""
+    """Return the letters of a text that none of the fonts has, each once.
+
+    Parameters
+    ----------
+    text : str
+    names : iterable of str
+        Families of fonts.
+    """
     other = dict.fromkeys(letter for letter in text if not letter.isascii())
     return [letter for letter in other if not any(ord(letter) in _codes(name) for name in names)] if other else []
 
