@@ -120,6 +120,7 @@ STUDIES = {
 OTHER_NAMES = {
     **dict.fromkeys(("optimize", "optimise", "minimize", "design", "run"), "use optlink.solve"),
     **dict.fromkeys(("sensitivity", "sensitivity_analysis"), "from optlink.studies.sensitivity import sensitivities"),
+    **dict.fromkeys(("nlp", "programme", "constraints"), "use optlink.build"),
     **dict.fromkeys(("report", "html", "write_page"), "from optlink.report.html.page import write_page"),
     **dict.fromkeys(("export", "dxf"), "from optlink.report.export.export import export"),
     **dict.fromkeys(("plot", "draw", "animate"), "write pictures by `optlink solve PROBLEM --out DIR`, or show optlink.explore"),
