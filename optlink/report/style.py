@@ -133,7 +133,7 @@ def save(fig: Figure, path: Path) -> None:
         if kind == "png":  # `savefig` draws a figure twice
             shown = fig.get_dpi()
             fig.set_dpi(DPI)
-            FigureCanvasAgg(fig).print_png(temporary)  # type: ignore[no-untyped-call]
+            FigureCanvasAgg(fig).print_png(temporary)
             fig.set_dpi(shown)
             return
         dates = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
