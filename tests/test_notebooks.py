@@ -61,7 +61,9 @@ def told(notebook: NotebookNode) -> dict[str, str]:
     """The printed text and the shown values of each cell, without what differs between two runs."""
     texts = {}
     for cell in code_cells(notebook):
-        parts = [output.get("text") or output.get("data", {}).get("text/plain", "") for output in cell.outputs]
+        shown = [output.get("data", {}) for output in cell.outputs]
+        tables = [data.get("text/markdown") or data.get("text/plain", "") for data in shown]
+        parts = [output.get("text") or table for output, table in zip(cell.outputs, tables, strict=True)]
         texts[cell.id] = re.sub(
             r"(?:-{2,}|[ \u2500-\u257f])+", " ", VARYING.sub("#", "".join(parts))
         )  # columns as wide as their numbers
@@ -148,6 +150,10 @@ def test_a_stored_output_of_other_code_is_detected() -> None:
 
     assert of("rms 1.25 deg in 0.31 s, residual 3.1e-16") == of("rms 1.25 deg in 12 ms, residual 1.0e-15")
     assert of("rms 1.25 deg in 0.31 s") != of("rms 1.26 deg in 0.31 s")
+    tables = [{"text/plain": "<Markdown object>", "text/markdown": f"| rms | {rms} deg |"} for rms in (1.25, 1.26)]
+    cells = [nbformat.v4.new_code_cell("1", id="one", outputs=[nbformat.v4.new_output("display_data", data)]) for data in tables]
+    first, second = (told(nbformat.v4.new_notebook(cells=[cell])) for cell in cells)
+    assert first != second
 
 
 @pytest.mark.slow

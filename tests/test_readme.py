@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import re
-import subprocess
 import sys
 import tomllib
 
@@ -133,22 +132,3 @@ def test_commands_of_a_page_run(page):
     """In their order, in an empty folder; those that take long are run by `benchmarks/readme.py --commands --long --write`."""
     for line, code, _, errors in readme.run_page(page, long=False):
         assert code in (0, 1), f"{line}: {errors}"
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("page", [ROOT / "README.md", ROOT / "docs" / "api" / "index.md"], ids=["README", "Python interface"])
-def test_the_python_of_a_page_has_the_types_that_it_assumes(tmp_path, page):
-    """Whoever copies it into a checked project meets no error."""
-    blocks = re.findall(r"^```python\n(.*?)^```$", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
-    assert blocks
-    for number, block in enumerate(blocks):
-        text = block if "import optlink" in block else f"import optlink\n\n{block}"
-        (tmp_path / f"block{number}.py").write_text(text, encoding="utf-8")
-    done = subprocess.run(
-        [sys.executable, "-m", "mypy", "--strict", "--cache-dir", str(tmp_path / "cache"), str(tmp_path)],
-        capture_output=True,
-        text=True,
-        cwd=ROOT,
-        check=False,
-    )
-    assert done.returncode == 0, done.stdout

@@ -67,12 +67,12 @@ def film(
     strip.add_artist(mark)
     fig.suptitle("\n".join(heading(title, fig.get_figwidth(), 10.0) for title in titles), fontsize=10)
     legible(fig)
-    canvas.draw()  # type: ignore[no-untyped-call] # all that stands still is drawn once
+    canvas.draw()  # all that stands still is drawn once
     fig.set_layout_engine("none")
-    still = canvas.copy_from_bbox(fig.bbox)  # type: ignore[no-untyped-call]
+    still = canvas.copy_from_bbox(fig.bbox)
     pictures = []
     for k in range(len(steps.crank_angle)):
-        canvas.restore_region(still)  # type: ignore[no-untyped-call]
+        canvas.restore_region(still)
         moving = sketch.pose(stage, steps, k)
         for artist in sorted(moving, key=lambda item: item.get_zorder()):
             artist.set_animated(True)
@@ -80,7 +80,7 @@ def film(
             artist.remove()
         mark.set_data([marks[k, 0]], [marks[k, 1]])
         strip.draw_artist(mark)
-        buffer = canvas.buffer_rgba()  # type: ignore[no-untyped-call]
+        buffer = canvas.buffer_rgba()
         pictures.append(np.array(np.asarray(buffer)[..., :3]))
     return one_palette(pictures)
 

@@ -130,8 +130,8 @@ def save(fig: Figure, path: Path) -> None:
         if kind == "png":  # `savefig` draws a figure twice
             fig.set_dpi(DPI)
             canvas = FigureCanvasAgg(fig)
-            canvas.draw()  # type: ignore[no-untyped-call]
-            opaque = np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[..., :3])  # type: ignore[no-untyped-call]
+            canvas.draw()
+            opaque = np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[..., :3])
             Image.fromarray(opaque).save(temporary, format=kind, dpi=(DPI, DPI), compress_level=3)
             return
         dates = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}

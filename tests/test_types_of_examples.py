@@ -1,0 +1,74 @@
+"""Whoever copies the Python of the README, of the Python reference or of a notebook into a checked project meets no error."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.solved import once
+from tests.test_docs import ROOT
+from tests.test_notebooks import NOTEBOOKS, code_cells, read
+
+PAGES = [ROOT / "README.md", ROOT / "docs" / "api" / "index.md"]
+PLANTED = "def double(length):\n    return 2.0 * length\n"
+UNTYPED = ("clearance", "crank_rocker", "shaper", "six_bar")  # to be typed
+pytestmark = pytest.mark.slow
+
+
+def of_page(page: Path) -> str:
+    """The Python of a page, as one module."""
+    blocks = re.findall(r"^```python\n(.*?)^```$", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+    assert blocks
+    return "\n".join(blocks)
+
+
+def of_notebook(path: Path) -> str:
+    """The cells of a notebook as one module, without lines for IPython."""
+    lines = "\n".join(cell.source for cell in code_cells(read(path))).splitlines()
+    return "\n".join(line for line in lines if not line.lstrip().startswith(("%", "!"))) + "\n"
+
+
+EXAMPLES = {page.stem: of_page(page) for page in PAGES} | {path.stem: of_notebook(path) for path in NOTEBOOKS}
+
+
+@pytest.fixture(scope="module")
+def errors(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    """Lines of one run of `mypy --strict` over all examples, with the configuration of the project."""
+    folder = tmp_path_factory.mktemp("types")
+
+    def run() -> list[str]:
+        for name, text in (EXAMPLES | {"planted": PLANTED}).items():
+            (folder / f"{name}.py").write_text(text, encoding="utf-8")
+        done = subprocess.run(
+            [sys.executable, "-m", "mypy", "--strict", "--hide-error-context", "--cache-dir", str(folder / "cache"), str(folder)],
+            capture_output=True,
+            text=True,
+            cwd=ROOT,
+            check=False,
+        )
+        assert done.returncode in (0, 1), done.stdout + done.stderr
+        return done.stdout.splitlines()
+
+    found: list[str] = once("types of examples", run)
+    return found
+
+
+def of(name: str, errors: list[str]) -> list[str]:
+    return [error for error in errors if f"/{name}.py:" in error]
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=pytest.mark.xfail(reason="without annotations") if name in UNTYPED else ()) for name in EXAMPLES],
+)
+def test_an_example_has_the_types_that_it_assumes(name: str, errors: list[str]) -> None:
+    assert of(name, errors) == []
+
+
+def test_a_function_without_annotations_is_detected(errors: list[str]) -> None:
+    (error,) = of("planted", errors)
+    assert "no-untyped-def" in error
