@@ -127,11 +127,9 @@ def commands(session: Session) -> None:
 def motion_codes(session: Session) -> tuple[int, ...]:
     """Exit codes of the motion of a whole revolution.
 
-    A design for a part of it may be singular, or lock, in the rest; one that moves in this part alone may not reach the start.
+    A design for a part of it may be singular, or lock, in the rest.
     """
-    if session.file.task in ("analysis", "balance"):
-        return (0,)
-    return (0, 1, 2) if getattr(session.file.model.limits, "crank", None) == "span" else (0, 1)
+    return (0,) if session.file.task in ("analysis", "balance") else (0, 1)
 
 
 def simulations(session: Session, of: tuple[str, ...]) -> None:
@@ -141,7 +139,7 @@ def simulations(session: Session, of: tuple[str, ...]) -> None:
         session.run(0, "simulate", name, "--revolutions", "1", "--points", "60", "--tolerance", "1e-6", "--out", "simulated")
         session.run(0, "simulate", name, "--ideal", *SHORT, *ROWS, "--out", "ideal")
     else:
-        session.run(0 if 2 not in motion_codes(session) else (0, 2), "simulate", name, *SHORT, *ROWS, *of, "--out", "simulated")
+        session.run(0, "simulate", name, *SHORT, *ROWS, *of, "--out", "simulated")
         session.run(2, "simulate", name, *SHORT, "--revolutions", "1")
 
 

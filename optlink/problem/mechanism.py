@@ -171,6 +171,10 @@ class FourBarSection(Section):
         upright = 0.5 * math.pi if "parallelogram" in self.assembly else None
         return four_bar(self.side, self.points, placed=self.placed, follow=self.follows, holds_at=upright)
 
+    def with_open_modes(self, mechanism: Mechanism) -> Self:
+        """Return the section with every assembly mode left open."""
+        return self.model_copy(update={"assembly": EITHER})
+
     def variants(self, mechanism: Mechanism) -> list[dict[str, str]]:
         """Return changes of the file that determine the assembly modes left open, one per combination."""
         if self.assembly != EITHER:
@@ -289,6 +293,10 @@ class DyadsSection(Section):
     def friction(self) -> dict[str, float]:
         """Coefficients of friction of the guides with friction."""
         return {name: guide.friction for name, guide in self.guides.items() if guide.friction}
+
+    def with_open_modes(self, mechanism: Mechanism) -> Self:
+        """Return the section with every assembly mode left open."""
+        return self.model_copy(update={"assembly": {group.joint: EITHER for group in mechanism.groups if group.modes}})
 
     def variants(self, mechanism: Mechanism) -> list[dict[str, str]]:
         """Return changes of the file that determine the assembly modes left open, one per combination."""

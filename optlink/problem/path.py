@@ -369,6 +369,10 @@ class PathProblem(Problem):
             components.append(self.radian * angle_from((target[2], target[3]), turned))
         return components
 
+    def start(self, values: Mapping[str, float]) -> float:
+        """Return the crank angle [rad] at which the requirement begins, where the problem has one; else that of the drive."""
+        return float(values[START]) if START in values else super().start(values)
+
     def crank_angles(self, values: Mapping[str, float], angles: Array | None) -> Array:
         """Return the crank angle [rad] at each point.
 

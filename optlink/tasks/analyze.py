@@ -26,6 +26,7 @@ from optlink.tasks.machine import (
     machine_of,
     motion_range,
     start_value_notes,
+    starting_angle,
     table_angles,
 )
 from optlink.tasks.results.analysis import Analysis
@@ -81,7 +82,8 @@ def analyze(
     model = problem.model
     speed = crank_speed(problem, speed)
     _check(points, step)
-    machine, start = machine_of(problem, design), model.drive.start.value
+    machine = machine_of(problem, design)
+    start, begun = starting_angle(problem, machine, design)
     ranges, low, high = motion_range(problem, machine, start)
     check_repeats(problem, machine)
     cycle = machine.cycle
@@ -142,6 +144,7 @@ def analyze(
         jammed,
         distinct(np.concatenate([undefined, *work.poles.values()])),
         (
+            *begun,
             *_notes(problem, ranges, design, machine, singular),
             *_missing_notes(machine, jammed, undefined, speed, work.poles),
             *_continuation_notes(machine, ranges, unbounded),
@@ -150,6 +153,7 @@ def analyze(
         flywheel(machine, speed, share, low) if share is not None and ranges.full else None,
         unbounded,
         math.nan if unsound or not ranges.full else work.rms_torque,
+        design or {},
     )
 
 

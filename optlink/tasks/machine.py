@@ -25,6 +25,7 @@ MIN_DURATION, MAX_DURATION = 1e-9, 1e7  # s
 MAX_PERIODS = 200_000  # of the fastest process within a revolution: minutes of computing time
 POLE_TURNS = 50  # revolutions in which poles of loads are sought, from the start on
 RATES = ("omega", "v", "w")  # variables of a load that are not known before the motion under a torque
+SAME_RANGE = 1e-9  # rad, difference of the ends of ranges that are the same
 MARGIN = 1e-3  # fraction of a limited range omitted at either end: speeds are infinite at a dead position
 
 
@@ -242,6 +243,31 @@ def with_flywheel(machine: Machine, inertia: float) -> Machine:
     crank = machine.mechanism.crank.body
     crank_inertia = machine.inertias.get(crank, Inertia())
     return machine.with_(inertias={**machine.inertias, crank: replace(crank_inertia, moment=crank_inertia.moment + inertia)})
+
+
+def starting_angle(problem: ProblemFile, machine: Machine, design: Mapping[str, float] | None) -> tuple[float, list[str]]:
+    """Return the crank angle [rad] at which the motion starts, and a note where it is not that of the drive.
+
+    A crank that cannot turn fully moves in the range in which its requirement begins: there it starts if the file does not state
+    `drive.start`, and the default lies outside that range.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    machine : Machine
+    design : mapping of str to float [SI] or None
+        Values of design variables. Default: their starting values.
+    """
+    model, ranges = problem.model, machine.ranges
+    start = model.drive.start.value
+    if ranges.full or "start" in model.drive.model_fields_set:
+        return start, []
+    begin = model.start(model.design(design or {})) % TURN
+    here, there = ranges.holding(start), ranges.holding(begin)
+    if there is None or (here is not None and abs(math.remainder(there[0] - here[0], TURN)) < SAME_RANGE):
+        return start, []
+    where = f"the crank starts at {math.degrees(begin):.6g} deg, where the requirement begins"
+    return begin, [f"{where}: {model.drive.start} is {'not reached' if here is None else 'in another range'}"]
 
 
 def motion_range(problem: ProblemFile, machine: Machine, start: float) -> tuple[Ranges, float, float]:

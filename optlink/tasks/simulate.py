@@ -29,6 +29,7 @@ from optlink.tasks.machine import (
     motion_range,
     pole_notes,
     start_value_notes,
+    starting_angle,
     starting_speed,
     with_flywheel,
 )
@@ -166,7 +167,8 @@ def simulate(
         progress(0.0)  # the preparation of a long chain of links takes seconds
     drive = problem.model.drive
     torque = drive.torque
-    machine, start = machine_of(problem, design), drive.start.value
+    machine = machine_of(problem, design)
+    start, begun = starting_angle(problem, machine, design)
     machine = with_flywheel(machine, flywheel)
     speed = starting_speed(problem, speed)
     duration = duration_of(problem, duration)
@@ -177,7 +179,7 @@ def simulate(
         duration = TURN / abs(drive.speed.value)
     check_range("rows", rows, 1, MAX_ROWS)
     ranges, low, high = motion_range(problem, machine, start)
-    notes = start_value_notes(problem, design)
+    notes = [*begun, *start_value_notes(problem, design)]
     if torque is not None:
         inertia, _ = reduced_inertia(machine, np.linspace(low, high, 361)[1:-1])
         if not np.nanmin(inertia) > 0.0:

@@ -95,3 +95,13 @@ def test_a_design_with_many_dimensions_is_written_as_text():
     assert "link0 0.5 mm, link1 1.5 mm" in words(shown)
     few = table("Design", "<><<", rows[:8])
     assert short_text.dimensions(few) is few
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["path-arc5", "law-slider-crank", "transmission-optimal"])
+def test_a_path_problem_says_how_sure_its_optimum_is(name: str) -> None:
+    text = run("solve", name, "--starts", "60").stdout
+    assert text.count("\n") <= short_text.LINES
+    proven = "globally optimal within the bounds" in text
+    assert proven == (name == "transmission-optimal")
+    assert proven != ("starts reached the best value; chance that a better optimum" in text)

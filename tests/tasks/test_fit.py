@@ -486,7 +486,7 @@ def test_the_other_assembly_mode_is_named_where_the_same_lengths_are_better() ->
     assert worse.fit.grade == "poor"
     named = [each for each in worse.fit.reasons if each.remedy == 'write mechanism.assembly = "either"']
     assert len(named) == 1
-    assert f"with C to the {better.assembly} the same lengths" in named[0].reason
+    assert f"with C to the {better.assembly} the same sizes" in named[0].reason
     assert not any("either" in each.remedy for each in better.fit.reasons)
     assert either.objective == pytest.approx(better.objective, rel=1e-9)
 
@@ -510,3 +510,67 @@ def test_prices_of_a_transmission_angle_are_angles() -> None:
         told = re.search(rf"\+(\S+) deg per {per} ", shown)
         assert float(told[1]) == pytest.approx((below - above) / moved, rel=5e-3)
     assert result.to_dict()["designs"][0]["objective"]["value"] == pytest.approx(math.cos(math.radians(37.73)), abs=1e-3)
+
+
+def coupler_points(side: float, angles: np.ndarray) -> np.ndarray:
+    """Points [mm] of a coupler of own sizes, with C to the left (+1) or right (-1) of B -> D."""
+    crank, coupler, rocker, frame, along, across = 30.0, 95.0, 80.0, 100.0, 50.0, 35.0
+    b = crank * np.exp(1j * angles)
+    line = frame - b
+    inside = np.arccos((coupler**2 + np.abs(line) ** 2 - rocker**2) / (2.0 * coupler * np.abs(line)))
+    p = b + (along + 1j * across) * np.exp(1j * (np.angle(line) + side * inside))
+    return np.column_stack([p.real, p.imag])
+
+
+@pytest.mark.parametrize("timing", ["free", "from start", "given"])
+def test_the_other_assembly_mode_of_a_path_is_named_and_helps(timing: str) -> None:
+    """Points that the same four-bar passes in the other mode, at any, at shifted or at the prescribed crank angles."""
+    angles = np.radians([0.0, 50.0, 110.0, 170.0, 240.0])
+    points = coupler_points(-1.0, angles + (np.radians(35.0) if timing == "from start" else 0.0))
+    rows = [{"x": f"{x} mm", "y": f"{y} mm"} for x, y in points]
+    if timing != "free":
+        rows = [{**row, "crank": f"{math.degrees(angle)} deg"} for row, angle in zip(rows, angles, strict=True)]
+    requirement = {"kind": "path", "point": "P", "timing": timing, "points": rows}
+    mechanism = {
+        "type": "four-bar",
+        "crank": "30 mm",
+        "coupler": {"bounds": ["94 mm", "96 mm"]},
+        "rocker": "80 mm",
+        "frame": "100 mm",
+        "points": {"P": ["50 mm", "35 mm"]},
+        "assembly": "left",
+    }
+    file = optlink.read({"title": "the other side", "mechanism": mechanism, "requirement": requirement})
+    given = {"coupler": 0.095, **({"start": math.radians(10.0)} if timing == "from start" else {})}
+    fit = validate(file, given).best.fit
+    assert fit.grade == "poor"
+    (named,) = [each for each in fit.reasons if each.remedy == 'write mechanism.assembly = "either"']
+    told = re.fullmatch(r"with C to the right the same sizes have an rms error of (\S+) mm instead of (\S+) mm", named.reason)
+    assert told is not None
+    assert float(told[1]) < (0.5 if timing == "free" else 4.0 if timing == "from start" else 1e-3)
+    assert float(told[2]) == pytest.approx(1e3 * fit.error, rel=1e-3)
+    assert solve(file.override({"mechanism.assembly": "either"}), starts=20).best.fit.grade in ("exact", "good")
+
+
+def test_the_other_assembly_mode_of_a_law_of_dyads_is_named() -> None:
+    """A slide that the rod gives in the other mode, at another start and from another place."""
+    turned = "(phi - phi0 + 0.4)"
+    slide = f"s0 + 30*cos{turned} - sqrt(90**2 - (30*sin{turned} - 12)**2)"
+    mechanism = {
+        "type": "dyads",
+        "ground": {"A": ["0 mm", "0 mm"]},
+        "links": {
+            "crank": {"joints": ["A", "B"], "length": "30 mm"},
+            "rod": {"joints": ["B", "C"], "length": {"bounds": ["89 mm", "91 mm"]}},
+            "slider": {"joints": ["C"]},
+        },
+        "guides": {"G": {"slider": "slider", "through": "A", "direction": "0 deg", "offset": "12 mm"}},
+        "assembly": {"C": "forward"},
+    }
+    law = {"kind": "function", "law": {"slide": slide, "unit": "mm"}, "span": "80 deg", "points": 20, "output": "G"}
+    file = optlink.read({"title": "backwards", "mechanism": mechanism, "requirement": law})
+    given = {name: quantity.value for name, quantity in file.model.quantities.items() if quantity.free}
+    fit = validate(file, {**given, "rod.length": 0.09}).best.fit
+    assert fit.grade == "poor"
+    (named,) = [each for each in fit.reasons if each.remedy == 'write mechanism.assembly.C = "either"']
+    assert named.reason.startswith("with C backward the same sizes have an rms error of")

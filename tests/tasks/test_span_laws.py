@@ -184,3 +184,41 @@ def test_the_start_counts_unless_its_error_is_zero_by_definition(requirement, co
     error = problem.spec.law.curve(at, result.design["phi0"], result.design["psi0"]) - rocker
     assert result.valid
     assert result.objective >= np.max(np.abs(np.angle(np.exp(1j * error)))) * (1.0 - 1e-9)
+
+
+def swinging(begin: str, **more: Any) -> optlink.ProblemFile:
+    """A law of a linkage whose crank swings in 13.49 ... 87.25 deg, or in the mirror image of that range."""
+    raw: dict[str, Any] = {
+        "title": "swinging crank",
+        "mechanism": {"crank": "123.33 mm", "coupler": "60 mm", "rocker": "95 mm", "frame": "100 mm"},
+        "requirement": {"law": "psi0 + 0.4*(phi - phi0)", "span": "20 deg", "points": 6, "from": begin},
+        "limits": {"crank": "span"},
+    }
+    return optlink.read({**raw, **more})
+
+
+@pytest.mark.parametrize(
+    ("begin", "drive", "low", "first"),
+    [
+        ("30 deg", {}, 13.4919, 30.0),
+        ("-60 deg", {}, 272.7543, 300.0),
+        ("-60 deg", {"drive": {"start": "20 deg"}}, 13.4919, 20.0),
+    ],
+)
+def test_a_crank_that_swings_starts_where_its_law_begins(begin: str, drive: dict[str, Any], low: float, first: float) -> None:
+    problem = swinging(begin, **drive)
+    analysis, run = optlink.analyze(problem), optlink.simulate(problem, duration=0.01, rows=2)
+    assert analysis["crank_angle_deg"][0] == pytest.approx(low, abs=0.1)
+    assert run["crank.angle_rad"][0] == pytest.approx(math.radians(first))
+    notes = [note for note in (*analysis.notes, *run.notes) if note.startswith("the crank starts at")]
+    words = f"the crank starts at {first:g} deg, where the requirement begins: 0 deg is not reached"
+    assert notes == ([] if drive else [words, words])
+
+
+def test_a_start_that_is_reached_or_stated_is_kept() -> None:
+    sizes = {"crank": "80 mm", "coupler": "40 mm", "rocker": "60 mm", "frame": "100 mm"}
+    run = optlink.simulate(swinging("20 deg", mechanism=sizes), duration=0.01, rows=2)
+    assert run["crank.angle_rad"][0] == 0.0
+    assert not any("where the requirement begins" in note for note in run.notes)
+    with pytest.raises(optlink.InputError, match="Start in a range that can be reached"):
+        optlink.analyze(swinging("30 deg", drive={"start": "0 deg"}))

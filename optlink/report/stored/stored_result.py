@@ -154,7 +154,7 @@ def _outcome(record: ResultRecord, path: Path, file: ProblemFile) -> Outcome:
     if isinstance(record, AnalysisRecord):
         free = [name for name in file.model.free if name in file.model.mechanism.quantities]  # others determine a task alone
         check_entries("sizes", record.sizes, free)
-        design = {name: record.sizes[name] for name in free}
+        design = {**(record.design or {}), **{name: record.sizes[name] for name in free}}
         count = len(next(iter(record.columns.values()), ()))
         return analyze(file, max(1, count - 1), speed=record.speed_rad_s, design=design)
     if isinstance(record, PathRecord):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Annotated, Any, Literal
 
@@ -86,6 +86,7 @@ class AnalysisRecord(ResultRecord):
     meanings: dict[str, str]
     columns: Columns
     flywheel: FlywheelRecord | None = absent()
+    design: Annotated[dict[str, float] | None, lambda result: dict(result.design) or None] = absent()
     rms_torque_Nm: Annotated[float | None, lambda result: result.rms_torque if math.isfinite(result.rms_torque) else None] = (
         absent()
     )
@@ -99,7 +100,7 @@ class Analysis(Tabled):
     `meanings` describe them; `extremes` are refined to their exact crank angles when they are read, one-sided at load jumps;
     `unbounded`: columns of reactions that grow without bound towards change points through which the motion is continued;
     `swings` of bodies and `strokes` of sliders (by slider name); `rms_torque`: torque of the drive [N m], root mean square over a
-    cycle, by which the heating of a motor is rated; NaN unless the crank turns fully.
+    cycle, by which the heating of a motor is rated; NaN unless the crank turns fully; `design`: the given values [SI].
     """
 
     record = AnalysisRecord
@@ -124,6 +125,7 @@ class Analysis(Tabled):
     flywheel: Flywheel | None = None
     unbounded: tuple[str, ...] = ()
     rms_torque: float = math.nan
+    design: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def full(self) -> bool:

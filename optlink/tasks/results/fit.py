@@ -28,15 +28,22 @@ from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.base_model import Record
 from optlink.problem.mechanism import FourBarSection
+from optlink.problem.path import PathProblem
 from optlink.problem.quantity import Quantity
 from optlink.problem.targets.law import begins_at_psi0
 from optlink.solvers.solution import LimitState, Solution
-from optlink.tasks.results.remedies import PoorFitReason, fixed_reasons, mode_reasons, start_reasons
+from optlink.tasks.results.remedies import (
+    PoorFitReason,
+    curve_distances,
+    fixed_reasons,
+    law_mode_reasons,
+    path_mode_reasons,
+    start_reasons,
+)
 
 if TYPE_CHECKING:
     from optlink.problem.file import ProblemFile
     from optlink.problem.machine.model import Problem
-    from optlink.problem.path import PathProblem
     from optlink.validation.path import MeasuredDeviations
 
 EXACT, GOOD, FAIR = 1e-9, 0.01, 0.05  # largest relative errors of these grades; beyond, a fit is poor
@@ -212,7 +219,7 @@ def _rms(values: Array) -> float:
 
 
 def path_fit(
-    task: PathProblem,
+    problem: ProblemFile,
     values: Mapping[str, float],
     crank_angles: Array,
     measured: MeasuredDeviations,
@@ -224,7 +231,8 @@ def path_fit(
 
     Parameters
     ----------
-    task : PathProblem
+    problem : ProblemFile
+        With definite assembly modes.
     values : mapping of str to float [m, rad]
         All quantities.
     crank_angles : array (points,) [rad]
@@ -237,6 +245,8 @@ def path_fit(
     solution : Solution, optional
         The optimum; None for a given design.
     """
+    task = problem.model
+    assert isinstance(task, PathProblem)
     targets, distances = task.data.columns, measured.distances
     if task.requirement.kind == "transmission" or not np.all(np.isfinite(distances)):
         return None
@@ -268,6 +278,7 @@ def path_fit(
         *_crowded(task, crank_angles),
         *_timed(task, values, crank_angles, measured),
         *_placed(task, values, measured),
+        *path_mode_reasons(problem, values, crank_angles, _rms(distances), "m" if task.pointed else str(task.unit)),
     ]
     reasons += [*active_reasons(limits), *fixed_reasons(_quantities(task), values, solution, task), *_kind(task, values)]
     return Fit(worst.error, worst.size, worst.unit, worst.of, tuple(reasons))
@@ -305,7 +316,7 @@ def law_fit(problem: ProblemFile, values: Mapping[str, float], error: Array, sol
     fit = _sized(error, float(np.ptp(np.unwrap(targets))), "rad", "the output range")
     if fit.grade != "poor":
         return fit
-    measured = (*start_reasons(task, values, fit.error), *mode_reasons(problem, values, fit.error))
+    measured = (*start_reasons(task, values, fit.error), *law_mode_reasons(problem, values, fit.error))
     limits = () if solution is None else solution.displayed_limits
     return replace(fit, reasons=(*measured, *active_reasons(limits), *fixed_reasons(task.quantities, values, solution, task)))
 
@@ -347,11 +358,7 @@ def _timed(
     """Detect a curve that passes the points, but at crank angles other than those prescribed."""
     if task.requirement.kind != "path" or task.data.offsets is None:
         return
-    end = angles[0] + TURN if task.limits.crank != "span" else angles[-1]
-    motion = sweep(task.linkage, values, np.linspace(float(angles[0]), float(end), POSITIONS))
-    curve = motion.position(task.requirement.point)
-    gaps = np.array([np.min(np.hypot(*(curve - place).T)) for place in task.data.columns[:, :2]])
-    near, error = _rms(gaps), _rms(measured.distances)
+    near, error = _rms(curve_distances(task, values, angles)), _rms(measured.distances)
     if near < MAX_TIMED_ERROR * error:
         reason = f"the curve passes the points at an rms distance of {_length(near)}, but at other crank angles"
         yield PoorFitReason(reason, 'free the timing: requirement.timing = "free"')

@@ -93,7 +93,7 @@ class PathDesign(Summary):
             quantities, limits = self.task.mechanism.quantities, self.displayed_limits
             return transmission_fit(self.least_transmission, quantities, self.values, limits, self.solution, self.task)
         measured, limits = self.measured, self.displayed_limits
-        return path_fit(self.task, self.values, self.crank_angles, measured, self.between, limits, self.solution)
+        return path_fit(self.problem, self.values, self.crank_angles, measured, self.between, limits, self.solution)
 
     @cached_property
     def between(self) -> Array | None:

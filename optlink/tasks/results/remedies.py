@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from optlink.errors import InputError
 from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import TURN, Array
+from optlink.problem.path import START, ZERO, PathProblem
 from optlink.problem.quantity import Quantity
 from optlink.problem.targets.function import Function
 from optlink.problem.targets.law import Table
 from optlink.solvers.function_exchange import error_at
 from optlink.solvers.solution import Solution
 from optlink.units import show
+from optlink.validation.path import deviations
 
 if TYPE_CHECKING:
     from optlink.problem.file import ProblemFile
@@ -26,7 +30,8 @@ if TYPE_CHECKING:
 BETTER = 0.9  # fraction of the error below which another start or mode counts as a reason
 STARTS = 72  # start angles of a law that are tried
 STEP = 1e-6  # scaled, of a fixed dimension
-OTHER_MODE = {"left": "right", "right": "left"}
+POSITIONS = 721  # positions along a curve
+MOST_VARIANTS = 32  # combinations of assembly modes that are tried
 FREE_START = 'free the start: requirement.from = { bounds = ["0 deg", "360 deg"] }'
 MAX_NAMED = 4  # fixed dimensions that are named
 NO_EFFECT = 1e-6  # relative change of the objective by one unit of a dimension that counts as none
@@ -83,7 +88,7 @@ def _errors(task: DesignProblem, values: Mapping[str, float], starts: Array) -> 
     return np.remainder(targets - rocker(begin + offsets) + math.pi, TURN) - math.pi
 
 
-def mode_reasons(problem: ProblemFile, values: Mapping[str, float], error: float) -> Iterator[PoorFitReason]:
+def law_mode_reasons(problem: ProblemFile, values: Mapping[str, float], error: float) -> Iterator[PoorFitReason]:
     """Yield the assembly mode of a four-bar as a reason if the same lengths follow the law better in the other mode.
 
     Parameters
@@ -95,15 +100,113 @@ def mode_reasons(problem: ProblemFile, values: Mapping[str, float], error: float
     error : float [rad]
         Root mean square error of the design.
     """
-    spec = problem.spec
-    other = OTHER_MODE[spec.mechanism.assembly]
-    task = problem.override({"mechanism.assembly": other}).spec
-    mirrored = task.design({name: values[name] for name in task.quantities})
-    errors = error_at(task, mirrored, task.law.offsets)
-    rms = math.sqrt(float(np.mean(errors**2)))
-    if rms < BETTER * error:
-        gain = f"with C to the {other} the same lengths have an rms error of {_degrees(rms)} instead of {_degrees(error)}"
-        yield PoorFitReason(f"C lies to the {spec.mechanism.assembly} of B -> D; {gain}", 'write mechanism.assembly = "either"')
+
+    def measured(variant: ProblemFile) -> float:
+        task = variant.spec
+        mirrored = task.design({name: values[name] for name in task.quantities})
+        return _rms(error_at(task, mirrored, task.law.offsets))
+
+    yield from _mode_reasons(problem, error, "rad", measured)
+
+
+def path_mode_reasons(
+    problem: ProblemFile, values: Mapping[str, float], crank_angles: Array, error: float, unit: str
+) -> Iterator[PoorFitReason]:
+    """Yield the assembly modes of a linkage as a reason if the same sizes are better for a path or a law in other modes.
+
+    The crank angle at which the task begins and the output there follow where they are free.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+        Of a path or a law.
+    values : mapping of str to float [m, rad]
+        Quantities of the design.
+    crank_angles : array (points,) [rad]
+    error : float [m or rad]
+        Root mean square error of the design.
+    unit : str
+        "m" or "rad".
+    """
+
+    def measured(variant: ProblemFile) -> float:
+        task = variant.model
+        assert isinstance(task, PathProblem)
+        if task.pointed and task.data.offsets is None:
+            return _rms(curve_distances(task, values, crank_angles))
+        begins = np.linspace(0.0, TURN, STARTS, endpoint=False) if START in task.free else [values.get(START, 0.0)]
+        errors = [_deviation(task, {**values, START: float(begin)}) for begin in begins]
+        return min(filter(math.isfinite, errors), default=math.inf)
+
+    if problem.model.requirement.kind in ("path", "function"):  # of poses the body would have to be placed again
+        yield from _mode_reasons(problem, error, unit, measured)
+
+
+def _deviation(task: PathProblem, values: Mapping[str, float]) -> float:
+    """Return the root mean square deviation of a design with prescribed crank angles, its output at the start the best one."""
+    measured = deviations(task, values, task.crank_angles(values, None))
+    if ZERO not in task.free:
+        return _rms(measured.distances)
+    error = measured.generated[:, 0] - task.prescribed_outputs(values)
+    if task.slides:
+        return float(np.std(error))
+    middle = np.angle(np.mean(np.exp(1j * error)))
+    return _rms(np.remainder(error - middle + math.pi, TURN) - math.pi)
+
+
+def curve_distances(task: PathProblem, values: Mapping[str, float], crank_angles: Array) -> Array:
+    """Return the distance [m] of every point of a path from the curve of a linkage, at any crank angle.
+
+    Parameters
+    ----------
+    task : PathProblem
+    values : mapping of str to float [m, rad]
+        All quantities.
+    crank_angles : array (points,) [rad]
+        Crank angles of the design; the curve of a crank that need not turn fully is that between them.
+    """
+    begin = float(crank_angles[0])
+    end = begin + TURN if task.limits.crank != "span" else float(crank_angles[-1])
+    curve = sweep(task.linkage, values, np.linspace(begin, end, POSITIONS)).position(task.requirement.point)
+    gaps = [np.hypot(*(curve - place).T) for place in task.data.columns[:, :2]]
+    return np.array([np.min(gap) if np.all(np.isfinite(gap)) else math.inf for gap in gaps])
+
+
+def _mode_reasons(
+    problem: ProblemFile, error: float, unit: str, measured: Callable[[ProblemFile], float]
+) -> Iterator[PoorFitReason]:
+    """Yield the assembly modes as a reason if the error `measured` is clearly less in other modes."""
+    section, linkage = problem.model.mechanism, problem.model.linkage
+    variants = section.with_open_modes(linkage).variants(linkage)
+    best, changed = error, dict[str, tuple[str, str]]()
+    for change in itertools.islice(variants, MOST_VARIANTS):
+        try:
+            variant = problem.override({**problem.located, **change})
+        except InputError:  # a mode that the problem does not permit
+            continue
+        rms = measured(variant)
+        if rms < min(best, BETTER * error):
+            pairs = zip(linkage.groups, variant.model.linkage.groups, strict=True)
+            best, changed = rms, {one.joint: _mode(change, one.joint) for one, other in pairs if one != other}
+    if not changed:
+        return
+    modes = " and ".join(f"{joint} {mode}" for joint, (_, mode) in changed.items())
+    reason = f"with {modes} the same sizes have an rms error of {_shown(best, unit)} instead of {_shown(error, unit)}"
+    yield PoorFitReason(reason, "write " + " and ".join(f'{key} = "either"' for key, _ in changed.values()))
+
+
+def _mode(change: Mapping[str, str], joint: str) -> tuple[str, str]:
+    """Return the key of the assembly mode of a joint in a change of the file, and its value in words; a four-bar has one mode."""
+    ((key, mode),) = change.items() if "mechanism.assembly" in change else [(f"mechanism.assembly.{joint}", "")]
+    return key, f"to the {mode}" if mode else change[key]
+
+
+def _rms(values: Array) -> float:
+    return math.sqrt(float(np.mean(values**2)))
+
+
+def _shown(value: float, unit: str) -> str:
+    return _degrees(value) if unit == "rad" else f"{1e3 * value:.4g} mm"
 
 
 def fixed_reasons(
