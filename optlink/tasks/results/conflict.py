@@ -104,7 +104,7 @@ class OpposedLimit:
     def _phrases(self) -> tuple[str, str]:
         """How to name the limit and its outcome, with {} in place of the value."""
         found = ((re.fullmatch(pattern, self.name), named, outcome) for pattern, named, outcome in PHRASES)
-        match, named, outcome = next((match, *phrases) for match, *phrases in found if match)
+        match, named, outcome = next((match, named, outcome) for match, named, outcome in found if match)
         if len(self.sides) > 1 and not self._symmetric:
             outcome = "the {name} covers {}".replace("{name}", self.name)
         elif self.sides[0].relaxed > self.sides[0].bound:
