@@ -104,6 +104,10 @@ ROUNDED_ANGLE = f'{LAW} --set limits.transmission_angle.max="134.99135 deg"'
 SHORTER = f'{LAW} --set requirement.points=29 --set requirement.span="87 deg"'
 ANYWHERE = """ --set requirement.from='{start="60 deg", bounds=["0 deg", "180 deg"]}'"""
 ANY_FRAME = """ --set mechanism.frame='{start="500 mm", bounds=["100 mm", "900 mm"]}'"""
+LONG_FRAME = (
+    """ --set mechanism.frame='{start="500 mm", bounds=["100 mm", "2000 mm"]}'"""
+    """ --set mechanism.coupler.bounds='["100 mm", "2000 mm"]' --set mechanism.rocker.bounds='["100 mm", "2000 mm"]'"""
+)
 METRES = (
     f'{LAW} --set mechanism.crank="1 m" --set mechanism.frame="5 m"'
     """ --set mechanism.coupler='{start="4 m", bounds=["1 m", "9 m"]}'"""
@@ -144,6 +148,7 @@ CRANK_ROCKER = [
     ),
     Figure(PAGE, "| {0.00164188} rad² |", f"{LAW} --starts 8{ANYWHERE}{ANY_FRAME}", "objective/value"),
     Figure(PAGE, "| {0.00590805} rad² |", f"{LAW} --starts 8{ANY_FRAME}", "objective/value"),
+    Figure(PAGE, "with 2000 mm {0.00504} |", f"{LAW} --starts 8{LONG_FRAME}", "objective/value"),
     Figure(PAGE, "| {0.0019916} |", f"{LAW} --starts 8{ANYWHERE}", "objective/value"),
     Figure(PAGE, "$`\\varphi_0`$ = {15.2} deg", f"{LAW} --starts 8{ANYWHERE}", "design/phi0_deg"),
     Figure(PAGE, "$`f`$ is {0.00577} rad²", SHORTER, "objective/value"),

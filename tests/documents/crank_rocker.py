@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -102,7 +103,7 @@ def angle_of_lengths(phi: float) -> float:
 def one_branch_is_enough() -> float:
     """The largest start angle [deg] of all lengths that satisfy the constraints, on a grid of 1 mm."""
     l2, l3 = np.meshgrid(np.arange(100.0, 901.0), np.arange(100.0, 901.0))
-    feasible = np.all(np.array(constraints(l2, l3)) <= 0.0, axis=0)  # type: ignore[arg-type]
+    feasible = np.all(np.array(constraints(l2, l3)) <= 0.0, axis=0)
     whole = L1 + l2[feasible]
     return float(np.degrees(np.arccos((whole**2 - l3[feasible] ** 2 + L4**2) / (2 * whole * L4)).max()))
 
@@ -125,7 +126,7 @@ def file_has_another_name() -> bool:
 
 FAULTS: list[Fault] = [
     Fault(
-        "四.4, result",
+        "step 4, result",
         "412.26mm",
         {
             "412.887": lambda: coupler(PRINTED[1]),
@@ -139,13 +140,13 @@ FAULTS: list[Fault] = [
         ),
     ),
     Fault(
-        "四.4, result",
+        "step 4, result",
         "0.0076 mm2",
         {"0.0076": lambda: objective(*best(ROOT_2))},
         holds=lambda: math.isclose(in_another_unit(1.0), in_another_unit(1e-3), rel_tol=1e-9),
     ),
     Fault(
-        "四.3, g6 and g7",
+        "step 3, g6 and g7",
         "1.414",
         {
             "1.41421": lambda: math.sqrt(2.0),
@@ -154,13 +155,13 @@ FAULTS: list[Fault] = [
         },
     ),
     Fault(
-        "四.2",
+        "step 2",
         "取30个观测点",
         {"31": lambda: len(errors(*PRINTED))},
         holds=lambda: abs(errors(*PRINTED)[0]) < 1e-7,
     ),
-    Fault("四.4, run.m", OPTIONS, holds=options_are_not_passed),
-    Fault("四.4", "编写m文件Objfun.m", holds=file_has_another_name),
+    Fault("step 4, run.m", OPTIONS, holds=options_are_not_passed),
+    Fault("step 4", "编写m文件Objfun.m", holds=file_has_another_name),
 ]
 
 FILE = optlink.load("crank-rocker").raw
@@ -170,7 +171,7 @@ def stated(*keys: str | int) -> Callable[[], float]:
     """The number of a quantity of the problem file."""
 
     def number() -> float:
-        found = FILE
+        found: Any = FILE
         for key in keys:
             found = found[key]
         return float(str(found).partition(" ")[0])
@@ -193,6 +194,16 @@ COMPUTED: dict[str, dict[str, Callable[[], float]]] = {
     "$`\\psi`$ = π − α ∓ β, (6) to (9), 实际输出角": {
         "115.976": lambda: angle_of_lengths(math.radians(90.0)),
         "138.596": lambda: angle_of_lengths(math.radians(270.0)),
+    },
+    "constants of steps 1 to 3": {
+        "250000": lambda: L4**2,
+        "240000": lambda: L4**2 - L1**2,
+        "260000": lambda: L4**2 + L1**2,
+        "100000": lambda: 2 * L1 * L4,
+        "160000": lambda: (L4 - L1) ** 2,
+        "360000": lambda: (L4 + L1) ** 2,
+        "400": lambda: L4 - L1,
+        "600": lambda: L4 + L1,
     },
     "only 「ps=pi-a-b」 in the script": {"76": one_branch_is_enough},
 }
