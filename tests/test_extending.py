@@ -192,6 +192,8 @@ def test_a_new_kind_of_result_and_its_view(extended, tmp_path):
     extended("view")
     file = tmp_path / "clearing.toml"
     file.write_text(optlink.problem.file.dump(optlink.read(stated)))
+    with pytest.raises(InputError, match="no nonlinear programme of its dimensions"):
+        optlink.build(optlink.load(str(file)))
     document = solved("solve", str(file), "--out", str(tmp_path / "out"))
     assert document["valid"]
     assert {name for name in vars(optlink.DesignResult) if not name.startswith("_")} <= set(
