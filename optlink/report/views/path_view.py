@@ -205,7 +205,7 @@ def with_verdict(
     Parameters
     ----------
     machine : ProblemFile or None
-    design : result or None
+    design : PathDesign, FunctionResult, CycleResult or None
     """
     if machine is None or design is None:
         return None
