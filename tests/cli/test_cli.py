@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -450,6 +451,31 @@ def test_json_is_repeatable():
     first, second = (json.loads(run("solve", "crank-rocker", "--starts", "6", "--seed", "5", "--json").stdout) for _ in "ab")
     del first["seconds"], second["seconds"]
     assert first == second
+
+
+@pytest.mark.parametrize(
+    ("file", "text", "told"),
+    [
+        ("cli/app.py", "import numpy_that_is_not_there\n", "No module named 'numpy_that_is_not_there'. This is a damaged"),
+        ("errors.py", "def broken(:\n", "invalid syntax"),
+        ("cli/solve.py", "raise RuntimeError('in\\ntwo lines')\n", "RuntimeError: in two lines. This is a fault of optlink; "),
+    ],
+)
+def test_a_fault_before_a_command_begins_is_one_sentence(file, text, told, tmp_path):
+    """In a copy of the package with one damaged file."""
+    shutil.copytree(ROOT / "optlink", tmp_path / "optlink", ignore=shutil.ignore_patterns("__pycache__"))
+    (tmp_path / "optlink" / file).write_text(text, encoding="utf-8")
+    variables = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    called = {"args": [sys.executable, "-m", "optlink", "list"], "capture_output": True, "text": True}
+    done = subprocess.run(**called, check=False, cwd=tmp_path, env=variables)
+    assert done.returncode == 4
+    assert done.stderr.startswith("Error: optlink cannot start: ")
+    assert told in done.stderr
+    assert done.stderr.endswith("OPTLINK_DEBUG=1 prints the traceback\n")
+    assert len(done.stderr.splitlines()) == 1
+    traced = subprocess.run(**called, check=False, cwd=tmp_path, env={**variables, "OPTLINK_DEBUG": "1"})
+    assert traced.returncode == 4
+    assert "Traceback" in traced.stderr or "SyntaxError" in traced.stderr
 
 
 def test_launcher_in_a_checkout():
