@@ -532,3 +532,14 @@ def test_a_count_of_thousands_of_digits_is_refused(sign):
     done = run("study", "sweep", "crank-rocker", "--vary", f"mechanism.frame=450..550 mm:{sign}{'9' * 5000}")
     assert done.exit_code == 2
     assert ("exceed the limit" if not sign else "do not make a range") in done.stderr
+
+
+@pytest.mark.parametrize(("key", "value", "units"), [("coupler", 46, ("mm", "m")), ("direction", 30, ("deg", "rad"))])
+def test_a_number_without_a_unit_is_offered_in_si_in_python_alone(key, value, units):
+    """Results of Python are in SI; on a command line nobody types metres."""
+    base = ("path-arc5", "--set", f"mechanism.{key}={value}")
+    remedies = [f'"{value} {unit}"' for unit in units]
+    typed = run("solve", *base).stderr
+    assert f"Write {remedies[0]}, with the quotes" in typed
+    with pytest.raises(optlink.InputError, match=f"Write {remedies[0]} or {remedies[1]}, with the quotes"):
+        optlink.load("path-arc5", {f"mechanism.{key}": value})
