@@ -34,6 +34,7 @@ STYLE: dict[Any, Any] = {
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,
+    "axes.titley": 1.0,  # where it is anyway: else the ticks are measured again for each title
     "grid.alpha": 0.25,
     "svg.hashsalt": "optlink",  # else the names in an SVG file are random
     "text.parse_math": False,  # do not interpret dollar signs in titles as mathematics
@@ -75,13 +76,13 @@ def figure(width: float, height: float, layout: Literal["constrained"] | None = 
     layout : "constrained" or None, optional
         Layout engine of matplotlib; None for axes at given places.
     """
-    fig = Figure(figsize=(width, height), layout=layout)
+    fig = Figure(figsize=(width, height), dpi=DPI, layout=layout)
     FigureCanvasAgg(fig)
     return fig
 
 
-def panels(fig: Figure, count: int, columns: int, **options: Any) -> list[Axes]:
-    """Return axes in rows; those of the last row that are not needed are left out.
+def panels(fig: Figure, count: int, columns: int) -> list[Axes]:
+    """Return axes in rows, the last of which may be shorter.
 
     Parameters
     ----------
@@ -89,13 +90,9 @@ def panels(fig: Figure, count: int, columns: int, **options: Any) -> list[Axes]:
     count : int
     columns : int
         Number of axes in a row.
-    **options
-        As in `Figure.subplots`.
     """
-    grid = list(fig.subplots(-(-count // columns), columns, squeeze=False, **options).flat)
-    for axes in grid[count:]:
-        axes.remove()
-    return grid[:count]
+    grid = fig.add_gridspec(-(-count // columns), columns)
+    return [fig.add_subplot(grid[divmod(k, columns)]) for k in range(count)]
 
 
 def charts_per_row(count: int) -> int:
@@ -131,10 +128,11 @@ def save(fig: Figure, path: Path) -> None:
     with whole(path) as temporary, apply_style():
         kind = path.suffix.removeprefix(".")
         if kind == "png":  # `savefig` draws a figure twice
-            shown = fig.get_dpi()
             fig.set_dpi(DPI)
-            FigureCanvasAgg(fig).print_png(temporary)  # type: ignore[no-untyped-call]
-            fig.set_dpi(shown)
+            canvas = FigureCanvasAgg(fig)
+            canvas.draw()  # type: ignore[no-untyped-call]
+            opaque = np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[..., :3])  # type: ignore[no-untyped-call]
+            Image.fromarray(opaque).save(temporary, format=kind, dpi=(DPI, DPI), compress_level=3)
             return
         dates = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
         fig.savefig(temporary, format=kind, dpi=DPI, metadata=dates.get(kind))

@@ -481,11 +481,11 @@ def test_a_design_that_never_assembles_is_not_drawn(tmp_path):
 
 
 def test_a_failed_write_leaves_no_partial_files(tmp_path, monkeypatch):
-    def half(path, *_, **__):
+    def half(image, path, *_, **__):
         path.write_bytes(b"half")
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("matplotlib.image.imsave", half)
+    monkeypatch.setattr("PIL.Image.Image.save", half)
     with pytest.raises(optlink.InputError, match="No space left"):
         view_of("path").write(result("path"), tmp_path)
     assert {path.name for path in tmp_path.iterdir()} == {"result.json", "points.csv", "design.toml"}
