@@ -345,8 +345,9 @@ def travels(
         velocities = [at.body_rate(name) if turning else at.slide(name).rate for name, turning in moving]
         return np.array(velocities).reshape(-1, len(angles))
 
+    samples = np.array([jets[output].rate for output in moving]).reshape(-1, len(grid))
     reversals: dict[tuple[str, bool], Array] = {}
-    for output, centres in zip(moving, zeros(rates, grid, still=True), strict=True):
+    for output, centres in zip(moving, zeros(rates, grid, still=True, samples=samples), strict=True):
         values = jets[output].value
         turns = output[1] and full and (len(centres) == 0 or abs(values[-1] - values[0]) > math.pi)
         if not turns and (len(centres) or not full):
