@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +20,11 @@ from optlink.cli.app import app
 from optlink.problem.file import ProblemFile
 from optlink.problem.templates import template, templates
 from optlink.report.views.short_text import LINES
-from optlink.tasks import run as tasks_run
+from optlink.tasks.cycle import CycleTask
+from optlink.tasks.function import FunctionTask
+from optlink.tasks.path import PathTask
+from optlink.tasks.protocol import DesignTask, Search
 from optlink.tasks.run import design_task
-from tests.solved import once
 
 SHIPPED = [("problem", name) for name in optlink.shipped()] + [("template", name) for name in templates()]
 FEW = ("--starts", "3")
@@ -62,16 +65,24 @@ class Session:
 
 
 @pytest.fixture
-def solved_once(monkeypatch):
-    """Let `solve` take the solution of a problem with default options that other commands and tests need as well."""
-    search = tasks_run.solve
+def cheap(monkeypatch):
+    """Search a problem with default options once for all commands, and a changed one from few starts."""
+    found = dict[tuple[str, str], Any]()
 
-    def solve(problem: ProblemFile, backend: str = "ipopt", starts: int | None = None, *more: Any, **options: Any) -> Any:
-        if starts is not None or problem.overrides or backend != "ipopt":
-            return search(problem, backend, starts, *more, **options)
-        return once(f"smoke solution of {problem.hash}", lambda: search(problem, track=True))
+    def cheaper(whole: Callable[..., Any]) -> Callable[..., Any]:
+        def search(task: DesignTask[Any], problem: ProblemFile, asked: Search) -> Any:
+            if problem.overrides:
+                return whole(task, problem, replace(asked, starts=asked.starts or 3))
+            if asked.starts is not None or asked.begin is not None:
+                return whole(task, problem, asked)
+            if (key := (problem.hash, asked.backend)) not in found:
+                found[key] = whole(task, problem, replace(asked, track=True))
+            return found[key]
 
-    monkeypatch.setattr(tasks_run, "solve", solve)
+        return search
+
+    for task in (FunctionTask, PathTask, CycleTask):
+        monkeypatch.setattr(task, "search", cheaper(task.search))
 
 
 def design_of(folder: str) -> dict[str, float]:
@@ -178,7 +189,7 @@ def given(kind: str, name: str) -> Iterator[str]:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("solved_once")
+@pytest.mark.usefixtures("cheap")
 @pytest.mark.parametrize(("kind", "name"), SHIPPED, ids=lambda value: value)
 def test_every_command_ends_with_its_exit_code(kind, name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

@@ -49,7 +49,7 @@ def report(
     facts = {"title": title, "company": company, "author": author, "part": part, "revision": revision, "date": date}
     changes = [*(changes or []), *(f"report.{key}={json.dumps(text)}" for key, text in facts.items() if text is not None)]
     with console.working("Reading or solving the problem"):
-        about = _report_model(source, output, problem, (backend, starts, seed), changes, design)
+        about = _report_model(source, output, problem, (backend, starts, seed), changes, design, priced=True)
         interrupts.check()
     from optlink.report.html.page import write_page
 
@@ -87,7 +87,7 @@ def export(
     angle = console.quantity(at, "angle", "--at")
     options = Options(angle, console.quantity(hole, "length", "--hole"), console.quantity(width, "length", "--width"), points)
     with console.working("Reading or solving the problem"):
-        about = _report_model(source, output, problem, (backend, starts, seed), changes, design)
+        about = _report_model(source, output, problem, (backend, starts, seed), changes, design, priced=False)
         interrupts.check()
     from optlink.report.report_model import ReportModel
 
@@ -101,9 +101,16 @@ def export(
 
 
 def _report_model(
-    text: str, output: Path, problem: str | None, search: tuple[str, int | None, int], changes: Words, design: Words
+    text: str,
+    output: Path,
+    problem: str | None,
+    search: tuple[str, int | None, int],
+    changes: Words,
+    design: Words,
+    *,
+    priced: bool,
 ) -> ReportModel | StoredStudy:
-    """Return the subject of the command: a stored result, or a problem with its solution."""
+    """Return the subject of the command: a stored result, with shadow prices if `priced`, or a problem with its solution."""
     from optlink.report.files import is_result
     from optlink.report.report_model import report_model_of, solve_or_validate
 
@@ -114,7 +121,7 @@ def _report_model(
         console.refuse({"--design": design, "--starts": search[1]}, "a result already contains its design", remedy, text)
         from optlink.report.stored.loader import load_stored
 
-        return load_stored(text, problem, changes or ())
+        return load_stored(text, problem, changes or (), priced=priced)
     remedy = "Leave it out, or name a result.json first"
     console.refuse({"--problem": problem}, "the option applies to a RESULT only", remedy, text)
     file = console.load(text, changes)

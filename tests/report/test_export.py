@@ -29,6 +29,7 @@ from optlink.report.export.export import FORMATS, Options, export, geometry
 from optlink.report.export.svg import svg
 from optlink.report.report_model import ReportModel, report_model_of, solve_or_validate
 from optlink.report.scene import scene
+from optlink.report.stored import stored_result
 from optlink.tasks.analyze import analyze
 from tests.cli.test_cli import run
 from tests.tiers import mostly_slow
@@ -380,6 +381,28 @@ def test_export_does_not_overwrite_its_input(tmp_path):
     assert done.exit_code == 2
     assert "overwrite" in done.stderr
     assert result.read_bytes() == before
+
+
+STORED = (("solve",), "stroke-crank-rocker")
+
+
+@pytest.mark.parametrize(
+    ("command", "name"),
+    mostly_slow([STORED, (("solve",), "path-arc5"), (("study", "sensitivity"), "crank-rocker")], STORED),
+)
+def test_a_stored_design_is_exported_without_a_search(command, name, tmp_path, monkeypatch):
+    """A drawing has no shadow prices: the file is that of the design itself."""
+    monkeypatch.chdir(tmp_path)
+    assert run(*command, name, "--out", "out").exit_code == 0
+    assert run("export", name, "-o", "design.dxf").exit_code == 0
+    monkeypatch.setattr(stored_result, "optimum", lambda _: pytest.fail("the optimum is sought"))
+    assert run("export", "out", "-o", "stored.dxf").exit_code == 0
+    blocks = [ezdxf.readfile(f"{name}.dxf").blocks for name in ("design", "stored")]
+    links = [[block.name for block in part if block.name.startswith("LINK")] for part in blocks]
+    assert links[0] == links[1] != []
+    for link in links[0]:
+        for own, other in zip(*(holes(part[link]) for part in blocks), strict=True):
+            np.testing.assert_allclose(own, other, atol=1e-9)
 
 
 def test_a_full_disk_leaves_no_files(tmp_path, monkeypatch, crank_rocker_subject):

@@ -58,7 +58,9 @@ class _Head(Record):
     overrides: dict[str, Any] = Field(default_factory=dict)
 
 
-def load_stored(text: str, problem: str | None = None, changes: Sequence[str] = ()) -> ReportModel | StoredStudy:
+def load_stored(
+    text: str, problem: str | None = None, changes: Sequence[str] = (), *, priced: bool = True
+) -> ReportModel | StoredStudy:
     """Load a result file.
 
     Parameters
@@ -69,6 +71,8 @@ def load_stored(text: str, problem: str | None = None, changes: Sequence[str] = 
         Its problem; default: searched by name among the shipped problems, beside the file and in the working directory.
     changes : sequence of str, optional
         Assignments KEY=VALUE with which the problem was changed (`--set`).
+    priced : bool, optional
+        Solve for the shadow prices of an optimum, which a page shows; a drawing needs the design only.
 
     Raises
     ------
@@ -92,7 +96,7 @@ def load_stored(text: str, problem: str | None = None, changes: Sequence[str] = 
     file = problem_of(record, path, problem, changes)
     try:
         if schema in SOLVED:
-            report: ReportModel | StoredStudy = read_report_model(record, file, path)
+            report: ReportModel | StoredStudy = read_report_model(record, file, path, priced=priced)
         else:
             with single_units():
                 report = replace(view_of(kind).page(record, file, path), notes=(f"shown as recorded in {shown_name(path.name)}",))

@@ -42,7 +42,7 @@ from optlink.validation.path import validate_path
 RESTORED = "the certificate of the global optimum is that of the file; it is not recomputed"
 
 
-def read_report_model(record: ResultRecord, file: ProblemFile, path: Path) -> ReportModel:
+def read_report_model(record: ResultRecord, file: ProblemFile, path: Path, *, priced: bool = True) -> ReportModel:
     """Return the report model of a stored result.
 
     Parameters
@@ -53,6 +53,8 @@ def read_report_model(record: ResultRecord, file: ProblemFile, path: Path) -> Re
         Its problem.
     path : Path
         File of the record.
+    priced : bool, optional
+        Restore the solution of an optimum, with its shadow prices.
 
     Raises
     ------
@@ -63,8 +65,9 @@ def read_report_model(record: ResultRecord, file: ProblemFile, path: Path) -> Re
     """
     notes = [f"read from {shown_name(path.name)}; kinematics and checks are recomputed from the design in it"]
     if isinstance(record, SensitivitiesRecord):
-        return _sensitivity_model(record, file, tuple(notes))
-    outcome = _solved(_certified(_outcome(record, path, file), record))
+        return _sensitivity_model(record, file, tuple(notes), priced=priced)
+    outcome = _certified(_outcome(record, path, file), record)
+    outcome = _solved(outcome) if priced else outcome
     if getattr(record, "certificate", None) is not None:
         if isinstance(outcome, FunctionResult | PathResult) and outcome.certificate is not None:
             notes.append(RESTORED)
@@ -111,12 +114,15 @@ def _solved(outcome: Outcome) -> Outcome:
     return outcome.with_best(solution=optimum(best))
 
 
-def _sensitivity_model(record: SensitivitiesRecord, file: ProblemFile, notes: tuple[str, ...]) -> ReportModel:
+def _sensitivity_model(record: SensitivitiesRecord, file: ProblemFile, notes: tuple[str, ...], *, priced: bool) -> ReportModel:
     """Return the optimum of a sensitivity study with recomputed derivatives and stored checks."""
     values = {name: value * _size(file, record.design_units, name) for name, value in record.design.items()}
     check_entries("design", values, file.model.free)
     design = values if file.task == "path" else {name: values[name] for name in file.model.free}
-    outcome = _solved(validate(file, design).with_best(status=Status.OPTIMAL))
+    outcome = validate(file, design).with_best(status=Status.OPTIMAL)
+    if not priced:
+        return report_model_of(file, outcome, (), notes)
+    outcome = _solved(outcome)
     best = getattr(outcome, "best", None)
     if best is None or best.solution is None:
         raise Contradiction("design", "this is not the optimum of its problem")
