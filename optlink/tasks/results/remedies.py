@@ -138,6 +138,7 @@ def path_mode_reasons(
         errors = [_deviation(task, {**values, START: float(begin)}) for begin in begins]
         return min(filter(math.isfinite, errors), default=math.inf)
 
+    assert isinstance(problem.model, PathProblem)
     if problem.model.requirement.kind in ("path", "function"):  # of poses the body would have to be placed again
         yield from _mode_reasons(problem, error, unit, measured)
 
