@@ -250,11 +250,11 @@ COMPUTED: dict[str, dict[str, Callable[[], float]]] = {
     "r2 = 1200 mm, rc2 = 600 mm, m2 = 3 kg, J2 = 0.25 kg·m²; 构件BC": read(
         "1.2 link2.length", "0.6 link2.along", "3 link2.mass", "0.25 link2.moment"
     ),
-    "r3 = 800 mm, rc3 = 400 mm, m3 = 2.2 kg, J3 = 0.09 kg·m²; 构件CD": read(
+    "r3 = 800 mm, rc3 = 400 mm, m3 = 2.2 kg, J3 = 0.09 kg·m²; CD构件": read(
         "0.8 link3.length", "0.4 link3.along", "2.2 link3.mass", "0.09 link3.moment"
     ),
     "r4 = 1500 mm; AD": read("1.5 D.x"),
-    "r5 = 1200 mm, rc5 = 600 mm, m5 = 3.6 kg, J5 = 0.45 kg·m²; 构件CE": read(
+    "r5 = 1200 mm, rc5 = 600 mm, m5 = 3.6 kg, J5 = 0.45 kg·m²; CE杆件": read(
         "1.2 link5.length", "0.6 link5.along", "3.6 link5.mass", "0.45 link5.moment"
     ),
     "m6 = 6 kg, θ6 (th6) = 0; 构件6, 滑块": read("6 slider.mass", "0 F.direction"),
