@@ -35,15 +35,17 @@ NUMBER = re.compile(r"\{(-?[\d.]+(?:e-?\d+)?)\}")
 
 @functools.cache
 def output(command: str, *, as_json: bool) -> str:
-    """What a call of optlink prints, with exit codes 0 and 1."""
+    """What a call of optlink prints, with exit codes 0 and 1; of several calls, in one empty folder, the last one."""
     from typer.testing import CliRunner
 
     from optlink.cli.app import app
 
-    words = [*shlex.split(command), *(["--json"] if as_json else [])]
-    done = CliRunner().invoke(app, words, env={"COLUMNS": "120"})
-    if done.exit_code not in (0, 1):
-        raise RuntimeError(f"optlink {command}: {done.output}")
+    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
+        for call in command.split(" && "):
+            words = [*shlex.split(call), *(["--json"] if as_json else [])]
+            done = CliRunner().invoke(app, words, env={"COLUMNS": "120"})
+            if done.exit_code not in (0, 1):
+                raise RuntimeError(f"optlink {call}: {done.output}")
     return done.stdout
 
 

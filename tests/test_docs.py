@@ -436,13 +436,46 @@ def test_public_names_have_a_page():
 
 def test_words_of_docstrings_are_no_types():
     pytest.importorskip("griffe")
-    given = (
-        "Sum.\n\nParameters\n----------\na, b : float [m], positive\n    Lengths.\nc : int\n\nReturns\n-------\nx : float [m]\n"
-    )
-    expected = (
-        "Sum.\n\nParameters\n----------\na\n    [m], positive.\n    Lengths.\nb\n    [m], positive.\n    Lengths.\nc\n    int\n\n"
-        "Returns\n-------\nx : float [m]\n"
-    )
+    given = """Sum.
+
+Parameters
+----------
+a, b : float [m], positive
+    Lengths.
+c : int
+d : str or Path, optional
+    A file.
+e, f
+    See `g`.
+
+Returns
+-------
+x : float [m]
+"""
+    expected = """Sum.
+
+Parameters
+----------
+a
+    [m], positive.
+    Lengths.
+b
+    [m], positive.
+    Lengths.
+c
+    int
+d
+    A file.
+e
+    See `g`.
+f
+    See `g`.
+
+Returns
+-------
+x :
+    [m]
+"""
     assert hook("docstrings").spelled(given) == expected
 
 

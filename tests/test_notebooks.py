@@ -118,8 +118,9 @@ def picture(cell: NotebookNode) -> NotebookNode:
 
 
 @pytest.mark.slow
-def test_a_picture_takes_the_place_of_sliders_without_ipywidgets() -> None:
-    notebook = read(FOLDER / "what_if.ipynb")
+@pytest.mark.parametrize("name", ["what_if", "what_if_clearance"])
+def test_a_picture_takes_the_place_of_sliders_without_ipywidgets(name: str) -> None:
+    notebook = read(FOLDER / f"{name}.ipynb")
     first = next(k for k, cell in enumerate(notebook.cells) if "= live(" in cell.source)
     block = 'import sys\n\nsys.modules["ipywidgets"] = None  # as if it were not installed'
     notebook.cells = [nbformat.v4.new_code_cell(block), *notebook.cells[: first + 1]]

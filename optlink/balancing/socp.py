@@ -379,7 +379,8 @@ class BalancingProgramme:
 
         Returns
         -------
-        Slope (n,) and level
+        slope : array (n,)
+        level : float
         """
         weight, place = self.counterweights[k], 4 * k
         unit, length = float(self.scales[place]), float(self.scales[place + 1] / self.scales[place])

@@ -181,7 +181,7 @@ class SpanningTree:
         Parameters
         ----------
         guide : Guide
-        places : mapping of body to Place
+        places : mapping of body to BodyPlace
         """
         begin, way = self.line(guide, guide.on, places[guide.on])
         return dot(minus(self.line(guide, guide.slider, places[guide.slider])[0], begin), way)

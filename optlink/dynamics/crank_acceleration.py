@@ -46,7 +46,8 @@ def crank_acceleration(geared: Moving, speed: Value, torque: Value, direction: V
 
     Returns
     -------
-    The acceleration; NaN where no signs of the normal forces in guides with friction are consistent, or several that differ are
+    acceleration : Value [rad/s^2]
+        NaN where no signs of the normal forces in guides with friction are consistent, or several that differ are.
     """
     if geared.machine.friction:
         return acceleration_with_friction(geared, speed, torque, direction)[0]
@@ -104,8 +105,11 @@ def acceleration_with_friction(
 
     Returns
     -------
-    Acceleration [rad/s^2], NaN where no signs are consistent, or several whose accelerations differ; signs by guide; where there
-    are several
+    acceleration : Value [rad/s^2]
+        NaN where no signs are consistent, or several whose accelerations differ.
+    signs : mapping of guide to Value
+    several : Value
+        Where there are several.
     """
     chosen: Value = np.nan
     signs: dict[str, Value] = dict.fromkeys(geared.machine.friction, 1.0)

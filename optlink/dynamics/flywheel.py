@@ -91,7 +91,8 @@ def flywheel(machine: Machine, speed: float, allowed: float, start: float = 0.0)
 
     Returns
     -------
-    Flywheel, inertia 0 if the fluctuation is within the limit without one; None where the torque is not finite at some position
+    Flywheel or None
+        Its inertia is 0 if the fluctuation is within the limit without one; None where the torque is not finite at some position.
     """
     balance = Fluctuation(machine, speed, start)
     if not np.all(np.isfinite(balance.gain)):

@@ -151,8 +151,9 @@ def reactions(
 
     Returns
     -------
-    Reactions; infinite or NaN at a singular position of a group, where `singularity` is zero. The torque of a mechanism that is
-    continued through singular positions is finite there.
+    Reactions
+        Infinite or NaN at a singular position of a group, where `singularity` is zero. The torque of a mechanism that is
+        continued through singular positions is finite there.
     """
     wrenches = required_wrench(moving) if needed is None else needed
     with np.errstate(all="ignore"):

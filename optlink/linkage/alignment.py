@@ -122,7 +122,8 @@ def least_alignments(mechanism: Mechanism, sizes: Mapping[str, Value], last: Pos
 
     Returns
     -------
-    list of Aligned, in the order of the groups and of the crank angle
+    list of AlignedPosition
+        In the order of the groups and of the crank angle.
     """
     groups = mechanism.groups if last is None else mechanism.groups[-1:]
     if not groups:

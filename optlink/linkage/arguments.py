@@ -135,7 +135,8 @@ def sweep(
 
     Returns
     -------
-    Motion; NaN where the mechanism cannot be assembled (see `Motion.margin`).
+    Motion
+        NaN where the mechanism cannot be assembled (see `Motion.margin`).
 
     Raises
     ------

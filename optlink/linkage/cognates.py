@@ -148,12 +148,14 @@ class CouplerLinkage:
         ----------
         phi : Value, any shape [rad]
             Crank angle from A -> D; a jet gives velocities and accelerations too.
-        side : Value of 1 and -1, broadcastable against `phi`
-            Assembly mode, if it differs from that of the linkage (a cognate that passes its dead centres).
+        side : Value, optional
+            Assembly mode, 1 or -1, broadcastable against `phi`, if it differs from that of the linkage (a cognate that passes
+            its dead centres).
 
         Returns
         -------
-        CouplerPose, NaN where it cannot be assembled.
+        CouplerPose
+            NaN where it cannot be assembled.
         """
         crank = unit(phi)
         b, d = (self.crank * crank[0], self.crank * crank[1]), (self.frame, 0.0)
@@ -290,18 +292,20 @@ def cognates(linkage: CouplerLinkage, at: float | None = None) -> Cognates:
     Parameters
     ----------
     linkage : CouplerLinkage
-    at : float [rad]
+    at : float [rad], optional
         Crank angle of `linkage` at which the assembly modes of the cognates are determined. If `linkage` can be assembled in
         two ranges of crank angle, `at` also selects the range. Default: the position in the last range at which the
         transmission angle of the cognate is closest to 90 deg.
 
     Returns
     -------
-    Cognates, a pair of Cognate or None (see `Cognates`). Both trace the branch of the coupler curve that `linkage` traces in its
-    assembly mode and in that range. The cognate at the crank pivot is driven at E, where its crank rotates with the rocker of
-    `linkage`, unless only its link at A turns fully (then `linkage` is a Grashof double-rocker). If `linkage` is a crank-rocker
-    or a triple-rocker, this cognate passes dead centres at whichever pivot it is driven (`Cognate.turning_back`). If the coupler
-    point lies on the line B-C, the three fixed pivots are collinear too. The result is undefined for a change-point linkage.
+    Cognates
+        A pair of Cognate or None (see `Cognates`). Both trace the branch of the coupler curve that `linkage` traces in its
+        assembly mode and in that range. The cognate at the crank pivot is driven at E, where its crank rotates with the rocker of
+        `linkage`, unless only its link at A turns fully (then `linkage` is a Grashof double-rocker). If `linkage` is a
+        crank-rocker or a triple-rocker, this cognate passes dead centres at whichever pivot it is driven
+        (`Cognate.turning_back`). If the coupler point lies on the line B-C, the three fixed pivots are collinear too. The result
+        is undefined for a change-point linkage.
 
     Raises
     ------

@@ -74,8 +74,9 @@ def continue_through_singularities(
 
     Returns
     -------
-    Mechanism, its `cycle` the crank rotation after which the motion repeats; a group without a smooth motion through a
-    singular position is left unchanged
+    Mechanism
+        Its `cycle` is the crank rotation after which the motion repeats; a group without a smooth motion through a singular
+        position is left unchanged.
     """
     if not any(isinstance(group, ModalDyad) and (every or group.follow) for group in mechanism.groups):
         return mechanism

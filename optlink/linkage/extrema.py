@@ -56,8 +56,9 @@ def extremes(
         Fine enough that each extremum lies beside the best grid point.
     breaks : sequence of float [rad]
         Crank angles where the functions may jump, to the value that they have there; no bracket reaches across one.
-    kinds : sequence of hashable, one for each function, optional
-        Functions of one kind have the same unit: a function that is rounding error compared with the others is not refined.
+    kinds : sequence of Hashable, optional
+        One for each function. Functions of one kind have the same unit: a function that is rounding error compared with the
+        others is not refined.
     periodic : bool
         Whether the grid covers one period: an extremum beside one of its ends is then refined on both sides of that end.
 

@@ -270,7 +270,8 @@ def reachable(crank: float, coupler: float, rocker: float, frame: float) -> list
 
     Returns
     -------
-    list of (low, high): [(-pi, pi)] for full rotation, one range symmetric to 0 or pi, two mirrored ranges, or none.
+    list of (low, high)
+        [(-pi, pi)] for full rotation, one range symmetric to 0 or pi, two mirrored ranges, or none.
     """
     denominator = 2.0 * crank * frame
     constant = crank * crank + frame * frame

@@ -436,7 +436,8 @@ class Mechanism:
 
         Returns
         -------
-        Pose, coordinates in [m], NaN from the first group on that cannot be assembled (its margin is negative).
+        Pose
+            Coordinates in [m], NaN from the first group on that cannot be assembled (its margin is negative).
         """
         pose = self.begin(sizes, crank, angle(crank) if crank_angle is None and self.followed else crank_angle)
         for group in self.groups:

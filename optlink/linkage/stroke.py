@@ -322,7 +322,9 @@ def travels(
 
     Returns
     -------
-    swings, strokes : mappings of body and of guide to Travel; bodies that turn fully or do not turn are omitted
+    swings : mapping of body to Travel
+        Bodies that turn fully or do not turn are omitted.
+    strokes : mapping of guide to Travel
     """
     outputs = [*((link.body, True) for link in mechanism.links), *((guide.name, False) for guide in mechanism.guides)]
     count = GRID * (max(1, round(mechanism.cycle / TURN)) if full else 1)

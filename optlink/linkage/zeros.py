@@ -53,7 +53,8 @@ def zeros(
 
     Returns
     -------
-    one rising array per function; sign changes across a gap (NaN) or a jump to NaN do not count
+    list of array [rad]
+        One per function, rising; sign changes across a gap (NaN) or a jump to NaN do not count.
     """
     values = in_portions(function, grid) if samples is None else samples
     crossing, left, right = sign_changes(values, still=still)

@@ -275,7 +275,7 @@ def transmission_sides(problem: AnyProblem, joint: str = COUPLER_JOINT) -> Itera
 
     Parameters
     ----------
-    problem : DesignProblem, PathProblem or CycleProblem
+    problem : DesignProblem or PathProblem
     joint : str
         Outer joint of the dyad.
     """

@@ -311,7 +311,8 @@ def limit_excesses(problem: PathProblem, values: Mapping[str, Value], angles: An
 
     Returns
     -------
-    (rows, n) or (rows, designs, n) float; positions without assembly exceed the row of the assembly margin
+    array (rows, n) or (rows, designs, n)
+        Positions without assembly exceed the row of the assembly margin.
     """
 
     def rows_over(over_span: bool) -> list[ConstraintRow]:

@@ -206,7 +206,7 @@ def check_length(values: Sequence[Any] | NDArray[Any], count: int, key: str) -> 
 
     Parameters
     ----------
-    values : sequence
+    values : sequence or array
     count : int
     key : str
         Key of the list.

@@ -144,7 +144,8 @@ def newton(hessian: Array, jacobian: Array, residual: Array) -> Array | None:
 
     Returns
     -------
-    Step of the variables (n), then of the multipliers (k)
+    array (n + k,) or None
+        Step of the variables, then of the multipliers.
     """
     n = len(hessian)
     system = np.zeros((len(residual), len(residual)))

@@ -97,7 +97,7 @@ def displayed(nlp: NLP, x: Sequence[float] | NDArray[np.float64]) -> dict[str, f
     Parameters
     ----------
     nlp : NLP
-    x : array (n,)
+    x : sequence of float, or array (n,)
         Scaled.
     """
     return {v.name: v.scale.to_display(float(value)) for v, value in design_variables(nlp, x)}
@@ -109,7 +109,7 @@ def design_variables(nlp: NLP, x: Sequence[float] | NDArray[np.float64]) -> list
     Parameters
     ----------
     nlp : NLP
-    x : array (n,)
+    x : sequence of float, or array (n,)
     """
     return [(v, float(value)) for v, value in zip(nlp.variables, x, strict=False) if v.name not in nlp.helpers]
 

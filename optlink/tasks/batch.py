@@ -183,7 +183,7 @@ def batch_extremes(
 
     Returns
     -------
-    extremes : arrays (designs, 2) by name, the least and the largest value
+    extremes : mapping of str to array (designs, 2), of the least and the largest value
     clear : array (designs,) of bool
         Designs that are clear of singular positions, and have the least of each reaction beside its smallest sample. The
         extremes of the others are meaningless.

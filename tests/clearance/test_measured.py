@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 import optlink
 from optlink.cli.app import app
 from optlink.errors import InputError
+from optlink.studies.sweep import sweep
 
 POINTS, RPM = 72, 900.0
 SPEED = RPM * math.pi / 30.0
@@ -109,6 +110,16 @@ def test_rows_before_the_counted_revolutions_are_left_out(tmp_path, slider):
     assert run.figures["measured.rows"] == 7 * POINTS
     assert run.figures["measured.ideal.rms_m"] == pytest.approx(run.figures["rms_m"], rel=1e-9)
     assert run.figures["measured.peak_m"] < 1e-12
+
+
+def test_a_sweep_finds_the_clearance_of_a_measured_series(tmp_path, slider, plain):
+    phase, values = waved(plain)[0], last(plain, "slider.s_m")
+    file = written(tmp_path / "slide.csv", time_s=phase / SPEED, displacement_mm=1e3 * values)
+    options = {"revolutions": 3, "points": POINTS, "speed": SPEED}
+    result = sweep(slider.override({"measured.csv": str(file)}), ["joints.C.clearance=0.2..0.4 mm:3"], simulate=options)
+    rms = result.columns["measured.rms_m"]
+    assert np.argmin(rms) == 1
+    assert rms[1] < 0.1 * min(rms[0], rms[2])
 
 
 @pytest.mark.parametrize(

@@ -84,3 +84,10 @@ def test_without_masses_and_loads_there_are_no_forces_to_draw():
     massless = optlink.simulate(optlink.read({**PRESS, "bodies": {}, "drive": DRIVES["speed"]}), duration=0.8, rows=20)
     assert curves(massless, "reactions") == []
     assert len(curves(massless, "bodies")) == 3
+
+
+def test_rounding_errors_of_a_constant_speed_do_not_set_its_scale():
+    (chart,) = (chart for chart in view_of("simulation").charts(simulated("speed")) if chart.file == "drive")
+    low, high = chart.panels[0].y.limits
+    assert low < 60.0 < high
+    assert high - low > 6.0  # rpm

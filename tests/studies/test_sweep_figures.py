@@ -17,6 +17,7 @@ import optlink
 from optlink.cli.app import app
 from optlink.errors import InputError
 from optlink.report.views import study_tables
+from optlink.report.views.sweep import charts
 from optlink.studies.sweep import sweep
 from optlink.tasks.batch import batch_extremes
 
@@ -303,3 +304,13 @@ def test_the_pace_of_a_slow_sweep_is_not_zero():
         said = str(study_tables.sweep(replace(computed, seconds=seconds, done=done, searched=2)).parts[-1])
         assert pace in said
         assert "all by a search" in said
+
+
+def test_a_sweep_of_simulations_draws_what_varies_in_units_of_a_drawing():
+    options = {"revolutions": 2, "points": 36}
+    result = sweep(optlink.load("slider-crank-clearance"), ["drive.speed=900..1500 rpm:3"], simulate=options)
+    (chart,) = charts(result)
+    names = [panel.y.name for panel in chart.panels]
+    assert names[0] == "rms [µm]"
+    assert not [name for name in names if "revolutions" in name]
+    assert 100.0 < np.max(chart.panels[0].traces[0].y) < 1000.0

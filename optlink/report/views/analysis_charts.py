@@ -314,7 +314,15 @@ def bodies(cycle: CycleCurves) -> list[ChartSpec]:
 
 
 def look(k: int, count: int) -> tuple[float, Dash]:
-    """Return width [pt] and dash of one of several curves: overlapping ones stay visible, and without colours distinct."""
+    """Return width [pt] and dash of a curve: overlapping curves stay visible, and distinct without colours.
+
+    Parameters
+    ----------
+    k : int
+        Number of the curve, from 0.
+    count : int
+        Number of curves in the panel.
+    """
     return 2.5 - 1.3 * k / max(1, count - 1), DASHES[(k + k // (len(BODIES) + 1)) % len(DASHES)]
 
 

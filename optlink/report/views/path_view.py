@@ -205,7 +205,7 @@ def with_verdict(
     Parameters
     ----------
     machine : ProblemFile or None
-    design : result or None
+    design : PathDesign, FunctionResult, CycleResult or None
     refuted : str, optional
         Which limits exclude each other, if it is known.
     """

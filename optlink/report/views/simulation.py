@@ -23,6 +23,7 @@ from optlink.report.style import BODIES, CRANK, MUTED, RESULT, TARGET, Scale, sc
 from optlink.report.view import View
 from optlink.report.views import analysis_tables, conclusions
 from optlink.report.views.analysis_charts import MAX_BODIES, look, together
+from optlink.report.views.analysis_curves import ROUNDING
 from optlink.tasks.machine import machine_of
 from optlink.tasks.results.analysis import reaction_conventions
 from optlink.tasks.results.common import check_entries
@@ -99,7 +100,7 @@ def drive(run: History) -> list[ChartSpec]:
     speed, panels = f"{run.machine.mechanism.crank.body}.omega_rad_s", []
     if speed in run.columns:
         values = run.columns[speed] * RPM
-        curves, note, mean = [run.curve(speed, RPM, "crank speed", CRANK, legend=False)], "", 0.0
+        curves, note = [run.curve(speed, RPM, "crank speed", CRANK, legend=False)], ""
         if "last_turn.mean_speed_rad_s" in run.figures:
             mean_speed, share = run.figures["last_turn.mean_speed_rad_s"], run.figures.get("last_turn.fluctuation", math.nan)
             mean, crank = math.copysign(mean_speed, values[-1]) * RPM, run.columns["crank_angle_deg"]
@@ -111,7 +112,8 @@ def drive(run: History) -> list[ChartSpec]:
                 f"last {'turn' if revolutions == 1.0 else 'cycle'}: mean over time {mean_speed:.4g} rad/s "
                 f"({mean_speed * RPM:.4g} rpm), fluctuation {percent(share, 2)}"
             )
-        room = 0.16 * float(np.ptp(values)) or 0.1 * abs(mean) or 1.0
+        rise, most = float(np.ptp(values)), float(np.max(np.abs(values)))
+        room = 0.16 * rise if rise > ROUNDING * most else 0.1 * most or 1.0
         limits = float(np.min(values)) - room, float(np.max(values)) + 0.4 * room
         panels.append(Panel(Axis("crank speed [rpm]", limits), curves, 1.4, note=note))
     if "input.torque_Nm" in run.columns:

@@ -20,7 +20,7 @@ from optlink.report.html.shell import PageSection, StoredStudy
 from optlink.report.shapes import even
 from optlink.report.stored.stored_study import named_si, no_animation, turning_linkage, with_drawings
 from optlink.report.stored.stored_sweep import read
-from optlink.report.style import BODIES, LIMIT, MUTED, RESULT, charts_per_row
+from optlink.report.style import BODIES, LIMIT, MUTED, RESULT, Scale, charts_per_row, scale
 from optlink.report.view import View
 from optlink.report.views import conclusions, study_tables
 from optlink.report.views.revolutions import runs
@@ -92,9 +92,11 @@ class SweepTable:
 
     @property
     def shown(self) -> tuple[str, ...]:
-        """Columns to draw: the objective, or the analysed quantities."""
+        """Columns to draw: the objective, or the analysed quantities, without those that have one value at all points."""
         names = tuple(n for n in self.result.names[len(self.result.grid.axes) :] if n not in (*TEXT, "valid"))
-        return names if self.result.evaluated else tuple(name for name in names if name.startswith("objective"))
+        if self.result.evaluated:
+            return tuple(name for name in names if len(np.unique(self.result.columns[name])) > 1) or names
+        return tuple(name for name in names if name.startswith("objective"))
 
 
 # --- the page ----------------------------------------------------------------------------------------------------------------
@@ -295,10 +297,12 @@ def _design_panels(table: SweepTable) -> Iterator[tuple[str, dict[str, Array]]]:
 
 def _analysis_panels(table: SweepTable) -> Iterator[tuple[str, dict[str, Array]]]:
     for column, names in _measures_by_column(table).items():
-        yield (
-            study_tables.column_label(column),
-            {WORDS.get(_column_and_measure(name)[1], name): table.column(name) for name in names},
-        )
+        curves = {WORDS.get(_column_and_measure(name)[1], name): table.column(name) for name in names}
+        name, unit = study_tables.named(column)
+        sizes = np.abs(np.stack(list(curves.values())))
+        largest = float(np.max(sizes, initial=0.0, where=np.isfinite(sizes)))
+        shown = scale(largest, unit) if unit == "m" else Scale(1.0, unit)
+        yield study_tables.with_unit(name, shown.unit), {word: values * shown.factor for word, values in curves.items()}
 
 
 # --- two and three parameters ------------------------------------------------------------------------------------------------

@@ -103,7 +103,7 @@ class DesignResult(Protocol):
 
     @property
     def message(self) -> str:
-        """The same in words."""
+        """How it ended, in words."""
         ...
 
     @property

@@ -68,7 +68,7 @@ def evidence(counts: Sequence[int]) -> Evidence:
 
     Parameters
     ----------
-    counts : (w,) int
+    counts : sequence of int
         Searches that ended at each distinct optimum, the best optimum first; none is zero.
 
     Returns
