@@ -182,7 +182,7 @@ def four_bar() -> Figure:
 
 
 def rocker_angle(phi: float) -> Figure:
-    """Draw the triangles ABD and BCD of a four-bar, from which its output angle follows.
+    """Draw the two triangles at the line from B to D of a four-bar, from which its output angle follows.
 
     Parameters
     ----------
@@ -231,7 +231,7 @@ def six_bar() -> Figure:
         ("CE", 240.0, "θ5", 360.0),
     ):
         corner = at[name[0]]
-        _dashed(axes, corner, corner + [radius + 90.0, 0.0])
+        _dashed(axes, corner, corner + (radius + 90.0) * _way(0.0))
         _arc(axes, corner, radius, 0.0, _bearing(corner, at[name[1]]) - turns, text, 1.35)
     for (start, end), text in ((("A", "D"), "r4"), (("D", "E"), "s")):
         low = np.array([0.0, -230.0])
