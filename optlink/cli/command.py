@@ -13,10 +13,7 @@ from optlink.errors import InputError
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-RENAMED = {"--output": ("--quantity", "--out")}
-"""Former names of options, with the present ones: the first that the command has is used."""
-
-SPELLED = {"--minimize": ("--minimise",), "--analyse": ("--analyze",)}
+SPELLED = {"--minimize": "--minimise", "--analyse": "--analyze"}
 """Other spellings of options."""
 
 COMMANDS = {"analyse": "analyze"}
@@ -54,7 +51,7 @@ DIMENSIONS = ("crank", "coupler", "rocker", "frame")
 
 
 class Command(TyperCommand):
-    """A command that also takes former names and other spellings of its options."""
+    """A command that also takes other spellings of its options."""
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
@@ -63,7 +60,7 @@ class Command(TyperCommand):
                 param.metavar = ""  # not <bool>: a flag has no value
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Replace other names of options, then parse; an option with an empty value is refused: Path("") is this folder.
+        """Replace other spellings of options, then parse; an option with an empty value is refused: Path("") is this folder.
 
         Parameters
         ----------
@@ -77,7 +74,7 @@ class Command(TyperCommand):
         """
         options = {name for param in self.params for name in param.opts}
         end = args.index("--") if "--" in args else len(args)
-        words = [*(_present(word, options) for word in args[:end]), *args[end:]]
+        words = [*(_spelled(word, options) for word in args[:end]), *args[end:]]
         try:
             rest = super().parse_args(ctx, words.copy())
         except UsageError as error:
@@ -106,17 +103,10 @@ class Command(TyperCommand):
             return super().invoke(ctx)
 
 
-def _present(word: str, options: set[str]) -> str:
-    """Return an option under its present name."""
+def _spelled(word: str, options: set[str]) -> str:
+    """Return an option in the spelling of the command."""
     name, equals, value = word.partition("=")
-    if name in options:
-        return word
-    for present in (*RENAMED.get(name, ()), *SPELLED.get(name, ())):
-        if present in options:
-            if name in RENAMED:
-                print(f"Note: {name} is now called {present}", file=sys.stderr)
-            return f"{present}{equals}{value}"
-    return word
+    return f"{SPELLED[name]}{equals}{value}" if SPELLED.get(name) in options else word
 
 
 class Group(TyperGroup):

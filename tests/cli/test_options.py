@@ -51,7 +51,6 @@ def test_out_and_quiet_are_consistent_across_commands():
     for words, command in LEAVES.items():
         options = {param.opts[-1]: param for param in command.params if param.param_type_name == "option"}
         assert options["--quiet"].opts == ["-q", "--quiet"], words
-        assert "--output" not in options
         if "--out" in options:
             assert options["--out"].opts == ["-o", "--out"], words
             assert options["--out"].metavar in ("DIR", "FILE", "FILE.html"), words
@@ -145,21 +144,6 @@ def test_an_empty_name_is_not_the_working_folder(words, tmp_path, monkeypatch):
     assert done.exit_code == 2
     assert "--out: the value is empty. Give one or leave the option out" in " ".join(done.stderr.split())
     assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize(
-    ("arguments", "present"),
-    [
-        (("study", "sensitivity", "crank-rocker", "--output", "nothing"), "--quantity"),
-        (("study", "tolerance", "crank-rocker", "--output=nothing"), "--quantity"),
-        (("export", "crank-rocker", "--output", "a.exe"), "--out"),
-    ],
-)
-def test_former_names_of_options_work_with_a_note(arguments, present):
-    done = run(*arguments)
-    assert done.exit_code == 2
-    assert done.stderr.startswith(f"Note: --output is now called {present}\nError: ")
-    assert "nothing" in done.stderr or ".exe" in done.stderr
 
 
 def test_values_after_two_dashes_are_not_options():
