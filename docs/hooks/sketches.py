@@ -240,8 +240,14 @@ def six_bar() -> Figure:
         _letter(axes, 0.5 * (at[start] + at[end]) + low - [0.0, 75.0], text)
     _arrow(axes, at["E"] + [110.0, 0.0], at["E"] + [370.0, 0.0], linewidth=1.8, shrinkA=0, shrinkB=0)
     _letter(axes, at["E"] + [290.0, 80.0], "F6")
-    for name, off in (("A", (-95.0, 0.0)), ("B", (-60.0, 70.0)), ("C", (0.0, 95.0)), ("D", (-95.0, 10.0)), ("E", (0.0, 120.0))):
-        _letter(axes, at[name] + off, name, italic=False)
+    for name, beside in (
+        ("A", (-95.0, 0.0)),
+        ("B", (-60.0, 70.0)),
+        ("C", (0.0, 95.0)),
+        ("D", (-95.0, 10.0)),
+        ("E", (0.0, 120.0)),
+    ):
+        _letter(axes, at[name] + beside, name, italic=False)
     return drawn
 
 
