@@ -388,6 +388,19 @@ def test_show():
     assert json.loads(run("show", "crank-rocker", "--json").stdout)["problem"]["mechanism"]["frame"] == "500 mm"
 
 
+@pytest.mark.parametrize(
+    ("words", "drive"),
+    [
+        (("slider-crank",), "crank at 10 rad/s, from 0 deg, for 2 s"),
+        (("six-bar", "--set", "drive.duration=250 ms"), "crank at 10 rad/s, from 62 deg, for 250 ms"),
+        (("toggle-press",), "crank at 60 rpm, from 0 deg"),
+    ],
+)
+def test_show_states_how_long_the_drive_runs(words, drive):
+    (line,) = (line for line in run("show", *words).stdout.splitlines() if line.startswith("drive "))
+    assert line.removeprefix("drive").strip() == drive
+
+
 def test_show_toml_writes_a_problem_file(tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text(run("show", "crank-rocker", "--toml", "--set", "mechanism.frame=480 mm").stdout)

@@ -312,7 +312,7 @@ def objective_map(result: FunctionResult) -> Figure | None:
         for row in limit_rows(problem, flat, problem.reach(flat), fixed["frame"]):
             value = np.broadcast_to(np.asarray(row.value, dtype=float), x.shape)
             slacks.append(np.fmin(value - row.low, row.high - value))
-        inside = np.all([slack >= 0.0 for slack in slacks] or [np.ones_like(x, dtype=bool)], axis=0)
+        least = np.min(slacks or [np.ones_like(x)], axis=0)
     figure = new_figure(7.0, 5.8)
     axes = figure.subplots()
     scale_x, scale_y = (1e3 if name in LENGTHS else math.degrees(1.0) for name in problem.free)
@@ -327,9 +327,10 @@ def objective_map(result: FunctionResult) -> Figure | None:
     x, y = x * scale_x, y * scale_y
     filled = axes.contourf(x, y, height, levels=levels, cmap="Blues_r", alpha=0.9)
     axes.contour(x, y, height, levels=levels, colors="white", linewidths=0.4, linestyles="solid")
-    if inside.any() and not inside.all():
-        axes.contourf(x, y, np.where(inside, np.nan, 1.0), levels=[0.5, 1.5], colors=["white"], alpha=0.62)
-        axes.contour(x, y, np.min(slacks, axis=0), levels=[0.0], colors=[LIMIT], linewidths=1.5)
+    if np.any(least >= 0.0) and not np.all(least >= 0.0):
+        outside = np.nan_to_num(least, nan=-1.0)
+        axes.contourf(x, y, outside, levels=[outside.min() - 1.0, 0.0], colors=["white"], alpha=0.62)
+        axes.contour(x, y, least, levels=[0.0], colors=[LIMIT], linewidths=1.5)
         axes.plot([], [], color=LIMIT, linewidth=1.5, label="edge of the feasible region")
     _iterations(axes, result, scale_x, scale_y)
     at = (result.design[x_name] * scale_x, result.design[y_name] * scale_y)
