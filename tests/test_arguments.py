@@ -34,6 +34,7 @@ ACCEPTED = {
     optlink.analyze_batch: {"problem": MACHINE, "designs": {"crank.length": [0.1]}},
     optlink.simulate: {"problem": MACHINE, "duration": 0.01},
     optlink.simulate_clearance: {"problem": CLEARANCE},
+    optlink.inverse_model: {"problem": CLEARANCE},
     optlink.compare: {"problem": CLEARANCE},
     optlink.tune: {"problem": CLEARANCE},
     optlink.balance: {"problem": optlink.load("balance-six-bar")},
@@ -249,7 +250,7 @@ def test_an_argument_of_another_type_is_refused_in_one_sentence(call, message) -
     "function",
     [
         *(optlink.solve, optlink.analyze, optlink.simulate, optlink.simulate_clearance, optlink.compare, optlink.tune),
-        *(optlink.balance, sensitivities, sweep, tolerance, pareto, optlink.explore),
+        *(optlink.inverse_model, optlink.balance, sensitivities, sweep, tolerance, pareto, optlink.explore),
     ],
 )
 def test_every_argument_of_a_public_function_is_checked(function) -> None:

@@ -9,6 +9,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from optlink.clearance.closed_loop import ClosedLoop, vibration
 from optlink.clearance.compiled.choice import INSTALL, IntegratorKind, chosen, installed, resumed
@@ -26,6 +27,7 @@ from optlink.dynamics.machine import Machine
 from optlink.errors import InputError
 from optlink.execution import interrupts
 from optlink.io import Summary
+from optlink.linkage.arguments import check_array
 from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.arguments import typed
 from optlink.problem.file import ProblemFile
@@ -355,7 +357,11 @@ class InverseMotion(Summary):
 
 @typed
 def inverse_model(
-    problem: ProblemFile, displacement: Any = None, *, speed: float | None = None, design: Mapping[str, float] | None = None
+    problem: ProblemFile,
+    displacement: ArrayLike | None = None,
+    *,
+    speed: float | None = None,
+    design: Mapping[str, float] | None = None,
 ) -> InverseMotion:
     """Compute the crank motion with which the output of a machine with joint clearance has a given displacement.
 
@@ -391,9 +397,9 @@ def inverse_model(
     if displacement is not None:
         from scipy.signal import resample
 
-        given = np.asarray(displacement, dtype=float)
-        if given.ndim != 1 or len(given) < 3 or not np.all(np.isfinite(given)):
-            message = "expected the output at three or more equal intervals of a revolution, all finite"
+        given = check_array("displacement", displacement)
+        if given.ndim != 1 or len(given) < 3:
+            message = "expected the output at three or more equal intervals of a revolution"
             raise InputError(message, "Give an array (n,) in m or rad", key="displacement", value=f"{given.shape} array")
         angles = setting.start + math.copysign(TURN, setting.nominal) * np.arange(len(given)) / len(given)
         ideal = np.broadcast_to(np.asarray(setting.output.ideal(setting.machine.moving(angles))[0]), angles.shape)
