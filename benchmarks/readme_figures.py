@@ -151,7 +151,7 @@ CRANK_ROCKER = [
     ),
     Figure(PAGE, "| {0.00164188} rad² |", f"{LAW} --starts 8{ANYWHERE}{ANY_FRAME}", "objective/value"),
     Figure(PAGE, "| {0.00590805} rad² |", f"{LAW} --starts 8{ANY_FRAME}", "objective/value"),
-    Figure(PAGE, "with 2000 mm {0.00504} |", f"{LAW} --starts 8{LONG_FRAME}", "objective/value"),
+    Figure(PAGE, "with 2000 mm {0.00504} (", f"{LAW} --starts 8{LONG_FRAME}", "objective/value"),
     Figure(PAGE, "| {0.0019916} |", f"{LAW} --starts 8{ANYWHERE}", "objective/value"),
     Figure(PAGE, "$`\\varphi_0`$ = {15.2} deg", f"{LAW} --starts 8{ANYWHERE}", "design/phi0_deg"),
     Figure(PAGE, "$`f`$ is {0.00577} rad²", SHORTER, "objective/value"),

@@ -5,11 +5,16 @@ from __future__ import annotations
 import gc
 import os
 import signal
+import sys
 import threading
 
 FIRST_COLLECTION = 150_000
 """Objects at a garbage collection while a command begins; a short one creates fewer."""
 BEGINNING = 3.0  # s
+DEBUG = "OPTLINK_DEBUG"
+"""Environment variable; if it is not empty, the traceback of an unexpected exception is printed."""
+FAULT = 4
+"""Exit code of an unexpected exception, which is a fault of optlink."""
 INTERRUPTED = 130
 """Exit code of a command that was interrupted: 128 and the number of the signal, as shells have it."""
 
@@ -27,12 +32,33 @@ def main() -> None:
     _collect_late(BEGINNING)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
-    from optlink.cli.app import main as run
-
     try:
+        from optlink.cli.app import main as run
+
         run()
+    except Exception as error:  # noqa: BLE001 - before a command begins, which states its own faults
+        raise SystemExit(_told(error)) from None
     finally:
         gc.freeze()
+
+
+def _told(error: Exception) -> int:
+    """Print a fault of optlink or of its installation in one sentence, with modules of Python alone; return the exit code."""
+    from contextlib import suppress
+
+    report = f"{DEBUG}=1 prints the traceback"
+    if os.environ.get(DEBUG):
+        import traceback
+
+        traceback.print_exception(error)
+        report = "the traceback is above"
+    what = " ".join(f"{type(error).__name__}: {error}".split())
+    cause = "a fault of optlink"
+    if isinstance(error, ImportError):
+        cause = "a damaged or incomplete installation"
+    with suppress(OSError, AttributeError):  # standard error is closed
+        print(f"Error: optlink cannot start: {what}. This is {cause}; {report}", file=sys.__stderr__, flush=True)
+    return FAULT
 
 
 def leave(*_: object) -> None:

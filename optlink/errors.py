@@ -126,9 +126,8 @@ def nearest(key: str, choices: Iterable[str], deeper: Sequence[str] = ()) -> str
 
     names, quoted = list(choices), '"{}"'.format
     same = [name for name in names if name.lower() == key.lower()]
-    suggestions = same or [*deeper, *(name for name in OTHER_WORDS.get(key.lower(), ()) if name in names)]
     inside = sorted((name for name in names if len(key) > 2 and key in name), key=len)
-    close = suggestions or inside or (key not in OTHER_WORDS and difflib.get_close_matches(key, names, n=1, cutoff=0.55)) or []
+    close = same or deeper or inside or difflib.get_close_matches(key, names, n=1, cutoff=0.62)
     guess = f"Did you mean {' or '.join(map(quoted, close[:3]))}? " if close else ""
     return f"{guess}Known: {', '.join(quoted(name) if ',' in name else name for name in names)}"
 
@@ -212,42 +211,3 @@ _STATUS_TEXT = {
     "try --starts N",
     Status.NOT_SEARCHED: "the given design was checked, not optimised",
 }
-
-
-_STANDARD_NAMES = {
-    "max maximum": "max peak largest bounds",
-    "min minimum": "least bounds",
-    "lower upper lb ub range": "bounds span",
-    "x0 initial guess value nominal": "start",
-    "constraint constraints restrictions": "limits",
-    "target task goal aim": "requirement",
-    "variables design parameters linkage geometry": "mechanism",
-    "masses": "bodies",
-    "forces": "loads",
-    "motor input": "drive",
-    "rpm omega angular_velocity": "speed",
-    "objective norm criterion": "measure",
-    "t theta alpha": "phi",
-    "l": "length",
-    "m": "mass",
-    "j": "inertia",
-    "f": "force",
-    "cog com": "centroid",
-    "pins": "joints",
-    "body": "slider on",
-    "angle": "direction",
-    "ground": "frame",
-    "n": "points",
-    "to": "span",
-    "phi0": "from start",
-    "name": "title",
-    "options settings solver": "",
-    "slider-crank crank-slider six-bar sixbar": "dyads",
-    "crank-rocker": "four-bar",
-    "dwell": "path",
-    "poses": "motion",
-    "law": "function",
-    "swing": "stroke",
-}
-OTHER_WORDS = {word: tuple(names.split()) for words, names in _STANDARD_NAMES.items() for word in words.split()}
-"""Names of problem files by the word that other programs and books use; none: nothing is similar."""

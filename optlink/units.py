@@ -14,7 +14,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from optlink.errors import InvalidValue
+from optlink.errors import OPTIONS_NAMED, InvalidValue
 
 DEFINITIONS = (
     "meter = [length] = m = metre",
@@ -317,7 +317,8 @@ def parse(text: object, kind: str) -> tuple[float, str]:
     if not isinstance(text, str):
         if abs(text) > 1e300 or not math.isfinite(text):
             raise UnitProblem(f"{_a(kind)} must be finite", f'Write a number and a unit: "{expected_kind.example}"')
-        units = dict.fromkeys((expected_kind.display, expected_kind.si.replace("**", "^")))  # of people, and of results
+        results = () if OPTIONS_NAMED.get() else (expected_kind.si.replace("**", "^"),)  # nobody types metres
+        units = dict.fromkeys((expected_kind.display, *results))
         written = " or ".join(f'"{_digits(text)} {unit}"' for unit in units)
         raise UnitProblem(f"{_a(kind)} needs a unit", f"Write {written}, with the quotes")
     text = plain(text[:201])

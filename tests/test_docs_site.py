@@ -9,7 +9,9 @@ import re
 import shlex
 import warnings
 
+import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 import optlink
 from optlink.errors import Status
@@ -77,7 +79,17 @@ def test_sketches_are_those_of_the_named_dyads_and_the_same_at_each_build():
         machine = optlink.analyze(sketches.problem_of(mechanism, sketches.ANGLES[kind]), points=4).machine
         assert [group.kind for group in machine.mechanism.groups] == [kind]
     assert sketches.svg("rrp") == sketches.svg("rrp")
-    assert b"<svg" in sketches.svg("four-bar")
+    assert all(b"<svg" in sketches.svg(name) for name in ("four-bar", "rocker-angle-below", "six-bar"))
+
+
+@pytest.mark.parametrize(("end", "before"), [(70.0, 63.0), (-40.0, -33.0)])
+def test_an_angle_of_a_sketch_has_its_arrowhead_where_it_ends(end, before):
+    sketches, axes = hook("sketches"), Figure().add_subplot()
+    sketches._arc(axes, np.array([5.0, 2.0]), 10.0, 0.0, end, "θ")
+    (arc,), (arrow, _) = axes.patches, axes.texts
+    assert sorted((arc.theta1, arc.theta2)) == sorted((0.0, end))
+    for place, angle in ((arrow.xy, end), (arrow.xyann, before)):
+        assert np.degrees(np.arctan2(place[1] - 2.0, place[0] - 5.0)) == pytest.approx(angle, abs=0.2)
 
 
 # --- the gallery -----------------------------------------------------------------------------------------------------------

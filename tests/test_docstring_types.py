@@ -35,9 +35,14 @@ NAME = re.compile(r"[A-Z]\w*[a-z]\w*|NLP")
 
 
 @cache
+def body_of(path: Path) -> list[ast.stmt]:
+    return ast.parse(path.read_text(encoding="utf-8")).body
+
+
+@cache
 def statements(path: Path) -> list[ast.stmt]:
     """Statements of a module, with those for type checkers."""
-    return list(_flat(ast.parse(path.read_text(encoding="utf-8")).body))
+    return list(_flat(body_of(path)))
 
 
 def _flat(body: list[ast.stmt]) -> Iterator[ast.stmt]:
@@ -45,6 +50,7 @@ def _flat(body: list[ast.stmt]) -> Iterator[ast.stmt]:
         yield from _flat(node.body) if isinstance(node, ast.If) else [node]
 
 
+@cache
 def alias(name: str, path: Path) -> tuple[ast.expr | None, Path] | None:
     """The annotation for which a name of a module stands, and its module; None in it for a type variable; else None."""
     for node in statements(path):
@@ -54,7 +60,7 @@ def alias(name: str, path: Path) -> tuple[ast.expr | None, Path] | None:
             return alias(name, home) if home.exists() else None
         target = node.targets[0] if isinstance(node, ast.Assign) else getattr(node, "target", None)
         if isinstance(target, ast.Name) and target.id == name:
-            value = node.value  # type: ignore[attr-defined]
+            value = node.value
             return (None if isinstance(value, ast.Call) else value), path
     return None
 
@@ -136,7 +142,7 @@ def fields(node: ast.ClassDef) -> dict[str, ast.expr | None]:
     """Annotations of the fields of a class, of what its methods assign, and of the arguments of its constructor."""
     assigned = [item for item in ast.walk(node) if isinstance(item, ast.AnnAssign)]
     known: dict[str, ast.expr | None] = {ast.unparse(item.target).removeprefix("self."): item.annotation for item in assigned}
-    return known | next((parameters(item) for item in node.body if getattr(item, "name", "") == "__init__"), {})  # type: ignore[arg-type]
+    return known | next((parameters(item) for item in node.body if getattr(item, "name", "") == "__init__"), {})
 
 
 def disagreements(body: list[ast.stmt], path: Path, owner: str = "") -> Iterator[str]:
@@ -147,13 +153,14 @@ def disagreements(body: list[ast.stmt], path: Path, owner: str = "") -> Iterator
             stated_fields = [
                 entry for title in ("Parameters", "Attributes") for entry in entries(ast.get_docstring(node) or "", title)
             ]
-            pairs = [(name, words, fields(node)[name]) for name, words in stated_fields if name in fields(node)]
+            known = fields(node) if stated_fields else {}
+            pairs = [(name, words, known.get(name)) for name, words in stated_fields]
         elif isinstance(node, ast.FunctionDef) and not node.name.startswith("_"):
             docstring, known = ast.get_docstring(node) or "", parameters(node)
             pairs = [(name, words, known.get(name)) for name, words in entries(docstring, "Parameters")]
             returned = entries(docstring, "Returns")
             several = len(returned) > 1 and isinstance(node.returns, ast.Subscript) and isinstance(node.returns.slice, ast.Tuple)
-            parts: list[ast.expr | None] = node.returns.slice.elts if several else [node.returns]  # type: ignore[union-attr, assignment]
+            parts: list[ast.expr | None] = node.returns.slice.elts if several else [node.returns]
             if returned and len(parts) != len(returned):
                 yield f"{path.name}: {owner}{node.name} returns {len(parts)}, described are {len(returned)}"
                 continue
@@ -167,7 +174,7 @@ def disagreements(body: list[ast.stmt], path: Path, owner: str = "") -> Iterator
 
 def test_docstrings_state_the_types_of_the_annotations() -> None:
     modules = sorted((ROOT / "optlink").rglob("*.py"))
-    assert [text for path in modules for text in disagreements(ast.parse(path.read_text(encoding="utf-8")).body, path)] == []
+    assert [text for path in modules for text in disagreements(body_of(path), path)] == []
 
 
 GOOD = '''

@@ -124,6 +124,11 @@ def test_public_names_exist():
 def test_version_is_that_of_the_package():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     assert project["version"] == optlink.__version__
+    newest, *released = re.findall(
+        r"^## \[(.+)\](?: - \d{4}-\d\d-\d\d)?$", (ROOT / "CHANGELOG.md").read_text("utf-8"), re.MULTILINE
+    )
+    assert newest == ("Unreleased" if optlink.__version__.endswith(".dev0") else optlink.__version__)
+    assert optlink.__version__.removesuffix(".dev0") not in released
 
 
 def test_no_module_evaluates_text():

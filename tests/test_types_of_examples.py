@@ -15,7 +15,6 @@ from tests.test_notebooks import NOTEBOOKS, code_cells, read
 
 PAGES = [ROOT / "README.md", ROOT / "docs" / "api" / "index.md"]
 PLANTED = "def double(length):\n    return 2.0 * length\n"
-UNTYPED = ("clearance", "crank_rocker", "shaper", "six_bar")  # to be typed
 pytestmark = pytest.mark.slow
 
 
@@ -61,10 +60,7 @@ def of(name: str, errors: list[str]) -> list[str]:
     return [error for error in errors if f"/{name}.py:" in error]
 
 
-@pytest.mark.parametrize(
-    "name",
-    [pytest.param(name, marks=pytest.mark.xfail(reason="without annotations") if name in UNTYPED else ()) for name in EXAMPLES],
-)
+@pytest.mark.parametrize("name", EXAMPLES)
 def test_an_example_has_the_types_that_it_assumes(name: str, errors: list[str]) -> None:
     assert of(name, errors) == []
 

@@ -1,4 +1,4 @@
-"""Labelled sketches of the four-bar and of every dyad, drawn when the site is built.
+"""Labelled sketches of the four-bar, of every dyad and of the six-bar, drawn when the site is built.
 
 Bodies, guides and ground have the shapes and colours of the drawings that optlink makes of results. MkDocs calls `on_files`; as a
 script, the module writes the sketches into the folder that it is given.
@@ -118,9 +118,11 @@ def _arrow(axes: Axes, begin: Array, end: Array, **style: float) -> None:
 
 
 def _arc(axes: Axes, at: Array, radius: float, begin: float, end: float, text: str, reach: float = 1.3) -> None:
-    """Draw an angle from one direction to another [deg], counter-clockwise, with an arrowhead and its symbol."""
-    axes.add_patch(Arc(_xy(at), 2.0 * radius, 2.0 * radius, theta1=begin, theta2=end, color=GROUND, linewidth=1.1, zorder=5))
-    tip, before = (at + radius * _way(way) for way in (end, end - math.degrees(0.12)))
+    """Draw an angle from one direction to another [deg], with an arrowhead and its symbol; clockwise where the second is less."""
+    low, high = sorted((begin, end))
+    axes.add_patch(Arc(_xy(at), 2.0 * radius, 2.0 * radius, theta1=low, theta2=high, color=GROUND, linewidth=1.1, zorder=5))
+    back = math.copysign(math.degrees(0.12), end - begin)
+    tip, before = (at + radius * _way(way) for way in (end, end - back))
     _arrow(axes, before, tip, linewidth=0.0, mutation_scale=9.0)
     _letter(axes, at + reach * radius * _way(0.5 * (begin + end)), text)
 
@@ -137,24 +139,36 @@ def _joints(sketch: Sketch, motion: Motion) -> dict[str, Array]:
     return {name: sketch.position(motion, name)[0] for name in sketch.names}
 
 
+def _beside(axes: Axes, ends: tuple[Array, Array], off: float, text: str, colour: str = GROUND) -> None:
+    """Write a symbol `off` mm to the left of a line, near its middle."""
+    p, q = ends
+    along = (q - p) / np.linalg.norm(q - p)
+    _letter(axes, 0.55 * p + 0.45 * q + off * np.array([-along[1], along[0]]), text, colour)
+
+
+def _lengths(axes: Axes, sketch: Sketch, at: dict[str, Array]) -> None:
+    for body, (p, q), text, off in (
+        ("crank", "AB", "l₁", 15.0),
+        ("coupler", "BC", "l₂", 15.0),
+        ("rocker", "DC", "l₃", -15.0),
+        ("", "AD", "l₄", -15.0),
+    ):
+        _beside(axes, (at[p], at[q]), off, text, sketch.colours.get(body, GROUND))
+
+
+def _dashed(axes: Axes, start: Array, end: Array) -> None:
+    axes.add_line(Line2D(*np.array([start, end]).T, color=MUTED, linewidth=1.1, linestyle=(0, (5, 3)), zorder=1))
+
+
 def four_bar() -> Figure:
     """Draw the four-bar with its lengths, crank angle, output angle and transmission angle."""
     sketch, motion = _posed(DYADS["RRR"], ANGLES["RRR"], 0.04)
     at = _joints(sketch, motion)
     sketch.widen(np.array([at["A"] - [60.0, 45.0], at["D"] + [105.0, 0.0], at["C"] + [0.0, 25.0]]))
     drawn, axes = sketch.bare_figure(6.4, 4.0, traces=False)
-    for start, end in ((at["A"], at["D"]), (at["D"], at["D"] + [95.0, 0.0])):
-        axes.add_line(Line2D(*np.array([start, end]).T, color=MUTED, linewidth=1.1, linestyle=(0, (5, 3)), zorder=1))
+    _dashed(axes, at["A"], at["D"] + [95.0, 0.0])
     sketch.pose(axes, motion)
-    for body, (p, q), text, side in (
-        ("crank", "AB", "l₁", 1.0),
-        ("coupler", "BC", "l₂", 1.0),
-        ("rocker", "DC", "l₃", -1.0),
-        ("", "AD", "l₄", -1.0),
-    ):
-        along = (at[q] - at[p]) / np.linalg.norm(at[q] - at[p])
-        beside = side * 15.0 * np.array([-along[1], along[0]])
-        _letter(axes, 0.55 * at[p] + 0.45 * at[q] + beside, text, sketch.colours.get(body, GROUND))
+    _lengths(axes, sketch, at)
     _arc(axes, at["A"], 42.0, 0.0, _bearing(at["A"], at["B"]), "φ")
     _arc(axes, at["D"], 42.0, 0.0, _bearing(at["D"], at["C"]), "ψ")
     _arc(axes, at["C"], 46.0, _bearing(at["C"], at["B"]), _bearing(at["C"], at["D"]), "γ", 1.28)
@@ -164,6 +178,76 @@ def four_bar() -> Figure:
         origin, tip = at["A"] - [52.0, 30.0], at["A"] - [52.0, 30.0] + 32.0 * np.array(way)
         _arrow(axes, origin, tip, linewidth=1.1, shrinkA=0, shrinkB=0)
         _letter(axes, tip + 9.0 * np.array(way), text)
+    return drawn
+
+
+def rocker_angle(phi: float) -> Figure:
+    """Draw the two triangles at the line from B to D of a four-bar, from which its output angle follows.
+
+    Parameters
+    ----------
+    phi : float [deg]
+        Crank angle; beyond 180 deg B lies below the frame line.
+    """
+    sketch, motion = _posed(DYADS["RRR"], phi, 0.04)
+    at = _joints(sketch, motion)
+    sketch.widen(np.array([[-70.0, -115.0], at["D"] + [85.0, 0.0], [0.0, 205.0]]))
+    drawn, axes = sketch.bare_figure(4.4, 3.3, traces=False)
+    _dashed(axes, at["A"], at["D"] + [85.0, 0.0])
+    _dashed(axes, at["B"], at["D"])
+    sketch.pose(axes, motion)
+    _lengths(axes, sketch, at)
+    _beside(axes, (at["B"], at["D"]), 14.0, "ρ", MUTED)
+    db, dc = _bearing(at["D"], at["B"]), _bearing(at["D"], at["C"])
+    _arc(axes, at["A"], 34.0, 0.0, phi, "φ", 1.45)
+    _arc(axes, at["D"], 34.0, 0.0, dc, "ψ", 1.4)
+    _arc(axes, at["D"], 56.0, dc, db, "α", 1.27)
+    _arc(axes, at["D"], 105.0, min(db, 180.0), max(db, 180.0), "β", 1.15)
+    for name, off in (("A", (-19.0, 3.0)), ("B", (-14.0, 8.0)), ("C", (0.0, 18.0)), ("D", (22.0, -12.0))):
+        _letter(axes, at[name] + off, name, italic=False)
+    return drawn
+
+
+def six_bar() -> Figure:
+    """Draw the six-bar with its lengths, angles, slide and load at the start of its motion."""
+    problem = optlink.load("six-bar")
+    sketch, motion = _posed(problem.raw["mechanism"], float(problem.raw["drive"]["start"].partition(" ")[0]), 0.03)
+    at = _joints(sketch, motion)
+    sketch.widen(np.array([[-150.0, -330.0], at["E"] + [480.0, 0.0], at["C"] + [0.0, 130.0]]))
+    drawn, axes = sketch.bare_figure(7.4, 3.2, traces=False)
+    _dashed(axes, at["A"], at["E"] + [230.0, 0.0])
+    sketch.pose(axes, motion)
+    for body, (p, q), text, off in (
+        ("crank", "AB", "r1", 90.0),
+        ("link2", "BC", "r2", 90.0),
+        ("link3", "DC", "r3", -90.0),
+        ("link5", "CE", "r5", 90.0),
+    ):
+        _beside(axes, (at[p], at[q]), off, text, sketch.colours[body])
+    for name, radius, text, turns in (
+        ("AB", 190.0, "θ1", 0.0),
+        ("BC", 330.0, "θ2", 0.0),
+        ("DC", 190.0, "θ3", 0.0),
+        ("CE", 240.0, "θ5", 360.0),
+    ):
+        corner = at[name[0]]
+        _dashed(axes, corner, corner + (radius + 90.0) * _way(0.0))
+        _arc(axes, corner, radius, 0.0, _bearing(corner, at[name[1]]) - turns, text, 1.35)
+    for (start, end), text in ((("A", "D"), "r4"), (("D", "E"), "s")):
+        low = np.array([0.0, -230.0])
+        for tip, tail in ((start, end), (end, start)):
+            _arrow(axes, at[tail] + low, at[tip] + low, linewidth=1.0, shrinkA=0, shrinkB=0)
+        _letter(axes, 0.5 * (at[start] + at[end]) + low - [0.0, 75.0], text)
+    _arrow(axes, at["E"] + [110.0, 0.0], at["E"] + [370.0, 0.0], linewidth=1.8, shrinkA=0, shrinkB=0)
+    _letter(axes, at["E"] + [290.0, 80.0], "F6")
+    for name, beside in (
+        ("A", (-95.0, 0.0)),
+        ("B", (-60.0, 70.0)),
+        ("C", (0.0, 95.0)),
+        ("D", (-95.0, 10.0)),
+        ("E", (0.0, 120.0)),
+    ):
+        _letter(axes, at[name] + beside, name, italic=False)
     return drawn
 
 
@@ -206,6 +290,9 @@ def dyad(kind: str) -> Figure:
 
 SKETCHES: dict[str, Callable[[], Figure]] = {
     "four-bar": four_bar,
+    "rocker-angle-above": partial(rocker_angle, 80.0),
+    "rocker-angle-below": partial(rocker_angle, 285.0),
+    "six-bar": six_bar,
     **{kind.lower(): partial(dyad, kind) for kind in DYADS},
 }
 """Sketches by the name of their file."""

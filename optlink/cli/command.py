@@ -13,48 +13,15 @@ from optlink.errors import InputError
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-RENAMED = {"--output": ("--quantity", "--out")}
-"""Former names of options, with the present ones: the first that the command has is used."""
-
-SPELLED = {"--minimize": ("--minimise",), "--analyse": ("--analyze",)}
+SPELLED = {"--minimize": "--minimise", "--analyse": "--analyze"}
 """Other spellings of options."""
 
 COMMANDS = {"analyse": "analyze"}
 """Other spellings of commands."""
 
 
-MEANT = {
-    **dict.fromkeys(("optimise", "optimize", "run", "design", "synthesize", "synthesise"), "solve"),
-    **{name: f"study {name}" for name in ("sensitivity", "sweep", "tolerance", "pareto")},
-    **dict.fromkeys(("init", "create", "template", "templates"), "new"),
-    **dict.fromkeys(("examples", "problems", "ls"), "list"),
-    **dict.fromkeys(("gui", "edit", "open"), "studio"),
-    **dict.fromkeys(("plot", "draw", "animate"), "solve PROBLEM --out DIR"),
-    **dict.fromkeys(("check", "verify"), "validate"),
-    **dict.fromkeys(("kinematics", "dynamics", "analysis"), "analyze"),
-    "version": "--version",
-    "help": "--help",
-    "dxf": "export",
-    "html": "report",
-}
-"""Equivalents of commands of other programs."""
-
-MEANT_OPTIONS = {
-    **dict.fromkeys(("--solver", "--method", "--algorithm", "--optimizer", "--optimiser"), "--backend"),
-    **dict.fromkeys(("--multistart", "--restarts", "--random"), "--starts"),
-    **dict.fromkeys(("--jobs", "-j", "--threads", "--cores", "--processes", "--parallel"), "--workers"),
-    **dict.fromkeys(("--plot", "--animate", "--gif", "--save", "--figures", "--pictures", "--outdir", "--dir"), "--out"),
-    **dict.fromkeys(("--param", "--parameter", "--override", "--var"), "--set"),
-    **dict.fromkeys(("--silent", "-s"), "--quiet"),
-    **dict.fromkeys(("--timeout", "--maxtime"), "--time-limit"),
-}
-"""Equivalents of options of other programs, if the command has them."""
-
-DIMENSIONS = ("crank", "coupler", "rocker", "frame")
-
-
 class Command(TyperCommand):
-    """A command that also takes former names and other spellings of its options."""
+    """A command that also takes other spellings of its options."""
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
@@ -63,7 +30,7 @@ class Command(TyperCommand):
                 param.metavar = ""  # not <bool>: a flag has no value
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Replace other names of options, then parse; an option with an empty value is refused: Path("") is this folder.
+        """Replace other spellings of options, then parse; an option with an empty value is refused: Path("") is this folder.
 
         Parameters
         ----------
@@ -77,7 +44,7 @@ class Command(TyperCommand):
         """
         options = {name for param in self.params for name in param.opts}
         end = args.index("--") if "--" in args else len(args)
-        words = [*(_present(word, options) for word in args[:end]), *args[end:]]
+        words = [*(_spelled(word, options) for word in args[:end]), *args[end:]]
         try:
             rest = super().parse_args(ctx, words.copy())
         except UsageError as error:
@@ -106,17 +73,10 @@ class Command(TyperCommand):
             return super().invoke(ctx)
 
 
-def _present(word: str, options: set[str]) -> str:
-    """Return an option under its present name."""
+def _spelled(word: str, options: set[str]) -> str:
+    """Return an option in the spelling of the command."""
     name, equals, value = word.partition("=")
-    if name in options:
-        return word
-    for present in (*RENAMED.get(name, ()), *SPELLED.get(name, ())):
-        if present in options:
-            if name in RENAMED:
-                print(f"Note: {name} is now called {present}", file=sys.stderr)
-            return f"{present}{equals}{value}"
-    return word
+    return f"{SPELLED[name]}{equals}{value}" if SPELLED.get(name) in options else word
 
 
 class Group(TyperGroup):
@@ -183,22 +143,16 @@ def _failure(error: Any) -> BaseException:
 
 def _meant(error: Any, message: str) -> str:
     """Return a remedy that names the command, option or form that is meant, if one is recognised."""
-    option, possible = getattr(error, "option_name", None), getattr(error, "possibilities", None)
     if unknown := re.fullmatch("no such command '(.*)'", message):
-        name = f"solve {unknown[1]}" if unknown[1].endswith(".toml") else MEANT.get(unknown[1])
-        top = error.ctx is None or error.ctx.parent is None
-        return f"Did you mean '{name}'?" if name and top else ""
+        inner = [name for name, group in error.ctx.command.commands.items() if unknown[1] in getattr(group, "commands", ())]
+        meant = "solve" if unknown[1].endswith(".toml") else next(iter(inner), "")
+        return f"Did you mean '{meant} {unknown[1]}'?" if meant else ""
     if extra := re.fullmatch(r"got unexpected extra arguments?(?:\(s\))? \((.*)\)", message):
         key, equals, value = extra[1].partition("=")
         if equals:
             return f'Write --set {key}="{value}"'
         return 'Write key and value in one, --set mechanism.frame="480 mm"' if re.match(r"[-+.\d]", extra[1]) else ""
-    if option and error.ctx:
-        options = {name for param in error.ctx.command.params for name in param.opts}
-        if (meant := MEANT_OPTIONS.get(option)) in options:
-            return f"Did you mean {meant}?"
-        if option.removeprefix("--") in DIMENSIONS and "--set" in options:
-            return f'Write --set mechanism.{option.removeprefix("--")}="100 mm"'
+    possible = getattr(error, "possibilities", None)
     return f"Did you mean {' or '.join(sorted(possible))}?" if possible else ""
 
 

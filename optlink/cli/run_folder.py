@@ -94,7 +94,7 @@ def _replaced(path: Path, before: Any, written: set[Path], about: dict[str, Any]
 
 
 def _writers(schema: str) -> list[str]:
-    """Return the commands that write results of a schema, of earlier versions too: for folders without a manifest."""
+    """Return the commands that write results of a schema: for folders without a manifest."""
     from optlink.report.stored.loader import COMMANDS
 
     command = COMMANDS.get(schema.rpartition("/")[0], "").partition(" --")[0].rpartition(" ")[2]

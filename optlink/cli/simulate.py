@@ -22,7 +22,6 @@ from optlink.cli.options import (
     Csv,
     Design,
     Engine,
-    Film,
     Format,
     Json,
     Out,
@@ -84,7 +83,6 @@ def simulate(
     as_json: Json = False,
     quiet: Quiet = False,
     picture: Format = "png",
-    film: Film = False,
     out: Out = None,
 ) -> None:
     """Simulate a machine in time, under a torque or at constant speed, with joint clearance and control."""

@@ -443,7 +443,8 @@ def _assign(raw: dict[str, Any], key: str, value: object, file: str) -> None:
         path = tuple(steps[:depth])
         place = _coordinate(path, table, step)
         if place is None and step not in table:
-            keys = known_keys(path) if _fixed(path) else list(table)
+            common = not path and step in Problem.model_fields  # no other kind is imported for it
+            keys = [step] if common else known_keys(path) if _fixed(path) else list(table)
             if step not in keys:
                 remedy = nearest(step, keys, [] if path else keys_ending(raw, key))
                 if not _fixed(path):

@@ -226,58 +226,6 @@ _WRONG = {
 """What is wrong with a value, by the type of pydantic's error."""
 
 
-QUOTED = 'Write text and values with a unit in quotes: "250 mm"'
-ONE_LINE = "Write the whole table between { and } in one line, without a comma before }"
-TOML_FAULTS = (
-    (r"Exceeds the limit .* digits", "", "a number has thousands of digits", "Write a number of at most 19 digits"),
-    (r"Illegal character '\\n'|Expected \"'\"|Unterminated string", "", "a quote is not closed", "Close it in that line"),
-    (r"Cannot declare \((.*?),?\) twice", "", "the section [{0}] occurs twice", "Put its keys into one of them"),
-    (
-        "Cannot overwrite a value",
-        "",
-        "a key occurs twice in its section",
-        "Keep one of them, or begin the next section, for example [requirement], between them",
-    ),
-    ("Duplicate inline table key '(.*)'", "", "the key {0} occurs twice in a table", "Keep one of them"),
-    ("Unclosed array", r"(?![\w.-]+\s*=)[A-Za-z°%µ/]", "a value is neither a number nor in quotes", QUOTED),
-    (
-        "Unclosed array",
-        r"(?!\[\w[\w.]*\]\s*$)[^\s=#]+(?![^#]*=)",
-        "two values of a list have no comma between them",
-        "Write a comma between them",
-    ),
-    ("Unclosed array", "", "a bracket [ is not closed", "Close it with ]"),
-    (
-        "Unclosed inline table",
-        r"[A-Za-z]\w*\s*=|;",
-        "two keys of a table have no comma between them",
-        "Write a comma between them",
-    ),
-    ("Unclosed inline table", r"[^\s#]", "a value is neither a number nor in quotes", QUOTED),
-    ("Unclosed inline table", "", "a brace {{ is not closed in its line", ONE_LINE),
-    ("Invalid initial character for a key part", r"[\s}]*$", "a table in braces does not end in its line", ONE_LINE),
-    ("Expected newline or end of document", r",\d", "a number has a decimal comma", "Write a decimal point"),
-    ("Expected newline or end of document", "([;,])", 'nothing may follow a value, but there is "{0}"', "Remove it"),
-    ("Invalid value", r"\s*(?:#.*)?$", "the value is missing", 'Write one behind =, for example key = "250 mm"'),
-    ("Invalid value", "=", "there are two signs =", "Write one"),
-    ("Invalid value", r"\(", "a list is in round brackets", 'Write ["100 mm", "600 mm"]'),
-    ("Expected newline or end of document|Invalid value", "", "a value is neither a number nor in quotes", QUOTED),
-    ("Expected ']' at the end of a table", "", "the line of a section does not end with ]", "Write for example [limits]"),
-    ("Unescaped|Invalid hex", "", "a text in double quotes has a backslash", "Write / in place of it, or single quotes"),
-    ("Invalid statement", "(%|//|;)", 'a line begins with "{0}"', "Begin a comment with #"),
-    (
-        "Expected '=' after a key",
-        r"[^\x00-\x7f]",
-        "a key has a letter that is not of the alphabet a to z",
-        "Put the key in quotes",
-    ),
-    ("Expected '=' after a key", r"\w+\s*=", "a key has a blank", "Write it as one word: transmission_angle"),
-    ("Expected '=' after a key", "", "no = after a key", "Write key = value"),
-    ("Invalid statement", "", "a line is neither key = value nor a [section] nor a # comment", "Correct that line"),
-)
-"""Message of the TOML parser and rest of the line where it stopped (patterns), each in plain words with its remedy."""
-
-
 def similar_name(text: str, names: Iterable[str]) -> str:
     """Return the remedy for a name that is not a shipped problem: a file or a problem with a similar name.
 
@@ -338,17 +286,10 @@ def toml_fault(message: str, file: str, text: str = "") -> Fault:
         return Fault("not UTF-8 text: it contains NUL characters", "Save the file as UTF-8", file)
     if "\r" in text and "\n" not in text:
         return Fault("the lines end with carriage returns alone", "Save the file with the line ends LF or CRLF", file)
-    line, column = map(int, match.groups()) if (match := re.search(r"\(at line (\d+), column (\d+)\)", message)) else (0, 0)
-    stopped = text.replace("\r\n", "\n").split("\n")[line - 1] if line else ""
-    for pattern, follows, words, remedy in TOML_FAULTS:
-        match, rest = re.match(pattern, message), re.match(follows, stopped[column - 1 :] if line else "")
-        if match is not None and rest is not None:
-            names = [group.replace("'", "").replace(", ", ".") for group in (*match.groups(), *rest.groups())]
-            place = f" {message[message.rindex('(at') :]}" if "(at" in message else ""
-            key = re.match(r"\s*([\w.-]+)\s*=", stopped) if "twice in its section" in words else None
-            words = words.replace("a key", f"the key {key[1]}") if key else words
-            return Fault(f"not valid TOML: {words.format(*names)}{place}", remedy, file)
-    return Fault(f"not valid TOML: {message}", "Correct that line; text needs quotes", file)
+    if message.startswith("Exceeds the limit"):  # of digits of an integer, in Python
+        return Fault("not valid TOML: a number has thousands of digits", "Write a number of at most 19 digits", file)
+    remedy = 'Correct that line; texts and values with a unit stand in quotes: "250 mm"'
+    return Fault(f"not valid TOML: {message}", remedy, file)
 
 
 def _plain(value: object) -> object:

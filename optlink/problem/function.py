@@ -21,6 +21,7 @@ from optlink.problem.robust import Robustness, check_robust
 from optlink.problem.targets.expression import Expression
 from optlink.problem.targets.function import Function
 from optlink.problem.targets.law import Law, Table, begins_at_psi0, check_rotation, is_periodic, read_law, rotation
+from optlink.units import DISPLAYED
 
 MAX_POINTS = 10_000
 NUMBERS = ("mechanism.", "limits.", "tolerances.", "requirement.from", "requirement.psi0")
@@ -169,6 +170,11 @@ class DesignProblem(Problem):
     def objective_unit(self) -> str:
         """SI unit of the objective."""
         return "rad^2" if self.measure == "sum of squares" else "rad"
+
+    @property
+    def objective_display(self) -> tuple[float, str]:
+        """Factor from SI to the displayed value of the objective, and the unit of that: an error is shown in degrees."""
+        return DISPLAYED.get(self.objective_unit, (1.0, self.objective_unit))
 
     def shares_programme(self, keys: Sequence[str]) -> bool:
         """Return whether one programme serves all values of keys of the file, including the side of a limit."""

@@ -314,11 +314,12 @@ def _legend(axes: Axes, width: float) -> None:
     if not entries:
         return
     letters = max(max(len(line) for line in name.splitlines()) for name in entries) + 6
-    columns = max(1, min(len(entries), int((width - 0.8) / (0.067 * letters))))
+    rows = -(-len(entries) // max(1, int((width - 0.8) / (0.067 * letters))))
     style: dict[str, Any] = {"frameon": False, "fontsize": FONT, "borderaxespad": 0.1}
     handles: list[Any] = [_proxy(handle) for handle in entries.values()]
-    if -(-len(entries) // columns) <= 3 and not any("\n" in name for name in entries):
-        axes.legend(handles, list(entries), loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=columns, **style)
+    if rows <= 3 and not any("\n" in name for name in entries):
+        even = -(-len(entries) // rows)
+        axes.legend(handles, list(entries), loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=even, **style)
     else:
         axes.legend(handles, list(entries), loc="center left", bbox_to_anchor=(1.0, 0.5), **style)
 

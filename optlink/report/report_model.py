@@ -5,26 +5,25 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias, cast
 
 from optlink.errors import InputError, Status
 from optlink.problem.file import ProblemFile
 from optlink.report.causes import causes, why_invalid
 from optlink.solvers.solution import LimitState
 from optlink.tasks.analyze import analyze
-from optlink.tasks.function import FunctionResult
 from optlink.tasks.results.analysis import Analysis
-from optlink.tasks.results.balance import Balance
-from optlink.tasks.results.common import DesignResult
-from optlink.tasks.results.cycle import CycleResult
-from optlink.tasks.results.path import PathResult
 from optlink.tasks.run import solve, validate
 
 if TYPE_CHECKING:
     from optlink.report.html.shell import StoredStudy
     from optlink.studies.sensitivity import Sensitivities
+    from optlink.tasks.function import FunctionResult
+    from optlink.tasks.results.common import DesignResult
+    from optlink.tasks.results.cycle import CycleResult
+    from optlink.tasks.results.path import PathResult
 
-Outcome = FunctionResult | PathResult | CycleResult | Analysis
+Outcome: TypeAlias = "FunctionResult | PathResult | CycleResult | Analysis"
 """What is stored, and shown in motion; an extension has results of its own."""
 
 
@@ -92,9 +91,7 @@ def solve_or_validate(
     """
     if problem.task in ("analysis", "balance"):
         return analyze(problem, design=design)
-    result = solve(problem, backend, starts, seed) if design is None else validate(problem, design)
-    assert not isinstance(result, Balance)
-    return result
+    return cast(Outcome, solve(problem, backend, starts, seed) if design is None else validate(problem, design))
 
 
 def report_model_of(

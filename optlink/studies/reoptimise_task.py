@@ -184,7 +184,7 @@ class ReoptimiseTask(OptimumTask):
         methods = np.where(optima.searched[solved], SEARCHED, FOLLOWED).tolist()
         sizes = [values[name] / quantity.si_per_unit for name, quantity in self.free.items()]
         figures, status = (
-            np.array([*self.grid.columns(points), *sizes, objective * self.objective_factor]).T.tolist(),
+            np.array([*self.grid.columns(points), *sizes, list(map(self.shown, objective.tolist()))]).T.tolist(),
             Status.OPTIMAL.value,
         )
         return {

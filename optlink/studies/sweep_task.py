@@ -200,7 +200,11 @@ class OptimumTask(SweepTask):
     @property
     def objective_column(self) -> str:
         """Name of the column of the objective."""
-        return column("objective", self.template.model.objective_display[1])
+        return column("objective", self.template.model.shown_objective(0.0).unit)
+
+    def shown(self, objective: float) -> float:
+        """Return the value of the column for a minimised value [SI]."""
+        return self.template.model.shown_objective(objective).value
 
     @cached_property
     def objective_factor(self) -> float:
@@ -217,7 +221,7 @@ class OptimumTask(SweepTask):
         """
         usable = outcome.status in (Status.OPTIMAL, Status.STALLED)
         sizes = [outcome.design.get(name, math.nan) / q.si_per_unit for name, q in self.free.items()]
-        figures = [value if usable else math.nan for value in (*sizes, outcome.objective * self.objective_factor)]
+        figures = [value if usable else math.nan for value in (*sizes, self.shown(outcome.objective))]
         words = (
             outcome.status.value,
             str(outcome.valid).lower(),

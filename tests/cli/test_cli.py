@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -387,6 +388,19 @@ def test_show():
     assert json.loads(run("show", "crank-rocker", "--json").stdout)["problem"]["mechanism"]["frame"] == "500 mm"
 
 
+@pytest.mark.parametrize(
+    ("words", "drive"),
+    [
+        (("slider-crank",), "crank at 10 rad/s, from 0 deg, for 2 s"),
+        (("six-bar", "--set", "drive.duration=250 ms"), "crank at 10 rad/s, from 62 deg, for 250 ms"),
+        (("toggle-press",), "crank at 60 rpm, from 0 deg"),
+    ],
+)
+def test_show_states_how_long_the_drive_runs(words, drive):
+    (line,) = (line for line in run("show", *words).stdout.splitlines() if line.startswith("drive "))
+    assert line.removeprefix("drive").strip() == drive
+
+
 def test_show_toml_writes_a_problem_file(tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text(run("show", "crank-rocker", "--toml", "--set", "mechanism.frame=480 mm").stdout)
@@ -452,6 +466,31 @@ def test_json_is_repeatable():
     assert first == second
 
 
+@pytest.mark.parametrize(
+    ("file", "text", "told"),
+    [
+        ("cli/app.py", "import numpy_that_is_not_there\n", "No module named 'numpy_that_is_not_there'. This is a damaged"),
+        ("errors.py", "def broken(:\n", "invalid syntax"),
+        ("cli/solve.py", "raise RuntimeError('in\\ntwo lines')\n", "RuntimeError: in two lines. This is a fault of optlink; "),
+    ],
+)
+def test_a_fault_before_a_command_begins_is_one_sentence(file, text, told, tmp_path):
+    """In a copy of the package with one damaged file."""
+    shutil.copytree(ROOT / "optlink", tmp_path / "optlink", ignore=shutil.ignore_patterns("__pycache__"))
+    (tmp_path / "optlink" / file).write_text(text, encoding="utf-8")
+    variables = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    called = {"args": [sys.executable, "-m", "optlink", "list"], "capture_output": True, "text": True}
+    done = subprocess.run(**called, check=False, cwd=tmp_path, env=variables)
+    assert done.returncode == 4
+    assert done.stderr.startswith("Error: optlink cannot start: ")
+    assert told in done.stderr
+    assert done.stderr.endswith("OPTLINK_DEBUG=1 prints the traceback\n")
+    assert len(done.stderr.splitlines()) == 1
+    traced = subprocess.run(**called, check=False, cwd=tmp_path, env={**variables, "OPTLINK_DEBUG": "1"})
+    assert traced.returncode == 4
+    assert "Traceback" in traced.stderr or "SyntaxError" in traced.stderr
+
+
 def test_launcher_in_a_checkout():
     done = subprocess.run(
         [sys.executable, str(ROOT / "cli.py"), "solve", "crank-rocker", "--json"], capture_output=True, text=True, check=False
@@ -506,3 +545,14 @@ def test_a_count_of_thousands_of_digits_is_refused(sign):
     done = run("study", "sweep", "crank-rocker", "--vary", f"mechanism.frame=450..550 mm:{sign}{'9' * 5000}")
     assert done.exit_code == 2
     assert ("exceed the limit" if not sign else "do not make a range") in done.stderr
+
+
+@pytest.mark.parametrize(("key", "value", "units"), [("coupler", 46, ("mm", "m")), ("direction", 30, ("deg", "rad"))])
+def test_a_number_without_a_unit_is_offered_in_si_in_python_alone(key, value, units):
+    """Results of Python are in SI; on a command line nobody types metres."""
+    base = ("path-arc5", "--set", f"mechanism.{key}={value}")
+    remedies = [f'"{value} {unit}"' for unit in units]
+    typed = run("solve", *base).stderr
+    assert f"Write {remedies[0]}, with the quotes" in typed
+    with pytest.raises(optlink.InputError, match=f"Write {remedies[0]} or {remedies[1]}, with the quotes"):
+        optlink.load("path-arc5", {f"mechanism.{key}": value})

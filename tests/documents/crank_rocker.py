@@ -195,8 +195,9 @@ COMPUTED: dict[str, dict[str, Callable[[], float]]] = {
         "115.976": lambda: angle_of_lengths(math.radians(90.0)),
         "138.596": lambda: angle_of_lengths(math.radians(270.0)),
     },
-    "constants of steps 1 to 3": {
+    "constants of steps 1 to 4": {
         "250000": lambda: L4**2,
+        "10000": lambda: L1**2,
         "240000": lambda: L4**2 - L1**2,
         "260000": lambda: L4**2 + L1**2,
         "100000": lambda: 2 * L1 * L4,
@@ -204,6 +205,7 @@ COMPUTED: dict[str, dict[str, Callable[[], float]]] = {
         "360000": lambda: (L4 + L1) ** 2,
         "400": lambda: L4 - L1,
         "600": lambda: L4 + L1,
+        "1000": lambda: 2 * L4,
     },
     "only 「ps=pi-a-b」 in the script": {"76": one_branch_is_enough},
 }

@@ -116,6 +116,12 @@ def cycle() -> optlink.Analysis:
 
 
 @functools.cache
+def with_centroid() -> optlink.Analysis:
+    """With the centroid of link 2 as a point."""
+    return optlink.analyze(optlink.load("six-bar", {"mechanism.links.link2.points": {"S2": ["0.6 m", "0 m"]}}))
+
+
+@functools.cache
 def second() -> optlink.Simulation:
     return optlink.simulate(optlink.load("six-bar"))
 
@@ -165,6 +171,7 @@ def from_b_to_centroid_of_link5() -> float:
 
 
 NAMES = "theta-一、omega-一、theta-二、omega-二、omega-3、theta-5,omega-5 ds"
+FIGURE_4 = "图 1-4 CD构件受力模型"
 FORTY_ONE = PRINTED[6]
 
 FAULTS: list[Fault] = [
@@ -214,6 +221,7 @@ FAULTS: list[Fault] = [
         "rc5=0.6; %质心到铰链B的距离",
         {"1.580": from_b_to_centroid_of_link5, "0.600": lambda: 0.5 * cycle().machine.sizes["link5.length"]},
     ),
+    Fault("section 1", "如图1-4,对构件BC", holds=lambda: "CD" in FIGURE_4 and "BC" not in FIGURE_4),
 ]
 
 
@@ -260,7 +268,7 @@ COMPUTED: dict[str, dict[str, Callable[[], float]]] = {
     "m6 = 6 kg, θ6 (th6) = 0; 构件6, 滑块": read("6 slider.mass", "0 F.direction"),
     "F6 = Fx6 = 1000 N, Fy6 = 0; 工作阻力": columns("1000 process.fx_N", "0 process.fy_N"),
     "g = 9.8; 重力加速度": {"9.8": lambda: -float(cycle().machine.gravity[1])},
-    "θ1 (theta-1) = 62, ω1 (omega-1, dtheta-1) = 10 rad/s, 1 s; 初始夹角, 等角速度, 仿真时刻": {
+    "θ1 (theta-1) = 62, ω1 (omega-1, dtheta-1) = 10 rad/s, ddθ1 = 0, 1 s; 初始夹角, 等角速度, 逆时针, 仿真时刻": {
         "62": lambda: math.degrees(drive("start")),
         "10": lambda: drive("speed"),
         "1": lambda: drive("duration"),
@@ -274,6 +282,10 @@ COMPUTED: dict[str, dict[str, Callable[[], float]]] = {
     "θ5 = -41 deg": {"-40.3660": lambda: math.degrees(first("link5.angle_rad"))},
     "compvel: W5 = 0.6962 (ω5), ds = -3.1323; 滑块的速度": columns("0.689622 link5.omega_rad_s", "-2.048340 slider.v_m_s"),
     "chengrrp.m: ddθ5, dds; RRP II级杆组": columns("18.1262 link5.alpha_rad_s2", "-18.4714 slider.a_m_s2"),
+    "Re s̈2, Im s̈2, 质心; 1, 3, 5 alike": {
+        "-25.4516": lambda: float(with_centroid()["S2.ax_m_s2"][0]),
+        "-26.1302": lambda: float(with_centroid()["S2.ay_m_s2"][0]),
+    },
     "s6, no value": columns("0.724684 slider.s_m"),
     "eq. (1-23), chengrrpdy.m: RxC, RyC of link 5": columns("-1201.9008 C.link5.fx_N", "976.4326 C.link5.fy_N"),
     "eq. (1-23): RxE, RyE": columns("1110.8285 E.fx_N", "-971.6492 E.fy_N"),

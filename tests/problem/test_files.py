@@ -52,12 +52,6 @@ BAD = {
         "mechanism.coupler.bounds",
         'Give one value to fix it: "5 mm"',
     ),
-    "bounds of another tool": ({"mechanism.coupler": {"lb": "5 mm", "ub": "9 mm"}}, "mechanism.coupler.lb", 'mean "bounds"'),
-    "start of another tool": (
-        {"mechanism.coupler": {"x0": "5 mm", "bounds": ["5 mm", "9 mm"]}},
-        "mechanism.coupler.x0",
-        'mean "start"',
-    ),
     "key of another section": (
         {"requirement.transmission_angle": ["40 deg", "140 deg"]},
         "requirement.transmission_angle",
@@ -68,13 +62,8 @@ BAD = {
         "limits.coupler",
         'Did you mean "mechanism.coupler"',
     ),
-    "key of other linkages": (
-        {"mechanism.ground": "5 mm"},
-        "mechanism.ground",
-        'mean "frame"? Known: type, crank, coupler, rocker, frame, points, pivot, direction, assembly',
-    ),
     "capital letter": ({"mechanism.Coupler": "5 mm"}, "mechanism.Coupler", 'mean "coupler"'),
-    "section of another tool": ({"constraints": {}}, "constraints", 'mean "limits"'),
+    "section of another tool": ({"constraints": {}}, "constraints", "constraints: unknown key. Known: title, "),
     "title as a number": ({"title": 3}, "title", 'this is not a text. Write it in quotes: "3"'),
     "points as text": ({"requirement.points": "40"}, "requirement.points", "this is not a whole number"),
     "points out of range": ({"requirement.points": -1}, "requirement.points", "this is below 1. Give a whole number"),
@@ -173,42 +162,19 @@ def test_bad_values_are_reported_with_key_and_remedy(crank_rocker, name):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ('title = "a\n', "a quote is not closed (at line 1"),
-        ("[limits]\n[limits]\n", "the section [limits] occurs twice (at line 2"),
-        ("[a.b]\n[a.b]\n", "the section [a.b] occurs twice"),
-        ("a = 1\na = 2\n", "the key a occurs twice in its section (at line 2"),
-        ('a = [20 mm, "80 mm"]\n', "a value is neither a number nor in quotes (at line 1, column 9"),
-        ('a = ["20 mm" "80 mm"]\n', "two values of a list have no comma between them (at line 1"),
-        ('a = ["1 mm"\n[limits]\n', "a bracket [ is not closed (at line 2"),
-        ('a = { start = "1 mm",\n  bounds = "1..2 mm" }\n', "a table in braces does not end in its line (at line 1"),
-        ('a = { start = "1 mm" bounds = "1..2 mm" }\n', "two keys of a table have no comma between them (at line 1"),
-        ("a = { start = 20 mm }\n", "a value is neither a number nor in quotes (at line 1"),
-        ("a = { b = 1\n", "a brace { is not closed in its line (at line 1"),
-        ("a = { b = 1, b = 2 }\n", "the key b occurs twice in a table (at line 1"),
-        ('a = "1 mm";\n', 'nothing may follow a value, but there is ";" (at line 1'),
-        ("a = 1,5\n", "a number has a decimal comma (at line 1"),
-        ("a = \n", "the value is missing (at line 1"),
-        ("a == 1\n", "there are two signs = (at line 1"),
-        ("a = (1, 2)\n", "a list is in round brackets (at line 1"),
-        ("% lengths\n", 'a line begins with "%" (at line 1'),
-        ("[limits\na = 1\n", "the line of a section does not end with ] (at line 1"),
-        ('a = "C:\\data.csv"\n', "a text in double quotes has a backslash (at line 1"),
-        ("l\u00e4nge = 1\n", "a key has a letter that is not of the alphabet a to z (at line 1"),
-        ("transmission angle = 1\n", "a key has a blank (at line 1"),
-        ("a = '1 mm\n", "a quote is not closed"),
-        ("frame = 250 mm\n", "a value is neither a number nor in quotes (at line 1"),
-        ("title = Wiper\n", "a value is neither a number nor in quotes (at line 1"),
-        ('a = ["1 mm"\nb = 2\n', "a bracket [ is not closed (at line 2"),
-        ('rocker "30 mm"\n', "no = after a key (at line 1"),
+        ("frame = 250 mm\n", "Expected newline or end of document after a statement (at line 1, column 13)"),
+        ("[limits]\n[limits]\n", "Cannot declare ('limits',) twice (at line 2, column 8)"),
+        ("a = [1 mm]\n", "Unclosed array (at line 1, column 8)"),
+        (f"a = {'9' * 5000}\n", "a number has thousands of digits"),
     ],
 )
-def test_toml_syntax_errors_are_explained(tmp_path, text, words):
+def test_toml_syntax_errors_have_their_place_and_the_rule_of_quotes(tmp_path, text, words):
     (tmp_path / "a.toml").write_text(text, encoding="utf-8", newline="\r\n")
     with pytest.raises(InputError) as caught:
         optlink.load(tmp_path / "a.toml")
     (fault,) = caught.value.faults
-    assert fault.message.startswith(f"not valid TOML: {words}")
-    assert fault.remedy
+    assert fault.message == f"not valid TOML: {words}"
+    assert ("in quotes" in fault.remedy) is ("at line" in words)
 
 
 @pytest.mark.parametrize(

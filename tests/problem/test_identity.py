@@ -432,3 +432,26 @@ def test_long_tables_count_in_full(tmp_path):
         (tmp_path / "data.csv").write_text(rows(phi_deg=phi, psi_deg=psi))
         hashes.add(read(LAW_PROBLEM, folder=tmp_path).hash)
     assert len(hashes) == 2
+
+
+def test_measured_deviations_of_the_command_line_belong_to_a_study(tmp_path, monkeypatch):
+    """The file is read from the working folder, the study is shown from anywhere, but only with the same numbers."""
+    study, elsewhere = tmp_path / "study", tmp_path / "elsewhere"
+    study.mkdir(), elsewhere.mkdir()
+    monkeypatch.chdir(study)
+    parts = Path("parts.csv")
+    parts.write_text("rocker_mm\n0.11\n-0.07\n0.02\n0.05\n", encoding="utf-8")
+    texts = ["rocker=parts.csv", "crank=0.04 mm uniform"]
+    shared = {"samples": 0, "design": {"coupler": 0.41, "rocker": 0.23}}
+    problem = optlink.load("crank-rocker")
+    plain = tolerance(problem, ["crank=0.04 mm"], **shared)
+    assert plain.problem.hash == problem.hash
+    result = tolerance(problem, texts, **shared)
+    again = tolerance(problem, texts, **shared)
+    assert again.problem.hash == result.problem.hash != problem.hash
+    (elsewhere / "result.json").write_text(json.dumps(result.to_dict()))
+    monkeypatch.chdir(elsewhere)
+    assert load_stored("result.json").verdict
+    (study / parts).write_text("rocker_mm\n0.11\n-0.07\n0.02\n0.06\n", encoding="utf-8")
+    with pytest.raises(InputError, match=OTHER):
+        load_stored("result.json")

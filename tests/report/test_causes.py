@@ -176,4 +176,6 @@ def test_pictures_and_pages_name_the_cause() -> None:
         assert (cause in verdict(ReportModel(result.problem, result, None))) == wrong
     narrow = optlink.load("crank-rocker", {"limits.transmission_angle": ["88 deg", "92 deg"]})
     infeasible = optlink.solve(narrow)
-    assert verdict(ReportModel(narrow, infeasible, None)).startswith("No feasible design found: the transmission angle")
+    assert verdict(ReportModel(narrow, infeasible, None)) == "No feasible design found"  # the conclusion below it says why
+    _, why = drawn_mechanism(infeasible).get_suptitle().split("\n")[:2]
+    assert why == infeasible.refuted

@@ -72,6 +72,13 @@ def test_markers_at_the_ends_of_a_curve_are_whole() -> None:
     assert right > X[-1]
 
 
+@pytest.mark.parametrize(("entries", "columns"), [(3, 3), (8, 4), (9, 5), (13, 7)])
+def test_rows_of_a_legend_are_equally_long(entries: int, columns: int) -> None:
+    curves = [Curve(X, Y + k, f"joint {k}") for k in range(entries)]
+    legend = chart_mpl.draw([ChartSpec("a", "A", [Panel(Axis("y"), curves)], Axis("x"))]).axes[0].get_legend()
+    assert legend._ncols == columns
+
+
 def test_relations_have_their_signs() -> None:
     assert pretty("M <= 5 N m; x >= 1 mm^2; B -> D") == "M ≤ 5 N·m; x ≥ 1 mm²; B → D"
     assert pretty("361.1 mN m, 2 kN*m per N m") == "361.1 mN·m, 2 kN·m per N·m"

@@ -13,7 +13,6 @@ import pytest
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, FancyArrowPatch
 from matplotlib.text import Text
-from PIL import Image
 
 import optlink
 from optlink.clearance import closed_loop
@@ -245,11 +244,10 @@ def test_without_rows_there_are_no_pictures(tmp_path: Path, monkeypatch: pytest.
 
 def test_all_files_are_written(tmp_path: Path) -> None:
     result = simulated("interrupted")
-    written = view_of("clearance").write(result, tmp_path, film=True)
+    written = view_of("clearance").write(result, tmp_path)
     assert {path.name for path in written} == {
         "result.json",
         "play.csv",
-        "motion.gif",
         *(f"{kind}.png" for kind in KINDS),
     }
     assert all(path.stat().st_size > 0 for path in written)
@@ -259,9 +257,6 @@ def test_all_files_are_written(tmp_path: Path) -> None:
     assert len(lines) == 1 + len(result["time_s"])
     assert 2 * 72 < len(result["time_s"]) < 3 * 72
     assert "interrupted after 2 revolutions" in words(shown("interrupted", "error"))
-    with Image.open(tmp_path / "motion.gif") as film:
-        assert film.n_frames == 72
-        assert film.size[0] < 1000
 
 
 # --- what they show ------------------------------------------------------------------------------------------------------------
@@ -470,13 +465,6 @@ def test_ideal_joints_stay_closed_with_magnified_deviations() -> None:
         assert np.max(np.linalg.norm(ends[0] - ends[1], axis=1)) < 0.01 * extent
         ideal = Sketch(sketch.motion)
         np.testing.assert_allclose(sketch.position(sketch.motion, "C"), ideal.position(ideal.motion, "C"))
-
-
-def test_film_of_several_joints() -> None:
-    pictures = magnified_joints.frames(simulated("three gaps"), 6)
-    assert len(pictures) == 6
-    assert len({picture.tobytes() for picture in pictures}) == 6
-    assert len({picture.size for picture in pictures}) == 1
 
 
 # --- control ------------------------------------------------------------------------------------------------------------------

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import ast
 import io
+import math
+import re
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -263,3 +265,16 @@ def test_a_larger_error_between_the_positions_is_shown() -> None:
     assert text in shown(result)
     assert f"{figure(largest, 'deg')} between them" in conclusions.design(result, ())
     assert optlink.validate(optlink.load("crank-rocker"), {"coupler": 0.412865, "rocker": 0.232246}).between is None
+
+
+def test_the_headline_of_a_largest_error_and_its_prices_have_one_unit() -> None:
+    """Of a law and of its limits: solved again with a limit that is 0.01 deg wider."""
+    file = optlink.load("crank-rocker", {"requirement.measure": "max", "limits.transmission_angle": ["45 deg", "130 deg"]})
+    result = optlink.solve(file)
+    text = " ".join(words(table_of("function")(result)).split())
+    assert f"max {math.degrees(result.objective):.6g} deg" in text
+    assert not re.search(r"\brad\b", text)
+    wider = optlink.solve(file.override({"limits.transmission_angle": ["45 deg", "130.01 deg"]}))
+    price = 100.0 * math.degrees(result.objective - wider.objective)
+    (stated,) = re.findall(r"largest transmission angle <= 130 deg ([\d.]+) deg per deg", text)
+    assert float(stated) == pytest.approx(price, rel=1e-3)

@@ -8,6 +8,7 @@ import math
 
 import numpy as np
 import pytest
+from matplotlib.contour import ContourSet
 from matplotlib.text import Text
 from PIL import Image
 
@@ -94,6 +95,16 @@ def test_map_holds_the_iterations_and_the_optimum(solved):
         path = labels[f"{name}, iterations"]
         assert path[0] == pytest.approx([400.0, 400.0], abs=60.0)
         assert path[-1] == pytest.approx([412.865416, 232.246171], abs=0.1)
+
+
+def test_the_infeasible_region_of_a_map_is_veiled_up_to_its_edge(solved):
+    """And not in steps of the grid of the map."""
+    sets = [each for each in function.objective_map(solved).axes[0].collections if isinstance(each, ContourSet)]
+    (veil,) = (each for each in sets if each.filled and each.get_alpha() == 0.62)
+    (edge,) = (each for each in sets if not each.filled and list(each.levels) == [0.0])
+    veiled, along = (np.concatenate([path.vertices for path in each.get_paths()]) for each in (veil, edge))
+    assert len(along) > 100
+    assert max(np.min(np.hypot(*(veiled - place).T)) for place in along) < 1e-6
 
 
 def test_map_only_for_two_free_quantities(crank_rocker):

@@ -194,7 +194,7 @@ def test_a_small_grid_has_a_search_near_its_first_row():
     problem = optlink.read({"mechanism": mechanism, "requirement": {"kind": "function", **requirement}, "limits": limits})
     table = sweep(problem, ["mechanism.rocker=222.6..348 mm:7"], workers=1).columns
     single = optlink.solve(problem.override({"mechanism.rocker": "222.6 mm"}), starts=1, certify=False)
-    assert table["objective_rad"][0] == pytest.approx(single.objective, rel=1e-9)
+    assert math.radians(table["objective_deg"][0]) == pytest.approx(single.objective, rel=1e-9)
 
 
 def test_the_last_axis_changes_fastest():
@@ -1055,15 +1055,15 @@ def test_rows_of_a_symmetric_path_do_not_alternate_between_mirror_images(tmp_pat
     [
         ("stroke-slider-crank", "requirement.stroke=100 mm, 110 mm", "deg"),
         ("path-scott-russell", "limits.alignment=1 deg, 2 deg", "mm2"),
-        ("transmission-optimal", "limits.swing_angle=80 deg, 81 deg", ""),
+        ("transmission-optimal", "limits.swing_angle=80 deg, 81 deg", "deg"),
     ],
 )
 def test_the_objective_of_a_sweep_has_the_unit_of_a_single_design(name, vary, unit, tmp_path):
     swept, single = sweep(optlink.load(name), [vary], tmp_path), optlink.solve(optlink.load(name))
-    factor, shown = single.problem.model.objective_display
-    assert shown.replace("^", "") == unit
+    shown = single.problem.model.shown_objective(single.objective)
+    assert shown.unit.replace("^", "") == unit
     column = f"objective_{unit}".rstrip("_")
-    assert swept.columns[column][0] == pytest.approx(factor * single.objective, rel=1e-6, abs=1e-12)
+    assert swept.columns[column][0] == pytest.approx(shown.value, rel=1e-6, abs=1e-12)
 
 
 def test_a_sweep_over_arrays_is_that_over_texts():
@@ -1076,3 +1076,14 @@ def test_a_sweep_over_arrays_is_that_over_texts():
     for name in ("objective_rad2", "coupler_mm", "rocker_mm"):
         assert np.allclose(arrays[name], texts[name], rtol=1e-8)
     assert list(arrays["status"]) == list(texts["status"])
+
+
+@pytest.mark.slow
+def test_a_sweep_of_transmission_angles_has_degrees() -> None:
+    """The objective of the search is a cosine; the column is the angle that `solve` shows, and has its unit in its name."""
+    problem = optlink.load("transmission-optimal")
+    result = sweep(problem, ["limits.swing_angle=60 deg, 70 deg"], workers=1)
+    assert "objective_deg" in result.names
+    for swing, angle in zip((60.0, 70.0), result.columns["objective_deg"], strict=True):
+        single = optlink.solve(problem.override({"limits.swing_angle": f"{swing} deg"}), starts=60)
+        assert angle == pytest.approx(90.0 - math.degrees(single.best.least_transmission), abs=1e-6)

@@ -22,13 +22,16 @@ from optlink.report.html.moving_linkage import Moving
 from optlink.report.html.page import animation_of
 from optlink.report.html.shell import asset, fragment, templates
 from optlink.report.registry import schema_of, table_of, view_of
-from optlink.report.report_model import Outcome, report_model_of
+from optlink.report.report_model import report_model_of
 from optlink.report.stored.loader import STUDIES, WITH_PAGE
 from optlink.report.table_spec import Part, TableSpec
 from optlink.report.views import analysis_forces, function_tables
 from optlink.studies.toml_keys import Knob, exact_text, knobs
 from optlink.tasks.analyze import analyze
+from optlink.tasks.function import FunctionResult
 from optlink.tasks.results.analysis import Analysis
+from optlink.tasks.results.cycle import CycleResult
+from optlink.tasks.results.path import PathResult
 from optlink.tasks.run import solve, validate
 
 if TYPE_CHECKING:
@@ -75,7 +78,8 @@ def _moving(kind: str, result: Any, *, study: bool) -> Moving | None:
     try:
         if study:
             return view_of(kind).page(type(result).record.of(result), result.problem, Path("result.json")).moving(STEPS)
-        return animation_of(report_model_of(result.problem, result), STEPS) if isinstance(result, Outcome) else None
+        drawn = isinstance(result, FunctionResult | PathResult | CycleResult | Analysis)
+        return animation_of(report_model_of(result.problem, result), STEPS) if drawn else None
     except (InputError, Contradiction):  # a design that cannot be assembled, a study without a design
         return None
 

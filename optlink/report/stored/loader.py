@@ -37,17 +37,14 @@ STUDIES = _by_schema({"simulation": "simulate", "clearance": "simulate", "contro
 STUDIES |= _by_schema({kind: f"study {kind}" for kind in ("sweep", "tolerance", "pareto")})
 """Schemas of results that are shown as stored: the command that writes them, and the kind of their page."""
 WITH_PAGE = {**SOLVED, **STUDIES}
-FORMER_SCHEMAS = dict.fromkeys(("optlink/result", "optlink/generation", "optlink/machine-design"), "solve")
-FORMER_SCHEMAS |= {"optlink/compensation": COMPARISON}
-"""Names of schemas of earlier versions: the command that writes the present one."""
 DERIVATIVES = "Read the derivatives of an output in the sensitivity.csv beside it"
 WITHOUT_PAGE = {
     "optlink/output-sensitivity/2": ("study sensitivity --quantity", DERIVATIVES),
     "optlink/tuning/2": ("simulate --tune", "Read the best parameters in it, under best"),
 }
 """Schemas of results that are not drawn: the command that writes them, and where to read them."""
-COMMANDS = {name.rpartition("/")[0]: command for name, (command, _) in (WITH_PAGE | WITHOUT_PAGE).items()} | FORMER_SCHEMAS
-"""Commands by the names of all schemas."""
+COMMANDS = {name.rpartition("/")[0]: command for name, (command, _) in (WITH_PAGE | WITHOUT_PAGE).items()}
+"""Commands by the names of schemas without their version."""
 
 
 class _Head(Record):

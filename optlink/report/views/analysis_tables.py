@@ -56,7 +56,8 @@ def machine(file: ProblemFile) -> Iterator[TableSpec]:
             masses.append((name, number(inertia.mass), place, number(inertia.moment)))
         yield table("[bodies]", ["body", ">mass [kg]", ">centroid [mm]", ">inertia [kg·m^2]"], masses)
     gravity = math.hypot(*built.gravity)
-    drive = [("drive", f"{mechanism.crank.body} at {model.drive.speed}, from {model.drive.start}")]
+    lasts = f", for {model.drive.duration}" if model.drive.duration is not None else ""
+    drive = [("drive", f"{mechanism.crank.body} at {model.drive.speed}, from {model.drive.start}{lasts}")]
     if model.drive.torque is not None:
         drive.append(("torque", f"{model.drive.torque}, for simulate"))
     drive.append(("gravity", f"({built.gravity[0]:g}, {built.gravity[1]:g}) m/s^2" if gravity else "none"))

@@ -8,35 +8,38 @@ from typing import Any
 
 import numpy as np
 
+from optlink.problem.machine.model import ShownObjective
 from optlink.report.chart_spec import Axis, Boxes, ChartSpec, Curve, Mark, Panel
+from optlink.report.format import pretty
 from optlink.report.table_spec import Line, Row, TableSpec, quiet, strong, table
 from optlink.tasks.results.certificate import Certificate, Cover, share_text
 
 ROUNDING_NOTE = "no design within the bounds has a smaller one; rounding errors are included"
+Shown = Callable[[float], ShownObjective]
+"""Returns an objective [SI] in its display unit."""
 CONTINUE = "to continue the proof: --certify with a longer --time-limit or a larger --gap"
 
 
-def certificate_table(certificate: Certificate, factor: float, unit: str, seconds: Mapping[str, float]) -> TableSpec:
+def certificate_table(certificate: Certificate, shown: Shown, seconds: Mapping[str, float]) -> TableSpec:
     """Tabulate a certificate: best design and lower bound, gap, effort, finding, and how to continue a proof that is not closed.
 
     Parameters
     ----------
     certificate : Certificate
-    factor : float
-        Of the objective from SI to its display unit.
-    unit : str
-        Display unit of the objective.
+    shown : function of an objective [SI]
+        Returns it in its display unit.
     seconds : mapping of str to float [s]
         Wall time per stage.
     """
     rows: list[Row] = []
     objective, bound = certificate.objective, certificate.lower_bound
     digits = 6
+    value, unit, name = shown(objective).value, *shown(objective if math.isfinite(objective) else bound)[2:]
     if math.isfinite(objective):
         digits = min(14, max(6, 2 - math.floor(math.log10(certificate.gap)))) if 0.0 < certificate.gap < 1.0 else 6
-        rows.append(("best design", strong(f"{objective * factor:.{digits}g}"), unit, ""))
+        rows.append(("best design", strong(f"{value:.{digits}g}"), unit, quiet(name * (name != "objective"))))
     if math.isfinite(bound):
-        rows.append(("lower bound", strong(rounded_down(bound * factor, digits)), unit, quiet(ROUNDING_NOTE)))
+        rows.append(("lower bound", strong(rounded_down(shown(bound).value, digits)), unit, quiet(ROUNDING_NOTE)))
     if math.isfinite(objective) and not certificate.exact:
         required = "" if certificate.proven else f", {share_text(certificate.asked)} was required"
         rows.append(("gap", share_text(certificate.gap), "", quiet(f"largest share by which a design could be better{required}")))
@@ -102,7 +105,7 @@ SCHEME = {
 
 
 def certificate_charts(
-    certificate: Certificate | None, title: str, scale: tuple[float, str], design: Design, assembly: Any, display: Display
+    certificate: Certificate | None, title: str, shown: Shown, design: Design, assembly: Any, display: Display
 ) -> list[ChartSpec]:
     """Return the boxes of two design variables, and the bounds of the objective against the number of boxes.
 
@@ -111,8 +114,8 @@ def certificate_charts(
     certificate : Certificate or None
     title : str
         Of the problem.
-    scale : (float, str)
-        Factor of the objective from SI to its display unit, and that unit.
+    shown : function of an objective [SI]
+        Returns it in its display unit.
     design : mapping of str to float [SI]
         Of the best design; empty if there is none.
     assembly : object
@@ -129,7 +132,7 @@ def certificate_charts(
             mode = f", assembly {cover.assembly}" if len(certificate.covers) > 1 else ""
             charts.append(replace(_boxes(cover, certificate.unknowns, title, mode, at, display), remark=certificate.text, row=k))
     if certificate.boxes > MIN_BOXES and np.isfinite(certificate.history[-1:, 2]).any():
-        charts.append(_bounds(certificate, title, *scale))
+        charts.append(_bounds(certificate, title, shown))
     return charts
 
 
@@ -157,14 +160,15 @@ def _boxes(cover: Cover, unknowns: Sequence[str], about: str, mode: str, design:
     return ChartSpec("boxes", title, [panel], axes[0], f"{about}: boxes of the global search", cursor=False)
 
 
-def _bounds(certificate: Certificate, title: str, factor: float, unit: str) -> ChartSpec:
+def _bounds(certificate: Certificate, title: str, shown: Shown) -> ChartSpec:
     """Return the lower bound and the best known objective as steps over the number of boxes."""
     boxes, lower, best = certificate.history.T
     steps = np.repeat(boxes, 2)[1:]
     curves = [
-        Curve(steps, np.repeat(values * factor, 2)[:-1], name, colour, 1.8, gid=name)
+        Curve(steps, np.repeat([shown(value).value for value in values.tolist()], 2)[:-1], name, colour, 1.8, gid=name)
         for values, name, colour in ((best, "best known design", "#2e8b57"), (lower, "lower bound", "#2c6fbb"))
     ]
+    unit = pretty(shown(certificate.objective).unit)
     axis = Axis(f"objective [{unit}]" if unit else "objective")
     x = Axis("boxes examined", (float(boxes[0]), float(boxes[-1])), "log")
     name, heading = "Global search: bounds of the objective", f"{title}: bounds of the objective"

@@ -394,6 +394,5 @@ VIEW = View(
     charts=charts,
     drawings={"mechanism": magnified_joints.mechanism},
     tables=lambda result: {"play": result.columns} if result.columns else {},
-    frames=magnified_joints.frames,
     page=stored_study,
 )

@@ -116,7 +116,7 @@ def charts(result: FunctionResult) -> list[ChartSpec]:
 def certified(result: FunctionResult) -> list[ChartSpec]:
     """Return the charts of the certificate of the global optimum."""
     spec, design = result.problem.spec, {} if result.conflict else result.design
-    return certificate_charts(result.certificate, spec.title, (1.0, unit_of(result)), design, result.assembly, spec.display)
+    return certificate_charts(result.certificate, spec.title, spec.shown_objective, design, result.assembly, spec.display)
 
 
 def function_values(result: FunctionResult) -> list[ChartSpec]:
@@ -162,8 +162,8 @@ def law(result: FunctionResult) -> list[ChartSpec]:
     below.append(Curve(marked, at_marks, "", LIMIT, mode="markers", size=3.0))
     mark = Mark(float(crank[worst]), top, words, size=1.0, prefer=(0.0, 1.0 if error[worst] > 0.0 else -1.0))
     panels = [Panel(Axis("rocker angle ψ [deg]"), above, 1.7), Panel(Axis("target minus generated [deg]"), below, marks=[mark])]
-    angular = result.unit == "rad"
-    objective = f"{math.degrees(result.objective):.4g}°" if angular else f"{result.objective:.6g} {unit_of(result)}"
+    shown = problem.shown_objective(result.objective)
+    objective = f"{shown.value:.4g}°" if shown.unit == "deg" else f"{shown.value:.6g} {unit_of(result)}"
     title = f"{problem.title}: {result.measure} {objective}"
     return [ChartSpec("law", "Motion law over the span", panels, crank_angle(clockwise=_clockwise(result)), title)]
 
@@ -292,7 +292,7 @@ SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 def unit_of(result: FunctionResult) -> str:
     """Return the unit of the objective with typographic exponents."""
-    return result.unit.replace("^2", "²")
+    return result.problem.spec.objective_display[1].replace("^2", "²")
 
 
 @styled
@@ -312,14 +312,14 @@ def objective_map(result: FunctionResult) -> Figure | None:
         for row in limit_rows(problem, flat, problem.reach(flat), fixed["frame"]):
             value = np.broadcast_to(np.asarray(row.value, dtype=float), x.shape)
             slacks.append(np.fmin(value - row.low, row.high - value))
-        inside = np.all([slack >= 0.0 for slack in slacks] or [np.ones_like(x, dtype=bool)], axis=0)
+        least = np.min(slacks or [np.ones_like(x)], axis=0)
     figure = new_figure(7.0, 5.8)
     axes = figure.subplots()
     scale_x, scale_y = (1e3 if name in LENGTHS else math.degrees(1.0) for name in problem.free)
     shown = np.where(np.isfinite(objective) & (objective > 0.0), objective, np.nan)
     furthest = math.pi if result.unit == "rad" else len(problem.law.offsets) * math.pi**2
     # limit to the largest possible angular error; near dead centres, first-order effects of tolerances would exceed it
-    shown = np.minimum(shown, furthest)
+    shown = np.minimum(shown, furthest) * problem.objective_display[0]
     if not np.any(np.isfinite(shown)):
         return None
     low, high = max(float(np.nanmin(shown)), 1e-12), float(np.nanmax(shown))
@@ -327,9 +327,10 @@ def objective_map(result: FunctionResult) -> Figure | None:
     x, y = x * scale_x, y * scale_y
     filled = axes.contourf(x, y, height, levels=levels, cmap="Blues_r", alpha=0.9)
     axes.contour(x, y, height, levels=levels, colors="white", linewidths=0.4, linestyles="solid")
-    if inside.any() and not inside.all():
-        axes.contourf(x, y, np.where(inside, np.nan, 1.0), levels=[0.5, 1.5], colors=["white"], alpha=0.62)
-        axes.contour(x, y, np.min(slacks, axis=0), levels=[0.0], colors=[LIMIT], linewidths=1.5)
+    if np.any(least >= 0.0) and not np.all(least >= 0.0):
+        outside = np.nan_to_num(least, nan=-1.0)
+        axes.contourf(x, y, outside, levels=[outside.min() - 1.0, 0.0], colors=["white"], alpha=0.62)
+        axes.contour(x, y, least, levels=[0.0], colors=[LIMIT], linewidths=1.5)
         axes.plot([], [], color=LIMIT, linewidth=1.5, label="edge of the feasible region")
     _iterations(axes, result, scale_x, scale_y)
     at = (result.design[x_name] * scale_x, result.design[y_name] * scale_y)
@@ -346,7 +347,9 @@ def objective_map(result: FunctionResult) -> Figure | None:
     place = ", ".join(
         f"{name} {dimension(value)} {problem.display(name)[1]}" for name, value in zip(problem.free, at, strict=True)
     )
-    words = f"{problem.title}: {result.measure} {result.objective:.6g} {unit_of(result)} at {place}"
+    words = (
+        f"{problem.title}: {result.measure} {problem.shown_objective(result.objective).value:.6g} {unit_of(result)} at {place}"
+    )
     axes.set_title(heading(words, 6.8, 10.5), fontsize=10.5)
     return figure
 

@@ -115,7 +115,7 @@ def search_summary(
         design,
         *tables,
         opposed or priced,
-        None if proof is None else certificate_table(proof, *model.objective_display, outcome.seconds),
+        None if proof is None else certificate_table(proof, model.shown_objective, outcome.seconds),
         checked,
         Paragraph(strong("Multistart search"), hits, appendix=True) if hits and outcome.optima else None,
         _optima(outcome, over) if len(outcome.optima) > 1 or (outcome.optima and outcome.starts > 1) else None,
@@ -226,13 +226,11 @@ def _objective(outcome: FunctionResult) -> TableSpec:
     remark = f"error{'' if robust is None else ' at nominal dimensions'}: rms {number(rms, 4)}, largest {number(largest, 4)} deg"
     if outcome.between is not None:
         remark += f" at the positions, {number(math.degrees(outcome.between), 4)} deg between them"
-    rows: list[Row] = [(outcome.measure, strong(number(outcome.objective)), outcome.unit, quiet(remark))]
-    in_degrees = ("", strong(number(math.degrees(outcome.objective))), "deg")
-    if robust is not None and outcome.unit == "rad":
-        rows.append((*in_degrees, quiet("objective of the linkage with its tolerances")))
+    shown = outcome.problem.spec.shown_objective(outcome.objective)
+    rows: list[Row] = [(outcome.measure, strong(number(shown.value)), shown.unit, quiet(remark))]
     if outcome.problem.spec.everywhere:
-        remark = f"the largest error occurs {outcome.alternations} times in the range, with alternating sign"
-        rows.append((*in_degrees, quiet(remark)))
+        remark = "times that the largest error occurs in the range, with alternating sign"
+        rows.append(("alternations", str(outcome.alternations), "", quiet(remark)))
     if outcome.first is not None:
         from optlink.synthesis.function_starts import WIDER
 
@@ -345,9 +343,9 @@ def _optima(outcome: SearchedResult, over: str) -> TableSpec:
 def backends(outcome: SearchedResult | PathResult) -> TableSpec:
     """Tabulate the solutions of the back ends side by side."""
     model, solutions = outcome.problem.model, outcome.backends.values()
-    scale, shown = model.objective_display
+    shown = [model.shown_objective(solution.objective) for solution in solutions]
     rows = [("status", *(solution.status.value for solution in solutions), "")]
-    rows.append(("objective", *(number(scale * solution.objective, 9) for solution in solutions), shown))
+    rows.append(("objective", *(number(objective.value, 9) for objective in shown), shown[0].unit))
     for name in model.free:
         factor, unit = model.display(name)
         rows.append((name, *(fixed(solution.design[name] * factor, 5) for solution in solutions), unit))

@@ -1,4 +1,4 @@
-"""Figure and animation of the mechanism with magnified clearances and close-ups of its joints."""
+"""Figure of the mechanism with magnified clearances and close-ups of its joints."""
 
 import math
 import textwrap
@@ -13,13 +13,12 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, FancyArrowPatch
 from numpy.typing import NDArray
-from PIL import Image
 
 from optlink.clearance.joint import Gap
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.vector2d import Array
-from optlink.report.animation import STACKED_RATIO, film
+from optlink.report.animation import STACKED_RATIO
 from optlink.report.chart_mpl import FONT, TITLE
 from optlink.report.drawing import Sketch
 from optlink.report.format import round_below
@@ -28,14 +27,13 @@ from optlink.report.style import GROUND, MUTED, TARGET, degrees, figure, heading
 from optlink.report.views.revolutions import FULL, RevolutionCurves, joint_name, rough
 from optlink.tasks.results.clearance import ClearanceSimulation
 
-FRAMES = 80
 TRACE_POSITIONS = 361  # number of positions of the ideal machine in the traces
 MAX_OFFSET = 0.55  # largest magnified eccentricity of a journal, in heights of a ground pivot
 MAX_ROTATION = 0.1  # largest magnified rotation error of a body [rad]; beyond it, joints without clearance would appear open
 JOURNAL_RADIUS = 0.25  # radius of a drawn journal, in heights of a ground pivot
 CLEARANCE_SHARE = 0.25  # clearance in the close-up, as a share of the bearing radius
 CLOSE_UP_WIDTH, CAPTION_HEIGHT = 3.5, 1.1  # width of a close-up and height of its caption, in bearing radii
-CAPTION_LENGTH = 14  # line length of the captions in an animation [characters]
+CAPTION_LENGTH = 28  # line length of the captions [characters]
 MAX_ARROW = 0.62  # length of the longest force arrow, in bearing radii
 MIN_FORCE_SHARE = 0.02  # share of the largest force above which a force is drawn
 
@@ -201,7 +199,7 @@ class MagnifiedMachine(Sketch):
 
     # --- close-ups ---------------------------------------------------------------------------------------------------------
 
-    def lay(self, axes: Axes, columns: int, at_row: int | None = None) -> None:
+    def lay(self, axes: Axes, columns: int, at_row: int) -> None:
         """Draw the fixed parts of the close-ups: the bearings and the paths of the journal centres.
 
         Parameters
@@ -210,8 +208,8 @@ class MagnifiedMachine(Sketch):
             Axes of the close-ups, also used by `pose`.
         columns : int
             Number of joints side by side.
-        at_row : int or None, optional
-            Row whose contact state is written below each joint; None writes none, as in an animation.
+        at_row : int
+            Row whose contact state is written below each joint.
         """
         self.close_up = axes
         for i, gap in enumerate(self.gaps.values()):
@@ -223,12 +221,9 @@ class MagnifiedMachine(Sketch):
             last = self.turns.rows(1)
             x, y = (self.turns.result[f"{gap.point}.e{axis}_m"][last] / gap.clearance * share for axis in "xy")
             axes.plot(middle[0] + x, middle[1] + y, color=MUTED, linewidth=0.8, zorder=5, gid=f"path {gap.point}")
-            lines = textwrap.wrap(joint_name(gap), CAPTION_LENGTH if at_row is None else 2 * CAPTION_LENGTH)
-            if at_row is not None:
-                lines += [self._state(gap, at_row), f"gap drawn {share * (gap.radius + gap.clearance) / gap.clearance:.2g}-fold"]
+            lines = textwrap.wrap(joint_name(gap), CAPTION_LENGTH)
+            lines += [self._state(gap, at_row), f"gap drawn {share * (gap.radius + gap.clearance) / gap.clearance:.2g}-fold"]
             axes.text(middle[0], middle[1] - 0.52 * CLOSE_UP_WIDTH, "\n".join(lines), ha="center", va="top", fontsize=FONT)
-        if at_row is None:
-            axes.set_title("joints, not to scale", fontsize=FONT)
         every = np.array(list(self.middles.values()))
         (x0, y0), (x1, y1) = every.min(axis=0) - 0.5 * CLOSE_UP_WIDTH, every.max(axis=0) + 0.5 * CLOSE_UP_WIDTH
         axes.set(xlim=(x0, x1), ylim=(y0 - CAPTION_HEIGHT, y1))
@@ -306,24 +301,3 @@ def mechanism(result: ClearanceSimulation) -> Figure | None:
     lay_out(fig)
     place_labels(fig, sketch.letters(stage, sketch.steps))
     return fig
-
-
-@styled
-def frames(result: ClearanceSimulation, count: int = FRAMES) -> list[Image.Image]:
-    """Draw the frames of the last revolution with magnified deviations and close-ups of the joints with clearance.
-
-    Parameters
-    ----------
-    result : ClearanceSimulation
-    count : int, optional
-        Largest number of frames.
-    """
-    turns = RevolutionCurves(result)
-    if not turns:
-        return []
-    begin, end = max(-1, len(turns.time) - 1 - turns.points), len(turns.time) - 1
-    rows = np.unique(np.linspace(begin, end, min(count, end - begin) + 1).round().astype(np.intp)[1:])
-    sketch, gaps = MagnifiedMachine(turns, rows), len(result.gaps)
-    columns = gaps if sketch.ratio < STACKED_RATIO else 1 if gaps < 3 else 2
-    title = f"{result.problem.model.title}: clearance drawn {sketch.factor:g}-fold"
-    return film(sketch, sketch.steps, lambda axes: sketch.lay(axes, columns), np.full((len(rows), 2), np.nan), title)

@@ -49,7 +49,7 @@ def charts(result: PathResult) -> list[ChartSpec]:
         return []
     specs = [CloseUp(view).chart(), errors(view)] if view.task.pointed else [curve(view), *function_values(view)]
     task, design = view.task, view.design
-    values, scale = design.values if design.valid else {}, task.objective_display
+    values, scale = design.values if design.valid else {}, task.shown_objective
     return specs + certificate_charts(result.certificate, task.title, scale, values, design.assembly, task.display)
 
 

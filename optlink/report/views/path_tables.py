@@ -40,7 +40,7 @@ def path_result(outcome: PathResult) -> Summary:
     from optlink.report.views.analysis_tables import machine_strokes
 
     model, best, search_proof = outcome.problem.model, outcome.best, outcome.certificate
-    certificate = None if search_proof is None else certificate_table(search_proof, *model.objective_display, outcome.seconds)
+    certificate = None if search_proof is None else certificate_table(search_proof, model.shown_objective, outcome.seconds)
     impossible = conflict(outcome.conflict, outcome.together) if outcome.conflict else None
     if best is None:
         remark = "no start could be assembled at all points within the bounds; widen them, or give more starts"

@@ -29,7 +29,7 @@ from optlink.studies.tolerance.linear import LinearAnalysis, linear_analysis
 from optlink.studies.tolerance.maximum_yield import maximise_yield
 from optlink.studies.tolerance.monte_carlo import CHUNK, MonteCarlo, MonteCarloRecord, Progress, monte_carlo
 from optlink.studies.tolerance.nominal import ERROR, nominal_design
-from optlink.studies.tolerance.options import read_deviations
+from optlink.studies.tolerance.options import identified, read_deviations
 from optlink.studies.tolerance.robust_design import YIELD, RobustDesign, RobustRecord, check_law
 from optlink.tasks.machine import check_design
 from optlink.units import DISPLAYED, UnitProblem, parse
@@ -281,7 +281,7 @@ def tolerance(
             result = replace(result, monte_carlo=monte_carlo(result, samples, seed, progress, runs))
         if target_yield is not None:
             result = replace(result, allocation=allocate(result, target_yield, costs or {}, samples or SAMPLES, seed, runs))
-        return result
+        return replace(result, problem=identified(problem, tolerances, shape))
 
 
 @contextlib.contextmanager

@@ -103,15 +103,14 @@ class OpposedLimit:
     @property
     def _phrases(self) -> tuple[str, str]:
         """How to name the limit and its outcome, with {} in place of the value."""
-        found = ((re.fullmatch(pattern, self.name), named, outcome) for pattern, named, outcome in PHRASES)
-        match, named, outcome = next((match, named, outcome) for match, named, outcome in found if match)
+        pattern, named, outcome = next(phrase for phrase in PHRASES if re.fullmatch(phrase[0], self.name))
         if len(self.sides) > 1 and not self._symmetric:
-            outcome = "the {name} covers {}".replace("{name}", self.name)
+            outcome = f"the {self.name} covers {{}}"
         elif self.sides[0].relaxed > self.sides[0].bound:
             outcome = outcome.replace("falls", "rises")
         else:
             outcome = outcome.replace("rises", "falls")
-        return match.expand(named), match.expand(outcome)
+        return re.sub(pattern, named, self.name), re.sub(pattern, outcome, self.name)
 
     @property
     def _symmetric(self) -> bool:

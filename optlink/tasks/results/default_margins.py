@@ -8,7 +8,7 @@ from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.margins import LEAST_LENGTH_MARGIN, SMALLEST_LENGTH_MARGIN
 from optlink.problem.file import ProblemFile
 from optlink.solvers.solution import LimitState
-from optlink.units import DISPLAYED, percent
+from optlink.units import percent
 
 KEY = "length_margin"
 MARGIN_NOTE = f"the default {KEY} "
@@ -43,11 +43,10 @@ def margin_notes(
     gain = objective - relaxed(problem.override({f"limits.{KEY}": SMALLEST_LENGTH_MARGIN}))
     if not gain > LEAST_GAIN * abs(objective):
         return ()
-    scale, unit = problem.model.objective_display
-    factor, unit = DISPLAYED.get(unit, (1.0, unit))
+    shown = problem.model.shown_objective(objective)
     length = 1e3 * LEAST_LENGTH_MARGIN * max(design[name] for name in LENGTHS)
     return (
         f"{MARGIN_NOTE}of {LEAST_LENGTH_MARGIN:g} ({length:.3g} mm), which keeps it from change points, excludes a better "
-        f"optimum: limits.{KEY} = {SMALLEST_LENGTH_MARGIN:g} gains {scale * factor * gain:.3g} {unit} "
+        f"optimum: limits.{KEY} = {SMALLEST_LENGTH_MARGIN:g} gains {shown.factor * gain:.3g} {shown.unit} "
         f"({percent(gain / abs(objective), 3)})",
     )

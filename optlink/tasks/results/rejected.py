@@ -8,7 +8,6 @@ from typing import Any
 
 from optlink.problem.base_model import Number, Record
 from optlink.problem.file import ProblemFile
-from optlink.units import DISPLAYED
 from optlink.validation.check import Check
 
 BETTER = 1e-6  # relative difference by which the objective of a better optimum is less
@@ -32,13 +31,12 @@ class RejectedDesign:
     def note(self) -> str:
         """The note for the user: objective, design, and the first failed check."""
         model, first = self.problem.model, self.failed[0]
-        scale, unit = model.objective_display
-        factor, unit = DISPLAYED.get(unit, (1.0, unit))
+        objective = model.shown_objective(self.objective)
         sizes = [(name, *model.display(name)) for name in model.free]
         design = ", ".join(f"{name} {self.design[name] * size:z.4f} {shown}".rstrip() for name, size, shown in sizes)
         more = f", and {len(self.failed) - 1} more" if len(self.failed) > 1 else ""
         return (
-            f"a better optimum was found but not accepted: {scale * factor * self.objective:.4g} {unit}".rstrip()
+            f"a better optimum was found but not accepted: {objective.value:.4g} {objective.unit}".rstrip()
             + f' ({design}; assembly {self.assembly}); it fails the check "{first.name}" '
             + f"({first.value:.4g} {first.unit}".rstrip()
             + f", required {first.limit}){more}"
