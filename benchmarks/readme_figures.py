@@ -234,6 +234,16 @@ BESIDE = {
     "F.normal_N` | row 1 | {-528.927} N": ("columns/F.normal_N/0", 1.0),
     "F.moment_Nm` | row 1 | {0} N·m": ("columns/F.moment_Nm/0", 1.0),
     "shaper --out out` | {-13225.47} ...": ("extremes/A.fx_N/min", 1.0),
+    "shaper --out out` | {-4923.56} ... 6749.10 N": ("extremes/A.fy_N/min", 1.0),
+    "shaper --out out` | -4923.56 ... {6749.10} N": ("extremes/A.fy_N/max", 1.0),
+    "| {-0.18820} m/s at 97.84 deg,": ("extremes/ram.v_m_s/min", 1.0),
+    "| -0.18820 m/s at {97.84} deg,": ("extremes/ram.v_m_s/min_at_deg", 1.0),
+    "97.84 deg, {0.50088} m/s at": ("extremes/ram.v_m_s/max", 1.0),
+    "0.50088 m/s at {268.58} deg": ("extremes/ram.v_m_s/max_at_deg", 1.0),
+    "| {0.71625} m/s² at 246.60 deg,": ("extremes/ram.a_m_s2/max", 1.0),
+    "| 0.71625 m/s² at {246.60} deg,": ("extremes/ram.a_m_s2/max_at_deg", 1.0),
+    "246.60 deg, {-0.58193} m/s² at": ("extremes/ram.a_m_s2/min", 1.0),
+    "-0.58193 m/s² at {293.86} deg": ("extremes/ram.a_m_s2/min_at_deg", 1.0),
     "torque.png` | `analyze shaper --out out` | {-25.852} ...": ("extremes/input.torque_Nm/min", 1.0),
     "torque.png` | `analyze shaper --out out` | -25.852 ... {1105.743}": ("extremes/input.torque_Nm/max", 1.0),
 }
@@ -247,6 +257,7 @@ CHINESE = [
     Figure("README.zh.md", "至 {278.83} N·m", SIX, "extremes/input.torque_Nm/max"),
     Figure("README.zh.md", "行程 {545.4545} mm", SHAPER, "strokes/ram/span_m", 1e3),
     Figure("README.zh.md", "每转的功 {3207.27} J", SHAPER, "work_J"),
+    Figure("README.zh.md", "（均方根）{0.465} mm", "simulate slider-crank-clearance", "figures/rms_m", 1e3),
 ]
 
 FRONT = 'study pareto crank-rocker --objectives "error, limits.transmission_angle.max" --points 25'
@@ -390,6 +401,7 @@ MACHINE = "simulate slider-crank-three-gaps --revolutions 15 --csv machine.csv"
 MODEL = "simulate slider-crank-clearance --revolutions 15 --measured machine.csv --set measured.column=slider.s"
 SPEEDS_MINUS = {speed: f'{MACHINE} --speed "{speed} rpm" && {MODEL} --speed "{speed} rpm"' for speed in (1200, 1500, 1800)}
 """The machine with three gaps minus the model with one."""
+INFORMED = """simulate slider-crank-three-gaps --control inverse --revolutions 15 --set 'control.known=["A","B","C"]'"""
 ERRORS = "other starts and integrators differ by 0.005 |"
 
 
@@ -401,6 +413,9 @@ def document() -> list[Figure]:
         Figure(SLIDER, "| {5.08} N·m rms |", plain, "figures/torque_rms_Nm"),
         Figure(SLIDER, "| {100} % of a late revolution |", plain, "per_revolution/C.contact_share/19", 100.0),
         Figure(SLIDER, "| the two commands above | {0.854} mm |", minus[0], "figures/measured.rms_m", 1e3, near=0.005),
+        Figure(SLIDER, "| {0.854} of 1.303 mm |", minus[0], "figures/measured.rms_m", 1e3, near=0.005),
+        Figure(SLIDER, "| 0.854 of {1.303} mm |", minus[0], "figures/measured.ideal.rms_m", 1e3, near=0.005),
+        Figure(SLIDER, "| {0.67} mm | done here |", INFORMED, "figures/rms_m", 1e3, near=0.06),
         Figure(SLIDER, f"{ERRORS} {{0.854}} | 0.865 | 0.869 |", minus[0], "figures/measured.rms_m", 1e3, near=0.005),
         Figure(SLIDER, f"{ERRORS} 0.854 | {{0.865}} | 0.869 |", minus[1], "figures/measured.rms_m", 1e3, near=0.005),
         Figure(SLIDER, f"{ERRORS} 0.854 | 0.865 | {{0.869}} |", minus[2], "figures/measured.rms_m", 1e3, near=0.005),

@@ -8,6 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import FancyArrowPatch, Polygon
+from matplotlib.ticker import FixedLocator
 from numpy.typing import NDArray
 
 from optlink.linkage.vector2d import Array
@@ -54,6 +55,10 @@ def lay_out(figure: Figure) -> None:
     """
     engine = figure.get_layout_engine()
     if engine is not None:
+        engine.execute(figure)
+        for axes in figure.axes:  # ticks depend on the size of the axes, and its margins on the ticks: keep these
+            for side in (axes.xaxis, axes.yaxis):
+                side.set_major_locator(FixedLocator(side.get_majorticklocs()))
         engine.execute(figure)
     figure.set_layout_engine("none")
     for axes in figure.axes:

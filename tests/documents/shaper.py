@@ -150,6 +150,13 @@ def follows_the_rocker() -> bool:
     )
 
 
+def touch(one: str, other: str) -> bool:
+    """Whether a joint connects two bodies."""
+    mechanism = analysed(1.0).machine.mechanism
+    joints = [set(bodies) for bodies in mechanism.pins.values()] + [{guide.slider, guide.on} for guide in mechanism.guides]
+    return any({one, other} <= bodies for bodies in joints)
+
+
 def no_inertia() -> bool:
     """Whether optlink refuses kg/m^2 as a moment of inertia."""
     try:
@@ -224,6 +231,7 @@ FAULTS = [
             "-700.27": lambda: analysed(RPM64).extremes["input.torque_Nm"].least,
         },
     ),
+    Fault("(8)", "12310y y F F +=", holds=lambda: not touch("crank", "rocker") and touch("block", "rocker")),
     Fault("1.2.2", "=544.78mm", {"545.45": lambda: stroke(EXACT), "0.67": lambda: stroke(EXACT) - stroke(63.0)}),
     Fault(
         "1.2.2",
@@ -290,7 +298,7 @@ COMPUTED: dict[str, dict[str, Callable[[], float]]] = {
     "(12), F65 垂直反力, 导路 guide": {"-528.927": force("F65")},
     "(12), M65 反力矩 moment of the guide": {"0": force("M65")},
     "(13), C FR = D: 系数矩阵, 未知力矩阵, 已知力矩阵": {"15": lambda: float(sum(solution().size)) / 2},
-    "figure 5: Fx, Fy of A 约束反力 reaction; the direction of Fx (水平) stays in the cut": {"-8707.9": least_pull},
+    "figure 5: Fx of A 约束反力 reaction (水平): smoother (平滑), its direction stays in the cut": {"-8707.9": least_pull},
     "3: 加速度 small in the cut, large in the 回程 return": {
         "0.312": lambda: largest_acceleration(working=True),
         "0.716": lambda: largest_acceleration(working=False),

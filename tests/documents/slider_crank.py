@@ -6,6 +6,8 @@ import functools
 import math
 from collections.abc import Callable
 
+import numpy as np
+
 import optlink
 from optlink.clearance.spanning_tree import SpanningTree
 from tests.documents.faults import Fault
@@ -28,8 +30,11 @@ def crank_of_the_squares(theta2: float) -> float:
 
 
 FAULTS: list[Fault] = [
-    Fault("eq. (8)", "r2sinθ2+r3sinθ3=r1+r4sinθ4", {"136.9": lambda: slide(math.radians(60.0))}),
-    Fault("section 3.1", "將式(7,8)兩邊同時平方可得", {"181.9": lambda: crank_of_the_squares(math.radians(60.0))}),
+    Fault(
+        "eq. (8)",
+        "r2sinθ2+r3sinθ3=r1+r4sinθ4",
+        {"136.9": lambda: slide(math.radians(60.0)), "181.9": lambda: crank_of_the_squares(math.radians(60.0))},
+    ),
     Fault("section 2.2", "採樣頻率設置為0.005 s", {"200": lambda: 1.0 / SAMPLE}),
     Fault(
         "section 2.3",
@@ -52,6 +57,15 @@ def ideal() -> optlink.Analysis:
 @functools.cache
 def inverse() -> optlink.InverseMotion:
     return optlink.inverse_model(problem())
+
+
+@functools.cache
+def crossings() -> list[float]:
+    """Crank angles of the last of eight revolutions at which the error changes its sign [deg]."""
+    run = optlink.simulate_clearance(problem(), 8, 360, check_predictability=False)
+    angle, error = run["crank_angle_deg"][-361:] - 7 * 360.0, run["slider.error_m"][-361:]
+    at = np.flatnonzero(np.diff(np.sign(error)))
+    return [float(angle[k] - error[k] * (angle[k + 1] - angle[k]) / (error[k + 1] - error[k])) for k in at]
 
 
 def millimetres(name: str) -> float:
@@ -91,15 +105,20 @@ COMPUTED: dict[str, dict[str, Callable[[], float]]] = {
     "m4, 滑塊質量; g, (13), (14)": {
         "0.14": lambda: float(problem().model.machine().inertias["slider"].mass),
         "9.81": lambda: -float(problem().model.gravity[1]),
+        "1.3734": lambda: float(np.max(ideal()["G.normal_N"] - ideal()["C.fy_N"])),
     },
     "f, Ft = (-f sign(Vt) Fn - Ct Vt) S, 切向觸力, (18)": {"0.1": lambda: gap("friction") / 1e3},
     "Ct, 切向阻尼": {"0": lambda: gap("damping")},
-    "16階的矩陣, (6)-(20)": {"3": coordinates},
+    "16階的矩陣, (6)-(20), fig. 2 仿真模型": {"3": coordinates},
+    "極限位置: there the journal crosses the gap, and the machine lags (滯後)": {
+        "86": lambda: crossings()[0],
+        "298": lambda: crossings()[1],
+    },
     "0.005 s, 採樣": {
         f"{digits}": functools.partial(lambda speed: 60.0 / speed / SAMPLE, speed)
         for digits, speed in zip(("10.0", "8.0", "6.7"), SPEEDS, strict=True)
     },
-    "逆模型, r1為輸入, ω2為輸出, (26)-(30)": {
+    "逆模型, r1為輸入, ω2為輸出, (26)-(30), 反餘弦, fig. 9": {
         "118.90": lambda: float(inverse().speed.min()),
         "139.92": lambda: float(inverse().speed.max()),
     },

@@ -515,7 +515,8 @@ def test_velocity_arrows_are_to_their_scale():
 def test_labels_stay_in_their_axes_and_off_one_another(name, kind):
     figure = picture(name, kind)
     assert figure is not None
-    figure.draw_without_rendering()
+    with style.apply_style():  # as `save` does
+        figure.draw_without_rendering()
     edge = figure.bbox
     for axes in figure.axes:
         area = axes.get_window_extent().padded(1.5)

@@ -222,6 +222,8 @@ def test_every_chart_is_drawn_with_units(name: str) -> None:
         for axes in figure.axes:
             for label in (axes.get_xlabel(), axes.get_ylabel()):
                 assert not label or "[" in label or label in ("revolution", "revolutions since the start", "imbalance / largest")
+            below = axes.xaxis.label.get_window_extent()
+            assert not axes.get_xlabel() or not any(below.overlaps(legend.get_window_extent()) for legend in figure.legends)
         width = figure.get_figwidth() * figure.dpi
         for text in (figure._suptitle, *(legend for legend in figure.legends)):
             box = text.get_window_extent()

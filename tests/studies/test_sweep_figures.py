@@ -312,5 +312,7 @@ def test_a_sweep_of_simulations_draws_what_varies_in_units_of_a_drawing():
     (chart,) = charts(result)
     names = [panel.y.name for panel in chart.panels]
     assert names[0] == "rms [µm]"
+    assert names[1] == "mean_square [µm²]"
     assert not [name for name in names if "revolutions" in name]
     assert 100.0 < np.max(chart.panels[0].traces[0].y) < 1000.0
+    assert np.allclose(chart.panels[1].traces[0].y, chart.panels[0].traces[0].y ** 2)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -301,7 +302,8 @@ def _analysis_panels(table: SweepTable) -> Iterator[tuple[str, dict[str, Array]]
         name, unit = study_tables.named(column)
         sizes = np.abs(np.stack(list(curves.values())))
         largest = float(np.max(sizes, initial=0.0, where=np.isfinite(sizes)))
-        shown = scale(largest, unit) if unit == "m" else Scale(1.0, unit)
+        length = scale(math.sqrt(largest) if unit == "m²" else largest, "m")
+        shown = {"m": length, "m²": Scale(length.factor**2, f"{length.unit}²")}.get(unit, Scale(1.0, unit))
         yield study_tables.with_unit(name, shown.unit), {word: values * shown.factor for word, values in curves.items()}
 
 
