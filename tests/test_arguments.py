@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import importlib
 import inspect
 import math
 import pickle
@@ -300,15 +301,14 @@ def test_unknown_and_missing_arguments_are_refused_in_one_sentence(call, message
     assert len(str(caught.value).splitlines()) == 1
 
 
-@pytest.mark.parametrize(
-    ("name", "meant"),
-    [
-        ("optimize", "optlink.solve"),
-        ("sensitivity", "sensitivities"),
-        ("pareto", "import pareto"),
-        ("report", "import write_page"),
-    ],
-)
-def test_names_defined_elsewhere_in_the_package_are_suggested(name: str, meant: str) -> None:
-    with pytest.raises(AttributeError, match=rf"no attribute '{name}'\. .*{meant}"):
-        optlink.__getattr__(name)
+@pytest.mark.parametrize(("study", "module"), optlink.STUDIES.items())
+def test_studies_are_named_with_the_line_that_imports_them(study: str, module: str) -> None:
+    with pytest.raises(AttributeError, match=rf"no attribute '{study}'\. .*from {module} import {study}"):
+        optlink.__getattr__(study)
+    assert callable(getattr(importlib.import_module(module), study))
+
+
+def test_a_missing_name_has_what_python_needs_to_suggest_a_similar_one() -> None:
+    with pytest.raises(AttributeError) as missing:
+        optlink.__getattr__("slove")
+    assert (missing.value.name, missing.value.obj) == ("slove", optlink)
