@@ -25,6 +25,11 @@ def main() -> None:
     collections are rare, then at the usual intervals, and none searches what is left at exit. One BLAS thread suffices: the
     arrays are small, and what runs in parallel runs in processes. No plugin of pydantic is searched for in the metadata of all
     installed packages.
+
+    Raises
+    ------
+    SystemExit
+        With the exit code of the command, or that of a fault before it begins.
     """
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGINT, leave)  # until the command has its own handler
