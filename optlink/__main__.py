@@ -12,9 +12,8 @@ FIRST_COLLECTION = 150_000
 """Objects at a garbage collection while a command begins; a short one creates fewer."""
 BEGINNING = 3.0  # s
 DEBUG = "OPTLINK_DEBUG"
-"""Environment variable; if it is not empty, the traceback of an unexpected exception is printed."""
 FAULT = 4
-"""Exit code of an unexpected exception, which is a fault of optlink."""
+"""As in `optlink.cli.console`, which cannot be loaded where the installation is damaged."""
 INTERRUPTED = 130
 """Exit code of a command that was interrupted: 128 and the number of the signal, as shells have it."""
 
@@ -26,6 +25,11 @@ def main() -> None:
     collections are rare, then at the usual intervals, and none searches what is left at exit. One BLAS thread suffices: the
     arrays are small, and what runs in parallel runs in processes. No plugin of pydantic is searched for in the metadata of all
     installed packages.
+
+    Raises
+    ------
+    SystemExit
+        With the exit code of the command, or that of a fault before it begins.
     """
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGINT, leave)  # until the command has its own handler

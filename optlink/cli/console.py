@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from optlink.__main__ import DEBUG, FAULT
 from optlink.errors import OPTIONS_NAMED, Fault, InputError, OptlinkError, shown, visible
 from optlink.execution import interrupts
 
@@ -31,6 +30,12 @@ pictures = "png"  # format of the pictures of --out
 film = False  # whether --out has an animation
 printed = False  # whether the JSON document is printed
 _kept: list[contextlib.ExitStack] = []  # contexts held until the command ends
+
+FAULT = 4
+"""Exit code of an unexpected exception, which is a fault of optlink."""
+
+DEBUG = "OPTLINK_DEBUG"
+"""Environment variable; if it is not empty, the traceback of an unexpected exception is printed."""
 
 NO_OUTPUT = (errno.EPIPE, errno.ENOSPC, errno.EIO, errno.EFBIG)
 """Errors that make standard output or standard error unusable."""

@@ -28,7 +28,6 @@ from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.base_model import Record
 from optlink.problem.mechanism import FourBarSection
-from optlink.problem.path import PathProblem
 from optlink.problem.quantity import Quantity
 from optlink.problem.targets.law import begins_at_psi0
 from optlink.solvers.solution import LimitState, Solution
@@ -44,6 +43,7 @@ from optlink.tasks.results.remedies import (
 if TYPE_CHECKING:
     from optlink.problem.file import ProblemFile
     from optlink.problem.machine.model import Problem
+    from optlink.problem.path import PathProblem
     from optlink.validation.path import MeasuredDeviations
 
 EXACT, GOOD, FAIR = 1e-9, 0.01, 0.05  # largest relative errors of these grades; beyond, a fit is poor
@@ -245,6 +245,8 @@ def path_fit(
     solution : Solution, optional
         The optimum; None for a given design.
     """
+    from optlink.problem.path import PathProblem
+
     task = problem.model
     assert isinstance(task, PathProblem)
     targets, distances = task.data.columns, measured.distances

@@ -13,19 +13,18 @@ import numpy as np
 from optlink.errors import InputError
 from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import TURN, Array
-from optlink.problem.path import START, ZERO, PathProblem
 from optlink.problem.quantity import Quantity
 from optlink.problem.targets.function import Function
 from optlink.problem.targets.law import Table
 from optlink.solvers.function_exchange import error_at
 from optlink.solvers.solution import Solution
 from optlink.units import show
-from optlink.validation.path import deviations
 
 if TYPE_CHECKING:
     from optlink.problem.file import ProblemFile
     from optlink.problem.function import DesignProblem
     from optlink.problem.machine.model import Problem
+    from optlink.problem.path import PathProblem
 
 BETTER = 0.9  # fraction of the error below which another start or mode counts as a reason
 STARTS = 72  # start angles of a law that are tried
@@ -128,6 +127,7 @@ def path_mode_reasons(
     unit : str
         "m" or "rad".
     """
+    from optlink.problem.path import START, PathProblem
 
     def measured(variant: ProblemFile) -> float:
         task = variant.model
@@ -145,6 +145,9 @@ def path_mode_reasons(
 
 def _deviation(task: PathProblem, values: Mapping[str, float]) -> float:
     """Return the root mean square deviation of a design with prescribed crank angles, its output at the start the best one."""
+    from optlink.problem.path import ZERO
+    from optlink.validation.path import deviations
+
     measured = deviations(task, values, task.crank_angles(values, None))
     if ZERO not in task.free:
         return _rms(measured.distances)
