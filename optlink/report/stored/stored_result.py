@@ -119,10 +119,10 @@ def _sensitivity_model(record: SensitivitiesRecord, file: ProblemFile, notes: tu
     values = {name: value * _size(file, record.design_units, name) for name, value in record.design.items()}
     check_entries("design", values, file.model.free)
     design = values if file.task == "path" else {name: values[name] for name in file.model.free}
-    outcome = validate(file, design).with_best(status=Status.OPTIMAL)
+    validated = validate(file, design).with_best(status=Status.OPTIMAL)
     if not priced:
-        return report_model_of(file, outcome, (), notes)
-    outcome = _solved(outcome)
+        return report_model_of(file, validated, (), notes)
+    outcome = _solved(validated)
     best = getattr(outcome, "best", None)
     if best is None or best.solution is None:
         raise Contradiction("design", "this is not the optimum of its problem")
