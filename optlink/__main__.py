@@ -8,12 +8,11 @@ import signal
 import sys
 import threading
 
+from optlink.cli import DEBUG, FAULT
+
 FIRST_COLLECTION = 150_000
 """Objects at a garbage collection while a command begins; a short one creates fewer."""
 BEGINNING = 3.0  # s
-DEBUG = "OPTLINK_DEBUG"
-FAULT = 4
-"""As in `optlink.cli.console`, which cannot be loaded where the installation is damaged."""
 INTERRUPTED = 130
 """Exit code of a command that was interrupted: 128 and the number of the signal, as shells have it."""
 

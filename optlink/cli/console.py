@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from optlink.cli import DEBUG, FAULT
 from optlink.errors import OPTIONS_NAMED, Fault, InputError, OptlinkError, shown, visible
 from optlink.execution import interrupts
 
