@@ -56,6 +56,7 @@ def process_rows() -> list[Row]:
 
 def measurements() -> dict[str, Callable[[], list[Row]]]:
     """The parts by name; each measures and gives its rows."""
+    import analyses
     import batch
     import certificates
     import clearance
@@ -67,6 +68,7 @@ def measurements() -> dict[str, Callable[[], list[Row]]]:
     return {
         "solves": solves.rows,
         "batches": batch.rows,
+        "analyses": analyses.rows,
         "dynamics": dynamics.rows,
         "clearance": clearance.rows,
         "synthesis": partial(synthesis.rows, **SYNTHESIS),

@@ -117,16 +117,6 @@ STUDIES = {
 }
 """Studies that are looked for here, by their modules."""
 
-OTHER_NAMES = {
-    **dict.fromkeys(("optimize", "optimise", "minimize", "design", "run"), "use optlink.solve"),
-    **dict.fromkeys(("sensitivity", "sensitivity_analysis"), "from optlink.studies.sensitivity import sensitivities"),
-    **dict.fromkeys(("nlp", "programme", "constraints"), "use optlink.build"),
-    **dict.fromkeys(("report", "html", "write_page"), "from optlink.report.html.page import write_page"),
-    **dict.fromkeys(("export", "dxf"), "from optlink.report.export.export import export"),
-    **dict.fromkeys(("plot", "draw", "animate"), "write pictures by `optlink solve PROBLEM --out DIR`, or show optlink.explore"),
-}
-"""Names that are looked for here, with what is meant."""
-
 
 def __dir__() -> list[str]:
     """Return the public names, for the completion of editors and notebooks."""
@@ -136,13 +126,13 @@ def __dir__() -> list[str]:
 def __getattr__(name: str) -> Any:
     """Import a public name when it is first used, so that `optlink --help` loads nothing heavy."""
     import importlib
+    import sys
 
     home = next((module for module, names in _NAMES.items() if name in names), None)
     if home is None:
         study = STUDIES.get(name)
         hint = "" if study is None else f". It is a study: from {study} import {name}"
-        hint = f". Perhaps: {OTHER_NAMES[name]}" if name in OTHER_NAMES else hint
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}{hint}")
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}{hint}", name=name, obj=sys.modules[__name__])
     from optlink.problem.base_model import Recorded
 
     Recorded.notebook = staticmethod(_notebook)

@@ -121,6 +121,16 @@ def test_public_names_exist():
         _ = optlink.nonsense
 
 
+def test_a_missing_name_has_what_python_needs_to_suggest_a_similar_one():
+    with pytest.raises(AttributeError) as missing:
+        _ = optlink.slove
+    assert (missing.value.name, missing.value.obj) == ("slove", optlink)
+    for study, home in optlink.STUDIES.items():
+        with pytest.raises(AttributeError, match=f"from {home} import {study}"):
+            getattr(optlink, study)
+        assert callable(getattr(importlib.import_module(home), study))
+
+
 def test_version_is_that_of_the_package():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     assert project["version"] == optlink.__version__

@@ -75,7 +75,7 @@ def figure(width: float, height: float, layout: Literal["constrained"] | None = 
     layout : "constrained" or None, optional
         Layout engine of matplotlib; None for axes at given places.
     """
-    fig = Figure(figsize=(width, height), dpi=DPI, layout=layout)
+    fig = Figure(figsize=(width, height), layout=layout)
     FigureCanvasAgg(fig)
     return fig
 
@@ -128,11 +128,13 @@ def save(fig: Figure, path: Path) -> None:
         legible(fig)
         kind = path.suffix.removeprefix(".")
         if kind == "png":  # `savefig` draws a figure twice
+            shown = fig.get_dpi()
             fig.set_dpi(DPI)
             canvas = FigureCanvasAgg(fig)
             canvas.draw()
             opaque = np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[..., :3])
             Image.fromarray(opaque).save(temporary, format=kind, dpi=(DPI, DPI), compress_level=3)
+            fig.set_dpi(shown)
             return
         dates = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
         fig.savefig(temporary, format=kind, dpi=DPI, metadata=dates.get(kind))
