@@ -32,12 +32,6 @@ film = False  # whether --out has an animation
 printed = False  # whether the JSON document is printed
 _kept: list[contextlib.ExitStack] = []  # contexts held until the command ends
 
-FAULT = 4
-"""Exit code of an unexpected exception, which is a fault of optlink."""
-
-DEBUG = "OPTLINK_DEBUG"
-"""Environment variable; if it is not empty, the traceback of an unexpected exception is printed."""
-
 NO_OUTPUT = (errno.EPIPE, errno.ENOSPC, errno.EIO, errno.EFBIG)
 """Errors that make standard output or standard error unusable."""
 

@@ -129,7 +129,6 @@ def path_mode_reasons(
     """
     from optlink.problem.path import START, PathProblem
 
-
     def measured(variant: ProblemFile) -> float:
         task = variant.model
         assert isinstance(task, PathProblem)
