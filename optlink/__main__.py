@@ -28,7 +28,7 @@ def main() -> None:
     Raises
     ------
     SystemExit
-        With the exit code of the command.
+        With the exit code of the command, or that of a fault before it begins.
     """
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGINT, leave)  # until the command has its own handler

@@ -58,7 +58,7 @@ def lay_out(figure: Figure) -> None:
         engine.execute(figure)
         for axes in figure.axes:  # ticks depend on the size of the axes, and its margins on the ticks: keep these
             for side in (axes.xaxis, axes.yaxis):
-                side.set_major_locator(FixedLocator(side.get_majorticklocs()))
+                side.set_major_locator(FixedLocator(side.get_majorticklocs().tolist()))
         engine.execute(figure)
     figure.set_layout_engine("none")
     for axes in figure.axes:

@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
 import optlink
 from optlink.clearance.spanning_tree import SpanningTree
@@ -60,9 +61,33 @@ def inverse() -> optlink.InverseMotion:
 
 
 @functools.cache
+def late() -> optlink.ClearanceSimulation:
+    """Eight revolutions of the machine with one gap."""
+    return optlink.simulate_clearance(problem(), 8, 360, check_predictability=False)
+
+
+def largest(*remainders: NDArray[np.float64]) -> float:
+    return float(np.max(np.abs(remainders)))
+
+
+def loop(projection: str, gap_column: str) -> NDArray[np.float64]:
+    """R2 + R3 - R4 along an axis [mm]."""
+    along, run = {"cos": np.cos, "sin": np.sin}[projection], late()
+    reach: NDArray[np.float64] = CRANK * along(run["crank.angle_rad"]) + ROD * along(run["rod.angle_rad"])
+    return reach - 1e3 * run[gap_column]
+
+
+def contact_force() -> NDArray[np.float64]:
+    """Fx and Fy of (19) and (20) [N]."""
+    run = late()
+    theta4, normal, tangential = np.arctan2(run["C.ey_m"], run["C.ex_m"]), run["C.normal_N"], run["C.rub_N"]
+    cosine, sine = np.cos(theta4), np.sin(theta4)
+    return np.array([tangential * sine + normal * cosine, -tangential * cosine + normal * sine])
+
+
 def crossings() -> list[float]:
     """Crank angles of the last of eight revolutions at which the error changes its sign [deg]."""
-    run = optlink.simulate_clearance(problem(), 8, 360, check_predictability=False)
+    run = late()
     angle, error = run["crank_angle_deg"][-361:] - 7 * 360.0, run["slider.error_m"][-361:]
     at = np.flatnonzero(np.diff(np.sign(error)))
     return [float(angle[k] - error[k] * (angle[k + 1] - angle[k]) / (error[k + 1] - error[k])) for k in at]
@@ -98,6 +123,11 @@ COMPUTED: dict[str, dict[str, Callable[[], float]]] = {
     },
     "θ2, 曲柄轉角; ω2": {"125.66": lambda: float(ideal()["crank.omega_rad_s"][0])},
     "θ3, 連桿轉角, (2); ω3, (4)": {"24.62": lambda: math.degrees(max(abs(ideal()["rod.angle_rad"])))},
+    "R1 ... R4, 閉環矢量方程, (6), (7)": {"0.000": lambda: largest(loop("cos", "C.ex_m") - 1e3 * late()["slider.s_m"])},
+    "r2 sin θ2 + r3 sin θ3 = r1 + r4 sin θ4, (8); (9), (10)": {"0.000": lambda: largest(loop("sin", "C.ey_m"))},
+    "Fx, Fy, (19), (20)": {
+        "0.000": lambda: largest(contact_force()[0] + late()["C.fx_N"], contact_force()[1] + late()["C.fy_N"])
+    },
     "r4, 間隙半徑": {"0.5": lambda: gap("clearance")},
     "R, 軸銷半徑, (12)": {"9.5": lambda: gap("radius")},
     "rs1, 曲柄質心距o點的長度": {"25": lambda: centroid("crank")},

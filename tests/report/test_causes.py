@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -176,6 +177,9 @@ def test_pictures_and_pages_name_the_cause() -> None:
         assert (cause in verdict(ReportModel(result.problem, result, None))) == wrong
     narrow = optlink.load("crank-rocker", {"limits.transmission_angle": ["88 deg", "92 deg"]})
     infeasible = optlink.solve(narrow)
-    assert verdict(ReportModel(narrow, infeasible, None)) == "No feasible design found"  # the conclusion below it says why
+    assert infeasible.refuted.startswith("No such linkage: 88 deg of transmission angle cannot be met")
+    assert verdict(ReportModel(narrow, infeasible, None)) == "No feasible design found"  # the sentence is the conclusion
+    unnamed = ReportModel(narrow, replace(infeasible, conflict=()), None)
+    assert verdict(unnamed).startswith("No feasible design found: the transmission angle")
     _, why = drawn_mechanism(infeasible).get_suptitle().split("\n")[:2]
     assert why == infeasible.refuted

@@ -79,7 +79,7 @@ def compensation(results: Mapping[str, ClearanceSimulation]) -> list[ChartSpec]:
         Line(at, "" if k else "the output reverses", MUTED, 1.0, gid="standstill") for k, at in enumerate(_standstills(first))
     ]
     rpm = f"{abs(first.result.speed) * 30.0 / math.pi:.5g} rpm{'' if first.direction > 0.0 else ' clockwise'}"
-    heading = f"{first.result.problem.model.title}: compensation of the clearance\n{rpm}, means of {first.counted}"
+    heading = f"{first.result.problem.model.title}: kinds of control\n{rpm}, means of {first.counted}"
     heading += ", shaded from least to largest" if first.shown > 1 else ""
     title = "Compensation of the clearance"
     return [ChartSpec("compensation", title, panels, first.crank_axis, heading, lines=lines, cursor=False, width=8.4)]

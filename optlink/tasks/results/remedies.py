@@ -127,7 +127,6 @@ def path_mode_reasons(
     unit : str
         "m" or "rad".
     """
-
     from optlink.problem.path import START, PathProblem
 
     def measured(variant: ProblemFile) -> float:
