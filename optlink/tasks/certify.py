@@ -25,8 +25,17 @@ from optlink.solvers.global_search.quadratic import least_squares
 from optlink.tasks.function import FunctionResult
 from optlink.tasks.function_search import certified_by_default
 from optlink.tasks.protocol import completed
-from optlink.tasks.results.certificate import GLOBAL, GLOBAL_GAP, INFEASIBLE, NOT_CLOSED, WITHIN_GAP, Certificate, Cover, exact
-from optlink.tasks.results.certificate_numbers import sides_of
+from optlink.tasks.results.certificate import (
+    GLOBAL,
+    GLOBAL_GAP,
+    INFEASIBLE,
+    NOT_CLOSED,
+    WITHIN_GAP,
+    Certificate,
+    Cover,
+    exact,
+    sides_of,
+)
 from optlink.tasks.results.evidence import INCOMPLETE
 
 if TYPE_CHECKING:

@@ -101,7 +101,7 @@ NUMBERS = {
             }
         },
     },
-    "modes": [{"assembly": ANY, "sides": {"*": NUMBER}}],
+    "modes": [{"assembly": ANY, "sides": {"*": (1, -1)}}],
     "offsets": [NUMBER],
     "span": NUMBER,
     "start": Maybe((OUTER, "inner dead centre")),
@@ -169,12 +169,12 @@ def check_form(value: Any, form: Any, place: str) -> None:
                 raise Refused(f"{place}.{key}".lstrip("."), "no certificate has this key")
             check_form(item, form.get(key, form.get("*")), f"{place}.{key}".lstrip("."))
     elif isinstance(form, tuple):
-        _expect(value in form, f"one of {', '.join(form)}", place)
+        _expect(value in form, f"one of {', '.join(map(str, form))}", place)
     elif form == SIZE:
         check_form(value, TEXT if isinstance(value, str) else NUMBER, place)
     elif form == NUMBER:
-        number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-        _expect(number, "a finite number", place)
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        _expect(number and abs(value) <= sys.float_info.max, "a finite number", place)
     elif form != ANY:
         _expect(isinstance(value, bool if form == FLAG else str), form, place)
 
@@ -214,6 +214,9 @@ def check_document(document: Document) -> None:
     free = [name for name, quantity in numbers["quantities"].items() if quantity["free"]]
     if document["unknowns"] != free:
         raise Refused("unknowns", f"the design variables of the problem are {', '.join(free)}")
+    for name, quantity in numbers["quantities"].items():
+        if quantity["low"] > quantity["high"]:
+            raise Refused(f"numbers.quantities.{name}", "the lower bound is larger than the upper one")
     count = len(numbers["offsets"])
     for key in ("targets", "roots", "tolerances") if numbers["kind"] in ("path", "motion") else ():
         if len(numbers[key]) != count:
@@ -684,7 +687,7 @@ def check(document: Document, result: Document | None = None) -> Verdict:
     try:
         with ctx.workprec(BITS):
             return _proven(document)
-    except (KeyError, IndexError, TypeError, ValueError, AttributeError, StopIteration, Unknown) as error:
+    except (LookupError, TypeError, ValueError, AttributeError, StopIteration, ArithmeticError, RecursionError, Unknown) as error:
         raise Refused("numbers", f"the problem is incomplete or unknown ({error})") from None
 
 

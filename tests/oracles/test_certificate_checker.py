@@ -18,8 +18,8 @@ import pytest
 import optlink
 from optlink.optimization.box_models import box_problem
 from optlink.problem.function import DesignProblem
-from optlink.tasks.results.certificate import certificate_document
-from optlink.tasks.results.certificate_numbers import numbers_of, sides_of
+from optlink.tasks.results.certificate import certificate_document, sides_of
+from optlink.tasks.results.certificate_numbers import numbers_of
 from optlink.validation.function import validate
 from tests.cli.test_cli import run
 from tests.oracles import ball, certificate_checker as checker
@@ -302,6 +302,13 @@ FORGERIES: dict[str, tuple[Callable[[Document], None], str]] = {
     "unknown key": (put("more", value=1), "more: no certificate has this key"),
     "no objective": (put("objective", value=None), "objective: this is missing"),
     "no numbers": (delete("numbers", "offsets"), "numbers.offsets: this is missing"),
+    "no range": (put("numbers", "quantities", "coupler", "low", value=0.9), "numbers.quantities.coupler: the lower bound"),
+    "a number beyond all": (put("objective", value=10**400), "objective: expected a finite number"),
+    "side of no assembly mode": (
+        put("numbers", "modes", 0, "sides", "C", value=0.5),
+        "numbers.modes[0].sides.C: expected one of 1, -1",
+    ),
+    "nested brackets": (put("numbers", "law", "text", value=5000 * "("), "numbers: the problem is incomplete"),
     "unknown dyad": (
         put("numbers", "linkage", "dyads", 0, "kind", value="RRRR"),
         "numbers.linkage.dyads[0].kind: expected one of",
@@ -350,6 +357,35 @@ def test_a_forgery_of_an_infeasible_problem_is_refused(
     forge(document)
     with pytest.raises(Refused, match=words):
         check(sealed(document))
+
+
+def test_no_damage_ends_in_a_traceback(infeasible: Document) -> None:
+    """Any entry left out, or replaced by a value of another kind."""
+    rng = np.random.default_rng(11)
+    refused = 0
+    for _ in range(60):
+        document = copy.deepcopy(infeasible)
+        part: Any = document
+        while isinstance(part, dict | list) and part:
+            keys = list(part) if isinstance(part, dict) else list(range(len(part)))
+            key = keys[rng.integers(len(keys))]
+            above, part = part, part[key]
+            if rng.random() < 0.2:
+                break
+        if rng.random() < 0.5:
+            del above[key]
+        else:
+            above[key] = [None, "x", -1.0, [], {}, True, 1e300][rng.integers(7)]
+        try:
+            check(
+                document | {"identity": identity(document)}
+                if {"problem", "problem_hash", "numbers"} <= set(document)
+                else document
+            )
+        except (Refused, checker.Unreadable) as fault:
+            refused += 1
+            assert "\n" not in str(fault)
+    assert refused > 30
 
 
 @pytest.mark.parametrize("key", ["problem_hash", "status", "lower_bound"])

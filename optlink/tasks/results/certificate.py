@@ -11,12 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.errors import Status
+from optlink.linkage.dyad_types import ModalDyad
+from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.vector2d import Array
 from optlink.problem.base_model import Contradiction, Never, Number, Record, Rows
 from optlink.problem.file import ProblemFile
 from optlink.problem.function import DesignProblem
 from optlink.solvers.global_search.lagrangian import TESTS
-from optlink.tasks.results.certificate_numbers import finite, numbers_of
 from optlink.version import VERSION
 
 GLOBAL, WITHIN_GAP, NOT_CLOSED, INFEASIBLE = "global", "within gap", "not closed", "infeasible"
@@ -258,6 +259,11 @@ def _cover_document(cover: Cover) -> dict[str, Any]:
     }
 
 
+def sides_of(linkage: Mechanism) -> dict[str, int]:
+    """Return the assembly mode of every dyad that has two, +1 or -1, by its joint."""
+    return {group.joint: group.side for group in linkage.groups if isinstance(group, ModalDyad)}
+
+
 def certificate_document(certificate: Certificate, result: Any) -> dict[str, Any]:
     """Return a certificate as a document of its own, with everything that its check needs: the numbers of the problem too.
 
@@ -268,6 +274,8 @@ def certificate_document(certificate: Certificate, result: Any) -> dict[str, Any
     result : FunctionResult or PathResult
         The design that it certifies.
     """
+    from optlink.tasks.results.certificate_numbers import finite, numbers_of  # its import takes time
+
     modes = [{"assembly": cover.assembly, "sides": dict(cover.sides)} for cover in certificate.covers]
     numbers = numbers_of(result.problem) | {"modes": modes}
     problem = {"problem": result.problem.name, "problem_hash": result.problem.hash, "numbers": numbers}

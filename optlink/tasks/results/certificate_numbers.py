@@ -1,20 +1,24 @@
 """The numbers of a problem [SI] in the file of a certificate: all that its check needs, without the problem file."""
 
+from __future__ import annotations
+
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from optlink.linkage.dyad_types import JointedDyad, ModalDyad
+from optlink.linkage.dyad_types import JointedDyad
 from optlink.linkage.mechanism import Arm, Guide, Link, Mechanism
 from optlink.problem.file import ProblemFile
 from optlink.problem.function import DEAD_CENTRES, DesignProblem
 from optlink.problem.interval import Interval
 from optlink.problem.limits import limits_in_file
 from optlink.problem.mechanism import FourBarSection
-from optlink.problem.path import PathProblem
 from optlink.problem.targets.function import Function
 from optlink.problem.targets.law import Law, SlideExpression, Table
+
+if TYPE_CHECKING:
+    from optlink.problem.path import PathProblem
 
 Numbers = dict[str, Any]
 
@@ -27,8 +31,7 @@ def numbers_of(problem: ProblemFile) -> Numbers:
     problem : ProblemFile
         With a lower bound over boxes, see `optlink.optimization.box_models.box_problem`.
     """
-    model = problem.model
-    assert isinstance(model, DesignProblem | PathProblem)
+    model: Any = problem.model
     quantities = {
         name: {"value": quantity.value, "low": quantity.bounds[0], "high": quantity.bounds[1], "free": quantity.free}
         for name, quantity in model.quantities.items()
@@ -40,11 +43,6 @@ def numbers_of(problem: ProblemFile) -> Numbers:
         "limits": _limits(model),
     }
     return numbers | (_of_law(model) if isinstance(model, DesignProblem) else _of_positions(model))
-
-
-def sides_of(linkage: Mechanism) -> dict[str, int]:
-    """Return the assembly mode of every dyad that has two, +1 or -1, by its joint."""
-    return {group.joint: group.side for group in linkage.groups if isinstance(group, ModalDyad)}
 
 
 def _linkage(linkage: Mechanism) -> Numbers:
@@ -147,7 +145,7 @@ def _limits(model: DesignProblem | PathProblem) -> Numbers:
     transmission = {
         joint: limit for joint in (group.joint for group in model.linkage.groups) if (limit := limits.transmission_at(joint))
     }
-    region = model.limits.pivots if isinstance(model, PathProblem) else None
+    region = getattr(limits, "pivots", None)  # of path synthesis
     pivots = None if region is None else {axis: _interval(getattr(region, axis)) for axis in "xy"}
     return {
         "crank": limits.crank,
