@@ -370,9 +370,9 @@ class Prover:
         stated, bound, value = document["objective"], document["lower_bound"], float(exact)
         roots = [math.sqrt(max(x, 0.0)) if self.squared else x for x in (stated, value)]
         if not (abs(value - stated) <= AGREES * abs(stated) or abs(roots[0] - roots[1]) <= ROUNDING):
-            raise Refused("objective", f"the design has the objective {value:.17g}, not {stated:.17g}")
+            raise Refused("objective", f"the design has the objective {value!r}, not {stated!r}")
         if bound > stated or arb(bound) > exact:
-            raise Refused("lower_bound", f"{bound:.17g} is larger than the objective of the design, {value:.17g}")
+            raise Refused("lower_bound", f"{bound!r} is larger than the objective of the design, {value!r}")
         share = (stated - bound) / stated if stated > 0.0 else 0.0
         allowed = GLOBAL_GAP if document["status"] == "global" else document["asked"]
         if not share <= allowed * (1.0 + 1e-6):
@@ -658,7 +658,7 @@ class Verdict:
             finding = "no design within the bounds meets all limits"
         else:
             bound, objective = self.document["lower_bound"], self.document["objective"]
-            finding = f"no design within the bounds has an objective below {bound:.17g}, and the design has {objective:.17g}"
+            finding = f"no design within the bounds has an objective below {bound!r}, and the design has {objective!r}"
         return f"proven: {name}: {finding}; {self.pieces} parts of {self.boxes} boxes"
 
 
@@ -720,7 +720,7 @@ def _proven(document: Document) -> Verdict:
 def _sides(document: Document, low: Sequence[float], high: Sequence[float]) -> str:
     """Return the sides of a box for display."""
     sides = zip(document["unknowns"], low, high, strict=True)
-    return ", ".join(f"{name} {a:.17g} ... {b:.17g}" for name, a, b in sides) + " (SI)"
+    return ", ".join(f"{name} {a!r} ... {b!r}" for name, a, b in sides) + " (SI)"
 
 
 def main(arguments: Sequence[str]) -> int:
