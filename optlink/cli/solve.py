@@ -8,8 +8,6 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from optlink.cli import console
 from optlink.cli.options import (
     Csv,
@@ -32,7 +30,7 @@ from optlink.cli.options import (
     option,
     share_number,
 )
-from optlink.errors import Fault, InputError, Status
+from optlink.errors import Status
 
 if TYPE_CHECKING:
     from optlink.problem.file import ProblemFile
@@ -49,7 +47,6 @@ WORKERS = (
 )
 GAP = "--certify: largest gap between design and lower bound, as a share of the objective. Default: 1e-6."
 DETAILS = "Print all checks, tables and times too; JSON and page always have them. A failed check is always printed."
-CERTIFICATE = "Check the proof of the global optimum that solve --certify --out wrote: certificate.json, or its folder."
 
 
 def solve(
@@ -66,7 +63,6 @@ def solve(
     engine: Engine = None,
     workers: Annotated[int | None, number(WORKERS, "--workers")] = None,
     scheduler: Scheduler = None,
-    resume: Annotated[bool, flag("--certify: continue the proof interrupted in --out DIR.", "--resume")] = False,
     changes: Set = None,
     design: Design = None,
     details: Annotated[bool, flag(DETAILS, "--details")] = False,
@@ -78,13 +74,12 @@ def solve(
 ) -> None:
     """Optimise a design, verify it independently, and report the shadow prices of the active constraints."""
     console.places(out, "solve", problem)
-    limits: dict[str, object] = {"--gap": gap, "--time-limit": time_limit, "--resume": resume}
+    limits: dict[str, object] = {"--gap": gap, "--time-limit": time_limit}
     where: dict[str, object] = {"--engine": engine, "--workers": workers, "--scheduler": scheduler}
     if design:
         console.refuse({"--certify": certify} | limits | where, "a given design is validated, not optimised", "Leave it out")
         _validate(problem, design, changes, as_json, out, details=details)
         return
-    from optlink.solvers.global_search.checkpoint import FILE
     from optlink.tasks.results.certificate import GLOBAL_GAP, share_text
     from optlink.tasks.run import design_task, solve as search
 
@@ -95,21 +90,16 @@ def solve(
         if file.task != "analysis" and not design_task(file).divisible:
             console.refuse(where, "only multistart searches and certificates use several processes", remedy, file.file)
         console.refuse(limits, "the option applies to a certificate of the global optimum only", remedy, file.file)
-    if resume and (out is None or not certify):
-        raise InputError(
-            Fault("there is no certificate to resume", "Add --certify and --out DIR of the interrupted run", key="--resume")
-        )
     seconds = console.quantity(time_limit, "time", "--time-limit")
     with console.share("searching") as progress, console.share("proving") as proving:
-        certificate_options: dict[str, Any] = {"certify": certify, "gap": GLOBAL_GAP if gap is None else gap, "resume": resume}
-        certificate_options |= {"time_limit": math.inf if seconds is None else seconds, "folder": out if certify else None}
+        certificate_options: dict[str, Any] = {"certify": certify, "gap": GLOBAL_GAP if gap is None else gap}
+        certificate_options |= {"time_limit": math.inf if seconds is None else seconds}
         certificate_options |= console.given(engine=engine, workers=workers, scheduler=scheduler)
         certificate_options["proving"] = proving and (lambda share, gap: proving(share, f", gap {share_text(gap)}"))
         result = search(file, backend, starts, seed, progress, designs=designs, track=out is not None, **certificate_options)
     if result.interrupted:
         print(f"Interrupted: {_interrupted(result)}.", file=sys.stderr)
-    proof = getattr(result, "certificate", None)
-    _show(result, as_json, out, details=details, state=FILE if certify and proof is not None and proof.closed else "")
+    _show(result, as_json, out, details=details)
 
 
 def _automatic(file: ProblemFile) -> bool:
@@ -126,7 +116,6 @@ def _automatic(file: ProblemFile) -> bool:
 def validate(
     problem: Problem,
     design: Design = None,
-    certificate: Annotated[Path | None, option("FILE", CERTIFICATE, "--certificate")] = None,
     changes: Set = None,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -134,10 +123,7 @@ def validate(
     film: Film = False,
     out: Out = None,
 ) -> None:
-    """Check a design against all requirements and limits, or a certificate of the global optimum."""
-    if certificate is not None:
-        _validate_certificate(problem, certificate, design, changes, as_json, out)
-        return
+    """Check a design against all requirements and limits."""
     console.places(out, "validate", problem)
     _validate(problem, design or [], changes, as_json, out)
 
@@ -155,25 +141,6 @@ def _validate(
     result = check(_in_mode(file, design), values)
     failed = _contradictions(design, file, result)
     _show(result.with_checks(failed) if failed else result, as_json, out, details=details)
-
-
-def _validate_certificate(
-    problem: str, path: Path, design: list[str] | None, changes: list[str] | None, as_json: bool, out: Path | None
-) -> None:
-    """Check a stored certificate, and exit with 1 if it does not hold."""
-    unused: dict[str, object] = {"--design": design or None, "--out": out}
-    console.refuse(unused, "the check of a certificate uses the design in it and writes no files", "Leave it out")
-    from optlink.report.views.function_tables import certificate_check
-    from optlink.validation.certificate import check_certificate
-
-    with console.share("checking the boxes") as progress:
-        verdict = check_certificate(console.load(problem, changes), path, progress)
-    if as_json:
-        console.print_json(verdict.to_dict())
-    else:
-        console.show(certificate_check(verdict))
-    if not verdict.valid:
-        raise typer.Exit(1)
 
 
 def _in_mode(file: ProblemFile, design: list[str]) -> ProblemFile:
@@ -206,9 +173,13 @@ def _contradictions(design: list[str], file: ProblemFile, result: DesignResult) 
 
 def _interrupted(result: DesignResult | Balance) -> str:
     """Describe what an interrupted search or proof has reached."""
+    from optlink.tasks.results.certificate import NOT_CLOSED
+
     certificate = getattr(result, "certificate", None)
     if certificate is not None:
-        return f"the design is complete, the proof that it is the global optimum is {certificate.text}"
+        finding = certificate.text.removeprefix(f"{NOT_CLOSED}: ")
+        complete = "complete" if certificate.closed else "incomplete"
+        return f"the design is complete, the proof that it is the global optimum is {complete}: {finding}"
     if "certify" in result.seconds:
         return "the design is complete, the proof that it is the global optimum had not begun"
     return f"the result is that of the first {result.starts} starts"
@@ -220,12 +191,11 @@ def _show(
     out: Path | None,
     *,
     details: bool,
-    state: str = "",
 ) -> None:
-    """Show a result, and exit with the code of its status; `state` as for `console.deliver`."""
+    """Show a result, and exit with the code of its status."""
     failed = result.status in (Status.STALLED, Status.NON_FINITE) and result.problem.task != "path"
     code = 3 if failed else 0 if result.valid else 1  # of the several designs of a path one may stall
-    console.deliver(result, result.problem.task, as_json, out, code=code, details=details, state=state)
+    console.deliver(result, result.problem.task, as_json, out, code=code, details=details)
 
 
 def analyze(

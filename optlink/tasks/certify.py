@@ -7,7 +7,6 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -20,16 +19,24 @@ from optlink.optimization.box_models import DesignBoxes, box_problem
 from optlink.problem.file import ProblemFile
 from optlink.problem.function import DesignProblem
 from optlink.solvers.global_search.branch_and_bound import BATCH, FEW, Bounder, BranchAndBound, joint_history
-from optlink.solvers.global_search.checkpoint import FILE, Checkpoint
 from optlink.solvers.global_search.function_certificate import CLOSED, INTERRUPTED, MOST, certify_function
 from optlink.solvers.global_search.lagrangian import Guess, LagrangianBounds
 from optlink.solvers.global_search.quadratic import least_squares
 from optlink.tasks.function import FunctionResult
 from optlink.tasks.function_search import certified_by_default
 from optlink.tasks.protocol import completed
-from optlink.tasks.results.certificate import GLOBAL, GLOBAL_GAP, INFEASIBLE, NOT_CLOSED, WITHIN_GAP, Certificate, Cover, exact
+from optlink.tasks.results.certificate import (
+    GLOBAL,
+    GLOBAL_GAP,
+    INFEASIBLE,
+    NOT_CLOSED,
+    WITHIN_GAP,
+    Certificate,
+    Cover,
+    exact,
+    sides_of,
+)
 from optlink.tasks.results.evidence import INCOMPLETE
-from optlink.version import VERSION
 
 if TYPE_CHECKING:
     from optlink.solvers.global_search.timed_path import TimedPathBounds
@@ -105,9 +112,7 @@ def certify(
     seed: int = 0,
     boxes: float = math.inf,
     original: ProblemFile | None = None,
-    folder: Path | None = None,
     *,
-    resume: bool = False,
     runs: Runs | None = None,
 ) -> Certified:
     """Compute a lower bound of the objective over all designs by branch and bound; a better design replaces that of the result.
@@ -126,10 +131,6 @@ def certify(
         Largest number of boxes.
     original : ProblemFile, optional
         The problem whose open assembly modes are searched too; `result` has the best ones. Default: that of `result`.
-    folder : Path, optional
-        Folder for the state of a long search, from which it resumes; the state stays there until it is removed.
-    resume : bool
-        Continue the search that was interrupted there, with the bound that it would have had.
     runs : function, optional
         From `optlink.execution.runner.pool`, for a long search; it changes nothing in the result. Default: the present process.
 
@@ -140,19 +141,14 @@ def certify(
     Raises
     ------
     InputError
-        If `gap` or `time_limit` is out of range, no lower bound is available for this kind of problem, or there is nothing that
-        can be resumed.
+        If `gap` or `time_limit` is out of range, or no lower bound is available for this kind of problem.
     """
     check_options(gap, time_limit)
     model, problem = result.problem.model, original or result.problem
     of_function = isinstance(model, DesignProblem) and model.error_bounded and result.valid and result.objective < MOST
     of_function = of_function and not exact(problem, result.objective)
     kind = _ErrorSearch if of_function else _PathSearch if _of_path(result.problem) else _Search
-    if resume and of_function:
-        raise InputError("the proof of the largest error of a function cannot be resumed", "Leave it out", key="--resume")
-    about = {"optlink": VERSION, "problem_hash": problem.hash, "gap": gap}
-    checkpoint = None if folder is None or of_function else Checkpoint(folder / FILE, about)
-    found: Certified = kind(result, problem, gap, seed, checkpoint, resume, runs).run(time_limit, boxes, progress)
+    found: Certified = kind(result, problem, gap, seed, runs).run(time_limit, boxes, progress)
     return found
 
 
@@ -164,8 +160,6 @@ class _Search:
     original: ProblemFile
     gap: float
     seed: int
-    checkpoint: Checkpoint | None = None
-    resume: bool = False
     runs: Runs | None = None
     improved: bool = False
 
@@ -180,13 +174,12 @@ class _Search:
             for variant, problem in zip(variants, problems, strict=True):
                 better = functools.partial(self._improve, variant, problem)
                 searches.append(self._branches(LagrangianBounds(problem), math.inf, better))
-            self._resume(searches)
             for k, search in enumerate(searches):
                 if self._exact or search.closed:  # nothing is smaller than zero
                     continue
                 guess = self._multiplier_estimate(problems[k])
                 search.bounder = LagrangianBounds(problems[k], guess)
-                if guess is not None and not search.boxes:
+                if guess is not None:
                     search.begin_about(guess.point)
                 search.best = min(search.best, self._squared)
                 left = seconds - (time.perf_counter() - begin)
@@ -195,7 +188,6 @@ class _Search:
         except KeyboardInterrupt:
             interrupts.handled()
             interrupted = True
-        self._keep(searches)
         return self._with(self._certificate(searches, variants), begin, interrupted=interrupted)
 
     def _with(self, certificate: Certificate | None, begin: float, *, interrupted: bool) -> Any:
@@ -231,19 +223,6 @@ class _Search:
     @property
     def _exact(self) -> bool:
         return exact(self.result.problem, self._known)
-
-    def _keep(self, searches: list[BranchAndBound]) -> None:
-        """Save the state of the searches, of closed ones too; do nothing before the state is restored."""
-        if self.checkpoint is not None and searches and not self.resume:
-            self.checkpoint.write(searches, self.result.design)
-
-    def _resume(self, searches: list[BranchAndBound]) -> None:
-        """Restore interrupted searches and their best design; `resume` is true until this is complete."""
-        design = self.checkpoint.read(searches) if self.resume and self.checkpoint is not None else {}
-        for variant in self.original.variants() if design else ():
-            if all(name in design for name in variant.model.free):
-                self._search_locally(variant, {name: design[name] for name in variant.model.free})
-        self.resume = False
 
     def _search_locally(self, variant: ProblemFile, start: dict[str, float]) -> bool:
         """Search locally from a design [SI]; return whether the result improved."""
@@ -290,8 +269,6 @@ class _Search:
     # --- the finding -----------------------------------------------------------------------------------------------
 
     def _report(self, progress: Progress | None, searches: list[BranchAndBound], k: int, search: BranchAndBound) -> None:
-        if self.checkpoint is not None and self.checkpoint.due():
-            self.checkpoint.write(searches, self.result.design)
         if progress is None:
             return
         volume = float(np.prod(search.bounder.high - search.bounder.low))
@@ -313,12 +290,15 @@ class _Search:
         return GLOBAL if self._exact or share <= GLOBAL_GAP * (1.0 + 1e-9) else WITHIN_GAP
 
     def _certificate(self, searches: list[BranchAndBound], variants: list[ProblemFile]) -> Certificate | None:
-        """Return what the searches prove; None if interrupted before they began, or restored in part."""
-        if self.resume or len(searches) < len(variants):
+        """Return what the searches prove; None if interrupted before they began."""
+        if len(searches) < len(variants):
             return None
         lower = 0.0 if self._exact else min(self._value(search.lower) for search in searches)
         closed = self._exact or all(search.closed for search in searches)
         kept = all(search.leaves.test and isinstance(search.bounder, LagrangianBounds) for search in searches)
+        kept = kept and not (
+            self.result.valid and getattr(self.result.problem.model, "everywhere", False)
+        )  # bounded at positions
         rows = [(boxes, self._value(low), self._value(best)) for boxes, low, best in joint_history(searches)]
         boxes, left = sum(item.boxes for item in searches), sum(len(item.open) + len(item.tiny) for item in searches)
         covers = tuple(_cover(item, file) for item, file in zip(searches, variants, strict=True)) if kept and closed else ()
@@ -382,13 +362,11 @@ class _PathSearch(_Search):
         bounds = TimedPathBounds(self.original.model)
         search = self._branches(bounds, self._squared, functools.partial(self._from_box, bounds), PATH_BOXES)
         try:
-            self._resume([search])
             if not self._exact:  # else nothing is smaller
                 search.run(seconds, boxes, functools.partial(self._report, progress, [search], 0))
         except KeyboardInterrupt:
             interrupts.handled()
             interrupted = True
-        self._keep([search])
         return self._with(self._certificate([search], [self.original]), begin, interrupted=interrupted)
 
     def _from_box(self, bounds: TimedPathBounds, x: Array) -> float:
@@ -416,6 +394,7 @@ def _cover(search: BranchAndBound, variant: ProblemFile) -> Cover:
         np.concatenate(leaves.test),
         np.concatenate(leaves.multipliers),
         bounds.problem.limits,
+        sides_of(variant.model.linkage),
     )
 
 

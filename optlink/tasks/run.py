@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from optlink.errors import InputError
@@ -70,8 +69,6 @@ def solve(
     gap: float = 1e-6,
     time_limit: float = math.inf,
     proving: Proving | None = None,
-    folder: Path | None = None,
-    resume: bool = False,
     engine: str = "local",
     workers: int | None = None,
     scheduler: str | None = None,
@@ -104,10 +101,6 @@ def solve(
         Time limit of the proof. The lower bound reached by then is valid.
     proving : function of (completed fraction of the proof, current gap), optional
         Called with the progress of the proof.
-    folder : Path, optional
-        Folder for the state of a long proof, from which it resumes; the state stays there until it is removed.
-    resume : bool
-        Resume the interrupted proof in `folder`.
     engine, workers, scheduler
         Execution of long searches and proofs, see `optlink.execution.runner.pool`; if one of them is set, of short searches too.
         The result does not depend on them.
@@ -156,9 +149,7 @@ def solve(
         boxes = math.inf if certify else _default_boxes(problem, result)
         if not boxes:
             return result
-        return proof.certify(  # type: ignore[type-var]
-            result, gap, time_limit, proving, seed, boxes, problem, folder, resume=resume, runs=runs
-        )
+        return proof.certify(result, gap, time_limit, proving, seed, boxes, problem, runs=runs)  # type: ignore[type-var]
 
 
 def _default_boxes(problem: ProblemFile, result: Any) -> int:

@@ -304,11 +304,9 @@ def test_the_folder_of_a_file_must_exist(arguments, option, tmp_path, monkeypatc
     "arguments",
     [
         ("solve", "crank-rocker", "--out"),
-        ("solve", "crank-rocker", "--certify", "--resume", "--out"),
         ("study", "sweep", "crank-rocker", "--vary", "mechanism.frame=490..510 mm:2", "--out"),
         ("study", "sweep", "crank-rocker", "--vary", "mechanism.frame=490..510 mm:2", "--resume", "--out"),
         ("analyze", "six-bar", "--csv"),
-        ("validate", "crank-rocker", "--certificate"),
     ],
     ids=" ".join,
 )

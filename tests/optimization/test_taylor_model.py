@@ -15,13 +15,13 @@ import flint
 import numpy as np
 import pytest
 from flint import arb
+from optlink.validation.balls import Ball
 
 from optlink.linkage.dyads import rrr
 from optlink.linkage.fourbar import dead_centre, transmission_cosine
 from optlink.linkage.vector2d import angle_from
 from optlink.optimization import taylor_model, taylor_rules
 from optlink.optimization.taylor_model import TaylorModel, pairs
-from optlink.validation.balls import Ball
 
 BITS = 200
 BOXES = 40  # of a batch

@@ -28,12 +28,12 @@ from optlink.problem.identity import identity
 from optlink.problem.machine.model import Problem
 from optlink.problem.path import PathProblem
 from optlink.report.stored.loader import load_stored
+from optlink.report.stored.stored_certificate import read_certificate
 from optlink.studies.pareto.epsilon_constraint import pareto
 from optlink.studies.sweep import sweep
 from optlink.studies.tolerance.analysis import tolerance
 from optlink.tasks.clearance import simulate_clearance
 from optlink.tasks.results.certificate import certificate_document
-from optlink.validation.certificate import read_certificate
 
 PACKAGE = Path(optlink.__file__).parent
 OTHER = "another problem|another study|another command|problem_hash"
@@ -181,17 +181,10 @@ def scatter(file: optlink.ProblemFile, folder: Path) -> Again:
     return stored(tolerance(file, texts, output, samples=0, design=design), folder)
 
 
-def proof(file: optlink.ProblemFile, folder: Path) -> Again:
-    options: dict[str, Any] = {"starts": 2, "certify": True, "gap": 1e-12, "time_limit": 1e-3, "folder": folder}
-    optlink.solve(file, **options)
-    assert (folder / "certificate-search.npz").is_file()
-    return lambda changed: optlink.solve(changed, resume=True, **options)
-
-
 def certificate(file: optlink.ProblemFile, folder: Path) -> Again:
     result = optlink.solve(file, starts=2, certify=True, gap=0.9)
     (folder / "certificate.json").write_text(json.dumps(certificate_document(result.certificate, result)))
-    return lambda changed: read_certificate(changed, folder)
+    return lambda changed: read_certificate(changed, folder / "certificate.json")
 
 
 def clearance(file: optlink.ProblemFile, folder: Path) -> Again:
@@ -228,7 +221,7 @@ def machine(name: str, **sections: Any) -> dict[str, Any]:
 
 
 DESIGN = (report, validation, table)
-PROVEN = (*DESIGN, proof, certificate)
+PROVEN = (*DESIGN, certificate)
 OPTIMA = (*PROVEN, front)
 LAW_PROBLEM = {"mechanism": FOUR_BAR, "requirement": {"law": {"csv": "data.csv"}}, "limits": LIMITS}
 ROBUST = {"law": "psi0 + 0.2*(phi - phi0)^2", "span": "90 deg", "points": 10, "measure": "max", "robust": "3 sigma"}

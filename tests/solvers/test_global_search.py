@@ -195,43 +195,6 @@ def test_a_gap_is_rounded_up(share, text):
     assert share_text(share) == text
 
 
-@pytest.mark.slow
-def test_a_killed_proof_resumes_to_the_same_bound(crank_rocker, tmp_path):
-    problem = crank_rocker.override(FREE_FRAME)
-    result = optlink.solve(problem, certify=False)
-    whole = certify(result, 1e-3).certificate
-    assert certify(result, 1e-3, boxes=300, folder=tmp_path).certificate.status == NOT_CLOSED
-    for boxes in (600, 900):
-        assert certify(result, 1e-3, boxes=boxes, folder=tmp_path, resume=True).certificate.open_boxes > 0
-    resumed = certify(result, 1e-3, folder=tmp_path, resume=True).certificate
-    assert (resumed.lower_bound, resumed.boxes) == (whole.lower_bound, whole.boxes)
-    assert [len(cover.test) for cover in resumed.covers] == [len(cover.test) for cover in whole.covers]
-    again = certify(result, 1e-3, folder=tmp_path, resume=True).certificate  # the state stays until the results are written
-    assert (again.status, again.lower_bound, again.boxes) == (whole.status, whole.lower_bound, whole.boxes)
-    [state] = tmp_path.iterdir()
-    state.unlink()
-    with pytest.raises(InputError, match="no interrupted certificate"):
-        certify(result, 1e-3, folder=tmp_path, resume=True)
-
-
-@pytest.mark.parametrize("damage", mostly_slow(["truncated", "gap", "text", "other"], "truncated", "other"))
-def test_a_checkpoint_that_does_not_fit_is_refused(crank_rocker, tmp_path, damage):
-    problem = crank_rocker.override(FREE_FRAME)
-    result = optlink.solve(problem, certify=False)
-    certify(result, 1e-3, boxes=300, folder=tmp_path)
-    [file] = tmp_path.iterdir()
-    if damage == "truncated":
-        file.write_bytes(file.read_bytes()[:-700])
-    elif damage == "text":
-        file.write_text("no boxes here")
-    elif damage == "other":
-        result = optlink.solve(crank_rocker, certify=False)
-    before = file.read_bytes()
-    with pytest.raises(InputError, match="damaged" if damage in ("truncated", "text") else "another command"):
-        certify(result, 1e-2 if damage == "gap" else 1e-3, folder=tmp_path, resume=True)
-    assert file.read_bytes() == before
-
-
 # --- parts -----------------------------------------------------------------------------------------------------------------
 
 

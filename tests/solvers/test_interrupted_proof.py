@@ -7,19 +7,8 @@ import pytest
 import optlink
 from optlink.optimization.box_models import box_problem
 from optlink.solvers.global_search.branch_and_bound import BranchAndBound, joint_history
-from optlink.solvers.global_search.checkpoint import Checkpoint
 from optlink.solvers.global_search.lagrangian import LagrangianBounds
-from optlink.tasks import path
 from optlink.tasks.certify import certify
-
-NEAR_ARC = {
-    "crank": 2.00014,
-    "coupler": 4.03155,
-    "rocker": 2.72148,
-    "frame": 3.7004,
-    "P.along": 1.67467,
-    "P.across": 1.67447,
-}  # mm
 
 
 class Interrupted(LagrangianBounds):
@@ -122,40 +111,3 @@ def test_the_history_of_several_assembly_modes_is_that_of_one_search():
     second = SimpleNamespace(history=[(1, 2.0, 9.0), (7, 7.0, 7.0)], boxes=7, lower=7.0)
     assert joint_history([first, second]) == [(1, 0.0, 9.0), (5, 0.0, 9.0), (7, 2.0, 9.0), (13, 7.0, 7.0)]
     assert joint_history([first]) == first.history
-
-
-@pytest.mark.parametrize("partly", [False, True])
-def test_an_interrupt_while_the_checkpoint_is_read_leaves_it_and_proves_nothing(solved, monkeypatch, tmp_path, partly):
-    """Neither an empty search nor one that is restored in part replaces the state of hours."""
-    assert certify(solved, boxes=100, folder=tmp_path).certificate.status == "not closed"
-    [file] = tmp_path.iterdir()
-    before = file.read_bytes()
-
-    def stop(self, searches, read=Checkpoint.read):
-        if partly:
-            read(self, searches)
-            searches[0].discarded = float("inf")
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as interrupting:
-        interrupting.setattr(Checkpoint, "read", stop)
-        result = certify(solved, folder=tmp_path, resume=True)
-    assert result.interrupted
-    assert result.certificate is None
-    assert [file.read_bytes() for file in tmp_path.iterdir()] == [before]
-    assert certify(solved, folder=tmp_path, resume=True).certificate.status == "global"
-
-
-def test_an_interrupt_while_the_checkpoint_of_a_timed_path_is_read_leaves_it(monkeypatch, tmp_path):
-    result = path.validate(optlink.load("path-arc5").variants()[0], {name: 1e-3 * value for name, value in NEAR_ARC.items()})
-    certify(result, 1e-3, boxes=64, folder=tmp_path)
-    [file] = tmp_path.iterdir()
-    before = file.read_bytes()
-
-    def stop(_self, _searches):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(Checkpoint, "read", stop)
-    outcome = certify(result, 1e-3, folder=tmp_path, resume=True)
-    assert (outcome.interrupted, outcome.certificate) == (True, None)
-    assert file.read_bytes() == before

@@ -18,6 +18,7 @@ from optlink.problem.base_model import Contradiction, ResultRecord, check_length
 from optlink.problem.file import ProblemFile
 from optlink.problem.path import PathProblem
 from optlink.report.report_model import Outcome, ReportModel, report_model_of
+from optlink.report.stored.stored_certificate import read_certificate
 from optlink.report.stored.stored_study import named_si
 from optlink.solvers import multistart
 from optlink.solvers.global_search.lagrangian import TESTS
@@ -35,7 +36,6 @@ from optlink.tasks.results.rejected import RejectedDesign, RejectedRecord
 from optlink.tasks.run import validate
 from optlink.units import UnitProblem, factor
 from optlink.validation import Check
-from optlink.validation.certificate import read_certificate
 from optlink.validation.check import Validation
 from optlink.validation.path import validate_path
 

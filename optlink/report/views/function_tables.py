@@ -1,4 +1,4 @@
-"""Tables of a function synthesis result and of the check of a certificate."""
+"""Tables of a function synthesis result."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from optlink.solvers.contract import FOUND, LEAST_SQUARES
 from optlink.solvers.solution import LimitState
 from optlink.tasks.function import FunctionResult
 from optlink.tasks.machine import turning_machine
-from optlink.tasks.results.certificate import Certificate, share_text
+from optlink.tasks.results.certificate import Certificate
 from optlink.tasks.results.fit import Fit
 from optlink.units import percent
 from optlink.validation import Check
@@ -43,7 +43,6 @@ if TYPE_CHECKING:
     from optlink.problem.machine.model import Problem
     from optlink.tasks.results.cycle import CycleResult
     from optlink.tasks.results.path import PathResult
-    from optlink.validation.certificate import CertificateCheck
 
     SearchedResult = FunctionResult | CycleResult
 
@@ -355,19 +354,3 @@ def backends(outcome: SearchedResult | PathResult) -> TableSpec:
     rows.append(("steps", *(str(solution.iterations) for solution in solutions), ""))
     rows.append(("KKT residual", *(f"{solution.kkt:.1e}" for solution in solutions), ""))
     return table("Back ends", ["", *(f">{name}" for name in outcome.backends), ""], rows, appendix=True)
-
-
-def certificate_check(outcome: CertificateCheck) -> Summary:
-    """Summarise the check of a certificate: the verdict, and every check."""
-    if not outcome.valid:
-        failed = next(check for check in outcome.checks if not check.passed)
-        verdict = bad(f"certificate does not hold: {failed.name}")
-    elif math.isfinite(outcome.objective):
-        verdict = good(f"certificate holds: no design is better by more than {share_text(outcome.gap)}")
-    else:
-        verdict = good("certificate holds: no design within the bounds meets all limits")
-    bounded = f"{outcome.pieces:,} parts of {outcome.boxes:,} boxes bounded in ball arithmetic"
-    status: list[Line] = [verdict, bounded]
-    if math.isfinite(outcome.objective):
-        status.append(f"objective {number(outcome.objective, 9)}, lower bound {number(outcome.lower_bound, 9)} (SI)")
-    return summary(outcome.problem.model.title, status, checks(outcome.checks))

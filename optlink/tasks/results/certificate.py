@@ -1,6 +1,9 @@
 """Certificate of a global optimum: a lower bound of the objective over all designs, and the boxes that prove it."""
 
+import hashlib
+import json
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -8,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.errors import Status
+from optlink.linkage.dyad_types import ModalDyad
+from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.vector2d import Array
 from optlink.problem.base_model import Contradiction, Never, Number, Record, Rows
 from optlink.problem.file import ProblemFile
@@ -20,7 +25,7 @@ EXACT = 1e-9  # rms deviation [rad], or share of the curve, below which a design
 GLOBAL_GAP = 1e-6  # largest relative gap of a design that is called globally optimal
 OBJECTIVE_TOLERANCE = 1e-6  # relative difference of the same objective, once computed and once read
 TINY = 1e-16  # objective [SI] below which the difference of two values is rounding
-SCHEMA = "optlink/certificate/1"
+SCHEMA = "optlink/certificate/2"
 
 
 def exact(problem: ProblemFile, objective: float) -> bool:
@@ -55,6 +60,8 @@ class Cover:
         Of the limits, in the order of `limits`.
     limits : tuple of str
         Key of the limit of every multiplier.
+    sides : mapping of str to int
+        Assembly mode of every dyad that has two, +1 or -1, by its joint; empty if read from a file.
     """
 
     assembly: Any
@@ -63,6 +70,7 @@ class Cover:
     test: NDArray[np.int8]
     multipliers: Array
     limits: tuple[str, ...]
+    sides: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def names(self) -> list[str]:
@@ -251,8 +259,13 @@ def _cover_document(cover: Cover) -> dict[str, Any]:
     }
 
 
+def sides_of(linkage: Mechanism) -> dict[str, int]:
+    """Return the assembly mode of every dyad that has two, +1 or -1, by its joint."""
+    return {group.joint: group.side for group in linkage.groups if isinstance(group, ModalDyad)}
+
+
 def certificate_document(certificate: Certificate, result: Any) -> dict[str, Any]:
-    """Return a certificate as a document of its own, with everything that `optlink validate --certificate` checks.
+    """Return a certificate as a document of its own, with everything that its check needs: the numbers of the problem too.
 
     Parameters
     ----------
@@ -261,14 +274,20 @@ def certificate_document(certificate: Certificate, result: Any) -> dict[str, Any
     result : FunctionResult or PathResult
         The design that it certifies.
     """
+    from optlink.tasks.results.certificate_numbers import finite, numbers_of  # its import takes time
+
+    modes = [{"assembly": cover.assembly, "sides": dict(cover.sides)} for cover in certificate.covers]
+    numbers = numbers_of(result.problem) | {"modes": modes}
+    problem = {"problem": result.problem.name, "problem_hash": result.problem.hash, "numbers": numbers}
     return {
         "schema": SCHEMA,
         "optlink": VERSION,
-        "problem": result.problem.name,
-        "problem_hash": result.problem.hash,
+        **problem,
+        "identity": hashlib.sha256(json.dumps(problem, sort_keys=True, separators=(",", ":")).encode()).hexdigest(),
         "status": certificate.status,
-        "objective": certificate.objective if math.isfinite(certificate.objective) else None,
-        "lower_bound": certificate.lower_bound if math.isfinite(certificate.lower_bound) else None,
+        "objective": finite(certificate.objective),
+        "lower_bound": finite(certificate.lower_bound),
+        "asked": certificate.asked,
         "unknowns": list(certificate.unknowns),
         "design": dict(result.design) if certificate.proven else None,
         "covers": [_cover_document(cover) for cover in certificate.covers],

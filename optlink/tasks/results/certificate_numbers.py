@@ -1,0 +1,174 @@
+"""The numbers of a problem [SI] in the file of a certificate: all that its check needs, without the problem file."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from optlink.linkage.dyad_types import JointedDyad
+from optlink.linkage.mechanism import Arm, Guide, Link, Mechanism
+from optlink.problem.file import ProblemFile
+from optlink.problem.function import DEAD_CENTRES, DesignProblem
+from optlink.problem.interval import Interval
+from optlink.problem.limits import limits_in_file
+from optlink.problem.mechanism import FourBarSection
+from optlink.problem.targets.function import Function
+from optlink.problem.targets.law import Law, SlideExpression, Table
+
+if TYPE_CHECKING:
+    from optlink.problem.path import PathProblem
+
+Numbers = dict[str, Any]
+
+
+def numbers_of(problem: ProblemFile) -> Numbers:
+    """Return the numbers of a problem, without its assembly modes, as plain data.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+        With a lower bound over boxes, see `optlink.optimization.box_models.box_problem`.
+    """
+    model: Any = problem.model
+    quantities = {
+        name: {"value": quantity.value, "low": quantity.bounds[0], "high": quantity.bounds[1], "free": quantity.free}
+        for name, quantity in model.quantities.items()
+    }
+    numbers: Numbers = {
+        "measure": model.measure,
+        "quantities": quantities,
+        "linkage": {"four_bar": isinstance(model.mechanism, FourBarSection), **_linkage(model.linkage)},
+        "limits": _limits(model),
+    }
+    return numbers | (_of_law(model) if isinstance(model, DesignProblem) else _of_positions(model))
+
+
+def _linkage(linkage: Mechanism) -> Numbers:
+    guides = dict.fromkeys((*linkage.guides, *(guide for group in linkage.groups for guide in group.prismatic)))
+    dyads = []
+    for group in linkage.groups:
+        assert isinstance(group, JointedDyad)
+        outer = [joint.name if isinstance(joint, Guide) else joint for joint in group.outer]
+        members = [_body(linkage, link) for link in group.links]
+        dyads.append({"kind": group.kind, "bodies": members, "outer": outer, "inner": group.joint})
+    return {
+        "datum": linkage.datum,
+        "ground": {
+            name: {"from": place.origin, "length": place.length, "direction": place.direction}
+            if isinstance(place, Arm)
+            else list(place)
+            for name, place in linkage.ground.items()
+        },
+        "crank": _body(linkage, linkage.crank),
+        "dyads": dyads,
+        "guides": {guide.name: _guide(linkage, guide) for guide in guides},
+    }
+
+
+def _body(linkage: Mechanism, link: Link) -> Numbers:
+    points = {point.name: [point.along, point.across] for point in linkage.points if point.body == link.body}
+    return {"name": link.body, "start": link.start, "end": link.end, "length": link.length, "points": points}
+
+
+def _guide(linkage: Mechanism, guide: Guide) -> Numbers:
+    return {
+        "slider": guide.slider,
+        "on": guide.on,
+        "at": guide.at or linkage.bodies[guide.slider].start,
+        "through": guide.through if isinstance(guide.through, str) else list(guide.through),
+        "direction": guide.direction,
+        "offset": guide.offset,
+        "tilt": guide.tilt,
+    }
+
+
+def _of_law(model: DesignProblem) -> Numbers:
+    """Return the requirement of a motion law of a four-bar."""
+    start = model.requirement.start
+    return {
+        "kind": "law",
+        "offsets": model.law.offsets.tolist(),
+        "span": model.span,
+        "start": start if start in DEAD_CENTRES and "phi0" not in model.quantities else None,
+        "law": _law(model.law),
+        "output": "rocker",
+        **_NO_POINTS,
+    }
+
+
+_NO_POINTS: Numbers = {"slides": False, "point": "", "body": "", "radian": 1.0, "targets": [], "roots": [], "tolerances": []}
+
+
+def _of_positions(model: PathProblem) -> Numbers:
+    """Return the requirement of a problem with prescribed crank angles."""
+    data, requirement = model.data, model.requirement
+    assert data.offsets is not None
+    numbers = {
+        "kind": requirement.kind,
+        "offsets": data.offsets.tolist(),
+        "span": float(data.offsets[-1] - data.offsets[0]),
+        "start": None,
+        "law": None,
+        "output": "",
+        **_NO_POINTS,
+    }
+    if requirement.kind == "function":
+        return numbers | {"law": _law(model.law), "output": str(requirement.output), "slides": model.slides}
+    if not model.pointed:
+        return numbers
+    return numbers | {
+        "point": requirement.point,
+        "body": model.body,
+        "radian": model.radian,
+        "targets": data.columns.tolist(),
+        "roots": data.roots.tolist(),
+        "tolerances": [finite(value) for value in data.tolerances],
+    }
+
+
+def _law(law: Law) -> Numbers:
+    source = law.source
+    if isinstance(source, Table):
+        return {"kind": "table", "tabulated": np.asarray(law.tabulated).tolist(), "from_start": source.from_start}
+    if isinstance(source, Function):
+        least, largest = source.ends
+        sizes = {"low": source.low, "high": source.high, "input": source.input, "output": source.output}
+        return {"kind": "function", "text": source.expression.text, **sizes, "least": least, "largest": largest}
+    expression, unit = (source.expression, source.size) if isinstance(source, SlideExpression) else (source, 1.0)
+    return {"kind": "expression", "text": expression.text, "unit": unit}
+
+
+def _limits(model: DesignProblem | PathProblem) -> Numbers:
+    limits = model.limits
+    transmission = {
+        joint: limit for joint in (group.joint for group in model.linkage.groups) if (limit := limits.transmission_at(joint))
+    }
+    region = getattr(limits, "pivots", None)  # of path synthesis
+    pivots = None if region is None else {axis: _interval(getattr(region, axis)) for axis in "xy"}
+    return {
+        "crank": limits.crank,
+        "alignment": limits.alignment.value,
+        "length_margin": limits.length_margin,
+        "over": limits.transmission_range,
+        "transmission": {joint: vars(limit) for joint, limit in transmission.items()},
+        "further": [
+            {"name": term.name, **_sides(interval.bounds), "stroke": getattr(interval, "stroke", None)}
+            for term, interval in limits_in_file(limits)
+        ],
+        "pivots": pivots,
+    }
+
+
+def _interval(interval: Interval | None) -> list[float | None]:
+    return [None, None] if interval is None else list(_sides(interval.bounds).values())
+
+
+def _sides(bounds: tuple[float, float]) -> dict[str, float | None]:
+    return {"low": finite(bounds[0]), "high": finite(bounds[1])}
+
+
+def finite(value: float) -> float | None:
+    """Return a number as JSON can contain it: null if it is infinite."""
+    return float(value) if math.isfinite(value) else None

@@ -1,0 +1,1 @@
+"""Programs of their own that check results of optlink; nothing in them is imported from the package."""
