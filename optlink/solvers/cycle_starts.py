@@ -11,8 +11,8 @@ from optlink.optimization.cycle_signals import EventOrder, Sample, TracedCycle
 from optlink.problem.cycle.terms import Term
 from optlink.solvers.multistart import latin_hypercubes
 
-STARTS = 8  # default number of starting points
-SAMPLES = 64  # random designs per starting point; only those with the structure of the initial design are used
+STARTS = 16  # default number of starting points
+SAMPLES = 160  # random designs per starting point; only those with the structure of the initial design are used
 BLOCK = 32  # random designs whose events are determined together
 ORDERS = 2  # further orders of events searched while no feasible design is known
 

@@ -38,6 +38,7 @@ IDLE_ROUNDS = 3  # rounds in a row whose reordered candidates improve no design:
 POOR_FIT_TRIES = 3  # candidates and reordered candidates of a later round refined at any cost, while the fit is poor
 COUNTED_RATIO = 1.5  # largest error of counted optima, relative to the least one: a better one would be among them
 ANY_ORDER = 3  # points that every crank passes in their order, in one direction or the other
+MISSING = 0.25  # how far counts can be relied on where the best design misses the points
 MOST_IN_ORDER = 0.5  # share of starts that end in order from which the order does not decide which optima are found
 OBJECTIVE_TOLERANCE = 1e-6  # relative difference of equal objectives
 SAME_COST = 1e-4  # relative difference of equal costs of candidates
@@ -288,14 +289,17 @@ class DesignCollection:
 
     @property
     def in_order(self) -> float:
-        """How far the counts of optima can be relied on: 1, or less where few starts pass untimed points in their order.
+        """How far the counts of optima can be relied on: 1, or less where the order of untimed points decides which ones exist.
 
-        The order then divides the designs into regions that few starts reach, so that counts look complete too early. Any crank
-        passes three points in their order, in one direction or the other.
+        It divides the designs into many small regions, so that counts look complete too early: where few starts pass the points in
+        their order, and where the best design misses them. Any crank passes three points in their order, in one direction or the
+        other.
         """
         data = path_model(self.polisher.files[0]).data
-        untimed = data.offsets is None and len(data.columns) > ANY_ORDER
-        return min(1.0, self._accepted / MOST_IN_ORDER) if untimed else 1.0
+        if data.offsets is not None or len(data.columns) <= ANY_ORDER:
+            return 1.0
+        share = min(1.0, self._accepted / MOST_IN_ORDER)
+        return min(share, MISSING) if self.grade in ("fair", "poor") else share
 
     def _follow_reordered(self, candidates: list[Candidate], tries: int, failures: int, costly: int) -> None:
         """Refine reordered candidates as in `_follow`, and count the rounds in which this improves no design."""
