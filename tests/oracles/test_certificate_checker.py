@@ -79,6 +79,20 @@ KINDS: dict[str, tuple[str, dict[str, Any], float]] = {
         NARROW | {"limits.crank": "span", "limits.transmission_angle": ["30 deg", "150 deg"], "requirement.from": "10 deg"},
         1e-2,
     ),
+    "function with free start angles": (
+        "function-log10",
+        {
+            "requirement.measure": "rms",
+            "requirement.points": 6,
+            "mechanism.crank": "200 mm",
+            "mechanism.coupler": "150 mm",
+            "mechanism.rocker": "180 mm",
+            "mechanism.assembly": "left",
+            "requirement.from": {"bounds": ["20 deg", "60 deg"]},
+            "requirement.psi0": {"bounds": ["-30 deg", "120 deg"]},
+        },
+        1e-2,
+    ),
     "law that no design meets": ("crank-rocker", NARROW | NO_DESIGN, 1e-6),
     "law with limits of the rocker": (
         "crank-rocker",
@@ -493,6 +507,29 @@ def test_every_dyad_has_the_positions_of_the_search_and_a_proof(kind: str) -> No
     assert [group.kind for group in file.model.linkage.groups] == [kind]
     compare(file)
     assert check(certificate(one_dyad(kind), 1e-3))
+
+
+def test_poses_pivots_and_tolerances_are_proven_too() -> None:
+    linkage = copy.deepcopy(OTHERS["RPR"]["mechanism"])
+    poses = [{**place, "angle": f"{angle} deg"} for place, angle in zip(POINTS["points"], (20, 25, 30), strict=True)]
+    mark, region = {"bounds": ["-180 deg", "180 deg"]}, {"x": ["-3 mm", "200 mm"], "y": ["-50 mm", "50 mm"]}
+    motion = {"kind": "motion", "point": "P", "timing": "given", "points": poses, "angle_length": "50 mm", "mark": mark}
+    moved = linkage | {"ground": GROUND | {"A": [{"bounds": ["-5 mm", "5 mm"]}, "0 mm"]}}
+    limits = {"crank": "span", "pivots": region}
+    document = certificate(optlink.read({"title": "poses", "mechanism": moved, "requirement": motion, "limits": limits}), 1e-2)
+    assert document["status"] != "infeasible"
+    assert any("limits.pivots" in cover["limits"] for cover in document["covers"])
+    assert check(document)
+    near = [{**place, "tolerance": "40 mm"} for place in POINTS["points"]]
+    path = {"kind": "path", "point": "P", "timing": "from start", "points": near, "start": {"bounds": ["-20 deg", "20 deg"]}}
+    document = certificate(
+        optlink.read({"title": "path", "mechanism": linkage, "requirement": path, "limits": {"crank": "span"}})
+    )
+    assert document["status"] == "infeasible"
+    assert check(document)
+    document["numbers"]["tolerances"] = [0.4, 0.4, 0.4]
+    with pytest.raises(Refused, match="violates none of the limits"):
+        check(sealed(document))
 
 
 def one_dyad(kind: str) -> optlink.ProblemFile:
