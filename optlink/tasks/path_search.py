@@ -291,9 +291,9 @@ class DesignCollection:
     def in_order(self) -> float:
         """How far the counts of optima can be relied on: 1, or less where the order of untimed points decides which ones exist.
 
-        It divides the designs into many small regions, so that counts look complete too early: where few starts pass the points in
-        their order, and where the best design misses them. Any crank passes three points in their order, in one direction or the
-        other.
+        It divides the designs into many small regions, so that counts look complete too early: where few starts pass the points
+        in their order, and where the best design misses them. Any crank passes three points in their order, in one direction or
+        the other.
         """
         data = path_model(self.polisher.files[0]).data
         if data.offsets is not None or len(data.columns) <= ANY_ORDER:
