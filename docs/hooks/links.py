@@ -23,7 +23,12 @@ if TYPE_CHECKING:
 ROOT = Path(__file__).resolve().parents[2]
 LINK = re.compile(r"(?<!\\)(?P<open>!?\[[^\]\n]*\]\()(?P<target>[^)\s]+)\)")
 FENCE = re.compile(r"^(```|~~~).*?^\1\s*$", re.DOTALL | re.MULTILINE)
-OUTSIDE = {"README.md": "index.md", "CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
+OUTSIDE = {
+    "README.md": "index.md",
+    "README.zh.md": "zh.md",
+    "CONTRIBUTING.md": "contributing.md",
+    "CHANGELOG.md": "changelog.md",
+}
 """Pages of the repository that are pages of the site under another name."""
 LEXERS = {".py": "python", ".toml": "toml", ".m": "matlab", ".yml": "yaml"}
 QUIET = "---\nsearch:\n  exclude: true\n---\n\n"
@@ -155,7 +160,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
             level = InclusionLevel.UNDEFINED if listed else InclusionLevel.NOT_IN_NAV
             files.append(File.generated(config, uri, content=content, inclusion=level))
 
-    for path in ("CONTRIBUTING.md", "CHANGELOG.md"):
+    for path in ("README.zh.md", "CONTRIBUTING.md", "CHANGELOG.md"):
         add(page_of(path), rewritten((ROOT / path).read_text(encoding="utf-8"), "", page_of(path)), listed=True)
     for book in sorted((ROOT / "notebooks").glob("*.ipynb")):
         path = f"notebooks/{book.name}"
