@@ -105,6 +105,7 @@ def test_every_page_is_in_the_navigation():
     generated = {
         "contributing.md",
         "changelog.md",
+        "zh.md",
         *(f"notebooks/{book.stem}.md" for book in (ROOT / "notebooks").glob("*.ipynb")),
     }
     assert {page.relative_to(DOCS).as_posix() for page in PAGES} | generated == set(listed)
