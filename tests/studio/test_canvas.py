@@ -437,7 +437,7 @@ def test_a_conflict_stays_on_the_page_after_the_release(page):
     page.until("return document.querySelector('#canvas').dataset.status === 'infeasible'")
     page.release()
     page.until("return document.querySelector('.edge') !== null")
-    assert "the limit transmission angle cannot be met" in page.text("#conclusion")
+    assert "45° of transmission angle cannot be met" in page.text("#conclusion")
     assert page.text("#checks p") == "No validated design."
     assert not page.find("#active").is_displayed()
     ring, edge = (page.find(one).rect for one in (f'[data-handle="{FRAME}"].red .ring', ".edge"))

@@ -161,7 +161,7 @@ def test_conflicting_limits_are_listed_with_their_relaxations():
 @pytest.mark.slow
 def test_toggle_press_with_corners_in_its_load():
     """The table of the force has corners: the crank angles at which they are met cut the strokes, so derivatives stay exact."""
-    result = solve(optlink.load("press-toggle"), "slsqp", starts=1)
+    result = solve(optlink.load("press-toggle"), "slsqp")
     assert result.valid
     expected = result.task.expected
     assert expected is not None
