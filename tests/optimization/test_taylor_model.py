@@ -9,13 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import flint
 import numpy as np
 import pytest
 from flint import arb
-from optlink.validation.balls import Ball
+from numpy.lib.mixins import NDArrayOperatorsMixin
 
 from optlink.linkage.dyads import rrr
 from optlink.linkage.fourbar import dead_centre, transmission_cosine
@@ -40,13 +40,49 @@ class Case:
     high: float = 1.0
     positive: bool = False
     angle: bool = False  # known but for full turns
-    exact: Formula | None = None  # the same for numbers of Arb; default: the formula with constants of ball arithmetic
+    exact: Formula | None = None  # the same for numbers of Arb; default: the formula with `Exact` numbers
     offset: float = 0.0
     roots: bool = False  # whether square roots occur
 
 
+def _number(x: Any) -> arb:
+    return x.value if isinstance(x, Exact) else arb(float(x))
+
+
+class Exact(NDArrayOperatorsMixin):
+    """A number of Arb that passes through numpy's functions."""
+
+    RULES: ClassVar[dict[Any, Formula]] = {
+        np.add: lambda x, y: x + y,
+        np.subtract: lambda x, y: x - y,
+        np.multiply: lambda x, y: x * y,
+        np.divide: lambda x, y: x / y,
+        np.power: lambda x, y: x**y,
+        np.negative: lambda x: -x,
+        np.positive: lambda x: x,
+        np.square: lambda x: x * x,
+        np.sqrt: arb.sqrt,
+        np.sin: arb.sin,
+        np.cos: arb.cos,
+        np.arcsin: arb.asin,
+        np.arccos: arb.acos,
+        np.arctan: arb.atan,
+        np.arctan2: arb.atan2,
+        np.exp: arb.exp,
+        np.log10: lambda x: x.log() / arb(10).log(),
+    }
+
+    def __init__(self, value: arb) -> None:
+        self.value = value
+
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **kwargs: Any) -> Exact:
+        assert method == "__call__"
+        assert not kwargs
+        return Exact(self.RULES[ufunc](*map(_number, inputs)))
+
+
 def _constant(formula: Formula) -> Formula:
-    return lambda *x: formula(*(Ball.constant(value) for value in x)).value
+    return lambda *x: formula(*map(Exact, x)).value
 
 
 CASES: dict[Any, list[Case]] = {

@@ -62,7 +62,7 @@ def _measured(outcome: ClearanceSimulation) -> TableSpec:
         (words, *(fixed(figures[f"{name}.{what}_{unit}"] * factor, 4) for what in ("rms", "peak", "mean")))
         for words, name in (("the simulation", "measured"), ("the machine without clearance", "measured.ideal"))
     ]
-    title = f"Measured {outcome.output.name}, {figures['measured.rows']:.0f} rows: difference from"
+    title = f"Measured {outcome.output.name}, {int(figures['measured.rows'])} rows: difference from"
     return table(title, ["", f">rms\n[{displayed}]", ">largest", ">mean"], rows)
 
 
