@@ -111,6 +111,10 @@ def arguments_for_options(text: str) -> str:
     return _OPTION.sub(argument, text)
 
 
+LIKE = 0.62
+"""Least similarity, as of difflib, of a name that may be meant by an unknown one."""
+
+
 def nearest(key: str, choices: Iterable[str], deeper: Sequence[str] = ()) -> str:
     """Return a remedy for an unknown name: the shortest that contain it, or else the closest one, and all known ones.
 
@@ -127,7 +131,7 @@ def nearest(key: str, choices: Iterable[str], deeper: Sequence[str] = ()) -> str
     names, quoted = list(choices), '"{}"'.format
     same = [name for name in names if name.lower() == key.lower()]
     inside = sorted((name for name in names if len(key) > 2 and key in name), key=len)
-    close = same or deeper or inside or difflib.get_close_matches(key, names, n=1, cutoff=0.62)
+    close = same or deeper or inside or difflib.get_close_matches(key, names, n=1, cutoff=LIKE)
     guess = f"Did you mean {' or '.join(map(quoted, close[:3]))}? " if close else ""
     return f"{guess}Known: {', '.join(quoted(name) if ',' in name else name for name in names)}"
 

@@ -317,7 +317,7 @@ def parse(text: object, kind: str) -> tuple[float, str]:
     if not isinstance(text, str):
         if abs(text) > 1e300 or not math.isfinite(text):
             raise UnitProblem(f"{_a(kind)} must be finite", f'Write a number and a unit: "{expected_kind.example}"')
-        results = () if OPTIONS_NAMED.get() else (expected_kind.si.replace("**", "^"),)  # nobody types metres
+        results = () if OPTIONS_NAMED.get() else (expected_kind.si.replace("**", "^"),)  # a length is typed in mm
         units = dict.fromkeys((expected_kind.display, *results))
         written = " or ".join(f'"{_digits(text)} {unit}"' for unit in units)
         raise UnitProblem(f"{_a(kind)} needs a unit", f"Write {written}, with the quotes")

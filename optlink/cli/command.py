@@ -9,7 +9,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from optlink.cli.console import reported
-from optlink.errors import InputError
+from optlink.errors import LIKE, InputError
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -152,8 +152,11 @@ def _meant(error: Any, message: str) -> str:
         if equals:
             return f'Write --set {key}="{value}"'
         return 'Write key and value in one, --set mechanism.frame="480 mm"' if re.match(r"[-+.\d]", extra[1]) else ""
-    possible = getattr(error, "possibilities", None)
-    return f"Did you mean {' or '.join(sorted(possible))}?" if possible else ""
+    import difflib
+
+    option, possible = getattr(error, "option_name", None) or "", getattr(error, "possibilities", None) or ()
+    like = sorted(name for name in possible if difflib.SequenceMatcher(None, name, option).ratio() >= LIKE)
+    return f"Did you mean {' or '.join(like)}?" if like else ""
 
 
 class App(typer.Typer):

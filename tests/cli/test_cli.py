@@ -549,7 +549,7 @@ def test_a_count_of_thousands_of_digits_is_refused(sign):
 
 @pytest.mark.parametrize(("key", "value", "units"), [("coupler", 46, ("mm", "m")), ("direction", 30, ("deg", "rad"))])
 def test_a_number_without_a_unit_is_offered_in_si_in_python_alone(key, value, units):
-    """Results of Python are in SI; on a command line nobody types metres."""
+    """Results of Python are in SI; on a command line a length is typed in mm."""
     base = ("path-arc5", "--set", f"mechanism.{key}={value}")
     remedies = [f'"{value} {unit}"' for unit in units]
     typed = run("solve", *base).stderr

@@ -97,6 +97,7 @@ def test_other_spellings_are_the_same_option(old, new):
         (("sweep", "x"), "optlink: no such command 'sweep'. Did you mean 'study sweep'?"),
         (("optimize", "x"), "optlink: no such command 'optimize'. `optlink --help` lists its options"),
         (("mine.toml", "x"), "optlink: no such command 'mine.toml'. Did you mean 'solve mine.toml'?"),
+        (("solve", "x", "--resume"), "optlink solve: --resume: no such option. `optlink solve --help` lists its options"),
         (("solve", "x", "--worker"), "optlink solve: --worker: no such option. Did you mean --workers?"),
         (
             ("solve", "x", "mechanism.frame=480 mm"),
