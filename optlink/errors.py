@@ -122,7 +122,6 @@ def nearest(key: str, choices: Iterable[str], deeper: Sequence[str] = ()) -> str
     ----------
     key : str
         The unknown name.
-    choices : iterable of str
     deeper : sequence of str
         Full names that end with it, which are meant rather than others.
     """

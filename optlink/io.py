@@ -51,7 +51,6 @@ def folder(path: Path, option: str = "--out") -> Path:
 
     Parameters
     ----------
-    path : Path
     option : str
         Command-line option that the error message names.
 
@@ -74,10 +73,6 @@ def folder(path: Path, option: str = "--out") -> Path:
 
 def check_link(path: Path) -> Path:
     """Return the file that is written under a name: the target of a symbolic link.
-
-    Parameters
-    ----------
-    path : Path
 
     Raises
     ------
@@ -145,7 +140,6 @@ def write_json(path: Path, document: dict[str, Any]) -> None:
 
     Parameters
     ----------
-    path : Path
     document : dict
         Document of plain Python values.
     """
@@ -169,7 +163,6 @@ def check_sum(data: bytes, begin: int = 0) -> str:
 
     Parameters
     ----------
-    data : bytes
     begin : int, optional
         Value of the check sum of the data before.
     """
@@ -205,10 +198,6 @@ def locked(path: Path) -> Iterator[None]:
     This is a lock of the operating system on a file in the folder. The system releases it when the process ends in any way; a
     file left behind by a crash locks nothing. A file system without locks gives no protection. The same thread may take the lock
     again.
-
-    Parameters
-    ----------
-    path : Path
 
     Raises
     ------
@@ -310,8 +299,6 @@ def head(schema: str, problem: Any, status: str) -> dict[str, Any]:
     ----------
     schema : str
         Name of the document's schema.
-    problem : ProblemFile
-    status : str
     """
     return {
         "schema": schema,

@@ -85,12 +85,7 @@ class BufferedFunction:
 
 
 def dense_function(inputs: list[Any], outputs: list[Any]) -> Any:
-    """Return a casadi function of expressions, whose results have all their elements.
-
-    Parameters
-    ----------
-    inputs, outputs : list of casadi expressions
-    """
+    """Return a casadi function of expressions, whose results have all their elements."""
     return casadi.Function("compiled", inputs, [casadi.densify(output) for output in outputs])
 
 

@@ -247,7 +247,6 @@ def measures(text: str, kind: str) -> bool:
 
     Parameters
     ----------
-    text : str
     kind : str
         One of `KINDS`.
     """
@@ -472,7 +471,6 @@ def percent(share: float, decimals: int = 1, *, signed: bool = False) -> str:
     ----------
     share : float
         1 is 100 %.
-    decimals : int, optional
     signed : bool, optional
         Whether a change that is not zero has its sign.
     """

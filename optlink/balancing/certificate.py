@@ -56,7 +56,6 @@ def solved(cp: Any, problem: Any) -> ConeCertificate:
     ----------
     cp : module
         cvxpy.
-    problem : cvxpy.Problem
     """
     best = ConeCertificate("not solved")
     for options in TOLERANCES:

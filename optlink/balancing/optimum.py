@@ -70,7 +70,6 @@ def evaluate(programme: BalancingProgramme, goal: Goal, x: Array) -> float:
 
     Parameters
     ----------
-    programme : BalancingProgramme
     goal : sequence of (Measure, float)
         Measures and their weights.
     x : array (n,)
@@ -86,7 +85,6 @@ def optimum(programme: BalancingProgramme, goal: Goal) -> Optimum:
 
     Parameters
     ----------
-    programme : BalancingProgramme
     goal : sequence of (Measure, float)
         Measures and their weights.
 
@@ -249,7 +247,6 @@ def realised_discs(programme: BalancingProgramme, goal: Goal, x: Array) -> Array
 
     Parameters
     ----------
-    programme : BalancingProgramme
     goal : sequence of (Measure, float)
         Measures and their weights.
     x : array (n,)
@@ -356,8 +353,6 @@ def curve(programme: BalancingProgramme, first: BalanceMeasure, second: BalanceM
 
     Parameters
     ----------
-    programme : BalancingProgramme
-    first, second : BalanceMeasure
     count : int
         Number of points, including both ends.
 

@@ -88,7 +88,6 @@ class BalancingProgramme:
 
     Parameters
     ----------
-    effects : Effects
     counterweights : sequence of Counterweight
         In the order of `effects`.
     springs : sequence of FreeSpring
@@ -295,7 +294,6 @@ class BalancingProgramme:
 
         Parameters
         ----------
-        measure : BalanceMeasure
         x : array (n,)
             Scaled parameters.
         """
@@ -400,7 +398,6 @@ class BalancingProgramme:
 
         Parameters
         ----------
-        bound : BalanceBound
         slack : float or cvxpy expression
             Relaxation, in units of the bound's scale.
         """

@@ -48,9 +48,6 @@ class ClosedLoop:
 
     Parameters
     ----------
-    machine : Machine
-    gaps : sequence of Gap
-    drive : Drive
     output : Output
         The output that a controller measures.
     start : float [rad]
@@ -238,8 +235,6 @@ def vibration(machine: Machine, gaps: Sequence[Gap], speed: float) -> float:
 
     Parameters
     ----------
-    machine : Machine
-    gaps : sequence of Gap
     speed : float [rad/s]
         Crank speed.
     """

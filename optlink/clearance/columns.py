@@ -22,8 +22,6 @@ class ClearanceColumns:
 
     Parameters
     ----------
-    equations : Equations
-    block : Block
     further : array (m,) [rad]
         Feedback correction of the crank angle beyond the command at each row.
     """

@@ -72,7 +72,6 @@ class Controller:
 
     Parameters
     ----------
-    pid : PID
     target : array (samples per revolution,) [m, rad]
         Target output at the samples of a revolution.
     leverage : array (samples per revolution,) [rad/m, -]

@@ -90,7 +90,6 @@ class Equations:
 
         Parameters
         ----------
-        moving : ClearanceState
         speeds : iterable of Value [m/s]
             Approach speed at the start of the contact, for each gap.
         modes : iterable of Value

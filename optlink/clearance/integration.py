@@ -91,7 +91,6 @@ class Integration:
 
     Parameters
     ----------
-    equations : Equations
     state : array (2n,)
         Coordinates and their rates at the start.
     step : float [s]

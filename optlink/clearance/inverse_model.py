@@ -35,8 +35,6 @@ def predicted(machine: Machine, gaps: Sequence[Gap], angles: Array, speed: float
 
     Parameters
     ----------
-    machine : Machine
-    gaps : sequence of Gap
     angles : array (angles,) [rad]
         Crank angles.
     speed : float [rad/s]
@@ -158,7 +156,6 @@ class Inverse:
         ----------
         regularisation : float [m/rad, -]
             Weight of the correction.
-        servo : Servo
         bandwidth : float [rad/s]
             Highest frequency of the correction.
         """
@@ -173,8 +170,6 @@ def leverage(machine: Machine, output: Output, angles: Array, regularisation: fl
 
     Parameters
     ----------
-    machine : Machine
-    output : Output
     angles : array (n,) [rad]
     regularisation : float [m/rad, -]
         Output slope below which the result is reduced.

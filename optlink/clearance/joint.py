@@ -109,8 +109,6 @@ def touch(gap: Gap, motion: JournalMotion, speed: Value, closed: Value = 1.0) ->
 
     Parameters
     ----------
-    gap : Gap
-    motion : JournalMotion
     speed : Value [m/s]
         Approach speed at the start of the contact.
     closed : Value
@@ -132,11 +130,8 @@ def acting(gap: Gap, motion: JournalMotion, journal: Vector, contact: Touch) -> 
 
     Parameters
     ----------
-    gap : Gap
-    motion : JournalMotion
     journal : pair of Value [m]
         Centre of the journal.
-    contact : Touch
     """
     x, y = motion.normal
     at = journal[0] + gap.radius * x, journal[1] + gap.radius * y

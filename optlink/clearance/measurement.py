@@ -71,7 +71,6 @@ def measured_comparison(
     measured : sequence of float [m, rad]
     rows : mapping of str to array
         Columns of the simulation.
-    output : Output
     period : float [s]
         Time of a revolution.
     counted : (int, int)

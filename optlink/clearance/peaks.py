@@ -70,7 +70,6 @@ class Peaks:
 
     Parameters
     ----------
-    gaps : sequence of Gap
     solve : callable
         Integrates an interval again, see `Solve`.
     """
@@ -86,8 +85,6 @@ class Peaks:
         Parameters
         ----------
         states : array (m, 2n)
-        watched : Watched
-        parameters : callable, row -> parameters of the integrator from that row to the next
         modes, entered : array (gaps,)
             Modes of the gaps, and approach speeds [m/s] at the start of their contacts.
         """

@@ -154,8 +154,6 @@ class SpanningTree:
 
         Parameters
         ----------
-        point : str
-        body : str
         place : BodyPlace
             Position of the body.
         """
@@ -166,7 +164,6 @@ class SpanningTree:
 
         Parameters
         ----------
-        guide : Guide
         body : str
             One of the two bodies of the guide.
         place : BodyPlace
@@ -176,13 +173,7 @@ class SpanningTree:
         return plus(place.start, turn(point, place.axis)), turn(way, place.axis)
 
     def slide(self, guide: Guide, places: Mapping[str, BodyPlace]) -> Value:
-        """Return the displacement of the slider along its line [m].
-
-        Parameters
-        ----------
-        guide : Guide
-        places : mapping of body to BodyPlace
-        """
+        """Return the displacement of the slider along its line [m]."""
         begin, way = self.line(guide, guide.on, places[guide.on])
         return dot(minus(self.line(guide, guide.slider, places[guide.slider])[0], begin), way)
 

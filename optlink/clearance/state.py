@@ -28,9 +28,6 @@ class ClearanceState:
 
     Parameters
     ----------
-    machine : Machine
-    tree : SpanningTree
-    values : sequence of Jet, in the order of `cut.coordinates`
     speed : float [rad/s]
         Nominal speed of the crank, with its sense: reference for the smoothing of `sense`.
     """
@@ -54,34 +51,16 @@ class ClearanceState:
         return self._states[body]
 
     def position(self, point: str, body: str) -> Vector:
-        """Return the position of a point of a body [m].
-
-        Parameters
-        ----------
-        point : str
-        body : str
-        """
+        """Return the position of a point of a body [m]."""
         state = self.state(body)
         return plus(state.start, turn(self.tree.local.local(body, point), state.axis))
 
     def velocity(self, point: str, body: str) -> Vector:
-        """Return the velocity of a point of a body [m/s].
-
-        Parameters
-        ----------
-        point : str
-        body : str
-        """
+        """Return the velocity of a point of a body [m/s]."""
         return self.state(body).at(self.position(point, body))[0]
 
     def acceleration(self, point: str, body: str) -> Vector:
-        """Return the acceleration of a point of a body [m/s^2].
-
-        Parameters
-        ----------
-        point : str
-        body : str
-        """
+        """Return the acceleration of a point of a body [m/s^2]."""
         return self.state(body).at(self.position(point, body))[1]
 
     def line(self, guide: str) -> Vector:

@@ -129,7 +129,6 @@ def needed(group: typer.Typer, words: Sequence[str]) -> typer.Typer:
 
     Parameters
     ----------
-    group : typer.Typer
     words : sequence of str
         Command line, without the words that lead to the group; without a command, for the overview of all.
     """

@@ -32,11 +32,6 @@ class Command(TyperCommand):
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Replace other spellings of options, then parse; an option with an empty value is refused: Path("") is this folder.
 
-        Parameters
-        ----------
-        ctx : typer.Context
-        args : list of str
-
         Raises
         ------
         typer.BadParameter
@@ -83,13 +78,7 @@ class Group(TyperGroup):
     """A group that also takes other spellings of its commands."""
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """Return a command by its name or another spelling of it.
-
-        Parameters
-        ----------
-        ctx : typer.Context
-        cmd_name : str
-        """
+        """Return a command by its name or another spelling of it."""
         return super().get_command(ctx, COMMANDS.get(cmd_name, cmd_name))
 
     get_short_help_str = Command.get_short_help_str
@@ -170,7 +159,6 @@ class App(typer.Typer):
 
         Parameters
         ----------
-        name : str, optional
         **options
             As for `typer.Typer.command`.
         """

@@ -31,7 +31,6 @@ def keys(context: typer.Context, incomplete: str) -> list[str]:
 
     Parameters
     ----------
-    context : typer.Context
     incomplete : str
         Beginning of a key.
     """

@@ -48,7 +48,6 @@ def reported(as_json: bool, options: Mapping[str, tuple[str, str]] | None = None
 
     Parameters
     ----------
-    as_json : bool
     options : mapping of str to (str, str), optional
         Option and its value as typed, by the names of its parameter: a library function names the parameter, and the value [SI].
     """
@@ -134,7 +133,6 @@ def print_failure(message: str, faults: list[dict[str, Any]]) -> None:
 
     Parameters
     ----------
-    message : str
     faults : list of dict
         Fields of each `Fault`, JSON compatible.
     """
@@ -323,7 +321,6 @@ def read_design_option(file: ProblemFile, design: list[str] | None, varied: Coll
 
     Parameters
     ----------
-    file : ProblemFile
     design : list of str or None
         "NAME=VALUE", or the path of a result.json.
     varied : collection of str
@@ -341,7 +338,6 @@ def quantity(text: str | None, kind: str, option: str) -> float | None:
 
     Parameters
     ----------
-    text : str or None
     kind : str
         Kind of quantity, a key of `optlink.units.KINDS`.
     option : str
@@ -372,8 +368,6 @@ def refuse(options: Mapping[str, object], message: str, remedy: str, file: str |
     ----------
     options : mapping of str to object
         Values by option; None and False count as unused.
-    message : str
-    remedy : str
     file : str, optional
         Named in the error message.
 
@@ -397,11 +391,8 @@ def places(out: Path | None, command: str, problem: str, csv: Path | None = None
 
     Parameters
     ----------
-    out : Path or None
-    command : str
     problem : str
         Name of the problem, or its file.
-    csv : Path or None, optional
 
     Raises
     ------
@@ -424,8 +415,6 @@ def study_place(out: Path, command: str, problem: str) -> None:
 
     Parameters
     ----------
-    out : Path
-    command : str
     problem : str
         Name of the problem, or its file.
     """

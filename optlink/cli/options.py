@@ -95,7 +95,6 @@ def number(text: str, *names: str, metavar: str = "N") -> Any:
         Help.
     *names : str
         Names; default: that of the parameter.
-    metavar : str, optional
     """
     return option(metavar, text, *names, parser=whole_number)
 

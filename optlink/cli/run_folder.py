@@ -19,8 +19,6 @@ def check_owner(path: Path, command: str, problem: str) -> None:
 
     Parameters
     ----------
-    path : Path
-    command : str
     problem : str
         Name of a problem, or its file.
 
@@ -59,8 +57,6 @@ def run_folder(path: Path, command: str, problem: str) -> Iterator[None]:
 
     Parameters
     ----------
-    path : Path
-    command : str
     problem : str
         Name of a problem, or its file.
 

@@ -241,7 +241,6 @@ def joint_forces(
 
     Parameters
     ----------
-    machine : Machine
     pins : mapping of point and body to pair of Value [N]
         Force of each pin on each of its bodies.
     guides : mapping of str to GuideForce
@@ -295,7 +294,6 @@ def unbounded_reactions(machine: Machine, positions: Sequence[AlignedPosition], 
 
     Parameters
     ----------
-    machine : Machine
     positions : sequence of AlignedPosition
         Change points through which the machine is continued.
     speed : float [rad/s]

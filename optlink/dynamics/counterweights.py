@@ -81,9 +81,6 @@ def quantity_over_cycle(
 
     Parameters
     ----------
-    quantity : BalanceMeasure
-    machine : Machine
-    joint_reactions : Reactions
     shaken : Wrench
         Shaking force [N] and shaking moment about `pivot` [N m].
     shape : tuple of int
@@ -112,8 +109,6 @@ def quantities_of(moving: Moving, quantities: Sequence[BalanceMeasure], about: V
 
     Parameters
     ----------
-    moving : Moving
-    quantities : sequence of BalanceMeasure
     about : pair of Value [m]
         Reference point of the shaking moment.
     """

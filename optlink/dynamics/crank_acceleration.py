@@ -23,7 +23,6 @@ def required_torque(moving: Moving, geared: Moving) -> tuple[Value, Reactions | 
 
     Parameters
     ----------
-    moving : Moving
     geared : Moving
         The same positions at a crank speed of 1 rad/s.
     """

@@ -17,13 +17,7 @@ from optlink.linkage.vector2d import Value, Vector, cross, dot, minus, plus
 
 
 def solve_two_by_two(row: Vector, right: Value, other: Vector, other_right: Value) -> Vector:
-    """Solve row . x = right, other . x = other_right for the vector x.
-
-    Parameters
-    ----------
-    row, other : pair of Value
-    right, other_right : Value
-    """
+    """Solve row . x = right, other . x = other_right for the vector x."""
     inverse = 1.0 / cross(row, other)
     return (right * other[1] - other_right * row[1]) * inverse, (row[0] * other_right - other[0] * right) * inverse
 
@@ -61,7 +55,6 @@ class GroupForces:
         Parameters
         ----------
         which : bool or array (n,)
-        other : GroupForces
         """
         numbers: list[Value] = []
         other.each(lambda x: numbers.append(x) or x)  # type: ignore[func-returns-value]
@@ -81,7 +74,6 @@ class RemainingWrenches:
 
         Parameters
         ----------
-        guide : Guide
         tilts : mapping of str to Value [-]
             Tangents of the friction angles of guides with friction.
         """
@@ -117,7 +109,6 @@ class RemainingWrenches:
 
         Parameters
         ----------
-        group : JointedDyad
         tilts : mapping of str to Value [-]
             Tangents of the friction angles of guides with friction.
         """
@@ -136,7 +127,6 @@ class RemainingWrenches:
 
         Parameters
         ----------
-        joint : Joint
         row : pair of Value
             One of `directions`.
         force : pair of Value [N]
@@ -164,8 +154,6 @@ def jointed_forces(balance: RemainingWrenches, group: JointedDyad, tilts: Mappin
 
     Parameters
     ----------
-    balance : RemainingWrenches
-    group : JointedDyad
     tilts : mapping of str to Value [-]
         Tangents of the friction angles of guides with friction.
     """

@@ -83,7 +83,6 @@ def flywheel(machine: Machine, speed: float, allowed: float, start: float = 0.0)
 
     Parameters
     ----------
-    machine : Machine
     speed : float [rad/s], mean
     allowed : float [-], for example 0.02
     start : float [rad]

@@ -218,7 +218,6 @@ def run(
 
     Parameters
     ----------
-    machine : Machine
     times : array (n,) [s], rising from 0
         Times of the output; the integrator chooses its own steps.
     angle, speed : float [rad], [rad/s]

@@ -106,8 +106,6 @@ def wrench(parameters: Parameters, state: BodyMotion, gravity: Vector) -> Wrench
 
     Parameters
     ----------
-    parameters : Parameters
-    state : BodyMotion
     gravity : pair of Value [m/s^2]
 
     References
@@ -129,13 +127,7 @@ UNITS = tuple(Parameters(*(float(i == k) for i in range(4))) for k in range(4))
 
 
 def kinetic(parameters: Parameters, state: BodyMotion) -> Value:
-    """Return the kinetic energy [J] of a body.
-
-    Parameters
-    ----------
-    parameters : Parameters
-    state : BodyMotion
-    """
+    """Return the kinetic energy [J] of a body."""
     first = turn((parameters.along, parameters.across), state.axis)
     square = dot(state.velocity, state.velocity)
     return (
@@ -150,8 +142,6 @@ def potential(parameters: Parameters, state: BodyMotion, gravity: Vector) -> Val
 
     Parameters
     ----------
-    parameters : Parameters
-    state : BodyMotion
     gravity : pair of Value [m/s^2]
     """
     first = turn((parameters.along, parameters.across), state.axis)

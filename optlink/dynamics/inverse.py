@@ -71,7 +71,6 @@ class Reactions:
 
         Parameters
         ----------
-        machine : Machine
         point : str
             Name of the pin.
         on : str, optional
@@ -110,7 +109,6 @@ def required_wrench(moving: Moving, *, inertia: bool = True, gravity: bool = Tru
 
     Parameters
     ----------
-    moving : Moving
     inertia, gravity, loads : bool
         Contributions to include.
 
@@ -143,7 +141,6 @@ def reactions(
 
     Parameters
     ----------
-    moving : Moving
     needed : mapping of body to Wrench, optional
         Wrench that the joints exert on each body. Default: that of inertia, gravity and loads together.
     normals : mapping of str to Value, optional
@@ -170,7 +167,6 @@ def virtual_torque(wrenches: Mapping[str, Wrench], moving: Moving) -> Value:
     ----------
     wrenches : mapping of body to Wrench
         Force [N] and moment about the start [N m] for each body.
-    moving : Moving
     """
     source, power = moving.turning, 0.0
     for body, (force, moment) in wrenches.items():
@@ -295,7 +291,6 @@ def torque_parts(moving: Moving, whole: Reactions | None = None) -> dict[str, Va
 
     Parameters
     ----------
-    moving : Moving
     whole : Reactions, optional
         Reactions of this motion, if already computed.
     """
@@ -344,7 +339,6 @@ def reduced_inertia(machine: Machine, crank_angle: Array) -> tuple[Array, Array]
 
     Parameters
     ----------
-    machine : Machine
     crank_angle : array (n,) [rad]
     """
     with np.errstate(all="ignore"):

@@ -183,7 +183,6 @@ class Moving:
 
         Parameters
         ----------
-        point : str
         body : str
             Not used: the point has the same position on all bodies that share it.
         """
@@ -195,7 +194,6 @@ class Moving:
 
         Parameters
         ----------
-        point : str
         body : str
             Not used, see `position`.
         """
@@ -207,7 +205,6 @@ class Moving:
 
         Parameters
         ----------
-        point : str
         body : str
             Not used, see `position`.
         """

@@ -38,7 +38,6 @@ def irregular(machine: Machine, grid: Array, speed: float) -> Irregular:
 
     Parameters
     ----------
-    machine : Machine
     grid : array (n,) [rad], rising
         Fine enough that a denominator has at most one zero or minimum between neighbours.
     speed : float [rad/s]
@@ -68,7 +67,6 @@ def poles(machine: Machine, angles: Array, speed: float) -> Array:
 
     Parameters
     ----------
-    machine : Machine
     angles : array (n,) [rad]
     speed : float [rad/s]
         Crank speed.
@@ -82,7 +80,6 @@ def without_values(machine: Machine, names: Collection[str]) -> Machine:
 
     Parameters
     ----------
-    machine : Machine
     names : collection of str
         Names of loads with a magnitude.
     """

@@ -113,7 +113,6 @@ def states_at(times: Array, steps: Sequence[Step]) -> Array:
     Parameters
     ----------
     times : array (m,) [s], rising
-    steps : sequence of Step
     """
     starts = np.array([step.time for step in steps])
     places = np.clip(np.searchsorted(starts, times, side="left") - 1, 0, len(steps) - 1)
@@ -128,7 +127,6 @@ def between(steps: Sequence[Step], until: float, parts: int, count: int = 16) ->
 
     Parameters
     ----------
-    steps : sequence of Step
     until : float [s]
         Where the last step counts as ended.
     parts : int

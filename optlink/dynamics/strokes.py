@@ -115,10 +115,8 @@ def working_stroke(travel: Travel, speed: float, acting: tuple[StrokeLoad, ...])
 
     Parameters
     ----------
-    travel : Travel
     speed : float [rad/s]
         Speed of the crank; only its sign is used.
-    acting : tuple of StrokeLoad
     """
     loads_by_stroke: dict[Direction, list[str]] = {}
     for stroke in travel.strokes(speed):
@@ -143,12 +141,6 @@ def travels_by_use(
 
     Outputs are the bodies with limited motion on which forces or torques act; if there are none, the last output of the
     mechanism.
-
-    Parameters
-    ----------
-    machine : Machine
-    swings : mapping of body to Travel
-    strokes : mapping of slider (a body) to Travel
     """
     named = {f"{name} slides": travel for name, travel in strokes.items()}
     named |= {f"{name} swings": travel for name, travel in swings.items()}
@@ -171,7 +163,6 @@ def last_output(machine: Machine, swings: Collection[str], strokes: Collection[s
 
     Parameters
     ----------
-    machine : Machine
     swings, strokes : collection of str
         Names of the bodies that swing, and of the sliders with a limited stroke.
     """
@@ -188,7 +179,6 @@ def use_of(stroke: StrokeRange, working: Direction | None) -> str:
 
     Parameters
     ----------
-    stroke : StrokeRange
     working : "forward", "backward" or None
         Name of the working stroke.
     """

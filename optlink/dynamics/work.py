@@ -40,7 +40,6 @@ def jumps(machine: Machine, low: float, high: float) -> Array:
 
     Parameters
     ----------
-    machine : Machine
     low, high : float [rad]
     """
     jump_angles: list[Array] = []
@@ -63,7 +62,6 @@ def corners(machine: Machine, low: float, high: float, speed: float) -> Array:
 
     Parameters
     ----------
-    machine : Machine
     low, high : float [rad]
     speed : float [rad/s]
         Crank speed, which affects the normal forces.
@@ -157,7 +155,6 @@ class Work:
         ----------
         signal : function of array (n,) [rad]
             Smooth between the knots, as the torque.
-        square : bool
         """
         points, half = gauss_points(self.knots[:-1], self.knots[1:])
         values = signal(points.ravel()).reshape(points.shape)

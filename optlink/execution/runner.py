@@ -32,12 +32,6 @@ def cores() -> int:
 def check(engine: str, workers: int | None, scheduler: str | None) -> None:
     """Check the execution options; see `run`.
 
-    Parameters
-    ----------
-    engine : str
-    workers : int or None
-    scheduler : str or None
-
     Raises
     ------
     InputError
@@ -61,7 +55,6 @@ def run(
 
     Parameters
     ----------
-    task : ChunkTask
     todo : iterable of int
         Numbers of chunks.
     engine, workers, scheduler
@@ -120,7 +113,6 @@ def ordered(task: ChunkTask, count: int, runs: Runs | None = None, done: Callabl
 
     Parameters
     ----------
-    task : ChunkTask
     count : int
         Number of chunks.
     runs : function, optional
@@ -148,7 +140,6 @@ def apart(todo: list[int], workers: int) -> list[int]:
 
     Parameters
     ----------
-    todo : list of int
     workers : int
         They take one chunk after the other in turn.
     """

@@ -34,7 +34,6 @@ class Store:
 
     Parameters
     ----------
-    path : Path
     about : mapping
         Definition of the study, JSON compatible: two studies are the same if and only if it is equal.
     resume : bool
@@ -225,10 +224,7 @@ class Store:
 
         Parameters
         ----------
-        task : ChunkTask
         engine : "local" or "dask"
-        workers : int or None
-        scheduler : str or None
         progress : function of (completed rows, all rows), optional
 
         Returns
@@ -276,7 +272,6 @@ class Store:
         ----------
         columns : list of str
             Header.
-        rows : iterator of list of str
         """
         with whole(self.table) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
             writer = csv.writer(file, lineterminator="\n")

@@ -67,7 +67,6 @@ def run_chunk(task: ChunkTask, index: int) -> ChunkResult:
 
     Parameters
     ----------
-    task : ChunkTask
     index : int
         Number of the chunk.
     """
@@ -116,7 +115,6 @@ def send(stream: IO[bytes], item: bytes) -> None:
 
     Parameters
     ----------
-    stream : binary file
     item : bytes
         From `packed`.
     """

@@ -66,7 +66,6 @@ def squared_sines(pose: Pose, groups: Sequence[Dyad] | None = None) -> Array:
 
     Parameters
     ----------
-    pose : Pose
     groups : sequence of Dyad, optional
         Default: every group.
     """
@@ -81,7 +80,6 @@ def alignment_margin(pose: Pose, groups: Sequence[Dyad] | None = None) -> Array:
 
     Parameters
     ----------
-    pose : Pose
     groups : sequence of Dyad, optional
         Default: every group.
     """
@@ -94,7 +92,6 @@ def least_margin(pose: Pose, margins: Iterable[Array]) -> Array:
 
     Parameters
     ----------
-    pose : Pose
     margins : iterable of array (n,)
         That of each group; NaN where it or one before it cannot be assembled.
     """
@@ -115,7 +112,6 @@ def least_alignments(mechanism: Mechanism, sizes: Mapping[str, Value], last: Pos
 
     Parameters
     ----------
-    mechanism : Mechanism
     sizes : mapping of parameter name to float [m, rad]
     last : Pose, optional
         Pose at the crank angles of `alignment_grid`, at a crank speed of 1 rad/s: only positions of the last group are sought.

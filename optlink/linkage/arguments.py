@@ -23,7 +23,6 @@ def check_number(name: str, value: Any) -> float:
     ----------
     name : str
         Name of the argument.
-    value : object
 
     Raises
     ------
@@ -43,7 +42,6 @@ def check_length(name: str, value: Any) -> float:
     ----------
     name : str
         Name of the argument.
-    value : object
 
     Raises
     ------
@@ -72,7 +70,6 @@ def check_point_names(points: Iterable[str], taken: Collection[str]) -> tuple[st
 
     Parameters
     ----------
-    points : iterable of str
     taken : collection of str
         Names that the linkage itself has.
 
@@ -99,7 +96,6 @@ def check_array(name: str, value: Any) -> Array:
     ----------
     name : str
         Name of the argument.
-    value : object
 
     Raises
     ------

@@ -64,7 +64,6 @@ def continue_through_singularities(
 
     Parameters
     ----------
-    mechanism : Mechanism
     sizes : mapping of parameter name to float [m, rad]
     start : float [rad]
         Crank angle at which the assembly modes apply, unless a group sets its own (`holds_at`). If it is a singular position,

@@ -63,7 +63,6 @@ class ModalDyad(JointedDyad):
 
         Parameters
         ----------
-        pose : Pose
         formula : function of the assembly mode (+1 or -1) to the joint, or the unit vector of the guide, and the margin
         """
         return formula(self.side) if self.passages is None else self.passages.through(pose.angle, formula)

@@ -138,7 +138,6 @@ class SampledFunctions:
         rows : array (rows,) of int, rising
             Numbers of the functions.
         function : callable, crank angles (n,) and numbers of functions (k,) -> values (k, n)
-        signs : tuple of float
         """
 
         def own(points: Array, which: Index) -> Array:

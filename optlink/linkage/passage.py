@@ -76,7 +76,6 @@ class GroupPassages:
         Crank angles at which the side may change, rising.
     sides : array (n + 1,)
         Assembly mode before, between and after them: +1 or -1.
-    passages : tuple of Passage, one for each break
     """
 
     origin: float

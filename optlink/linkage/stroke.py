@@ -66,7 +66,6 @@ def range_end_reason(mechanism: Mechanism, sizes: Mapping[str, Value], end: floa
 
     Parameters
     ----------
-    mechanism : Mechanism
     sizes : mapping of parameter name to float [m, rad]
     end : float [rad]
         Crank angle at the end of the range.
@@ -204,7 +203,6 @@ def failure(mechanism: Mechanism, sizes: Mapping[str, Value], crank_angle: float
 
     Parameters
     ----------
-    mechanism : Mechanism
     sizes : mapping of parameter name to float [m, rad]
     crank_angle : float [rad]
     """

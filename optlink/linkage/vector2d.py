@@ -60,7 +60,6 @@ def turn(v: Vector, by: Vector) -> Vector:
 
     Parameters
     ----------
-    v : pair of Value
     by : pair of Value [-]
         Unit vector at the angle of rotation.
     """
@@ -72,7 +71,6 @@ def turn_back(v: Vector, by: Vector) -> Vector:
 
     Parameters
     ----------
-    v : pair of Value
     by : pair of Value [-]
         Unit vector at the angle of rotation.
     """
@@ -80,12 +78,7 @@ def turn_back(v: Vector, by: Vector) -> Vector:
 
 
 def dot(a: Vector, b: Vector) -> Value:
-    """Return the scalar product.
-
-    Parameters
-    ----------
-    a, b : pair of Value
-    """
+    """Return the scalar product."""
     return a[0] * b[0] + a[1] * b[1]
 
 
@@ -93,31 +86,17 @@ def cross(a: Vector, b: Vector) -> Value:
     """Return the z component of the vector product.
 
     With a lever a and a force b it is the moment, positive counter-clockwise.
-
-    Parameters
-    ----------
-    a, b : pair of Value
     """
     return a[0] * b[1] - a[1] * b[0]
 
 
 def plus(a: Vector, b: Vector) -> Vector:
-    """Return the sum of two vectors.
-
-    Parameters
-    ----------
-    a, b : pair of Value
-    """
+    """Return the sum of two vectors."""
     return a[0] + b[0], a[1] + b[1]
 
 
 def minus(a: Vector, b: Vector) -> Vector:
-    """Return the difference a - b, the vector from b to a.
-
-    Parameters
-    ----------
-    a, b : pair of Value
-    """
+    """Return the difference a - b, the vector from b to a."""
     return a[0] - b[0], a[1] - b[1]
 
 
@@ -125,10 +104,6 @@ def angle_from(reference: Vector, v: Vector) -> Value:
     """Return the angle from `reference` to `v`, counter-clockwise [rad], in (-pi, pi].
 
     Two close directions are never separated by the branch cut.
-
-    Parameters
-    ----------
-    reference, v : pair of Value
     """
     return angle((reference[0] * v[0] + reference[1] * v[1], reference[0] * v[1] - reference[1] * v[0]))
 

@@ -38,7 +38,6 @@ class BatchNLP:
 
     Parameters
     ----------
-    nlp : NLP
     law : Law
         Its positions.
     """

@@ -243,8 +243,6 @@ def _joined(models: list[TaylorModel], shape: tuple[int, ...], count: int) -> Ta
 
     Parameters
     ----------
-    models : list of TaylorModel
-    shape : tuple of int
     count : int
         Number of unknowns.
     """

@@ -176,7 +176,6 @@ def full_rotation_rows(problem: AnyProblem, values: Mapping[str, Value], reach: 
 
     Parameters
     ----------
-    problem : DesignProblem or PathProblem
     values : mapping of str to float or symbol [m, rad]
         Value of every quantity.
     reach : Reach
@@ -207,7 +206,6 @@ def dead_centres(problem: AnyProblem, values: Mapping[str, Value], reach: Reach,
 
     Parameters
     ----------
-    problem : DesignProblem or PathProblem
     values : mapping of str to float or symbol [m, rad]
         Value of every quantity.
     reach : Reach
@@ -250,7 +248,6 @@ class CosineLimit:
         ----------
         label : str
             Name of the joint or the position, empty for none.
-        cosine : float or symbol
         """
         if self.pressure:
             return ConstraintRow(self.key, f"pressure angle{label}", cosine * cosine, -math.inf, self.high**2, SINE_SQUARED)
@@ -275,7 +272,6 @@ def transmission_sides(problem: AnyProblem, joint: str = COUPLER_JOINT) -> Itera
 
     Parameters
     ----------
-    problem : DesignProblem or PathProblem
     joint : str
         Outer joint of the dyad.
     """
@@ -298,7 +294,6 @@ def transmission(problem: AnyProblem, values: Mapping[str, Value], reach: Reach,
 
     Parameters
     ----------
-    problem : DesignProblem or PathProblem
     values : mapping of str to float or symbol [m, rad]
         Value of every quantity.
     reach : Reach
@@ -331,7 +326,6 @@ def registered(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, s
 
     Parameters
     ----------
-    problem : DesignProblem or PathProblem
     values : mapping of str to float or symbol [m, rad]
         Value of every quantity.
     reach : Reach
@@ -353,7 +347,6 @@ def pivot_region_rows(problem: AnyProblem, values: Mapping[str, Value], reach: R
 
     Parameters
     ----------
-    problem : DesignProblem or PathProblem
     values : mapping of str to float or symbol [m, rad]
         Value of every quantity.
     reach : Reach
@@ -384,7 +377,6 @@ def rows(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: f
 
     Parameters
     ----------
-    problem : DesignProblem or PathProblem
     values : mapping of str to float or symbol [m, rad]
         Value of every quantity.
     reach : Reach
@@ -401,7 +393,6 @@ def position_rows(problem: PathProblem, pose: Pose) -> list[ConstraintRow]:
 
     Parameters
     ----------
-    problem : PathProblem
     pose : Pose
         The mechanism at the crank angle.
     """
@@ -425,8 +416,6 @@ def alignment_row(limits: Alignment, group: Dyad, value: Value) -> ConstraintRow
 
     Parameters
     ----------
-    limits : Alignment
-    group : Dyad
     value : float, array or symbol
         Squared sine of the alignment angle of the group.
     """

@@ -66,7 +66,6 @@ def scaled_variable(problem: CycleProblem, name: str, size: float) -> Variable:
 
     Parameters
     ----------
-    problem : CycleProblem
     name : str
         Name of the quantity.
     size : float [m]
@@ -90,7 +89,6 @@ class CycleTerms:
 
     Parameters
     ----------
-    trace : TracedCycle
     structure : EventOrder
         Events at `start`.
     start : mapping of str to float [SI]
@@ -240,7 +238,6 @@ class CycleTerms:
         ----------
         which : int
             Index of the event at which the output reverses.
-        forward : bool
         """
         indices = [k for k, event in enumerate(self.structure.which) if event == which]
         total, angles = casadi.SX(0.0), [*(self.events[k] for k in indices), self.events[indices[0]] + TURN]

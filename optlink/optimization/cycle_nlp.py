@@ -125,7 +125,6 @@ def build_cycle(
 
     Parameters
     ----------
-    trace : TracedCycle
     structure : EventOrder
         The events at `start`; the NLP is valid for designs with the same events in the same order.
     start : mapping of str to float [SI]

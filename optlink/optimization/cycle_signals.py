@@ -118,7 +118,6 @@ class TracedCycle:
 
     Parameters
     ----------
-    problem : CycleProblem
     values : mapping of str to float [SI], optional
         Quantities that determine which stroke is the slow one.
     slow : mapping of str to "forward" or "backward", optional
@@ -362,10 +361,6 @@ class TracedCycle:
         """Return a stroke term whose output has too few dead centres, with its key and their number.
 
         A time ratio requires exactly two.
-
-        Parameters
-        ----------
-        structure : EventOrder
         """
         placed: list[tuple[str, Term]] = [("objective", goal) for goal in self.problem.goals]
         for key, term in [*placed, *((bound.key, bound.term) for bound in self.problem.bounds)]:
@@ -376,12 +371,7 @@ class TracedCycle:
         return None
 
     def reversals(self, structure: EventOrder) -> Counter[tuple[int, bool]]:
-        """Return the number of reversals of every motion in either sense, without those that are as good as one position.
-
-        Parameters
-        ----------
-        structure : EventOrder
-        """
+        """Return the number of reversals of every motion in either sense, without those that are as good as one position."""
         numbers = Counter[tuple[int, bool]]()
         events = list(zip(structure.which, structure.angles, structure.rising, strict=True))
         for k in (k for k, event in enumerate(self.events) if event.key[0] != CORNER):

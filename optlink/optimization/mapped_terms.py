@@ -30,7 +30,6 @@ class MappedTerms:
         (inputs, senses) -> values: the inputs are the known quantities followed by the crank angle.
     known : casadi expression (k,)
         Known quantities as a function of the first `local` components of x, and of p.
-    local : int
     angles : tuple of casadi expression (1, positions)
         Crank angles as a function of the other components of x, and of p.
     senses : tuple of casadi expression (senses, positions)

@@ -31,7 +31,6 @@ def active_sides(nlp: NLP, x: Array, point: NLPValues, within: float = ACTIVE) -
 
     Parameters
     ----------
-    nlp : NLP
     x : array (n,)
         Scaled point.
     point : NLPValues
@@ -74,7 +73,6 @@ class MultiplierSet:
 
         Parameters
         ----------
-        nlp : NLP
         x : array (n,)
             Scaled optimum.
         point : NLPValues
@@ -110,12 +108,7 @@ class MultiplierSet:
         return cls(multipliers, directions, sign)
 
     def least(self, weights: Array) -> tuple[float, Array]:
-        """Return the least weighted sum of multipliers, -inf if there is none, and multipliers with this sum.
-
-        Parameters
-        ----------
-        weights : array (n + m,)
-        """
+        """Return the least weighted sum of multipliers, -inf if there is none, and multipliers with this sum."""
         value, size = float(weights @ self.multipliers), float(np.max(np.abs(self.multipliers), initial=0.0))
         if not self.directions.size or not size or not self.changes(weights):
             return value, self.multipliers
@@ -132,11 +125,6 @@ class MultiplierSet:
         return float(weights @ multipliers), multipliers
 
     def changes(self, weights: Array) -> bool:
-        """Return whether a weighted sum differs between the multipliers, apart from their signs.
-
-        Parameters
-        ----------
-        weights : array (n + m,)
-        """
+        """Return whether a weighted sum differs between the multipliers, apart from their signs."""
         change = np.abs(weights) @ np.abs(self.directions)
         return bool(np.any(np.abs(weights @ self.directions) > SAME_SUM * np.max(change, initial=0.0)))

@@ -340,13 +340,7 @@ def _traced(problem: DesignProblem, values: dict[str, Any], counted: dict[str, A
 
 
 def boxed(quantity: Quantity, variable: Variable) -> tuple[float, float, float]:
-    """Return the scaled bounds and starting value of a design variable.
-
-    Parameters
-    ----------
-    quantity : Quantity
-    variable : Variable
-    """
+    """Return the scaled bounds and starting value of a design variable."""
     low, high = quantity.bounds
     return variable.scaled(low), variable.scaled(high), variable.scaled(quantity.value)
 
@@ -364,7 +358,6 @@ def build(problem: DesignProblem, *, movable: bool = False) -> NLP:
 
     Parameters
     ----------
-    problem : DesignProblem
     movable : bool
         Make the crank rotation of a law that is an expression a parameter, `SPAN`.
     """

@@ -68,10 +68,8 @@ def output_error(
 
     Parameters
     ----------
-    problem : DesignProblem
     values : mapping of str to float, array or symbol [m, rad]
         Value of every quantity.
-    start : StartPosition
     offset : float, array or symbol [rad]
         Crank rotation from the start.
     tabulated : float, array or symbol

@@ -23,7 +23,6 @@ def output_derivatives(
 
     Parameters
     ----------
-    mechanism : Mechanism
     sizes : mapping of str to casadi symbol
         Every dimension.
     crank : pair of symbols

@@ -48,7 +48,6 @@ def scaled_variable(problem: PathProblem, name: str) -> Variable:
 
     Parameters
     ----------
-    problem : PathProblem
     name : str
         Name of the quantity.
     """
@@ -233,7 +232,6 @@ def constant_values(problem: PathProblem, constants: Sequence[Variable]) -> list
 
     Parameters
     ----------
-    problem : PathProblem
     constants : sequence of Variable
         See `NLP.constants`.
     """
@@ -248,7 +246,6 @@ def solved_values(task: PathProblem, design: Mapping[str, float], x: Array) -> t
 
     Parameters
     ----------
-    task : PathProblem
     design : mapping of str to float [m, rad]
         Values of the design variables.
     x : array (n,)
@@ -266,7 +263,6 @@ def required_motion(problem: PathProblem, angles: Any, *, over_span: bool = Fals
 
     Parameters
     ----------
-    problem : PathProblem
     angles : sequence of float or symbol [rad]
         Crank angle of every point.
     over_span : bool
@@ -281,7 +277,6 @@ def along_points(problem: PathProblem, *, over_span: bool) -> bool:
 
     Parameters
     ----------
-    problem : PathProblem
     over_span : bool
         Whether they apply there even if the crank must turn fully.
     """
@@ -301,7 +296,6 @@ def limit_excesses(problem: PathProblem, values: Mapping[str, Value], angles: An
 
     Parameters
     ----------
-    problem : PathProblem
     values : mapping of str to float or array (designs, 1) [m, rad]
         Value of every quantity.
     angles : sequence of float, or of array (designs, 1) [rad]
@@ -369,7 +363,6 @@ def objective_excess(problem: PathProblem, values: Mapping[str, Value], largest:
 
     Parameters
     ----------
-    problem : PathProblem
     values : mapping of str to float [m, rad]
         Value of every quantity.
     largest : float

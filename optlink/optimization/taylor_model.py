@@ -73,7 +73,6 @@ class TaylorModel(NDArrayOperatorsMixin):
 
         Parameters
         ----------
-        value : array
         count : int
             Number of unknowns.
         """
@@ -276,7 +275,6 @@ def _compose(x: TaylorModel, rule: Rule, error: float = 0.0) -> TaylorModel:
 
     Parameters
     ----------
-    x : TaylorModel
     rule : function of (centre, low, high)
         Returns the three derivatives and the bound; NaN where f is undefined somewhere between low and high.
     error : float

@@ -56,12 +56,7 @@ def _log(x: Array, low: Array, high: Array) -> Derivatives:
 
 
 def power(p: float) -> Rule:
-    """Return the rule of x**p.
-
-    Parameters
-    ----------
-    p : float
-    """
+    """Return the rule of x**p."""
 
     def rule(x: Array, low: Array, high: Array) -> Derivatives:
         f, low = np.power(x, p), np.where(low > 0.0, low, np.nan)

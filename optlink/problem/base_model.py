@@ -206,8 +206,6 @@ def check_length(values: Sequence[Any] | NDArray[Any], count: int, key: str) -> 
 
     Parameters
     ----------
-    values : sequence or array
-    count : int
     key : str
         Key of the list.
 
@@ -262,7 +260,6 @@ class Record(BaseModel):
 
         Parameters
         ----------
-        kind : type
         **values
             Values of its other attributes.
         """
@@ -364,8 +361,6 @@ def read_record(kind: type[R], document: Mapping[str, Any], path: Path) -> R:
 
     Parameters
     ----------
-    kind : type of Record
-    document : mapping
     path : Path
         File of the document.
 
@@ -414,7 +409,6 @@ def damaged(error: ValidationError | Contradiction, path: Path) -> InputError:
 
     Parameters
     ----------
-    error : ValidationError or Contradiction
     path : Path
         File of the record.
     """

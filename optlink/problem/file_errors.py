@@ -28,7 +28,6 @@ def as_written(fault: Fault, raw: object) -> Fault:
 
     Parameters
     ----------
-    fault : Fault
     raw : mapping
         Nested tables of the file.
     """
@@ -142,7 +141,6 @@ def faults(error: pydantic.ValidationError, model: type[Problem], raw: Mapping[s
 
     Parameters
     ----------
-    error : pydantic.ValidationError
     model : type
         Model of the file.
     raw : mapping
@@ -231,7 +229,6 @@ def similar_name(text: str, names: Iterable[str]) -> str:
 
     Parameters
     ----------
-    text : str
     names : iterable of str
         Those of the shipped problems.
     """
@@ -253,7 +250,6 @@ def text_fault(data: bytes, error: UnicodeDecodeError, file: str) -> Fault:
     ----------
     data : bytes
         Content of the file.
-    error : UnicodeDecodeError
     file : str
         Name of the file.
     """

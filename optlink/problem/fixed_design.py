@@ -23,7 +23,6 @@ def fixed_design(file: ProblemFile, values: Mapping[str, float]) -> ProblemFile:
 
     Parameters
     ----------
-    file : ProblemFile
     values : mapping of str to float [m, rad]
         Value of every quantity of the mechanism.
     """
@@ -38,7 +37,6 @@ def started(machine: ProblemFile, begin: float, way: float) -> ProblemFile:
 
     Parameters
     ----------
-    machine : ProblemFile
     begin : float [rad]
         Crank angle at the start; the machine is returned unchanged if it is not finite.
     way : float
@@ -179,7 +177,6 @@ def quantity_key(problem: Problem, name: str) -> str:
 
     Parameters
     ----------
-    problem : Problem
     name : str
         Name of the quantity.
     """

@@ -24,7 +24,6 @@ def identity(model: Problem, without: Collection[str] = ()) -> str:
 
     Parameters
     ----------
-    model : Problem
     without : collection of str
         Sections that do not change the result.
     """

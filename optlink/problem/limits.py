@@ -133,7 +133,6 @@ def transmission_limit(
         Of the key `transmission_angle` [rad].
     pressure : JointRanges, optional
         Of the key `pressure_angle` [rad].
-    joint : str
     further : sequence of TransmissionLimit
         Other general limits.
 
@@ -212,7 +211,6 @@ def check_limits(limits: Limits, joints: Sequence[str]) -> None:
 
     Parameters
     ----------
-    limits : Limits
     joints : sequence of str
         Joints of the dyads that have a transmission angle.
 

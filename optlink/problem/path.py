@@ -396,13 +396,7 @@ def _plain(columns: Array, offsets: Array) -> TargetArrays:
 
 
 def transmission_cosine(pose: Pose, group: Transmitting) -> Value:
-    """Return the cosine of the transmission angle of a group; not a number for two links that cannot close.
-
-    Parameters
-    ----------
-    pose : Pose
-    group : dyad
-    """
+    """Return the cosine of the transmission angle of a group; not a number for two links that cannot close."""
     if not isinstance(group, RRR):
         return group.cosine(pose)
     joint = pose.point(group.joint)

@@ -156,8 +156,6 @@ def check_output(task: PathRequirement, linkage: Mechanism, *, slides: bool, bas
 
     Parameters
     ----------
-    task : PathRequirement
-    linkage : Mechanism
     slides : bool
         Whether the output is a slider, not the angle of a body.
     based : bool
@@ -194,11 +192,7 @@ def check_points(
 
     Parameters
     ----------
-    task : PathRequirement
-    points : TargetPoints
     timing : "given", "from start" or "free"
-    mechanism : FourBarSection or DyadsSection
-    linkage : Mechanism
 
     Raises
     ------
@@ -261,12 +255,6 @@ def _check_distinct_poses(points: TargetPoints, *, closed: bool) -> None:
 
 def check_path_limits(limits: PathLimits, mechanism: MechanismSection, linkage: Mechanism) -> None:
     """Refuse limits that the mechanism cannot have.
-
-    Parameters
-    ----------
-    limits : PathLimits
-    mechanism : FourBarSection or DyadsSection
-    linkage : Mechanism
 
     Raises
     ------

@@ -27,13 +27,7 @@ Unusable = InvalidValue
 
 @contextmanager
 def below(key: str, value: object = None) -> Iterator[None]:
-    """Prefix a key to the one that an `Unusable` names, which has this value if it names none.
-
-    Parameters
-    ----------
-    key : str
-    value : object, optional
-    """
+    """Prefix a key to the one that an `Unusable` names, which has this value if it names none."""
     try:
         yield
     except Unusable as error:
@@ -52,7 +46,6 @@ def input_of(file: str | None, key: str | None = None, value: object = None) -> 
         Name of the file.
     key : str, optional
         Key or option. Default: the key and value of the `Unusable`.
-    value : object, optional
 
     Raises
     ------
@@ -109,7 +102,6 @@ def check_keys(raw: Iterable[object], allowed: Sequence[str]) -> None:
 
     Parameters
     ----------
-    raw : mapping, or iterable of its keys
     allowed : sequence of str
         Permitted keys.
 
@@ -128,8 +120,6 @@ def check_name(name: object, allowed: Iterable[str], message: str, key: str = ""
 
     Parameters
     ----------
-    name : object
-    allowed : iterable of str
     message : str
         What is wrong with any other name.
     key : str
@@ -156,7 +146,6 @@ def check_choice(key: str, name: str, choices: Iterable[str], message: str, file
         Option or argument.
     name : str
         Its value.
-    choices : iterable of str
     message : str
         What is wrong with any other value.
     file : str, optional
@@ -178,7 +167,6 @@ def check_range(key: str, value: float, low: float, high: float) -> None:
     ----------
     key : str
         Option, for the error.
-    value, low, high : int or float
 
     Raises
     ------

@@ -122,7 +122,6 @@ def check_robust(robust: Robust | None, measure: str, tolerance_count: int) -> N
 
     Parameters
     ----------
-    robust : Robust or None
     measure : str
         Measure of the requirement.
     tolerance_count : int

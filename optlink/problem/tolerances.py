@@ -249,11 +249,6 @@ def with_deviating_pivots(section: FourBarSection | DyadsSection, mechanism: Mec
     """Return the linkage with pivots that can deviate, and the values of these coordinates [m].
 
     A four-bar without a defined frame pose has its pivots in the origin and on the x axis.
-
-    Parameters
-    ----------
-    section : FourBarSection or DyadsSection
-    mechanism : Mechanism
     """
     if not isinstance(section, FourBarSection) or section.placed:
         return mechanism, {}

@@ -33,7 +33,6 @@ def film(
 
     Parameters
     ----------
-    sketch : Sketch
     steps : Motion
         The positions, one frame each.
     curve : ChartSpec or callable

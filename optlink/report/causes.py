@@ -64,7 +64,6 @@ def why_invalid(checks: Sequence[Check], otherwise: str) -> str:
 
     Parameters
     ----------
-    checks : sequence of Check
     otherwise : str
         Text if every check passed.
     """
@@ -78,7 +77,6 @@ def mark(checks: Sequence[Check], otherwise: str, refuted: str = "") -> str:
 
     Parameters
     ----------
-    checks : sequence of Check
     otherwise : str
         Text if every check passed.
     refuted : str, optional
@@ -92,9 +90,6 @@ def marked(title: str, valid: bool, checks: Sequence[Check], otherwise: str, ref
 
     Parameters
     ----------
-    title : str
-    valid : bool
-    checks : sequence of Check
     otherwise : str
         Text if every check passed.
     refuted : str, optional

@@ -44,10 +44,6 @@ MAX_BARS = 40  # number of bars up to which they are drawn as bars
 def pictures(charts: Iterable[ChartSpec]) -> dict[str, Figure]:
     """Draw charts; those of one file share a figure.
 
-    Parameters
-    ----------
-    charts : iterable of ChartSpec
-
     Returns
     -------
     dict of str to Figure
@@ -130,8 +126,6 @@ def draw_into(axes: Axes, spec: ChartSpec, *, legend: bool = True) -> list[Label
 
     Parameters
     ----------
-    axes : Axes
-    spec : ChartSpec
     legend : bool, optional
         Draw a legend.
     """

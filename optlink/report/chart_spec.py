@@ -106,7 +106,6 @@ class Curve:
         places : array (n, 2)
         name : str, optional
             Entry in the legend.
-        colour : str, optional
         width : float, optional
             Line width [pt].
         **options
@@ -120,8 +119,6 @@ class Curve:
 
         Parameters
         ----------
-        name : str
-        colour : str
         **options
         """
         return cls(np.full(1, np.nan), np.full(1, np.nan), name, colour, **options)

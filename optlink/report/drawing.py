@@ -80,7 +80,6 @@ class Sketch:
 
         Parameters
         ----------
-        motion : Motion
         name : str
             Joint name.
         """
@@ -91,8 +90,6 @@ class Sketch:
 
         Parameters
         ----------
-        motion : Motion
-        body : str
         outline : array (corners, 2)
             Coordinates along and across the body from its start point, in the display unit.
         """
@@ -255,7 +252,6 @@ class Sketch:
 
         Parameters
         ----------
-        axes : Axes
         traces : bool, optional
             Draw the traces.
         """
@@ -280,8 +276,6 @@ class Sketch:
 
         Parameters
         ----------
-        axes : Axes
-        motion : Motion
         k : int, optional
             Index of the position.
         """
@@ -339,8 +333,6 @@ class Sketch:
 
         Parameters
         ----------
-        axes : Axes
-        motion : Motion
         k : int, optional
             Index of the position.
         """
@@ -355,8 +347,6 @@ class Sketch:
 
         Parameters
         ----------
-        axes : Axes
-        motion : Motion
         traces : bool, optional
             Draw the traces.
         """
@@ -369,7 +359,6 @@ class Sketch:
 
         Parameters
         ----------
-        fig : Figure
         columns : int, optional
             Largest number of columns.
         **extra : Artist
@@ -392,7 +381,6 @@ class Sketch:
 
         Parameters
         ----------
-        motion : Motion
         k : int
             Index of the position.
         names : sequence of str

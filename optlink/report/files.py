@@ -32,7 +32,6 @@ def check_target(path: Path, suffixes: tuple[str, ...], example: str, key: str =
 
     Parameters
     ----------
-    path : Path
     suffixes : tuple of str
         Permitted extensions with dot; none: any.
     example : str
@@ -66,8 +65,6 @@ def write_design(directory: Path, machine: ProblemFile, comment: str) -> list[Pa
 
     Parameters
     ----------
-    directory : Path
-    machine : ProblemFile
     comment : str
         First line of the file.
 
@@ -92,7 +89,6 @@ def verdict(status: str, valid: bool, reason: str) -> str:
     ----------
     status : str
         Status of the solver.
-    valid : bool
     reason : str
         Why the design is not valid.
     """
@@ -104,7 +100,6 @@ def write_csv(path: Path, columns: Mapping[str, Iterable[float | str]]) -> None:
 
     Parameters
     ----------
-    path : Path
     columns : mapping of str to iterable of float or str
         All of the same length.
     """
@@ -133,7 +128,6 @@ def stream(path: Path, keep: int = 0) -> Iterator[Callable[[Mapping[str, Iterabl
 
     Parameters
     ----------
-    path : Path
     keep : int, optional
         Number of rows to keep, if the existing file has them.
     """

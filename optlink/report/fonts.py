@@ -54,10 +54,6 @@ def legible(figure: Figure) -> None:
 
     A text with letters that its fonts lack gets fonts that were installed since matplotlib made its list of them. Letters that no
     font has become an ellipsis, and a warning names them once.
-
-    Parameters
-    ----------
-    figure : Figure
     """
     texts = [text for text in figure.findobj(Text) if lacking(text.get_text(), text.get_fontfamily())]
     if not texts:
@@ -77,7 +73,6 @@ def lacking(text: str, names: Iterable[str]) -> list[str]:
 
     Parameters
     ----------
-    text : str
     names : iterable of str
         Families of fonts.
     """
@@ -93,13 +88,7 @@ def _codes(name: str) -> frozenset[int]:
 
 
 def without(text: str, letters: Iterable[str]) -> str:
-    """Return a text with an ellipsis in place of each group of letters, which may have spaces between them.
-
-    Parameters
-    ----------
-    text : str
-    letters : iterable of str
-    """
+    """Return a text with an ellipsis in place of each group of letters, which may have spaces between them."""
     one = f"[{re.escape(''.join(letters))}]"
     return re.sub(rf"{one}(?:\s*{one})*", OMITTED, text)
 
@@ -131,12 +120,7 @@ def without_weight_messages() -> Iterator[None]:
 
 @functools.cache
 def warn_once(letters: str) -> None:
-    """Warn that letters are not drawn, and name a font that has them.
-
-    Parameters
-    ----------
-    letters : str
-    """
+    """Warn that letters are not drawn, and name a font that has them."""
     asian = any(unicodedata.east_asian_width(letter) in "WF" and unicodedata.category(letter) != "So" for letter in letters)
     remedy = (
         "Install a font with Chinese letters, for example Noto Sans CJK (package fonts-noto-cjk of Debian and Ubuntu)"

@@ -17,7 +17,6 @@ def number(value: float, digits: int = 6) -> str:
 
     Parameters
     ----------
-    value : float
     digits : int, optional
         Significant digits; a number below 1e-5 has two.
     """
@@ -29,13 +28,7 @@ def number(value: float, digits: int = 6) -> str:
 
 
 def precise(value: float, digits: int) -> str:
-    """Format a number with all its significant digits, however small it is.
-
-    Parameters
-    ----------
-    value : float
-    digits : int
-    """
+    """Format a number with all its significant digits, however small it is."""
     return number(value, digits) if value == 0.0 or abs(value) >= 1e-5 else f"{value:.{digits - 1}e}"
 
 
@@ -51,13 +44,7 @@ def price_step(unit: str) -> tuple[float, str]:
 
 
 def fixed(value: float, decimals: int = 3) -> str:
-    """Format a number with fixed decimals; a dash if it is not finite.
-
-    Parameters
-    ----------
-    value : float
-    decimals : int, optional
-    """
+    """Format a number with fixed decimals; a dash if it is not finite."""
     return f"{value:z.{decimals}f}" if math.isfinite(value) else "-"
 
 
@@ -97,7 +84,6 @@ def round_below(value: float, steps: Sequence[float] = (1.0, 2.0, 3.0, 4.0, 5.0,
 
     Parameters
     ----------
-    value : float
     steps : sequence of float
         First digits of round numbers.
     room : float
@@ -121,7 +107,6 @@ def times(seconds: Mapping[str, float], decimals: int = 0) -> str:
     ----------
     seconds : mapping of str to float
         Wall time per stage [s].
-    decimals : int, optional
     """
     return ", ".join(f"{name} {1e3 * value:z.{decimals}f} ms" for name, value in seconds.items() if value > 0.0)
 
@@ -201,13 +186,7 @@ def scale(largest: float, unit: str) -> Scale:
 
 
 def figure(value: float, unit: str = "") -> str:
-    """Format a value in a display unit with four significant digits.
-
-    Parameters
-    ----------
-    value : float
-    unit : str, optional
-    """
+    """Format a value in a display unit with four significant digits."""
     if not math.isfinite(value):
         return "unlimited"
     size = abs(value)
@@ -220,7 +199,6 @@ def si(value: float, unit: str) -> str:
 
     Parameters
     ----------
-    value : float
     unit : str
         "m", "N", "N m", "J", "W", or "rad".
     """

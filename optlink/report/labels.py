@@ -34,25 +34,14 @@ class Label:
 
 
 def in_points(axes: Axes, length: float) -> float:
-    """Return a length along x in the unit of the axes in points; the figure must have its final layout.
-
-    Parameters
-    ----------
-    axes : Axes
-    length : float
-    """
+    """Return a length along x in the unit of the axes in points; the figure must have its final layout."""
     fig = axes.get_figure()
     assert fig is not None
     return float(length * axes.get_window_extent().width / np.ptp(axes.get_xlim()) * 72.0 / fig.dpi)
 
 
 def lay_out(figure: Figure) -> None:
-    """Finish the layout of a figure, once, without drawing it: sizes in it are then known.
-
-    Parameters
-    ----------
-    figure : Figure
-    """
+    """Finish the layout of a figure, once, without drawing it: sizes in it are then known."""
     engine = figure.get_layout_engine()
     if engine is not None:
         engine.execute(figure)
@@ -70,7 +59,6 @@ def place_labels(figure: Figure, labels: Iterable[Label]) -> None:
 
     Parameters
     ----------
-    figure : Figure
     labels : iterable of Label
         Those outside their axes are left out.
     """

@@ -111,7 +111,6 @@ def scene(cycle: Analysis, steps: int = STEPS, at: float | None = None) -> Scene
 
     Parameters
     ----------
-    cycle : Analysis
     steps : int, optional
         Number of positions per revolution.
     at : float [rad] or None, optional
@@ -138,7 +137,6 @@ def scene_at(cycle: Analysis, angles: Array) -> Scene:
 
     Parameters
     ----------
-    cycle : Analysis
     angles : array (positions,) [rad]
     """
     machine = cycle.machine
@@ -151,8 +149,6 @@ def scene_of(sketch: Sketch, motion: Motion, *, closed: bool, up: bool = False) 
 
     Parameters
     ----------
-    sketch : Sketch
-    motion : Motion
     closed : bool
         Whether the last position equals the first.
     up : bool, optional

@@ -96,7 +96,6 @@ def in_line(points: Array, near: float) -> NDArray[np.intp] | None:
     ----------
     points : array (n, 2)
         Two different points at least.
-    near : float
     """
     arms = points - points[0]
     lengths = np.linalg.norm(arms, axis=1)
@@ -128,11 +127,5 @@ def zigzag(size: float) -> list[tuple[float, float]]:
 
 
 def even(count: int, most: int) -> NDArray[np.intp]:
-    """Return at most `most` evenly spaced indices of `count` items, including the first and the last.
-
-    Parameters
-    ----------
-    count : int
-    most : int
-    """
+    """Return at most `most` evenly spaced indices of `count` items, including the first and the last."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.intp))

@@ -85,8 +85,6 @@ def panels(fig: Figure, count: int, columns: int) -> list[Axes]:
 
     Parameters
     ----------
-    fig : Figure
-    count : int
     columns : int
         Number of axes in a row.
     """
@@ -104,7 +102,6 @@ def heading(text: str, width: float, size: float = 11.0) -> str:
 
     Parameters
     ----------
-    text : str
     width : float [inch]
     size : float [pt], optional
         Font size.
@@ -117,13 +114,7 @@ def heading(text: str, width: float, size: float = 11.0) -> str:
 
 
 def save(fig: Figure, path: Path) -> None:
-    """Write a figure as PNG, SVG or PDF, according to the suffix of the path; the same figure gives the same bytes.
-
-    Parameters
-    ----------
-    fig : Figure
-    path : Path
-    """
+    """Write a figure as PNG, SVG or PDF, according to the suffix of the path; the same figure gives the same bytes."""
     with whole(path) as temporary, apply_style():
         legible(fig)
         kind = path.suffix.removeprefix(".")
@@ -141,13 +132,7 @@ def save(fig: Figure, path: Path) -> None:
 
 
 def save_film(pictures: Sequence[Image.Image], path: Path) -> None:
-    """Write frames of a common palette as a repeating GIF; frames are dropped if the file would be large.
-
-    Parameters
-    ----------
-    pictures : sequence of Image
-    path : Path
-    """
+    """Write frames of a common palette as a repeating GIF; frames are dropped if the file would be large."""
     with whole(path) as temporary:
         for step in (1, 2, 3):
             shown = pictures[::step]

@@ -41,13 +41,7 @@ def strong(text: str) -> Span:
 
 
 def verdict(word: str, positive: bool) -> Inline:
-    """Return a verdict as good or bad.
-
-    Parameters
-    ----------
-    word : str
-    positive : bool
-    """
+    """Return a verdict as good or bad."""
     return good(word) if positive else bad(word)
 
 
@@ -88,7 +82,6 @@ class TableSpec:
 
     Parameters
     ----------
-    title : str
     columns : tuple of Column
         Their names are shown unless all are empty.
     rows : tuple of tuple of Span
@@ -148,8 +141,6 @@ def summary(title: str, status: Iterable[Line], *parts: Part | None) -> Summary:
 
     Parameters
     ----------
-    title : str
-    status : iterable of Line
     *parts : TableSpec, Paragraph or None
     """
     return Summary(title, Paragraph(*status), tuple(part for part in parts if part is not None))
@@ -171,7 +162,6 @@ def table(
 
     Parameters
     ----------
-    title : str
     columns : iterable of str or Column
         Names; one that begins with ">" is right-aligned, one that begins with "<" is left-aligned, which is the default. A string
         such as "<><" describes columns without names.

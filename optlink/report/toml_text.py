@@ -28,7 +28,6 @@ def rewritten(text: str, old: Mapping[str, Any], new: Mapping[str, Any]) -> str:
 
     Parameters
     ----------
-    text : str
     old, new : mapping
         Nested tables of the text, and the target tables, in the standard spelling.
     """

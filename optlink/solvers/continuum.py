@@ -36,7 +36,6 @@ def continuum(nlp: CycleNLP, solution: Solution, name: str) -> Continuum | None:
 
     Parameters
     ----------
-    nlp : CycleNLP
     solution : Solution
         The optimum, refined by the exchange method.
     name : str

@@ -55,7 +55,6 @@ def neighbours(nlp: CycleNLP, solution: Solution) -> list[StartGroup]:
 
     Parameters
     ----------
-    nlp : CycleNLP
     solution : Solution
         One of its solutions.
     """
@@ -73,13 +72,7 @@ def neighbours(nlp: CycleNLP, solution: Solution) -> list[StartGroup]:
 
 
 def build_programme(trace: TracedCycle, begin: StartGroup) -> CycleNLP:
-    """Return the NLP of one order of events, with its exchange points at the peaks of the first starting point.
-
-    Parameters
-    ----------
-    trace : TracedCycle
-    begin : StartGroup
-    """
+    """Return the NLP of one order of events, with its exchange points at the peaks of the first starting point."""
     slow = trace.slow_loads(begin.structure.slow) if begin.structure.slow else None
     if slow and slow != trace.slow:
         trace = TracedCycle(trace.problem, trace.values, slow)
@@ -123,7 +116,6 @@ class OrderSearch:
 
         Parameters
         ----------
-        k : int
         ends : sequence of Solution, optional
             The local searches from there, if they are done already; see `local`.
         """
@@ -257,7 +249,6 @@ def search_all(
 
     Parameters
     ----------
-    trace : TracedCycle
     firsts : sequence of StartGroup
         With the order of events of the initial design.
     names : sequence of str
@@ -317,7 +308,6 @@ def _cross(orders: Sequence[OrderSearch], beside: list[OrderSearch], names: tupl
 
     Parameters
     ----------
-    orders : sequence of OrderSearch
     beside : list of OrderSearch
         Searches of other orders so far; those of this call are added.
     names : tuple of str
@@ -357,7 +347,6 @@ def _return(orders: Sequence[OrderSearch], beside: list[OrderSearch], names: tup
 
     Parameters
     ----------
-    orders : sequence of OrderSearch
     beside : list of OrderSearch
         Searches beside these so far; those of this call are added.
     names : tuple of str

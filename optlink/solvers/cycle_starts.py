@@ -60,7 +60,6 @@ def start_groups(samples: StartSequence, count: int, order: EventOrder | None = 
 
     Parameters
     ----------
-    samples : StartSequence
     count : int
         Greatest number of starting points of each group.
     order : EventOrder, optional
@@ -104,7 +103,6 @@ def further_start_groups(samples: StartSequence, existing: Sequence[StartGroup],
 
     Parameters
     ----------
-    samples : StartSequence
     existing : sequence of StartGroup
         Those searched already; the first one defines the order of events.
     count : int

@@ -18,12 +18,7 @@ MET = 1e-6  # violation, in scaled units, up to which an equation that was left 
 
 
 def independent(solver: Backend) -> Backend:
-    """Return a back end that leaves out dependent equations, unless they fail at the end of the search.
-
-    Parameters
-    ----------
-    solver : Backend
-    """
+    """Return a back end that leaves out dependent equations, unless they fail at the end of the search."""
 
     def search(nlp: NLP, x: Array, p: Array, *, track: bool = False, tight: bool = False) -> Attempt:
         rows = dependent_equations(nlp, x, p)
@@ -48,7 +43,6 @@ def dependent_equations(nlp: NLP, x: Array, p: Array) -> NDArray[np.intp]:
 
     Parameters
     ----------
-    nlp : NLP
     x : array (n,)
         Scaled point.
     p : array (parameters,)

@@ -78,7 +78,6 @@ class Limit:
         ----------
         slacks : array
             That of each side; infinite if relaxing the limit does not suffice.
-        nlp : NLP
         x : array (n,)
             The design that needs the slack.
         p : array (parameters,)
@@ -129,10 +128,6 @@ def limits_of(sides: Sequence[LimitSide]) -> list[Limit]:
 
     The sides belong together if they have the same name, or if they are the only ones of their key. A single value is never
     beyond both sides of its range, and an equation has a slack for each side.
-
-    Parameters
-    ----------
-    sides : sequence of LimitSide
     """
     result: list[Limit] = []
     paired: set[int] = set()
@@ -163,7 +158,6 @@ def elastic_programme(nlp: NLP, limits: Sequence[Limit]) -> NLP:
 
     Parameters
     ----------
-    nlp : NLP
     limits : sequence of Limit
         The k limits to relax.
     """

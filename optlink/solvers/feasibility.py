@@ -20,7 +20,6 @@ def repair(nlp: NLP, x: Array, p: Array, inside: float = INSIDE) -> Array | None
 
     Parameters
     ----------
-    nlp : NLP
     x : array (n,)
         Starting point, scaled.
     p : array (parameters,)

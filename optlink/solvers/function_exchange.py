@@ -44,7 +44,6 @@ def error_at(problem: DesignProblem, design: Mapping[str, float], offsets: Array
 
     Parameters
     ----------
-    problem : DesignProblem
     design : mapping of str to float [m, rad]
         Quantities by name, including `phi0` and `psi0`.
     offsets : array (n,) [rad]
@@ -184,8 +183,6 @@ def add_peak_errors(problem: DesignProblem, nlp: NLP, solution: Solution, backen
 
     Parameters
     ----------
-    problem : DesignProblem
-    nlp : NLP
     solution : Solution
         Optimum at the design positions.
     backend : str
@@ -233,8 +230,6 @@ def place_at_peaks(problem: DesignProblem, nlp: NLP, x: Array) -> None:
 
     Parameters
     ----------
-    problem : DesignProblem
-    nlp : NLP
     x : array (n,)
         Scaled point.
     """

@@ -187,7 +187,6 @@ def explain(
 
     Parameters
     ----------
-    nlp : NLP
     seed : int
         Seed of the Sobol points.
     points : list of arrays (n,), optional
@@ -234,7 +233,6 @@ def feasible_point(nlp: NLP, seed: int = 0, *, exactly: bool = False) -> Array |
 
     Parameters
     ----------
-    nlp : NLP
     seed : int
         Seed of the Sobol points.
     exactly : bool

@@ -80,7 +80,6 @@ def compiled(nlp: NLP, tight: bool = False, close: bool = False, staying: bool =
 
     Parameters
     ----------
-    nlp : NLP
     tight : bool
         Use convergence tolerances of 1e-11 instead of 1e-8.
     close : bool
@@ -100,7 +99,6 @@ def ipopt(nlp: NLP, x: Array, p: Array, *, track: bool = False, tight: bool = Fa
 
     Parameters
     ----------
-    nlp : NLP
     x : array (n,)
         Starting point, scaled.
     p : array (parameters,)

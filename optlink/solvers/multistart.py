@@ -36,7 +36,6 @@ def prepare(nlp: NLP, name: str) -> None:
 
     Parameters
     ----------
-    nlp : NLP
     name : str
         Back end.
     """
@@ -54,7 +53,6 @@ def scaled_parameters(nlp: NLP, x: Array) -> Array:
 
     Parameters
     ----------
-    nlp : NLP
     x : array (n,)
         Scaled point.
     """
@@ -67,7 +65,6 @@ def solution_at(nlp: NLP, x: Array, message: str) -> Solution:
 
     Parameters
     ----------
-    nlp : NLP
     x : array (n,)
         Scaled point.
     message : str
@@ -82,7 +79,6 @@ def infeasible_at(nlp: NLP, x: Array, message: str) -> Solution:
 
     Parameters
     ----------
-    nlp : NLP
     x : array (n,)
         Scaled point.
     message : str
@@ -101,7 +97,6 @@ def solve_from(
 
     Parameters
     ----------
-    nlp : NLP
     x : array (n,)
         Starting point, scaled.
     name : str
@@ -183,8 +178,6 @@ def conclude(nlp: NLP, attempt: Attempt, p: Array) -> Solution:
 
     Parameters
     ----------
-    nlp : NLP
-    attempt : Attempt
     p : array (parameters,)
         Parameters of the NLP.
     """
@@ -203,7 +196,6 @@ def starts(nlp: NLP, count: int, seed: int) -> list[Array]:
 
     Parameters
     ----------
-    nlp : NLP
     count : int
         Number of starting points.
     seed : int
@@ -281,12 +273,7 @@ class Agreement:
 
 
 def compare(a: Solution, b: Solution) -> Agreement:
-    """Return the difference of two solutions; infinite if one is infeasible.
-
-    Parameters
-    ----------
-    a, b : Solution
-    """
+    """Return the difference of two solutions; infinite if one is infeasible."""
     if not (a.usable and b.usable):
         return Agreement(math.inf, math.inf)
     root = math.sqrt if a.nlp.measure.name == "sum of squares" else float
@@ -302,7 +289,6 @@ def reconcile(nlp: NLP, found: dict[str, Solution]) -> dict[str, Solution]:
 
     Parameters
     ----------
-    nlp : NLP
     found : dict of str to Solution
         Solution for each back end.
     """

@@ -37,8 +37,6 @@ def polish(nlp: NLP, attempt: Attempt, p: Array, near: float = NEAR) -> Attempt:
 
     Parameters
     ----------
-    nlp : NLP
-    attempt : Attempt
     p : array (parameters,)
         Parameters of the NLP.
     near : float
@@ -52,7 +50,6 @@ def refined(nlp: NLP, x: Array, p: Array, begin: NLPValues, near: float = NEAR) 
 
     Parameters
     ----------
-    nlp : NLP
     x : array (n,)
         Scaled point.
     p : array (parameters,)

@@ -57,7 +57,6 @@ def solve_semi_infinite(task: PathProblem, start: Solution, backend: str, *, nea
 
     Parameters
     ----------
-    task : PathProblem
     start : Solution
         Start; its `nlp` is solved.
     backend : str
@@ -105,8 +104,6 @@ def place_at_peaks(task: PathProblem, nlp: NLP, x: Array) -> None:
 
     Parameters
     ----------
-    task : PathProblem
-    nlp : NLP
     x : array (n,)
         Scaled point.
     """
@@ -122,8 +119,6 @@ def best_slow_stroke(task: PathProblem, solution: Solution, backend: str) -> Sol
 
     Parameters
     ----------
-    task : PathProblem
-    solution : Solution
     backend : str
         Back end.
     """
@@ -249,7 +244,6 @@ def excess_over(task: PathProblem, solution: Solution) -> Function:
 
     Parameters
     ----------
-    task : PathProblem
     solution : Solution
         The design.
     """

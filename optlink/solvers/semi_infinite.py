@@ -62,7 +62,6 @@ def exchange(nlp: CycleNLP, solution: Solution) -> Solution:
 
     Parameters
     ----------
-    nlp : CycleNLP
     solution : Solution
         Optimum at the positions of the NLP.
 
@@ -103,7 +102,6 @@ def restart_from(nlp: CycleNLP, solution: Solution, name: str) -> Solution:
 
     Parameters
     ----------
-    nlp : CycleNLP
     solution : Solution
         The levelled design.
     name : str
@@ -122,7 +120,6 @@ def reconcile_backends(nlp: CycleNLP, solutions: dict[str, Solution]) -> dict[st
 
     Parameters
     ----------
-    nlp : CycleNLP
     solutions : dict of str to Solution
         Best solution for each back end.
     """
@@ -219,7 +216,6 @@ def refine_peaks(nlp: CycleNLP, solution: Solution) -> Solution:
 
     Parameters
     ----------
-    nlp : CycleNLP
     solution : Solution
         The optimum; it is returned unchanged if the refined point is not optimal.
     """
@@ -259,7 +255,6 @@ def with_following_peaks(nlp: CycleNLP, inner: tuple[tuple[int, int], ...]) -> N
 
     Parameters
     ----------
-    nlp : CycleNLP
     inner : tuple of (int, int)
         Slot and index of the watched term for each inner peak.
     """
@@ -321,7 +316,6 @@ def peaks(nlp: CycleNLP, x: Array) -> Peaks:
 
     Parameters
     ----------
-    nlp : CycleNLP
     x : array (n,)
         Scaled point.
     """

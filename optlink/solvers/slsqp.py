@@ -88,7 +88,6 @@ def slsqp(nlp: NLP, x: Array, p: Array, *, track: bool = False, tight: bool = Fa
 
     Parameters
     ----------
-    nlp : NLP
     x : array (n,)
         Starting point, scaled.
     p : array (parameters,)

@@ -188,7 +188,6 @@ def violation(nlp: NLP, x: Array, g: Array) -> float:
 
     Parameters
     ----------
-    nlp : NLP
     x : array (n,)
         Scaled point.
     g : array (m,)
@@ -205,8 +204,6 @@ def verified_solution(
 
     Parameters
     ----------
-    nlp : NLP
-    attempt : Attempt
     p : array (parameters,)
         Parameters of the NLP.
     point : NLPValues, optional
@@ -259,7 +256,6 @@ def stationarity(nlp: NLP, x: Array, point: NLPValues, within: float = ACTIVE) -
 
     Parameters
     ----------
-    nlp : NLP
     x : array (n,)
         Scaled point.
     point : NLPValues
@@ -311,7 +307,6 @@ def curvature(nlp: NLP, x: Array, p: Array, point: NLPValues, conditions: Statio
 
     Parameters
     ----------
-    nlp : NLP
     x : array (n,)
         Scaled point.
     p : array (parameters,)

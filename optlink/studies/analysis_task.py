@@ -186,11 +186,6 @@ def _unsound(analysis: Analysis) -> str:
 def quantity_of(problem: ProblemFile, axis: Axis) -> str:
     """Return the mechanism quantity that an axis varies: `mechanism.frame`, `mechanism.links.rod.length` or `rod.length`.
 
-    Parameters
-    ----------
-    problem : ProblemFile
-    axis : Axis
-
     Raises
     ------
     InputError
@@ -216,8 +211,6 @@ def analysis_task(
 
     Parameters
     ----------
-    problem : ProblemFile
-    grid : Grid
     columns : sequence of str
         Columns of the analysis, or single figures.
     points : int

@@ -97,8 +97,6 @@ class CycleParameters(OptimumParameters):
 
         Parameters
         ----------
-        solution : Solution
-        parameter : Parameter
         value : float [parameter.unit]
         change : mapping of str to float [display units]
         backend : str
@@ -201,8 +199,6 @@ def with_parameter(problem: ProblemFile, parameter: Parameter, value: float) -> 
 
     Parameters
     ----------
-    problem : ProblemFile
-    parameter : Parameter
     value : float [parameter.unit]
     """
     if parameter.unit == TABLE_UNIT:

@@ -126,8 +126,6 @@ def optimum_task(
 
     Parameters
     ----------
-    problem : ProblemFile
-    grid : Grid
     backend : "slsqp" or "ipopt"
     chunk : int
         Points per chunk where one programme serves all.
@@ -166,7 +164,6 @@ class CycleProgramme:
 
         Parameters
         ----------
-        problem : ProblemFile
         bounds : mapping of str to float [unit of the problem]
             Bounds by key, including their side.
         start_values : mapping of str to float [SI]
@@ -205,7 +202,6 @@ def with_bounds(nlp: CycleNLP, bounds: Mapping[str, float], **changes: Any) -> C
 
     Parameters
     ----------
-    nlp : CycleNLP
     bounds : mapping of str to float [unit of the file]
         Bounds by key, including their side.
     **changes
@@ -250,7 +246,6 @@ def with_starting_values(problem: ProblemFile, values: Mapping[str, float]) -> P
 
     Parameters
     ----------
-    problem : ProblemFile
     values : mapping of str to float [SI]
     """
     mechanism = copy.deepcopy(problem.raw["mechanism"])

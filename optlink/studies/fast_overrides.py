@@ -29,7 +29,6 @@ def copy_model(model: M, **update: object) -> M:
 
     Parameters
     ----------
-    model : pydantic.BaseModel
     **update
         New values by field.
     """

@@ -35,7 +35,6 @@ def column(name: str, unit: str) -> str:
 
     Parameters
     ----------
-    name : str
     unit : str
         Appended to the name; may be empty.
     """
@@ -223,7 +222,6 @@ def axes_of_arrays(problem: ProblemFile, arrays: Mapping[str, ArrayLike]) -> lis
 
     Parameters
     ----------
-    problem : ProblemFile
     arrays : mapping of str to array [SI]
 
     Raises
@@ -247,7 +245,6 @@ def read_grid(problem: ProblemFile, vary: Sequence[str]) -> Grid:
 
     Parameters
     ----------
-    problem : ProblemFile
     vary : sequence of str
         Axes as `KEY=VALUES`.
 

@@ -168,10 +168,6 @@ class KKTSystem:
         """Return the system with the multipliers that apply if a parameter is increased; None if the problem is then infeasible.
 
         It is another one where active limits depend on one another: the derivatives then differ between the two directions.
-
-        Parameters
-        ----------
-        push : KKTPerturbation
         """
         change = np.where(self.multiplier_set.sign + np.sign(self.multipliers) > 0.0, push.upper, push.lower) - push.entries
         if not self.multiplier_set.directions.size or not self.multiplier_set.changes(change):
@@ -202,7 +198,6 @@ class KKTSystem:
 
         Parameters
         ----------
-        parameter : Parameter
         push : KKTPerturbation
             Effect of the parameter on the optimality system.
         response : KKTResponse

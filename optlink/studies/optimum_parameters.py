@@ -61,7 +61,6 @@ class OptimumParameters:
         ----------
         solution : Solution
             Optimum with the present value.
-        parameter : Parameter
         value : float [parameter.unit]
         change : mapping of str to float [display units]
             Predicted change of the design variables.
@@ -87,8 +86,6 @@ class FunctionParameters(OptimumParameters):
 
         Parameters
         ----------
-        solution : Solution
-        parameter : Parameter
         value : float [parameter.unit]
         change : mapping of str to float [display units]
         backend : "slsqp" or "ipopt"

@@ -81,7 +81,6 @@ class Parameter:
 
         Parameters
         ----------
-        nlp : NLP
         value : float [unit of the parameter]
         """
         internal = self.scale.to_internal(value)
@@ -96,7 +95,6 @@ def displayed(nlp: NLP, x: Sequence[float] | NDArray[np.float64]) -> dict[str, f
 
     Parameters
     ----------
-    nlp : NLP
     x : sequence of float, or array (n,)
         Scaled.
     """
@@ -108,7 +106,6 @@ def design_variables(nlp: NLP, x: Sequence[float] | NDArray[np.float64]) -> list
 
     Parameters
     ----------
-    nlp : NLP
     x : sequence of float, or array (n,)
     """
     return [(v, float(value)) for v, value in zip(nlp.variables, x, strict=False) if v.name not in nlp.helpers]

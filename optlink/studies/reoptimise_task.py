@@ -235,7 +235,6 @@ class ParametricProgramme:
 
     Parameters
     ----------
-    problem : ProblemFile
     movable : bool
         Whether the crank rotation of a law is a parameter too.
     """

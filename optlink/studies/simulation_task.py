@@ -68,7 +68,6 @@ def simulate_machine(
 
     Parameters
     ----------
-    problem : ProblemFile
     options : mapping
         See `SimulationTask`.
     design : mapping of str to float [SI], optional
@@ -106,8 +105,6 @@ def simulation_task(
 
     Parameters
     ----------
-    problem : ProblemFile
-    grid : Grid
     options : mapping
         See `SimulationTask`.
     design : mapping of str to float [SI], optional

@@ -103,8 +103,6 @@ class SweepTask(ABC):
 
         Parameters
         ----------
-        point : int
-        figures : iterable of float
         *outcome : str
         """
         return [*map(repr, self.grid.values(point)), *map(number_text, figures), *outcome]
@@ -212,13 +210,7 @@ class OptimumTask(SweepTask):
         return self.template.model.objective_display[0]
 
     def optimum(self, point: int, outcome: FoundOptimum) -> list[str]:
-        """Return the row of an optimum; design and objective are empty unless the search is optimal or stalled.
-
-        Parameters
-        ----------
-        point : int
-        outcome : FoundOptimum
-        """
+        """Return the row of an optimum; design and objective are empty unless the search is optimal or stalled."""
         usable = outcome.status in (Status.OPTIMAL, Status.STALLED)
         sizes = [outcome.design.get(name, math.nan) / q.si_per_unit for name, q in self.free.items()]
         figures = [value if usable else math.nan for value in (*sizes, self.shown(outcome.objective))]

@@ -107,7 +107,6 @@ class _TimedPolisher(Polisher):
 
     Parameters
     ----------
-    files : list of ProblemFile
     left : function
         Returns the remaining time [s].
     valid : function of a design

@@ -90,20 +90,13 @@ def from_solution(problem: ProblemFile, solution: Solution) -> Design:
     ----------
     problem : ProblemFile
         With definite assembly modes.
-    solution : Solution
     """
     values, angles = kind_of(problem).values(problem.model, solution)
     return Design(problem, values, UNVERIFIED, solution.objective, solution, angles, limits=solution.displayed_limits)
 
 
 def in_modes(problem: ProblemFile, design: Design) -> ProblemFile:
-    """Return a problem with the assembly modes of a design.
-
-    Parameters
-    ----------
-    problem : ProblemFile
-    design : Design
-    """
+    """Return a problem with the assembly modes of a design."""
     modes = design.problem.raw["mechanism"].get("assembly")
     if modes is None or problem.raw["mechanism"].get("assembly") == modes:
         return problem
@@ -117,7 +110,6 @@ def carried_design(problem: ProblemFile, last: Design) -> Design:
     ----------
     problem : ProblemFile
         With definite assembly modes.
-    last : Design
     """
     quantities = problem.model.quantities
     values = {name: last.values.get(name, q.value) if q.free else q.value for name, q in quantities.items()}
@@ -130,7 +122,6 @@ def moved_machine(design: Design, full: bool | None) -> Design:
 
     Parameters
     ----------
-    design : Design
     full : bool or None
         Whether it can be assembled at every crank angle; None at none.
     """
@@ -188,7 +179,6 @@ def solved_design(problem: ProblemFile, progress: Callable[[float], None] | None
 
     Parameters
     ----------
-    problem : ProblemFile
     progress : function of the completed fraction, optional
     """
     return design_of(kind_of(problem).result(problem, progress))
@@ -220,7 +210,6 @@ def failure(error: OptlinkError, status: str = "failed") -> dict[str, Any]:
 
     Parameters
     ----------
-    error : OptlinkError
     status : str
         Status of the design.
     """

@@ -68,12 +68,7 @@ class Document:
         return f"{self.name}.toml"
 
     def changed_on_disk(self, known: Collection[str]) -> bool:
-        """Return whether the file in its folder has other contents than these, as an editor has changed it.
-
-        Parameters
-        ----------
-        known : collection of str
-        """
+        """Return whether the file in its folder has other contents than these, as an editor has changed it."""
         file = self.folder / self.file
         return os.path.exists(file) and _file_text(file) not in known
 
@@ -240,7 +235,6 @@ def tables(text: str, file: str) -> dict[str, Any]:
 
     Parameters
     ----------
-    text : str
     file : str
         Name of the file, for errors.
 

@@ -154,7 +154,6 @@ def start_of(nlp: NLP, near: Solution | None) -> Array:
 
     Parameters
     ----------
-    nlp : NLP
     near : Solution, optional
         Of this programme, or of another one with other variables or another scaling.
     """
@@ -176,7 +175,6 @@ class CycleFollower:
 
     Parameters
     ----------
-    problem : ProblemFile
     values : mapping of str to float [SI]
         The last optimum; its order of events is that of the programme.
     """
@@ -203,7 +201,6 @@ class CycleFollower:
 
         Parameters
         ----------
-        problem : ProblemFile
         near : Solution, optional
             Not used: the follower keeps its last optimum.
         """

@@ -139,13 +139,7 @@ def _moved(problem: ProblemFile, index: int, values: Mapping[str, float]) -> lis
 
 
 def same_kind(first: Handle | None, second: Handle) -> TypeGuard[Handle]:
-    """Return whether a handle is there, and is dragged like another one.
-
-    Parameters
-    ----------
-    first : Handle or None
-    second : Handle
-    """
+    """Return whether a handle is there, and is dragged like another one."""
     return first is not None and (first.kind, first.keys, first.placed) == (second.kind, second.keys, second.placed)
 
 
@@ -154,7 +148,6 @@ def handles(problem: ProblemFile, picture: Picture | None) -> dict[str, Handle]:
 
     Parameters
     ----------
-    problem : ProblemFile
     picture : Picture or None
         The design in motion; None if it cannot be assembled: then no handle lies on the drawing but those of the targets.
     """

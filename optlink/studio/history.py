@@ -13,7 +13,6 @@ class History(Generic[Step]):
 
     Parameters
     ----------
-    steps : sequence of documents
     at : int
         Index of the present one.
     """

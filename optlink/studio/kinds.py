@@ -51,7 +51,6 @@ class Kind:
 
         Parameters
         ----------
-        problem : ProblemFile
         progress : function of the completed fraction, optional
         """
         from optlink.tasks.analyze import analyze
@@ -59,13 +58,7 @@ class Kind:
         return analyze(problem)
 
     def values(self, model: Any, solution: Solution) -> tuple[dict[str, float], Array | None]:
-        """Return all quantities [SI] of a local optimum, and the crank angles of the target points if it determines them.
-
-        Parameters
-        ----------
-        model : Problem
-        solution : Solution
-        """
+        """Return all quantities [SI] of a local optimum, and the crank angles of the target points if it determines them."""
         return model.design({name: solution.design[name] for name in model.free}), None
 
     def objective(self, model: Any, value: float) -> ShownObjective:
@@ -73,7 +66,6 @@ class Kind:
 
         Parameters
         ----------
-        model : Problem
         value : float [SI]
         """
         return ShownObjective(value, 1.0, "", "")
@@ -83,7 +75,6 @@ class Kind:
 
         Parameters
         ----------
-        model : Problem
         values : mapping of str to float [SI]
             All quantities of the design.
         start : float [rad]
@@ -112,7 +103,6 @@ class Kind:
 
         Parameters
         ----------
-        model : Problem
         requirement : mapping
             Section of the file.
         """

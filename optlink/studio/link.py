@@ -96,7 +96,6 @@ class Link:
 
     Parameters
     ----------
-    worker : Worker
     send : function of a text
         Sends a message to the page; raises ConnectionError if the page is gone.
     another : function, optional

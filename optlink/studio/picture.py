@@ -22,7 +22,6 @@ class Picture:
 
     Parameters
     ----------
-    machine : Machine
     start : float [rad]
         Crank angle of the first position; of a crank that cannot turn fully, one in the reachable range.
     speed : float
@@ -63,7 +62,6 @@ class Picture:
 
         Parameters
         ----------
-        name : str
         k : int
             Index of the position.
         """

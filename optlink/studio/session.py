@@ -176,12 +176,7 @@ class Session:
         self._settle()
 
     def save(self, request: Mapping[str, Any]) -> None:
-        """Send the problem file; also from another thread, while a computation for this document runs.
-
-        Parameters
-        ----------
-        request : mapping
-        """
+        """Send the problem file; also from another thread, while a computation for this document runs."""
         assert self._history is not None
         document, steps = self._document, self._history.steps
         changed = len(steps) < MAX_STEPS and document.changed_on_disk({self._origin, *(step.text for step in steps)})

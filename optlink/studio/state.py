@@ -30,7 +30,6 @@ def targets(problem: ProblemFile, design: Design) -> dict[str, Any]:
 
     Parameters
     ----------
-    problem : ProblemFile
     design : Design
         Determines the deviations.
     """
@@ -55,8 +54,6 @@ def variables(problem: ProblemFile, design: Design, lockable: Mapping[str, Any])
 
     Parameters
     ----------
-    problem : ProblemFile
-    design : Design
     lockable : mapping
         Sizes that were locked on the page.
     """
@@ -88,7 +85,6 @@ def objective(problem: ProblemFile, value: float) -> dict[str, Any] | None:
 
     Parameters
     ----------
-    problem : ProblemFile
     value : float [SI]
     """
     shown = kind_of(problem).objective(problem.model, value)
@@ -125,8 +121,6 @@ def charts(design: Design, picture: Picture, problem: ProblemFile, *, moving: bo
 
     Parameters
     ----------
-    design : Design
-    picture : Picture
     problem : ProblemFile
         The present problem with its limits; the design can be the last one before it.
     moving : bool

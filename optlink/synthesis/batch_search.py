@@ -291,7 +291,6 @@ def acceptable(batch: Batch, ends: FinalDesigns) -> tuple[NDArray[np.bool_], NDA
 
     Parameters
     ----------
-    batch : Batch
     ends : FinalDesigns
         Designs and their crank angles.
 
@@ -319,7 +318,6 @@ def nearest_in_order(problem: PathProblem, t: Array) -> Array:
 
     Parameters
     ----------
-    problem : PathProblem
     t : array (points,) [rad]
         Crank angles of the points.
     """

@@ -93,7 +93,6 @@ def fit(task: FitProblem, x0: Array, y0: Array) -> Cells:
 
     Parameters
     ----------
-    task : FitProblem
     x0, y0 : array (m,)
         Start positions of input and output [rad].
     """
@@ -114,7 +113,6 @@ def fit_error(task: FitProblem, x0: Array, y0: Array, k: Array) -> Cells:
 
     Parameters
     ----------
-    task : FitProblem
     x0, y0 : array (m,)
         Start positions of input and output [rad].
     k : array (m, 3)
@@ -145,7 +143,6 @@ def scan(task: FitProblem, x0: Array, y0: Array) -> Cells:
 
     Parameters
     ----------
-    task : FitProblem
     x0 : array (p,) [rad]
         Start positions of the input.
     y0 : array (q,) [rad]
@@ -172,11 +169,8 @@ def distinct_cells(task: FitProblem, cells: Cells, room: tuple[float, float], co
 
     Parameters
     ----------
-    task : FitProblem
-    cells : Cells
     room : tuple of two floats [rad]
         Distances in x0 and y0 within which two cells of one mode are the same.
-    count : int
     """
     chosen: list[int] = []
     for i in np.lexsort((-cells.margin, np.maximum(cells.error, EXACT))):
@@ -196,8 +190,6 @@ def zoom(task: FitProblem, cells: Cells, grids: tuple[Array, Array]) -> Cells:
 
     Parameters
     ----------
-    task : FitProblem
-    cells : Cells
     grids : tuple of arrays (p,), (q,)
         Grids of x0 and y0 from which the cells come; their steps are the first search radii.
     """

@@ -47,7 +47,6 @@ def fits(problem: DesignProblem, seed: int) -> Iterator[dict[str, float]]:
 
     Parameters
     ----------
-    problem : DesignProblem
     seed : int
         Seed of the scrambling.
     """
@@ -90,7 +89,6 @@ def values(problem: DesignProblem, step: FirstStep) -> dict[str, float]:
 
     Parameters
     ----------
-    problem : DesignProblem
     step : FirstStep
         Lengths relative to the frame.
     """

@@ -170,7 +170,6 @@ def grow_from_four_bar(
         Crank angles of the four-bar at the points.
     count : int
         Largest number of designs; designs with the largest slack of their limits come first.
-    rng : numpy.random.Generator
 
     Returns
     -------

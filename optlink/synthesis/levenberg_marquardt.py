@@ -104,7 +104,6 @@ def minimise(
 
     Parameters
     ----------
-    batch : Batch
     x : array (designs, n)
         Scaled starting points; those without a finite cost are returned unchanged, with an infinite cost.
     t : array (designs, points) [rad]

@@ -155,7 +155,6 @@ def linear_form(chain: LoopEquation, x: Array, y: Array) -> tuple[Array, Array]:
 
     Parameters
     ----------
-    chain : LoopEquation
     x, y : array (n,)
         Input and output.
     """

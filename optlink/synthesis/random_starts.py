@@ -15,14 +15,7 @@ SPREAD = 0.35  # relative standard deviation of a dimension about its value in t
 
 
 def random_designs(batch: Batch, count: int, rng: np.random.Generator) -> Array:
-    """Return random design variables (count, n), scaled and within their bounds.
-
-    Parameters
-    ----------
-    batch : Batch
-    count : int
-    rng : numpy.random.Generator
-    """
+    """Return random design variables (count, n), scaled and within their bounds."""
     problem = batch.problem
     n = len(batch.names)
     x = np.empty((count, n))
@@ -79,12 +72,6 @@ def random_proportions(batch: Batch, count: int, rng: np.random.Generator) -> Ar
 
     The lengths of all crank-rockers are crank a, coupler a + v + w, rocker a + u + w, frame a + u + v with a, u, v, w > 0:
     each of Grashof's sums has one of these numbers, twice, as its slack. In a double-crank crank and frame are interchanged.
-
-    Parameters
-    ----------
-    batch : Batch
-    count : int
-    rng : numpy.random.Generator
     """
     crank = batch.problem.limits.crank
     if crank == "span":
@@ -103,12 +90,6 @@ def random_crank_angles(batch: Batch, count: int, rng: np.random.Generator) -> A
     """Return random crank angles (count, points) [rad] in order, with steps that loosely follow the distances of the points.
 
     Zeros with prescribed timing.
-
-    Parameters
-    ----------
-    batch : Batch
-    count : int
-    rng : numpy.random.Generator
     """
     problem, points = batch.problem, batch.data.columns[:, :2]
     number = len(points)
@@ -136,12 +117,10 @@ def within_reach(batch: Batch, x: Array, t: Array, rng: np.random.Generator) -> 
 
     Parameters
     ----------
-    batch : Batch
     x : array (count, n)
         Scaled design variables.
     t : array (count, points) [rad]
         Crank angles of the points.
-    rng : numpy.random.Generator
     """
     if batch.crank_turns or not batch.four_bar or not batch.free_timing:
         return t
@@ -168,7 +147,6 @@ def assembles_everywhere(batch: Batch, x: Array, t: Array) -> NDArray[np.bool_]:
 
     Parameters
     ----------
-    batch : Batch
     x : array (count, n)
         Scaled design variables.
     t : array (count, points) [rad]

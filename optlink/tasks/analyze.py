@@ -246,8 +246,6 @@ def quick_stroke_notes(problem: ProblemFile, machine: Machine, speed: float) -> 
 
     Parameters
     ----------
-    problem : ProblemFile
-    machine : Machine
     speed : float [rad/s]
         Crank speed.
     """

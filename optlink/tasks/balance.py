@@ -51,7 +51,6 @@ def positions(problem: ProblemFile, machine: Machine, speed: float) -> Array:
     ----------
     problem : ProblemFile
         With a section [balance].
-    machine : Machine
     speed : float [rad/s]
         Crank speed.
 
@@ -280,11 +279,8 @@ def balanced_problem(
 
     Parameters
     ----------
-    problem : ProblemFile
     machine : Machine
         Machine without counterweights.
-    added : sequence of AddedCounterweight
-    springs : sequence of FittedSpring
     """
     changes: dict[str, object] = {"balance": None}
     for counterweight in added:

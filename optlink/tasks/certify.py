@@ -89,7 +89,6 @@ def check_options(gap: float, time_limit: float) -> None:
 
     Parameters
     ----------
-    gap : float
     time_limit : float [s]
 
     Raises

@@ -55,13 +55,7 @@ class CycleTask(DesignTask[CycleResult]):
     without_free = "`optlink analyze` the machine"
 
     def search(self, problem: ProblemFile, search: Search) -> CycleResult:
-        """Return the dimensions that minimise the objective within the limits; see `DesignTask.search`.
-
-        Parameters
-        ----------
-        problem : ProblemFile
-        search : Search
-        """
+        """Return the dimensions that minimise the objective within the limits; see `DesignTask.search`."""
         result = best_mode(problem, search, _search)
         if result.problem is problem:
             return result
@@ -69,10 +63,6 @@ class CycleTask(DesignTask[CycleResult]):
 
     def programme(self, problem: ProblemFile) -> NLP:
         """Return the programme of the order of events at the start; see `DesignTask.programme`.
-
-        Parameters
-        ----------
-        problem : ProblemFile
 
         Raises
         ------
@@ -96,8 +86,6 @@ class CycleTask(DesignTask[CycleResult]):
 
         Parameters
         ----------
-        problem : ProblemFile
-        nlp : NLP
         x : array (n,)
         """
         from optlink.optimization.cycle_nlp import CycleNLP
@@ -113,7 +101,6 @@ class CycleTask(DesignTask[CycleResult]):
 
         Parameters
         ----------
-        problem : ProblemFile
         design : mapping of str to float [SI]
         """
         return min((_validated(variant, design) for variant in possible_modes(problem)), key=better)

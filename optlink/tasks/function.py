@@ -230,13 +230,7 @@ class FunctionTask(DesignTask[FunctionResult]):
         _ = problem.spec
 
     def search(self, problem: ProblemFile, search: Search) -> FunctionResult:
-        """Return the best design over the assembly modes; see `DesignTask.search`.
-
-        Parameters
-        ----------
-        problem : ProblemFile
-        search : Search
-        """
+        """Return the best design over the assembly modes; see `DesignTask.search`."""
         result = best_mode(problem, search, _search)
         if not result.valid or result.solution is None:
             return replace(result, rejected=None)
@@ -250,12 +244,7 @@ class FunctionTask(DesignTask[FunctionResult]):
         return replace(result, margins=notes)
 
     def programme(self, problem: ProblemFile) -> NLP:
-        """Return the programme of the design positions; see `DesignTask.programme`.
-
-        Parameters
-        ----------
-        problem : ProblemFile
-        """
+        """Return the programme of the design positions; see `DesignTask.programme`."""
         self.check(problem)
         return build(problem.spec)
 
@@ -264,8 +253,6 @@ class FunctionTask(DesignTask[FunctionResult]):
 
         Parameters
         ----------
-        problem : ProblemFile
-        nlp : NLP
         x : array (n,)
         """
         place_at_peaks(problem.spec, nlp, x)
@@ -275,7 +262,6 @@ class FunctionTask(DesignTask[FunctionResult]):
 
         Parameters
         ----------
-        problem : ProblemFile
         design : mapping of str to float [m, rad]
         """
         begin = time.perf_counter()
@@ -431,7 +417,6 @@ def check_complete(problem: ProblemFile, names: Collection[str]) -> None:
 
     Parameters
     ----------
-    problem : ProblemFile
     names : collection of str
         Quantities that have a value.
 

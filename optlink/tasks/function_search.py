@@ -118,8 +118,6 @@ def start_sequence(problem: DesignProblem, nlp: NLP, seed: int, begin: Mapping[s
 
     Parameters
     ----------
-    problem : DesignProblem
-    nlp : NLP
     seed : int
         Seed of the Sobol points.
     begin : mapping of str to float [SI], or None
@@ -152,9 +150,7 @@ def near_optimum(problem: DesignProblem, design: Mapping[str, float], backend: s
 
     Parameters
     ----------
-    problem : DesignProblem
     design : mapping of str to float [m, rad]
-    backend : str
     """
     nlp = build(problem)
     return FunctionSearch(problem, nlp, backend).everywhere(multistart.solve_from(nlp, nlp.x_of(design), CLOSE))
@@ -203,7 +199,6 @@ class FunctionSearch:
 
         Parameters
         ----------
-        start : SearchStart
         solution : Solution, optional
             The solution at the design positions, if it is known already.
         """
@@ -274,7 +269,6 @@ class FunctionSearch:
 
         Parameters
         ----------
-        solution : Solution
         backend : str, optional
             Default: the back end of the search.
         """
@@ -329,7 +323,6 @@ class FunctionSearch:
 
         Parameters
         ----------
-        starts : StartSequence
         count : int, optional
             Total number of starts. Default: until the evidence suffices.
         rescue : function
@@ -373,7 +366,6 @@ class FunctionSearch:
 
         Parameters
         ----------
-        starts : list of SearchStart
         runs : function, optional
             From `optlink.execution.runner.pool`.
         """

@@ -34,7 +34,6 @@ def turning_machine(problem: ProblemFile, design: Mapping[str, float]) -> Machin
 
     Parameters
     ----------
-    problem : ProblemFile
     design : mapping of str to float [SI]
     """
     if not all(math.isfinite(value) for value in design.values()):
@@ -51,8 +50,6 @@ def check_names(problem: ProblemFile, names: Iterable[str], valid: Collection[st
 
     Parameters
     ----------
-    problem : ProblemFile
-    names : iterable of str
     valid : collection of str
         The valid names.
 
@@ -70,7 +67,6 @@ def check_design(problem: ProblemFile, design: Mapping[str, float] | None) -> No
 
     Parameters
     ----------
-    problem : ProblemFile
     design : mapping of str to float [SI] or None
         The angles phi0 and psi0 of a motion law may be in it although they follow from the lengths, as in `result.design`.
 
@@ -87,13 +83,7 @@ def check_design(problem: ProblemFile, design: Mapping[str, float] | None) -> No
 
 
 def start_value_notes(problem: ProblemFile, design: Mapping[str, object] | None = None) -> list[str]:
-    """Return a note that names the design variables without a given value, if there are any.
-
-    Parameters
-    ----------
-    problem : ProblemFile
-    design : mapping of str to value, optional
-    """
+    """Return a note that names the design variables without a given value, if there are any."""
     free = [name for name in problem.model.free if design is None or name not in design]
     return [f"design variables are at their start values: {', '.join(free)} (--design takes a result)"] if free else []
 
@@ -103,7 +93,6 @@ def machine_of(problem: ProblemFile, design: Mapping[str, Value] | None = None) 
 
     Parameters
     ----------
-    problem : ProblemFile
     design : mapping of str to float or array [SI], optional
         Design variables. Default: fixed values and starting values of the file.
 
@@ -127,7 +116,6 @@ def crank_speed(problem: ProblemFile, speed: float | None = None, key: str = "sp
 
     Parameters
     ----------
-    problem : ProblemFile
     speed : float [rad/s], optional
         In place of that of the problem.
     key : str
@@ -153,7 +141,6 @@ def starting_speed(problem: ProblemFile, speed: float | None = None) -> float:
 
     Parameters
     ----------
-    problem : ProblemFile
     speed : float [rad/s], optional
         In place of that of the problem: `drive.initial_speed`, else `drive.speed`.
 
@@ -175,7 +162,6 @@ def duration_of(problem: ProblemFile, duration: float | None = None) -> float | 
 
     Parameters
     ----------
-    problem : ProblemFile
     duration : float [s], optional
         In place of that of the problem.
 
@@ -199,7 +185,6 @@ def check_pace(problem: ProblemFile, speed: float, processes: Mapping[str, tuple
 
     Parameters
     ----------
-    problem : ProblemFile
     speed : float [rad/s]
     processes : mapping of str to (str, float [s])
         By the key that determines it: the process, and its period.
@@ -228,7 +213,6 @@ def with_flywheel(machine: Machine, inertia: float) -> Machine:
 
     Parameters
     ----------
-    machine : Machine
     inertia : float [kg m^2]
 
     Raises
@@ -253,8 +237,6 @@ def starting_angle(problem: ProblemFile, machine: Machine, design: Mapping[str, 
 
     Parameters
     ----------
-    problem : ProblemFile
-    machine : Machine
     design : mapping of str to float [SI] or None
         Values of design variables. Default: their starting values.
     """
@@ -279,7 +261,6 @@ def motion_range(problem: ProblemFile, machine: Machine, start: float) -> tuple[
     ----------
     problem : ProblemFile
         Names the file in error messages.
-    machine : Machine
     start : float [rad]
         Crank angle.
 
@@ -308,11 +289,6 @@ def motion_range(problem: ProblemFile, machine: Machine, start: float) -> tuple[
 def check_repeats(problem: ProblemFile, machine: Machine) -> None:
     """Refuse a machine whose crank turns fully, but whose loads do not repeat after whole revolutions.
 
-    Parameters
-    ----------
-    problem : ProblemFile
-    machine : Machine
-
     Raises
     ------
     InputError
@@ -330,7 +306,6 @@ def check_regular(problem: ProblemFile, ranges: Ranges, what: str) -> None:
     ----------
     problem : ProblemFile
         Names the file in error messages.
-    ranges : Ranges
     what : str
         End of the error message.
 
@@ -384,10 +359,8 @@ def pole_notes(machine: Machine, start: float, revolutions: float, speed: float,
 
     Parameters
     ----------
-    machine : Machine
     start : float [rad]
         First crank angle.
-    revolutions : float
     speed : float [rad/s]
         Crank speed.
     steady : bool

@@ -19,8 +19,6 @@ def best_mode(problem: ProblemFile, search: Search, one: Callable[[ProblemFile, 
 
     Parameters
     ----------
-    problem : ProblemFile
-    search : Search
     one : function of a problem with definite assembly modes and a search
 
     Raises
@@ -50,10 +48,6 @@ def best_mode(problem: ProblemFile, search: Search, one: Callable[[ProblemFile, 
 def possible_modes(problem: ProblemFile) -> list[ProblemFile]:
     """Return the problem with definite assembly modes, one for each combination in which its sections are consistent.
 
-    Parameters
-    ----------
-    problem : ProblemFile
-
     Raises
     ------
     InputError
@@ -71,11 +65,6 @@ def possible_modes(problem: ProblemFile) -> list[ProblemFile]:
 
 
 def mode_of(problem: ProblemFile) -> str:
-    """Return the assembly modes of a problem in words, such as "left", or "C left of B-D, E forward".
-
-    Parameters
-    ----------
-    problem : ProblemFile
-    """
+    """Return the assembly modes of a problem in words, such as "left", or "C left of B-D, E forward"."""
     assembly = problem.raw["mechanism"].get("assembly", "left")
     return assembly if isinstance(assembly, str) else ", ".join(f"{joint} {mode}" for joint, mode in assembly.items())

@@ -26,11 +26,7 @@ class RunJob:
 
     Parameters
     ----------
-    problem : ProblemFile
-    control : str
     start : float [rad]
-    revolutions, points : int
-    tolerance : float
     speed : float [rad/s], optional
     design : mapping of str to float [SI], optional
     integrator : str
@@ -139,7 +135,6 @@ def run_jobs(jobs: Sequence[RunJob], runs: Runs) -> Iterator[tuple[int, RunResul
 
     Parameters
     ----------
-    jobs : sequence of RunJob
     runs : function
         From `optlink.execution.runner.pool`.
 

@@ -58,13 +58,7 @@ class PathTask(DesignTask[PathResult]):
     divisible = True
 
     def search(self, problem: ProblemFile, search: Search) -> PathResult:
-        """Return linkages that pass the points or poses; see `DesignTask.search`.
-
-        Parameters
-        ----------
-        problem : ProblemFile
-        search : Search
-        """
+        """Return linkages that pass the points or poses; see `DesignTask.search`."""
         if search.backend == "both":
             return _compared(problem, search, self.search)
         seed, timer = search.seed, search.timer
@@ -108,10 +102,6 @@ class PathTask(DesignTask[PathResult]):
     def programme(self, problem: ProblemFile) -> NLP:
         """Return the programme of one sense of crank rotation; see `DesignTask.programme`.
 
-        Parameters
-        ----------
-        problem : ProblemFile
-
         Raises
         ------
         InputError
@@ -129,8 +119,6 @@ class PathTask(DesignTask[PathResult]):
 
         Parameters
         ----------
-        problem : ProblemFile
-        nlp : NLP
         x : array (n,)
         """
         place_at_peaks(path_model(problem), nlp, x)
@@ -140,8 +128,6 @@ class PathTask(DesignTask[PathResult]):
 
         Parameters
         ----------
-        problem : ProblemFile
-        nlp : NLP
         design : mapping of str to float [SI]
         """
         from optlink.validation.timing import passing
@@ -158,7 +144,6 @@ class PathTask(DesignTask[PathResult]):
 
         Parameters
         ----------
-        problem : ProblemFile
         design : mapping of str to float [m, rad]
             All design variables; further quantities replace those of the file.
         """
@@ -288,7 +273,6 @@ class SearchRounds:
 
         Parameters
         ----------
-        seed : int
         exactly : bool
             See `optlink.solvers.infeasibility.explain`.
         """

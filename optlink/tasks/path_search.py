@@ -105,7 +105,6 @@ class Polisher:
 
         Parameters
         ----------
-        candidate : Candidate
         near : bool
             Whether the candidate itself satisfies its limits everywhere.
         """
@@ -121,12 +120,7 @@ class Polisher:
         return validated_design(file, solution)
 
     def refined(self, design: PathDesign) -> PathDesign:
-        """Return a design that fails only by inexact figures, refined by another back end and validated again.
-
-        Parameters
-        ----------
-        design : PathDesign
-        """
+        """Return a design that fails only by inexact figures, refined by another back end and validated again."""
         solution = design.solution
         assert solution is not None
         backend = next(name for name in BACKENDS if name != self.backend)
@@ -134,12 +128,7 @@ class Polisher:
         return min(design, again, key=lambda one: (not one.valid, one.objective))
 
     def relaxed(self, design: PathDesign) -> Callable[[ProblemFile], float]:
-        """Return a function of a problem with other margins: the objective of its local optimum near a design.
-
-        Parameters
-        ----------
-        design : PathDesign
-        """
+        """Return a function of a problem with other margins: the objective of its local optimum near a design."""
 
         def objective(other: ProblemFile) -> float:
             solution, angles = design.solution, design.crank_angles
@@ -155,7 +144,6 @@ class Polisher:
 
         Parameters
         ----------
-        candidates : sequence of Candidate
         near : bool
             See `polish`.
         """
@@ -180,7 +168,6 @@ class Polisher:
         ----------
         variant : int
             Index of the file with definite assembly modes.
-        nlp : NLP
         x : array (n,)
             Scaled point.
         """
@@ -217,7 +204,6 @@ def validated_design(file: ProblemFile, solution: Solution) -> PathDesign:
     ----------
     file : ProblemFile
         With definite assembly modes.
-    solution : Solution
     """
     task = path_model(file)
     values, angles = solved_values(task, solution.design, solution.x)
@@ -233,7 +219,6 @@ class DesignCollection:
 
     Parameters
     ----------
-    polisher : Polisher
     requested : int
         Number of distinct designs.
     """
@@ -414,7 +399,6 @@ def no_worse_fit(design: PathDesign, reference: PathDesign) -> bool:
 
     Parameters
     ----------
-    design : PathDesign
     reference : PathDesign
         Reference.
     """
@@ -463,7 +447,6 @@ def designs_from_four_bar(
 
     Parameters
     ----------
-    part : ContainedFourBar
     four_bars : sequence of PathDesign
         Valid designs of `part.file`.
     polisher : Polisher

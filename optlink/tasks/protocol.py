@@ -76,7 +76,6 @@ def part(progress: Progress, k: int, count: int) -> Progress:
     Parameters
     ----------
     progress : function of the completed fraction, optional
-    k, count : int
     """
     return None if progress is None else lambda share: progress((k + share) / count)
 

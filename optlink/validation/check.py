@@ -70,7 +70,6 @@ def each(values: ArrayLike, design: int) -> Any:
     Parameters
     ----------
     values : float or array (designs,)
-    design : int
     """
     return np.ravel(values)[design if np.size(values) > 1 else 0]
 
@@ -170,7 +169,6 @@ def bound(name: str, quantity: Quantity, value: ArrayLike, size: ArrayLike) -> C
     ----------
     name : str
         Name of the quantity.
-    quantity : Quantity
     value : float or array (designs,) [m, rad]
     size : float or array (designs,) [m]
         Reference length.
@@ -190,7 +188,6 @@ def link_lengths(motion: Motion, size: ArrayLike) -> Checks:
 
     Parameters
     ----------
-    motion : Motion
     size : float [m]
         Reference length.
     """
@@ -320,7 +317,6 @@ def registered_checks(moved: Moved, limits: Limits, size: float, design: int = 0
     ----------
     moved : Moved
         The design in motion.
-    limits : Limits
     size : float [m]
         Reference length of tolerances.
     design : int

@@ -56,7 +56,6 @@ class Cycle:
 
     Parameters
     ----------
-    problem : CycleProblem
     design : mapping of str to float [SI]
         Quantities; those not named have their value in the file.
     """
@@ -252,7 +251,6 @@ def validate_cycle(
 
     Parameters
     ----------
-    problem : CycleProblem
     design : mapping of str to float [SI]
         Quantities; those not named have their value in the file.
     objective : float, optional

@@ -72,7 +72,6 @@ class FourBarMotion:
 
     Parameters
     ----------
-    mechanism : Mechanism
     sizes : mapping of parameter name to array (designs, 1) [m]
     angles : array (angles,) or (designs, angles) [rad]
     closed : bool

@@ -56,7 +56,6 @@ def validate(
 
     Parameters
     ----------
-    problem : DesignProblem
     design : mapping of str to float [m, rad]
         crank, coupler, rocker, frame, phi0, psi0.
     objective : float, optional

@@ -104,7 +104,6 @@ def alignment_check(group: Dyad, single: bool, sine: ArrayLike, limits: Alignmen
 
     Parameters
     ----------
-    group : Dyad
     single : bool
         Whether it is the only one.
     sine : float or array (designs,)

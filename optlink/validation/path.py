@@ -111,7 +111,6 @@ def transmission_angles(motion: Motion, mechanism: Mechanism) -> Array:
 
     Parameters
     ----------
-    motion : Motion
     mechanism : Mechanism
         The mechanism in motion.
     """

@@ -38,13 +38,7 @@ def installed() -> bool:
 
 
 def resumed(integrator: str, checkpoint: Mapping[str, Any] | None) -> str:
-    """Return the requested integrator; for "auto" that of the checkpoint from which the work continues.
-
-    Parameters
-    ----------
-    integrator : str
-    checkpoint : mapping or None
-    """
+    """Return the requested integrator; for "auto" that of the checkpoint from which the work continues."""
     if checkpoint is None or integrator != IntegratorKind.AUTO:
         return integrator
     return str(checkpoint.get("integrator", IntegratorKind.CVODES))

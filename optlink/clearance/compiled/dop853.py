@@ -55,13 +55,7 @@ call: Any = _call
 
 @njit(**HELPER)
 def copy(source, target):
-    """Copy one array to another.
-
-    Parameters
-    ----------
-    source : array
-    target : array
-    """
+    """Copy one array to another."""
     for i in range(source.shape[0]):
         target[i] = source[i]
 

@@ -97,12 +97,7 @@ def _engine_source() -> tuple[str, str]:
 
 
 def is_cached(equations: Equations) -> bool:
-    """Return whether the machine code of equations and that of the engine are on the disk, without importing numba.
-
-    Parameters
-    ----------
-    equations : Equations
-    """
+    """Return whether the machine code of equations and that of the engine are on the disk, without importing numba."""
     folder = cache_folder() / "__pycache__"
     if not folder.is_dir():
         return False

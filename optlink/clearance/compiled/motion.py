@@ -52,7 +52,6 @@ def workspace(n: int, m: int, gaps: int) -> tuple[Array, ...]:
     ----------
     n, m : int
         Length of the state, and with the works.
-    gaps : int
     """
     w, q = 2 * gaps, 2 * gaps + 2
     sizes = [(STAGES + 4, m), (POWERS, m), m, m, m, w, w, w, (SUBINTERVALS + 1, w), (PARTS + 2, q), q, q, gaps + 1, 4 + w]

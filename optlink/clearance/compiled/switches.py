@@ -194,7 +194,6 @@ def to_switch(time, length, most, gap, side, y, n, model, space):
         Estimate of the time until the switch.
     most : float [s]
         Step size.
-    gap : int
     side : float
         -1 in contact, 1 apart.
     y : array (m,)

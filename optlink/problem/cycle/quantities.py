@@ -58,7 +58,6 @@ def guide_of(name: str, mechanism: Mechanism) -> str | None:
     ----------
     name : str
         Name of a guide or slider.
-    mechanism : Mechanism
     """
     if any(guide.name == name for guide in mechanism.guides):
         return name

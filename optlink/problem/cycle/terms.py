@@ -256,7 +256,6 @@ class Limit(Term):
 
         Parameters
         ----------
-        mechanism : Mechanism
         quantities : mapping of str to Quantity
             Quantities of the file.
 
@@ -319,11 +318,6 @@ def _a(words: str) -> str:
 def output_of(term: Term, mechanism: Mechanism) -> tuple[str, str]:
     """Return the output of a term: ("guide" | "body" | "point", name).
 
-    Parameters
-    ----------
-    term : Term
-    mechanism : Mechanism
-
     Raises
     ------
     Unusable
@@ -351,8 +345,6 @@ def check_term(term: Term, mechanism: Mechanism, quantities: Mapping[str, Quanti
 
     Parameters
     ----------
-    term : Term
-    mechanism : Mechanism
     quantities : mapping of str to Quantity
         Quantities of the file.
 

@@ -63,11 +63,6 @@ def read_measure(text: object) -> BalanceMeasure:
 def check_measure(measure: BalanceMeasure, machine: Machine) -> None:
     """Check that the machine has the elements of a measure and that the measure is linear in the masses.
 
-    Parameters
-    ----------
-    measure : BalanceMeasure
-    machine : Machine
-
     Raises
     ------
     Unusable

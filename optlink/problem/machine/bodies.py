@@ -61,7 +61,6 @@ class BodySection(Section):
         ----------
         body : str
             Name of the body.
-        mechanism : Mechanism
         sizes : mapping of str to float, array or symbol [m, rad]
             Dimensions of the mechanism.
 

@@ -79,7 +79,6 @@ class ControlSection(Section):
 
         Parameters
         ----------
-        machine : Machine
         gaps : sequence of Gap
             Joints with clearance.
 

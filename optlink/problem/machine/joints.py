@@ -120,7 +120,6 @@ class JointSection(Section):
         ----------
         point : str
             Name of the pin.
-        mechanism : Mechanism
 
         Raises
         ------

@@ -28,7 +28,6 @@ def spring_ends(mechanism: Mechanism, between: tuple[str, str]) -> list[tuple[st
 
     Parameters
     ----------
-    mechanism : Mechanism
     between : tuple of two str
         Names of the points.
 
@@ -86,7 +85,6 @@ class LoadSection(Section):
         ----------
         name : str
             Name of the load.
-        mechanism : Mechanism
         motion : RevolutionSamples
             Samples of the motion over a revolution.
 

@@ -32,7 +32,6 @@ class MeasuredSeries:
 
         Parameters
         ----------
-        output : Output
         steady : bool
             Whether the crank turns at a given speed.
 

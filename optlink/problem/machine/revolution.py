@@ -130,7 +130,6 @@ class RevolutionSamples:
 
         Parameters
         ----------
-        body : str
         against : str
             The other body.
         free : float [rad]

@@ -38,10 +38,8 @@ class CsvTable:
         ----------
         row : int
             Number of the row in the file.
-        cells : sequence of str
         index : int
             Of the column.
-        remedy : str
 
         Raises
         ------

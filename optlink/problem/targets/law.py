@@ -102,12 +102,7 @@ Source = Expression | SlideExpression | Function | Table
 
 
 def begins_at_psi0(law: Source) -> bool:
-    """Return whether the law prescribes psi0 itself at the start, whatever phi0 and psi0 are.
-
-    Parameters
-    ----------
-    law : Expression, SlideExpression, Function or Table
-    """
+    """Return whether the law prescribes psi0 itself at the start, whatever phi0 and psi0 are."""
     if isinstance(law, Table):
         return law.from_start and law.phi[0] == 0.0 and law.psi[0] == 0.0
     phi0, psi0 = STARTS
@@ -120,7 +115,6 @@ def is_periodic(law: Source, name: str) -> bool:
 
     Parameters
     ----------
-    law : Expression, SlideExpression, Function or Table
     name : "phi0" or "psi0"
     """
     if not isinstance(law, Expression | SlideExpression):
@@ -135,13 +129,7 @@ def is_periodic(law: Source, name: str) -> bool:
 
 
 def rotation(law: Source, span: Quantity | None) -> float:
-    """Return the crank rotation of a law [rad], negative clockwise: that of a table or function, else the span of the file.
-
-    Parameters
-    ----------
-    law : Expression, SlideExpression, Function or Table
-    span : Quantity, optional
-    """
+    """Return the crank rotation of a law [rad], negative clockwise: that of a table or function, else the span of the file."""
     law_rotation = law.span if isinstance(law, Table) else law.input if isinstance(law, Function) else None
     if law_rotation is not None:
         return law_rotation
@@ -154,7 +142,6 @@ def check_rotation(law: Source, span: Quantity | None, key: str, start: object) 
 
     Parameters
     ----------
-    law : Expression, SlideExpression, Function or Table
     span : Quantity, optional
         Span that the file states.
     key : str

@@ -55,7 +55,6 @@ class PointRows:
             Column of the error.
         message : str
             Message, in which {} stands for the name of the row.
-        remedy : str
 
         Raises
         ------
@@ -217,7 +216,6 @@ def check_and_reduce(rows: PointRows, requested_count: int | None) -> TargetPoin
 
     Parameters
     ----------
-    rows : PointRows
     requested_count : int or None
         Requested number of points; None: as many as there are, up to `MAX_POINTS`.
 

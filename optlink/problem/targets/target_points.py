@@ -111,7 +111,6 @@ def read_file(raw: Mapping[str, Any], key: str, folder: Path) -> tuple[str, byte
 
     Parameters
     ----------
-    raw : mapping
     key : str
         Key of `raw` with the name of the file; also its suffix.
     folder : Path

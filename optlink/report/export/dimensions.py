@@ -51,7 +51,6 @@ def dimensioned(cycle: Analysis, title: str) -> Drawing:
 
     Parameters
     ----------
-    cycle : Analysis
     title : str
         Begin of the description.
     """

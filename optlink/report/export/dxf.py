@@ -62,7 +62,6 @@ def document(cycle: Analysis, at: float, title: str, hole: float | None = None, 
 
     Parameters
     ----------
-    cycle : Analysis
     at : float [rad]
         Crank angle of the assembly, within the reachable range.
     title : str
@@ -131,7 +130,6 @@ def plates(cycle: Analysis, motion: Motion, radius: float) -> Iterator[Plate]:
 
     Parameters
     ----------
-    cycle : Analysis
     motion : Motion
         Position of the assembly.
     radius : float [mm]
@@ -154,13 +152,7 @@ def _vector(vector: tuple[object, object]) -> Array:
 
 
 def travelled(cycle: Analysis, guide: Guide) -> tuple[float, float]:
-    """Return the least and largest slide [m] of a slider along its guide.
-
-    Parameters
-    ----------
-    cycle : Analysis
-    guide : Guide
-    """
+    """Return the least and largest slide [m] of a slider along its guide."""
     slides = cycle[f"{slider_names(cycle.machine)[guide.name]}.s_m"]
     finite_slides = slides[np.isfinite(slides)]
     travel = cycle.strokes.get(slider_names(cycle.machine)[guide.name])

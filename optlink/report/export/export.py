@@ -82,8 +82,6 @@ def place_of(model: ReportModel, cycle: Analysis, at: float | None) -> float:
 
     Parameters
     ----------
-    model : ReportModel
-    cycle : Analysis
     at : float [rad] or None
         Requested angle; None for the start of the motion.
 
@@ -140,8 +138,6 @@ def geometry(model: ReportModel, cycle: Analysis, at: float) -> dict[str, Any]:
 
     Parameters
     ----------
-    model : ReportModel
-    cycle : Analysis
     at : float [rad]
         Crank angle.
     """

@@ -57,7 +57,6 @@ def sampled(line: Array, step: float) -> Array:
     Parameters
     ----------
     line : array (m, 2)
-    step : float
     """
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
     at = np.linspace(0.0, along[-1], 1 + max(1, int(np.ceil(along[-1] / step))))

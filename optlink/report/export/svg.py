@@ -22,7 +22,6 @@ def svg(scene: Scene, title: str, motion: Scene | None = None, k: int = 0, *, tr
 
     Parameters
     ----------
-    scene : Scene
     title : str
         Accessible name of the drawing.
     motion : Scene or None, optional
@@ -192,8 +191,6 @@ def rimmed(place: str, text: str, colour: str, rim: str, tooltip: str = "") -> s
     ----------
     place : str
         Attributes that place the text.
-    text : str
-    colour : str
     rim : str
         Width of the rim.
     tooltip : str

@@ -179,7 +179,6 @@ def thinned(x: Array, y: Array, most: int = THIN_ABOVE) -> tuple[Array, Array]:
     ----------
     x : array (n,)
     y : array (n,)
-    most : int, optional
     """
     if len(x) <= most:
         return x, y

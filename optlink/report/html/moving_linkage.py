@@ -94,8 +94,6 @@ def in_time(cycle: Analysis, scene: Scene, time: Array, shown: Iterable[tuple[st
 
     Parameters
     ----------
-    cycle : Analysis
-    scene : Scene
     time : array (positions,) [s]
     shown : iterable of (name, Scale, array (positions,))
         Name, display unit and values [SI] of the quantities.
@@ -118,7 +116,6 @@ def turning(cycle: Analysis, steps: int) -> Moving:
 
     Parameters
     ----------
-    cycle : Analysis
     steps : int
         Number of positions per revolution.
     """
@@ -131,7 +128,6 @@ def readouts(cycle: Analysis, angles: Array) -> list[Readout]:
 
     Parameters
     ----------
-    cycle : Analysis
     angles : array (positions,) [deg]
         Crank angles.
     """

@@ -41,12 +41,7 @@ STEPS = 120  # positions per revolution
 
 
 def notebook_html(result: Any) -> str | None:
-    """Return the drawings and the tables of a result as HTML; None for a kind without a table.
-
-    Parameters
-    ----------
-    result : any result of `optlink`
-    """
+    """Return the drawings and the tables of a result as HTML; None for a kind without a table."""
     schema = schema_of(type(result).record)
     if schema not in WITH_PAGE:
         return None
@@ -63,7 +58,6 @@ def moving_html(moving: Moving, title: str) -> str:
 
     Parameters
     ----------
-    moving : Moving
     title : str
         Accessible name of the drawing.
     """

@@ -79,7 +79,6 @@ def animation_of(model: ReportModel, steps: int) -> Moving | None:
 
     Parameters
     ----------
-    model : ReportModel
     steps : int
         Number of positions per revolution.
     """

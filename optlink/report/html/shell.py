@@ -125,10 +125,6 @@ def arrange(sections: Iterable[PageSection], closing: Iterable[PageSection]) -> 
     """Return the sections with numbers of four digits, and the appendix.
 
     The appendix contains the tables marked for it, the tables that lost digits with all their digits, and the closing sections.
-
-    Parameters
-    ----------
-    sections, closing : iterable of PageSection
     """
     arranged_sections, moved, exact = list[PageSection](), list[Part](), list[Part]()
     for section in sections:

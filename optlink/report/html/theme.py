@@ -58,12 +58,7 @@ def dark(colour: str) -> str:
 
 
 def palette(texts: Iterable[str]) -> dict[str, str]:
-    """Return the dark counterpart of every colour "#rrggbb" in texts.
-
-    Parameters
-    ----------
-    texts : iterable of str
-    """
+    """Return the dark counterpart of every colour "#rrggbb" in texts."""
     return {colour: dark(colour) for colour in sorted({match for text in texts for match in _HEX.findall(text)})}
 
 

@@ -55,7 +55,6 @@ def read_certificate(problem: ProblemFile, path: Path) -> CertificateFile:
 
     Parameters
     ----------
-    problem : ProblemFile
     path : Path
         Of certificate.json.
 

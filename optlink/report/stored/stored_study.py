@@ -57,7 +57,6 @@ def named_si(file: ProblemFile, columns: Mapping[str, float]) -> dict[str, float
 
     Parameters
     ----------
-    file : ProblemFile
     columns : mapping of str to float
         In display units; columns that are not quantities are ignored.
     """
@@ -75,7 +74,6 @@ def cycle_of(file: ProblemFile, design: Mapping[str, float]) -> Analysis | None:
 
     Parameters
     ----------
-    file : ProblemFile
     design : mapping of str to float [m, rad]
         Replaces dimensions of the problem.
     """
@@ -91,7 +89,6 @@ def with_drawings(chart: Chart, designs: Callable[[int], tuple[ProblemFile, Mapp
 
     Parameters
     ----------
-    chart : Chart
     designs : function
         Returns the problem and the design [m, rad] of a row of the study.
     """
@@ -112,7 +109,6 @@ def turning_linkage(file: ProblemFile, design: Mapping[str, float], steps: int) 
 
     Parameters
     ----------
-    file : ProblemFile
     design : mapping of str to float [m, rad]
         Replaces dimensions of the problem.
     steps : int
@@ -131,7 +127,6 @@ def closing_sections(file: ProblemFile, by: str) -> Iterable[PageSection]:
 
     Parameters
     ----------
-    file : ProblemFile
     by : str
         Method by which the result was found.
     """

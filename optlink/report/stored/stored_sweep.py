@@ -21,7 +21,6 @@ def read(record: SweepRecord, file: ProblemFile, result_file: Path) -> Sweep:
 
     Parameters
     ----------
-    record : SweepRecord
     file : ProblemFile
         The problem of the study.
     result_file : Path

@@ -153,7 +153,6 @@ def frames(cycle: CycleCurves, count: int = FRAMES) -> list[Image.Image]:
 
     Parameters
     ----------
-    cycle : CycleCurves
     count : int, optional
         Number of frames.
     """

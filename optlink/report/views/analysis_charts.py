@@ -48,7 +48,6 @@ class OutputMotion(NamedTuple):
 
         Parameters
         ----------
-        cycle : CycleCurves
         others : sequence of OutputMotion, optional
             Other outputs in the same picture.
         """
@@ -102,16 +101,13 @@ def curves(
 
     Parameters
     ----------
-    cycle : CycleCurves
     column : str
         Column name; also the `gid` of the curve.
     shown : Scale
         Display unit.
     name : str
         Entry in the legend; empty for none.
-    colour : str
     width : float [pt], optional
-    dash : str, optional
     initial : CycleCurves or None, optional
         Initial machine.
     """
@@ -131,9 +127,6 @@ def axis(cycle: CycleCurves, name: str, traces: Iterable[Curve], *, least: float
 
     Parameters
     ----------
-    cycle : CycleCurves
-    name : str
-    traces : iterable of Curve
     least : float, optional
         Smallest range, in the unit of the axis.
     """
@@ -163,14 +156,10 @@ def panel(
 
     Parameters
     ----------
-    cycle : CycleCurves
     name : str
         Label of the y axis.
-    traces : list of Curve
     height : float, optional
         Relative height.
-    marks : iterable of Mark, optional
-    lines : sequence of Line, optional
     least : float, optional
         Least range of the y axis, in its unit.
     """
@@ -192,12 +181,10 @@ def extremes(cycle: CycleCurves, name: str, shown: Scale, colour: str = TARGET, 
 
     Parameters
     ----------
-    cycle : CycleCurves
     name : str
         Column name.
     shown : Scale
         Display unit of the axis.
-    colour : str, optional
     extreme : Extreme or None, optional
         Values to mark [SI]; default: the extremes of the column in the analysis.
     """
@@ -218,11 +205,8 @@ def chart(
 
     Parameters
     ----------
-    cycle : CycleCurves
     file : str
         Name of the picture.
-    title : str
-    panels : sequence of Panel
     lines : sequence of Line, optional
         Further vertical lines.
     **options
@@ -242,7 +226,6 @@ def machine_title(cycle: CycleCurves, words: str) -> str:
 
     Parameters
     ----------
-    cycle : CycleCurves
     words : str
         Title of the chart.
     """
@@ -257,7 +240,6 @@ def motion(cycle: CycleCurves, initial: CycleCurves | None = None) -> list[Chart
 
     Parameters
     ----------
-    cycle : CycleCurves
     initial : CycleCurves, optional
         Initial machine, drawn in grey.
     """
@@ -284,12 +266,7 @@ def motion(cycle: CycleCurves, initial: CycleCurves | None = None) -> list[Chart
 
 
 def bodies(cycle: CycleCurves) -> list[ChartSpec]:
-    """Return angular velocity and acceleration of the bodies that turn at a variable speed, with their extremes.
-
-    Parameters
-    ----------
-    cycle : CycleCurves
-    """
+    """Return angular velocity and acceleration of the bodies that turn at a variable speed, with their extremes."""
     mechanism, turning = cycle.result.machine.mechanism, abs(cycle.result.speed)
     others = [body for body in mechanism.bodies if body != mechanism.crank.body]
     colours = {f"{body}.omega_rad_s": BODIES[k % len(BODIES)] for k, body in enumerate(others)}  # those of mechanism.png

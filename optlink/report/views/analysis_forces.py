@@ -22,7 +22,6 @@ def forces(cycle: CycleCurves, initial: CycleCurves | None = None) -> list[Chart
 
     Parameters
     ----------
-    cycle : CycleCurves
     initial : CycleCurves or None, optional
         Initial machine, drawn in grey.
     """
@@ -34,7 +33,6 @@ def torque(cycle: CycleCurves, initial: CycleCurves | None = None) -> list[Chart
 
     Parameters
     ----------
-    cycle : CycleCurves
     initial : CycleCurves, optional
         Initial machine, drawn in grey.
     """
@@ -107,7 +105,6 @@ def hodograph(
 
     Parameters
     ----------
-    cycle : CycleCurves
     x : str
         Column of the x component [N].
     y : str
@@ -116,7 +113,6 @@ def hodograph(
         Display unit of both axes.
     file : str
         Name of the picture.
-    title : str
     more : sequence of Mark, optional
         Further marks.
     heading : str, optional
@@ -212,7 +208,6 @@ def work(cycle: CycleCurves, initial: CycleCurves | None = None) -> list[ChartSp
 
     Parameters
     ----------
-    cycle : CycleCurves
     initial : CycleCurves, optional
         Initial machine, drawn in grey.
     """
@@ -241,7 +236,6 @@ def shaking(cycle: CycleCurves, initial: CycleCurves | None = None) -> list[Char
 
     Parameters
     ----------
-    cycle : CycleCurves
     initial : CycleCurves, optional
         Initial machine, drawn in grey.
     """

@@ -135,7 +135,6 @@ def machine_strokes(machine: Machine, speed: float) -> TableSpec | None:
 
     Parameters
     ----------
-    machine : Machine
     speed : float [rad/s]
         Crank speed; only its sign matters.
     """

@@ -256,7 +256,6 @@ def read(record: BalanceRecord, file: ProblemFile) -> Balance:
 
     Parameters
     ----------
-    record : BalanceRecord
     file : ProblemFile
         The problem that was solved.
 
@@ -347,7 +346,6 @@ def stored_study(record: BalanceRecord, file: ProblemFile, _: Path) -> StoredStu
 
     Parameters
     ----------
-    record : BalanceRecord
     file : ProblemFile
         The problem that was solved.
 

@@ -25,7 +25,6 @@ def certificate_table(certificate: Certificate, shown: Shown, seconds: Mapping[s
 
     Parameters
     ----------
-    certificate : Certificate
     shown : function of an objective [SI]
         Returns it in its display unit.
     seconds : mapping of str to float [s]
@@ -57,13 +56,7 @@ def certificate_table(certificate: Certificate, shown: Shown, seconds: Mapping[s
 
 
 def rounded_down(value: float, digits: int) -> str:
-    """Format a lower bound with significant digits that do not exceed it.
-
-    Parameters
-    ----------
-    value : float
-    digits : int
-    """
+    """Format a lower bound with significant digits that do not exceed it."""
     return f"{float(Context(digits, ROUND_FLOOR).create_decimal_from_float(value)):.{digits}g}"
 
 
@@ -111,7 +104,6 @@ def certificate_charts(
 
     Parameters
     ----------
-    certificate : Certificate or None
     title : str
         Of the problem.
     shown : function of an objective [SI]

@@ -298,7 +298,6 @@ def read(record: ClearanceRecord, file: ProblemFile) -> ClearanceSimulation:
 
     Parameters
     ----------
-    record : ClearanceRecord
     file : ProblemFile
         The problem that was simulated.
 
@@ -344,7 +343,6 @@ def stored_study(record: ClearanceRecord, file: ProblemFile, _: Path) -> StoredS
 
     Parameters
     ----------
-    record : ClearanceRecord
     file : ProblemFile
         The problem that was simulated.
 

@@ -39,7 +39,6 @@ def design(outcome: FunctionResult | PathResult | CycleResult, limits: Iterable[
 
     Parameters
     ----------
-    outcome : FunctionResult, PathResult or CycleResult
     limits : iterable of LimitState
         Constraints with their shadow prices.
     """
@@ -171,7 +170,6 @@ def simulation(figures: Mapping[str, float], finished: bool, message: str) -> st
     Parameters
     ----------
     figures : mapping of str to float [SI]
-    finished : bool
     message : str
         Why it ended.
     """

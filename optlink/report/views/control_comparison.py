@@ -127,7 +127,6 @@ def stored_study(record: ComparisonRecord, file: ProblemFile, _: Path) -> Stored
 
     Parameters
     ----------
-    record : ComparisonRecord
     file : ProblemFile
         The problem that was simulated.
 

@@ -218,7 +218,6 @@ def frames(result: FunctionResult, count: int = 90) -> list[Image.Image]:
 
     Parameters
     ----------
-    result : FunctionResult
     count : int, optional
         Number of frames.
     """
@@ -256,12 +255,10 @@ def function_chart(function: Function, offsets: Array, error: Array, title: str,
 
     Parameters
     ----------
-    function : Function
     offsets : array (positions,) [rad]
         Crank rotations from the start.
     error : array (positions,) [rad or m]
         Prescribed minus generated output; finite at one position at least.
-    title : str
     warning : bool, optional
         Whether the title is that of a design that is not valid.
     """

@@ -82,8 +82,6 @@ def search_summary(
 
     Parameters
     ----------
-    outcome : FunctionResult or CycleResult
-    design : TableSpec
     tables : iterable of Part
         Strokes and objective.
     measured : sequence of Line, optional
@@ -152,10 +150,8 @@ def search_verdict(status: Status, word: str, positive: bool, certificate: Certi
 
     Parameters
     ----------
-    status : Status
     word : str
         The verdict.
-    positive : bool
     certificate : Certificate, optional
         Without a closed one an optimum is a local one.
     """
@@ -172,10 +168,8 @@ def graded_status(line: Sequence[Inline], fit: Fit | None, tail: str = "") -> It
 
     Parameters
     ----------
-    line : sequence of str or Span
     fit : Fit or None
         None appends the tail only.
-    tail : str, optional
     """
     if fit is None:
         yield [*line, tail]
@@ -201,7 +195,6 @@ def dimension_rows(
 
     Parameters
     ----------
-    model : Problem
     values : mapping of str to float [SI]
     derived : mapping of str to str
         Remarks on values that are not quantities of the problem.
@@ -299,7 +292,6 @@ def checks(selected: Sequence[Check], gathered: Sequence[Check] = ()) -> TableSp
 
     Parameters
     ----------
-    selected : sequence of Check
     gathered : sequence of Check, optional
         Passed bounds of dimensions that share one row.
     """

@@ -126,7 +126,6 @@ class MagnifiedMachine(Sketch):
         ----------
         motion : Motion
             `self.motion` for the ideal machine, otherwise the rows are used.
-        body : str
         outline : array (corners, 2)
             Coordinates along and across the body from its start point, in the display unit.
         """
@@ -144,7 +143,6 @@ class MagnifiedMachine(Sketch):
 
         Parameters
         ----------
-        axes : Axes
         motion : Motion
             `self.steps`.
         k : int, optional
@@ -187,7 +185,6 @@ class MagnifiedMachine(Sketch):
 
         Parameters
         ----------
-        axes : Axes
         motion : Motion
             `self.steps`.
         k : int, optional

@@ -31,7 +31,6 @@ def read(record: ParetoRecord, file: ProblemFile, path: Path) -> Pareto:
 
     Parameters
     ----------
-    record : ParetoRecord
     file : ProblemFile
         The problem of the study.
     path : Path
@@ -110,7 +109,6 @@ def stored_study(record: ParetoRecord, file: ProblemFile, path: Path) -> StoredS
 
     Parameters
     ----------
-    record : ParetoRecord
     file : ProblemFile
         The problem of the study.
     path : Path

@@ -88,7 +88,6 @@ def drawing(result: PathResult, *, pointed: bool) -> Figure | None:
 
     Parameters
     ----------
-    result : PathResult
     pointed : bool
         Whether to draw a path or a motion, or else a function or a transmission; None if it is not of that kind.
     """
@@ -141,8 +140,6 @@ class Passing(Sketch):
 
         Parameters
         ----------
-        axes : Axes
-        motion : Motion
         k : int, optional
             Index of the position.
         """
@@ -175,7 +172,6 @@ def frames(result: PathResult, count: int = FRAMES) -> list[Image.Image]:
 
     Parameters
     ----------
-    result : PathResult
     count : int, optional
         Number of frames.
     """

@@ -34,7 +34,6 @@ def points_on(axes: Axes, places: Array, size: float = 1.0) -> None:
 
     Parameters
     ----------
-    axes : Axes
     places : array (n, 2)
         In the unit of the axes.
     size : float, optional
@@ -163,7 +162,6 @@ class CloseUp:
 
         Parameters
         ----------
-        axes : Axes
         magnified : float or None
             See `chart`.
         """

@@ -68,7 +68,6 @@ def trim(fig: Figure, rows: int = 1) -> None:
 
     Parameters
     ----------
-    fig : Figure
     rows : int, optional
         Number of rows of panels.
     """
@@ -83,13 +82,7 @@ def trim(fig: Figure, rows: int = 1) -> None:
 
 
 def initial_pose(axes: Axes, view: PathView) -> list[Label]:
-    """Draw the mechanism at the first point with its coupler curve and the precision points, and return the labels.
-
-    Parameters
-    ----------
-    axes : Axes
-    view : PathView
-    """
+    """Draw the mechanism at the first point with its coupler curve and the precision points, and return the labels."""
     sketch = view.sketch
     factor = sketch.scale.factor
     labels = sketch.show(axes, view.here)
@@ -233,7 +226,6 @@ def output_film(view: PathView, steps: Array, titles: Sequence[str]) -> list[Ima
 
     Parameters
     ----------
-    view : PathView
     steps : array (frames,) [rad]
         Crank angles.
     titles : sequence of str

@@ -204,8 +204,6 @@ def with_verdict(
 
     Parameters
     ----------
-    machine : ProblemFile or None
-    design : PathDesign, FunctionResult, CycleResult or None
     refuted : str, optional
         Which limits exclude each other, if it is known.
     """
@@ -303,7 +301,6 @@ def wrapped(items: Sequence[str], width: float, gap: str, size: float = TITLE) -
 
     Parameters
     ----------
-    items : sequence of str
     width : float [inch]
     gap : str
         Separator between items.
@@ -332,9 +329,7 @@ def title_of(view: PathView, width: float, title: str, *more: str) -> str:
 
     Parameters
     ----------
-    view : PathView
     width : float [inch]
-    title : str
     *more : str
         Further lines; empty ones are left out.
     """
@@ -351,7 +346,6 @@ def mechanism_title(view: PathView, width: float) -> str:
 
     Parameters
     ----------
-    view : PathView
     width : float [inch]
     """
     texts = wrapped(figures(view), width, "; "), wrapped(sizes(view), width, "   ")

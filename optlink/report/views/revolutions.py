@@ -167,7 +167,6 @@ class RevolutionCurves:
         ----------
         values : array (n,)
             Values at all rows.
-        rows : slice
         advance : float, optional
             Amount subtracted from the values for every whole turn of the crank.
         """
@@ -190,7 +189,6 @@ class RevolutionCurves:
             Display unit of the axis.
         name : str
             Entry in the legend.
-        colour : str, optional
         advance : float [SI], optional
             Amount subtracted from the values for every whole turn of the crank.
         """
@@ -211,7 +209,6 @@ class RevolutionCurves:
         ----------
         contact : array (n,)
             1 in contact, 0 apart, at all rows.
-        rows : slice
         name : str
             Entry in the legend.
         """
@@ -306,7 +303,6 @@ def clipped_limits(turns: RevolutionCurves, values: Array, low: float, high: flo
 
     Parameters
     ----------
-    turns : RevolutionCurves
     values : array (n,)
         Values at all rows, in the unit of the axis.
     low : float

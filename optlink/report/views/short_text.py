@@ -17,10 +17,8 @@ def short_text(title: str, status: Iterable[Line], design: Part, limits: Part | 
 
     Parameters
     ----------
-    title : str
     status : iterable of Line
         Verdict, objective and proof.
-    design : TableSpec or Paragraph
     limits : TableSpec, Paragraph or None
         Active or conflicting limits.
     checks : TableSpec, optional
@@ -79,12 +77,7 @@ def dimensions(design: TableSpec) -> Part:
 
 
 def first_rows(limits: Part | None) -> Part | None:
-    """Return the table of active limits with its first rows.
-
-    Parameters
-    ----------
-    limits : TableSpec, Paragraph or None
-    """
+    """Return the table of active limits with its first rows."""
     if limits is None or isinstance(limits, Paragraph) or len(limits.rows) <= MAX_LIMITS:
         return limits
     left = len(limits.rows) - MAX_LIMITS + 1

@@ -59,11 +59,8 @@ class History:
             Display unit per SI unit.
         words : str
             Entry in the legend.
-        colour : str
         width : float, optional
             Line width [pt].
-        dash : str, optional
-        legend : bool, optional
         """
         return Curve(self.columns["time_s"], self.columns[name] * factor, words, colour, width, dash, legend=legend, gid=name)
 
@@ -86,12 +83,7 @@ def largest(columns: Mapping[str, Array], names: Iterable[str]) -> float:
 
 
 def charts(run: History) -> list[ChartSpec]:
-    """Return the charts of a simulation in time; none if the machine did not move.
-
-    Parameters
-    ----------
-    run : History
-    """
+    """Return the charts of a simulation in time; none if the machine did not move."""
     return [*drive(run), *output(run), *bodies(run), *reactions(run), *energy(run)] if len(run.columns["time_s"]) > 1 else []
 
 
@@ -232,7 +224,6 @@ def stored_study(record: SimulationRecord, file: ProblemFile, _: Path) -> Stored
 
     Parameters
     ----------
-    record : SimulationRecord
     file : ProblemFile
         The problem that was simulated.
 

@@ -233,12 +233,7 @@ def column_label(column: str) -> str:
 
 
 def with_unit(name: str, unit: str) -> str:
-    """Return a name with its unit, if it has one.
-
-    Parameters
-    ----------
-    name, unit : str
-    """
+    """Return a name with its unit, if it has one."""
     return f"{name} [{unit}]" if unit else name
 
 
@@ -340,7 +335,6 @@ def relative_change(value: float, before: float) -> str:
 
     Parameters
     ----------
-    value : float
     before : float
         Reference in the same unit; zero gives an empty text.
     """

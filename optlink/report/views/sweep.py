@@ -108,7 +108,6 @@ def stored_study(record: SweepRecord, file: ProblemFile, path: Path) -> StoredSt
 
     Parameters
     ----------
-    record : SweepRecord
     file : ProblemFile
         The problem of the study.
     path : Path
@@ -210,7 +209,6 @@ def _picks(table: SweepTable, rows: NDArray[np.intp], x: Array, y: Array) -> Pic
 
     Parameters
     ----------
-    table : Table
     rows : array (n,)
         Rising rows of the table of the sweep.
     x, y : array (n,)

@@ -33,7 +33,6 @@ def stored_study(record: ToleranceRecord, file: ProblemFile, _: Path) -> StoredS
 
     Parameters
     ----------
-    record : ToleranceRecord
     file : ProblemFile
         The problem of the study.
 

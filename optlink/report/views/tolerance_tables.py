@@ -29,7 +29,6 @@ def tolerance_result(record: ToleranceRecord, file: ProblemFile) -> Summary:
 
     Parameters
     ----------
-    record : ToleranceRecord
     file : ProblemFile
         The problem of the study.
 

@@ -84,12 +84,7 @@ class Boxes:
         return Boxes(*(np.concatenate([getattr(part, name) for part in parts]) for name in ("low", "high", "bound")))
 
     def without(self, inner: Boxes) -> Boxes:
-        """Return the parts of every box outside a smaller one within it, one for each face that moved.
-
-        Parameters
-        ----------
-        inner : Boxes
-        """
+        """Return the parts of every box outside a smaller one within it, one for each face that moved."""
         low, high, parts = self.low.copy(), self.high.copy(), [self[np.zeros(len(self), dtype=bool)]]
         for k in range(low.shape[1]):
             moved = inner.low[:, k] > low[:, k]
@@ -149,7 +144,6 @@ class Leaves:
 
         Parameters
         ----------
-        boxes : Boxes
         discarded : array of bool (boxes,)
             Those of a batch that are discarded.
         test : array of int (boxes,)
@@ -191,7 +185,6 @@ class BranchAndBound:
 
     Parameters
     ----------
-    bounder : Bounder
     best : float
         Objective of the best known design, infinite if none is known.
     gap : float
@@ -258,7 +251,6 @@ class BranchAndBound:
 
         Parameters
         ----------
-        seconds : float
         boxes : float
             Most boxes that are bounded in all.
         report : function of this search, optional
@@ -364,10 +356,6 @@ def joint_history(searches: list[BranchAndBound]) -> list[tuple[int, float, floa
     """Return boxes, lower bound and best known objective over all searches, in the order in which they ran.
 
     Before a search has begun, its lower bound is zero.
-
-    Parameters
-    ----------
-    searches : list of BranchAndBound
     """
     rows, done, least = [], 0, math.inf
     for k, search in enumerate(searches):

@@ -105,7 +105,6 @@ class ColumnFit:
         remainder : array (boxes, 2 N)
         chosen : array of int (boxes,)
             Set of points that is left out, or all zero for none.
-        threshold : float
 
         Returns
         -------

@@ -40,7 +40,6 @@ class FunctionBounds:
 
     Parameters
     ----------
-    linkages : LinkageSet
     rise : function
         Prescribed output rotation [rad] at input rotations [rad].
     x : array (n,) [rad]

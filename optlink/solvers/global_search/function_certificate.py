@@ -74,7 +74,6 @@ def linkage_sets(problem: DesignProblem, error: float) -> list[LinkageSet]:
 
     Parameters
     ----------
-    problem : DesignProblem
     error : float [rad]
     """
     ratios = [_ratio(problem, name) for name in LENGTHS[:3]]
@@ -114,7 +113,6 @@ class FunctionSearch:
 
     Parameters
     ----------
-    problem : DesignProblem
     best : float [rad]
         Largest error of the best known design.
     design : dict [m, rad] or None

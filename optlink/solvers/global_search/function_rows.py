@@ -136,13 +136,7 @@ class Rows:
 
     @staticmethod
     def joined(parts: list[Rows], boxes: int) -> Rows:
-        """Return all rows of several sets.
-
-        Parameters
-        ----------
-        parts : list of Rows
-        boxes : int
-        """
+        """Return all rows of several sets."""
 
         def whole(name: str) -> Any:
             arrays = [getattr(part, name) for part in parts]
@@ -156,7 +150,6 @@ def loop_rows(linkages: LinkageSet, x: Array, y: Array, t: float) -> Rows:
 
     Parameters
     ----------
-    linkages : LinkageSet
     x, y : array (n,) [rad]
         Input and prescribed output rotations.
     t : float [rad]
@@ -172,12 +165,7 @@ def loop_rows(linkages: LinkageSet, x: Array, y: Array, t: float) -> Rows:
 
 
 def grashof_rows(linkages: LinkageSet) -> Rows:
-    """Return the rows of Grashof's conditions.
-
-    Parameters
-    ----------
-    linkages : LinkageSet
-    """
+    """Return the rows of Grashof's conditions."""
     k0, k1, k2, k3 = np.array(GRASHOF[linkages.grashof], dtype=float).reshape(-1, 4).T[:, None]
     zero = np.zeros(k0.shape)
     return Rows(zero + 0.0j, zero + 0.0j, zero + 0.0j, k0, k1, k2, k3, zero)
@@ -188,7 +176,6 @@ def coupler_rows(linkages: LinkageSet, x: Array, y: Array, t: float, low: Array,
 
     Parameters
     ----------
-    linkages : LinkageSet
     x, y : array (n,) [rad]
         Input and prescribed output rotations, the ends of the span first and last.
     t : float [rad]
@@ -260,7 +247,6 @@ def largest(rows: Rows, weights: Array, low: Array, high: Array) -> Array:
 
     Parameters
     ----------
-    rows : Rows
     weights : array (boxes, rows)
         Those that are negative count as zero.
     low, high : array (boxes, 4)

@@ -277,7 +277,6 @@ def least_size(residuals: TaylorModel, *, periodic: bool) -> Array:
 
     Parameters
     ----------
-    residuals : TaylorModel
     periodic : bool
         See `BoxModels`.
     """
@@ -362,10 +361,6 @@ def lawson_weights(models: BoxModels) -> Array:
     """Return weights (boxes, positions) with the sum 1 (at most) that raise the least weighted sum of squares of every box.
 
     Each step multiplies the weight of a position by its deviation at the minimum of the sum, for the linear parts.
-
-    Parameters
-    ----------
-    models : BoxModels
     """
     residuals = models.residuals
     usable = np.isfinite(residuals.remainder)

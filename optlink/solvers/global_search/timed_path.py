@@ -42,12 +42,7 @@ OMEGA = 1  # index of omega
 
 
 def unsuitable(problem: PathProblem) -> str:
-    """Return why a problem is not one that `TimedPathBounds` can bound; empty if it is.
-
-    Parameters
-    ----------
-    problem : PathProblem
-    """
+    """Return why a problem is not one that `TimedPathBounds` can bound; empty if it is."""
     if not isinstance(problem.mechanism, FourBarSection):
         return "the mechanism is not a four-bar"
     if problem.requirement.kind != "path" or problem.data.offsets is None:

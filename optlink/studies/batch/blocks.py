@@ -26,7 +26,6 @@ class Blocks:
 
     Parameters
     ----------
-    grid : Grid
     most : int, optional
         Largest number of points of a block. Default: `MAX_BLOCK_POINTS`.
     """

@@ -43,13 +43,7 @@ class BatchProblem:
         return BatchProblem(self.p[points], self.lower[points], self.upper[points])
 
     def towards(self, other: BatchProblem, share: float) -> BatchProblem:
-        """Return the problem at a share of the way to another one; infinite bounds and the scale are those of the other one.
-
-        Parameters
-        ----------
-        other : BatchProblem
-        share : float
-        """
+        """Return the problem at a share of the way to another one; infinite bounds and the scale are those of the other one."""
         problems = []
         for begin, end in ((self.p, other.p), (self.lower, other.lower), (self.upper, other.upper)):
             with np.errstate(invalid="ignore"):
@@ -89,8 +83,6 @@ def batch_newton(nlp: BatchNLP, problem: BatchProblem, x: Array, multipliers: Ar
 
     Parameters
     ----------
-    nlp : BatchNLP
-    problem : BatchProblem
     x : array (points, n)
         Starting points, scaled.
     multipliers : array (points, n + m)

@@ -52,8 +52,6 @@ class GridSearch:
 
     Parameters
     ----------
-    nlp : BatchNLP
-    blocks : Blocks
     problem : function of points to BatchProblem
         Parameters and bounds at points of the grid; the scale of the objective in them is replaced.
     search : function of a point to Solution

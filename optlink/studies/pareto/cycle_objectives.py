@@ -41,7 +41,6 @@ def cycle_objective(problem: ProblemFile, name: str, number: int) -> ParetoObjec
 
     Parameters
     ----------
-    problem : ProblemFile
     name : str
         Term, dimension, limit or "objective".
     number : int
@@ -109,8 +108,6 @@ def epsilon_problem(
 
     Parameters
     ----------
-    problem : ProblemFile
-    objectives : sequence of ParetoObjective
     goals : mapping of int to float
         Minimised objectives: index, and the reference value in the unit of the objective.
     bounds : mapping of int to value with unit
@@ -173,8 +170,6 @@ def cycle_figures(problem: ProblemFile, objectives: Sequence[ParetoObjective], v
 
     Parameters
     ----------
-    problem : ProblemFile
-    objectives : sequence of ParetoObjective
     values : mapping of str to float [SI]
         Dimensions; those not named have their value in the file.
 

@@ -54,12 +54,6 @@ class EpsilonRanges(ABC):
     def objective(problem: ProblemFile, name: str, number: int) -> ParetoObjective:
         """Return the objective of a name, the `number`-th of the front.
 
-        Parameters
-        ----------
-        problem : ProblemFile
-        name : str
-        number : int
-
         Raises
         ------
         InputError
@@ -139,7 +133,6 @@ class EpsilonRanges(ABC):
         ----------
         base : ProblemFile
             Problem of the grid.
-        once : function
         """
 
     @abstractmethod

@@ -37,8 +37,6 @@ def law_objective(problem: ProblemFile, name: str, number: int) -> ParetoObjecti
 
     Parameters
     ----------
-    problem : ProblemFile
-    name : str
     number : int
         Number of the objective; its limit has a name of the file.
 
@@ -78,7 +76,6 @@ def limit_in_file(problem: ProblemFile, key: str) -> Raw | None:
 
     Parameters
     ----------
-    problem : ProblemFile
     key : str
         Key of the limit, including its side.
     """
@@ -157,7 +154,6 @@ def without_varied_limits(problem: ProblemFile, objectives: Sequence[ParetoObjec
 
     Parameters
     ----------
-    problem : ProblemFile
     objectives : sequence of ParetoObjective
         Objectives with a `key`.
     """

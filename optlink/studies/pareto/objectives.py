@@ -31,7 +31,6 @@ def read_objectives(problem: ProblemFile, objectives: str) -> tuple[ParetoObject
 
     Parameters
     ----------
-    problem : ProblemFile
     objectives : str
         For example "peak torque, guide force in F".
 

@@ -69,9 +69,6 @@ def linear_analysis(
 
     Parameters
     ----------
-    problem : ProblemFile
-    nominal : Nominal
-    deviations : sequence of Deviation
     limit : float [rad or m], optional
         Largest absolute judged value.
     """

@@ -212,8 +212,6 @@ def monte_carlo(
 
     Parameters
     ----------
-    study : LinearAnalysis
-    samples : int
     seed : int
         Seed of the Sobol points.
     progress : function of the completed fraction, optional
@@ -270,8 +268,6 @@ def largest_errors(nominal: Nominal, deviations: Sequence[Deviation], batch: Arr
 
     Parameters
     ----------
-    nominal : Nominal
-    deviations : sequence of Deviation
     batch : array (samples, deviations) [SI]
     """
     return np.concatenate([np.max(np.abs(nominal.base + change), axis=1) for _, change in _moved(nominal, deviations, batch)])

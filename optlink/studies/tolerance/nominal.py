@@ -88,7 +88,6 @@ def nominal_design(
 
     Parameters
     ----------
-    problem : ProblemFile
     output : str, optional
         Body (its angle), "P.x", "P.y" of a point, or "error" of a motion law (its default).
     crank_angles : array (angles,) [rad], optional

@@ -20,8 +20,6 @@ def read_tolerances(problem: ProblemFile, texts: Sequence[str], shape: str = NOR
 
     Parameters
     ----------
-    problem : ProblemFile
-    texts : sequence of str
     shape : str
         Default distribution; measured deviations and clearances have their own.
 
@@ -55,7 +53,6 @@ def identified(problem: ProblemFile, texts: Sequence[str], shape: str = NORMAL) 
 
     Parameters
     ----------
-    problem : ProblemFile
     texts : sequence of str
         As for `read_tolerances`.
     shape : str
@@ -72,9 +69,6 @@ def read_deviations(problem: ProblemFile, nominal: Nominal, texts: Sequence[str]
 
     Parameters
     ----------
-    problem : ProblemFile
-    nominal : Nominal
-    texts : sequence of str
     shape : str
         Default distribution.
 

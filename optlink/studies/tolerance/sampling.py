@@ -20,7 +20,6 @@ def sample_deviations(deviations: Sequence[Deviation], samples: int, seed: int, 
 
     Parameters
     ----------
-    deviations : sequence of Deviation
     samples : int
         Number of the last sample.
     seed : int

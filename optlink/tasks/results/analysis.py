@@ -222,7 +222,6 @@ def stroke_records(travel: Travel, speed: float, acting: tuple[StrokeLoad, ...])
 
     Parameters
     ----------
-    travel : Travel
     speed : float [rad/s]
         Crank speed; only its sign matters.
     acting : tuple of StrokeLoad
@@ -252,7 +251,6 @@ def stroke_document(machine: Machine, speed: float) -> dict[str, Any]:
 
     Parameters
     ----------
-    machine : Machine
     speed : float [rad/s]
         Crank speed; only its sign matters.
     """

@@ -95,7 +95,6 @@ class Certificate:
         Requested relative gap.
     boxes, open_boxes : int
         Boxes bounded, and boxes left.
-    unknowns : tuple of str
     improved : bool
         Whether the search found a better design than it was given.
     history : array (k, 3)
@@ -173,8 +172,6 @@ def message(status: Status, certificate: Certificate | None, refuted: str) -> st
 
     Parameters
     ----------
-    status : Status
-    certificate : Certificate or None
     refuted : str
         Which limits exclude each other, if it is known.
     """

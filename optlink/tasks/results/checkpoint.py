@@ -110,8 +110,6 @@ def read_checkpoint(kind: type[C], document: Mapping[str, Any], options: Mapping
 
     Parameters
     ----------
-    kind : type of CheckpointRecord
-    document : mapping
     options : mapping
         Entries that must be those of the run that resumes.
 

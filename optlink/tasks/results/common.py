@@ -34,24 +34,12 @@ class Optimum:
 
 
 def verified(status: Status, validation: Validation) -> bool:
-    """Return whether a design passes its validation, and is optimal unless its status excludes that.
-
-    Parameters
-    ----------
-    status : Status
-    validation : Validation
-    """
+    """Return whether a design passes its validation, and is optimal unless its status excludes that."""
     return status in (Status.OPTIMAL, Status.FEASIBLE, Status.NOT_SEARCHED) and validation.valid
 
 
 def inexact(status: Status, validation: Validation) -> bool:
-    """Return whether a design fails only by figures that a refinement can make exact.
-
-    Parameters
-    ----------
-    status : Status
-    validation : Validation
-    """
+    """Return whether a design fails only by figures that a refinement can make exact."""
     return status in (Status.OPTIMAL, Status.STALLED) and bool(validation.failed) and INEXACT.issuperset(validation.failed)
 
 
@@ -64,7 +52,6 @@ def with_optimality(checked: Validation, solution: Solution) -> Validation:
     ----------
     checked : Validation
         Measured checks.
-    solution : Solution
     """
     met = solution.violation <= FEASIBLE
     feasible = Check(LIMITS_CHECK, met, solution.violation, f"<= {FEASIBLE:.0e}", "")
@@ -276,12 +263,7 @@ class SingleResult(Recorded):
         return replace(self, **changes)
 
     def merged(self, results: Sequence[Self]) -> Self:
-        """Return the result with the starts and optima of the searches of all assembly modes, its own among them.
-
-        Parameters
-        ----------
-        results : sequence of SingleResult
-        """
+        """Return the result with the starts and optima of the searches of all assembly modes, its own among them."""
         optima = sorted((optimum for result in results for optimum in result.optima), key=lambda optimum: optimum.objective)
         return replace(
             self,
@@ -298,12 +280,7 @@ class SingleResult(Recorded):
 
 
 def better(result: SingleResult) -> tuple[bool, bool, float]:
-    """Return a sort key: valid before invalid before infeasible, then by objective.
-
-    Parameters
-    ----------
-    result : SingleResult
-    """
+    """Return a sort key: valid before invalid before infeasible, then by objective."""
     return not result.valid, result.status in (Status.INFEASIBLE, Status.NON_FINITE), result.objective
 
 

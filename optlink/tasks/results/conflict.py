@@ -167,7 +167,6 @@ def outward(side: Relaxation, digits: int) -> float:
 
     Parameters
     ----------
-    side : Relaxation
     digits : int
         Significant digits.
     """

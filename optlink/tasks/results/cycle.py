@@ -206,7 +206,6 @@ def analysis_of(task: CycleProblem, values: Mapping[str, float]) -> Cycle | None
 
     Parameters
     ----------
-    task : CycleProblem
     values : mapping of str to float [SI]
         Quantities; those not named have their value in the file.
     """

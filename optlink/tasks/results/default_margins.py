@@ -27,7 +27,6 @@ def margin_notes(
 
     Parameters
     ----------
-    problem : ProblemFile
     design : mapping of str to float [m, rad]
     limits : iterable of LimitState
         Limits of the optimum with their shadow prices.

@@ -300,7 +300,6 @@ def law_fit(problem: ProblemFile, values: Mapping[str, float], error: Array, sol
 
     Parameters
     ----------
-    problem : ProblemFile
     values : mapping of str to float [m, rad]
         Quantities of the design.
     error : array (positions,) [rad]

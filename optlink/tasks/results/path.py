@@ -248,7 +248,6 @@ class PathDesignRecord(Record):
 
         Parameters
         ----------
-        result : PathDesign
         **values
             Values of fields, in place of those of the result.
         """

@@ -48,7 +48,6 @@ def best_rejected(designs: Iterable[RejectedDesign | None], objective: float) ->
 
     Parameters
     ----------
-    designs : iterable of RejectedDesign or None
     objective : float
         Of the accepted design.
     """

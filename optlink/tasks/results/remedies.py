@@ -49,7 +49,6 @@ def start_reasons(task: DesignProblem, values: Mapping[str, float], error: float
 
     Parameters
     ----------
-    task : DesignProblem
     values : mapping of str to float [m, rad]
         Quantities of the design.
     error : float [rad]
@@ -163,7 +162,6 @@ def curve_distances(task: PathProblem, values: Mapping[str, float], crank_angles
 
     Parameters
     ----------
-    task : PathProblem
     values : mapping of str to float [m, rad]
         All quantities.
     crank_angles : array (points,) [rad]
@@ -257,11 +255,6 @@ def fixed_effects(solution: Solution, task: Problem) -> dict[str, float]:
     """Return the relative change of the shown optimal objective per display unit of each fixed dimension, to first order.
 
     It is the partial derivative of the Lagrangian (the envelope theorem), by central differences.
-
-    Parameters
-    ----------
-    solution : Solution
-    task : Problem
     """
     shown = task.shown_objective(solution.objective)
     size = shown.factor * solution.objective / shown.value if shown.value else 1.0

@@ -47,8 +47,6 @@ def cannot_turn(section: FourBarSection | DyadsSection, mechanism: Mechanism, cr
 
     Parameters
     ----------
-    section : FourBarSection or DyadsSection
-    mechanism : Mechanism
     crank : str
         `limits.crank` of the problem; empty if it has none.
     least_angle : float [rad]
@@ -130,7 +128,6 @@ def four_bar_conflict(loop: Loop, crank: str, least_angle: float) -> str:
 
     Parameters
     ----------
-    loop : mapping of str to Length
     crank : str
         As for `cannot_turn`.
     least_angle : float [rad]
