@@ -133,9 +133,9 @@ def __getattr__(name: str) -> Any:
         study = STUDIES.get(name)
         hint = "" if study is None else f". It is a study: from {study} import {name}"
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}{hint}", name=name, obj=sys.modules[__name__])
-    from optlink.problem.base_model import Recorded
+    from optlink.problem.document import Document
 
-    Recorded.notebook = staticmethod(_notebook)
+    Document.notebook = staticmethod(_notebook)
     return getattr(importlib.import_module(home), name)
 
 

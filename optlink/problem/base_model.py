@@ -296,47 +296,6 @@ def _records(kind: type[Record], value: Any) -> Any:
     return tuple(_records(kind, item) for item in value) if type(value) in (list, tuple) else kind.of(value)
 
 
-class ResultRecord(Record):
-    """The common first entries of the document of every result."""
-
-    format: str = Field(alias="schema")
-    optlink: Annotated[str, lambda _: VERSION]
-    problem: Annotated[str, "problem.name"]
-    title: Annotated[str, "problem.model.title"]
-    problem_hash: Annotated[str, "problem.hash"]
-    overrides: Annotated[dict[str, Any], "problem.overrides"] = Field(default_factory=dict)
-    seed: Annotated[int | None, lambda result: getattr(result, "seed", None)]
-    status: Any
-
-
-class Recorded(Summary):
-    """Base class of results that write themselves as records."""
-
-    record: ClassVar[type[ResultRecord]]
-
-    notebook: ClassVar[Callable[[Any], str | None] | None] = None
-    """Renderer of notebooks, which the package installs, as records do not depend on reports."""
-
-    def _repr_html_(self) -> str | None:
-        return None if Recorded.notebook is None else Recorded.notebook(self)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the result as a JSON document: SI, or the unit that ends the key; null where there is no finite value."""
-        return self.record.of(self).document()
-
-
-class Tabled(Recorded):
-    """Base class of results with columns, which `result["input.torque_Nm"]` returns by their names."""
-
-    columns: Mapping[str, NDArray[np.float64]]
-
-    def __getitem__(self, name: str) -> NDArray[np.float64]:
-        try:
-            return self.columns[name]  # those of a damaged file refuse the name themselves
-        except KeyError:
-            raise UnknownName(f"no column {name}", nearest(str(name), self.columns)) from None
-
-
 def read_document(path: Path) -> dict[str, Any]:
     """Read the JSON object of a result file.
 

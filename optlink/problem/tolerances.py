@@ -107,12 +107,16 @@ class Deviation:
 
 @dataclass(frozen=True)
 class ToleranceEntry:
-    """Tolerance of one dimension as specified: `text` with a unit, or a CSV file in `folder`; `shape` of the distribution."""
+    """Tolerance of one dimension as specified: `text` with a unit, or a CSV file in `folder`; `shape` of the distribution.
+
+    `content`: of an enclosed file, see `read_file`.
+    """
 
     text: str
     shape: str | None = None
     cost: float = 1.0
     folder: Path = field(default=Path(), compare=False)
+    content: str = field(default="", compare=False)
 
     def __str__(self) -> str:
         words = [self.text if self.measured else f"±{self.text}", self.shape or ""]
@@ -124,9 +128,15 @@ class ToleranceEntry:
         return self.text.lower().endswith(".csv")
 
     @property
+    def source(self) -> str:
+        """The text as in the file: with the content of an enclosed file."""
+        return f"{self.text}\n{self.content}" if self.content else self.text
+
+    @property
     def raw(self) -> dict[str, Any]:
         """Table for a problem file in any folder."""
-        raw: dict[str, Any] = {"tolerance": str((self.folder / self.text).resolve()) if self.measured else self.text}
+        beside = self.measured and not self.content
+        raw: dict[str, Any] = {"tolerance": str((self.folder / self.text).resolve()) if beside else self.source}
         return raw | ({"distribution": self.shape} if self.shape else {}) | ({"cost": self.cost} if self.cost != 1.0 else {})
 
 
@@ -163,6 +173,9 @@ def read_tolerance(raw: object, folder: Path) -> ToleranceEntry:
         remedy = f'Write "0.1 mm", "0.1 mm uniform", "parts.csv" or {{ {", ".join(f"{key} = ..." for key in KEYS)} }}'
         raise Unusable("expected a tolerance with its unit", remedy, "", raw)
     text = raw.strip().strip("\"'").strip()
+    name, enclosed, content = raw.partition("\n")
+    if enclosed and ToleranceEntry(name).measured:
+        return ToleranceEntry(name, content=content)
     quantity, _, word = text.rpartition(" ")
     numbered = any(letter.isdigit() for letter in quantity)
     if (
@@ -308,7 +321,7 @@ def deviations(
 def _deviation(entry: ToleranceEntry, name: str, size: str, kind: str, shape: str) -> Deviation:
     if entry.measured:
         try:
-            (values,) = read_columns({"csv": entry.text}, entry.folder, {name: "angle" if kind == "angle" else "coordinate"})
+            (values,) = read_columns({"csv": entry.source}, entry.folder, {name: "angle" if kind == "angle" else "coordinate"})
         except Unusable as error:
             remedy = error.remedy.replace("the problem file", "the working folder") if entry.folder == Path() else error.remedy
             raise Unusable(error.message, remedy, name, entry.text if error.value is None else error.value) from None

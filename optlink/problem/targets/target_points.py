@@ -109,6 +109,8 @@ def file_kind(data: bytes) -> str:
 def read_file(raw: Mapping[str, Any], key: str, folder: Path) -> tuple[str, bytes]:
     """Return the display name and the bytes of a file; devices and pipes are refused.
 
+    A text of several lines is an enclosed file, as results contain them: its name, then its content.
+
     Parameters
     ----------
     key : str
@@ -124,6 +126,9 @@ def read_file(raw: Mapping[str, Any], key: str, folder: Path) -> tuple[str, byte
     name = raw[key]
     if not isinstance(name, str) or not name.strip() or "\0" in name:
         raise Unusable(f"expected the name of a file ending in .{key}", f'Write {key} = "curve.{key}"', key, name)
+    title, enclosed, content = name.partition("\n")
+    if enclosed:
+        return shortened(title), content.encode()
     path, remedy = folder / name, "Give the path relative to the problem file"
     try:
         if not path.is_file():

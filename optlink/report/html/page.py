@@ -13,7 +13,7 @@ from optlink.report.html.moving_linkage import Moving, turning
 from optlink.report.html.shell import PageSection, StoredStudy
 from optlink.report.registry import table_of, view_of
 from optlink.report.report_model import ReportModel, verdict
-from optlink.report.stored.stored_study import study_page
+from optlink.report.html.study_page import study_page
 from optlink.report.table_spec import Paragraph, Part, Span, Summary, TableSpec
 from optlink.report.views import (
     analysis_charts,

@@ -178,4 +178,5 @@ VIEW = View(
     drawings={"mechanism": mechanism},
     tables=lambda result: {"cycle": result.columns},
     frames=frames,
+    result=Analysis,
 )

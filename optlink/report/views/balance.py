@@ -21,7 +21,7 @@ from optlink.report.files import verdict
 from optlink.report.format import change, number
 from optlink.report.html import chart_plotly
 from optlink.report.html.shell import PageSection, StoredStudy
-from optlink.report.stored.stored_study import no_animation, turning_linkage
+from optlink.report.html.study_page import no_animation, turning_linkage
 from optlink.report.style import BODIES, CRANK, LIMIT, RESULT, TARGET, scale
 from optlink.report.view import View
 from optlink.report.views import balance_drawing, balance_tables, conclusions

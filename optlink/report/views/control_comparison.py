@@ -12,7 +12,7 @@ from optlink.problem.file import ProblemFile
 from optlink.report.chart_spec import Array, Axis, Band, ChartSpec, Curve, Line, Panel
 from optlink.report.html import chart_plotly
 from optlink.report.html.shell import PageSection, StoredStudy
-from optlink.report.stored.stored_study import no_animation
+from optlink.report.html.study_page import no_animation
 from optlink.report.style import BODIES, COUPLER, CRANK, MUTED, RESULT, ROCKER, TARGET, scale
 from optlink.report.view import View
 from optlink.report.views import clearance_tables, conclusions

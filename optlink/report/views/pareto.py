@@ -14,7 +14,7 @@ from optlink.report.chart_spec import Array, Axis, ChartSpec, Curve, Mark, Panel
 from optlink.report.format import number
 from optlink.report.html import chart_plotly
 from optlink.report.html.shell import PageSection, StoredStudy
-from optlink.report.stored.stored_study import named_si, no_animation, turning_linkage, with_drawings
+from optlink.report.html.study_page import named_si, no_animation, turning_linkage, with_drawings
 from optlink.report.style import LIMIT, MUTED, RESULT, TARGET
 from optlink.report.view import View
 from optlink.report.views import conclusions, study_tables

@@ -11,7 +11,7 @@ from optlink.problem.file import ProblemFile
 from optlink.report.chart_spec import Array, Axis, Band, Bars, ChartSpec, Curve, Line, Panel, Trace, crank_angle
 from optlink.report.html import chart_plotly
 from optlink.report.html.shell import PageSection, StoredStudy
-from optlink.report.stored.stored_study import turning_linkage
+from optlink.report.html.study_page import turning_linkage
 from optlink.report.style import BODIES, CRANK, LIMIT, RESULT, SHADE, TARGET
 from optlink.report.view import View
 from optlink.report.views import conclusions, tolerance_tables
