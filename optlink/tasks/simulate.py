@@ -212,7 +212,7 @@ def _figures(machine: Machine, result: Run) -> dict[str, float]:
 
 
 def _columns(machine: Machine, result: Run) -> tuple[dict[str, Array], dict[str, str]]:
-    """Return the table: the columns of `analyze` over time."""
+    """Return the table, the columns of `analyze` over time, with NaN where there is no finite value."""
 
     def moving(rows: slice) -> Moving:
         angles, speeds, accelerations = result.crank_angle[rows], result.speed[rows], result.acceleration[rows]
@@ -222,7 +222,7 @@ def _columns(machine: Machine, result: Run) -> tuple[dict[str, Array], dict[str,
     columns = {"time_s": result.time, "crank_angle_deg": np.degrees(result.crank_angle)}
     meanings = {"time_s": "time", "crank_angle_deg": "crank angle"}
     for name, column in tabulated(moving, len(result.time)).columns.items():
-        columns[name], meanings[name] = column.values, column.meaning
+        columns[name], meanings[name] = np.where(np.isfinite(column.values), column.values, np.nan), column.meaning
         if name == "input.power_W":
             columns["input.work_J"], meanings["input.work_J"] = result.works["input"], "work of the drive, integrated"
     for name, work in result.works.items():
