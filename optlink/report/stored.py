@@ -97,6 +97,6 @@ def stored_page(result: Document, facts: Mapping[str, Any], path: str) -> Report
     if view.no_page:
         raise InputError("a result of this kind has no page", view.no_page, path, "schema", result.schema())
     if view.page is None:
-        return report_model_of(result.problem, result)  # type: ignore[arg-type]
+        return report_model_of(result)  # type: ignore[arg-type]
     with single_units():
         return view.page(result)

@@ -21,9 +21,8 @@ from optlink.report.export.svg import svg
 from optlink.report.html.moving_linkage import Moving
 from optlink.report.html.page import animation_of
 from optlink.report.html.shell import asset, fragment, templates
-from optlink.report.registry import schema_of, table_of, view_of
+from optlink.report.registry import table_of, view_of
 from optlink.report.report_model import report_model_of
-from optlink.report.stored.loader import STUDIES, WITH_PAGE
 from optlink.report.table_spec import Part, TableSpec
 from optlink.report.views import analysis_forces, function_tables
 from optlink.studies.toml_keys import Knob, exact_text, knobs
@@ -42,14 +41,13 @@ STEPS = 120  # positions per revolution
 
 def notebook_html(result: Any) -> str | None:
     """Return the drawings and the tables of a result as HTML; None for a kind without a table."""
-    schema = schema_of(type(result).record)
-    if schema not in WITH_PAGE:
+    view, kind = view_of(result.kind), result.kind
+    if view.no_page:
         return None
-    _, kind = WITH_PAGE[schema]
-    shown = table_of(kind)(result)
-    moving = _moving(kind, result, study=schema in STUDIES)
+    shown, study = table_of(kind)(result), view.page is not None
+    moving = _moving(kind, result, study=study)
     linkage = "" if moving is None else moving_html(moving, result.problem.model.title)
-    chart = _chart(kind, result) if moving is None or schema in STUDIES else ""
+    chart = _chart(kind, result) if moving is None or study else ""
     return fragment(shown.status) + linkage + chart + fragment(*shown.parts)
 
 
