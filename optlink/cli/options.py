@@ -165,4 +165,3 @@ Engine = Annotated[str | None, option("NAME", "local (default: processes of this
 Scheduler = Annotated[str | None, option("ADDRESS", "With --engine dask: address of a running scheduler.", "--scheduler")]
 
 # --- reports and exports -----------------------------------------------------------------------------------------------------
-

@@ -60,7 +60,9 @@ class Document(Summary):
         about = head(self.schema(), self.problem, getattr(self, "status", "")) | {"seed": getattr(self, "seed", None)}
         document = about | dict(entries(self)) | {name: value for name, value in state.items() if name not in hidden}
         below = {name: value for name, value in state.items() if name in hidden}
-        return with_check_sum(finite(document | ({"state": below} if below else {}) | {"problem_file": stored_problem(self.problem)}))
+        return with_check_sum(
+            finite(document | ({"state": below} if below else {}) | {"problem_file": stored_problem(self.problem)})
+        )
 
     @classmethod
     def from_dict(cls, document: Mapping[str, Any], path: Path) -> Self:
@@ -93,7 +95,8 @@ class Document(Summary):
     @classmethod
     def restored(cls, problem: ProblemFile, values: Mapping[str, Any]) -> Self:
         """Return the result for the fields in a document."""
-        return adapter(cls).validate_python({**values, "problem": problem}, context={"problem": problem})
+        result: Self = adapter(cls).validate_python({**values, "problem": problem}, context={"problem": problem})
+        return result
 
     @classmethod
     def json_schema(cls) -> dict[str, Any]:
@@ -102,7 +105,7 @@ class Document(Summary):
         parts, hidden = whole.get("properties", dict.fromkeys(cls.stored or (), {})), hidden_fields(cls)
         state = {name: part for name, part in parts.items() if name in hidden}
         known = {name: part for name, part in parts.items() if name not in hidden and name != "problem"}
-        computed = {key.rstrip("?"): {} for key in cls.shown}
+        computed: dict[str, Any] = {key.rstrip("?"): {} for key in cls.shown}
         stored = {key: {"type": "string"} for key in ("file", "toml")}
         properties = {
             "schema": {"const": cls.schema()},
@@ -112,7 +115,11 @@ class Document(Summary):
             "status": {"type": "string"},
             **computed,
             **known,
-            **({"state": {"type": "object", "properties": state, "required": list(state), "additionalProperties": False}} if state else {}),
+            **(
+                {"state": {"type": "object", "properties": state, "required": list(state), "additionalProperties": False}}
+                if state
+                else {}
+            ),
             "problem_file": {"type": "object", "properties": stored, "required": list(stored), "additionalProperties": False},
             SUM: {"type": "string"},
         }
@@ -140,19 +147,19 @@ class Tabled(Document):
 
 
 @cache
-def adapter(kind: type[Any]) -> TypeAdapter[Any]:
+def adapter(kind: Any) -> TypeAdapter[Any]:
     """Return what reads and writes the fields of a dataclass."""
     return TypeAdapter(kind)
 
 
 @cache
-def stored_fields(kind: type[Document]) -> tuple[str, ...]:
+def stored_fields(kind: Any) -> tuple[str, ...]:
     """Return the names of the fields in a document, without the problem."""
-    return kind.stored or tuple(item.name for item in fields(kind) if item.init and item.name != "problem")  # type: ignore[arg-type]
+    return kind.stored or tuple(item.name for item in fields(kind) if item.init and item.name != "problem")
 
 
 @cache
-def hidden_fields(kind: type[Document]) -> frozenset[str]:
+def hidden_fields(kind: Any) -> frozenset[str]:
     """Return the fields that stand under `state`: those whose names computed entries take, and those that are read alone."""
     return frozenset(kind.stored or set(stored_fields(kind)) & {*HEAD, *(key.rstrip("?") for key in kind.shown)})
 

@@ -11,15 +11,14 @@ from optlink.report.format import single_units
 from optlink.report.html import chart_plotly
 from optlink.report.html.moving_linkage import Moving, turning
 from optlink.report.html.shell import PageSection, StoredStudy
+from optlink.report.html.study_page import study_page
 from optlink.report.registry import table_of, view_of
 from optlink.report.report_model import ReportModel, verdict
-from optlink.report.html.study_page import study_page
-from optlink.report.table_spec import Paragraph, Part, Span, Summary, TableSpec
+from optlink.report.table_spec import Paragraph, Span, Summary
 from optlink.report.views import (
     analysis_charts,
     analysis_forces,
     conclusions,
-    function_tables,
     path_tables,
     sensitivity,
     study_tables,
