@@ -31,8 +31,8 @@ class ReportModel:
     """A problem with its result.
 
     `cycle` is the analysis of the resulting machine over its whole motion from the start of its task; it is None if the machine
-    cannot be assembled, with the reason in `unmoved`. `notes` are for the reader of a page. `effects` are the sensitivities of the
-    optimum, if they were requested.
+    cannot be assembled, with the reason in `unmoved`. `notes` are for the reader of a page. `effects` are the sensitivities of
+    the optimum, if they were requested.
     """
 
     problem: ProblemFile
