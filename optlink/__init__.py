@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from optlink.problem.file import ProblemFile, load, read, shipped
     from optlink.problem.templates import new
     from optlink.report.html.notebook import Explorer
+    from optlink.report.stored import read_result
     from optlink.studio import explore
     from optlink.tasks.analyze import analyze
     from optlink.tasks.balance import balance
@@ -45,6 +46,7 @@ _NAMES = {
     "optlink.problem.file": ("ProblemFile", "load", "read", "shipped"),
     "optlink.problem.templates": ("new",),
     "optlink.report.html.notebook": ("Explorer",),
+    "optlink.report.stored": ("read_result",),
     "optlink.studio": ("explore",),
     "optlink.tasks.analyze": ("analyze",),
     "optlink.tasks.balance": ("balance",),
@@ -100,6 +102,7 @@ __all__ = [
     "new",
     "read",
     "read_design",
+    "read_result",
     "shipped",
     "simulate",
     "simulate_clearance",

@@ -89,7 +89,7 @@ def simulate(
     file = console.load(problem, [*(changes or []), *_series(measured)])
     if torque is not None:
         file = file.override({"drive.torque": torque, "drive.servo": None})
-    values = console.read_design_option(file, design)
+    values = console.read_design_option(file, console.design_of(problem, design))
     with_clearance = file.model.has_clearance and not ideal
     if not with_clearance:
         of_gaps: dict[str, Any] = {"--revolutions": revolutions, "--control": control, "--tolerance": tolerance}

@@ -8,7 +8,7 @@ from dataclasses import fields
 from operator import attrgetter
 from pathlib import Path
 from types import FunctionType, NoneType
-from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar, get_args, get_origin
+from typing import Annotated, Any, Literal, Self, TypeVar, get_args, get_origin
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,12 +25,11 @@ from pydantic import (
 )
 from pydantic.fields import FieldInfo
 
-from optlink.errors import InputError, UnknownName, nearest
-from optlink.io import Summary, finite
+from optlink.errors import InputError
+from optlink.io import finite
 from optlink.linkage.mechanism import FRAME
 from optlink.problem.quantity import Unusable
 from optlink.units import split_range
-from optlink.version import VERSION
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,39}", re.ASCII)
 DEEPEST = 10

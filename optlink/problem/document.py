@@ -7,9 +7,8 @@ that ends the key; null where there is no finite value.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import fields, is_dataclass, replace
-from functools import cache
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, ClassVar, Self
@@ -59,8 +58,10 @@ class Document(Summary):
         hidden = hidden_fields(type(self))
         about = head(self.schema(), self.problem, getattr(self, "status", "")) | {"seed": getattr(self, "seed", None)}
         document = about | dict(entries(self)) | {name: value for name, value in state.items() if name not in hidden}
-        below = {name: value for name, value in state.items() if name in hidden}
-        return with_check_sum(finite(document | ({"state": below} if below else {}) | {"problem_file": stored_problem(self.problem)}))
+        if below := {name: value for name, value in state.items() if name in hidden}:
+            document["state"] = below
+        document["problem_file"] = stored_problem(self.problem)
+        return with_check_sum(finite(document))
 
     @classmethod
     def from_dict(cls, document: Mapping[str, Any], path: Path) -> Self:
@@ -93,33 +94,31 @@ class Document(Summary):
     @classmethod
     def restored(cls, problem: ProblemFile, values: Mapping[str, Any]) -> Self:
         """Return the result for the fields in a document."""
-        return adapter(cls).validate_python({**values, "problem": problem}, context={"problem": problem})
+        result: Self = adapter(cls).validate_python({**values, "problem": problem}, context={"problem": problem})
+        return result
 
     @classmethod
     def json_schema(cls) -> dict[str, Any]:
         """Return the JSON schema of the documents: of their fields; computed entries may be anything."""
         whole = adapter(cls).json_schema(mode="serialization") if cls.stored is None else {}
-        parts, hidden = whole.get("properties", dict.fromkeys(cls.stored or (), {})), hidden_fields(cls)
-        state = {name: part for name, part in parts.items() if name in hidden}
-        known = {name: part for name, part in parts.items() if name not in hidden and name != "problem"}
-        computed = {key.rstrip("?"): {} for key in cls.shown}
-        stored = {key: {"type": "string"} for key in ("file", "toml")}
+        parts: dict[str, Any] = whole.get("properties", {name: {} for name in cls.stored or ()})
+        hidden = hidden_fields(cls)
         properties = {
             "schema": {"const": cls.schema()},
             **{name: {"type": "string"} for name in HEAD[1:5]},
             "overrides": {"type": "object"},
             "seed": {"anyOf": [{"type": "integer"}, {"type": "null"}]},
             "status": {"type": "string"},
-            **computed,
-            **known,
-            **({"state": {"type": "object", "properties": state, "required": list(state), "additionalProperties": False}} if state else {}),
-            "problem_file": {"type": "object", "properties": stored, "required": list(stored), "additionalProperties": False},
+            **{key.rstrip("?"): {} for key in cls.shown},
+            **{name: part for name, part in parts.items() if name not in hidden and name != "problem"},
+            "state": _closed({name: part for name, part in parts.items() if name in hidden}),
+            "problem_file": _closed({key: {"type": "string"} for key in ("file", "toml")}),
             SUM: {"type": "string"},
         }
-        left_out = {key.rstrip("?") for key in cls.shown if key.endswith("?")}
-        required = [name for name in properties if name not in left_out]
-        about = {"title": cls.__name__, "type": "object", "additionalProperties": False}
-        return {**about, "properties": properties, "required": required, "$defs": whole.get("$defs", {})}
+        if not hidden:
+            del properties["state"]
+        optional = {key.rstrip("?") for key in cls.shown if key.endswith("?")}
+        return {"title": cls.__name__, **_closed(properties, optional), "$defs": whole.get("$defs", {})}
 
     @classmethod
     def schema(cls) -> str:
@@ -139,20 +138,22 @@ class Tabled(Document):
             raise UnknownName(f"no column {name}", nearest(str(name), self.columns)) from None
 
 
-@cache
+_ADAPTERS: dict[type[Any], TypeAdapter[Any]] = {}
+
+
 def adapter(kind: type[Any]) -> TypeAdapter[Any]:
-    """Return what reads and writes the fields of a dataclass."""
-    return TypeAdapter(kind)
+    """Return what reads and writes the fields of a dataclass; made once, since that takes time."""
+    if kind not in _ADAPTERS:
+        _ADAPTERS[kind] = TypeAdapter(kind)
+    return _ADAPTERS[kind]
 
 
-@cache
-def stored_fields(kind: type[Document]) -> tuple[str, ...]:
+def stored_fields(kind: Any) -> tuple[str, ...]:
     """Return the names of the fields in a document, without the problem."""
-    return kind.stored or tuple(item.name for item in fields(kind) if item.init and item.name != "problem")  # type: ignore[arg-type]
+    return kind.stored or tuple(item.name for item in fields(kind) if item.init and item.name != "problem")
 
 
-@cache
-def hidden_fields(kind: type[Document]) -> frozenset[str]:
+def hidden_fields(kind: Any) -> frozenset[str]:
     """Return the fields that stand under `state`: those whose names computed entries take, and those that are read alone."""
     return frozenset(kind.stored or set(stored_fields(kind)) & {*HEAD, *(key.rstrip("?") for key in kind.shown)})
 
@@ -174,6 +175,12 @@ def plain(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {key: plain(part) for key, part in value.items()}
     return [plain(part) for part in value] if isinstance(value, list | tuple) else value
+
+
+def _closed(properties: dict[str, Any], optional: Collection[str] = ()) -> dict[str, Any]:
+    """Return the schema of an object with these keys and no others."""
+    required = [name for name in properties if name not in optional]
+    return {"type": "object", "properties": properties, "required": required, "additionalProperties": False}
 
 
 def _place(error: KeyError | ValidationError) -> str:

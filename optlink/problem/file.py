@@ -74,11 +74,13 @@ class ProblemFile:
         """Within a document a problem is stated by its changes of the document's problem; see `optlink.problem.document`."""
 
         def read_changes(value: Any, info: core_schema.ValidationInfo) -> ProblemFile:
-            if not isinstance(value, ProblemFile):
-                value = info.context["problem"].override(value) if value else info.context["problem"]  # type: ignore[index]
-            if info.context is not None:
-                info.context["present"] = value  # that of the parts which follow
-            return value
+            context: dict[str, ProblemFile] = info.context or {}
+            if isinstance(value, ProblemFile):
+                problem = value
+            else:
+                problem = context["problem"].override(value) if value else context["problem"]
+            context["present"] = problem  # that of the parts which follow
+            return problem
 
         def changes(value: ProblemFile, info: core_schema.SerializationInfo) -> dict[str, Any]:
             common = info.context["problem"].overrides  # type: ignore[index]

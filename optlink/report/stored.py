@@ -64,10 +64,10 @@ def read_result(path: str | Path) -> Document:
     document = read_document(place)
     load_extensions()
     schema = document.get("schema")
-    kind, _, version = str(schema).removeprefix("optlink/").rpartition("/")
-    known = result_class(kind.replace("-", " "))
+    kind = str(schema).removeprefix("optlink/").rpartition("/")[0].replace("-", " ")
+    known = result_class(kind)
     if known is None or known.schema() != schema:
-        raise _unknown(schema, kind.replace("-", " "), place)
+        raise _unknown(schema, kind, place)
     return known.from_dict(document, place)
 
 
@@ -97,6 +97,6 @@ def stored_page(result: Document, facts: Mapping[str, Any], path: str) -> Report
     if view.no_page:
         raise InputError("a result of this kind has no page", view.no_page, path, "schema", result.schema())
     if view.page is None:
-        return report_model_of(result.problem, result)  # type: ignore[arg-type]
+        return report_model_of(result)  # type: ignore[arg-type]
     with single_units():
         return view.page(result)

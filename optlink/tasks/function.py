@@ -361,9 +361,15 @@ def _stored(text: str, quantities: Mapping[str, Quantity]) -> list[tuple[str, ob
     """Return the assignments of a result.json, one per quantity (phi0 and psi0 only if not derived)."""
     try:
         document = json.loads(Path(text).read_text(encoding="utf-8"))
-        exact = document.get("state", {}).get("design")  # [SI]
+        state = document.get("state", {})
+        best = (state.get("designs") or [document.get("nearest") or {}])[0] if "designs" in state else {}
+        exact = state.get("design") or best.get("values")  # [SI]
         if isinstance(exact, dict):
-            return [(name, f"{float(value)!r} {KINDS[quantities[name].kind].si}") for name, value in exact.items() if name in quantities]
+            return [
+                (name, f"{float(value)!r} {KINDS[quantities[name].kind].si}")
+                for name, value in exact.items()
+                if name in quantities
+            ]
         design = document["design"].items()
         parts = [(*key.rpartition("_"), float(value)) for key, value in design if not isinstance(value, bool)]
         return [(name, f"{value!r} {unit}") for name, _, unit, value in parts if name in quantities or name in LENGTHS]

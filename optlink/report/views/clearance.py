@@ -19,9 +19,9 @@ from optlink.report.chart_spec import TIME, Array, Axis, ChartSpec, Curve, Dash,
 from optlink.report.html import chart_plotly
 from optlink.report.html.moving_linkage import Moving, in_time
 from optlink.report.html.shell import PageSection, StoredStudy
+from optlink.report.html.study_page import cycle_of
 from optlink.report.scene import scene_at
 from optlink.report.shapes import even
-from optlink.report.html.study_page import cycle_of
 from optlink.report.style import BODIES, CRANK, LIMIT, MUTED, RESULT, ROCKER, SHADE, TARGET, Scale, scale
 from optlink.report.view import View
 from optlink.report.views import clearance_joints, clearance_tables, conclusions, magnified_joints

@@ -16,9 +16,9 @@ from optlink.report.chart_spec import TIME, Array, Axis, ChartSpec, Curve, Dash,
 from optlink.report.html import chart_plotly
 from optlink.report.html.moving_linkage import Moving, in_time
 from optlink.report.html.shell import PageSection, StoredStudy
+from optlink.report.html.study_page import cycle_of, no_animation
 from optlink.report.scene import scene_at
 from optlink.report.shapes import even
-from optlink.report.html.study_page import cycle_of, no_animation
 from optlink.report.style import BODIES, CRANK, MUTED, RESULT, TARGET, Scale, scale
 from optlink.report.view import View
 from optlink.report.views import analysis_tables, conclusions

@@ -18,8 +18,8 @@ from optlink.report.chart_spec import Array, ChartSpec, Curve, HeatMap, Line, Pa
 from optlink.report.format import number
 from optlink.report.html import chart_plotly
 from optlink.report.html.shell import PageSection, StoredStudy
-from optlink.report.shapes import even
 from optlink.report.html.study_page import named_si, no_animation, turning_linkage, with_drawings
+from optlink.report.shapes import even
 from optlink.report.stored.stored_sweep import read
 from optlink.report.style import BODIES, LIMIT, MUTED, RESULT, Scale, charts_per_row, scale
 from optlink.report.view import View

@@ -115,7 +115,9 @@ DrawnCovers = Annotated[
     WithJsonSchema({"type": "array", "items": {"type": "object"}}),
 ]
 """Covers, of which a document contains what is drawn; certificate.json has all."""
-History = Annotated[Rows, AfterValidator(lambda rows: np.where(np.isnan(rows), math.inf, rows) if rows.size else np.zeros((0, 3)))]
+History = Annotated[
+    Rows, AfterValidator(lambda rows: np.where(np.isnan(rows), math.inf, rows) if rows.size else np.zeros((0, 3)))
+]
 """Rows in which a number that is not finite is infinite."""
 
 

@@ -228,11 +228,13 @@ class SingleResult(Document):
         "iterations": lambda result: result.solution.iterations if result.solution else 0,
         **{f"{name}?": of_solution(name) for name in ("kkt", "violation", "curvature")},
         **FOUND,
-        "optima?": lambda result: [
-            {key: value for key, value in vars(one).items() if value != ""} | {"design": result.displayed(one.design)}
-            for one in result.optima
-        ]
-        or None,
+        "optima?": lambda result: (
+            [
+                {key: value for key, value in vars(one).items() if value != ""} | {"design": result.displayed(one.design)}
+                for one in result.optima
+            ]
+            or None
+        ),
     }
 
     problem: ProblemFile

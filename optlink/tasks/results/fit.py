@@ -70,9 +70,7 @@ class Fit:
     `error` and `size` in `unit` (m, rad); `of` names the size; `reasons` only for a poor fit.
     """
 
-    shown: ClassVar[Mapping[str, Source]] = {
-        name: name for name in ("grade", "share", "error", "size", "unit", "of", "reasons")
-    }
+    shown: ClassVar[Mapping[str, Source]] = {name: name for name in ("grade", "share", "error", "size", "unit", "of", "reasons")}
 
     error: float
     size: float
