@@ -100,8 +100,8 @@ class TableFile:
 
 StoredTable = Annotated[
     TableFile | None,
-    PlainSerializer(lambda table: None if table is None or table.temporary else str(table.path)),
     PlainValidator(lambda path: path and TableFile(Path(path))),
+    PlainSerializer(lambda table: None if table is None or table.temporary else str(table.path)),
     WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "null"}]}),
 ]
 """The table of a study, in a document the name of its file; None if that was temporary."""
