@@ -247,7 +247,7 @@ def tolerance(
             result = replace(result, monte_carlo=monte_carlo(result, samples, seed, progress, runs))
         if target_yield is not None:
             result = replace(result, allocation=allocate(result, target_yield, costs or {}, samples or SAMPLES, seed, runs))
-        return replace(result, problem=identified(problem, tolerances, shape))
+        return replace(result, problem=identified(problem, tolerances, shape, robust=robust is not None))
 
 
 @contextlib.contextmanager
