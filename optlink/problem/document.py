@@ -7,6 +7,8 @@ that ends the key; null where there is no finite value.
 
 from __future__ import annotations
 
+import json
+import re
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import fields, is_dataclass, replace
 from operator import attrgetter
@@ -190,9 +192,38 @@ def _place(error: KeyError | ValidationError) -> str:
 
 def stored_problem(problem: ProblemFile) -> dict[str, Any]:
     """Return a problem as a document contains it: its text with all changes, and with the files to which it refers."""
+    return {"file": problem.file, "toml": "\n".join(_toml_lines(enclosing(problem))) + "\n"}
+
+
+def _toml_lines(table: Mapping[str, Any], path: str = "") -> Iterator[str]:
+    """Yield the lines of a table in TOML with its keys in their order, on which that of design variables depends.
+
+    Tables behind the last other value are sections, those before it stand in one line.
+    """
+    last = max((k for k, value in enumerate(table.values()) if not isinstance(value, Mapping)), default=-1)
+    items = [(_toml_key(key), value) for key, value in table.items()]
+    if not path:  # sections have no order
+        items.sort(key=lambda item: isinstance(item[1], Mapping))
+        last = sum(not isinstance(value, Mapping) for value in table.values()) - 1
+    yield from (f"{key} = {_toml_value(value)}" for key, value in items[: last + 1])
+    for key, value in items[last + 1 :]:
+        yield f"\n[{path}{key}]"
+        yield from _toml_lines(value, f"{path}{key}.")
+
+
+def _toml_key(key: str) -> str:
+    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else json.dumps(key, ensure_ascii=False)
+
+
+def _toml_value(value: Any) -> str:
+    """Return a value in one line."""
     import tomli_w
 
-    return {"file": problem.file, "toml": tomli_w.dumps(enclosing(problem))}
+    if isinstance(value, Mapping):
+        return f"{{ {', '.join(f'{_toml_key(key)} = {_toml_value(item)}' for key, item in value.items())} }}"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_toml_value, value))}]"
+    return tomli_w.dumps({"value": value}).removeprefix("value = ").rstrip("\n")
 
 
 def read_problem(document: Mapping[str, Any], path: Path) -> ProblemFile:

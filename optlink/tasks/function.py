@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from optlink.errors import OPTIONS_NAMED, InputError, Status
 from optlink.execution import interrupts
+from optlink.io import checked
 from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.vector2d import Array
 from optlink.optimization.nlp import NLP, build
@@ -361,7 +362,7 @@ def _stored(text: str, quantities: Mapping[str, Quantity]) -> list[tuple[str, ob
     """Return the assignments of a result.json, one per quantity (phi0 and psi0 only if not derived)."""
     try:
         document = json.loads(Path(text).read_text(encoding="utf-8"))
-        state = document.get("state", {})
+        state = document.get("state", {}) if checked(document) is not None else {}  # of a changed file the entries for people
         best = (state.get("designs") or [document.get("nearest") or {}])[0] if "designs" in state else {}
         exact = state.get("design") or best.get("values")  # [SI]
         if isinstance(exact, dict):
