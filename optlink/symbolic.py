@@ -103,19 +103,8 @@ def elementwise(function: Any, shared: int, count: int) -> Any:
     casadi's virtual machine spends most of its time on the choice of the operation: it evaluates a function of SX expressions one
     number at a time, one of MX expressions one vector at a time.
 
-    Parameters
-    ----------
-    function : casadi.Function
-        Of SX expressions.
-    shared : int
-        Number of its first inputs that are the same at every position.
-    count : int
-        Number of positions.
-
-    Returns
-    -------
-    casadi.Function
-        Its other inputs have a row for each position and a column for each element; so have its results, for all elements.
+    The first `shared` inputs of `function` (of SX expressions) are the same at all `count` positions. Each other input of the
+    result has a row for each position and a column for each element; so have its results, for all elements.
     """
     whole = dense_function(function.sx_in(), list(function.call(function.sx_in())))
     rows = [1 if i < shared else count for i in range(whole.n_in())]
@@ -175,16 +164,7 @@ class NumpyEvaluator:
         self._one_thread = threading.Lock()  # at a time: a block has its own inputs and results
 
     def __call__(self, *inputs: Any) -> Array:
-        """Evaluate the expressions.
-
-        Parameters
-        ----------
-        inputs : floats or arrays that broadcast to (rows, ...), one per scalar input
-
-        Returns
-        -------
-        array (outputs, rows, ...)
-        """
+        """Evaluate the expressions at arrays that broadcast to (rows, ...), one per scalar input; return (outputs, rows, ...)."""
         arrays = [np.asarray(x, dtype=float) for x in inputs]
         shape = np.broadcast_shapes(*{x.shape for x in arrays})
         first, *others = shape or (1,)

@@ -191,13 +191,7 @@ def _product(factors: Iterator[tuple[_Unit, float]]) -> _Unit:
 
 
 def plain(text: str) -> str:
-    """Replace typographic signs: superscripts, degree and micro signs, dots of products, minus signs, fixed spaces.
-
-    Parameters
-    ----------
-    text : str
-        Text such as "−5 µm" or "2 kg·m²".
-    """
+    """Replace typographic signs: superscripts, degree and micro signs, dots of products, minus signs, fixed spaces."""
     if text.isascii():
         return text
     text = text.translate(_PLAIN)
@@ -225,14 +219,7 @@ def _unit(unit: str, kind: str) -> _Unit:
 
 
 def factor(unit: str, kind: str) -> float:
-    """Return the SI value of one `unit`.
-
-    Parameters
-    ----------
-    unit : str
-        A unit, for example "mm" or "kg*m^2".
-    kind : str
-        One of `KINDS`.
+    """Return the SI value of one `unit` of a kind of `KINDS`, for example "mm" or "kg*m^2".
 
     Raises
     ------
@@ -243,13 +230,7 @@ def factor(unit: str, kind: str) -> float:
 
 
 def measures(text: str, kind: str) -> bool:
-    """Return whether a text is a quantity of a kind.
-
-    Parameters
-    ----------
-    kind : str
-        One of `KINDS`.
-    """
+    """Return whether a text is a quantity of a kind."""
     with contextlib.suppress(UnitProblem):
         return math.isfinite(parse(text, kind)[0])
     return False
@@ -271,13 +252,7 @@ def kind_of_unit(unit: str) -> str | None:
 
 
 def in_si(unit: str) -> tuple[float, str]:
-    """Return the SI value of one `unit`, and the SI unit of its kind; any other text, as that of a ratio, remains with 1.
-
-    Parameters
-    ----------
-    unit : str
-        A unit, for example "mm" or "kg*m^2".
-    """
+    """Return the SI value of one `unit`, and the SI unit of its kind; any other text, as that of a ratio, remains with 1."""
     kind = kind_of_unit(unit)
     return (1.0, unit) if kind is None else (factor(unit, kind), KINDS[kind].si.replace("**", "^"))
 
@@ -289,19 +264,7 @@ def read_number(text: str) -> float:
 
 
 def parse(text: object, kind: str) -> tuple[float, str]:
-    """Parse a quantity such as "412 mm".
-
-    Parameters
-    ----------
-    text : str
-        A number and a unit.
-    kind : str
-        One of `KINDS`.
-
-    Returns
-    -------
-    value : float, in SI
-    unit : str, in canonical spelling: "N*m" for "N·m" or "Nm"
+    """Return value [SI] and unit of a quantity such as "412 mm"; the unit in canonical spelling: "N*m" for "N·m" or "Nm".
 
     Raises
     ------
@@ -372,15 +335,7 @@ def respelled(text: str) -> tuple[tuple[str, ...], str]:
 def split_range(text: str) -> dict[str, str | float] | None:
     """Return the sides of a range such as "40..140 deg", "40 deg ... 140 deg" or ">= 40 deg"; None for any other text.
 
-    Parameters
-    ----------
-    text : str
-        A text of a problem file.
-
-    Returns
-    -------
-    dict of str to (str or float), or None
-        Values by "min" and "max", each with its unit; numbers where none is written.
+    The values by "min" and "max" have their units; they are numbers where none is written.
     """
     if len(text) > 200 or not re.search(r"\.\.|\u2026|[<>\u2264\u2265]", text):
         return None
@@ -397,13 +352,7 @@ def split_range(text: str) -> dict[str, str | float] | None:
 
 
 def mistyped_range(text: str) -> str | None:
-    """Return the range that "40-140 deg", "40 to 140 deg" or "40...140 deg" means, with two dots; None for any other text.
-
-    Parameters
-    ----------
-    text : str
-        A text of a problem file.
-    """
+    """Return the range that "40-140 deg", "40 to 140 deg" or "40...140 deg" means, with two dots; None for any other text."""
     text = plain(text[:201]).strip()
     hyphen = re.fullmatch(_HYPHEN, text)
     dotted = "..".join(part.strip() for part in (hyphen.groups() if hyphen else text.split("...")))
@@ -417,13 +366,7 @@ def _side(number: str, unit: str | None) -> str | float:
 
 
 def split(text: str) -> tuple[float, str] | None:
-    """Return number and unit of a quantity, the unit empty where there is none; None for any other text.
-
-    Parameters
-    ----------
-    text : str
-        A text such as "412 mm".
-    """
+    """Return number and unit of a quantity, the unit empty where there is none; None for any other text."""
     match = _QUANTITY.fullmatch(plain(text)) if len(text) <= 200 else None
     return None if match is None else (float(match[1]), match[2] or "")
 
@@ -447,33 +390,13 @@ def display_unit(kind: str) -> tuple[float, str]:
 
 
 def show(value: float, kind: str, unit: str | None = None, digits: int = 6) -> str:
-    """Format an SI value in display units: `show(0.412, "length")` is "412 mm".
-
-    Parameters
-    ----------
-    value : float
-        Value in SI.
-    kind : str
-        One of `KINDS`.
-    unit : str, optional
-        Unit of the output. Default: the display unit of the kind.
-    digits : int
-        Significant digits.
-    """
+    """Format an SI value in a unit, by default the display unit of its kind: `show(0.412, "length")` is "412 mm"."""
     unit = unit or KINDS[kind].display
     return f"{value / factor(unit, kind):z.{digits}g} {unit}"
 
 
 def percent(share: float, decimals: int = 1, *, signed: bool = False) -> str:
-    """Format a share in per cent, as in "97.3 %"; a dash if it is not finite.
-
-    Parameters
-    ----------
-    share : float
-        1 is 100 %.
-    signed : bool, optional
-        Whether a change that is not zero has its sign.
-    """
+    """Format a share in per cent, as in "97.3 %"; a dash if it is not finite. `signed`: a change other than zero has its sign."""
     if not math.isfinite(share):
         return "-"
     shown = f"{100.0 * share:{'+' if signed else ''}z.{decimals}f}"

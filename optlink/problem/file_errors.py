@@ -24,13 +24,7 @@ from optlink.unsupported import unsupported_key
 
 
 def as_written(fault: Fault, raw: object) -> Fault:
-    """Return a fault whose value is that of a quantity or a range with the value as it stands in the file.
-
-    Parameters
-    ----------
-    raw : mapping
-        Nested tables of the file.
-    """
+    """Return a fault whose value is that of a quantity or a range with the value as it stands in the tables of the file."""
     if isinstance(fault.value, Ends):
         return replace(fault, value=fault.value.text)
     if not isinstance(fault.value, str) or fault.key is None:
@@ -61,15 +55,7 @@ def of_dyads(raw: Mapping[str, Any]) -> bool:
 
 
 def known_keys(path: tuple[str | int, ...], *kinds: type[Problem]) -> list[str]:
-    """Return the keys that models of these kinds (default: any kind) have at a path of sections.
-
-    Parameters
-    ----------
-    path : tuple of str or int
-        Sections, the outermost first.
-    *kinds : type
-        Models of a file.
-    """
+    """Return the keys that models of these kinds (default: any kind) have at a path of sections, the outermost first."""
     from optlink.problem.cycle.model import CycleProblem, StrokeProblem
     from optlink.problem.path import PathProblem
 
@@ -86,14 +72,7 @@ def known_keys(path: tuple[str | int, ...], *kinds: type[Problem]) -> list[str]:
 def keys_ending(raw: Mapping[str, Any], end: str, above: str = "") -> list[str]:
     """Return the dotted keys of a file that end with the given steps, for example `mechanism.crank` for `crank`.
 
-    Parameters
-    ----------
-    raw : mapping
-        Nested tables of the file.
-    end : str
-        One or several steps.
-    above : str
-        Steps that lead to `raw`, each followed by a dot.
+    `above` are the steps that lead to `raw`, each followed by a dot.
     """
     keys = [f"{above}{name}" for name in raw if above and f".{above}{name}".endswith(f".{end}")]
     return keys + [
@@ -137,17 +116,7 @@ def _elsewhere(section: str, key: str, model: type[Problem]) -> list[str]:
 
 
 def faults(error: pydantic.ValidationError, model: type[Problem], raw: Mapping[str, Any], file: str) -> Iterator[Fault]:
-    """Yield one fault per error of a model; a key that is missing because it is misspelt is not a separate fault.
-
-    Parameters
-    ----------
-    model : type
-        Model of the file.
-    raw : mapping
-        Nested tables of the file.
-    file : str
-        Name of the file.
-    """
+    """Yield one fault per error of a model; a key that is missing because it is misspelt is not a separate fault."""
     result = list(_faults(error, model, raw, file))
     misspelt = {
         (str(fault.key).rpartition(".")[0], guess)
@@ -225,13 +194,7 @@ _WRONG = {
 
 
 def similar_name(text: str, names: Iterable[str]) -> str:
-    """Return the remedy for a name that is not a shipped problem: a file or a problem with a similar name.
-
-    Parameters
-    ----------
-    names : iterable of str
-        Those of the shipped problems.
-    """
+    """Return the remedy for a name that is not a shipped problem: a file or a problem with a similar name."""
     with contextlib.suppress(OSError, ValueError):
         files = sorted(path.name for path in Path().glob("*.toml"))
         if meant := [f"{text}.toml"] * (f"{text}.toml" in files) or difflib.get_close_matches(text, files, n=1, cutoff=0.8):
@@ -244,15 +207,7 @@ TOML_FILE = "Give the path of a problem file, a .toml text file"
 
 
 def text_fault(data: bytes, error: UnicodeDecodeError, file: str) -> Fault:
-    """Return the fault of a file that is not UTF-8 text.
-
-    Parameters
-    ----------
-    data : bytes
-        Content of the file.
-    file : str
-        Name of the file.
-    """
+    """Return the fault of a file that is not UTF-8 text."""
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
         return Fault(f"not UTF-8 text: byte {error.start} (it is UTF-16)", "Save the file as UTF-8", file)
     if (kind := file_kind(data)) or b"\0" in data:
@@ -262,17 +217,7 @@ def text_fault(data: bytes, error: UnicodeDecodeError, file: str) -> Fault:
 
 
 def toml_fault(message: str, file: str, text: str = "") -> Fault:
-    """Return the fault of a file that is not valid TOML.
-
-    Parameters
-    ----------
-    message : str
-        That of the parser, with line and column in brackets at its end.
-    file : str
-        Name of the file.
-    text : str
-        Content of the file.
-    """
+    """Return the fault of a file that is not valid TOML; the message of the parser ends with the place in brackets."""
     if text.lstrip().startswith("{"):
         remedy = "Give the problem; `optlink validate PROBLEM --design FILE` takes a result, `report` and `export` read it itself"
         return Fault("this is JSON, not a problem file in TOML", remedy, file)

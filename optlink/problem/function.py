@@ -124,13 +124,7 @@ class DesignProblem(Problem):
         return 1 if self.span > 0.0 else -1
 
     def is_periodic(self, name: str) -> bool:
-        """Return whether values of an angle that are a revolution apart are one design; not those that the law contains as such.
-
-        Parameters
-        ----------
-        name : str
-            Name of the quantity.
-        """
+        """Return whether values of an angle a revolution apart are one design; not those that the law contains as such."""
         return name in ("phi0", "psi0") and is_periodic(self.requirement.law, name)
 
     @property

@@ -72,16 +72,9 @@ class StrokeRatio(Interval):
 
 
 def check_time_ratio(stroke: str | None, value: float, key: str, low: float | None, high: float | None) -> None:
-    """Refuse a limit that no time ratio can satisfy, and suggest the part of its range that one can.
+    """Refuse a limit `value` that no time ratio can satisfy, and suggest the part of its range, `low` to `high`, that one can.
 
-    Parameters
-    ----------
-    stroke : "forward", "backward", "slow", "quick" or None
-        Stroke whose time is divided by the other's; None is the slow one.
-    value, low, high : float or None
-        The limit, and the whole range.
-    key : str
-        Key of the limit, for errors; empty if both sides have one key.
+    `stroke` is the one whose time is divided by the other's, None the slow one; `key` is empty if both sides have one key.
 
     Raises
     ------
@@ -100,21 +93,11 @@ def check_time_ratio(stroke: str | None, value: float, key: str, low: float | No
 
 
 def read_figure(raw: object, kind: str | None, key: str) -> tuple[float, str]:
-    """Read a value of a physical kind, or a plain number; return its SI number and the unit as written.
-
-    Parameters
-    ----------
-    raw : object
-        Value as read from the file.
-    kind : str or None
-        Physical kind; none or empty for a plain number.
-    key : str
-        Key of the value, for errors.
+    """Read a value of a physical kind, or a plain number if there is no kind; return its SI number and the unit as written.
 
     Raises
     ------
     Unusable
-        when the value cannot be read.
     """
     return read_scalar(raw, kind, key) if kind else (read_number(raw, key), "")
 

@@ -127,14 +127,7 @@ def transmission_limit(
 ) -> TransmissionLimit | None:
     """Return the limit of the transmission angle at a joint, that with its name before a general one; None if there is none.
 
-    Parameters
-    ----------
-    angle : JointRanges, optional
-        Of the key `transmission_angle` [rad].
-    pressure : JointRanges, optional
-        Of the key `pressure_angle` [rad].
-    further : sequence of TransmissionLimit
-        Other general limits.
+    `angle` and `pressure` are those of the keys `transmission_angle` and `pressure_angle` [rad], `further` other general limits.
 
     Raises
     ------
@@ -182,12 +175,7 @@ def _check_range(name: str, whole: Interval | None, possible: tuple[float, float
 def check_transmission(angle: JointRanges | None, pressure: JointRanges | None, joints: Sequence[str]) -> None:
     """Refuse limits of the transmission angle that are impossible, contradictory or of a joint that has none.
 
-    Parameters
-    ----------
-    angle, pressure : JointRanges, optional
-        Of the keys `transmission_angle` and `pressure_angle` [rad].
-    joints : sequence of str
-        Joints of the dyads that have a transmission angle.
+    `joints` are those of the dyads that have a transmission angle.
 
     Raises
     ------
@@ -209,10 +197,7 @@ def check_transmission(angle: JointRanges | None, pressure: JointRanges | None, 
 def check_limits(limits: Limits, joints: Sequence[str]) -> None:
     """Refuse limits outside the physically possible range, and those that contradict the crank condition or each other.
 
-    Parameters
-    ----------
-    joints : sequence of str
-        Joints of the dyads that have a transmission angle.
+    `joints` are those of the dyads that have a transmission angle.
 
     Raises
     ------
@@ -319,14 +304,9 @@ def four_bar_limits() -> tuple[str, ...]:
 
 
 def stroke_ratio(forward: float, backward: float, stroke: str | None) -> float:
-    """Return the time ratio of two strokes at constant crank speed; NaN if one of them takes no time.
+    """Return the time ratio of strokes of these crank rotations [rad] at constant speed; NaN if one of them takes no time.
 
-    Parameters
-    ----------
-    forward, backward : float [rad]
-        Crank rotation of the two strokes.
-    stroke : "forward", "backward", "slow", "quick" or None
-        Stroke in the numerator. None: the slow one.
+    `stroke` is the one in the numerator, None the slow one.
     """
     if not min(forward, backward) > 0.0:
         return math.nan

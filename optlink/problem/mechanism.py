@@ -103,13 +103,7 @@ class FourBarSection(Section):
         return {} if place is None else {"C": place}
 
     def with_modes(self, modes: Mapping[str, str]) -> Self:
-        """Return the section with the assembly mode of C in place of its position.
-
-        Parameters
-        ----------
-        modes : mapping of str to str
-            Such as `left of B-D`, by joint.
-        """
+        """Return the section with the assembly mode of C in place of its position."""
         return self.model_copy(update={"assembly": modes["C"].replace(" of B-D", "")})
 
     def check_mode(self, sizes: Mapping[str, Any]) -> None:
@@ -145,14 +139,7 @@ class FourBarSection(Section):
         return quantities
 
     def linkage(self, name: str, driver: str | None) -> Mechanism:
-        """Return the kinematic model; an undetermined assembly mode counts as left.
-
-        Parameters
-        ----------
-        name : str
-            Title of the mechanism; not used for a four-bar.
-        driver : str or None
-            Driven body; None or "crank".
+        """Return the kinematic model, driven at the body `driver`; an undetermined assembly mode counts as left.
 
         Raises
         ------
@@ -258,13 +245,7 @@ class DyadsSection(Section):
         return {joint: place for joint, place in places.items() if place is not None}
 
     def with_modes(self, modes: Mapping[str, str]) -> Self:
-        """Return the section with other assembly modes.
-
-        Parameters
-        ----------
-        modes : mapping of str to str
-            By joint.
-        """
+        """Return the section with other assembly modes."""
         return self.model_copy(update={"assembly": {**self.assembly, **modes}})
 
     def check_mode(self, sizes: Mapping[str, Any]) -> None:
@@ -309,14 +290,7 @@ class DyadsSection(Section):
         return variants
 
     def linkage(self, name: str, driver: str | None) -> Mechanism:
-        """Return the kinematic model; undetermined assembly modes count as left or forward.
-
-        Parameters
-        ----------
-        name : str
-            Title of the mechanism.
-        driver : str or None
-            Driven body; None: the body named "crank".
+        """Return the kinematic model, driven at the body `driver`; undetermined assembly modes count as left or forward.
 
         Raises
         ------

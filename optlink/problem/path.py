@@ -135,13 +135,7 @@ class PathProblem(Problem):
         return quantities
 
     def is_periodic(self, name: str) -> bool:
-        """Return whether values of an angle that are a revolution apart are one design; not those that a law contains as such.
-
-        Parameters
-        ----------
-        name : str
-            Name of the quantity.
-        """
+        """Return whether values of an angle that are a revolution apart are one design; not those that a law contains as such."""
         if self.quantities[name].kind != "angle":
             return False
         prescribed = self.requirement.kind == "function" and name in (START, ZERO)
@@ -175,16 +169,9 @@ class PathProblem(Problem):
         return float(np.ptp(self.law.curve(offsets, begin, 0.0)))
 
     def prescribed(self, values: Mapping[str, Value], offset: Value, tabulated: Value) -> Value:
-        """Return the prescribed output [rad or m]; elementwise.
+        """Return the prescribed output [rad or m] at a crank rotation from the start; elementwise.
 
-        Parameters
-        ----------
-        values : mapping of str to float, array or symbol [m, rad]
-            Value of every quantity.
-        offset : float, array or symbol [rad]
-            Crank rotation from the start.
-        tabulated : float, array or symbol
-            `Law.tabulated` at that offset.
+        `values`: every quantity [m, rad]; `tabulated`: `Law.tabulated` at that `offset`.
         """
         return self.law.target(offset, tabulated, values[START], values.get(ZERO, 0.0))
 
@@ -343,16 +330,7 @@ class PathProblem(Problem):
         """Return actual minus prescribed output at one position, elementwise.
 
         For a path, x and y [m]; for a pose also the angle times `radian`; for a function the slide [m] or angle [rad]; for
-        transmission the cosine of the angle of each dyad.
-
-        Parameters
-        ----------
-        pose : Pose
-            The mechanism at the position.
-        values : mapping of str to float, array or symbol [m, rad]
-            Value of every quantity.
-        target : tuple
-            A row of `Data.columns`.
+        transmission the cosine of the angle of each dyad. `target` is a row of `TargetArrays.columns`.
         """
         kind = self.requirement.kind
         if kind == "transmission":
@@ -374,15 +352,7 @@ class PathProblem(Problem):
         return float(values[START]) if START in values else super().start(values)
 
     def crank_angles(self, values: Mapping[str, float], angles: Array | None) -> Array:
-        """Return the crank angle [rad] at each point.
-
-        Parameters
-        ----------
-        values : mapping of str to float [m, rad]
-            Value of every quantity.
-        angles : array (points,) [rad] or None
-            Crank angles of the design; returned where the timing is free.
-        """
+        """Return the crank angle [rad] at each point; where the timing is free those of the design, `angles`."""
         offsets = self.data.offsets
         if offsets is None:
             assert angles is not None

@@ -135,17 +135,7 @@ def check_keys(task: PathRequirement) -> None:
 
 
 def inapplicable_keys(section: str, kind: str, *, four_bar: bool) -> set[str]:
-    """Return the keys of a section that are not valid for a kind of task.
-
-    Parameters
-    ----------
-    section : str
-        "requirement" or "limits".
-    kind : str
-        Kind of the task.
-    four_bar : bool
-        Whether the mechanism is a four-bar.
-    """
+    """Return the keys of the section "requirement" or "limits" that are not valid for a kind of task."""
     if section == "requirement":
         return {key for key, kinds in BELONGS.items() if kind not in kinds}
     return set() if section != "limits" or four_bar else set(four_bar_limits())
@@ -154,12 +144,7 @@ def inapplicable_keys(section: str, kind: str, *, four_bar: bool) -> set[str]:
 def check_output(task: PathRequirement, linkage: Mechanism, *, slides: bool, based: bool) -> None:
     """Check that the output of a law exists and that its keys apply to it.
 
-    Parameters
-    ----------
-    slides : bool
-        Whether the output is a slider, not the angle of a body.
-    based : bool
-        Whether the law is relative to the output at the start.
+    `slides`: the output is a slider, not the angle of a body; `based`: the law is relative to the output at the start.
 
     Raises
     ------
@@ -189,10 +174,6 @@ def check_points(
     task: PathRequirement, points: TargetPoints, timing: str, mechanism: MechanismSection, linkage: Mechanism
 ) -> None:
     """Check that points or poses, their timing and the body that takes them fit each other.
-
-    Parameters
-    ----------
-    timing : "given", "from start" or "free"
 
     Raises
     ------

@@ -38,19 +38,11 @@ def below(key: str, value: object = None) -> Iterator[None]:
 
 @contextmanager
 def input_of(file: str | None, key: str | None = None, value: object = None) -> Iterator[None]:
-    """Raise an `Unusable` as the error of a file or an option.
-
-    Parameters
-    ----------
-    file : str or None
-        Name of the file.
-    key : str, optional
-        Key or option. Default: the key and value of the `Unusable`.
+    """Raise an `Unusable` as the error of a file or an option, whose key and value default to those of the `Unusable`.
 
     Raises
     ------
     InputError
-        in place of an `Unusable`.
     """
     try:
         yield
@@ -100,15 +92,9 @@ class Quantity:
 def check_keys(raw: Iterable[object], allowed: Sequence[str]) -> None:
     """Refuse a table with an unknown key.
 
-    Parameters
-    ----------
-    allowed : sequence of str
-        Permitted keys.
-
     Raises
     ------
     Unusable
-        with the first unknown key.
     """
     for key in raw:
         if key not in allowed:
@@ -116,21 +102,11 @@ def check_keys(raw: Iterable[object], allowed: Sequence[str]) -> None:
 
 
 def check_name(name: object, allowed: Iterable[str], message: str, key: str = "", value: object = None) -> None:
-    """Check that a name is one of the known ones.
-
-    Parameters
-    ----------
-    message : str
-        What is wrong with any other name.
-    key : str
-        Key of the name, below the present one.
-    value : object, optional
-        Value in the error. Default: the name.
+    """Refuse a name that is not one of the known ones, with the nearest of them; the value in the error defaults to the name.
 
     Raises
     ------
     Unusable
-        If it is none of them; the remedy contains the nearest.
     """
     names = list(allowed)
     if name not in names:
@@ -138,40 +114,22 @@ def check_name(name: object, allowed: Iterable[str], message: str, key: str = ""
 
 
 def check_choice(key: str, name: str, choices: Iterable[str], message: str, file: str | None = None) -> None:
-    """Check that the value of an option or argument is one of the known ones.
-
-    Parameters
-    ----------
-    key : str
-        Option or argument.
-    name : str
-        Its value.
-    message : str
-        What is wrong with any other value.
-    file : str, optional
-        Name of the problem file.
+    """Refuse the name that an option or argument `key` has if it is not one of the known ones.
 
     Raises
     ------
     InputError
-        If it is none of them.
     """
     with input_of(file, key, name):
         check_name(name, choices, message)
 
 
 def check_range(key: str, value: float, low: float, high: float) -> None:
-    """Check that an option lies within its range.
-
-    Parameters
-    ----------
-    key : str
-        Option, for the error.
+    """Refuse an option outside its range.
 
     Raises
     ------
     InputError
-        If it does not.
     """
     if not low <= value <= high:
         raise InputError("out of range", f"Give a number from {low:,} to {high:,}", key=key, value=value)
@@ -196,19 +154,9 @@ def _possible(value: float, text: object, kind: str, key: str = "") -> float:
 def read_scalar(text: object, kind: str, key: str = "") -> tuple[float, str]:
     """Read one value; return its SI number and the unit as written.
 
-    Parameters
-    ----------
-    text : object
-        Value as read from the file.
-    kind : str
-        Physical kind.
-    key : str
-        Key of the value, for errors.
-
     Raises
     ------
     Unusable
-        when the value cannot be read or is out of range.
     """
     with below(key, text):
         value, unit = parse(text, kind)
@@ -216,19 +164,11 @@ def read_scalar(text: object, kind: str, key: str = "") -> tuple[float, str]:
 
 
 def read_quantity(raw: object, kind: str) -> Quantity:
-    """Read a fixed quantity or a design variable.
-
-    Parameters
-    ----------
-    raw : object
-        Value as read from the file.
-    kind : str
-        Physical kind.
+    """Read a fixed quantity or a design variable; errors have the key below the present one.
 
     Raises
     ------
     Unusable
-        when the value cannot be read, with the key below the present one.
     """
     if isinstance(raw, Quantity):
         return raw
@@ -271,17 +211,9 @@ def range_example(kind: str | None) -> str:
 def read_number(raw: object, key: str) -> float:
     """Read a plain number, or a share in percent.
 
-    Parameters
-    ----------
-    raw : object
-        Value as read from the file.
-    key : str
-        Key below the present one, for errors.
-
     Raises
     ------
     Unusable
-        when it is not a finite number.
     """
     if isinstance(raw, str) and (share := re.fullmatch(r"\s*([-+]?(?:\d+(?:\.\d*)?|\.\d+))\s*%\s*", raw, re.ASCII)):
         raw = float(share.group(1)) / 100.0
@@ -299,17 +231,9 @@ def read_number(raw: object, key: str) -> float:
 def read_fixed(raw: object, kind: str) -> Quantity:
     """Read a quantity that must be fixed.
 
-    Parameters
-    ----------
-    raw : object
-        Value as read from the file.
-    kind : str
-        Physical kind.
-
     Raises
     ------
     Unusable
-        when it is a table, or cannot be read.
     """
     if isinstance(raw, dict):
         raise Unusable("this quantity cannot be free", f'Give one value, for example "{KINDS[kind].example}"', "", raw)
@@ -322,17 +246,9 @@ def read_fixed(raw: object, kind: str) -> Quantity:
 def read_positive(raw: object, kind: str) -> Quantity:
     """Read a fixed quantity that must not be negative.
 
-    Parameters
-    ----------
-    raw : object
-        Value as read from the file.
-    kind : str
-        Physical kind.
-
     Raises
     ------
     Unusable
-        when it is negative, or cannot be read.
     """
     quantity = read_fixed(raw, kind)
     if quantity.value < 0.0:
@@ -341,26 +257,12 @@ def read_positive(raw: object, kind: str) -> Quantity:
 
 
 def reader(function: Any, kind: str | None) -> BeforeValidator:
-    """Return a reading function of one physical kind as the annotation of a field.
-
-    Parameters
-    ----------
-    function : function of (raw value, kind)
-    kind : str, optional
-        Physical kind; none for plain numbers.
-    """
+    """Return a function of (raw value, kind) as the annotation of a field of one physical kind; None for plain numbers."""
     return BeforeValidator(functools.partial(function, kind=kind))  # the key reference reads function and kind
 
 
 def where(condition: Callable[[Any], bool], message: str, remedy: str) -> AfterValidator:
-    """Return a condition on the number of a field [SI], or on any other value of it, as an annotation of the field.
-
-    Parameters
-    ----------
-    condition : function of the number or value
-    message, remedy : str
-        For the error of a value that does not fulfil it.
-    """
+    """Return a condition on the number of a field [SI], or on any other value of it, as an annotation of the field."""
 
     def check(value: Any) -> Any:
         if not condition(value.value if isinstance(value, Quantity) else value):

@@ -57,7 +57,6 @@ def read_robust(raw: object) -> Robust | None:
     Raises
     ------
     Unusable
-        when the value is none of these.
     """
     if raw is None:
         return None
@@ -118,14 +117,7 @@ def residuals(
 
 
 def check_robust(robust: Robust | None, measure: str, tolerance_count: int) -> None:
-    """Check that the robustness measure is compatible with the measure and that tolerances are defined.
-
-    Parameters
-    ----------
-    measure : str
-        Measure of the requirement.
-    tolerance_count : int
-        Number of tolerances of the file.
+    """Check that the robustness measure is compatible with that of the requirement and that tolerances are defined.
 
     Raises
     ------

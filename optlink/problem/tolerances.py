@@ -133,17 +133,9 @@ class ToleranceEntry:
 def read_tolerance(raw: object, folder: Path) -> ToleranceEntry:
     """Read "0.1 mm", "0.1 mm uniform", "parts.csv" or { tolerance, distribution, cost }; the unit is not checked.
 
-    Parameters
-    ----------
-    raw : object
-        Value as read from the file.
-    folder : Path
-        Folder to which the name of a CSV file is relative.
-
     Raises
     ------
     Unusable
-        when the value cannot be read, with the key below the present one.
     """
     if isinstance(raw, dict):
         check_keys(raw, KEYS)
@@ -200,16 +192,9 @@ Tolerances = Annotated[dict[str, Any], in_folder(_read_table)]
 
 
 def with_tolerance(table: dict[str, Any], name: str, value: object) -> None:
-    """Assign a tolerance in a [tolerances] table; distribution and cost are kept unless the new value specifies its own.
+    """Assign a tolerance in a [tolerances] table, in place; None removes it.
 
-    Parameters
-    ----------
-    table : dict
-        The [tolerances] table, modified in place.
-    name : str
-        Name of the dimension.
-    value : object
-        New tolerance; None removes it.
+    Distribution and cost are kept unless the new value specifies its own.
     """
     before: Any = None
     for other, entry in list(_flat(table)):
@@ -264,22 +249,10 @@ def deviations(
     shape: str = NORMAL,
     output: str = "",
 ) -> tuple[Deviation, ...]:
-    """Return the deviations of dimensions, pivots and clearances of a linkage.
+    """Return the deviations of dimensions, pivots and clearances of a linkage from `with_deviating_pivots`.
 
-    Parameters
-    ----------
-    entries : mapping of str to ToleranceEntry
-        Tolerances by name.
-    mechanism : Mechanism
-        From `with_deviating_pivots`.
-    quantities : mapping of str to Quantity
-        Quantities of the file.
-    sizes : mapping of str to float [m, rad]
-        Every dimension of the mechanism.
-    shape : str
-        Default distribution.
-    output : str
-        Body (its angle), or "P.x", "P.y" of a point, on which clearances have an effect.
+    `sizes`: every dimension of the mechanism [m, rad]; `shape`: the default distribution; `output`: the body (its angle), or
+    "P.x", "P.y" of a point, on which clearances have an effect.
 
     Raises
     ------

@@ -43,13 +43,7 @@ class CycleLimits(Alignment):
     """Largest pressure angle of every dyad over the cycle; a table states those of single dyads by their joints."""
 
     def transmission_bounds(self, joints: Sequence[str]) -> Iterator[Bound]:
-        """Yield the limits of the transmission angle of every dyad.
-
-        Parameters
-        ----------
-        joints : sequence of str
-            Joints of the dyads.
-        """
+        """Yield the limits of the transmission angle of the dyads with these joints."""
         for joint in joints:
             limit = transmission_limit(self.transmission_angle, self.pressure_angle, joint)
             if limit is not None and limit.pressure and limit.high is not None:

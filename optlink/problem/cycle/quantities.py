@@ -52,13 +52,7 @@ def moving_points(mechanism: Mechanism) -> list[str]:
 
 
 def guide_of(name: str, mechanism: Mechanism) -> str | None:
-    """Return the guide of that name, or the only guide of a slider of that name; None if there is none.
-
-    Parameters
-    ----------
-    name : str
-        Name of a guide or slider.
-    """
+    """Return the guide of that name, or the only guide of a slider of that name; None if there is none."""
     if any(guide.name == name for guide in mechanism.guides):
         return name
     guides = [guide.name for guide in mechanism.guides if guide.slider == name]

@@ -252,12 +252,7 @@ class Limit(Term):
         return f'"{KINDS[self.nature.kind].example}"' if self.nature.kind else "1.8"
 
     def interval(self, mechanism: Mechanism, quantities: Mapping[str, Quantity]) -> Interval:
-        """Return the bounds [SI].
-
-        Parameters
-        ----------
-        quantities : mapping of str to Quantity
-            Quantities of the file.
+        """Return the bounds [SI]; `quantities` are those of the file.
 
         Raises
         ------
@@ -341,12 +336,7 @@ def output_of(term: Term, mechanism: Mechanism) -> tuple[str, str]:
 
 
 def check_term(term: Term, mechanism: Mechanism, quantities: Mapping[str, Quantity]) -> None:
-    """Check that the elements named by a term exist.
-
-    Parameters
-    ----------
-    quantities : mapping of str to Quantity
-        Quantities of the file.
+    """Check that the elements named by a term exist; `quantities` are those of the file.
 
     Raises
     ------

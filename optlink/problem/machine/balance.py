@@ -36,7 +36,6 @@ def read_measure(text: object) -> BalanceMeasure:
     Raises
     ------
     Unusable
-        when the text is not a measure.
     """
     from optlink.dynamics.counterweights import KINDS, BalanceMeasure
 
@@ -116,17 +115,9 @@ class MeasureLimit:
 def read_measure_limit(name: str, raw: object) -> MeasureLimit:
     """Read the limit of a measure: "50 N", "5 N*m", or "80 %" of its value in the original machine.
 
-    Parameters
-    ----------
-    name : str
-        The measure.
-    raw : object
-        The limit as read from the file.
-
     Raises
     ------
     Unusable
-        when measure or limit cannot be read.
     """
     measure = read_measure(name)
     text = str(raw).strip()
@@ -422,7 +413,6 @@ class BalanceSection(Section):
         Raises
         ------
         Unusable
-            If it is not a point of the frame.
         """
         mechanism = machine.mechanism
         if isinstance(self.about, tuple):

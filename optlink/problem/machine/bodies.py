@@ -55,14 +55,7 @@ class BodySection(Section):
     """Moment of inertia about the centroid, or `uniform bar`; required for a link with a mass."""
 
     def inertia_of(self, body: str, mechanism: Mechanism, sizes: Mapping[str, Value]) -> Inertia:
-        """Return the mass properties for given dimensions.
-
-        Parameters
-        ----------
-        body : str
-            Name of the body.
-        sizes : mapping of str to float, array or symbol [m, rad]
-            Dimensions of the mechanism.
+        """Return the mass properties of a body for given dimensions of the mechanism [m, rad].
 
         Raises
         ------
@@ -157,7 +150,6 @@ def read_gravity(raw: object) -> Any:
     Raises
     ------
     Unusable
-        If it is neither, or has no unit of an acceleration.
     """
     if isinstance(raw, list):
         if len(raw) != 2:

@@ -75,12 +75,7 @@ class ControlSection(Section):
     """Largest crank angle correction of the PID."""
 
     def check(self, machine: Machine, gaps: Sequence[Gap]) -> None:
-        """Check that the controller fits the machine.
-
-        Parameters
-        ----------
-        gaps : sequence of Gap
-            Joints with clearance.
+        """Check that the controller fits the machine and its joints with clearance.
 
         Raises
         ------

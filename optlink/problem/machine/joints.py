@@ -114,12 +114,7 @@ class JointSection(Section):
         return self.clearance is not None or both
 
     def gap(self, point: str, mechanism: Mechanism) -> Gap:
-        """Return the joint with clearance.
-
-        Parameters
-        ----------
-        point : str
-            Name of the pin.
+        """Return the pin `point` as a joint with clearance.
 
         Raises
         ------
@@ -185,14 +180,7 @@ class JointSection(Section):
         return float(stiffness(radius + clearance, radius, first, second))
 
     def check_unused(self, point: str, bodies: Sequence[str]) -> None:
-        """Refuse keys without effect in a joint without clearance.
-
-        Parameters
-        ----------
-        point : str
-            Name of the pin.
-        bodies : sequence of str
-            The bodies that it joins.
+        """Refuse keys without effect in a pin without clearance that joins these bodies.
 
         Raises
         ------

@@ -120,21 +120,11 @@ Size = Constant | Formula | LoadTable
 def read_size(raw: object, folder: Path, kind: str, names: Iterable[str]) -> Size:
     """Read a force or torque: a quantity, an expression with its unit, or a table over phi, s or omega.
 
-    Parameters
-    ----------
-    raw : object
-        Value as read from the file.
-    folder : Path
-        Folder to which the name of a CSV file is relative.
-    kind : str
-        "force" or "torque".
-    names : iterable of str
-        Variables of an expression; a table may run over those of them in `OVER`.
+    `names` are the variables of an expression; a table may run over those of them in `OVER`.
 
     Raises
     ------
     Unusable
-        when the value cannot be read, with the key below the present one.
     """
     if not isinstance(raw, dict):
         value, own_unit = read_scalar(raw, kind)

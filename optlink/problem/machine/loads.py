@@ -24,12 +24,7 @@ from optlink.problem.quantity import (
 
 
 def spring_ends(mechanism: Mechanism, between: tuple[str, str]) -> list[tuple[str, str]]:
-    """Return body and point of both ends of a spring or damper.
-
-    Parameters
-    ----------
-    between : tuple of two str
-        Names of the points.
+    """Return body and point of both ends of a spring or damper between two points.
 
     Raises
     ------
@@ -79,14 +74,7 @@ class LoadSection(Section):
     """Viscous damping of the rotation of `on` relative to `against`."""
 
     def build(self, name: str, mechanism: Mechanism, motion: RevolutionSamples) -> Load:
-        """Return the load of a machine.
-
-        Parameters
-        ----------
-        name : str
-            Name of the load.
-        motion : RevolutionSamples
-            Samples of the motion over a revolution.
+        """Return the load of a machine, whose motion over a revolution decides on strokes and angles.
 
         Raises
         ------

@@ -161,13 +161,7 @@ class Problem(Section):
         return 1.0, self.objective_unit
 
     def shown_objective(self, objective: float) -> ShownObjective:
-        """Return an objective, and how changes of it are shown.
-
-        Parameters
-        ----------
-        objective : float [SI]
-            Minimised value.
-        """
+        """Return an objective, the minimised value [SI], and how changes of it are shown."""
         factor, unit = self.objective_display
         return ShownObjective(factor * objective, factor, unit)
 
@@ -297,15 +291,10 @@ class Problem(Section):
         return deviations(self.tolerances, mechanism, quantities, largest | pivots, output=output)
 
     def machine(self, design: Mapping[str, Value] | None = None, slow: Mapping[str, Direction] | None = None) -> Machine:
-        """Return the machine for given quantities; values and starts of the file are the defaults.
+        """Return the machine for given quantities [m, rad]; values and starts of the file are the defaults.
 
-        Parameters
-        ----------
-        design : mapping of str to float, array or symbol [m, rad], optional
-            Values of quantities.
-        slow : mapping of str to "forward" or "backward", optional
-            The slow stroke of loads of the slow or quick stroke, for a crank that turns counter-clockwise; default: that of the
-            machine of this design.
+        `slow`: the slow stroke of loads of the slow or quick stroke, for a crank that turns counter-clockwise; default: that
+        of the machine of this design.
 
         Raises
         ------
@@ -352,12 +341,7 @@ class Problem(Section):
         )
 
     def check_repeats(self, machine: Machine) -> None:
-        """Refuse loads that do not repeat after whole revolutions of the crank, so that the machine has no cycle.
-
-        Parameters
-        ----------
-        machine : Machine
-            Its crank turns fully.
+        """Refuse loads that do not repeat after whole revolutions of a crank that turns fully, so that the machine has no cycle.
 
         Raises
         ------
@@ -390,10 +374,7 @@ class Problem(Section):
     def slow_senses(self, design: Mapping[str, Value]) -> Array:
         """Return the slow strokes of the loads that act by pace (loads, designs): 1 forward, -1 backward, 0 for equal strokes.
 
-        Parameters
-        ----------
-        design : mapping of str to array (designs, 1) [m, rad]
-            Values of quantities.
+        Each quantity of `design` is an array (designs, 1) [m, rad].
         """
         machine = self.machine(design, dict.fromkeys(self.loads, "forward"))
         motion = RevolutionSamples(Machine(machine.mechanism, machine.sizes))

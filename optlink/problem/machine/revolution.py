@@ -70,7 +70,6 @@ class RevolutionSamples:
         Raises
         ------
         Unusable
-            If the load is one.
         """
         rates = self._rates(load)
         size = float(np.max(self.machine.size)) if isinstance(load, Force) else 1.0
@@ -124,16 +123,9 @@ class RevolutionSamples:
         return np.asarray(sense, dtype=float).reshape(-1)
 
     def middle(self, body: str, against: str, free: float) -> Value:
-        """Return the middle of the swing of a body relative to another [rad], within half a revolution of `free`.
+        """Return the middle of the swing of a body relative to another [rad], within half a revolution of `free` [rad].
 
         A number, or an array (designs, 1) if the swing differs from design to design.
-
-        Parameters
-        ----------
-        against : str
-            The other body.
-        free : float [rad]
-            Reference angle.
 
         Raises
         ------

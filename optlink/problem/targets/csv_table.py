@@ -32,19 +32,11 @@ class CsvTable:
     rows: Iterator[tuple[int, list[str]]]
 
     def number(self, row: int, cells: Sequence[str], index: int, remedy: str = f"Correct or remove the row; {DECIMALS}") -> float:
-        """Return the number in a cell.
-
-        Parameters
-        ----------
-        row : int
-            Number of the row in the file.
-        index : int
-            Of the column.
+        """Return the number in a cell, by the number of its row in the file and the index of its column.
 
         Raises
         ------
         Unusable
-            If the cell is missing or contains no finite number.
         """
         cell = cells[index] if index < len(cells) else ""
         value = read_number(plain(cell))
@@ -57,16 +49,9 @@ class CsvTable:
     def check_unit(self, index: int, least: float, largest: float) -> None:
         """Refuse angles in degrees that run through one revolution in radians.
 
-        Parameters
-        ----------
-        index : int
-            Of the column.
-        least, largest : float [deg]
-
         Raises
         ------
         Unusable
-            If the column does so.
         """
         title = self.titles[index]
         if title.endswith("_deg") and REVOLUTION[0] < largest - least < REVOLUTION[1]:
@@ -93,16 +78,7 @@ def read_csv(raw: Mapping[str, Any], folder: Path, most: int) -> CsvTable:
     """Read a CSV file with a title row; its delimiter is a comma, or a semicolon or tab of the title row.
 
     Lines that begin with # or % are comments. Text is UTF-8, UTF-16 with its byte order mark, or an 8-bit code, in which numbers
-    and the titles of optlink are the same.
-
-    Parameters
-    ----------
-    raw : mapping
-        Its key csv names the file. Devices, pipes and files that are too large are refused.
-    folder : Path
-        Folder to which the name is relative.
-    most : int
-        Largest number of rows below the title row.
+    and the titles of optlink are the same. Devices, pipes and files that are too large are refused.
 
     Raises
     ------
@@ -179,29 +155,14 @@ def read_columns(
     ordered: Literal["", "rising", "either way"] = "",
     most: int = MAX_ROWS,
 ) -> list[list[float]]:
-    """Read columns of a CSV file whose header names them with their units: phi_deg, s_mm, force_N.
+    """Return columns [SI] of a CSV file whose header names them with their units: phi_deg, s_mm, force_N.
 
-    Parameters
-    ----------
-    raw : mapping
-        Its key csv names the file. Devices, pipes and files that are too large are refused.
-    folder : Path
-        Folder to which the name is relative.
-    kinds : mapping of str to str
-        Physical kind for each column name.
-    ordered : "", "rising" or "either way"
-        Whether the first of them must rise from row to row, or rise or fall.
-    most : int
-        Largest number of rows.
-
-    Returns
-    -------
-    lists in the order of `kinds` [SI]
+    `kinds` has the physical kind for each column name; `ordered` is whether the first of them must rise from row to row, or rise
+    or fall.
 
     Raises
     ------
     Unusable
-        with the file, and the row of the error.
     """
     table = read_csv(raw, folder, most)
     columns = [(*_column(table, name, kind), kind) for name, kind in kinds.items()]

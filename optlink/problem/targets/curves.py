@@ -25,18 +25,9 @@ class CurvePiece:
 
 
 def resample(pieces: Sequence[CurvePiece], count: int) -> tuple[Array, bool, float]:
-    """Sample a curve evenly by arc length.
+    """Return points (count, 2) [m] exactly on a curve, evenly by arc length, whether it is closed, and its length [m].
 
-    Parameters
-    ----------
-    pieces : sequence of CurvePiece
-        Consecutive pieces of the curve.
-    count : int
-        Number of points.
-
-    Returns
-    -------
-    points (count, 2) [m], exactly on the curve; whether it is closed: then the first is not repeated; its length [m]
+    The first point of a closed curve is not repeated.
 
     Raises
     ------
@@ -64,22 +55,11 @@ def resample(pieces: Sequence[CurvePiece], count: int) -> tuple[Array, bool, flo
 
 
 def sampled_targets(points: Array, unit: str, loop: bool, note: str) -> TargetPoints:
-    """Return points sampled from a curve as targets.
-
-    Parameters
-    ----------
-    points : array (n, 2) [m]
-    unit : str
-        Display unit.
-    loop : bool
-        Whether the curve is closed.
-    note : str
-        Description of the sampling, for display.
+    """Return points (n, 2) [m] sampled from a curve as targets; `loop`: the curve is closed.
 
     Raises
     ------
     Unusable
-        when neighbouring points coincide.
     """
     check_apart(PointRows({"x": points[:, 0], "y": points[:, 1]}, unit, key="points"))
     return TargetPoints(pairs(points), unit=unit, note=f"{note}; closed, the first is not repeated" if loop else note, loop=loop)

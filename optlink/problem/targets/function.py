@@ -66,14 +66,7 @@ class Function:
 
 
 def read_function(raw: Mapping[str, Any], kind: str = "angle") -> Function:
-    """Read a function from a problem file.
-
-    Parameters
-    ----------
-    raw : mapping
-        Table of the file.
-    kind : str
-        Kind of the output: "angle" or "coordinate".
+    """Read a function from its table; the kind of the output is "angle" or "coordinate".
 
     Raises
     ------

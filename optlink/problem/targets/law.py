@@ -111,12 +111,7 @@ def begins_at_psi0(law: Source) -> bool:
 
 
 def is_periodic(law: Source, name: str) -> bool:
-    """Return whether values of the start angle phi0 or of psi0 that are a revolution apart prescribe the same output.
-
-    Parameters
-    ----------
-    name : "phi0" or "psi0"
-    """
+    """Return whether values of the start angle phi0 or of psi0 that are a revolution apart prescribe the same output."""
     if not isinstance(law, Expression | SlideExpression):
         return True
     phi0, psi0 = STARTS
@@ -140,14 +135,7 @@ def rotation(law: Source, span: Quantity | None) -> float:
 def check_rotation(law: Source, span: Quantity | None, key: str, start: object) -> None:
     """Refuse a span or a start that a law brings itself, and a span that is missing or out of range.
 
-    Parameters
-    ----------
-    span : Quantity, optional
-        Span that the file states.
-    key : str
-        Key of the start in the requirement.
-    start : object, optional
-        Start that the file states.
+    `span` and `start` are those that the file states, `key` is that of the start in the requirement.
 
     Raises
     ------
@@ -190,34 +178,18 @@ class Law:
         return self.source.at(self.offsets) if isinstance(self.source, Table) else np.zeros(len(self.offsets))
 
     def target(self, offset: Value, tabulated: Value, phi0: Value, psi0: Value) -> Value:
-        """Return the prescribed output [rad or m]; elementwise.
+        """Return the prescribed output [rad or m] at a crank rotation `offset` from the start [rad]; elementwise.
 
-        Parameters
-        ----------
-        offset : float, array or symbol [rad]
-            Crank rotation from the start.
-        tabulated : float, array or symbol [rad or m]
-            `Law.tabulated` at that offset.
-        phi0 : float, array or symbol [rad]
-            Crank angle at the start.
-        psi0 : float, array or symbol [rad or m]
-            Output at the start.
+        `tabulated`: `Law.tabulated` there; `phi0`, `psi0`: crank angle and output at the start.
         """
         if not isinstance(self.source, Table):
             return self.source({"phi": phi0 + offset, "phi0": phi0, "psi0": psi0})
         return tabulated + psi0 if self.source.from_start else tabulated
 
     def curve(self, offsets: Array, phi0: Value, psi0: Value) -> Array:
-        """Return the prescribed output [rad or m] for one design, or for several.
+        """Return the prescribed output [rad or m] at crank rotations (n,) from the start [rad].
 
-        Parameters
-        ----------
-        offsets : array (n,) [rad]
-            Crank rotations from the start.
-        phi0 : float or array (designs, 1) [rad]
-            Crank angle at the start.
-        psi0 : float or array (designs, 1) [rad or m]
-            Output at the start.
+        `phi0` and `psi0`, crank angle and output at the start, are numbers, or arrays (designs, 1) for several designs.
         """
         tabulated = self.source.at(offsets) if isinstance(self.source, Table) else 0.0
         return np.asarray(self.target(offsets, tabulated, phi0, psi0) + 0.0 * offsets, dtype=float)
@@ -225,13 +197,6 @@ class Law:
 
 def read_law(raw: object, folder: Path) -> Expression | Function | Table:
     """Read a law from a problem file: an expression, a function, a table, or the CSV file of a table.
-
-    Parameters
-    ----------
-    raw : object
-        Value as read from the file.
-    folder : Path
-        Folder to which the name of a CSV file is relative.
 
     Raises
     ------
@@ -256,13 +221,6 @@ def read_output_law(raw: object, folder: Path) -> Source:
 
     In addition to the forms of `read_law`: { slide = "s0 + 40*(1 - cos(phi))", unit = "mm" }, a table of phi and s, or a function
     with the output of a slide.
-
-    Parameters
-    ----------
-    raw : object
-        Value as read from the file.
-    folder : Path
-        Folder to which the name of a CSV file is relative.
 
     Raises
     ------

@@ -46,20 +46,11 @@ class PointRows:
         return f"{what} {' and '.join(map(str, numbers))}{f' of {self.file}' if self.file else ''}"
 
     def refuse(self, bad: NDArray[np.bool_], column: str, message: str, remedy: str) -> None:
-        """Raise an error for the first bad row, if there is one.
-
-        Parameters
-        ----------
-        bad : array (n,) of bool
-        column : str
-            Column of the error.
-        message : str
-            Message, in which {} stands for the name of the row.
+        """Raise an error for the first bad row (n,), if there is one; in the message {} stands for the name of the row.
 
         Raises
         ------
         Unusable
-            when any row is bad.
         """
         if bad.any():
             row = int(np.argmax(bad))
@@ -141,19 +132,11 @@ _TITLES = {
 
 
 def read_csv_rows(raw: Mapping[str, Any], folder: Path) -> PointRows:
-    """Read rows of a CSV file; unlike `law.read_columns` it allows only known columns, and empty cells.
-
-    Parameters
-    ----------
-    raw : mapping
-        Its key csv names the file.
-    folder : Path
-        Folder to which the name is relative.
+    """Read rows of a CSV file; unlike `csv_table.read_columns` it allows only known columns, and empty cells.
 
     Raises
     ------
     Unusable
-        with the file, and the row of the error.
     """
     table = read_csv(raw, folder, MAX_ROWS)
     name = table.name
@@ -212,12 +195,7 @@ def _check_titles(table: CsvTable) -> None:
 
 
 def check_and_reduce(rows: PointRows, requested_count: int | None) -> TargetPoints:
-    """Check the rows, and reduce them to the requested number or to `MAX_POINTS`.
-
-    Parameters
-    ----------
-    requested_count : int or None
-        Requested number of points; None: as many as there are, up to `MAX_POINTS`.
+    """Check the rows, and reduce them to the requested number, by default as many as there are, up to `MAX_POINTS`.
 
     Raises
     ------
@@ -303,7 +281,6 @@ def check_apart(rows: PointRows) -> None:
     Raises
     ------
     Unusable
-        If two points coincide, or all of them.
     """
     points, columns = rows.points, rows.columns
     if "crank" not in columns:

@@ -28,13 +28,6 @@ def read_points(raw: object, folder: Path) -> TargetPoints:
     evenly by rows. A closed curve that is sampled or reduced by arc length does not repeat its first point at the end. The y axis
     of SVG points down, that of optlink up, so y changes its sign; the origin remains that of the drawing.
 
-    Parameters
-    ----------
-    raw : object
-        Value as read from the file.
-    folder : Path
-        Folder to which names of other files are relative.
-
     Raises
     ------
     Unusable

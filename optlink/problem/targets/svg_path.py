@@ -250,19 +250,11 @@ def _scale(root: _Element, name: str, forgive: bool) -> float | None:
 
 
 def svg_points(raw: Mapping[str, Any], folder: Path) -> TargetPoints:
-    """Return points of a shape of an SVG file.
-
-    Parameters
-    ----------
-    raw : mapping
-        Table of the file: svg, and optionally path, unit and points.
-    folder : Path
-        Folder to which the name of the SVG file is relative.
+    """Return points of a shape of an SVG file, from a table with svg, and optionally path, unit and points.
 
     Raises
     ------
     Unusable
-        when the file or the shape cannot be read.
     """
     count = read_count(raw)
     millimetres_per_unit = metres(raw) * 1e3 if "unit" in raw else None
