@@ -271,31 +271,32 @@ def parse(text: object, kind: str) -> tuple[float, str]:
     UnitProblem
         Not a text, no number, no unit, unknown unit, unit of another quantity, or not finite.
     """
-    expected_kind = KINDS[kind]
+    expected_kind, quantity = KINDS[kind], with_article(kind)
+    remedy = f'Write a number and a unit: "{expected_kind.example}"'
     if isinstance(text, bool) or not isinstance(text, (str, int, float)):
         kinds = {bool: "a logical value", list: "a list", dict: "a table", datetime.date: "a date", datetime.time: "a time"}
         name = kinds.get(type(text), type(text).__name__)
-        raise UnitProblem(f"expected {_a(kind)}, found {name}", f'Write it as text: "{expected_kind.example}"')
+        raise UnitProblem(f"expected {quantity}, found {name}", f'Write it as text: "{expected_kind.example}"')
     if not isinstance(text, str):
         if abs(text) > 1e300 or not math.isfinite(text):
-            raise UnitProblem(f"{_a(kind)} must be finite", f'Write a number and a unit: "{expected_kind.example}"')
+            raise UnitProblem(f"{quantity} must be finite", remedy)
         results = () if OPTIONS_NAMED.get() else (expected_kind.si.replace("**", "^"),)  # a length is typed in mm
         units = dict.fromkeys((expected_kind.display, *results))
-        written = " or ".join(f'"{_digits(text)} {unit}"' for unit in units)
-        raise UnitProblem(f"{_a(kind)} needs a unit", f"Write {written}, with the quotes")
+        written = " or ".join(f'"{text:.12g} {unit}"' for unit in units)
+        raise UnitProblem(f"{quantity} needs a unit", f"Write {written}, with the quotes")
     text = plain(text[:201])
     match = _QUANTITY.fullmatch(text) if len(text) <= 200 else None
     if match is None or _UNIT.fullmatch(match[2] or "m") is None:
         _check_form(text.strip(), kind)
     if match is None:
-        raise UnitProblem(f"this is not {_a(kind)}", f'Write a number and a unit: "{expected_kind.example}"')
+        raise UnitProblem(f"this is not {quantity}", remedy)
     number, unit = match.groups()
     if unit is None:
-        raise UnitProblem(f"{_a(kind)} needs a unit", f'Write "{number} {expected_kind.display}"')
+        raise UnitProblem(f"{quantity} needs a unit", f'Write "{number} {expected_kind.display}"')
     known_unit = _unit(unit, kind)
     value = float(number) * known_unit.scale
     if not math.isfinite(value):
-        raise UnitProblem(f"{_a(kind)} must be finite", f'Write a number and a unit: "{expected_kind.example}"')
+        raise UnitProblem(f"{quantity} must be finite", remedy)
     return value, known_unit.symbol
 
 
@@ -305,7 +306,7 @@ def _check_form(text: str, kind: str) -> None:
     if len(text) > 200:
         return
     if re.match(r"[-+]?(nan|inf)", text, re.IGNORECASE):
-        raise UnitProblem(f"{_a(kind)} must be finite", f'Write a number and a unit: "{expected_kind.example}"')
+        raise UnitProblem(f"{with_article(kind)} must be finite", f'Write a number and a unit: "{expected_kind.example}"')
     if split_range(text) is not None:
         raise UnitProblem(f"one {kind} is needed here, not a range", f'Write one value: "{expected_kind.example}"')
     numbers, unit = respelled(text)
@@ -371,12 +372,9 @@ def split(text: str) -> tuple[float, str] | None:
     return None if match is None else (float(match[1]), match[2] or "")
 
 
-def _a(kind: str) -> str:
-    return f"{'an' if kind[0] in 'aeiou' else 'a'} {kind}"
-
-
-def _digits(number: float) -> str:
-    return f"{number:.12g}"
+def with_article(words: str) -> str:
+    """Return words after "a" or "an"."""
+    return f"{'an' if words[0] in 'aeiou' else 'a'} {words}"
 
 
 DISPLAYED = {"m": (1e3, "mm"), "rad": (math.degrees(1.0), "deg"), "": (1.0, "")}
@@ -386,7 +384,7 @@ DISPLAYED = {"m": (1e3, "mm"), "rad": (math.degrees(1.0), "deg"), "": (1.0, "")}
 def display_unit(kind: str) -> tuple[float, str]:
     """Return the factor from SI to the display unit of a kind, and that unit."""
     unit = KINDS[kind].display
-    return 1.0 / factor(unit, kind) if unit else 1.0, unit
+    return 1.0 / factor(unit, kind), unit
 
 
 def show(value: float, kind: str, unit: str | None = None, digits: int = 6) -> str:

@@ -7,6 +7,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 from pydantic.fields import FieldInfo
@@ -63,10 +64,7 @@ class PathProblem(Problem):
     limits: PathLimits = PathLimits()
     """Limits of the design."""
 
-    @property
-    def task(self) -> str:
-        """Kind of task: path, motion or function synthesis, or transmission."""
-        return "path"
+    task: ClassVar[str] = "path"
 
     def check(self) -> None:
         """Check that the sections are consistent.

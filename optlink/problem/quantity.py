@@ -10,12 +10,12 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeGuard
 
 from pydantic import AfterValidator, BeforeValidator
 
 from optlink.errors import InputError, InvalidValue, nearest as nearest
-from optlink.units import KINDS, display_unit, factor, parse, show
+from optlink.units import KINDS, display_unit, factor, parse, show, with_article
 
 SHORTEST, LONGEST = 1e-9, 1e6  # m; beyond them squares of ratios overflow
 LARGEST, LARGEST_ANGLE = 1e30, 1e6  # in SI: products of several larger ones overflow, and sines of larger angles lose digits
@@ -79,8 +79,7 @@ class Quantity:
     @property
     def si_per_unit(self) -> float:
         """The display unit [SI]."""
-        unit = KINDS[self.kind].display
-        return factor(unit, self.kind) if unit else 1.0
+        return factor(KINDS[self.kind].display, self.kind)
 
     def __str__(self) -> str:
         if not self.free:
@@ -140,15 +139,21 @@ def largest(kind: str) -> float:
     return LARGEST_ANGLE if kind == "angle" else LARGEST
 
 
-def _possible(value: float, text: object, kind: str, key: str = "") -> float:
-    if kind == "length" and value <= 0.0:
-        raise Unusable("a length must be positive", f'Give one above zero, for example "{KINDS[kind].example}"', key, text)
-    if kind == "length" and not SHORTEST <= value <= LONGEST:
-        raise Unusable("no linkage has such a length", "Give one between 1e-9 m and 1000 km, and check its unit", key, text)
-    if abs(value) > largest(kind):
-        remedy = f'Give at most {largest(kind):.0e} {KINDS[kind].si}, for example "{KINDS[kind].example}", and check its unit'
-        raise Unusable("the value is too large", remedy, key, text)
-    return value
+def is_number(raw: object) -> TypeGuard[int | float]:
+    """Return whether a value of a file is a plain number, which a logical value is not."""
+    return isinstance(raw, int | float) and not isinstance(raw, bool)
+
+
+def check_pair(raw: object, message: str, remedy: str, key: str = "") -> Sequence[Any]:
+    """Return a list of two values; refuse any other.
+
+    Raises
+    ------
+    Unusable
+    """
+    if not isinstance(raw, list | tuple) or len(raw) != 2:
+        raise Unusable(message, remedy, key, raw)
+    return raw
 
 
 def read_scalar(text: object, kind: str, key: str = "") -> tuple[float, str]:
@@ -160,7 +165,14 @@ def read_scalar(text: object, kind: str, key: str = "") -> tuple[float, str]:
     """
     with below(key, text):
         value, unit = parse(text, kind)
-    return _possible(value, text, kind, key), unit
+        if kind == "length" and value <= 0.0:
+            raise Unusable("a length must be positive", f'Give one above zero, for example "{KINDS[kind].example}"')
+        if kind == "length" and not SHORTEST <= value <= LONGEST:
+            raise Unusable("no linkage has such a length", "Give one between 1e-9 m and 1000 km, and check its unit")
+        if abs(value) > largest(kind):
+            remedy = f'Give at most {largest(kind):.0e} {KINDS[kind].si}, for example "{KINDS[kind].example}", and check its unit'
+            raise Unusable("the value is too large", remedy)
+    return value, unit
 
 
 def read_quantity(raw: object, kind: str) -> Quantity:
@@ -176,7 +188,7 @@ def read_quantity(raw: object, kind: str) -> Quantity:
         stated = isinstance(raw, list) and len(raw) == 2 and all(isinstance(end, str) for end in raw)
         ends = json.dumps(raw, ensure_ascii=False) if stated else range_example(kind)
         remedy = f'Write {{ bounds = {ends} }} for a design variable, or one value, for example "{KINDS[kind].example}"'
-        raise Unusable(f"this is not {'an' if kind[0] in 'aeiou' else 'a'} {kind}", remedy, "", raw)
+        raise Unusable(f"this is not {with_article(kind)}", remedy, "", raw)
     if not isinstance(raw, dict):
         value, unit = read_scalar(raw, kind)
         return Quantity(value, kind, unit)
@@ -185,8 +197,7 @@ def read_quantity(raw: object, kind: str) -> Quantity:
     bounds = raw.get("bounds")
     if bounds is None:
         raise Unusable("a free quantity needs bounds", f"Add {example}, or give one value to fix it", "bounds")
-    if not isinstance(bounds, list) or len(bounds) != 2:
-        raise Unusable("bounds are two values, lower and upper", f"Write {example}", "bounds", bounds)
+    check_pair(bounds, "bounds are two values, lower and upper", f"Write {example}", "bounds")
     (low, low_unit), (high, _) = (read_scalar(bound, kind, "bounds") for bound in bounds)
     if low == high:
         raise Unusable("both bounds are the same", f'Give one value to fix it: "{bounds[0]}"', "bounds", bounds)
@@ -217,7 +228,7 @@ def read_number(raw: object, key: str) -> float:
     """
     if isinstance(raw, str) and (share := re.fullmatch(r"\s*([-+]?(?:\d+(?:\.\d*)?|\.\d+))\s*%\s*", raw, re.ASCII)):
         raw = float(share.group(1)) / 100.0
-    if isinstance(raw, bool) or not isinstance(raw, int | float):
+    if not is_number(raw):
         remedy = "Write a number without a unit, for example 1.2"
         if isinstance(raw, str) and re.fullmatch(r"\s*[-+]?\d+,\d+\s*", raw):
             remedy = f"Write a decimal point, without quotes: {raw.strip().replace(',', '.')}"
@@ -237,10 +248,10 @@ def read_fixed(raw: object, kind: str) -> Quantity:
     """
     if isinstance(raw, dict):
         raise Unusable("this quantity cannot be free", f'Give one value, for example "{KINDS[kind].example}"', "", raw)
-    if isinstance(raw, list | str):
-        value, unit = read_scalar(raw, kind)
-        return Quantity(value, kind, unit)
-    return read_quantity(raw, kind)
+    if isinstance(raw, Quantity):
+        return raw
+    value, unit = read_scalar(raw, kind)
+    return Quantity(value, kind, unit)
 
 
 def read_positive(raw: object, kind: str) -> Quantity:
@@ -252,7 +263,7 @@ def read_positive(raw: object, kind: str) -> Quantity:
     """
     quantity = read_fixed(raw, kind)
     if quantity.value < 0.0:
-        raise Unusable(f"{'an' if kind[0] in 'aeiou' else 'a'} {kind} must not be negative", "Give zero or more", "", raw)
+        raise Unusable(f"{with_article(kind)} must not be negative", "Give zero or more", "", raw)
     return quantity
 
 

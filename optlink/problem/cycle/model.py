@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from pydantic import ConfigDict, Field
 
@@ -73,10 +73,7 @@ class CycleProblem(Problem):
     """Limits on quantities of the cycle, each under a name of your choice, and the least distance from positions where the
     mechanism locks."""
 
-    @property
-    def task(self) -> str:
-        """Kind of task: cycle optimisation."""
-        return "cycle"
+    task: ClassVar[str] = "cycle"
 
     @cached_property
     def goals(self) -> tuple[Goal, ...]:
