@@ -93,26 +93,29 @@ def _models(annotation: Any) -> Iterator[Any]:
         yield from _models(inner)
 
 
-def _fitting(path: tuple[str | int, ...], model: type[Problem], raw: Mapping[str, Any]) -> list[str]:
+def _known(path: tuple[str | int, ...], model: type[Problem], raw: Mapping[str, Any]) -> list[str]:
     """Return the keys at a path of sections that are valid for the task of the file."""
     from optlink.problem.path import PathProblem
     from optlink.problem.path_requirement import inapplicable_keys
 
-    keys = known_keys(path, model)
+    keys, dyads = known_keys(path, model), of_dyads(raw)
     if path == ("mechanism",):
-        other = FourBarSection if of_dyads(raw) else DyadsSection
-        section = DyadsSection if of_dyads(raw) else FourBarSection
-        keys = [key for key in keys if key in section.model_fields or key not in other.model_fields]
+        fields = (DyadsSection if dyads else FourBarSection).model_fields
+        keys = [key for key in keys if key in fields]
     if model is PathProblem and len(path) == 1:
-        others = inapplicable_keys(str(path[0]), raw["requirement"].get("kind", "function"), four_bar=not of_dyads(raw))
+        others = inapplicable_keys(str(path[0]), raw["requirement"].get("kind", "function"), four_bar=not dyads)
         keys = [key for key in keys if key not in others]
     return keys
 
 
-def _elsewhere(section: str, key: str, model: type[Problem]) -> list[str]:
-    """Return the full names of a key that belongs to other sections than the one where it stands."""
-    others = (name for name in ("mechanism", "requirement", "limits", "drive") if name != section and name in model.model_fields)
-    return [f"{name}.{key}" for name in others if key in known_keys((name,), model)]
+def _nearest_key(path: list[str | int], model: type[Problem], raw: Mapping[str, Any]) -> str:
+    """Return the remedy for an unknown key, which may belong to another section than the one where it stands."""
+    key = str(path[-1])
+    deeper = keys_ending(raw, key) if len(path) == 1 else []
+    if not deeper and len(path) < 3:
+        sections = (name for name in ("mechanism", "requirement", "limits", "drive") if name in model.model_fields)
+        deeper = [f"{name}.{key}" for name in sections if name != path[0] and key in known_keys((name,), model)]
+    return nearest(key, _known(tuple(path[:-1]), model, raw), deeper)
 
 
 def faults(error: pydantic.ValidationError, model: type[Problem], raw: Mapping[str, Any], file: str) -> Iterator[Fault]:
@@ -132,54 +135,46 @@ def faults(error: pydantic.ValidationError, model: type[Problem], raw: Mapping[s
 
 
 def _faults(error: pydantic.ValidationError, model: type[Problem], raw: Mapping[str, Any], file: str) -> Iterator[Fault]:
+    of_types = ("str", "Quantity", "function-before[<lambda>(), Quantity]", "[key]")
     for item in error.errors(include_url=False):
-        path = [step for step in item["loc"] if step not in ("str", "Quantity", "function-before[<lambda>(), Quantity]")]
-        path = [step for step in path if step != "[key]"]
+        path = [step for step in item["loc"] if step not in of_types]
         if path[:1] == ["mechanism"] and path[1:2] in (["four-bar"], ["dyads"]):
             del path[1]  # the tag of the union type
-        key = ".".join(str(step) for step in path)
-        value, kind, context = item["input"], item["type"], item.get("ctx", {})
-        problem = context.get("error")
+        key = ".".join(map(str, path))
+        value, problem = _plain(item["input"]), item.get("ctx", {}).get("error")
         if isinstance(problem, Unusable):
             below = f".{problem.key}" if problem.key and not problem.key.startswith("[") else problem.key
-            yield Fault(problem.message, problem.remedy, file, key + below, problem.value if problem.key else _plain(value))
-        elif kind == "extra_forbidden":
-            fitting = _fitting(tuple(path[:-1]), model, raw)
-            deeper = _elsewhere(str(path[0]), str(path[-1]), model)
-            deeper = deeper if path[1:] else keys_ending(raw, key) or deeper
-            if asked := unsupported_key(key):
-                yield Fault(*asked, file, key)
-                continue
-            yield Fault(UNKNOWN, nearest(str(path[-1]), fitting, deeper if len(path) < 3 else []), file, key)
-        elif kind == "union_tag_invalid":
+            yield Fault(problem.message, problem.remedy, file, key + below, problem.value if problem.key else value)
+        elif item["type"] == "extra_forbidden":
+            yield Fault(*(unsupported_key(key) or (UNKNOWN, _nearest_key(path, model, raw))), file, key)
+        elif item["type"] == "union_tag_invalid":
             linkage_type = raw["mechanism"].get("type")
-            yield Fault(
-                "not a type of linkage",
-                nearest(str(linkage_type), ("four-bar", "dyads")) + " (slider-crank, six-bar and others: `optlink new --list`)",
-                file,
-                f"{key}.type",
-                _plain(linkage_type),
-            )
-        elif kind == "missing":
+            known = nearest(str(linkage_type), ("four-bar", "dyads"))
+            remedy = f"{known} (slider-crank, six-bar and others: `optlink new --list`)"
+            yield Fault("not a type of linkage", remedy, file, f"{key}.type", _plain(linkage_type))
+        elif item["type"] == "missing":
             yield Fault(MISSING, _example(key), file, key)
-        elif kind == "literal_error":
-            options = re.findall("'([^']*)'", str(context.get("expected", "")))
-            yield Fault("not one of the choices", nearest(str(value), options), file, key, _plain(value))
-        elif kind in ("model_type", "model_attributes_type") and path[:-1] == ["limits"]:
-            limit = f'{path[1]} = {{ quantity = "torque", max = "10 N*m" }}'
-            remedy = f"Leave it out, or limit a quantity of the cycle: {limit}"
-            yield Fault("not a limit of this kind of problem", remedy, file, key, _plain(value))
-        elif kind in ("model_type", "model_attributes_type"):
-            body = f'Write {path[-1]} = {{ mass = "1.2 kg" }}' if path[:-1] == ["bodies"] else ""
-            remedy = body or (f"Begin it with [{key}]" if key else "Write the sections")
-            yield Fault("expected a table", remedy, file, key, _plain(value))
-        elif kind == "string_type":
-            plain_text = isinstance(value, int | float) and len(path) == 1
-            remedy = f'Write it in quotes: "{value}"' if plain_text else _example(key)
-            yield Fault("this is not a text", remedy, file, key, _plain(value))
         else:
-            message = item["msg"][0].lower() + item["msg"][1:]
-            yield Fault(_WRONG[kind].format(**context) if kind in _WRONG else message, _example(key), file, key, _plain(value))
+            yield Fault(*_wrong(item, path, key), file, key, value)
+
+
+def _wrong(item: Any, path: list[str | int], key: str) -> tuple[str, str]:
+    """Return the message and the remedy for a value of the wrong type or out of range."""
+    value, kind, context = item["input"], item["type"], item.get("ctx", {})
+    if kind == "literal_error":
+        return "not one of the choices", nearest(str(value), re.findall("'([^']*)'", str(context.get("expected", ""))))
+    if kind in ("model_type", "model_attributes_type"):
+        if path[:-1] == ["limits"]:
+            limit = f'{path[1]} = {{ quantity = "torque", max = "10 N*m" }}'
+            return "not a limit of this kind of problem", f"Leave it out, or limit a quantity of the cycle: {limit}"
+        if path[:-1] == ["bodies"]:
+            return "expected a table", f'Write {path[-1]} = {{ mass = "1.2 kg" }}'
+        return "expected a table", f"Begin it with [{key}]" if key else "Write the sections"
+    if kind == "string_type":
+        plain_text = isinstance(value, int | float) and len(path) == 1
+        return "this is not a text", f'Write it in quotes: "{value}"' if plain_text else _example(key)
+    message = _WRONG[kind].format(**context) if kind in _WRONG else item["msg"][0].lower() + item["msg"][1:]
+    return message, _example(key)
 
 
 _WRONG = {

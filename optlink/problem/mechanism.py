@@ -12,15 +12,25 @@ from optlink.linkage.fourbar import LENGTHS, four_bar
 from optlink.linkage.mechanism import FRAME, BodyPoint, Guide, Link, Mechanism, Size
 from optlink.problem.base_model import RESERVED, Name, Section
 from optlink.problem.nearby import NearPlace, read_near
-from optlink.problem.quantity import Angle, Coordinate, Friction, Length, Quantity, Unusable, below, check_name, read_quantity
+from optlink.problem.quantity import (
+    Angle,
+    Coordinate,
+    Friction,
+    Length,
+    Quantity,
+    Unusable,
+    below,
+    check_name,
+    check_pair,
+    read_quantity,
+)
 from optlink.unsupported import unsupported
 
 
 def _read_place(raw: object) -> tuple[Quantity, Quantity]:
-    if not isinstance(raw, list | tuple) or len(raw) != 2:
-        raise Unusable("a place is a list of two coordinates", 'Write ["100 mm", "0 mm"]', "", raw)
+    pair = check_pair(raw, "a place is a list of two coordinates", 'Write ["100 mm", "0 mm"]')
     coordinates = []
-    for axis, coordinate in zip(("x", "y"), raw, strict=True):
+    for axis, coordinate in zip("xy", pair, strict=True):
         try:
             coordinates.append(read_quantity(coordinate, "coordinate"))
         except Unusable as error:
@@ -33,9 +43,9 @@ Place = Annotated[Any, BeforeValidator(_read_place)]
 
 def _read_mode(raw: object, read: Callable[[object], Any]) -> Any:
     """Read one of the assembly modes, or the place of the joint."""
-    if isinstance(raw, str) and read_near(raw) is None:
-        raw = ", ".join(part.strip() for part in raw.split(","))
-    return raw if read_near(raw) is not None else read(raw)
+    if read_near(raw) is not None:
+        return raw
+    return read(", ".join(part.strip() for part in raw.split(",")) if isinstance(raw, str) else raw)
 
 
 def _check_place(raw: str) -> str:
@@ -386,6 +396,11 @@ def check_one_mode(mechanism: FourBarSection | DyadsSection) -> None:
             raise Unusable(message, 'Write "left", "right" or "either"', "mechanism.assembly", mechanism.assembly)
         joint, mode = next((joint, mode) for joint, mode in mechanism.assembly.items() if CONTINUE in mode)
         raise Unusable(message, f'Take "{CONTINUE}" out', f"mechanism.assembly.{joint}", mode)
+
+
+def moving_points(mechanism: Mechanism) -> list[str]:
+    """Return the names of the points that move."""
+    return [point for point, bodies in mechanism.owners.items() if FRAME not in bodies]
 
 
 def sizes_of(quantities: Mapping[str, Quantity]) -> dict[str, float]:

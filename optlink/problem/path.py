@@ -150,7 +150,7 @@ class PathProblem(Problem):
         """The law of the output at its design positions."""
         source, count = self.requirement.law, self.requirement.points
         if isinstance(source, Table) and count is None:
-            return Law(source, np.asarray(source.phi) - (0.0 if source.from_start else source.phi[0]))
+            return Law(source, source.offsets)
         first = source.phi[0] if isinstance(source, Table) and source.from_start else 0.0
         return Law(source, first + (self.rotation_of_law - first) * np.linspace(0.0, 1.0, (count or POSITIONS) + 1))
 

@@ -13,7 +13,7 @@ from optlink.linkage.mechanism import FRAME, Mechanism
 from optlink.linkage.vector2d import Array
 from optlink.problem.base_model import in_folder
 from optlink.problem.mechanism import DyadsSection, FourBarSection
-from optlink.problem.quantity import Quantity, Unusable, below, check_keys, check_name, nearest
+from optlink.problem.quantity import Quantity, Unusable, below, check_keys, check_name, is_number, nearest
 from optlink.problem.targets.csv_table import read_columns
 from optlink.units import parse, plain
 
@@ -148,7 +148,7 @@ def read_tolerance(raw: object, folder: Path) -> ToleranceEntry:
         if shape is not None and (shape not in CHOICES or entry.measured):
             message = "measured deviations are a distribution themselves" if entry.measured else "unknown distribution"
             raise Unusable(message, "Leave it out" if entry.measured else nearest(str(shape), CHOICES), "distribution", shape)
-        if isinstance(cost, bool) or not isinstance(cost, int | float) or not 0.0 < cost < math.inf:
+        if not is_number(cost) or not 0.0 < cost < math.inf:
             raise Unusable("a cost coefficient must be a number above zero", "Write cost = 2", "cost", cost)
         return replace(entry, shape=shape, cost=float(cost))
     if not isinstance(raw, str):

@@ -20,6 +20,8 @@ from optlink.problem.quantity import (
     Unusable,
     Velocity,
     check_name,
+    check_pair,
+    is_number,
     read_positive,
     read_scalar,
     where,
@@ -45,10 +47,8 @@ def _read_clearance(raw: object) -> Quantity:
 def _read_pair(raw: object, kind: str) -> tuple[float, float]:
     """Read one value for both parts, or the values of the journal and of the bearing."""
     if isinstance(raw, list):
-        if len(raw) != 2:
-            raise Unusable("one value, or two: of the journal and of the bearing", "Give one or two", "", raw)
-        first, second = (_one(part, kind) for part in raw)
-        return first, second
+        check_pair(raw, "one value, or two: of the journal and of the bearing", "Give one or two")
+        return _one(raw[0], kind), _one(raw[1], kind)
     value = _one(raw, kind)
     return value, value
 
@@ -59,7 +59,7 @@ def _one(raw: object, kind: str) -> float:
         if value == 0.0:
             raise Unusable(f"a {kind} of the contact must be positive", 'Give for example "207 GPa"', "", raw)
         return value
-    if isinstance(raw, bool) or not isinstance(raw, int | float):
+    if not is_number(raw):
         raise Unusable("expected a plain number", "Write a number without a unit, for example 0.3", "", raw)
     if not -1.0 < raw <= 0.5:
         raise Unusable("Poisson's ratio lies above -1 and not above 0.5", "Give for example 0.3, that of steel", "", raw)

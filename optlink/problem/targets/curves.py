@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from optlink.linkage.vector2d import Array
-from optlink.problem.quantity import LONGEST, SHORTEST, Unusable, below
+from optlink.problem.quantity import LONGEST, SHORTEST, Unusable, below, check_pair, is_number
 from optlink.problem.targets.expression import Expression, LawError, parse
 from optlink.problem.targets.point_table import PointRows, check_apart
 from optlink.problem.targets.target_points import COINCIDENT, HEAVIEST, TargetPoints, metres, pairs, read_count, shortened
@@ -83,8 +83,7 @@ def expression_curve(raw: Mapping[str, Any]) -> TargetPoints:
         raise Unusable("unknown spacing of the points", 'Write "t" or "arc length"', "spacing", spacing)
     x, y = (_expression(raw[key], ("t",), key) for key in ("x", "y"))
     bounds = raw["t"]
-    if not isinstance(bounds, list | tuple) or len(bounds) != 2:
-        raise Unusable("t needs two values, first and last", 'Write t = [0, "2*pi"]', "t", bounds)
+    check_pair(bounds, "t needs two values, first and last", 'Write t = [0, "2*pi"]', "t")
     begin, end = (_bound(bound, f"t[{number}]") for number, bound in enumerate(bounds))
     if begin == end:
         raise Unusable("t starts where it ends", 'Write t = [0, "2*pi"], for example', "t[1]", bounds[1])
@@ -118,15 +117,14 @@ def _expression(raw: object, names: Iterable[str], key: str) -> Expression:
 
 def _bound(raw: object, key: str) -> float:
     remedy = 'Write a plain number or a constant expression, for example 0 or "2*pi"'
-    if isinstance(raw, bool) or not isinstance(raw, int | float | str):
-        raise Unusable("expected a bound of t", remedy, key, raw)
-    if not isinstance(raw, str):
-        value: Any = raw
-    else:
+    value: Any = raw
+    if isinstance(raw, str):
         try:
             value = parse(raw, ())({})
         except LawError as error:
             raise Unusable(error.message, remedy, key, shortened(raw)) from None
+    elif not is_number(raw):
+        raise Unusable("expected a bound of t", remedy, key, raw)
     if not abs(value) <= HEAVIEST:  # NaN too
         raise Unusable("the bound of t is not finite, or too large", remedy, key, shortened(raw))
     return float(value)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.linkage.vector2d import Array
-from optlink.problem.quantity import LONGEST, SHORTEST, Unusable, nearest, read_scalar
+from optlink.problem.quantity import LONGEST, SHORTEST, Unusable, is_number, nearest, read_scalar
 from optlink.problem.targets.csv_table import CsvTable, read_csv
 from optlink.problem.targets.target_points import COINCIDENT, HEAVIEST, MAX_POINTS, TargetPoints, diagonal, pairs, shortened
 from optlink.units import factor, read_number, show
@@ -116,7 +116,7 @@ def read_rows(raw: Sequence[object]) -> PointRows:
 
 
 def _number(raw: object, key: str) -> float:
-    if isinstance(raw, bool) or not isinstance(raw, int | float) or not abs(raw) <= HEAVIEST:
+    if not is_number(raw) or not abs(raw) <= HEAVIEST:
         raise Unusable(f"expected a plain number above zero, at most {HEAVIEST:g}", "Write weight = 2.0, for example", key, raw)
     return float(raw)
 
