@@ -172,17 +172,13 @@ class NumpyEvaluator:
         out = np.empty((self.outputs, first * width))
         rows = max(1, PORTION // max(1, width))
         with self._one_thread:
-            block = self._block(first * width)
+            size = BLOCKS[0] if first * width <= 2 * BLOCKS[0] else BLOCKS[1]
+            if size not in self._blocks:
+                self._blocks[size] = _Block(self._function, size)
+            block = self._blocks[size]
             for row in range(0, first, rows):
                 given = np.empty((len(arrays), min(rows, first - row), *others))
                 for own, x in zip(given, arrays, strict=True):
                     own[...] = x[row : row + rows] if x.ndim == own.ndim and len(x) > 1 else x
                 block.evaluate(given.reshape(len(arrays), -1), out[:, row * width : (row + rows) * width])
         return out.reshape(self.outputs, *shape)
-
-    def _block(self, count: int) -> _Block:
-        """Return the function for as many positions."""
-        size = BLOCKS[0] if count <= 2 * BLOCKS[0] else BLOCKS[1]
-        if size not in self._blocks:
-            self._blocks[size] = _Block(self._function, size)
-        return self._blocks[size]

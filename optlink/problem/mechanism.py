@@ -174,9 +174,7 @@ class FourBarSection(Section):
 
     def variants(self, mechanism: Mechanism) -> list[dict[str, str]]:
         """Return changes of the file that determine the assembly modes left open, one per combination."""
-        if self.assembly != EITHER:
-            return [{}]
-        return [{"mechanism.assembly": "left"}, {"mechanism.assembly": "right"}]
+        return [{"mechanism.assembly": side} for side in ("left", "right")] if self.assembly == EITHER else [{}]
 
     @property
     def friction(self) -> dict[str, float]:
@@ -308,21 +306,23 @@ class DyadsSection(Section):
             when the bodies do not form a chain of dyads.
         """
         self._check_names()
-        links = [link for link, _ in self._links()]
+        links = list(self._links())
         body = driver or ("crank" if "crank" in self.links else None)
         if body is None:
             raise Unusable("no body is driven", f"Add [drive] body, one of: {', '.join(self.links)}", "drive.body")
         check_name(body, self.links, "no such body", "drive.body")
-        points = [point for _, marks in self._links() for point in marks]
+        points = [
+            BodyPoint(point, name_of, f"{name_of}.{point}.along", f"{name_of}.{point}.across")
+            for name_of, link in self.links.items()
+            for point in link.points
+        ]
         guides = list(self._guides())
+        ground: dict[str, tuple[Size, Size]] = {point: (f"{point}.x", f"{point}.y") for point in self.ground}
         modes = {**self.assembly, **dict.fromkeys(self.near, EITHER)}
         with below("mechanism"):
-            return assemble(name, self._ground(), links, points, guides, body, modes)
+            return assemble(name, ground, links, points, guides, body, modes)
 
-    def _ground(self) -> dict[str, tuple[Size, Size]]:
-        return {point: (f"{point}.x", f"{point}.y") for point in self.ground}
-
-    def _links(self) -> Iterator[tuple[Link, list[BodyPoint]]]:
+    def _links(self) -> Iterator[Link]:
         for name, link in self.links.items():
             key = f"mechanism.links.{name}"
             start, end = (*link.joints, "")[:2]
@@ -334,15 +334,13 @@ class DyadsSection(Section):
             for point in names:
                 if names.count(point) > 1:
                     raise Unusable("the point is given twice", "Remove one of the two, or rename it", key, point)
-            points = [BodyPoint(p, name, f"{name}.{p}.along", f"{name}.{p}.across") for p in link.points]
-            yield Link(name, start, end, f"{name}.length" if end else 0.0), points
+            yield Link(name, start, end, f"{name}.length" if end else 0.0)
 
     def _guides(self) -> Iterator[Guide]:
         for name, guide in self.guides.items():
             key = f"mechanism.guides.{name}"
-            for what in ("slider", "on"):
-                names = [*self.links, FRAME] if what == "on" else list(self.links)
-                check_name(getattr(guide, what), names, "no such body", f"{key}.{what}")
+            check_name(guide.slider, self.links, "no such body", f"{key}.slider")
+            check_name(guide.on, [*self.links, FRAME], "no such body", f"{key}.on")
             if guide.slider == guide.on:
                 raise Unusable("a body cannot slide on itself", "Name the body that carries the line", f"{key}.on", guide.on)
             through: str | tuple[Size, Size]
@@ -366,9 +364,7 @@ class DyadsSection(Section):
 
     def _check_names(self) -> None:
         seen: dict[str, str] = {}
-        points = dict.fromkeys(
-            [*self.ground, *(p for link in self.links.values() for p in (*link.joints, *link.points))], "point"
-        )
+        points = dict.fromkeys([*self.ground, *(p for link in self.links.values() for p in (*link.joints, *link.points))])
         for kind, names in (("body", self.links), ("point", points), ("guide", self.guides)):
             for name in names:
                 if name in RESERVED:

@@ -141,13 +141,14 @@ def read_tolerance(raw: object, folder: Path) -> ToleranceEntry:
         check_keys(raw, KEYS)
         if "tolerance" not in raw:
             raise Unusable("this key is missing", 'Add tolerance = "0.1 mm"', "tolerance")
-        entry = read_tolerance(raw["tolerance"], folder) if isinstance(raw["tolerance"], str) else None
-        if entry is None:
+        if not isinstance(raw["tolerance"], str):
             raise Unusable("expected a tolerance with its unit", 'Write tolerance = "0.1 mm"', "tolerance", raw["tolerance"])
+        entry = read_tolerance(raw["tolerance"], folder)
         shape, cost = raw.get("distribution", entry.shape), raw.get("cost", 1.0)
-        if shape is not None and (shape not in CHOICES or entry.measured):
-            message = "measured deviations are a distribution themselves" if entry.measured else "unknown distribution"
-            raise Unusable(message, "Leave it out" if entry.measured else nearest(str(shape), CHOICES), "distribution", shape)
+        if shape is not None and entry.measured:
+            raise Unusable("measured deviations are a distribution themselves", "Leave it out", "distribution", shape)
+        if shape is not None:
+            check_name(shape, CHOICES, "unknown distribution", "distribution")
         if not is_number(cost) or not 0.0 < cost < math.inf:
             raise Unusable("a cost coefficient must be a number above zero", "Write cost = 2", "cost", cost)
         return replace(entry, shape=shape, cost=float(cost))
@@ -157,9 +158,7 @@ def read_tolerance(raw: object, folder: Path) -> ToleranceEntry:
     text = raw.strip().strip("\"'").strip()
     quantity, _, word = text.rpartition(" ")
     numbered = any(letter.isdigit() for letter in quantity)
-    if (
-        numbered and word.isalpha() and plain(quantity.strip())[-1:].isalpha()
-    ):  # two words after the number: a unit and a distribution
+    if numbered and word.isalpha() and plain(quantity.strip())[-1:].isalpha():  # a unit and a distribution after the number
         check_name(word, CHOICES, "unknown distribution")
         return ToleranceEntry(quantity.strip(), word)
     entry = ToleranceEntry(text)

@@ -89,11 +89,9 @@ class ControlSection(Section):
             check_name(self.output, available, "no such slider or body", "output")
         for point in self.known or ():
             check_name(point, points, "the joint has no clearance", "known")
-        output, regularisation = (
-            available[self.output] if self.output is not None else default_output(machine),
-            self.regularisation,
-        )
+        regularisation = self.regularisation
         if regularisation is not None:
+            output = default_output(machine) if self.output is None else available[self.output]
             needed, example = ("a length", '"5 mm"') if output.guide else ("an angle", '"5 deg"')
             if (regularisation.kind == "length") != bool(output.guide):
                 message = f"{output.name} moves by {needed} per radian"

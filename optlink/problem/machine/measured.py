@@ -1,6 +1,6 @@
 """A measured series of the output: a CSV file over time or crank angle, of displacements or of the voltages of a sensor."""
 
-import math
+import contextlib
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -90,7 +90,7 @@ def read_measured(raw: object, folder: Path) -> MeasuredSeries:
 
 def _is_angle(raw: object) -> bool:
     """Return whether a calibration is one of angles."""
-    try:
-        return math.isfinite(read_scalar(raw, "angle")[0])
-    except Unusable:
-        return False
+    with contextlib.suppress(Unusable):
+        read_scalar(raw, "angle")
+        return True
+    return False

@@ -98,9 +98,8 @@ def read_csv(raw: Mapping[str, Any], folder: Path, most: int) -> CsvTable:
     while titles and not titles[-1]:
         titles.pop()
     if len(titles) == 1 and re.search(r"_\w+[\s|:]+\w", titles[0]):
-        raise Unusable(
-            f"{name} has a single column", "Separate its columns by commas, semicolons or tabs", "csv", shortened(titles[0])
-        )
+        remedy = "Separate its columns by commas, semicolons or tabs"
+        raise Unusable(f"{name} has a single column", remedy, "csv", shortened(titles[0]))
     return CsvTable(name, titles, _checked(rows, name, len(titles), most))
 
 
@@ -136,15 +135,15 @@ def _checked(rows: Iterator[tuple[int, list[str]]], name: str, width: int, most:
 
 
 COLUMN_UNITS = {
-    "angle": {"deg": "deg", "rad": "rad"},
-    "coordinate": {"mm": "mm", "m": "m", "cm": "cm", "in": "in"},
-    "force": {"N": "N", "kN": "kN"},
-    "torque": {"Nm": "N*m"},
-    "angular velocity": {"rpm": "rpm", "rad_s": "rad/s"},
-    "time": {"s": "s", "ms": "ms"},
-    "voltage": {"V": ""},
+    "angle": ("deg", "rad"),
+    "coordinate": ("mm", "m", "cm", "in"),
+    "force": ("N", "kN"),
+    "torque": ("Nm",),
+    "angular velocity": ("rpm", "rad_s"),
+    "time": ("s", "ms"),
+    "voltage": ("V",),
 }
-"""Units by the suffix of a column name, for each kind; "" for a plain number."""
+"""Units that a column name ends in, for each kind; volts are plain numbers."""
 
 
 def read_columns(
@@ -197,7 +196,7 @@ def _check_order(title: str, name: str, numbers: Sequence[int], values: Sequence
 
 def _column(table: CsvTable, name: str, kind: str) -> tuple[int, float]:
     """Return the index of a column and its unit [SI]."""
-    units = {f"{name}_{ending}": unit for ending, unit in COLUMN_UNITS[kind].items()}
+    units = {f"{name}_{unit}": unit for unit in COLUMN_UNITS[kind]}
     indices = [index for index, title in enumerate(table.titles) if title in units]
     if not indices:
         message = f"{table.name} has no column {' or '.join(units)}"
@@ -205,5 +204,5 @@ def _column(table: CsvTable, name: str, kind: str) -> tuple[int, float]:
         raise Unusable(message, remedy, "csv", shortened(", ".join(table.titles)) or None)
     if len(indices) > 1:
         raise Unusable(f"{table.name} has two columns of {name}", "Keep one of them", "csv")
-    unit = units[table.titles[indices[0]]]
-    return indices[0], factor(unit, kind) if unit else 1.0
+    unit = units[table.titles[indices[0]]].replace("_", "/")
+    return indices[0], 1.0 if unit == "V" else factor(unit, kind)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from optlink.linkage.vector2d import Array
 from optlink.problem.quantity import LONGEST, SHORTEST, Unusable, is_number, nearest, read_scalar
-from optlink.problem.targets.csv_table import CsvTable, read_csv
+from optlink.problem.targets.csv_table import COLUMN_UNITS, CsvTable, read_csv
 from optlink.problem.targets.target_points import COINCIDENT, HEAVIEST, MAX_POINTS, TargetPoints, diagonal, pairs, shortened
 from optlink.units import factor, read_number, show
 
@@ -55,12 +55,8 @@ class PointRows:
         if bad.any():
             row = int(np.argmax(bad))
             key = f"[{row}].{column}" if self.key is None else self.key
-            raise Unusable(message.format(self.named(row)), remedy, key, _people(column, float(self.columns[column][row])))
-
-
-def _people(column: str, value: float) -> str:
-    kind = _COLUMNS[column]
-    return show(value, kind) if kind else f"{value:.6g}"
+            kind, value = _COLUMNS[column], float(self.columns[column][row])
+            raise Unusable(message.format(self.named(row)), remedy, key, show(value, kind) if kind else f"{value:.6g}")
 
 
 _COLUMNS = {"x": "coordinate", "y": "coordinate", "crank": "angle", "angle": "angle", "weight": "", "tolerance": "length"}
@@ -121,14 +117,8 @@ def _number(raw: object, key: str) -> float:
     return float(raw)
 
 
-_ENDINGS = {
-    "coordinate": ("mm", "m", "cm", "in"),
-    "length": ("mm", "m", "cm", "in"),
-    "angle": ("deg", "rad"),
-}  # suffixes of column names
-_TITLES = {
-    (f"{name}_{unit}" if unit else name): (name, unit) for name, kind in _COLUMNS.items() for unit in _ENDINGS.get(kind, ("",))
-}
+_ENDINGS = {"length": COLUMN_UNITS["coordinate"], "": ("",)} | COLUMN_UNITS
+_TITLES = {f"{name}_{unit}".rstrip("_"): (name, unit) for name, kind in _COLUMNS.items() for unit in _ENDINGS[kind]}
 
 
 def read_csv_rows(raw: Mapping[str, Any], folder: Path) -> PointRows:
@@ -139,7 +129,6 @@ def read_csv_rows(raw: Mapping[str, Any], folder: Path) -> PointRows:
     Unusable
     """
     table = read_csv(raw, folder, MAX_ROWS)
-    name = table.name
     if table.titles:
         _check_titles(table)
     read: list[tuple[str, str, int, array[float]]] = [
@@ -158,13 +147,14 @@ def read_csv_rows(raw: Mapping[str, Any], folder: Path) -> PointRows:
             else:
                 values.append(_LEFT_OUT[column])
     if not numbers:
-        raise Unusable(f"{name} has no rows", "Give the columns x_mm and y_mm, and at least one row below them", "csv", name)
+        remedy = "Give the columns x_mm and y_mm, and at least one row below them"
+        raise Unusable(f"{table.name} has no rows", remedy, "csv", table.name)
     for column, _, index, values in read:
         if column == "crank":
             table.check_unit(index, min(values), max(values))
     columns = {column: np.array(values) * (factor(unit, _COLUMNS[column]) if unit else 1.0) for column, unit, _, values in read}
     unit = next(unit for column, unit, *_ in read if column == "x")
-    return PointRows(columns, unit, name, numbers, "csv")
+    return PointRows(columns, unit, table.name, numbers, "csv")
 
 
 def _check_titles(table: CsvTable) -> None:
@@ -173,9 +163,8 @@ def _check_titles(table: CsvTable) -> None:
     for title in titles:
         if not title:
             message = f"column {titles.index(title) + 1} of {name} has no title"
-            raise Unusable(
-                message, "Name it, or remove it, such as the index that pandas writes without index=False", "csv", name
-            )
+            remedy = "Name it, or remove it, such as the index that pandas writes without index=False"
+            raise Unusable(message, remedy, "csv", name)
         if title not in _TITLES:
             examples = [allowed for allowed in _TITLES if not allowed.endswith(("_cm", "_in"))]
             with_unit = [allowed for allowed in examples if allowed.startswith(f"{title.lower()}_")]
@@ -186,9 +175,8 @@ def _check_titles(table: CsvTable) -> None:
     columns = [_TITLES[title][0] for title in titles]
     for column in ("x", "y"):
         if column not in columns:
-            raise Unusable(
-                f"{name} has no column {column}_mm", f"Name the columns in the first row, one of them {column}_mm", "csv", name
-            )
+            remedy = f"Name the columns in the first row, one of them {column}_mm"
+            raise Unusable(f"{name} has no column {column}_mm", remedy, "csv", name)
     for column in columns:
         if columns.count(column) > 1:
             raise Unusable(f"{name} has two columns of {column}", "Keep one of them", "csv", name)
@@ -252,9 +240,9 @@ def _check_ranges(rows: PointRows) -> None:
         tolerances = columns["tolerance"]
         bad = np.isfinite(tolerances) & ((tolerances < SHORTEST) | (tolerances > LONGEST))
         rows.refuse(bad, "tolerance", "the tolerance of {} is out of range", f"Give one above zero, at least {SHORTEST:g} m")
-    if "crank" not in columns or len(columns["crank"]) < 2:
+    crank = columns.get("crank")
+    if crank is None or len(crank) < 2:
         return
-    crank = columns["crank"]
     steps = np.diff(crank)
     way = 1.0 if 2 * np.count_nonzero(steps > 0.0) >= len(steps) else -1.0  # the sense of the majority
     rows.refuse(
