@@ -185,7 +185,7 @@ class FourBarSection(Section):
 def _read_joints(raw: object) -> tuple[str, ...]:
     if not isinstance(raw, list | tuple) or not 1 <= len(raw) <= 2 or not all(isinstance(name, str) for name in raw):
         remedy = 'Write joints = ["B", "C"] (more under points), or joints = ["E"] for a body that a guide carries'
-        raise Unusable("expected the names of one or two joints", remedy, "", raw)
+        raise Unusable("expected the names of one or two joints", remedy)
     return tuple(raw)
 
 

@@ -91,12 +91,11 @@ class PathProblem(Problem):
             check_points(task, self.target_points, self.timing, self.mechanism, self.linkage)
             shift = max(map(abs, self.centre))
             if shift > MAX_SHIFT * self.size:
-                raise Unusable(
+                message = (
                     f"the points lie {shift / self.size:.1e} times their own size away from the origin, "
-                    "so double precision does not resolve their shape",
-                    "Check the units, or move the origin near the points",
-                    "requirement.points",
+                    "so double precision does not resolve their shape"
                 )
+                raise Unusable(message, "Check the units, or move the origin near the points", "requirement.points")
         check_path_limits(limits, self.mechanism, self.linkage)
         super().check()
 
@@ -269,8 +268,7 @@ class PathProblem(Problem):
         """The targets as arrays."""
         target, task = self.target_points, self.requirement
         if task.kind == "function":
-            law = self.law
-            return _plain(np.column_stack([law.offsets, law.tabulated]), law.offsets)
+            return _plain(np.column_stack([self.law.offsets, self.law.tabulated]), self.law.offsets)
         if task.kind == "transmission":
             exact = isinstance(self.mechanism, FourBarSection)
             offsets = np.array([0.0, math.pi]) if exact else np.linspace(0.0, TURN, GRID, endpoint=False)

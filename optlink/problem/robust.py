@@ -65,10 +65,10 @@ def read_robust(raw: object) -> Robust | None:
         return Robust(text)
     match = _SIGMAS.fullmatch(text)
     if match is None:
-        raise Unusable("this does not state how tolerances are taken into account", _REMEDY, "", raw)
+        raise Unusable("this does not state how tolerances are taken into account", _REMEDY)
     sigmas = float(match[1])
     if not 0.0 <= sigmas <= MAX_SIGMAS:
-        raise Unusable("out of range", f'Give 0 to {MAX_SIGMAS:g} standard deviations, such as "3 sigma"', "", raw)
+        raise Unusable("out of range", f'Give 0 to {MAX_SIGMAS:g} standard deviations, such as "3 sigma"')
     return Robust(f"{sigmas:g} sigma", sigmas)
 
 

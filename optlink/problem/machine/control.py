@@ -24,7 +24,7 @@ class ServoSection(Section):
 
 def _read_joints(raw: object) -> Any:
     if not isinstance(raw, list | tuple) or not all(isinstance(name, str) for name in raw):
-        raise Unusable("expected a list of joints", 'Write known = ["C"]', "", raw)
+        raise Unusable("expected a list of joints", 'Write known = ["C"]')
     return tuple(raw)
 
 

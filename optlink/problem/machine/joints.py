@@ -38,9 +38,9 @@ def _read_clearance(raw: object) -> Quantity:
     value, unit = read_scalar(raw, "coordinate")
     if value <= 0.0:
         message = "a clearance is positive: the radius of the bearing minus that of the journal"
-        raise Unusable(message, 'Give one such as "0.5 mm", or remove the key for an ideal joint', "", raw)
+        raise Unusable(message, 'Give one such as "0.5 mm", or remove the key for an ideal joint')
     if value < SHORTEST:
-        raise Unusable("no joint has such a clearance", "Give 1e-9 m or more, and check its unit", "", raw)
+        raise Unusable("no joint has such a clearance", "Give 1e-9 m or more, and check its unit")
     return Quantity(value, "length", unit)
 
 
@@ -57,12 +57,12 @@ def _one(raw: object, kind: str) -> float:
     if kind:
         value = read_positive(raw, kind).value
         if value == 0.0:
-            raise Unusable(f"a {kind} of the contact must be positive", 'Give for example "207 GPa"', "", raw)
+            raise Unusable(f"a {kind} of the contact must be positive", 'Give for example "207 GPa"')
         return value
     if not is_number(raw):
-        raise Unusable("expected a plain number", "Write a number without a unit, for example 0.3", "", raw)
+        raise Unusable("expected a plain number", "Write a number without a unit, for example 0.3")
     if not -1.0 < raw <= 0.5:
-        raise Unusable("Poisson's ratio lies above -1 and not above 0.5", "Give for example 0.3, that of steel", "", raw)
+        raise Unusable("Poisson's ratio lies above -1 and not above 0.5", "Give for example 0.3, that of steel")
     return float(raw)
 
 

@@ -61,7 +61,7 @@ def sampled_targets(points: Array, unit: str, loop: bool, note: str) -> TargetPo
     ------
     Unusable
     """
-    check_apart(PointRows({"x": points[:, 0], "y": points[:, 1]}, unit, key="points"))
+    check_apart(PointRows(dict(zip("xy", points.T, strict=True)), unit, key="points"))
     return TargetPoints(pairs(points), unit=unit, note=f"{note}; closed, the first is not repeated" if loop else note, loop=loop)
 
 
@@ -93,9 +93,8 @@ def expression_curve(raw: Mapping[str, Any]) -> TargetPoints:
         if not worry and np.max(np.abs(np.asarray(law({"t": fine}), dtype=float))) * size > LONGEST:
             worry = f"exceeds {LONGEST / 1e3:g} km"
         if worry:
-            raise Unusable(
-                f"{key} {worry} between t = {begin:.6g} and t = {end:.6g}", "Choose another range of t", key, shortened(raw[key])
-            )
+            message = f"{key} {worry} between t = {begin:.6g} and t = {end:.6g}"
+            raise Unusable(message, "Choose another range of t", key, shortened(raw[key]))
 
     def at(u: Array) -> Array:
         variables = {"t": begin + (end - begin) * u}

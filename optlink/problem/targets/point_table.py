@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.linkage.vector2d import Array
-from optlink.problem.quantity import LONGEST, SHORTEST, Unusable, is_number, nearest, read_scalar
+from optlink.problem.quantity import LONGEST, SHORTEST, Unusable, below, check_keys, is_number, nearest, read_scalar
 from optlink.problem.targets.csv_table import COLUMN_UNITS, CsvTable, read_csv
 from optlink.problem.targets.target_points import COINCIDENT, HEAVIEST, MAX_POINTS, TargetPoints, diagonal, pairs, shortened
 from optlink.units import factor, read_number, show
@@ -84,9 +84,8 @@ def read_rows(raw: Sequence[object]) -> PointRows:
             row = dict(zip("xy", row, strict=True))
         if not isinstance(row, dict):
             raise Unusable(f"point {number + 1} is neither a list nor a table", example, f"[{number}]", row)
-        for key in row:
-            if key not in _COLUMNS:
-                raise Unusable("unknown key", nearest(str(key), _COLUMNS), f"[{number}].{key}")
+        with below(f"[{number}]"):
+            check_keys(row, list(_COLUMNS))
         for name, kind in _COLUMNS.items():
             key = f"[{number}].{name}"
             if name not in row and name in ("x", "y"):
@@ -199,12 +198,12 @@ def check_and_reduce(rows: PointRows, requested_count: int | None) -> TargetPoin
         _check_size(rows)
         loop = bool(np.hypot(*(points[-1] - points[0])) <= COINCIDENT * size)
         at, here = np.linspace(0.0, length, most, endpoint=not loop), np.concatenate([[0.0], np.cumsum(chords)])
-        even = np.stack([np.interp(at, here, points[:, 0]), np.interp(at, here, points[:, 1])], axis=1)
-        check_apart(PointRows({"x": even[:, 0], "y": even[:, 1]}, rows.unit, key="points" if requested_count else rows.key or ""))
-        return TargetPoints(pairs(even), unit=rows.unit, note=_reduced(rows, most, "arc length"), loop=loop)
+        even = {name: np.interp(at, here, rows.columns[name]) for name in "xy"}
+        reduced = PointRows(even, rows.unit, key="points" if requested_count else rows.key or "")
+        check_apart(reduced)
+        return TargetPoints(pairs(reduced.points), unit=rows.unit, note=_reduced(rows, most, "arc length"), loop=loop)
     check_apart(rows)
-    note = ""
-    columns = dict(rows.columns)
+    note, columns = "", dict(rows.columns)
     if number > most:
         # values of a row apply to its point alone, so rows are selected and not interpolated
         picked = np.round(np.linspace(0, number - 1, most)).astype(int)

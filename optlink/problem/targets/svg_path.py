@@ -153,7 +153,7 @@ def _chosen(shapes: Sequence[_Element], raw: Mapping[str, Any], name: str) -> _E
     remedy = f"It has, by number: {listing}{', ...' if len(numbered) > 8 else ''}"
     if "path" not in raw and len(numbered) != 1:
         raise Unusable(f"{name} has {len(numbered)} paths; name one of them", remedy, "path")
-    number = requested if isinstance(requested, int) else int(requested) if re.fullmatch("[0-9]{1,7}", requested) else 0
+    number = int(requested) if re.fullmatch("[0-9]{1,7}", str(requested)) else 0
     if not 1 <= number <= len(numbered):
         raise Unusable(f"{name} has no such path", remedy, "path", shortened(requested))
     return numbered[number - 1]
@@ -184,7 +184,7 @@ def _transform(element: _Element, name: str) -> Array:
     matrix, end = np.eye(3), 0
     while end < len(text):
         match = _FUNCTION.match(text, end)
-        step = _step(match.group(1), match.group(2)) if match else None
+        step = match and _step(*match.groups())
         if match is None or step is None:
             raise Unusable(f"the transform of {element} of {name} cannot be read", _FLATTEN, "path", shortened(text[end:]))
         matrix, end = matrix @ step, match.end()
@@ -228,8 +228,8 @@ def _scale(root: _Element, name: str, forgive: bool) -> float | None:
     sides = []
     for side in ("width", "height"):
         match = re.fullmatch(rf"({_N})\s*([a-zA-Z]+)", root.attributes.get(side, "").strip())
-        unit = match.group(2).lower() if match else ""
-        sides.append(float(match.group(1)) * _MILLIMETRES[unit] if match and unit in _MILLIMETRES else None)
+        unit = _MILLIMETRES.get(match[2].lower()) if match else None
+        sides.append(float(match[1]) * unit if match and unit else None)
     if sides == [None, None]:
         return None
     if "viewBox" not in root.attributes:
