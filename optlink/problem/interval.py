@@ -103,12 +103,7 @@ def check_time_ratio(stroke: str | None, value: float, key: str, low: float | No
 
 
 def read_figure(raw: object, kind: str | None, key: str = "") -> tuple[float, str]:
-    """Read a value of a physical kind, or a plain number if there is no kind; return its SI number and the unit as written.
-
-    Raises
-    ------
-    Unusable
-    """
+    """Read a value of a physical kind, or a plain number if there is no kind; return its SI number and the unit as written."""
     return read_scalar(raw, kind, key) if kind else (read_number(raw, key), "")
 
 

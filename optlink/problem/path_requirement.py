@@ -245,6 +245,5 @@ def check_path_limits(limits: PathLimits, mechanism: MechanismSection, linkage: 
                 remedy = "Leave it out, and bound the lengths themselves"
                 raise Unusable("this limit applies to a four-bar only", remedy, f"limits.{key}")
         if limits.crank == "double-crank":
-            remedy = 'Write crank = "full rotation"'
-            raise Unusable("only a four-bar can be a double-crank", remedy, "limits.crank", limits.crank)
+            raise Unusable("only a four-bar can be a double-crank", 'Write crank = "full rotation"', "limits.crank", limits.crank)
     check_limits(limits, [group.joint for group in transmitting(linkage)])

@@ -113,12 +113,7 @@ def check_name(name: object, allowed: Iterable[str], message: str, key: str = ""
 
 
 def check_choice(key: str, name: str, choices: Iterable[str], message: str, file: str | None = None) -> None:
-    """Refuse the name that an option or argument `key` has if it is not one of the known ones.
-
-    Raises
-    ------
-    InputError
-    """
+    """Refuse the name that an option or argument `key` has if it is not one of the known ones."""
     with input_of(file, key, name):
         check_name(name, choices, message)
 

@@ -30,12 +30,7 @@ def templates() -> dict[str, Path]:
 
 
 def template(name: str, file: str | Path | None = None) -> Template:
-    """Read a template; `file` is the name of the file in its commands, by default that of the template with the suffix .toml.
-
-    Raises
-    ------
-    InputError
-    """
+    """Read a template; `file` is the name of the file in its commands, by default that of the template with the suffix .toml."""
     from optlink.problem.quantity import check_choice
 
     available = templates()

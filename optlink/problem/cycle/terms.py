@@ -251,8 +251,7 @@ class Limit(Term):
             raise Unusable("min is above max", "Exchange them", "min", self.min)
         for key, (value, _) in sides.items():
             if self.how == "peak" and value <= 0.0:
-                message = "a limit of the largest magnitude must be positive"
-                raise Unusable(message, "Give a limit above zero", key, stated[key])
+                raise Unusable("a limit of the largest magnitude must be positive", "Give a limit above zero", key, stated[key])
             if self.quantity == "time ratio":
                 check_time_ratio(self.stroke, value, key, low and low[0], high and high[0])
             if self.quantity == "stroke":

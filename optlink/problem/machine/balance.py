@@ -417,12 +417,7 @@ class BalanceSection(Section):
         return tuple(weights), tuple(springs)
 
     def place(self, machine: Machine) -> tuple[float, float]:
-        """Return the reference point of shaking moments [m]; default: the crank pivot.
-
-        Raises
-        ------
-        Unusable
-        """
+        """Return the reference point of shaking moments [m]; default: the crank pivot."""
         mechanism = machine.mechanism
         if isinstance(self.about, tuple):
             return self.about

@@ -139,8 +139,7 @@ def read_size(raw: object, folder: Path, kind: str, names: Iterable[str]) -> Siz
                 raise Unusable("it has no finite value", "Correct the division by zero, or the root or logarithm of a constant")
         unit = raw.get("unit")
         if not isinstance(unit, str):
-            remedy = f'Add its unit: unit = "{KINDS[kind].display}"'
-            raise Unusable("an expression gives a plain number", remedy, "unit", unit)
+            raise Unusable("an expression gives a plain number", f'Add its unit: unit = "{KINDS[kind].display}"', "unit", unit)
         with below("unit", unit):
             return Formula(expression, unit, factor(unit, kind))
     over: Any = raw.get("over")

@@ -379,13 +379,7 @@ class Problem(Section):
         return any(joint.has_clearance for joint in self.joints.values())
 
     def gaps(self, machine: Machine) -> tuple[Gap, ...]:
-        """Return the joints with clearance.
-
-        Raises
-        ------
-        Unusable
-            with the full key of the cause.
-        """
+        """Return the joints with clearance."""
         gaps = []
         for name, joint in self.joints.items():
             if joint.has_clearance:

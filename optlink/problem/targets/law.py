@@ -224,11 +224,6 @@ def read_output_law(raw: object, folder: Path) -> Source:
 
     In addition to the forms of `read_law`: { slide = "s0 + 40*(1 - cos(phi))", unit = "mm" }, a table of phi and s, or a function
     with the output of a slide.
-
-    Raises
-    ------
-    Unusable
-        with the key below `law`.
     """
     if isinstance(raw, dict):
         if "function" in raw:
@@ -245,13 +240,7 @@ def read_output_law(raw: object, folder: Path) -> Source:
 
 
 def _has_slide(raw: Mapping[str, Any], folder: Path) -> bool:
-    """Return whether the CSV file of a table has a column of a slide.
-
-    Raises
-    ------
-    Unusable
-        If it has one of an angle, too.
-    """
+    """Return whether the CSV file of a table has a column of a slide; refuse one that has a column of an angle, too."""
     if "csv" not in raw:
         return False
     table = read_csv(raw, folder, MAX_ROWS)

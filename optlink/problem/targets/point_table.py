@@ -182,13 +182,7 @@ def _check_titles(table: CsvTable) -> None:
 
 
 def check_and_reduce(rows: PointRows, requested_count: int | None) -> TargetPoints:
-    """Check the rows, and reduce them to the requested number, by default as many as there are, up to `MAX_POINTS`.
-
-    Raises
-    ------
-    Unusable
-        when a value is out of range or neighbouring points coincide.
-    """
+    """Check the rows, and reduce them to the requested number, by default as many as there are, up to `MAX_POINTS`."""
     _check_ranges(rows)
     points, of_each = rows.points, set(rows.columns) - {"x", "y"}
     most, number = requested_count or MAX_POINTS, len(points)
