@@ -6,7 +6,7 @@ columns from which the validator reads it (`history`).
 
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 
@@ -20,11 +20,23 @@ from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.vector2d import Array, Value, cross, dot, magnitude
 from optlink.problem.mechanism import moving_points
 
-if TYPE_CHECKING:
-    from optlink.problem.cycle.terms import Term
 
-Signal = Callable[[Moving, Reactions, "Term"], tuple[Value, ...]]
-Course = Callable[[MotionColumns, "Term"], Array]
+class ElementTerm(Protocol):
+    """A term, of which a quantity reads the name `of` its element and the body `on` which a reaction acts."""
+
+    @property
+    def of(self) -> str | None:
+        """Name of the element."""
+        ...
+
+    @property
+    def on(self) -> str | None:
+        """Name of the body."""
+        ...
+
+
+Signal = Callable[[Moving, Reactions, ElementTerm], tuple[Value, ...]]
+Course = Callable[[MotionColumns, ElementTerm], Array]
 
 
 @dataclass(frozen=True)
@@ -100,14 +112,14 @@ class QuantityType:
 QUANTITIES: Registry[QuantityType] = Registry()
 
 
-def _guide(moving: Moving, term: "Term") -> str:
+def _guide(moving: Moving, term: ElementTerm) -> str:
     return str(guide_of(str(term.of), moving.machine.mechanism))
 
 
 def _column(suffix: str, *, of_slider: bool = False) -> Course:
     """Return a function that reads a column of a guide, or of its slider."""
 
-    def read(record: MotionColumns, term: "Term") -> Array:
+    def read(record: MotionColumns, term: ElementTerm) -> Array:
         guide = _guide(record.moving, term)
         return record[f"{slider_names(record.moving.machine)[guide] if of_slider else guide}.{suffix}"]
 
@@ -119,17 +131,17 @@ def _size(x: str, y: str) -> Course:
     return lambda record, term: np.hypot(record[x.format(term.of)], record[y.format(term.of)])
 
 
-def _pin(record: MotionColumns, term: "Term") -> Array:
+def _pin(record: MotionColumns, term: ElementTerm) -> Array:
     force = record.reactions.pin(record.moving.machine, str(term.of), term.on)
     return np.asarray(np.hypot(*(record.full(part) for part in force)))
 
 
-def _groups(moving: Moving, term: "Term") -> list[Transmitting]:
+def _groups(moving: Moving, term: ElementTerm) -> list[Transmitting]:
     """Return the dyad with the joint of a term, or all that have a transmission angle."""
     return [group for group in transmitting(moving.machine.mechanism) if term.of in (None, group.joint)]
 
 
-def _pressure(moving: Moving, reactions: Reactions, term: "Term") -> tuple[Value, ...]:
+def _pressure(moving: Moving, reactions: Reactions, term: ElementTerm) -> tuple[Value, ...]:
     """Return 90 deg less the transmission angle [rad], of one dyad or of all."""
     return tuple(0.5 * np.pi - _transmission_angle(moving, group) for group in _groups(moving, term))
 
@@ -140,7 +152,7 @@ def _transmission_angle(moving: Moving, group: Transmitting) -> Value:
     return np.arctan2(magnitude(cross(p, q)), dot(p, q))
 
 
-def _pressure_measured(record: MotionColumns, term: "Term") -> Array:
+def _pressure_measured(record: MotionColumns, term: ElementTerm) -> Array:
     angles = [_measured(record, group) for group in _groups(record.moving, term)]
     return np.asarray(np.max([np.abs(0.5 * np.pi - angle) for angle in angles], axis=0))
 
@@ -159,7 +171,7 @@ def _measured(record: MotionColumns, group: Transmitting) -> Array:
     return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))  # values beyond +-1 are rounding errors
 
 
-def _lever_arm(record: MotionColumns, term: "Term") -> Array:
+def _lever_arm(record: MotionColumns, term: ElementTerm) -> Array:
     return np.asarray(np.abs(_column("v_m_s", of_slider=True)(record, term) / record.moving.motion.speed))
 
 
