@@ -24,7 +24,7 @@ from optlink.linkage.mechanism import FRAME, Link, Mechanism, Pose
 from optlink.linkage.vector2d import Array, unit
 from optlink.optimization.constraints import rows as limit_rows
 from optlink.optimization.path_nlp import limit_excesses
-from optlink.problem.file import ProblemFile, read
+from optlink.problem.file import ProblemFile
 from optlink.problem.limits import Reach
 from optlink.problem.path import PathProblem
 from optlink.synthesis import random_starts
@@ -150,7 +150,7 @@ def _part(problem: ProblemFile, loop: InnerFourBar, point: str, reach: float | N
         "links": links,
         "assembly": {loop.joint: whole["assembly"][loop.joint]},
     }
-    return read(raw, problem.name, problem.file, problem.folder)
+    return problem.with_tables(raw)
 
 
 def grow_from_four_bar(

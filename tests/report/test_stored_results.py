@@ -60,7 +60,9 @@ MADE: dict[str, Callable[[], Any]] = {
     "simulation": lambda: optlink.simulate(optlink.load("six-bar"), 0.05, 40),
     "clearance": lambda: optlink.simulate_clearance(optlink.load("crank-rocker-clearance"), 1, **PLAY),
     "control comparison": lambda: optlink.compare(optlink.load("crank-rocker-clearance"), starts=1, revolutions=1, **PLAY),
-    "tuning": lambda: optlink.tune(optlink.load("crank-rocker-clearance"), evaluations=2, starts=1, revolutions=1, tolerance=1e-5),
+    "tuning": lambda: optlink.tune(
+        optlink.load("crank-rocker-clearance"), evaluations=4, starts=1, revolutions=1, tolerance=1e-5
+    ),
     "balance": lambda: optlink.balance(optlink.load("balance-four-bar"), trade="force,torque", points=4),
     "sensitivity": lambda: sensitivities(optlink.load("crank-rocker")),
     "output sensitivity": slopes,

@@ -78,9 +78,7 @@ def _effects(result: Sensitivities) -> TableSpec:
     for row in optimum.moving:
         p = row.parameter
         share = _percent(factor * row.effect / objective if objective else math.nan)
-        responses = (
-            [signed(row.design[name] * p.step) for name in names] if narrow else [_largest_responses(optimum, row)]
-        )
+        responses = [signed(row.design[name] * p.step) for name in names] if narrow else [_largest_responses(optimum, row)]
         changed = f"{number(p.value)} {p.unit}".rstrip() + f" + {step(row)}"
         rows.append((p.name, changed, good(share) if row.effect < 0.0 else share, *responses))
     effect_columns = [f">{name}\n[{optimum.units[name]}]" for name in names] if narrow else ["moves most"]
