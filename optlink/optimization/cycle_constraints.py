@@ -62,15 +62,7 @@ class WatchedTerm:
 
 
 def scaled_variable(problem: CycleProblem, name: str, size: float) -> Variable:
-    """Return the scaling of a quantity: lengths and coordinates by the size of the machine, angles by 1 rad.
-
-    Parameters
-    ----------
-    name : str
-        Name of the quantity.
-    size : float [m]
-        Size of the machine.
-    """
+    """Return the scaling of a quantity: lengths and coordinates by the size [m] of the machine, angles by 1 rad."""
     key = quantity_key(problem, name)
     if problem.quantities[name].kind not in ("length", "coordinate"):
         return Variable(name, 1.0, DEGREES, key=key, periodic=problem.quantities[name].kind == "angle")
@@ -87,18 +79,8 @@ def _keeps_slow(bound: Bound) -> bool:
 class CycleTerms:
     """The expressions of an NLP of cycle optimisation.
 
-    Parameters
-    ----------
-    structure : EventOrder
-        Events at `start`.
-    start : mapping of str to float [SI]
-        Design variables at the start.
-    nodes : int
-        Positions per revolution.
-    exchange : int
-        Roaming positions per stroke.
-    size : float [m], optional
-        Unit of length; default: the longest length of the file.
+    The `structure` has the events of the design `start` [SI]; `nodes` are positions per revolution, `exchange` exchange points
+    per stroke; `size` [m] is the unit of length, by default the longest length of the file.
     """
 
     def __init__(
@@ -172,13 +154,7 @@ class CycleTerms:
         return symbols
 
     def mapped(self, f: Any) -> MappedTerms:
-        """Return objective and rows as terms of the signals at every position.
-
-        Parameters
-        ----------
-        f : casadi expression
-            Objective as a function of x, p and the symbols for the signals.
-        """
+        """Return objective f, an expression of x, p and the symbols for the signals, and rows as terms of the signals."""
         angles, senses, z = (casadi.horzcat(*parts) for parts in zip(*self.places, strict=True))
         g = casadi.vertcat(*[row.value for row in self.rows])
         places = (casadi.SX(angles),), (senses,), (z,)
@@ -232,13 +208,7 @@ class CycleTerms:
         return intervals * self.trace.revolutions
 
     def duration(self, which: int, forward: bool) -> Any:
-        """Return the crank rotation [rad] during which an output moves forward or backward.
-
-        Parameters
-        ----------
-        which : int
-            Index of the event at which the output reverses.
-        """
+        """Return the crank rotation [rad] during which an output, which reverses at an event, moves forward or backward."""
         indices = [k for k, event in enumerate(self.structure.which) if event == which]
         total, angles = casadi.SX(0.0), [*(self.events[k] for k in indices), self.events[indices[0]] + TURN]
         for k, (begin, end) in zip(indices, itertools.pairwise(angles), strict=True):
@@ -304,9 +274,9 @@ class CycleTerms:
         return [k for k, event in enumerate(self.structure.which) if event == which]
 
     def _stroke(self, term: Term) -> Any:
-        """Return the distance between the extreme positions of the output at its dead centres, or one of these positions.
+        """Return the distance between the outermost dead centres of an output, or for the term "end" one of these positions.
 
-        The dead centres are selected at the start.
+        Which dead centres are outermost is decided by their positions at the start.
         """
         place = len(self.trace.events)
         for other in self.trace.ended:
@@ -369,19 +339,7 @@ class CycleTerms:
         return WatchedTerm(first, width, term.how == "peak", sign, size, None, limit, term.nature.general)
 
     def goal(self, goal: Goal, size: float, level: Any, index: int) -> WatchedTerm:
-        """Add the rows that make a variable the largest value of a term.
-
-        Parameters
-        ----------
-        goal : Goal
-            The term.
-        size : float [SI]
-            Scale of the term.
-        level : symbol
-            Variable that is the largest value, in units of `size`.
-        index : int
-            Index of that variable in x.
-        """
+        """Add the rows that make `level`, component `index` of x, the largest value of a term in units of `size` [SI]."""
         label = f"{goal.words} at another crank angle"
         for _, parts in self.components(goal):
             if len(parts) > 1 and not goal.nature.general:
@@ -396,13 +354,7 @@ class CycleTerms:
         return WatchedTerm(first, width, peak, sign, size, index, math.inf, goal.nature.general)
 
     def levelled(self, sizes: Sequence[float]) -> list[Variable]:
-        """Return the variables that are the largest values of terms, whose units [SI] are known only now.
-
-        Parameters
-        ----------
-        sizes : sequence of float [SI]
-            Of each term.
-        """
+        """Return the variables that are the largest values of terms, whose units [SI] are known only now."""
         found = []
         for variable, goal, size in zip(self.variables[len(self.variables) - len(sizes) :], self.epigraphs, sizes, strict=True):
             kind = self.problem.kind(goal)
@@ -410,15 +362,7 @@ class CycleTerms:
         return found
 
     def heights(self, goal: Goal, size: float) -> Any:
-        """Return the values at all positions whose largest is the level of a term, in units of `size`.
-
-        Parameters
-        ----------
-        goal : Goal
-            The term.
-        size : float [SI]
-            Scale of the term.
-        """
+        """Return the values at all positions whose largest is the level of a term, in units of `size` [SI]."""
         heights = []
         for _, parts in self.components(goal):
             if goal.nature.general:

@@ -75,14 +75,7 @@ class CycleNLP(NLP):
         return {v.name: v.origin + float(y) * v.size for v, y in zip(self.variables[:count], x[:count], strict=True)}
 
     def x_of(self, values: Mapping[str, float], *, bounded: bool = True) -> Array:
-        """Return x for values of the design variables [SI], with the corresponding events and largest values.
-
-        Parameters
-        ----------
-        values : mapping of str to float [SI]
-        bounded : bool
-            Whether values beyond a bound are moved to it.
-        """
+        """Return x for values of the design variables [SI], with the corresponding events and largest values; see `NLP.x_of`."""
         count = len(self.free)
         x = self.x_start.copy()
         x[:count] = [(values[v.name] - v.origin) / v.size for v in self.variables[:count]]
@@ -123,19 +116,10 @@ def build_cycle(
 ) -> CycleNLP:
     """Build the nonlinear programme of cycle optimisation.
 
-    Parameters
-    ----------
-    structure : EventOrder
-        The events at `start`; the NLP is valid for designs with the same events in the same order.
-    start : mapping of str to float [SI]
-        Design variables at the start; the objective there is its scale.
-    nodes : int
-        Positions per revolution; half as many if no term is an integral.
-    slots : int, optional
-        Roaming positions per stroke.
-    scales : (float [m], sequence of float [SI]), optional
-        Unit of length (default: the longest length of the file) and of each objective term (default: its value at the
-        start).
+    It is valid for designs with the events of `structure`, that of `start` [SI], in the same order; the objective at `start` is
+    its scale. `nodes` are positions per revolution, half as many if no term is an integral; `slots` exchange points per stroke.
+    `scales` are the unit of length [m], by default the longest length of the file, and of each objective term [SI], by default
+    its value at the start.
     """
     problem = trace.problem
     exchange = min(max(EXCHANGE_POINTS // max(1, trace.cuts(structure)), SLOTS[0]), SLOTS[1]) if slots is None else slots

@@ -116,12 +116,8 @@ def _corner(guide: str, at: float) -> Callable[[Moving], Value]:
 class TracedCycle:
     """The traced functions of one problem.
 
-    Parameters
-    ----------
-    values : mapping of str to float [SI], optional
-        Quantities that determine which stroke is the slow one.
-    slow : mapping of str to "forward" or "backward", optional
-        In place of `values`: the slow stroke of loads of the slow or quick stroke, for a crank that turns counter-clockwise.
+    Quantities `values` [SI] determine which stroke is the slow one; or `slow` states the slow stroke of loads of the slow or
+    quick stroke, for a crank that turns counter-clockwise.
 
     Raises
     ------
@@ -238,12 +234,8 @@ class TracedCycle:
     def edges(self, begins: Sequence[Any]) -> list[Any]:
         """Return the crank angles [rad] that divide a cycle, and its end, from those of the cuts of its first revolution.
 
-        Motions repeat in every revolution, so that the cuts of the others follow.
-
-        Parameters
-        ----------
-        begins : sequence of crank angles [rad]
-            Empty where no motion divides a revolution.
+        Motions repeat in every revolution, so that the cuts of the others follow. There are none where no motion divides a
+        revolution.
         """
         begins = list(begins) or [0.0]
         return [*(begin + k * TURN for k in range(self.revolutions) for begin in begins), begins[0] + self.revolutions * TURN]

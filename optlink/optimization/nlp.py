@@ -185,10 +185,7 @@ class NLP:
     def take_hessian(self, function: Any) -> None:
         """Use the Hessian of the Lagrangian that a back end has generated, unless there is one: generating it takes long.
 
-        Parameters
-        ----------
-        function : casadi.Function
-            (x, p, factor of the objective, multipliers) -> upper triangle.
+        `function`: (x, p, factor of the objective, multipliers) -> upper triangle.
         """
         if "_hessian" not in vars(self):
             vars(self)["_hessian"] = _symmetric(function)
@@ -202,43 +199,17 @@ class NLP:
         return _symmetric(known.factory("hessian", ["x", "p", "lam:f", "lam:g"], ["triu:hess:gamma:x:x"], lagrangian))
 
     def values(self, x: Array, p: Array) -> tuple[float, Array]:
-        """Return objective and rows.
-
-        Parameters
-        ----------
-        x : array (n,)
-            Scaled point.
-        p : array (parameters,)
-            Parameters.
-        """
+        """Return objective and rows."""
         f, g = self._values(x, p)
         return float(f[0]), g
 
     def at(self, x: Array, p: Array) -> NLPValues:
-        """Return objective, rows and their exact first derivatives.
-
-        Parameters
-        ----------
-        x : array (n,)
-            Scaled point.
-        p : array (parameters,)
-            Parameters.
-        """
+        """Return objective, rows and their exact first derivatives."""
         f, gradient, g, jacobian = self._all(x, p)
         return NLPValues(float(f[0]), gradient, g, jacobian.reshape((len(g), len(x)), order="F"))
 
     def hessian(self, x: Array, p: Array, multipliers: Array) -> Array:
-        """Return the exact Hessian (n, n) of the Lagrangian f + multipliers . g.
-
-        Parameters
-        ----------
-        x : array (n,)
-            Scaled point.
-        p : array (parameters,)
-            Parameters.
-        multipliers : array (m,)
-            Of the rows.
-        """
+        """Return the exact Hessian (n, n) of the Lagrangian f + multipliers . g."""
         return self._hessian(x, p, multipliers)[0].reshape(len(x), len(x))
 
     def residuals(self, x: Array) -> Array:
@@ -260,11 +231,7 @@ class NLP:
     def x_of(self, values: Mapping[str, float], *, bounded: bool = True) -> Array:
         """Return x for values of the design variables [SI]; the epigraph variable takes its least value.
 
-        Parameters
-        ----------
-        values : mapping of str to float [SI]
-        bounded : bool
-            Whether values beyond a bound are moved to it.
+        `bounded`: values beyond a bound are moved to it.
         """
         x = np.array([(values.get(v.name, 0.0) - v.origin) / v.size for v in self.variables])
         return self.lifted(np.clip(x, self.x_low, self.x_high) if bounded else x)
@@ -284,15 +251,7 @@ class NLP:
         self.p[len(self.p) - len(offsets) :] = offsets
 
     def limit(self, entry: int, low: float | None, high: float | None) -> None:
-        """Move the bounds of a component of x or of a row in place; `rows` keep their original bounds.
-
-        Parameters
-        ----------
-        entry : int
-            Index of the component of x, or n plus the index of the row.
-        low, high : float or None
-            New bounds, scaled; None leaves a bound where it is.
-        """
+        """Move bounds (scaled; None: not) of a component of x, or from n on of a row, in place; `rows` keep the original."""
         ends = (low, self.lower, self.x_low, self.low), (high, self.upper, self.x_high, self.high)
         for bound, both, own, rows in ends:
             if bound is not None:
@@ -322,9 +281,7 @@ EXCHANGE_POINTS = 12  # positions that are moved to the maxima of the error
 def _traced(problem: DesignProblem, values: dict[str, Any], counted: dict[str, Any], start: StartPosition) -> tuple[Any, Any]:
     """Trace the residuals at one position: those of `optlink.problem.robust.residuals`.
 
-    Returns
-    -------
-    Function of (known quantities and crank rotation from the start, tabulated output), and the known quantities
+    Returns a function of (known quantities and crank rotation from the start, tabulated output), and the known quantities.
     """
     names = [*values, *counted]
     inputs, tabulated = casadi.SX.sym("inputs", len(names) + 5), casadi.SX.sym("tabulated")
@@ -354,12 +311,7 @@ def build(problem: DesignProblem, *, movable: bool = False) -> NLP:
     """Build the nonlinear programme of a function synthesis problem.
 
     Lengths are scaled by the frame (its start, if it is a design variable), angles by 1 rad, the objective by its value at the
-    start.
-
-    Parameters
-    ----------
-    movable : bool
-        Make the crank rotation of a law that is an expression a parameter, `SPAN`.
+    start. `movable`: the crank rotation of a law that is an expression is a parameter, `SPAN`.
     """
     size = problem.quantities["frame"].value
     sizes = {name: size if name in LENGTHS else 1.0 for name in problem.quantities}

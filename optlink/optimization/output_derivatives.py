@@ -19,18 +19,9 @@ from optlink.symbolic import NumpyEvaluator, symbols_in_numpy
 def output_derivatives(
     mechanism: Mechanism, sizes: Mapping[str, Any], crank: Vector, output: str, by: Sequence[str]
 ) -> tuple[Any, list[Any]]:
-    """Return an output and its derivatives with respect to dimensions, as symbols; call it within `symbolic.symbols_in_numpy`.
+    """Return an output and its derivatives by dimensions, as symbols; call it within `symbolic.symbols_in_numpy`.
 
-    Parameters
-    ----------
-    sizes : mapping of str to casadi symbol
-        Every dimension.
-    crank : pair of symbols
-        Direction of the crank.
-    output : str
-        Name of a body (its angle), or "P.x", "P.y" of a point.
-    by : sequence of str
-        Names of dimensions.
+    An output is the name of a body (its angle), or "P.x", "P.y" of a point.
     """
     pose = mechanism.pose(sizes, crank)
     if output in mechanism.bodies:
@@ -62,29 +53,13 @@ class ErrorDerivatives:
         return [*(values.get(name, self._pivots.get(name, 0.0)) for name in self._names), *crank]
 
     def symbolic(self, values: Mapping[str, Value], crank: Vector) -> list[Any]:
-        """Return the derivatives as symbols, one for each deviation [SI].
-
-        Parameters
-        ----------
-        values : mapping of str to symbol [m, rad]
-            Dimensions.
-        crank : pair of symbols
-            Direction of the crank.
-        """
+        """Return the derivatives as symbols, one for each deviation [SI]."""
         function = casadi.Function("slopes", [casadi.vertcat(*self._inputs)], [casadi.vertcat(*self._outputs)])
         outputs = function(casadi.vertcat(*self._arguments(values, crank)))
         return [outputs[i] for i in self._place]
 
     def numeric(self, values: Mapping[str, Value], crank: Vector) -> list[Array]:
-        """Return the derivatives as arrays, one for each deviation [SI].
-
-        Parameters
-        ----------
-        values : mapping of str to float or array [m, rad]
-            Dimensions.
-        crank : pair of float or array
-            Direction of the crank; broadcast with the dimensions.
-        """
+        """Return the derivatives as arrays, one for each deviation [SI]; dimensions broadcast with the direction of the crank."""
         if "tape" not in vars(self):
             self.tape = NumpyEvaluator(self._inputs, self._outputs)
         outputs = self.tape(*self._arguments(values, crank))
@@ -108,15 +83,7 @@ class ErrorResiduals:
         return np.asarray(np.sqrt(square / len(law.offsets)) if measure == "rms" else square, dtype=float)
 
     def band(self, values: Mapping[str, Value], offsets: Array) -> tuple[Array, Array]:
-        """Return the lower and upper end [rad] of the error along the span; for an expected square, one standard deviation.
-
-        Parameters
-        ----------
-        values : mapping of str to float or array [m, rad]
-            Value of every quantity.
-        offsets : array (n,) [rad]
-            Crank rotations from the start.
-        """
+        """Return the lower and upper end [rad] of the error at offsets (n,); for an expected square, one standard deviation."""
         source = self.problem.requirement.law
         tabulated = source.at(offsets) if isinstance(source, Table) else np.zeros(len(offsets))
         mean, *rest = parts = self.parts(values, offsets, tabulated)
@@ -126,17 +93,7 @@ class ErrorResiduals:
         return parts[-1], mean
 
     def parts(self, values: Mapping[str, Value], offsets: Array, tabulated: Array) -> list[Array]:
-        """Return the residuals at crank rotations from the start (`optlink.problem.robust.residuals`).
-
-        Parameters
-        ----------
-        values : mapping of str to float or array [m, rad]
-            Value of every quantity.
-        offsets : array (n,) [rad]
-            Crank rotations from the start.
-        tabulated : array (n,)
-            `Law.tabulated` at these offsets.
-        """
+        """Return the residuals at crank rotations [rad] from the start (`optlink.problem.robust.residuals`)."""
         problem = self.problem
         with np.errstate(all="ignore"):
             start = problem.start_position(values)

@@ -44,13 +44,7 @@ def angle_name(index: int) -> str:
 
 
 def scaled_variable(problem: PathProblem, name: str) -> Variable:
-    """Return the scaling of a quantity: lengths by the size of the curve, coordinates on the frame from its centre.
-
-    Parameters
-    ----------
-    name : str
-        Name of the quantity.
-    """
+    """Return the scaling of a quantity: lengths by the size of the curve, coordinates on the frame from its centre."""
     quantity, key = problem.quantities[name], quantity_key(problem, name)
     if quantity.kind not in ("length", "coordinate"):
         return Variable(name, 1.0, DEGREES, key=key, periodic=problem.is_periodic(name))
@@ -70,20 +64,11 @@ def has_sampled_objective(problem: PathProblem) -> bool:
 
 
 def build_path_nlp(problem: PathProblem, direction: int = 1, *, movable: bool = False) -> NLP:
-    """Build the nonlinear programme of a path or motion synthesis problem.
+    """Build the nonlinear programme of a path or motion synthesis problem with definite assembly modes.
 
-    Parameters
-    ----------
-    problem : PathProblem
-        With definite assembly modes.
-    direction : int
-        Sense of crank rotation from point to point without prescribed timing: +1 counter-clockwise, -1 clockwise.
-    movable : bool
-        Make points and poses parameters, see `target_constants`.
-
-    Returns
-    -------
-    NLP; its exchange points are shares of the motion over which position limits apply, see `required_motion`
+    `direction` is the sense of crank rotation from point to point without prescribed timing: +1 counter-clockwise, -1 clockwise.
+    `movable`: points and poses are parameters, see `target_constants`. The exchange points of the NLP are shares of the motion
+    over which position limits apply, see `required_motion`.
     """
     size, share, free, data = problem.size, problem.whole, problem.free, problem.data
     fixed = tuple(name for name in problem.quantities if name not in free)
@@ -228,13 +213,7 @@ def target_constants(problem: PathProblem) -> list[Variable]:
 
 
 def constant_values(problem: PathProblem, constants: Sequence[Variable]) -> list[float]:
-    """Return the scaled values of parameters: fixed quantities, then components of the targets.
-
-    Parameters
-    ----------
-    constants : sequence of Variable
-        See `NLP.constants`.
-    """
+    """Return the scaled values of `NLP.constants`: fixed quantities, then components of the targets."""
     quantities, numbers = problem.quantities, [*problem.data.columns.ravel().tolist(), problem.radian]
     first = next((i for i, v in enumerate(constants) if v.name.startswith(TARGET)), len(constants))
     values = [v.scaled(quantities[v.name].value) for v in constants[:first]]
@@ -242,15 +221,7 @@ def constant_values(problem: PathProblem, constants: Sequence[Variable]) -> list
 
 
 def solved_values(task: PathProblem, design: Mapping[str, float], x: Array) -> tuple[dict[str, float], Array]:
-    """Return all quantities [m, rad] of a solved programme, and its crank angles (points,) [rad].
-
-    Parameters
-    ----------
-    design : mapping of str to float [m, rad]
-        Values of the design variables.
-    x : array (n,)
-        Unknowns of the programme: the design variables, then the free crank angles.
-    """
+    """Return all quantities [m, rad] of a solved programme, and its crank angles (points,) [rad]; `design` has the free ones."""
     values = {name: quantity.value for name, quantity in task.quantities.items()}
     values |= {name: design[name] for name in task.free}
     free = len(task.free)
@@ -259,15 +230,7 @@ def solved_values(task: PathProblem, design: Mapping[str, float], x: Array) -> t
 
 
 def required_motion(problem: PathProblem, angles: Any, *, over_span: bool = False) -> tuple[Any, Any]:
-    """Return the crank angle [rad] at which the motion with position limits begins, and its rotation [rad].
-
-    Parameters
-    ----------
-    angles : sequence of float or symbol [rad]
-        Crank angle of every point.
-    over_span : bool
-        Whether the limits apply from the first point to the last, even if the crank must turn fully.
-    """
+    """Return the crank angle [rad] at which the motion with position limits begins, and its rotation; see `along_points`."""
     along = along_points(problem, over_span=over_span)
     return (angles[0], angles[-1] - angles[0]) if along else (0.0, TURN)
 
@@ -275,10 +238,7 @@ def required_motion(problem: PathProblem, angles: Any, *, over_span: bool = Fals
 def along_points(problem: PathProblem, *, over_span: bool) -> bool:
     """Return whether limits apply from the first point to the last instead of over the whole revolution.
 
-    Parameters
-    ----------
-    over_span : bool
-        Whether they apply there even if the crank must turn fully.
+    `over_span`: they apply there even if the crank must turn fully.
     """
     return over_span or problem.limits.crank == "span"
 
@@ -292,21 +252,11 @@ def _fixed_positions(problem: PathProblem, angles: list[Any], over_span: bool) -
 
 
 def limit_excesses(problem: PathProblem, values: Mapping[str, Value], angles: Any, shares: Array) -> Array:
-    """Return the excess over every position limit, in the units of the rows: negative if satisfied, -inf if undefined.
+    """Return the excess (rows, n) or (rows, designs, n) over every position limit, in the units of the rows.
 
-    Parameters
-    ----------
-    values : mapping of str to float or array (designs, 1) [m, rad]
-        Value of every quantity.
-    angles : sequence of float, or of array (designs, 1) [rad]
-        Crank angle of every point.
-    shares : array (n,)
-        Positions as shares of the motion over which each limit applies, see `required_motion`.
-
-    Returns
-    -------
-    array (rows, n) or (rows, designs, n)
-        Positions without assembly exceed the row of the assembly margin.
+    It is negative if satisfied, -inf if undefined; positions without assembly exceed the row of the assembly margin. `values` [m,
+    rad] and the crank angles [rad] of the points are numbers or arrays (designs, 1); `shares` (n,) are positions as shares of the
+    motion over which each limit applies, see `required_motion`.
     """
 
     def rows_over(over_span: bool) -> list[ConstraintRow]:
@@ -359,17 +309,7 @@ class _Positions:
 
 
 def objective_excess(problem: PathProblem, values: Mapping[str, Value], largest: float, shares: Array) -> Array:
-    """Return the excess (n,) of the cosines of the transmission angles over the objective; -inf where undefined.
-
-    Parameters
-    ----------
-    values : mapping of str to float [m, rad]
-        Value of every quantity.
-    largest : float
-        The objective.
-    shares : array (n,)
-        Positions as shares of the revolution.
-    """
+    """Return the excess (n,) of the transmission cosines over the objective at shares of the revolution; -inf where undefined."""
     with np.errstate(all="ignore"):
         cosines = problem.deviation(problem.linkage.pose(values, unit(TURN * shares)), values, ())
         size = np.sqrt(sum(cosine * cosine for cosine in cosines)) + 0.0 * shares

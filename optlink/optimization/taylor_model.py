@@ -43,16 +43,9 @@ def pairs(count: int) -> tuple[tuple[int, int], ...]:
 class TaylorModel(NDArrayOperatorsMixin):
     """A quantity over boxes of `count` unknowns. Where it is undefined, or cannot be bounded, the remainder is infinite.
 
-    Parameters
-    ----------
-    coefficients : array (1 + n + n (n + 1) / 2, ...), or (1, ...) for a quantity that is the same in the whole box
-        Value at the centre, first-order coefficients, second-order coefficients in the order of `pairs`.
-    remainder : array (...), not negative
-        Largest deviation from the polynomial.
-    count : int
-        Number n of unknowns.
-    sizes : pair of array (...), optional
-        See the property, where they are known.
+    `coefficients` (1 + n + n (n + 1) / 2, ...) are the value at the centre, the first-order coefficients, and the second-order
+    ones in the order of `pairs`; or (1, ...) for a quantity that is the same in the whole box. `remainder` (...) is the largest
+    deviation from the polynomial; `sizes`: see the property, where they are known.
     """
 
     __slots__ = ("_sizes", "coefficients", "count", "remainder")
@@ -69,13 +62,7 @@ class TaylorModel(NDArrayOperatorsMixin):
 
     @staticmethod
     def constant(value: ArrayLike, count: int) -> TaylorModel:
-        """Return a quantity that is the same in every box.
-
-        Parameters
-        ----------
-        count : int
-            Number of unknowns.
-        """
+        """Return a quantity that is the same in every box."""
         value = np.asarray(value, dtype=float)
         return TaylorModel(value[None], np.zeros(value.shape), count)
 
@@ -273,12 +260,8 @@ def _multiply(a: Any, b: Any) -> TaylorModel:
 def _compose(x: TaylorModel, rule: Rule, error: float = 0.0) -> TaylorModel:
     """Return f(x) from f, f', f'' at the centre and a bound of f''' over the range of x.
 
-    Parameters
-    ----------
-    rule : function of (centre, low, high)
-        Returns the three derivatives and the bound; NaN where f is undefined somewhere between low and high.
-    error : float
-        Absolute error of f at the centre, on top of a relative one of `LIBRARY`.
+    The rule of (centre, low, high) returns them, NaN where f is undefined somewhere between low and high. `error` is the absolute
+    error of f at the centre, on top of a relative one of `LIBRARY`.
     """
     a, n = x.coefficients, x.count
     linear, quadratic = x.sizes

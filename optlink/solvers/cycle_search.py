@@ -35,13 +35,7 @@ NEIGHBOURS, CROSSINGS = 4, 12  # other orders searched from one such design; des
 
 
 def at_edge(solution: Solution) -> bool:
-    """Return whether the order of events, which no limit prescribes, keeps a design from a better one.
-
-    Parameters
-    ----------
-    solution : Solution
-        Of a `CycleNLP`.
-    """
+    """Return whether the order of events, which no limit prescribes, keeps a solution of a `CycleNLP` from a better one."""
     rows = solution.nlp.rows
     prices = np.abs(solution.conditions.multipliers[len(solution.x) :])
     return solution.usable and any(
@@ -51,13 +45,7 @@ def at_edge(solution: Solution) -> bool:
 
 
 def neighbours(nlp: CycleNLP, solution: Solution) -> list[StartGroup]:
-    """Return starting points beside a design, one for each other order of events, the nearest first.
-
-    Parameters
-    ----------
-    solution : Solution
-        One of its solutions.
-    """
+    """Return starting points beside a solution, one for each other order of events, the nearest first."""
     trace, here, designs = nlp.traced, solution.design, []
     for step, (name, way) in itertools.product(STEPS, itertools.product(trace.problem.free, (-1.0, 1.0))):
         low, high = trace.problem.quantities[name].bounds
@@ -112,13 +100,7 @@ class OrderSearch:
         return ends
 
     def advance(self, k: int, ends: Sequence[Solution] | None = None) -> None:
-        """Search from the k-th starting point with every back end.
-
-        Parameters
-        ----------
-        ends : sequence of Solution, optional
-            The local searches from there, if they are done already; see `local`.
-        """
+        """Search from the k-th starting point with every back end; `ends`: the local searches from there if already done."""
         for name, solution in zip(self.names, self.local(k) if ends is None else ends, strict=True):
             self.nlp.set_exchange_points(self._places)
             best = self.best(name)
@@ -247,20 +229,9 @@ def search_all(
 ) -> CycleSearchResult:
     """Search from every starting point with every back end, refine by the exchange method, reconcile the back ends.
 
-    Parameters
-    ----------
-    firsts : sequence of StartGroup
-        With the order of events of the initial design.
-    names : sequence of str
-        Names of back ends.
-    done : function of a number
-        Called after each starting point with the number of complete ones.
-    further : function that returns a sequence of StartGroup
-        Searched as well while no feasible design is found.
-    alike : function of an EventOrder that returns a sequence of StartGroup
-        Searched as well if the best design has that order.
-    runs : function, optional
-        From `optlink.execution.runner.pool`, for the local searches of the first orders. Default: the present process.
+    `firsts` have the order of events of the initial design. `done` receives the number of complete starting points. `further`
+    returns groups that are searched as well while no feasible design is found, `alike` those of the order of events of the best
+    design. `runs`, from `optlink.execution.runner.pool`, makes the local searches of the first orders in other processes.
     """
     backends = tuple(names)
     orders = [OrderSearch(build_programme(trace, begin), begin, backends, explored=True) for begin in firsts]
@@ -304,15 +275,7 @@ def _round(orders: Sequence[OrderSearch], k: int, ahead: Iterator[list[dict[str,
 
 
 def _cross(orders: Sequence[OrderSearch], beside: list[OrderSearch], names: tuple[str, ...]) -> None:
-    """Search the orders of events beside the best design while its own order keeps it from a better one.
-
-    Parameters
-    ----------
-    beside : list of OrderSearch
-        Searches of other orders so far; those of this call are added.
-    names : tuple of str
-        Names of back ends.
-    """
+    """Search the orders beside the best design while its own order keeps it from a better one, and add them to `beside`."""
     while len(beside) < CROSSINGS * NEIGHBOURS:
         winner = min((*orders, *beside), key=OrderSearch.rank)
         best = min((solution for name in names if (solution := winner.best(name)) is not None), key=rank, default=None)
@@ -343,15 +306,7 @@ def _explore(
 
 
 def _return(orders: Sequence[OrderSearch], beside: list[OrderSearch], names: tuple[str, ...]) -> None:
-    """Continue searches that ended at a design with other reversals or loads than the programme has, with those of that design.
-
-    Parameters
-    ----------
-    beside : list of OrderSearch
-        Searches beside these so far; those of this call are added.
-    names : tuple of str
-        Names of back ends.
-    """
+    """Continue searches that ended at a design with other reversals or loads than their programme, with those of that design."""
     while len(beside) < CROSSINGS * NEIGHBOURS:
         order = next((order for order in (*orders, *beside) if order.strayed), None)
         if order is None:

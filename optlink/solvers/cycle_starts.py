@@ -58,16 +58,7 @@ class StartSequence:
 def start_groups(samples: StartSequence, count: int, order: EventOrder | None = None) -> list[StartGroup]:
     """Return up to `count` starting points per choice of slow strokes that share one order of events.
 
-    Parameters
-    ----------
-    count : int
-        Greatest number of starting points of each group.
-    order : EventOrder, optional
-        Default: that of the first suitable starting point.
-
-    Returns
-    -------
-    list of StartGroup, that of the first starting point first; empty if none is suitable
+    That order is the one of the first suitable starting point unless given; the group of this point comes first.
     """
     groups: dict[tuple[bool, ...], StartGroup] = {}
     choices = list(itertools.product((True, False), repeat=len(samples.trace.paced)))
@@ -101,12 +92,7 @@ def _sort_in(
 def further_start_groups(samples: StartSequence, existing: Sequence[StartGroup], count: int) -> list[StartGroup]:
     """Return further groups for a search without a feasible design: missing slow strokes, the next most frequent orders.
 
-    Parameters
-    ----------
-    existing : sequence of StartGroup
-        Those searched already; the first one defines the order of events.
-    count : int
-        Greatest number of starting points of each group.
+    The first of the `existing` groups defines the order of events; a group has up to `count` starting points.
     """
     trace, first = samples.trace, existing[0]
     choices = list(itertools.product((True, False), repeat=len(trace.paced)))

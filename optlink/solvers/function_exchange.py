@@ -40,15 +40,7 @@ SHARP = (1e-4, 1e-7, 1e-9)  # scaled units: active-set distances of Newton's met
 
 
 def error_at(problem: DesignProblem, design: Mapping[str, float], offsets: Array) -> Array:
-    """Return prescribed minus generated rocker angle [rad], in (-pi, pi].
-
-    Parameters
-    ----------
-    design : mapping of str to float [m, rad]
-        Quantities by name, including `phi0` and `psi0`.
-    offsets : array (n,) [rad]
-        Crank rotations from the start.
-    """
+    """Return prescribed minus generated rocker angle [rad], in (-pi, pi], at crank rotations (n,) [rad] from the start."""
     target = problem.law.curve(offsets, design["phi0"], design["psi0"])
     motion = sweep(problem.linkage, problem.sizes(design), design["phi0"] + offsets)
     angle = np.asarray(motion.body_angle("rocker").value, dtype=float)
@@ -179,14 +171,8 @@ class _Exchange:
 def add_peak_errors(problem: DesignProblem, nlp: NLP, solution: Solution, backend: str) -> Solution:
     """Level the largest errors between the design positions, until none exceeds those at the positions of the NLP.
 
-    A design whose peaks do not become level is returned as stalled, with its largest error over the range as objective.
-
-    Parameters
-    ----------
-    solution : Solution
-        Optimum at the design positions.
-    backend : str
-        Back end used if the minimax method does not end at an optimum.
+    `backend` is used where the minimax method does not end at an optimum. A design whose peaks do not become level is returned as
+    stalled, with its largest error over the range as objective.
     """
     if not solution.usable:
         return solution
@@ -226,13 +212,7 @@ def add_peak_errors(problem: DesignProblem, nlp: NLP, solution: Solution, backen
 
 
 def place_at_peaks(problem: DesignProblem, nlp: NLP, x: Array) -> None:
-    """Move the exchange points, if there are any, to the peaks of the error of a design.
-
-    Parameters
-    ----------
-    x : array (n,)
-        Scaled point.
-    """
+    """Move the exchange points, if there are any, to the peaks of the error of a design."""
     if nlp.exchange_count:
         exchange, solution = _Exchange(problem, nlp, ""), multistart.solution_at(nlp, x, "")
         exchange.placed(solution, exchange.peaks(solution))

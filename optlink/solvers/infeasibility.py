@@ -182,21 +182,12 @@ def explain(
 ) -> Explanation | Array:
     """Identify the conflicting limits of an infeasible NLP; return the x of a feasible design if one is found.
 
-    The analysis uses local searches from several starting points (`points`, or the start and Sobol points) by both back ends. It
-    proves infeasibility only in the sense that none of them found a feasible design.
+    Local searches by both back ends start at `points`, or at the start and Sobol points. They prove infeasibility only in the
+    sense that none of them found a feasible design.
 
-    Parameters
-    ----------
-    seed : int
-        Seed of the Sobol points.
-    points : list of arrays (n,), optional
-        Starting points.
-    quick : bool
-        For large NLPs: use the interior-point method alone, and after the first verdict one search per question, two per amount.
-    follow : function, optional
-        Function of a point x (n,) that returns the parameters of the NLP with its exchange points at the peaks there.
-    exactly : bool
-        Whether limits that are missed by no more than the tolerance of a feasible design count as missed.
+    `quick`, for large NLPs: the interior-point method alone, and after the first verdict one search per question, two per amount.
+    `follow` returns the parameters of the NLP with its exchange points at the peaks of a point. `exactly`: limits that are missed
+    by no more than the tolerance of a feasible design count as missed.
     """
     limits = limits_of(limit_sides(nlp))
     k = len(limits)
@@ -229,14 +220,9 @@ def explain(
 
 
 def feasible_point(nlp: NLP, seed: int = 0, *, exactly: bool = False) -> Array | None:
-    """Return the x (n,) of a design that meets all limits, found by local searches from the start and Sobol points; else None.
+    """Return the x of a design that meets all limits, by local searches from the start and Sobol points; None if none is found.
 
-    Parameters
-    ----------
-    seed : int
-        Seed of the Sobol points.
-    exactly : bool
-        As in `explain`.
+    `exactly`: as in `explain`.
     """
     limits = limits_of(limit_sides(nlp))
     search = _Search(nlp, limits, _begin(nlp, seed), ("ipopt",))
@@ -248,18 +234,9 @@ def feasible_point(nlp: NLP, seed: int = 0, *, exactly: bool = False) -> Array |
 
 
 def tightest(nlp: NLP, key: str, sense: str, point: Array) -> float:
-    """Return the tightest value [display unit] of a limit that a design meets with all other limits; NaN if none is found.
+    """Return the tightest value [display unit] of the limit with a key and sense that a design meets with all other limits.
 
-    Parameters
-    ----------
-    nlp : NLP
-        Infeasible by this limit.
-    key : str
-        Key of the limit.
-    sense : "<=" or ">="
-        Side of the limit.
-    point : array (n,)
-        A design that meets all other limits.
+    NaN if none is found. The NLP is infeasible by this limit; `point` is a design that meets all others.
     """
     sides = limit_sides(nlp)
     matching = [side for side in sides if (side.key, side.sense) == (key, sense)]

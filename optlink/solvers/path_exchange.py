@@ -54,15 +54,7 @@ def solve_semi_infinite(task: PathProblem, start: Solution, backend: str, *, nea
     In every round the exchange points move to where limits are exceeded or nearly so, and the NLP is solved within a radius, in
     which these positions hardly move; a step is accepted only if the merit over all positions decreases. The penalty of the merit
     is raised where it would reject a step that restores feasibility: near an exact design the objective alone is a poor measure.
-
-    Parameters
-    ----------
-    start : Solution
-        Start; its `nlp` is solved.
-    backend : str
-        Back end.
-    near : bool
-        Whether the start satisfies its limits everywhere, so that the first search stays within the radius too.
+    `near`: the start satisfies its limits everywhere, so that the first search stays within the radius too.
     """
     nlp = start.nlp
     if not nlp.exchange_count:
@@ -100,13 +92,7 @@ def solve_semi_infinite(task: PathProblem, start: Solution, backend: str, *, nea
 
 
 def place_at_peaks(task: PathProblem, nlp: NLP, x: Array) -> None:
-    """Move the exchange points, if there are any, to the peaks of the limits of a design.
-
-    Parameters
-    ----------
-    x : array (n,)
-        Scaled point.
-    """
+    """Move the exchange points, if there are any, to the peaks of the limits of a design."""
     if nlp.exchange_count:
         nlp.set_exchange_points(_places(_tops(task, local.solution_at(nlp, x, "")), nlp.exchange_count))
 
@@ -116,11 +102,6 @@ def best_slow_stroke(task: PathProblem, solution: Solution, backend: str) -> Sol
 
     A time ratio that does not name its stroke divides the four-bars into two families. Near a ratio of 1 they almost meet, and
     searches that penalise the limit end between them.
-
-    Parameters
-    ----------
-    backend : str
-        Back end.
     """
     ratio, nlp = task.limits.time_ratio, solution.nlp
     if ratio is None or ratio.stroke is not None or not (ratio.low or 0.0) > 1.0 or not math.isfinite(solution.objective):
@@ -240,13 +221,7 @@ def _places(tops: list[RowPeak], count: int) -> Array:
 
 
 def excess_over(task: PathProblem, solution: Solution) -> Function:
-    """Return the excess over limits and sampled objective, minus the permitted one, as a function of shares (n,) of the motion.
-
-    Parameters
-    ----------
-    solution : Solution
-        The design.
-    """
+    """Return the excess over limits and sampled objective, minus the permitted one, as a function of shares of the motion."""
     values, angles = solved_values(task, solution.design, solution.x)
 
     def excess(shares: Array) -> Array:
@@ -259,16 +234,7 @@ def excess_over(task: PathProblem, solution: Solution) -> Function:
 
 
 def peaks(heights: Function, grid: Array, near: float = 0.0) -> list[RowPeak]:
-    """Return the local maxima of all rows above -near, largest first.
-
-    Parameters
-    ----------
-    heights : function of positions (n,) that returns values (rows, n)
-    grid : array (n,)
-        Positions, increasing.
-    near : float
-        Depth below zero down to which maxima are returned, in the unit of the rows.
-    """
+    """Return the local maxima above -near of all rows of a function of positions (n,), largest first; `grid` brackets them."""
     values = heights(grid)
     padded = np.pad(values, ((0, 0), (1, 1)), constant_values=-np.inf)
     top = (values >= padded[:, :-2]) & (values > padded[:, 2:]) & (values > -2.0 * near)

@@ -60,11 +60,6 @@ def exchange(nlp: CycleNLP, solution: Solution) -> Solution:
     the design, steps overshoot alternately. Therefore the positions of the peaks are unknowns too, the design variables move
     within a radius, and a step is accepted only if the merit at the peaks decreases. These steps do not depend on the back end.
 
-    Parameters
-    ----------
-    solution : Solution
-        Optimum at the positions of the NLP.
-
     References
     ----------
     R. Hettich, K. O. Kortanek, Semi-infinite programming: theory, methods, and applications, SIAM Review 35 (1993) 380-429:
@@ -98,15 +93,7 @@ def exchange(nlp: CycleNLP, solution: Solution) -> Solution:
 
 
 def restart_from(nlp: CycleNLP, solution: Solution, name: str) -> Solution:
-    """Restart a back end from a levelled design; a true optimum does not move.
-
-    Parameters
-    ----------
-    solution : Solution
-        The levelled design.
-    name : str
-        Back end.
-    """
+    """Restart a back end from a levelled design; a true optimum does not move."""
     cycle_peaks = peaks(nlp, solution.x)
     nlp.set_exchange_points(cycle_peaks.shares)
     near = _followed(nlp, nlp.lifted(solution.x), cycle_peaks, RADIUS, name)
@@ -114,15 +101,7 @@ def restart_from(nlp: CycleNLP, solution: Solution, name: str) -> Solution:
 
 
 def reconcile_backends(nlp: CycleNLP, solutions: dict[str, Solution]) -> dict[str, Solution]:
-    """Restart the worse back end from the better one's design if they ended at different optima.
-
-    At a true local optimum it stays there; otherwise the two still disagree and the validation reports it.
-
-    Parameters
-    ----------
-    solutions : dict of str to Solution
-        Best solution for each back end.
-    """
+    """As `multistart.reconcile`, with the largest values over the cycle."""
     winner = min(solutions.values(), key=rank)
     return {
         name: solution
@@ -212,13 +191,7 @@ def _followed(nlp: CycleNLP, x: Array, cycle_peaks: Peaks, radius: float, name: 
 
 
 def refine_peaks(nlp: CycleNLP, solution: Solution) -> Solution:
-    """Refine an optimum by Newton's method with the positions of the peaks as unknowns.
-
-    Parameters
-    ----------
-    solution : Solution
-        The optimum; it is returned unchanged if the refined point is not optimal.
-    """
+    """Refine an optimum by Newton's method with the positions of the peaks as unknowns; unchanged if the end is not optimal."""
     cycle_peaks = peaks(nlp, solution.x)
     nlp.set_exchange_points(cycle_peaks.shares)
     near = _newton(nlp, Attempt(nlp.lifted(solution.x), solution.iterations, solution.message), cycle_peaks)
@@ -251,30 +224,16 @@ def _moving(nlp: CycleNLP, x: Array, cycle_peaks: Peaks) -> tuple[NLP, Array]:
 
 
 def with_following_peaks(nlp: CycleNLP, inner: tuple[tuple[int, int], ...]) -> NLP:
-    """Return the NLP with the positions of inner peaks as unknowns: each where the derivative of its watched term vanishes.
-
-    Parameters
-    ----------
-    inner : tuple of (int, int)
-        Slot and index of the watched term for each inner peak.
-    """
+    """Return the NLP with the positions of inner peaks as unknowns; `inner`: see `Peaks`."""
     return with_places(nlp, nlp.slots, {slot: nlp.watched[index].height(nlp.exchanged[slot]) for slot, index in inner})
 
 
 def with_places(nlp: NLP, slots: int, heights: Mapping[int, Any], terms: tuple[MappedTerms, Any] | None = None) -> NLP:
     """Return an NLP with some exchange points as additional unknowns: each where the derivative of a height vanishes.
 
-    Parameters
-    ----------
-    nlp : NLP
-        Its last `slots` parameters are the exchange points.
-    slots : int
-        Number of exchange points.
-    heights : mapping of int to casadi expression
-        For the number of a exchange point, the height as a function of x and p of the NLP.
-    terms : (MappedTerms, casadi expression), optional
-        The NLP by vectors of positions, and the derivatives of the heights by the exchange points in its terms. Default: those of
-        the NLP, and derivatives in terms of x and p.
+    The last `slots` parameters of the NLP are the exchange points; `heights` has expressions of its x and p by the number of an
+    exchange point. `terms`: the NLP by vectors of positions, and the derivatives of the heights by the exchange points in its
+    terms; by default those of the NLP, and derivatives in terms of x and p.
     """
     n, first, count = len(nlp.variables), len(nlp.p) - slots, len(heights)
     x = casadi.SX.sym("x", n + count)
@@ -312,13 +271,7 @@ def with_places(nlp: NLP, slots: int, heights: Mapping[int, Any], terms: tuple[M
 
 
 def peaks(nlp: CycleNLP, x: Array) -> Peaks:
-    """Return the maxima of the watched terms along every stroke.
-
-    Parameters
-    ----------
-    x : array (n,)
-        Scaled point.
-    """
+    """Return the maxima of the watched terms along every stroke."""
     trace, edges, slots = nlp.traced, nlp.edges(x), nlp.slots // nlp.strokes
     inputs = trace.inputs(nlp.design(x))
     grid = np.linspace(0.0, 1.0, POSITIONS_PER_STROKE)

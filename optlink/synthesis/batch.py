@@ -31,18 +31,11 @@ WEIGHT = 10.0  # of a limit violation relative to the residuals; the NLP that re
 
 
 class Batch:
-    """Residuals of many designs of one problem with definite assembly modes.
+    """Residuals of many designs of one problem with definite assembly modes, and of `others` that differ in these alone.
 
     `x` (designs, n) are the scaled design variables, `t` (designs, points) the crank angles [rad] of the points. With prescribed
     timing the crank angles follow from x, and `free_timing` is False. The designs may differ in their assembly modes: `variant`
     (designs,) is the index of each in `problems`.
-
-    Parameters
-    ----------
-    problem : PathProblem
-        With definite assembly modes.
-    others : sequence of PathProblem
-        The same problem with other assembly modes.
     """
 
     def __init__(self, problem: PathProblem, others: Sequence[PathProblem] = ()) -> None:
@@ -72,13 +65,7 @@ class Batch:
         return replace(linkage, groups=tuple(groups)) if symbols else linkage
 
     def side_columns(self, variant: Variant) -> list[Array]:
-        """Return the assembly modes of designs that differ in them, one array per symbol.
-
-        Parameters
-        ----------
-        variant : int or array (designs,) of int
-            Index of their problem.
-        """
+        """Return the assembly modes of designs that differ in them, one array per symbol."""
         if not self.side_symbols:
             return []
         return list(self.sides[variant].T[..., None] if np.ndim(variant) else self.sides[variant])
@@ -145,15 +132,7 @@ class Batch:
         return values | {name: real[:, i : i + 1] for i, name in enumerate(self.names)}
 
     def crank_angles(self, x: Array, t: Array) -> Array:
-        """Return the crank angles of the points (designs, points) [rad]: `t` itself where the timing is free.
-
-        Parameters
-        ----------
-        x : array (designs, n)
-            Scaled design variables.
-        t : array (designs, points) [rad]
-            Free crank angles of the points; ignored with prescribed timing.
-        """
+        """Return the crank angles of the points (designs, points) [rad]: `t` itself where the timing is free."""
         if self.free_timing:
             return t
         start = self.problem.quantities[START].value if START in self.problem.quantities else 0.0
@@ -165,15 +144,6 @@ class Batch:
         """Return residuals (designs, points, k) and their derivatives by x (..., k, n) and by the crank angle (..., k).
 
         Residuals are relative to the size of the curve.
-
-        Parameters
-        ----------
-        x : array (designs, n)
-            Scaled design variables.
-        t : array (designs, points) [rad]
-            Crank angles of the points.
-        variant : int or array (designs,) of int
-            Index of the assembly modes of each design in `problems`.
         """
         n, k = x.shape[1], self.width
         out = self._residual(*self._columns(x, t, variant))
@@ -186,13 +156,7 @@ class Batch:
         return r, by_x, by_t
 
     def residual_values(self, x: Array, t: Array, variant: Variant = 0) -> Array:
-        """Return the residuals (designs, points, k) without their derivatives; see `residuals`.
-
-        Parameters
-        ----------
-        x, t, variant
-            As in `residuals`.
-        """
+        """Return the residuals (designs, points, k) without their derivatives; see `residuals`."""
         return np.moveaxis(self._value(*self._columns(x, t, variant)), 0, -1)
 
     def _columns(self, x: Array, t: Array, variant: Variant) -> list[Array]:
@@ -201,17 +165,7 @@ class Batch:
         return [*columns, t, *self.data.columns.T, self.data.roots, *self.side_columns(variant)]
 
     def violations(self, x: Array, t: Array, variant: Variant = 0) -> tuple[Array, Array]:
-        """Return weighted limit violations (designs, rows), zero where satisfied, and their derivatives (designs, rows, n).
-
-        Parameters
-        ----------
-        x : array (designs, n)
-            Scaled design variables.
-        t : array (designs, points) [rad]
-            Crank angles of the points.
-        variant : int or array (designs,) of int
-            Index of the assembly modes of each design in `problems`.
-        """
+        """Return weighted limit violations (designs, rows), zero where satisfied, and their derivatives (designs, rows, n)."""
         n = x.shape[1]
         parts = []
         if self._limits:

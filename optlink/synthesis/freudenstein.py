@@ -84,8 +84,7 @@ def first_steps(
     ratios : (low, high) [-]
         Limits of crank, coupler and rocker over the frame.
     count : int
-        Largest number of linkages; their starts are at least `START_SEPARATION` grid steps apart or have different assembly
-        modes.
+        Largest number of linkages; their starts are at least `START_SEPARATION` grid steps apart or differ in assembly mode.
     shift : bool
         True: a fit with a negative crank or rocker is replaced by the linkage that starts half a turn further; grids over half a
         turn then cover all starts. False: start angles stay within the range of their grid.
@@ -97,7 +96,6 @@ def first_steps(
     -------
     list of FirstStep
         By increasing error; empty if no start gives a linkage that keeps its assembly mode over the whole range.
-
     """
     x, y = np.asarray(phi, dtype=float), np.asarray(psi, dtype=float)
     grids = np.unique(np.asarray(phi0, dtype=float)), np.unique(np.asarray(psi0, dtype=float))
@@ -129,16 +127,9 @@ def fit_pairs(
     shift: bool = True,
     keep: Keep | None = None,
 ) -> list[FirstStep]:
-    """Return the fit at each pair of start angles that gives an admissible linkage, in the order of the pairs and without bounds.
+    """Return the fit at each pair of start angles (m,) that gives an admissible linkage, in their order and without bounds.
 
-    Parameters
-    ----------
-    phi, psi : array (n,) [rad]
-        Target rotations of crank and rocker from their starts; n >= 3.
-    phi0, psi0 : array (m,) [rad]
-        Pairs of start angles.
-    measure, ratios, shift, keep
-        As in `first_steps`.
+    The other arguments are those of `first_steps`.
     """
     x, y = np.asarray(phi, dtype=float), np.asarray(psi, dtype=float)
     task = FitProblem(LoopEquation(ratios), x, y, measure == "max", shift, keep)

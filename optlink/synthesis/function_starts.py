@@ -44,11 +44,6 @@ def fits(problem: DesignProblem, seed: int) -> Iterator[dict[str, float]]:
     """Yield fitted linkages at random start angles (scrambled Sobol points) as quantities of the problem.
 
     Only linkages that keep the assembly mode of the problem are yielded; at most `BLOCK` times `BLOCKS` points are tried.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of the scrambling.
     """
     from scipy.stats import qmc
 
@@ -85,13 +80,7 @@ def _options(problem: DesignProblem, free: bool) -> dict[str, Any]:
 
 
 def values(problem: DesignProblem, step: FirstStep) -> dict[str, float]:
-    """Return a first design as quantities [m, rad] of the problem.
-
-    Parameters
-    ----------
-    step : FirstStep
-        Lengths relative to the frame.
-    """
+    """Return a first design as quantities [m, rad] of the problem."""
     frame = problem.quantities["frame"].value
     lengths = {name: getattr(step, name) * frame for name in LENGTHS[:3]}
     angles = {name: _into(problem.quantities[name], getattr(step, name)) for name in ("phi0", "psi0")}

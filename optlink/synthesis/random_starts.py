@@ -113,15 +113,7 @@ def random_crank_angles(batch: Batch, count: int, rng: np.random.Generator) -> A
 
 
 def within_reach(batch: Batch, x: Array, t: Array, rng: np.random.Generator) -> Array:
-    """Shift and shorten crank angles of four-bars without full rotation to the range where they can be assembled.
-
-    Parameters
-    ----------
-    x : array (count, n)
-        Scaled design variables.
-    t : array (count, points) [rad]
-        Crank angles of the points.
-    """
+    """Shift and shorten crank angles of four-bars without full rotation to the range where they can be assembled."""
     if batch.crank_turns or not batch.four_bar or not batch.free_timing:
         return t
     values = batch.values(x)
@@ -143,15 +135,7 @@ def within_reach(batch: Batch, x: Array, t: Array, rng: np.random.Generator) -> 
 
 
 def assembles_everywhere(batch: Batch, x: Array, t: Array) -> NDArray[np.bool_]:
-    """Return which designs (count,) can be assembled at all points, and over the whole revolution if the crank must turn.
-
-    Parameters
-    ----------
-    x : array (count, n)
-        Scaled design variables.
-    t : array (count, points) [rad]
-        Crank angles of the points.
-    """
+    """Return which designs can be assembled at all points, and over the whole revolution if the crank must turn."""
     mechanism, values = batch.problem.linkage, batch.values(x)
     angles = batch.crank_angles(x, t)
     with np.errstate(all="ignore"):

@@ -96,17 +96,7 @@ class SimilarityFit:
         self._pivot = [batch.names.index(f"{mechanism.crank.start}.{axis}") for axis in "xy"]
 
     def fit(self, x: Array, t: Array, variant: Variant = 0) -> tuple[Array, Array]:
-        """Return designs with optimal linear variables, and their crank angles; designs without a finite fit stay unchanged.
-
-        Parameters
-        ----------
-        x : array (designs, n)
-            Scaled design variables.
-        t : array (designs, points) [rad]
-            Crank angles of the points.
-        variant : int or array (designs,) of int
-            Index of the assembly modes of each design in `Batch.problems`.
-        """
+        """Return designs with optimal linear variables, and their crank angles; designs without a finite fit stay unchanged."""
         batch = self.batch
         n = x.shape[1]
         arm_x, arm_y, axis_x, axis_y = self._tape(*(x[:, i : i + 1] for i in range(n)), t, *batch.side_columns(variant))

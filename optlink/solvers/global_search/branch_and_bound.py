@@ -51,15 +51,7 @@ class Bounder(Protocol):
         ...
 
     def bounded(self, low: Array, high: Array, threshold: float) -> BoxRecord:
-        """Bound a batch of boxes.
-
-        Parameters
-        ----------
-        low, high : array (boxes, n)
-            Corners.
-        threshold : float
-            Boxes whose lower bound is not below it are discarded.
-        """
+        """Bound a batch of boxes with corners (boxes, n); those whose lower bound is not below the threshold are discarded."""
         ...
 
 
@@ -98,11 +90,7 @@ class Boxes:
     def about(self, point: Array, width: Array) -> Boxes:
         """Return these boxes, divided into at most a batch of boxes that are about as wide as their distance from a point.
 
-        Parameters
-        ----------
-        point : array (n,)
-        width : array (n,)
-            Of the bounds; widths and distances are shares of it.
+        Widths and distances are shares of `width` (n,), that of the bounds.
         """
         boxes = self
         while True:
@@ -140,15 +128,7 @@ class Leaves:
     count: int = 0
 
     def add(self, boxes: Boxes, discarded: NDArray[np.bool_], test: NDArray[np.int8], multipliers: Array) -> None:
-        """Add boxes that are discarded.
-
-        Parameters
-        ----------
-        discarded : array of bool (boxes,)
-            Those of a batch that are discarded.
-        test : array of int (boxes,)
-        multipliers : array (boxes, limits)
-        """
+        """Add those boxes of a batch that are discarded."""
         self.count += int(discarded.sum())
         self.low.append(boxes.low[discarded])
         self.high.append(boxes.high[discarded])
@@ -192,20 +172,12 @@ class BranchAndBound:
     improve : function of a point (n,), optional
         Returns the objective of a valid design found from there, or infinity. Called where the centre of a box is better than
         the best known design.
-    batch : int
-        Boxes that are bounded together.
-    few : int
-        Open boxes below which they are divided before they are bounded.
+    batch, few : int
+        Boxes that are bounded together; open boxes below which they are divided before they are bounded.
     divisible : bool
         Whether batches may be bounded by copies of `bounder`: a long search then takes steps of several batches.
     runs : function, optional
         From `optlink.execution.runner.pool`, for these batches; it changes nothing in the result. Default: the present process.
-
-    Attributes
-    ----------
-    boxes : int
-        Boxes bounded so far.
-    history : list of (boxes, lower, best)
     """
 
     bounder: Bounder
@@ -247,14 +219,7 @@ class BranchAndBound:
     def run(
         self, seconds: float = math.inf, boxes: float = math.inf, report: Callable[[BranchAndBound], None] | None = None
     ) -> None:
-        """Search until every box is discarded, or the time or number of boxes is reached.
-
-        Parameters
-        ----------
-        boxes : float
-            Most boxes that are bounded in all.
-        report : function of this search, optional
-            Called after every batch.
+        """Search until every box is discarded, or the time or number of boxes is reached; `report` is called after every batch.
 
         Raises
         ------

@@ -38,19 +38,9 @@ LAW_ROUNDING = 1e-12  # rad; bounds the error of a prescribed output in floating
 class FunctionBounds:
     """Lower bounds of the largest output error over boxes of (phi0, psi0, K1, K2); a `Bounder` of `branch_and_bound`.
 
-    Parameters
-    ----------
-    rise : function
-        Prescribed output rotation [rad] at input rotations [rad].
-    x : array (n,) [rad]
-        Input rotations of the rows.
-    dense : array [rad]
-        Input rotations, evenly spaced, at which candidates are judged; the worst ones join the rows.
-
-    Attributes
-    ----------
-    candidate : array (5,)
-        phi0, psi0, K1, K2, K3 of the best candidate of the last batch.
+    `rise` is the prescribed output rotation [rad] at input rotations, `x` (n,) the input rotations of the rows. Candidates are
+    judged at `dense` ones, evenly spaced; the worst of these join the rows. `candidate` is the best one of the last batch: phi0,
+    psi0, K1, K2, K3.
     """
 
     linkages: LinkageSet
@@ -74,14 +64,7 @@ class FunctionBounds:
         return self.linkages.high
 
     def bounded(self, low: Array, high: Array, threshold: float) -> BoxRecord:
-        """Discard the boxes of a batch that hold no linkage with an error below the threshold.
-
-        Parameters
-        ----------
-        low, high : array (boxes, 4)
-            Corners.
-        threshold : float [rad]
-        """
+        """Discard the boxes of a batch that hold no linkage with an error below the threshold [rad]."""
         t = threshold + LAW_ROUNDING
         rows = Rows.joined([loop_rows(self.linkages, self.x, self.y, t), grashof_rows(self.linkages)], len(low))
         z, weights, split = _solved(rows, low, high)
@@ -164,14 +147,7 @@ class FunctionBounds:
 def followed(points: Array, side: int, x: Array, y: Array) -> tuple[Array, Array, Array]:
     """Return output errors and transmission angles (m, n) [rad] and couplers (m,) of linkages; NaN where one cannot be assembled.
 
-    Parameters
-    ----------
-    points : array (m, 5)
-        phi0, psi0 [rad], K1, K2, K3.
-    side : int
-        Assembly mode, +1 or -1.
-    x, y : array (n,) [rad]
-        Input and prescribed output rotations.
+    `points` (m, 5) are phi0, psi0 [rad], K1, K2, K3; x and y (n,) [rad] are input and prescribed output rotations.
     """
     phi0, psi0, k1, k2, k3 = (points[:, k, None] for k in range(5))
     crank, rocker, phi = 1.0 / k1, 1.0 / k2, phi0 + x

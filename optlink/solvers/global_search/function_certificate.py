@@ -45,24 +45,10 @@ def certify_function(
 ) -> FunctionSearch:
     """Bound the largest error of all linkages from below, both assembly modes where the problem leaves them open.
 
-    Parameters
-    ----------
-    problem : DesignProblem
-        Of a function, whose error is bounded (`DesignProblem.error_bounded`).
-    best : float [rad]
-        Largest error of the best known design, below `MOST`.
-    design : mapping of str to float [m, rad], optional
-        That design; the proof is shorter with the positions of its largest errors.
-    gap : float
-        Share of `best` to be proven.
-    seconds : float
-        Time limit; the bound reached by then holds. Ctrl-C stops as well.
-    boxes : float
-        Most boxes that are bounded.
-    progress : function of (share, gap), optional
-        Receives the share of the start angles that is done at the present level, and the gap that is proven.
-    improve : function, optional
-        Receives a better design [m, rad] and returns the objective of the valid one found from it. Default: its own error.
+    `best` [rad], below `MOST`, is the largest error of the best known `design`; the proof of a share `gap` of it is shorter with
+    the positions of its largest errors. The bound reached within the limit of time [s] or boxes holds; Ctrl-C stops as well.
+    `progress` receives the share of the start angles that is done at the present level, and the gap that is proven. `improve`
+    receives a better design [m, rad] and returns the objective of the valid one found from it; by default its own error.
     """
     search = FunctionSearch(problem, best, None if design is None else dict(design), improve)
     search.run([level for level in LEVELS if level > gap] + [gap], seconds, boxes, progress)
@@ -70,12 +56,7 @@ def certify_function(
 
 
 def linkage_sets(problem: DesignProblem, error: float) -> list[LinkageSet]:
-    """Return the linkages that a problem admits, those that come nearer to a dead position than an error [rad] apart.
-
-    Parameters
-    ----------
-    error : float [rad]
-    """
+    """Return the linkages that a problem admits, those that come nearer to a dead position than an error [rad] apart."""
     ratios = [_ratio(problem, name) for name in LENGTHS[:3]]
     low, high = (np.zeros(4) for _ in range(2))
     for k, name in enumerate(("phi0", "psi0")):
@@ -111,27 +92,10 @@ def _ratio(problem: DesignProblem, name: str) -> tuple[float, float]:
 class FunctionSearch:
     """Search of all linkages within the bounds and limits of a problem for one with a smaller largest output error.
 
-    Parameters
-    ----------
-    best : float [rad]
-        Largest error of the best known design.
-    design : dict [m, rad] or None
-        That design.
-    improve : function or None
-        See `certify_function`.
-    proven : float [rad]
-        Lower bound of the last gap that is proven.
-    boxes : int
-        Boxes that were bounded.
-    status : str
-        "closed" if the requested gap is proven; "stopped" at the limit of time or boxes; "interrupted" by Ctrl-C.
-    better : list of (dict [m, rad], int)
-        Designs better than all known before and their assembly modes, in the order of their discovery.
-    history : list of (boxes, lower, best)
-    tried : list of array (4,)
-        Places of the candidates that were tried.
-    searches : list of BranchAndBound
-        Those of the present gap.
+    `proven` [rad] is the lower bound of the last gap that is proven; `status`: "closed" if the requested gap is, "stopped" at the
+    limit of time or boxes, "interrupted" by Ctrl-C. `better` has the designs [m, rad] better than all known before and their
+    assembly modes, `tried` the places (4,) of the candidates that were tried; `history`: boxes, lower, best. `searches` are those
+    of the present gap.
     """
 
     problem: DesignProblem
@@ -163,16 +127,7 @@ class FunctionSearch:
         return np.concatenate(left) if left else np.zeros((0, 2, 4))
 
     def run(self, levels: list[float], seconds: float, boxes: float, progress: Callable[[float, float], None] | None) -> None:
-        """Prove one gap after the other.
-
-        Parameters
-        ----------
-        levels : list of float
-            Gaps to prove, largest first.
-        seconds, boxes : float
-            Limits of time [s] and of the number of boxes.
-        progress : function of (share, gap), optional
-        """
+        """Prove one gap after the other, the largest first, within limits of time [s] and of the number of boxes."""
         begin = time.perf_counter()
         try:
             for level in levels:

@@ -102,15 +102,7 @@ class LagrangianBounds:
         return self.problem.high
 
     def bounded(self, low: Array, high: Array, threshold: float) -> BoxRecord:
-        """Bound a batch of boxes.
-
-        Parameters
-        ----------
-        low, high : array (boxes, n)
-            Corners.
-        threshold : float
-            Boxes whose lower bound is not below it are discarded.
-        """
+        """Bound a batch of boxes; see `Bounder`."""
         models = self.problem.over(low, high)
         batch = _Batch(models, self.problem.measure, threshold)
         batch.violated_limits()
@@ -198,11 +190,6 @@ class _Batch:
         """Return the corners (boxes, n) of the parts of the boxes that can hold a design below the threshold.
 
         From the linear parts: a feasible design d in -1 ... 1 satisfies a . d <= most for every row (a, most) below.
-
-        Parameters
-        ----------
-        low, high : array (boxes, n)
-            Corners of the boxes.
         """
         left = np.flatnonzero(self.test == OPEN)
         if not left.size:
@@ -249,12 +236,8 @@ class _Batch:
     def record(self, width: Array, low: Array, high: Array) -> BoxRecord:
         """Return the bounds, and for every box the unknown that changes the objective most; the widest if it is undefined.
 
-        Parameters
-        ----------
-        width : array (boxes, n)
-            Of the boxes, as shares of the bounds.
-        low, high : array (boxes, n)
-            Corners of what is left of them.
+        `width` (boxes, n) is that of the boxes, as shares of the bounds; `low` and `high` are the corners of what is left of
+        them.
         """
         assert self.objective is not None
         objective, n = self.objective, width.shape[1]
@@ -273,13 +256,7 @@ class _Batch:
 
 
 def least_size(residuals: TaylorModel, *, periodic: bool) -> Array:
-    """Return a lower bound of the size of every residual over every box, zero where there is none.
-
-    Parameters
-    ----------
-    periodic : bool
-        See `BoxModels`.
-    """
+    """Return a lower bound of the size of every residual over every box, zero where there is none (`BoxModels.periodic`)."""
     low, high = residuals.low, residuals.high
     size = np.maximum(0.0, np.maximum(low, -high))
     if periodic:
@@ -292,13 +269,8 @@ def least_size(residuals: TaylorModel, *, periodic: bool) -> Array:
 def lagrangian_bound(objective: TaylorModel | None, slacks: TaylorModel, multipliers: Array) -> Array:
     """Return the lower bound (boxes,) of objective - multipliers . slacks; without an objective, of the second part alone.
 
-    Slacks that cannot be bounded are left out: their multiplier becomes zero in place.
-
-    Parameters
-    ----------
-    objective : TaylorModel (boxes,), optional
-    slacks : TaylorModel (boxes, limits)
-    multipliers : array (boxes, limits), not negative
+    The multipliers (boxes, limits) are not negative. Slacks that cannot be bounded are left out: their multiplier becomes zero in
+    place.
     """
     multipliers[~np.isfinite(slacks.remainder)] = 0.0
     weighted = slacks.coefficients * multipliers
@@ -324,17 +296,10 @@ def _linear_parts(slacks: TaylorModel) -> Parts:
 
 
 def raised_multipliers(first: Parts, slack: Parts) -> Array:
-    """Return multipliers (boxes, limits) that raise the bound of the linear part of the Lagrangian.
+    """Return multipliers (boxes, limits) that raise the bound of the linear part of the Lagrangian, from objective and slacks.
 
     In every round, each multiplier is tried at the values where a slope of the Lagrangian vanishes (its bound is concave and
     piecewise linear in one multiplier, with its maximum at one of them), and the best step of all is taken.
-
-    Parameters
-    ----------
-    first : Parts
-        Of the objective: (boxes,), (boxes, n), (boxes,).
-    slack : Parts
-        Of the slacks: (boxes, limits), (boxes, limits, n), (boxes, limits).
     """
     constant, linear, spread = first
     value, slope, rest = slack
