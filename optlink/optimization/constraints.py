@@ -273,13 +273,11 @@ def transmission(problem: AnyProblem, values: Mapping[str, Value], reach: Reach,
             for cosine in (1.0, -1.0):
                 yield limit.row("", transmission_cosine(*lengths, cosine))
         else:
-            names = (ALIGNED, ALIGNED) if aligned else ("smallest transmission angle", "largest transmission angle")
-            if np.any(limit.high < math.inf):
-                cosine = transmission_cosine(*lengths, 1.0)
-                yield ConstraintRow(limit.key, names[0], cosine, -math.inf, limit.high, COSINE)
-            if np.any(limit.low > -math.inf):
-                cosine = transmission_cosine(*lengths, -1.0)
-                yield ConstraintRow(limit.key, names[1], cosine, limit.low, math.inf, COSINE)
+            sides = ("smallest", 1.0, -math.inf, limit.high), ("largest", -1.0, limit.low, math.inf)
+            for which, cos_phi, low, high in sides:
+                if np.any(low > -math.inf) or np.any(high < math.inf):
+                    label = ALIGNED if aligned else f"{which} transmission angle"
+                    yield ConstraintRow(limit.key, label, transmission_cosine(*lengths, cos_phi), low, high, COSINE)
 
 
 def registered(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: float) -> Iterator[ConstraintRow]:

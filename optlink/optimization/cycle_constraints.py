@@ -15,10 +15,9 @@ from optlink.linkage.vector2d import TURN, Array
 from optlink.optimization.constraints import DEGREES, PLAIN, ConstraintRow, Scale, SquareRootScale, alignment_row
 from optlink.optimization.cycle_signals import EventOrder, TracedCycle
 from optlink.optimization.mapped_terms import MappedTerms
-from optlink.optimization.nlp import Variable
-from optlink.problem.cycle.model import Bound, CycleProblem
+from optlink.optimization.nlp import Variable, scaled_variable
+from optlink.problem.cycle.model import Bound
 from optlink.problem.cycle.terms import Goal, Term
-from optlink.problem.fixed_design import quantity_key
 from optlink.problem.function import EPIGRAPH
 from optlink.units import KINDS, factor
 
@@ -61,14 +60,6 @@ class WatchedTerm:
         return casadi.sumsqr(casadi.vertcat(*components)) if self.width > 1 or self.peak else self.sign * components[0]
 
 
-def scaled_variable(problem: CycleProblem, name: str, size: float) -> Variable:
-    """Return the scaling of a quantity: lengths and coordinates by the size [m] of the machine, angles by 1 rad."""
-    key = quantity_key(problem, name)
-    if problem.quantities[name].kind not in ("length", "coordinate"):
-        return Variable(name, 1.0, DEGREES, key=key, periodic=problem.quantities[name].kind == "angle")
-    return Variable(name, size, Scale("mm", 1e3 * size), key=key)
-
-
 def _keeps_slow(bound: Bound) -> bool:
     """Return whether a limit of a time ratio by itself keeps the slow stroke slower."""
     if bound.term.stroke == "quick":
@@ -102,10 +93,10 @@ class CycleTerms:
         events = len(structure.which)
         self.cuts = trace.cuts(structure)
         self.strokes = max(1, self.cuts) * trace.revolutions
-        self.variables = [scaled_variable(problem, name, self.size) for name in self.free]
+        self.variables = [self._scaled(name) for name in self.free]
         self.variables += [Variable(f"{EVENT} {k + 1}", 1.0, DEGREES) for k in range(events)]
         self.variables += [Variable(f"{goal.words} {k + 1}", 1.0, PLAIN) for k, goal in enumerate(self.epigraphs)]
-        self.constants = [scaled_variable(problem, name, self.size) for name in self.fixed]
+        self.constants = [self._scaled(name) for name in self.fixed]
         self.x = casadi.SX.sym("x", len(self.variables))
         self.exchange, self.slots = exchange, self.strokes * exchange
         self.p = casadi.SX.sym("p", 1 + len(self.fixed) + self.slots)
@@ -119,6 +110,9 @@ class CycleTerms:
         self.rows: list[ConstraintRow] = []
         self._cut(nodes)
         self._at_events()
+
+    def _scaled(self, name: str) -> Variable:
+        return scaled_variable(self.problem, name, self.size, periodic=self.problem.quantities[name].kind == "angle")
 
     # --- positions -------------------------------------------------------------------------------------------------------
 

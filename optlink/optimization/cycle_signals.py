@@ -137,6 +137,7 @@ class TracedCycle:
         self.names = list(problem.quantities)
         self.terms: tuple[Term, ...] = (*problem.goals, *(bound.term for bound in problem.bounds))
         self.cyclic = [term for term in self.terms if term.nature.cyclic]
+        self.ended = [term for term in self.terms if term.quantity in ("stroke", "end")]  # computed at the ends of strokes
         self.works = any(term.quantity == "work" for term in self.terms)
         self.base, self.slow = self._relevant(problem.machine(values, slow)), slow
         self.revolutions = self.base.revolutions or 1
@@ -167,11 +168,6 @@ class TracedCycle:
         still = {name: Jet(size) for name, size in sizes.items()}  # casadi operators reject jets: use jets throughout
         pose = self.mechanism.pose(still, unit(Jet(phi, self.speed, 0.0)))
         return _MovingWithSenses(machine, Motion(self.mechanism, sizes, phi, self.speed, pose, 0.0), self.direction)
-
-    @cached_property
-    def ended(self) -> list[Term]:
-        """Terms computed from the output positions at the ends of strokes."""
-        return [term for term in self.terms if term.quantity in ("stroke", "end")]
 
     def _signals(self, moving: Moving) -> list[tuple[Value, ...]]:
         """Return the components of every cyclic term, followed by the driving torque if work is required."""

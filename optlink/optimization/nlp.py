@@ -22,6 +22,7 @@ from optlink.optimization.output_derivatives import ErrorDerivatives
 from optlink.problem.fixed_design import quantity_key
 from optlink.problem.function import EPIGRAPH, DesignProblem, StartPosition
 from optlink.problem.limits import Reach
+from optlink.problem.machine.model import Problem
 from optlink.problem.quantity import Quantity
 from optlink.problem.robust import EXPECTED, SMOOTHED, residuals
 from optlink.problem.targets.expression import Expression
@@ -43,6 +44,18 @@ class Variable:
     def scaled(self, value: float) -> float:
         """Return the component of the design vector for a value [SI]."""
         return (value - self.origin) / self.size
+
+    def value(self, component: Any) -> Any:
+        """Return the value [SI], a number or symbol, for a component of the design vector."""
+        return self.origin + self.size * component
+
+
+def scaled_variable(problem: Problem, name: str, size: float, *, periodic: bool, origin: float = 0.0) -> Variable:
+    """Return the scaling of a quantity: a length or coordinate, counted from an origin, by a size [m]; an angle by 1 rad."""
+    key = quantity_key(problem, name)
+    if problem.quantities[name].kind in ("length", "coordinate"):
+        return Variable(name, size, Scale("mm", 1e3 * size, offset=1e3 * origin), origin, key)
+    return Variable(name, 1.0, DEGREES, key=key, periodic=periodic)
 
 
 THREADED = 10_000  # elements from which BLAS shares a dot product among threads, which takes longer than any other test
@@ -149,9 +162,12 @@ class NLP:
         """Upper bounds of x, then of the rows."""
         return np.concatenate([self.x_high, self.high])
 
+    def _compiled(self, *outputs: Any) -> CompiledFunction:
+        return CompiledFunction([self.x_symbol, self.p_symbol], list(outputs))
+
     @cached_property
     def _values(self) -> CompiledFunction:
-        return CompiledFunction([self.x_symbol, self.p_symbol], [self.f_expression, self.g_expression])
+        return self._compiled(self.f_expression, self.g_expression)
 
     @property
     def programme(self) -> dict[str, Any]:
@@ -176,11 +192,11 @@ class NLP:
 
     @cached_property
     def _residuals(self) -> CompiledFunction:
-        return CompiledFunction([self.x_symbol, self.p_symbol], [self.residual_expression])
+        return self._compiled(self.residual_expression)
 
     @cached_property
     def _residual_slopes(self) -> CompiledFunction:
-        return CompiledFunction([self.x_symbol, self.p_symbol], [casadi.jacobian(self.residual_expression, self.x_symbol)])
+        return self._compiled(casadi.jacobian(self.residual_expression, self.x_symbol))
 
     def take_hessian(self, function: Any) -> None:
         """Use the Hessian of the Lagrangian that a back end has generated, unless there is one: generating it takes long.
@@ -225,15 +241,14 @@ class NLP:
 
     def design(self, x: Array) -> dict[str, float]:
         """Return the design variables of the problem [SI] at x."""
-        names = ((v, value) for v, value in zip(self.variables, x, strict=True) if v.name != EPIGRAPH)
-        return {variable.name: variable.origin + float(value) * variable.size for variable, value in names}
+        return {v.name: v.value(float(y)) for v, y in zip(self.variables, x, strict=True) if v.name != EPIGRAPH}
 
     def x_of(self, values: Mapping[str, float], *, bounded: bool = True) -> Array:
         """Return x for values of the design variables [SI]; the epigraph variable takes its least value.
 
         `bounded`: values beyond a bound are moved to it.
         """
-        x = np.array([(values.get(v.name, 0.0) - v.origin) / v.size for v in self.variables])
+        x = np.array([v.scaled(values.get(v.name, 0.0)) for v in self.variables])
         return self.lifted(np.clip(x, self.x_low, self.x_high) if bounded else x)
 
     @property
@@ -257,6 +272,15 @@ class NLP:
             if bound is not None:
                 place, index = (own, entry) if entry < len(own) else (rows, entry - len(own))
                 both[entry] = place[index] = bound
+
+    def set_bounds(self, low: Array, high: Array) -> None:
+        """Move the bounds (scaled) of all components of x in place."""
+        self.lower[: len(low)] = self.x_low[:] = low
+        self.upper[: len(high)] = self.x_high[:] = high
+
+    def wrapped(self, x: Array) -> Array:
+        """Return x with every angle that may be any moved by a revolution towards its bounds."""
+        return x - TURN * self.around * ((x > self.x_high) * 1.0 - (x < self.x_low))
 
     def lifted(self, x: Array) -> Array:
         """Return the same design with the epigraph variable (if there is one) at the largest residual."""
@@ -362,11 +386,9 @@ def build(problem: DesignProblem, *, movable: bool = False) -> NLP:
         mapped = MappedTerms(x, p, (residual,), known, len(free), (angles,), (senses,), (z,), f / p[0], g)
         f, g, vector = mapped.expanded([mapped.f, g, casadi.vec(z)])
 
-    def scaled(name: str) -> Variable:
-        scale = Scale("mm", 1e3 * size) if name in LENGTHS else DEGREES
-        return Variable(name, sizes[name], scale, key=quantity_key(problem, name), periodic=problem.is_periodic(name))
-
-    variables, constants = [scaled(name) for name in free], [scaled(name) for name in fixed]
+    variables, constants = (
+        [scaled_variable(problem, name, size, periodic=problem.is_periodic(name)) for name in names] for names in (free, fixed)
+    )
     constants += [Variable(name, size, Scale("mm", 1e3 * size)) for name in counted]
     constants += [Variable(SPAN, 1.0, DEGREES)] if spanned else []
     box = [boxed(problem.quantities[v.name], v) for v in variables]

@@ -23,9 +23,8 @@ from optlink.optimization.constraints import (
     rows as limit_rows,
 )
 from optlink.optimization.mapped_terms import MappedTerms
-from optlink.optimization.nlp import NLP, Variable, boxed
+from optlink.optimization.nlp import NLP, Variable, boxed, scaled_variable
 from optlink.optimization.objectives import error_measures
-from optlink.problem.fixed_design import quantity_key
 from optlink.problem.function import EPIGRAPH
 from optlink.problem.limits import Reach
 from optlink.problem.mechanism import FourBarSection
@@ -43,14 +42,11 @@ def angle_name(index: int) -> str:
     return f"crank angle of point {index + 1}"
 
 
-def scaled_variable(problem: PathProblem, name: str) -> Variable:
+def path_variable(problem: PathProblem, name: str) -> Variable:
     """Return the scaling of a quantity: lengths by the size of the curve, coordinates on the frame from its centre."""
-    quantity, key = problem.quantities[name], quantity_key(problem, name)
-    if quantity.kind not in ("length", "coordinate"):
-        return Variable(name, 1.0, DEGREES, key=key, periodic=problem.is_periodic(name))
-    axis = name.rpartition(".")[2] if quantity.kind == "coordinate" else ""
+    axis = name.rpartition(".")[2] if problem.quantities[name].kind == "coordinate" else ""
     origin = problem.centre["xy".index(axis)] if axis in ("x", "y") else 0.0
-    return Variable(name, problem.size, Scale("mm", 1e3 * problem.size, offset=1e3 * origin), origin, key)
+    return scaled_variable(problem, name, problem.size, periodic=problem.is_periodic(name), origin=origin)
 
 
 def has_position_limits(problem: PathProblem) -> bool:
@@ -75,24 +71,24 @@ def build_path_nlp(problem: PathProblem, direction: int = 1, *, movable: bool = 
     free_timing = data.offsets is None
     count, measure = len(data.columns), error_measures(problem.unit, problem.width)[problem.measure]
     minimax = measure.name == "max"
-    variables = [scaled_variable(problem, name) for name in free]
+    variables = [path_variable(problem, name) for name in free]
     if free_timing:
         variables += [Variable(angle_name(i), 1.0, DEGREES) for i in range(count)]
     if minimax:
         variables.append(Variable(EPIGRAPH, share, Scale(problem.unit, share)))
-    constants = [scaled_variable(problem, name) for name in fixed]
+    constants = [path_variable(problem, name) for name in fixed]
     moving = target_constants(problem) if movable and problem.pointed else []
 
     x = casadi.SX.sym("x", len(variables))
     many = EXCHANGE_POINTS if has_position_limits(problem) else 0
     exchanged_from = 1 + len(fixed) + len(moving)
     p = casadi.SX.sym("p", exchanged_from + many)
-    values: dict[str, Any] = {v.name: v.origin + v.size * x[i] for i, v in enumerate(variables[: len(free)])}
-    values |= {v.name: v.origin + v.size * p[1 + i] for i, v in enumerate(constants)}
+    values: dict[str, Any] = {v.name: v.value(x[i]) for i, v in enumerate(variables[: len(free)])}
+    values |= {v.name: v.value(p[1 + i]) for i, v in enumerate(constants)}
     columns: Any = data.columns
     stretch: Any = 1.0
     if moving:
-        parts = [v.origin + v.size * p[1 + len(fixed) + i] for i, v in enumerate(moving)]
+        parts = [v.value(p[1 + len(fixed) + i]) for i, v in enumerate(moving)]
         width = data.columns.shape[1]
         columns = [parts[width * k : width * (k + 1)] for k in range(count)]
         stretch = casadi.vertcat(1.0, 1.0, parts[-1] / problem.radian) if problem.requirement.kind == "motion" else 1.0

@@ -160,9 +160,14 @@ class OrderSearch:
         """Return the best design of a back end so far."""
         return min(self.runs[name], key=rank, default=None)
 
+    @property
+    def top(self) -> Solution | None:
+        """The best design of all back ends so far."""
+        return min((best for name in self.names if (best := self.best(name)) is not None), key=rank, default=None)
+
     def rank(self) -> tuple[bool, bool, float]:
         """Return the sort key of the best design of all back ends; infeasible ones last."""
-        return min((rank(best) for name in self.names if (best := self.best(name)) is not None), default=(True, True, math.inf))
+        return (True, True, math.inf) if self.top is None else rank(self.top)
 
     @property
     def usable(self) -> bool:
@@ -235,8 +240,7 @@ def search_all(
     """
     backends = tuple(names)
     orders = [OrderSearch(build_programme(trace, begin), begin, backends, explored=True) for begin in firsts]
-    more: list[OrderSearch] | None = None
-    beside: list[OrderSearch] = []
+    begun, more, beside = orders, list[OrderSearch](), list[OrderSearch]()
     count, interrupted = 0, False
     searches = LocalSearches(tuple(orders))
     ahead = None if runs is None else ordered(searches, len(searches.turns()), runs)
@@ -244,22 +248,23 @@ def search_all(
         for k in range(max(len(begin.starts) for begin in firsts)):
             _round(orders, k, ahead)
             if not any(order.usable for order in orders):
-                if more is None:
+                if begun is orders:
                     more = [
                         OrderSearch(build_programme(trace, begin), begin, backends, False, explored=True) for begin in further()
                     ]
+                    begun = [*orders, *more]
                 _round(more, k)
-            _cross([*orders, *(more or ())], beside, backends)
-            _return([*orders, *(more or ())], beside, backends)
-            _explore([*orders, *(more or ())], beside, backends, alike)
+            _cross(begun, beside)
+            _return(begun, beside)
+            _explore(begun, beside, alike)
             count = k + 1
             done(count)
     except KeyboardInterrupt:
         interrupts.handled()
-        if not any(order.usable for order in (*orders, *(more or ()))):
+        if not any(order.usable for order in begun):
             raise
         interrupted = True
-    every = [order for order in (*orders, *(more or ()), *beside) if all(order.runs.values())]
+    every = [order for order in (*begun, *beside) if all(order.runs.values())]
     winner = min(every, key=OrderSearch.rank)
     best_by_backend = {name: best for name in backends if (best := winner.best(name)) is not None}
     if winner.usable:
@@ -274,24 +279,29 @@ def _round(orders: Sequence[OrderSearch], k: int, ahead: Iterator[list[dict[str,
             order.advance(k, None if ahead is None else [Solution(nlp=order.nlp, **parts) for parts in next(ahead)])
 
 
-def _cross(orders: Sequence[OrderSearch], beside: list[OrderSearch], names: tuple[str, ...]) -> None:
+def _search_beside(
+    beside: list[OrderSearch], trace: TracedCycle, begin: StartGroup, names: tuple[str, ...], *, explored: bool = False
+) -> None:
+    """Search another order of events from all of its starting points, and add it to `beside`."""
+    beside.append(OrderSearch(build_programme(trace, begin), begin, names, insists=False, explored=explored))
+    for k in range(len(begin.starts)):
+        beside[-1].advance(k)
+
+
+def _cross(orders: Sequence[OrderSearch], beside: list[OrderSearch]) -> None:
     """Search the orders beside the best design while its own order keeps it from a better one, and add them to `beside`."""
     while len(beside) < CROSSINGS * NEIGHBOURS:
         winner = min((*orders, *beside), key=OrderSearch.rank)
-        best = min((solution for name in names if (solution := winner.best(name)) is not None), key=rank, default=None)
+        best = winner.top
         if best is None or best in winner.left or not at_edge(best):
             return
         winner.left.append(best)
         for begin in neighbours(winner.nlp, best):
-            beside.append(OrderSearch(build_programme(winner.nlp.traced, begin), begin, names, insists=False))
-            beside[-1].advance(0)
+            _search_beside(beside, winner.nlp.traced, begin, winner.names)
 
 
 def _explore(
-    orders: Sequence[OrderSearch],
-    beside: list[OrderSearch],
-    names: tuple[str, ...],
-    alike: Callable[[EventOrder], Sequence[StartGroup]],
+    orders: Sequence[OrderSearch], beside: list[OrderSearch], alike: Callable[[EventOrder], Sequence[StartGroup]]
 ) -> None:
     """Search the order of events of the best design from its own starting points, for all slow strokes, unless that was done."""
     winner = min((*orders, *beside), key=OrderSearch.rank)
@@ -300,12 +310,10 @@ def _explore(
         return
     winner.explored = True
     for begin in alike(structure):
-        beside.append(OrderSearch(build_programme(winner.nlp.traced, begin), begin, names, insists=False, explored=True))
-        for k in range(len(begin.starts)):
-            beside[-1].advance(k)
+        _search_beside(beside, winner.nlp.traced, begin, winner.names, explored=True)
 
 
-def _return(orders: Sequence[OrderSearch], beside: list[OrderSearch], names: tuple[str, ...]) -> None:
+def _return(orders: Sequence[OrderSearch], beside: list[OrderSearch]) -> None:
     """Continue searches that ended at a design with other reversals or loads than their programme, with those of that design."""
     while len(beside) < CROSSINGS * NEIGHBOURS:
         order = next((order for order in (*orders, *beside) if order.strayed), None)
@@ -316,5 +324,4 @@ def _return(orders: Sequence[OrderSearch], beside: list[OrderSearch], names: tup
         structure = traced.structure(design)
         if structure is not None:
             begin = StartGroup(replace(structure, slow=order.nlp.structure.slow), (design,))
-            beside.append(OrderSearch(build_programme(traced, begin), begin, names, insists=False))
-            beside[-1].advance(0)
+            _search_beside(beside, traced, begin, order.names)

@@ -14,7 +14,6 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
-import casadi
 import numpy as np
 
 from optlink.errors import Status
@@ -124,14 +123,13 @@ class _Exchange:
         start = self.placed(solution, chosen)
         moving = self._with_moving_peaks(tuple(peak.sign for peak in chosen))
         moving.p[:] = nlp.p
-        x = np.concatenate([start.x, [peak.at for peak in chosen]])
+        x = np.append(start.x, [peak.at for peak in chosen])
         p, reach = multistart.scaled_parameters(moving, x), REACH * abs(self.problem.span)
         low, high = x - radius, x + radius
         low[n:], high[n:] = np.maximum(x[n:] - reach, self.grid[0]), np.minimum(x[n:] + reach, self.grid[-1])
         low[:n], high[:n] = np.maximum(low[:n], nlp.x_low), np.minimum(high[:n], nlp.x_high)
         low[n - 1], high[n - 1] = 0.0, math.inf  # the largest error
-        for i, (least, most) in enumerate(zip(low, high, strict=True)):
-            moving.limit(i, least, most)
+        moving.set_bounds(low, high)
         begin = Attempt(x, 0, "peaks followed")
         tries = (polish(moving, begin, p, near) for near in SHARP)
         newton = next((end for end in tries if not np.array_equal(end.x, x)), begin)
@@ -151,19 +149,14 @@ class _Exchange:
         nlp, (first, each) = self.nlp, self.nlp.exchange_rows
         key = f"following peaks {signs}"
         if key not in nlp.cache:
-            from optlink.solvers.semi_infinite import with_places
+            from optlink.solvers.semi_infinite import with_moving_rows
 
-            assert nlp.mapped is not None
             limits = [j for j in range(first) if nlp.rows[j].limit != EPIGRAPH]
             fixed = [j for j in range(first) if nlp.rows[j].limit == EPIGRAPH]
             moved = range(first, first + each * len(signs))
             keep = [*limits, *fixed[:each], *fixed[-each:], *moved]
             slots = [first + each * k + (0 if sign > 0 else each - 1) for k, sign in enumerate(signs)]
-            reduced = replace(nlp, rows=tuple(nlp.rows[j] for j in keep), g_expression=nlp.g_expression[keep], cache={})
-            heights = dict(enumerate(casadi.vertsplit(nlp.g_expression[slots])))
-            places = casadi.vertsplit(nlp.p_symbol)[len(nlp.p) - nlp.exchange_count :]
-            terms = nlp.mapped.of_rows(keep).with_slopes(casadi.vertsplit(nlp.mapped.g[slots]), places[: len(signs)])
-            nlp.cache[key] = with_places(reduced, nlp.exchange_count, heights, terms)
+            nlp.cache[key] = with_moving_rows(nlp, keep, slots)
         moving: NLP = nlp.cache[key]
         return moving
 
@@ -189,7 +182,7 @@ def add_peak_errors(problem: DesignProblem, nlp: NLP, solution: Solution, backen
             slow = not there or _excess(moved, there) > PROGRESS * excess
             if there:
                 solution, peaks = moved, there
-                best = min(best, (moved, there), key=_largest)
+                best = min(best, (moved, there), key=lambda design: design[1][0].height)
             continue
         solution, peaks = exchange.placed(*best), best[1]
         accepted = False
@@ -216,11 +209,6 @@ def place_at_peaks(problem: DesignProblem, nlp: NLP, x: Array) -> None:
     if nlp.exchange_count:
         exchange, solution = _Exchange(problem, nlp, ""), multistart.solution_at(nlp, x, "")
         exchange.placed(solution, exchange.peaks(solution))
-
-
-def _largest(design: tuple[Solution, list[ErrorPeak]]) -> float:
-    """Return the largest error of a design over the range."""
-    return design[1][0].height
 
 
 def _excess(solution: Solution, peaks: list[ErrorPeak]) -> float:

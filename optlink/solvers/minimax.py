@@ -96,7 +96,7 @@ class _View:
 
     def violation(self, g: Array) -> float:
         """Return the largest violation of a limit."""
-        return float(np.max([self.low - g, g - self.high], initial=0.0)) if len(g) else 0.0
+        return float(np.max([self.low - g, g - self.high], initial=0.0))
 
     def bend(self, y: Array, step: _Step) -> Array:
         """Return the positive semidefinite part (n, n) of the Hessian of deviations and limits, weighted with multipliers."""

@@ -25,7 +25,13 @@ FINE = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
 
 @dataclass(frozen=True)
 class FitProblem:
-    """Target rotations `x` and outputs `y` (n,) from the start, the error measure and the admissible linkages."""
+    """Target rotations [rad] of crank `x` and rocker `y` (n,) from their starts, and the linkages that may produce them.
+
+    At least three rotations of the crank differ, and the rocker moves. `largest`: the largest output error counts, not its root
+    mean square. `shift`: a fit with a negative crank or rocker is replaced by the linkage that starts half a turn further, so
+    that grids over half a turn cover all starts; otherwise start angles stay within the range of their grid. A limit of `keep`
+    that may be active at the optimum should be relaxed slightly: the fit at the nearest start may just violate it.
+    """
 
     chain: LoopEquation
     x: Array

@@ -260,7 +260,7 @@ def _enlarge(
     sizes[str(leg.length)], sizes[str(arm.length)] = np.abs(side), np.abs(f - j)
     v = s * (traced / ratio - joint) * np.abs(side) / side  # in axes along F-G
     _place(mechanism, sizes, leg.body, point, v if leg.start == f_name else np.abs(side) - v)
-    return np.asarray(turned)
+    return turned
 
 
 def _place(mechanism: Mechanism, sizes: dict[str, Array], body: str, point: str, at: NDArray[np.complex128]) -> None:

@@ -66,11 +66,11 @@ class LoopEquation:
         c, s = np.cos(x), np.sin(x)
         with np.errstate(invalid="ignore", divide="ignore"):
             inner = np.arccos((k2 * c - k3) / np.hypot(k1 - c, s))
-        return np.asarray(np.arctan2(-s, k1 - c) + side[..., None] * inner)
+        return np.arctan2(-s, k1 - c) + side[..., None] * inner
 
     def difference(self, y: Array, target: Array) -> Array:
         """Return the output error, angles wrapped to [-pi, pi)."""
-        return np.asarray(np.remainder(y - target + np.pi, 2.0 * np.pi) - np.pi)
+        return np.remainder(y - target + np.pi, 2.0 * np.pi) - np.pi
 
     def upright(self, x0: Array, y0: Array, k: Array) -> tuple[Array, Array, Array]:
         """Return x0, y0, k of the equivalent linkages with positive lengths."""
@@ -98,7 +98,7 @@ class LoopEquation:
             (coupler**2 + rocker**2 - crank**2 - 1.0 + 2.0 * crank * cosine) / (2.0 * coupler * rocker)
             for cosine in _cosine_range(low, high)
         ]
-        return np.asarray(1.0 - np.maximum(spread[0] ** 2, spread[1] ** 2))
+        return 1.0 - np.maximum(spread[0] ** 2, spread[1] ** 2)
 
 
 def linear_form(chain: LoopEquation, x: Array, y: Array) -> tuple[Array, Array]:

@@ -83,7 +83,7 @@ def random_proportions(batch: Batch, count: int, rng: np.random.Generator) -> Ar
         lengths = np.stack([a, a + v + w, a + u + w, a + u + v], axis=1)
         if crank == "double-crank":
             lengths = lengths[:, [3, 1, 2, 0]]
-    return np.asarray(lengths / lengths[:, 3:], dtype=float)
+    return lengths / lengths[:, 3:]
 
 
 def random_crank_angles(batch: Batch, count: int, rng: np.random.Generator) -> Array:
@@ -131,7 +131,7 @@ def within_reach(batch: Batch, x: Array, t: Array, rng: np.random.Generator) -> 
     least = np.minimum(t[:, 0], t[:, -1])
     limited = (near > 0.0) | (far < math.pi)
     moved = begin[:, None] + (t - least[:, None]) * share[:, None]
-    return np.asarray(np.where(limited[:, None], moved, t), dtype=float)
+    return np.where(limited[:, None], moved, t)
 
 
 def assembles_everywhere(batch: Batch, x: Array, t: Array) -> NDArray[np.bool_]:

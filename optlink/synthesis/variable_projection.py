@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.linkage.mechanism import FRAME
-from optlink.linkage.vector2d import Array, minus, unit
+from optlink.linkage.vector2d import TURN, Array, minus, unit
 from optlink.problem.mechanism import FourBarSection
 from optlink.problem.path import START
 from optlink.symbolic import NumpyEvaluator, symbols_in_numpy
@@ -79,11 +79,10 @@ class SimilarityFit:
         return key == "direction" and any(guide.name == base and guide.on == FRAME for guide in mechanism.guides)
 
     def _trace(self) -> None:
-        batch = self.batch
-        problem, n = batch.problem, len(batch.names)
-        x, t = casadi.SX.sym("x", n), casadi.SX.sym("t")
+        batch, problem = self.batch, self.batch.problem
+        x, t = casadi.SX.sym("x", len(batch.names)), casadi.SX.sym("t")
         values: dict[str, Any] = {name: quantity.value for name, quantity in problem.quantities.items()}
-        values |= {v.name: v.origin + v.size * x[i] for i, v in enumerate(batch.variables)}
+        values |= {v.name: v.value(x[i]) for i, v in enumerate(batch.variables)}
         mechanism = batch.linkage()
         with symbols_in_numpy():
             pose = mechanism.pose(values, unit(t))
@@ -92,14 +91,13 @@ class SimilarityFit:
             at = pose.point(link.start if self.point else problem.requirement.point)
             arm, axis = minus(at, pivot), pose.direction(problem.body)
             outputs = [arm[0] / problem.size, arm[1] / problem.size, axis[0] + 0.0 * t, axis[1] + 0.0 * t]
-            self._tape = NumpyEvaluator([*(x[i] for i in range(n)), t, *batch.side_symbols.values()], outputs)
+            self._tape = NumpyEvaluator([*casadi.vertsplit(x), t, *batch.side_symbols.values()], outputs)
         self._pivot = [batch.names.index(f"{mechanism.crank.start}.{axis}") for axis in "xy"]
 
     def fit(self, x: Array, t: Array, variant: Variant = 0) -> tuple[Array, Array]:
         """Return designs with optimal linear variables, and their crank angles; designs without a finite fit stay unchanged."""
         batch = self.batch
-        n = x.shape[1]
-        arm_x, arm_y, axis_x, axis_y = self._tape(*(x[:, i : i + 1] for i in range(n)), t, *batch.side_columns(variant))
+        arm_x, arm_y, axis_x, axis_y = self._tape(*x.T[..., None], t, *batch.side_columns(variant))
         centre = np.array(batch.problem.centre)
         targets = ((batch.data.columns[:, 0] - centre[0]) + 1j * (batch.data.columns[:, 1] - centre[1])) / batch.problem.size
         arm, axis = arm_x + 1j * arm_y, axis_x + 1j * axis_y
@@ -125,18 +123,15 @@ class SimilarityFit:
             for i, j in self.ground:
                 place = a[:, 0] + w[:, 0] * (x[:, i] + 1j * x[:, j] - pivot)
                 y[:, i], y[:, j] = place.real, place.imag
-            y[:, self.lengths] = x[:, self.lengths] * size
+            y[:, self.lengths] *= size
             if self.point:
                 local = (b / turned)[:, 0]
                 y[:, self.point[0]], y[:, self.point[1]] = local.real, local.imag
             by = np.angle(turned)
-            for i in self.turning:
-                y[:, i] = np.remainder(x[:, i] + by[:, 0] + np.pi, 2.0 * np.pi) - np.pi
-            moved = t
-            if self.counted_from_x:
-                moved = t + by if batch.free_timing else t
-                if batch.start >= 0:
-                    y[:, batch.start] = np.remainder(x[:, batch.start] + by[:, 0] + np.pi, 2.0 * np.pi) - np.pi
+            started = [batch.start] if self.counted_from_x and batch.start >= 0 else []
+            turning = [*self.turning, *started]
+            y[:, turning] = np.remainder(x[:, turning] + by + np.pi, TURN) - np.pi
+            moved = t + by if self.counted_from_x and batch.free_timing else t
         good = np.all(np.isfinite(y), axis=1) & np.all(np.isfinite(moved), axis=1)
         return np.where(good[:, None], y, x), np.where(good[:, None], moved, t)
 

@@ -38,17 +38,10 @@ MOST_LEAVES = 200_000  # discarded boxes that are kept for the certificate
 
 
 class Bounder(Protocol):
-    """Lower bounds over boxes of unknowns."""
+    """Lower bounds over boxes of unknowns, which are between `low` and `high` (n,)."""
 
-    @property
-    def low(self) -> Array:
-        """Lower bounds (n,) of the unknowns."""
-        ...
-
-    @property
-    def high(self) -> Array:
-        """Upper bounds (n,) of the unknowns."""
-        ...
+    low: Array
+    high: Array
 
     def bounded(self, low: Array, high: Array, threshold: float) -> BoxRecord:
         """Bound a batch of boxes with corners (boxes, n); those whose lower bound is not below the threshold are discarded."""
@@ -188,12 +181,12 @@ class BranchAndBound:
     few: int = FEW
     divisible: bool = False
     runs: Runs | None = None
-    boxes: int = 0
+    boxes: int = 0  # bounded so far
     discarded: float = math.inf  # least bound of the boxes that were discarded for their objective
     open: Boxes = field(init=False)
     tiny: Boxes = field(init=False)
     leaves: Leaves = field(default_factory=Leaves)
-    history: list[tuple[int, float, float]] = field(default_factory=list)
+    history: list[tuple[int, float, float]] = field(default_factory=list)  # boxes, lower, best
     next_attempt: int = 0  # number of boxes before which `improve` is not called again
 
     def __post_init__(self) -> None:

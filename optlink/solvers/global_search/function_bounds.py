@@ -50,18 +50,9 @@ class FunctionBounds:
     candidate: Array = field(default_factory=lambda: np.zeros(5))
 
     def __post_init__(self) -> None:
+        self.low, self.high = self.linkages.low, self.linkages.high
         self.y, self.target = self.rise(self.x), self.rise(self.dense)
         self.places = np.linspace(float(self.dense[0]), float(self.dense[-1]), PLACES)
-
-    @property
-    def low(self) -> Array:
-        """Lower bounds of the unknowns."""
-        return self.linkages.low
-
-    @property
-    def high(self) -> Array:
-        """Upper bounds of the unknowns."""
-        return self.linkages.high
 
     def bounded(self, low: Array, high: Array, threshold: float) -> BoxRecord:
         """Discard the boxes of a batch that hold no linkage with an error below the threshold [rad]."""

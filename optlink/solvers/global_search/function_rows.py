@@ -183,7 +183,7 @@ class _CouplerRow:
         across = phi * np.conj(psi)
 
         def slope(output: Complex, both: Complex) -> Array:
-            return np.asarray(-k1 * np.imag(output * psi) + np.imag(both * across))
+            return -k1 * np.imag(output * psi) + np.imag(both * across)
 
         v = sign * unit_vector(y - turn), -sign * unit_vector(x - y + turn)
         f = unit_vector(y), -unit_vector(x - y)
@@ -206,7 +206,7 @@ def unit_vector(angle: Array) -> Complex:
 
 def most_k3(high: Array) -> Array:
     """Return the largest |K3|: F = 0 in some position."""
-    return np.asarray((1.0 + high[:, 2] + high[:, 3]) * (1.0 + 1e-12))
+    return (1.0 + high[:, 2] + high[:, 3]) * (1.0 + 1e-12)
 
 
 def largest(rows: Rows, weights: Array, low: Array, high: Array) -> Array:

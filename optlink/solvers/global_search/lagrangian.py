@@ -23,7 +23,7 @@ a least-squares fit that make it the minimax fit.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from typing import Self
 
 import numpy as np
@@ -31,8 +31,7 @@ from numpy.typing import NDArray
 
 from optlink.linkage.vector2d import Array
 from optlink.optimization.box_models import BoxModels, DesignBoxes
-from optlink.optimization.taylor_model import ROUNDING, TINY, UNIT, TaylorModel, pairs
-from optlink.optimization.taylor_rules import UPWARD
+from optlink.optimization.taylor_model import ROUNDING, TINY, UNIT, UPWARD, TaylorModel, pairs
 from optlink.solvers.global_search.quadratic import box_minimum, cut_box, quadratic_bound
 
 ROUNDS = 3  # multipliers that are raised for a box, one after the other
@@ -84,22 +83,12 @@ class Guess:
     weights: Array
 
 
-@dataclass
 class LagrangianBounds:
     """Lower bounds of a problem over boxes of its designs, in terms of the squared size of its residuals."""
 
-    problem: DesignBoxes
-    guess: Guess | None = field(default=None)
-
-    @property
-    def low(self) -> Array:
-        """Lower bounds (n,) of the unknowns."""
-        return self.problem.low
-
-    @property
-    def high(self) -> Array:
-        """Upper bounds (n,) of the unknowns."""
-        return self.problem.high
+    def __init__(self, problem: DesignBoxes, guess: Guess | None = None) -> None:
+        self.problem, self.guess = problem, guess
+        self.low, self.high = problem.low, problem.high
 
     def bounded(self, low: Array, high: Array, threshold: float) -> BoxRecord:
         """Bound a batch of boxes; see `Bounder`."""
@@ -110,7 +99,7 @@ class LagrangianBounds:
             batch.weighted(weights, self.guess)
         batch.empty()
         inner = batch.cut(low, high)
-        return batch.record((high - low) / (self.problem.high - self.problem.low), *inner)
+        return batch.record((high - low) / (self.high - self.low), *inner)
 
     def _weights(self, models: BoxModels) -> list[Array]:
         positions = models.residuals.remainder.shape[1]

@@ -3,8 +3,7 @@
 import numpy as np
 
 from optlink.linkage.vector2d import Array
-from optlink.optimization.taylor_model import ROUNDING, TINY, UNIT, pairs
-from optlink.optimization.taylor_rules import UPWARD
+from optlink.optimization.taylor_model import ROUNDING, TINY, UNIT, UPWARD, pairs
 
 DESCENT = 8  # rounds of coordinate descent towards the minimum of a convex quadratic form
 WORTH = 0.15  # share of the width of a box that must be cut off

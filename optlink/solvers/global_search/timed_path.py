@@ -28,8 +28,7 @@ from numpy.typing import NDArray
 
 from optlink.linkage.vector2d import Array
 from optlink.optimization.constraints import transmission_sides
-from optlink.optimization.taylor_model import TINY, UNIT, TaylorModel, pairs
-from optlink.optimization.taylor_rules import UPWARD
+from optlink.optimization.taylor_model import TINY, UNIT, UPWARD, TaylorModel, pairs
 from optlink.problem.mechanism import FourBarSection
 from optlink.problem.path import START, PathProblem
 from optlink.solvers.global_search.column_fit import SLACK, ColumnFit, Complex, as_real, changes
