@@ -190,9 +190,13 @@ class CycleTerms:
         slow = self._forward_slow(which)
         return self.duration(which, slow) - self.duration(which, not slow)
 
+    def _reversals(self, which: int) -> list[int]:
+        """Return the indices of the events at which an output reverses."""
+        return [k for k, event in enumerate(self.structure.which) if event == which]
+
     def forward(self, which: int) -> list[bool]:
         """Return for every stroke whether an output, whose reversals separate strokes, moves forward."""
-        indices = [k for k in range(self.cuts) if self.structure.which[k] == which]
+        indices = [k for k in self._reversals(which) if k < self.cuts]
         if not indices:
             return [True] * self.strokes
         state, intervals = not self.structure.rising[indices[0]], []
@@ -203,7 +207,7 @@ class CycleTerms:
 
     def duration(self, which: int, forward: bool) -> Any:
         """Return the crank rotation [rad] during which an output, which reverses at an event, moves forward or backward."""
-        indices = [k for k, event in enumerate(self.structure.which) if event == which]
+        indices = self._reversals(which)
         total, angles = casadi.SX(0.0), [*(self.events[k] for k in indices), self.events[indices[0]] + TURN]
         for k, (begin, end) in zip(indices, itertools.pairwise(angles), strict=True):
             if self.structure.rising[k] is forward:
@@ -262,33 +266,24 @@ class CycleTerms:
                 total += weight * self.trace.direction * signals[last]
         return total / self.trace.revolutions
 
-    def _ends(self, term: Term) -> list[int]:
-        """Return the indices of the events at which the output of a term reverses."""
-        which = self.trace.event_of(term)
-        return [k for k, event in enumerate(self.structure.which) if event == which]
-
     def _stroke(self, term: Term) -> Any:
         """Return the distance between the outermost dead centres of an output, or for the term "end" one of these positions.
 
         Which dead centres are outermost is decided by their positions at the start.
         """
-        place = len(self.trace.events)
-        for other in self.trace.ended:
-            width = 2 if self.problem.kind(other) == "angle" else 1
-            if other is term:
-                break
-            place += width
-        ends = self._ends(term)
-        numbers = [
-            np.asarray(self.trace.at_event([*self.trace.inputs(self.start), self.structure.angles[k]])).ravel() for k in ends
-        ]
+        before = itertools.takewhile(lambda other: other is not term, self.trace.ended)
+        width, *widths = (2 if self.problem.kind(each) == "angle" else 1 for each in (term, *before))
+        place = len(self.trace.events) + sum(widths)
+        ends, inputs = self._reversals(self.trace.event_of(term)), self.trace.inputs(self.start)
+        numbers = np.array([np.ravel(self.trace.at_event([*inputs, self.structure.angles[k]])) for k in ends])
+        positions = numbers[:, place]
+        if width == 2:  # the direction of a body
+            positions = np.unwrap([math.atan2(y, x) for x, y in numbers[:, place : place + 2]])
+        low, high = ends[int(np.argmin(positions))], ends[int(np.argmax(positions))]
         if width == 1:
-            low, high = (ends[pick([row[place] for row in numbers])] for pick in (np.argmin, np.argmax))
             if term.quantity == "end":
                 return self.there[high if term.stroke == "forward" else low][place]
             return self.there[high][place] - self.there[low][place]
-        angles = np.unwrap([math.atan2(row[place + 1], row[place]) for row in numbers])
-        low, high = ends[int(np.argmin(angles))], ends[int(np.argmax(angles))]
         (a, b), (c, d) = ((self.there[k][place], self.there[k][place + 1]) for k in (low, high))
         return casadi.atan2(a * d - b * c, a * c + b * d)
 

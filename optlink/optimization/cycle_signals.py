@@ -103,14 +103,14 @@ class Sample:
         return self.events is not None and all(count == other.which.count(k) for k, count in enumerate(self.counts))
 
 
-def _reversal(load: Load) -> Callable[[Moving], Value]:
+def _reversal(load: Load, moving: Moving) -> Value:
     """Return the velocity at whose reversal a load jumps."""
-    return lambda moving: (load.reversing(moving) or (0.0, 0.0))[0]
+    return (load.reversing(moving) or (0.0, 0.0))[0]
 
 
-def _corner(guide: str, at: float) -> Callable[[Moving], Value]:
+def _corner(guide: str, at: float, moving: Moving) -> Value:
     """Return the distance of a slider beyond a row of its load's table."""
-    return lambda moving: moving.slides[guide][0] - at
+    return moving.slides[guide][0] - at
 
 
 class TracedCycle:
@@ -282,23 +282,23 @@ class TracedCycle:
             slides = isinstance(load, Force) and isinstance(load.direction, str)
             guide = str(load.direction) if isinstance(load, Force) else ""
             if load.switching:
-                add(("guide", guide) if slides else ("load", load.name), _reversal(load))
+                add(("guide", guide) if slides else ("load", load.name), functools.partial(_reversal, load))
             if isinstance(load, Force) and isinstance(load.magnitude, LoadTable) and load.magnitude.over == "s":
                 for row, at in enumerate(load.magnitude.at):
-                    add((CORNER, load.name, str(row)), _corner(guide, at))
+                    add((CORNER, load.name, str(row)), functools.partial(_corner, guide, at))
         for term in self.terms:
             if term.ended:
-                add(self._key(term), self._rate(self._key(term), term), cuts=term.quantity == "work")
+                add(self._key(term), functools.partial(self._rate, term), cuts=term.quantity == "work")
         return list(events.values())
 
-    def _rate(self, key: tuple[str, ...], term: Term) -> Callable[[Moving], Value]:
-        kind, name = key[:2]
+    def _rate(self, term: Term, moving: Moving) -> Value:
+        """Return the velocity of an output."""
+        kind, name = self._key(term)[:2]
         if kind == "guide":
-            return lambda moving: moving.slides[name][1]
+            return moving.slides[name][1]
         if kind == "body":
-            return lambda moving: moving.state(name).omega
-        way = 0.0 if term.direction is None else term.direction.value
-        return lambda moving: dot(unit(way), moving.velocity(name))
+            return moving.state(name).omega
+        return dot(unit(0.0 if term.direction is None else term.direction.value), moving.velocity(name))
 
     # --- numbers ---------------------------------------------------------------------------------------------------------
 

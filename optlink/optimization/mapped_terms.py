@@ -112,11 +112,8 @@ class MappedTerms:
         """Each function of one position at all of its positions; `substituted` terms use the same."""
         functions = []
         for at, angles, senses in zip(self.at, self.angles, self.senses, strict=True):
-            local_x, angle, sense = (
-                casadi.SX.sym("own", self.local),
-                casadi.SX.sym("angle"),
-                casadi.SX.sym("senses", senses.shape[0]),
-            )
+            local_x, angle = casadi.SX.sym("own", self.local), casadi.SX.sym("angle")
+            sense = casadi.SX.sym("senses", senses.shape[0])
             quantities = casadi.substitute(self.known, self.x[: self.local], local_x)
             values = casadi.densify(at(casadi.vertcat(quantities, angle), sense))
             functions.append(_MappedFunction([local_x, self.p, angle, sense], values, local_x, angle, angles.shape[1]))

@@ -348,9 +348,7 @@ def build(problem: DesignProblem, *, movable: bool = False) -> NLP:
         measure = replace(measure, width=1 + len(problem.deviations))
 
     x = casadi.SX.sym("x", len(free) + minimax)
-    many = (
-        0 if not problem.everywhere else EXCHANGE_POINTS if robust is None else 2 * EXCHANGE_POINTS
-    )  # with scatter the error is flatter
+    many = EXCHANGE_POINTS * problem.everywhere * (1 if robust is None else 2)  # with scatter the error is flatter
     spanned = movable and isinstance(problem.requirement.law, Expression)
     constant = len(fixed) + len(counted) + spanned
     smoothing = 1 + constant if robust is not None and robust.text != EXPECTED else 0

@@ -1,6 +1,7 @@
 """Exact derivatives of an output with respect to dimensions, and the error of a law with its scatter."""
 
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from typing import Any
 
 import casadi
@@ -42,12 +43,11 @@ class ErrorDerivatives:
         self._names = [*problem.mechanism.quantities, *self._pivots]
         symbols = {name: casadi.SX.sym(name) for name in self._names}
         crank = casadi.SX.sym("crank direction", 2)
+        by = list(dict.fromkeys(d.size for d in self.deviations))
         with symbols_in_numpy():
-            _, slopes = output_derivatives(
-                mechanism, symbols, (crank[0], crank[1]), "rocker", list(dict.fromkeys(d.size for d in self.deviations))
-            )
+            _, slopes = output_derivatives(mechanism, symbols, (crank[0], crank[1]), "rocker", by)
         self._inputs, self._outputs = [*symbols.values(), crank[0], crank[1]], [-slope for slope in slopes]
-        self._place = [list(dict.fromkeys(d.size for d in self.deviations)).index(d.size) for d in self.deviations]
+        self._place = [by.index(d.size) for d in self.deviations]
 
     def _arguments(self, values: Mapping[str, Value], crank: Vector) -> list[Value]:
         return [*(values.get(name, self._pivots.get(name, 0.0)) for name in self._names), *crank]
@@ -58,11 +58,13 @@ class ErrorDerivatives:
         outputs = function(casadi.vertcat(*self._arguments(values, crank)))
         return [outputs[i] for i in self._place]
 
+    @cached_property
+    def _numeric(self) -> NumpyEvaluator:
+        return NumpyEvaluator(self._inputs, self._outputs)
+
     def numeric(self, values: Mapping[str, Value], crank: Vector) -> list[Array]:
         """Return the derivatives as arrays, one for each deviation [SI]; dimensions broadcast with the direction of the crank."""
-        if "tape" not in vars(self):
-            self.tape = NumpyEvaluator(self._inputs, self._outputs)
-        outputs = self.tape(*self._arguments(values, crank))
+        outputs = self._numeric(*self._arguments(values, crank))
         return [outputs[i] for i in self._place]
 
 

@@ -92,9 +92,8 @@ def build_path_nlp(problem: PathProblem, direction: int = 1, *, movable: bool = 
         width = data.columns.shape[1]
         columns = [parts[width * k : width * (k + 1)] for k in range(count)]
         stretch = casadi.vertcat(1.0, 1.0, parts[-1] / problem.radian) if problem.requirement.kind == "motion" else 1.0
-    origin = (
-        0.0 if free_timing or problem.timing != "from start" else 1.0
-    )  # factor of the start angle in the crank angles of the points
+    # factor of the start angle in the crank angles of the points
+    origin = 0.0 if free_timing or problem.timing != "from start" else 1.0
     if free_timing:
         angles: list[Any] = [x[len(free) + i] for i in range(count)]
     else:
@@ -201,11 +200,9 @@ def target_constants(problem: PathProblem) -> list[Variable]:
             constants.append(Variable(f"{TARGET}{k}.{axis}", size, Scale("mm", 1e3 * size, offset=1e3 * origin), origin))
         if problem.requirement.kind == "motion":
             constants += [Variable(f"{TARGET}{k}.{part}", 1.0, PLAIN) for part in ("cosine", "sine")]
-    return (
-        [*constants, Variable(f"{TARGET}radian", size, Scale("mm", 1e3 * size))]
-        if problem.requirement.kind == "motion"
-        else constants
-    )
+    if problem.requirement.kind == "motion":
+        constants.append(Variable(f"{TARGET}radian", size, Scale("mm", 1e3 * size)))
+    return constants
 
 
 def constant_values(problem: PathProblem, constants: Sequence[Variable]) -> list[float]:

@@ -67,9 +67,8 @@ class Limit:
         if len(slacks_by_side) > 1 and np.all(np.isfinite(slacks)):
             g = nlp.values(x, p)[1]
             over = [max((g[j] - side.bound) * (1.0 if side.upper else -1.0) for j in side.rows) for side in self.sides]
-            slacks_by_side = [
-                pair for pair, excess in zip(slacks_by_side, over, strict=True) if excess > FEASIBLE_SLACK
-            ] or slacks_by_side
+            needed = [pair for pair, excess in zip(slacks_by_side, over, strict=True) if excess > FEASIBLE_SLACK]
+            slacks_by_side = needed or slacks_by_side
         return [side.relaxation(slack, approximate, len(slacks_by_side) > 1) for side, slack in slacks_by_side]
 
 
@@ -115,12 +114,8 @@ def limits_of(sides: Sequence[LimitSide]) -> list[Limit]:
         if i in paired:
             continue
         values = {row for k in same_key for row in sides[k].rows}
-        if (
-            side.rows
-            and not side.equation
-            and len(values) > 1
-            and [sides[k].upper for k in same_key] in ([False, True], [True, False])
-        ):
+        two_sided = sorted(sides[k].upper for k in same_key) == [False, True]
+        if side.rows and not side.equation and len(values) > 1 and two_sided:
             paired.update(same_key)
             # in display units the lower side comes first
             result.append(Limit(tuple(sorted((sides[k] for k in same_key), key=lambda one: one.upper != one.scale.cosine))))

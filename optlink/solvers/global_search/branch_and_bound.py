@@ -243,20 +243,16 @@ class BranchAndBound:
         self.discarded = min(self.discarded, float(np.min(batch.bound[by_objective], initial=math.inf)))
         self.leaves.add(batch, discarded, record.test, record.multipliers)
         self._better(batch, record)
-        left, direction = (
-            Boxes(record.low[~discarded], record.high[~discarded], batch.bound[~discarded]),
-            record.split[~discarded],
-        )
-        cut = batch[~discarded].without(left)
+        kept = batch[~discarded]
+        left, direction = Boxes(record.low[~discarded], record.high[~discarded], kept.bound), record.split[~discarded]
+        cut = kept.without(left)
         if len(cut):
             self.discarded = min(self.discarded, self.threshold)
             every = np.ones(len(cut), dtype=bool)
             self.leaves.add(cut, every, np.full(len(cut), CUT, dtype=np.int8), np.zeros((len(cut), record.multipliers.shape[1])))
         width = self._widths(left)
         small = np.max(width, axis=1) < SMALLEST
-        bounded = (
-            np.max(self._widths(batch[~discarded]), axis=1) < SMALLEST
-        )  # else a cut has just made it small: it is bounded again
+        bounded = np.max(self._widths(kept), axis=1) < SMALLEST  # else a cut has just made it small: it is bounded again
         rows = np.arange(len(left))
         direction = np.where(width[rows, direction] < SMALLEST, np.argmax(width, axis=1), direction)
         self.tiny = Boxes.joined([self.tiny, left[small & bounded]])
@@ -301,9 +297,7 @@ class BranchAndBound:
     def _better(self, batch: Boxes, record: BoxRecord) -> None:
         """Search for a better design from the best centre of the batch, if it is better than the best known design."""
         k = int(np.argmin(record.centre))
-        if self.improve is None or not record.centre[k] < self.threshold:
-            return
-        if self.boxes < self.next_attempt:
+        if self.improve is None or not record.centre[k] < self.threshold or self.boxes < self.next_attempt:
             return
         before, self.best = self.best, min(self.best, self.improve(0.5 * (batch.low[k] + batch.high[k])))
         if not self.best < before:

@@ -24,6 +24,8 @@ from optlink.solvers.global_search.function_rows import (
 from optlink.solvers.global_search.interior_point import least_violation
 from optlink.solvers.global_search.lagrangian import OPEN, BoxRecord
 
+Tested = tuple[Array, NDArray[np.intp], NDArray[np.bool_]]
+
 PROVEN = 1  # index of the test "objective" of `lagrangian.TESTS`
 PLACES = 7  # positions of the rows of the coupler at first
 SLAB = 0.1  # least width of a slab of K1 or K2 that is cut off, of the logarithm
@@ -57,12 +59,10 @@ class FunctionBounds:
     def bounded(self, low: Array, high: Array, threshold: float) -> BoxRecord:
         """Discard the boxes of a batch that hold no linkage with an error below the threshold [rad]."""
         t = threshold + LAW_ROUNDING
-        rows = Rows.joined([loop_rows(self.linkages, self.x, self.y, t), grashof_rows(self.linkages)], len(low))
-        z, weights, split = _solved(rows, low, high)
-        discarded = largest(rows, weights, low, high) < 0.0
+        z, split, discarded = self._tested([], low, high, t)
         left = np.flatnonzero(~discarded)
         if left.size:  # with the limits of the coupler as well
-            z[left], split[left], discarded[left] = self._tested(low[left], high[left], t)
+            z[left], split[left], discarded[left] = self._with_coupler(low[left], high[left], t)
         inner = self._cut(low, high, z, ~discarded, t)
         points, errors = self._candidates(z, low, high, ~discarded)
         k = int(np.argmin(errors))
@@ -70,10 +70,12 @@ class FunctionBounds:
         test = np.where(discarded, PROVEN, OPEN).astype(np.int8)
         return BoxRecord(np.where(discarded, threshold, 0.0), test, np.zeros((len(low), 0)), split, errors, *inner)
 
-    def _tested(self, low: Array, high: Array, t: float) -> tuple[Array, NDArray[np.intp], NDArray[np.bool_]]:
-        """Return the solutions of the programmes with all rows, the unknowns to halve, and which boxes are discarded."""
-        coupler = coupler_rows(self.linkages, self.places, self.rise(self.places), t, low, high)
-        rows = Rows.joined([loop_rows(self.linkages, self.x, self.y, t), grashof_rows(self.linkages), *coupler], len(low))
+    def _with_coupler(self, low: Array, high: Array, t: float) -> Tested:
+        return self._tested(coupler_rows(self.linkages, self.places, self.rise(self.places), t, low, high), low, high, t)
+
+    def _tested(self, further: list[Rows], low: Array, high: Array, t: float) -> Tested:
+        """Return the solutions of the programmes with further rows, the unknowns to halve, and which boxes are discarded."""
+        rows = Rows.joined([loop_rows(self.linkages, self.x, self.y, t), grashof_rows(self.linkages), *further], len(low))
         z, weights, split = _solved(rows, low, high)
         return z, split, largest(rows, weights, low, high) < 0.0
 
@@ -90,7 +92,7 @@ class FunctionBounds:
                     continue
                 slab = [low[tried], high[tried]]
                 slab[0 if corner is high else 1][:, k] = end[tried]
-                discarded = tried[self._tested(slab[0], slab[1], t)[2]]
+                discarded = tried[self._with_coupler(slab[0], slab[1], t)[2]]
                 corner[discarded, k] = end[discarded]
         return low, high
 
