@@ -11,7 +11,6 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.errors import Fault, InputError
 from optlink.linkage.fourbar import lengths_of, transmission_cosine
@@ -21,7 +20,7 @@ from optlink.optimization.constraints import FOUR_BAR, GENERAL, ConstraintRow, p
 from optlink.optimization.objectives import output_error
 from optlink.optimization.taylor_model import TaylorModel, pairs
 from optlink.problem.file import ProblemFile
-from optlink.problem.function import DesignProblem
+from optlink.problem.function import DesignProblem, StartPosition
 from optlink.problem.limits import Reach
 from optlink.problem.mechanism import FourBarSection
 
@@ -132,9 +131,7 @@ def _function(problem: DesignProblem, values: dict[str, Any], count: int) -> Eva
         problem, values, start, TaylorModel.constant(law.offsets, count), TaylorModel.constant(law.tabulated, count)
     )
     if not _has_period(problem):
-        for angle in (start.phi0, start.psi0):
-            if isinstance(angle, TaylorModel):
-                residuals = _undefined(residuals, (angle.high > np.pi) | (angle.low < -np.pi))
+        residuals = _where_principal(residuals, start)
     return residuals[..., None], _limits(problem, values, Reach(start.phi0, problem.span, problem.sense))
 
 
@@ -149,9 +146,19 @@ def _has_period(problem: DesignProblem) -> bool:
     return all(is_free or bool(np.nanmax(gap, initial=0.0) < 1e-9) for is_free, gap in zip(free, gaps, strict=True))
 
 
-def _undefined(model: TaylorModel, where: NDArray[np.bool_]) -> TaylorModel:
-    """Return a model without bounds in some boxes: where an angle, whose models are continuous, passes half a turn."""
-    return TaylorModel(model.coefficients, np.where(where, np.inf, model.remainder), model.count)
+def _where_principal(residuals: TaylorModel, start: StartPosition) -> TaylorModel:
+    """Return the residuals, unknown in boxes in which an angle of the start position passes half a turn."""
+    unknown = np.zeros(residuals.remainder.shape, dtype=bool)
+    for angle in (start.phi0, start.psi0):
+        if isinstance(angle, TaylorModel):
+            unknown |= (angle.high > np.pi) | (angle.low < -np.pi)
+    return TaylorModel(residuals.coefficients, np.where(unknown, np.inf, residuals.remainder), residuals.count)
+
+
+def _known_within(model: TaylorModel, most: float) -> TaylorModel:
+    """Return a model that is undefined in boxes in which its magnitude may exceed `most`."""
+    beyond = ~((model.high < most) & (model.low > -most))
+    return TaylorModel(model.coefficients, np.where(beyond, np.inf, model.remainder), model.count)
 
 
 def _timed(problem: PathProblem, values: dict[str, Any], count: int) -> Evaluated:
@@ -166,9 +173,8 @@ def _timed(problem: PathProblem, values: dict[str, Any], count: int) -> Evaluate
         cosines = [transmission_cosine(*lengths_of(values), TaylorModel.constant(np.cos(data.offsets), count))]
     else:
         cosines = problem.deviation(pose, values, tuple(TaylorModel.constant(column, count) for column in data.columns.T))
-        if problem.requirement.kind == "motion":
-            turned, half = cosines[2], problem.radian * np.pi
-            cosines[2] = _undefined(turned, ~((turned.high < half) & (turned.low > -half)))
+        if problem.requirement.kind == "motion":  # the models of angles are continuous, and may pass half a turn
+            cosines[2] = _known_within(cosines[2], problem.radian * np.pi)
     shape = next(iter(values[name] for name in problem.free)).remainder.shape[0], len(data.offsets)
     residuals = _joined(cosines, shape, count) * data.roots[:, None]
     span, sense = float(data.offsets[-1] - data.offsets[0]), 1 if data.offsets[-1] >= data.offsets[0] else -1

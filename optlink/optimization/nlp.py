@@ -261,6 +261,11 @@ class NLP:
         """Number of exchange points."""
         return len(self.p) - 1 - len(self.constants) - (self.smoothing > 0)
 
+    @property
+    def exchange_points(self) -> Array:
+        """The exchange points, see `set_exchange_points`."""
+        return self.p[len(self.p) - self.exchange_count :].copy()
+
     def set_exchange_points(self, offsets: Array) -> None:
         """Set the last exchange points (at most `exchange_count`): crank rotations [rad], or shares of the motion or stroke."""
         self.p[len(self.p) - len(offsets) :] = offsets

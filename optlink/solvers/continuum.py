@@ -74,7 +74,7 @@ def _shifted(nlp: CycleNLP, solution: Solution, lead: int, name: str) -> Solutio
     at = float(solution.x[lead])
     step = SHIFT * (high - low)
     target = at + step if high - at >= at - low else at - step
-    places = nlp.p[len(nlp.p) - nlp.slots :].copy()
+    places = nlp.exchange_points
     nlp.set_exchange_points(solution.p[len(nlp.p) - nlp.slots :])
     try:
         nlp.limit(lead, target, target)

@@ -88,7 +88,7 @@ class OrderSearch:
 
     def __post_init__(self) -> None:
         self.runs = {name: [] for name in self.names}
-        self._places = self.nlp.p[len(self.nlp.p) - self.nlp.slots :].copy()
+        self._places = self.nlp.exchange_points
         self._refined: dict[str, list[tuple[Array, Solution]]] = {name: [] for name in self.names}
 
     def local(self, k: int) -> list[Solution]:

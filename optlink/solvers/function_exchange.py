@@ -185,7 +185,6 @@ def add_peak_errors(problem: DesignProblem, nlp: NLP, solution: Solution, backen
                 best = min(best, (moved, there), key=lambda design: design[1][0].height)
             continue
         solution, peaks = exchange.placed(*best), best[1]
-        accepted = False
         for moved in exchange.followed(solution, peaks, radius):
             if not moved.usable:
                 continue
@@ -195,10 +194,10 @@ def add_peak_errors(problem: DesignProblem, nlp: NLP, solution: Solution, backen
             if there[0].height < peaks[0].height or (levelled and there[0].height <= peaks[0].height * (1.0 + LEVELLED)):
                 length = float(np.max(np.abs(moved.x - solution.x)[:-1], initial=0.0))
                 radius = min(GROWTH * radius, LARGEST) if length > ALL_BUT * radius else radius
-                solution, peaks, accepted = moved, there, True
-                best = solution, peaks
+                solution, peaks = best = moved, there
                 break
-        radius = radius if accepted else 0.25 * radius
+        else:
+            radius *= 0.25
     if solution.status is Status.OPTIMAL and _excess(solution, peaks) <= 0.0:
         return solution
     return replace(exchange.placed(*best), status=Status.STALLED, message="the largest errors did not become level")

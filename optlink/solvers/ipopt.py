@@ -70,16 +70,17 @@ class _Recorder(casadi.Callback):
         return [0]
 
 
-def _solver(nlp: NLP, extra: dict[str, Any]) -> Any:
+def _solver(nlp: NLP, tight: bool, close: bool, **further: Any) -> Any:
     options = (CYCLE if nlp.cycle else {}) | ({} if nlp.derivatives is None else nlp.derivatives.options)
-    return casadi.nlpsol("ipopt", "ipopt", nlp.programme, {**OPTIONS, **options, **extra})
+    options |= (TIGHT if tight else {}) | (CLOSE_START if close else {})
+    return casadi.nlpsol("ipopt", "ipopt", nlp.programme, OPTIONS | options | further)
 
 
 def compiled(nlp: NLP, tight: bool = False, close: bool = False, staying: bool = False) -> Any:
     """Return the solver of an NLP, built once and cached in `nlp.cache`, with options `TIGHT`, `CLOSE_START` and `STAYING`."""
     key = f"ipopt, {tight}, {close}, {staying}"
     if key not in nlp.cache:
-        nlp.cache[key] = _solver(nlp, (TIGHT if tight else {}) | (CLOSE_START if close else {}) | (STAYING if staying else {}))
+        nlp.cache[key] = _solver(nlp, tight, close, **STAYING if staying else {})
         nlp.take_hessian(nlp.cache[key].get_function("nlp_hess_l"))
     return nlp.cache[key]
 
@@ -87,8 +88,7 @@ def compiled(nlp: NLP, tight: bool = False, close: bool = False, staying: bool =
 def ipopt(nlp: NLP, x: Array, p: Array, *, track: bool = False, tight: bool = False, close: bool = False) -> Attempt:
     """Minimise from x with IPOPT; `close`: with a small barrier parameter, for a start near an optimum."""
     recorder = _Recorder(nlp) if track else None
-    options = {"iteration_callback": recorder} | (TIGHT if tight else {}) | (CLOSE_START if close else {})
-    solver = compiled(nlp, tight, close) if recorder is None else _solver(nlp, options)
+    solver = compiled(nlp, tight, close) if recorder is None else _solver(nlp, tight, close, iteration_callback=recorder)
     before, limits = interrupted(), {"lbx": nlp.x_low, "ubx": nlp.x_high, "lbg": nlp.low, "ubg": nlp.high}
     with silent():
         result = solver(x0=x, p=p, **limits)

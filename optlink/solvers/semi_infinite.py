@@ -281,7 +281,7 @@ def peaks(nlp: CycleNLP, x: Array) -> Peaks:
     trace, edges, slots = nlp.traced, nlp.edges(x), nlp.slots // nlp.strokes
     inputs = trace.inputs(nlp.design(x))
     grid = np.linspace(0.0, 1.0, POSITIONS_PER_STROKE)
-    shares = nlp.p[len(nlp.p) - nlp.slots :].copy()  # earlier peaks are kept as far as there is room
+    shares = nlp.exchange_points  # earlier peaks are kept as far as there is room
     worst, tops, inner = -math.inf, [-math.inf] * len(nlp.watched), []
     for j in range(nlp.strokes):
         begin, span = edges[j], edges[j + 1] - edges[j]

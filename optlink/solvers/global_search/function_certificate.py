@@ -165,26 +165,27 @@ class FunctionSearch:
         left = float(np.sum(np.prod(search.open.high - search.open.low, axis=1))) / whole
         progress((k + 1.0 - min(left, 1.0)) / len(self.searches), self.gap)
 
-    def _bounds(self, linkages: LinkageSet) -> FunctionBounds:
+    def _rise(self, at: Array) -> Array:
         law = self.problem.requirement.law
         assert isinstance(law, Function)
+        return np.asarray(law.rise(at) + 0.0 * at, dtype=float)
+
+    def _bounds(self, linkages: LinkageSet) -> FunctionBounds:
         x = self.problem.span * 0.5 * (1.0 - np.cos(np.linspace(0.0, math.pi, POSITIONS)))
         if self.design is not None:
             fine, error = self._errors(self.design)
             around = np.pad(error, 1, constant_values=-1.0)
             x = np.append(x, fine[(error >= around[:-2]) & (error >= around[2:])])
         dense = self.problem.span * np.linspace(0.0, 1.0, DENSE)
-        return FunctionBounds(linkages, lambda at: np.asarray(law.rise(at) + 0.0 * at, dtype=float), np.unique(x), dense)
+        return FunctionBounds(linkages, self._rise, np.unique(x), dense)
 
     def _errors(self, design: Mapping[str, float]) -> tuple[Array, Array]:
         """Return fine positions and the absolute errors [rad] of a design there, in its better assembly mode."""
         x = self.problem.span * np.linspace(0.0, 1.0, FINE)
-        frame = design["frame"]
-        a, b, c = (design[name] / frame for name in LENGTHS[:3])
+        a, b, c = (design[name] / design["frame"] for name in LENGTHS[:3])
         k3 = (a * a - b * b + c * c + 1.0) / (2.0 * a * c)
         point = np.array([[design["phi0"], design["psi0"], 1.0 / a, 1.0 / c, k3]])
-        law = self.problem.requirement.law
-        errors = [np.abs(followed(point, side, x, np.asarray(law.rise(x)))[0][0]) for side in (1, -1)]
+        errors = [np.abs(followed(point, side, x, self._rise(x))[0][0]) for side in (1, -1)]
         return x, min(errors, key=lambda error: float(np.max(np.where(np.isfinite(error), error, np.inf))))
 
     def _better(self, search: BranchAndBound) -> float:
@@ -198,14 +199,8 @@ class FunctionSearch:
         self.tried.append(place)
         frame = self.problem.quantities["frame"].value
         coupler = math.sqrt(1.0 / (k1 * k1) + 1.0 / (k2 * k2) + 1.0 - 2.0 * k3 / (k1 * k2))
-        design = {
-            "crank": frame / k1,
-            "coupler": frame * coupler,
-            "rocker": frame / k2,
-            "frame": frame,
-            "phi0": phi0,
-            "psi0": psi0,
-        }
+        lengths = frame / k1, frame * coupler, frame / k2, frame
+        design = dict(zip(LENGTHS, lengths, strict=True)) | {"phi0": phi0, "psi0": psi0}
         error = float(np.max(self._errors(design)[1]))
         if error < self.best:
             value = error if self._within(design) else math.inf
