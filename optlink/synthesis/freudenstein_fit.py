@@ -157,7 +157,7 @@ def distinct_cells(task: FitProblem, cells: Cells, room: tuple[float, float], co
         if len(chosen) == count:
             break
         others = cells[chosen]
-        dx = np.abs(np.remainder(others.x0 - cells.x0[i] + np.pi, 2.0 * np.pi) - np.pi)
+        dx = np.abs(task.chain.difference(others.x0, cells.x0[i]))
         dy = np.abs(task.chain.difference(others.y0, cells.y0[i]))
         near = (dx <= room[0]) & (dy <= room[1]) & (others.side == cells.side[i])
         if not np.any(near):

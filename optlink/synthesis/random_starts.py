@@ -23,9 +23,8 @@ def random_designs(batch: Batch, count: int, rng: np.random.Generator) -> Array:
         quantity = problem.quantities[name]
         low, high = batch.low[i], batch.high[i]
         if name in (START, MARK) or quantity.kind == "angle":
-            x[:, i] = (
-                rng.uniform(max(low, -math.pi), min(high, math.pi), count) if max(low, -math.pi) < min(high, math.pi) else low
-            )
+            least, most = max(low, -math.pi), min(high, math.pi)
+            x[:, i] = rng.uniform(least, most, count) if least < most else low
         elif batch.four_bar:
             x[:, i] = rng.standard_normal(count) * 1.5
         else:

@@ -13,6 +13,7 @@ separate, SIAM J. Numer. Anal. 10 (1973).
 from __future__ import annotations
 
 import copy
+from collections.abc import Iterable
 from typing import Any
 
 import casadi
@@ -21,7 +22,6 @@ from numpy.typing import NDArray
 
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.vector2d import TURN, Array, minus, unit
-from optlink.problem.mechanism import FourBarSection
 from optlink.problem.path import START
 from optlink.symbolic import NumpyEvaluator, symbols_in_numpy
 from optlink.synthesis.batch import Batch, Variant
@@ -36,31 +36,30 @@ class SimilarityFit:
         self.batch = batch
         problem = batch.problem
         names = list(batch.names)
+
+        def indices(wanted: Iterable[str]) -> list[int]:
+            return [names.index(name) for name in wanted if name in names]
+
         quantities = problem.mechanism.quantities
-        point, body = problem.requirement.point, problem.body
-        point_names = (f"{point}.along", f"{point}.across")
-        marks = point_names if isinstance(problem.mechanism, FourBarSection) else tuple(f"{body}.{name}" for name in point_names)
-        self.point = [names.index(name) for name in marks] if all(name in names for name in marks) else []
+        point = problem.requirement.point if batch.four_bar else f"{problem.body}.{problem.requirement.point}"
+        marks = (f"{point}.along", f"{point}.across")
+        self.point = indices(marks) if set(marks) <= set(names) else []
         ground = {name: q for name, q in quantities.items() if q.kind == "coordinate" and name.rpartition(".")[2] in ("x", "y")}
         angles = [name for name, q in quantities.items() if q.kind == "angle"]
         sizes = [
             name for name in quantities if name not in ground and name not in angles and (name not in marks or not self.point)
         ]
         turning = [name for name in angles if self._on_frame(name)]
-        self.lengths = [names.index(name) for name in sizes if name in names]
-        self.turning = [names.index(name) for name in turning if name in names]
+        self.lengths, self.turning = indices(sizes), indices(turning)
         bases = sorted({name.rpartition(".")[0] for name in ground})
-        self.ground = [
-            (names.index(f"{base}.x"), names.index(f"{base}.y"))
-            for base in bases
-            if f"{base}.x" in names and f"{base}.y" in names
-        ]
-        placed = problem.mechanism.placed if isinstance(problem.mechanism, FourBarSection) else True
+        pivots = (indices((f"{base}.x", f"{base}.y")) for base in bases)
+        self.ground = [(pivot[0], pivot[1]) for pivot in pivots if len(pivot) == 2]
+        placed = getattr(problem.mechanism, "placed", True)
         free = [name for name in (*sizes, *ground, *turning) if name not in names and quantities[name].value != 0.0]
         bound = [name for name in (*ground, *turning) if name not in names]
-        timed = not batch.free_timing and batch.start < 0 and not isinstance(problem.mechanism, FourBarSection)
+        self.counted_from_x = not batch.four_bar
+        timed = not batch.free_timing and batch.start < 0 and self.counted_from_x
         self.applies = problem.requirement.kind == "path" and placed and not free and not bound and not timed
-        self.counted_from_x = not isinstance(problem.mechanism, FourBarSection)
         if self.applies:
             self._trace()
 
