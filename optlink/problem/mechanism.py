@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, WrapValidator
 
-from optlink.linkage.assur import CONTINUE, EITHER, assemble
+from optlink.linkage.assur import CONTINUE, EITHER, Assembly
 from optlink.linkage.fourbar import LENGTHS, four_bar
 from optlink.linkage.mechanism import FRAME, BodyPoint, Guide, Link, Mechanism, Size
 from optlink.problem.base_model import RESERVED, Name, Section
@@ -333,7 +333,7 @@ class DyadsSection(Section):
         guides = list(self._guides())
         modes = {**self.assembly, **dict.fromkeys(self.near, EITHER)}
         with below("mechanism"):
-            return assemble(name, self._ground(), links, points, guides, body, modes)
+            return Assembly(self._ground(), links, points, guides, body, modes).mechanism(name)
 
     def _ground(self) -> dict[str, tuple[Size, Size]]:
         return {point: (f"{point}.x", f"{point}.y") for point in self.ground}
