@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.linkage.extrema import in_portions
+from optlink.linkage.extrema import in_portions, own_values
 from optlink.linkage.jet import Jet, as_jet
 from optlink.linkage.margins import NEAR_ALIGNMENT, SINGULAR_ALIGNMENT
 from optlink.linkage.mechanism import Dyad, Mechanism, Pose
@@ -124,9 +124,10 @@ def least_alignments(mechanism: Mechanism, sizes: Mapping[str, Value], last: Pos
     if not at.size:
         return []
     beside = np.concatenate([at + aside for aside in (-_ASIDE, 0.0, _ASIDE)])
-    before, least, after = in_portions(
-        lambda angles: squared_sines(mechanism.at(sizes, angles), groups), beside, np.tile(which, 3)
-    ).reshape(3, -1)
+    every = own_values(
+        lambda angles, rows: squared_sines(mechanism.at(sizes, angles), groups)[rows], beside, np.tile(which, 3), len(groups)
+    )
+    before, least, after = every.reshape(3, -1)
     lowest = (least <= before) & (least <= after) & (least < math.sin(NEAR_ALIGNMENT) ** 2) & (least >= -TOUCHING)
     return [
         AlignedPosition(0.0 if abs(angle) < 1e-9 else float(angle), groups[k], math.asin(math.sqrt(max(sine, 0.0))))

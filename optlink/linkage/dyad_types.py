@@ -61,9 +61,7 @@ class ModalDyad(JointedDyad):
     def through(self, pose: Pose, formula: Callable[[Value], tuple[Vector, Value]]) -> tuple[Vector, Value]:
         """Return the result of the dyad formula and its assembly margin, near singular positions of its smooth continuation.
 
-        Parameters
-        ----------
-        formula : function of the assembly mode (+1 or -1) to the joint, or the unit vector of the guide, and the margin
+        The formula maps the assembly mode to the joint, or the unit vector of the guide, and the margin.
         """
         return formula(self.side) if self.passages is None else self.passages.through(pose.angle, formula)
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -31,14 +31,7 @@ OTHER: dict[Direction, Direction] = {"forward": "backward", "backward": "forward
 
 
 def within_cycle(crank_angle: float, cycle: float = TURN) -> float:
-    """Reduce the crank angle [rad] of a periodic motion to one cycle, from 0; values within rounding of the cycle give 0.
-
-    Parameters
-    ----------
-    crank_angle : float [rad]
-    cycle : float [rad]
-        Crank rotation after which the motion repeats.
-    """
+    """Reduce the crank angle [rad] of a periodic motion to one cycle [rad], from 0; those within rounding of it give 0."""
     angle = float(crank_angle) % cycle
     return 0.0 if cycle - angle < SEAM else angle
 
@@ -62,15 +55,9 @@ class Failure:
 
 
 def range_end_reason(mechanism: Mechanism, sizes: Mapping[str, Value], end: float, way: float) -> str:
-    """Return the reason why the crank cannot turn beyond the end of a range, or an empty string if it is unknown.
+    """Return the reason why the crank cannot turn beyond the end of a range [rad], or an empty string if it is unknown.
 
-    Parameters
-    ----------
-    sizes : mapping of parameter name to float [m, rad]
-    end : float [rad]
-        Crank angle at the end of the range.
-    way : float
-        +1 at the upper end, -1 at the lower end.
+    `way` is +1 at the upper end of the range and -1 at the lower end.
     """
     if failed := failure(mechanism, sizes, end + way * math.radians(1.0)):
         return f"one degree further, {failed}"
@@ -166,7 +153,11 @@ def reachable(mechanism: Mechanism, sizes: Mapping[str, Value]) -> Ranges:
     if not sines:
         ranges = _joined(ranges, closed)
     result = Ranges(tuple(ranges), False)
-    return Ranges(result.ranges, False, tuple(p for p in aligned if _within(result, p.crank_angle)))
+    held = [(position, result.holding(position.crank_angle)) for position in aligned]
+    return replace(
+        result,
+        aligned=tuple(p for p, ends in held if ends and min(p.crank_angle - ends[0], ends[1] - p.crank_angle) > 1e-6),
+    )
 
 
 def _joined(ranges: list[tuple[float, float]], closed: Callable[[Array], bool]) -> list[tuple[float, float]]:
@@ -183,12 +174,6 @@ def _joined(ranges: list[tuple[float, float]], closed: Callable[[Array], bool]) 
     return joined
 
 
-def _within(ranges: Ranges, crank_angle: float) -> bool:
-    """Whether a crank angle lies in the interior of a range."""
-    holding = ranges.holding(crank_angle)
-    return holding is not None and min(crank_angle - holding[0], holding[1] - crank_angle) > 1e-6
-
-
 def _inside(function: Callable[[Array], Array], end: float, way: float) -> float:
     """The end of a range, on the side where the mechanism closes."""
     for step in (0.0, 1e-15, 1e-14, 1e-13, 1e-12, 1e-7, 1e-6):  # the last two for lines that are almost parallel
@@ -199,13 +184,7 @@ def _inside(function: Callable[[Array], Array], end: float, way: float) -> float
 
 
 def failure(mechanism: Mechanism, sizes: Mapping[str, Value], crank_angle: float) -> Failure | None:
-    """Return the first group that fails to close at a crank angle, or None.
-
-    Parameters
-    ----------
-    sizes : mapping of parameter name to float [m, rad]
-    crank_angle : float [rad]
-    """
+    """Return the first group that fails to close at a crank angle [rad], or None."""
     with np.errstate(all="ignore"):
         pose = mechanism.at(sizes, np.array([crank_angle]))
         for group in mechanism.groups:
@@ -216,14 +195,9 @@ def failure(mechanism: Mechanism, sizes: Mapping[str, Value], crank_angle: float
 
 
 def slow_stroke(forward: float, backward: float) -> Direction | None:
-    """Return which of the two strokes is the slow one at constant crank speed, None if they are equally long.
+    """Return which stroke, of crank rotations [rad], is the slow one at constant crank speed, None if both are equally long.
 
-    Strokes whose crank rotations differ by less than `LEAST_DIFFERENCE` count as equally long, so that rounding never decides.
-
-    Parameters
-    ----------
-    forward, backward : float [rad]
-        Crank rotation during each stroke.
+    Rotations that differ by less than `LEAST_DIFFERENCE` count as equally long, so that rounding never decides.
     """
     if not abs(forward - backward) >= LEAST_DIFFERENCE:
         return None
@@ -274,10 +248,7 @@ class Travel:
     def strokes(self, speed: float = 1.0) -> tuple[StrokeRange, ...]:
         """Return the forward and the backward stroke; empty unless there are two dead centres in a full revolution.
 
-        Parameters
-        ----------
-        speed : float [rad/s]
-            Speed of the crank; only its sign is used, negative clockwise.
+        Only the sign of the crank speed is used, negative clockwise.
         """
         if not math.isfinite(self.time_ratio):
             return ()
@@ -293,14 +264,7 @@ class Travel:
 
 
 def pace_of(stroke: Direction, slow: Direction | None) -> Pace:
-    """Return the pace of a stroke: "slow", "quick" or "equal".
-
-    Parameters
-    ----------
-    stroke : "forward" or "backward"
-    slow : "forward", "backward" or None
-        The slow stroke, None if both are equally long.
-    """
+    """Return the pace of a stroke; `slow` is the slow one, None if both are equally long."""
     return "equal" if slow is None else "slow" if stroke == slow else "quick"
 
 
