@@ -203,8 +203,8 @@ class Pose:
         """Return the coordinates of a point of the frame [m]."""
         if not isinstance(place, Arm):
             return self.size(place[0]), self.size(place[1])
-        length, axis = self.size(place.length), unit(self.size(place.direction))
-        return plus(self.fixed(self.mechanism.ground[place.origin]), (length * axis[0], length * axis[1]))
+        length, (c, s) = self.size(place.length), unit(self.size(place.direction))
+        return plus(self.fixed(self.mechanism.ground[place.origin]), (length * c, length * s))
 
     def point(self, name: str) -> Vector:
         """Return the position of a point [m]; points fixed on a placed body are computed on demand."""
@@ -222,8 +222,8 @@ class Pose:
         """Return the unit vector of a body's x axis."""
         if body not in self.directions:
             link = self.mechanism.bodies[body]
-            start, end, length = self.points[link.start], self.points[link.end], self.size(link.length)
-            self.directions[body] = (end[0] - start[0]) / length, (end[1] - start[1]) / length
+            (x, y), length = minus(self.points[link.end], self.points[link.start]), self.size(link.length)
+            self.directions[body] = x / length, y / length
         return self.directions[body]
 
     def line(self, guide: Guide, body: str) -> tuple[Vector, Vector]:
@@ -253,12 +253,9 @@ class Pose:
         if body == guide.slider:
             at = guide.at or self.mechanism.bodies[body].start
             return self.local(body, at), unit(-self.size(guide.tilt))
-        if isinstance(guide.through, str):
-            point = self.local(body, guide.through)
-        else:
-            point = self.size(guide.through[0]), self.size(guide.through[1])
-        direction, offset = unit(self.size(guide.direction)), self.size(guide.offset)
-        return (point[0] - offset * direction[1], point[1] + offset * direction[0]), direction
+        x, y = self.local(body, guide.through) if isinstance(guide.through, str) else map(self.size, guide.through)
+        (c, s), offset = unit(self.size(guide.direction)), self.size(guide.offset)
+        return (x - offset * s, y + offset * c), (c, s)
 
     def slide(self, guide: Guide) -> Value:
         """Return the displacement of the slider along its line [m]."""
@@ -276,8 +273,8 @@ class Pose:
         """
         if {p, q} == {link.start, link.end}:
             return self.size(link.length)
-        (px, py), (qx, qy) = self.local(link.body, p), self.local(link.body, q)
-        return np.sqrt((qx - px) * (qx - px) + (qy - py) * (qy - py))
+        lever = minus(self.local(link.body, q), self.local(link.body, p))
+        return np.sqrt(dot(lever, lever))
 
     def fit(self, link: Link, p: str, q: str) -> None:
         """Place a body by two of its points whose positions are known.
@@ -289,8 +286,7 @@ class Pose:
             Names of the two points.
         """
         if {p, q} != {link.start, link.end}:
-            (px, py), (qx, qy) = self.local(link.body, p), self.local(link.body, q)
-            lever = (qx - px, qy - py)
+            lever = minus(self.local(link.body, q), self.local(link.body, p))
             square = dot(lever, lever)
             x, y = turn_back(minus(self.points[q], self.points[p]), lever)
             self.place(link, (x / square, y / square), p)

@@ -254,13 +254,11 @@ class Travel:
             return ()
         sense = math.copysign(1.0, speed)
         forward = (sense * (self.high_at - self.low_at)) % TURN
-        slow = slow_stroke(forward, TURN - forward)
-        strokes = []
-        name: Direction
-        for name, at, rotation in (("forward", self.low_at, forward), ("backward", self.high_at, TURN - forward)):
-            begin = at % TURN
-            strokes.append(StrokeRange(name, begin, begin + sense * rotation, pace_of(name, slow)))
-        return tuple(strokes)
+        slow, low, high = slow_stroke(forward, TURN - forward), self.low_at % TURN, self.high_at % TURN
+        return (
+            StrokeRange("forward", low, low + sense * forward, pace_of("forward", slow)),
+            StrokeRange("backward", high, high + sense * (TURN - forward), pace_of("backward", slow)),
+        )
 
 
 def pace_of(stroke: Direction, slow: Direction | None) -> Pace:
@@ -302,7 +300,7 @@ def travels(
 
     motion = sweep(mechanism, sizes, grid)
     jets = {output: course(motion, *output) for output in outputs}
-    moving = [output for output, jet in jets.items() if _moves(jet, 1.0 if output[1] else _size(jet))]
+    moving = [output for output, jet in jets.items() if _moves(jet, angle=output[1])]
 
     def rates(angles: Array) -> Array:
         at = sweep(mechanism, sizes, angles)
@@ -333,21 +331,12 @@ def travels(
             forward = float(centres[1] - centres[0])
             ratio = max(forward, TURN - forward) / min(forward, TURN - forward)
         first, last = int(np.argmin(values)), int(np.argmax(values))
-        (swings if turning else strokes)[name] = Travel(
-            tuple(place(c) for c in centres),
-            float(values[first]),
-            float(values[last]),
-            place(ends[first]),
-            place(ends[last]),
-            ratio,
-        )
+        limits = float(values[first]), float(values[last]), place(ends[first]), place(ends[last])
+        (swings if turning else strokes)[name] = Travel(tuple(map(place, centres)), *limits, ratio)
     return swings, strokes
 
 
-def _size(jet: Jet) -> float:
-    return float(np.nanmax(np.abs(jet.value), initial=1e-12))
-
-
-def _moves(jet: Jet, scale: float) -> bool:
-    """Whether a motion is more than rounding."""
+def _moves(jet: Jet, *, angle: bool) -> bool:
+    """Whether the motion of a body's angle, or of a slider, is more than rounding."""
+    scale = 1.0 if angle else float(np.nanmax(np.abs(jet.value), initial=1e-12))
     return float(np.nanmax(np.abs(jet.rate), initial=0.0)) > 1e-9 * scale
