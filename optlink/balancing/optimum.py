@@ -66,15 +66,7 @@ class Optimum:
 
 
 def evaluate(programme: BalancingProgramme, goal: Goal, x: Array) -> float:
-    """Return the weighted sum of measures, each divided by its value in the original machine.
-
-    Parameters
-    ----------
-    goal : sequence of (Measure, float)
-        Measures and their weights.
-    x : array (n,)
-        Scaled parameters.
-    """
+    """Return the weighted sum of measures at scaled parameters (n,), each divided by its value in the original machine."""
     return sum(weight * programme.evaluate(measure, x) for measure, weight in goal)
 
 
@@ -82,16 +74,6 @@ def optimum(programme: BalancingProgramme, goal: Goal) -> Optimum:
     """Return the global optimum of a weighted sum of measures.
 
     Of several optima, the one with the least added mass (and stiffness) is returned.
-
-    Parameters
-    ----------
-    goal : sequence of (Measure, float)
-        Measures and their weights.
-
-    Raises
-    ------
-    SolverError
-        when the solver finds neither an optimum nor that there is none.
     """
     cp = programme.cp
     expression = sum(weight * programme.expression(measure) for measure, weight in goal)
@@ -241,16 +223,9 @@ class _Lightest:
 
 
 def realised_discs(programme: BalancingProgramme, goal: Goal, x: Array) -> Array:
-    """Return feasible discs near the optimum of their relaxation, by successive linearisation of the moments of inertia.
+    """Return feasible discs near the optimum `x` of their relaxation, by successive linearisation of the moments of inertia.
 
     The step is limited by a trust region. If discs reach the value of the relaxation, that point is returned directly.
-
-    Parameters
-    ----------
-    goal : sequence of (Measure, float)
-        Measures and their weights.
-    x : array (n,)
-        Scaled parameters of the optimum of the relaxation.
     """
     best = min(map(programme.realised, (x, programme.with_mass(x))), key=lambda y: _merit(programme, goal, y))
     if not programme.relaxed or _merit(programme, goal, best) <= _merit(programme, goal, x) + GAP:
@@ -345,25 +320,16 @@ class TradeOffCurve:
 
 
 def curve(programme: BalancingProgramme, first: BalanceMeasure, second: BalanceMeasure, count: int) -> TradeOffCurve:
-    """Return Pareto-optimal points of two measures, evenly spaced along the front.
+    """Return Pareto-optimal points of two measures, evenly spaced along the front, `count` with both ends.
 
-    The ends are the optima of each measure, with the other as small as that allows. For the points between, evenly spaced points
-    of the chord are the reference points of a Pascoletti-Serafini scalarisation: one programme with the reference point as
-    parameter.
-
-    Parameters
-    ----------
-    count : int
-        Number of points, including both ends.
+    The ends are the optima of each measure, with the other as small as that allows. For the points between, evenly spaced
+    points of the chord are the reference points of a Pascoletti-Serafini scalarisation (J. Optim. Theory Appl. 42 (1984)
+    499-524): one programme with the reference point as parameter.
 
     Raises
     ------
     SolverError
         when the solver finds no optimum for a point of the front.
-
-    References
-    ----------
-    A. Pascoletti, P. Serafini, Scalarizing vector optimization problems, J. Optim. Theory Appl. 42 (1984) 499-524.
     """
     cp = programme.cp
     ends = [_end(programme, first, second), _end(programme, second, first)]

@@ -86,20 +86,8 @@ class Price:
 class BalancingProgramme:
     """The feasible counterweights and springs of a machine, and measures of them, as convex expressions.
 
-    Parameters
-    ----------
-    counterweights : sequence of Counterweight
-        In the order of `effects`.
-    springs : sequence of FreeSpring
-        In the order of `effects`, after the counterweights.
-    measures : sequence of (BalanceMeasure, float)
-        Measures with their upper bounds [SI].
-    total : pair of float [kg]
-        Least and largest mass of all counterweights together.
-    mass : float [kg]
-        Typical mass of the machine.
-    length : float [m]
-        Typical length of the machine.
+    `measures` have upper bounds [SI], and `total` are the least and the largest mass of all counterweights together [kg];
+    `mass` [kg] and `length` [m] are typical of the machine. The parameters are in the order of `effects`.
     """
 
     def __init__(
@@ -290,13 +278,7 @@ class BalancingProgramme:
         return cp.max(cp.norm(amounts, axis=1)) if parts > 1 else cp.max(cp.abs(amounts))
 
     def evaluate(self, measure: BalanceMeasure, x: Array) -> float:
-        """Return a measure divided by its value in the original machine.
-
-        Parameters
-        ----------
-        x : array (n,)
-            Scaled parameters.
-        """
+        """Return a measure at scaled parameters (n,), divided by its value in the original machine."""
         _, rows, offset = self._rows(measure)
         amounts = rows @ x + offset
         return float(np.linalg.norm(amounts)) if measure.of == "rms" else measure.value(amounts)
@@ -353,33 +335,12 @@ class BalancingProgramme:
         return max((float(np.max(row.violation())) for row in [*self.cones, *map(self.row, self.bounds)]), default=0.0)
 
     def satisfies(self, x: Array, rows: Sequence[Any]) -> bool:
-        """Return whether parameters satisfy the cones and some constraints.
-
-        Parameters
-        ----------
-        x : array (n,)
-            Scaled parameters.
-        rows : sequence of cvxpy constraints
-            Checked beside the cones.
-        """
+        """Return whether scaled parameters satisfy the cones and some constraints."""
         self.put(x)
         return all(float(np.max(row.violation())) <= CONSTRAINT_TOLERANCE for row in [*self.cones, *rows])
 
     def tangent(self, x: Array, k: int) -> tuple[Array, float]:
-        """Linearise the moment of inertia of a disc: J is about slope . x + level, scaled.
-
-        Parameters
-        ----------
-        x : array (n,)
-            Scaled parameters at which to linearise.
-        k : int
-            Index of the counterweight.
-
-        Returns
-        -------
-        slope : array (n,)
-        level : float
-        """
+        """Linearise the moment of inertia of the disc number `k` at scaled parameters: it is about slope . x + level."""
         weight, place = self.counterweights[k], 4 * k
         unit, length = float(self.scales[place]), float(self.scales[place + 1] / self.scales[place])
         m, p = float(x[place]), x[place + 1 : place + 3]
@@ -394,13 +355,7 @@ class BalancingProgramme:
 
     @staticmethod
     def row(bound: BalanceBound, slack: Any = 0.0) -> Any:
-        """Return the cvxpy constraint of a bound.
-
-        Parameters
-        ----------
-        slack : float or cvxpy expression
-            Relaxation, in units of the bound's scale.
-        """
+        """Return the cvxpy constraint of a bound, relaxed by a slack in units of its scale."""
         return bound.sense * bound.expression <= bound.sense * bound.bound / bound.scale + slack
 
 

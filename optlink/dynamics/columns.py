@@ -209,11 +209,7 @@ class Table(NamedTuple):
 def tabulated(moving: Callable[[slice], Moving], count: int) -> Table:
     """Return all columns of a machine over many positions, computed in blocks so that only the results take memory.
 
-    Parameters
-    ----------
-    moving : function of the rows of a block to the machine in motion there
-    count : int
-        Number of rows.
+    `moving` maps the rows of a block to the machine in motion there.
     """
     columns: dict[str, Column] = {}
     faults = {kind: np.zeros(count, dtype=bool) for kind in FAULTS}
@@ -237,15 +233,7 @@ def tabulated(moving: Callable[[slice], Moving], count: int) -> Table:
 def joint_forces(
     machine: Machine, pins: Mapping[str, Mapping[str, Vector]], guides: Mapping[str, GuideForce]
 ) -> Iterator[tuple[str, str, Value]]:
-    """Yield name, meaning and values of the columns of the joint reactions.
-
-    Parameters
-    ----------
-    pins : mapping of point and body to pair of Value [N]
-        Force of each pin on each of its bodies.
-    guides : mapping of str to GuideForce
-        By the name of the guide.
-    """
+    """Yield name, meaning and values of the columns of the joint reactions, as in `Reactions`."""
     for point, (by, on) in acting_on(machine).items():
         bodies = machine.mechanism.pins[point]
         if len(bodies) == 2:
@@ -290,16 +278,8 @@ def pin_columns(machine: Machine) -> list[tuple[str, str, str]]:
 
 
 def unbounded_reactions(machine: Machine, positions: Sequence[AlignedPosition], speed: float) -> tuple[str, ...]:
-    """Return the columns of reactions that grow without bound towards change points.
+    """Return the columns of reactions that grow without bound towards the change points through which a machine is continued.
 
-    Parameters
-    ----------
-    positions : sequence of AlignedPosition
-        Change points through which the machine is continued.
-    speed : float [rad/s]
-
-    Notes
-    -----
     Such a force grows as the inverse of the distance, so force times distance has a limit other than zero.
     """
     if not positions:

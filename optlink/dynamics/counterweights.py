@@ -79,16 +79,8 @@ def quantity_over_cycle(
 ) -> Array:
     """Return a quantity over the positions, array (positions, parts); the parts of a force are x and y.
 
-    Parameters
-    ----------
-    shaken : Wrench
-        Shaking force [N] and shaking moment about `pivot` [N m].
-    shape : tuple of int
-        Shape of the positions.
-    pivot : pair of Value [m]
-        Reference point of the moment of `shaken`.
-    about : pair of Value [m]
-        Reference point of the shaking moment that is returned.
+    `shaken` is the shaking force and moment about `pivot` [m], `shape` that of the positions, and `about` [m] the reference
+    point of the shaking moment that is returned.
     """
     parts: tuple[Value, ...]
     if quantity.kind == "shaking force":
@@ -107,10 +99,7 @@ def quantity_over_cycle(
 def quantities_of(moving: Moving, quantities: Sequence[BalanceMeasure], about: Vector) -> list[Array]:
     """Compute quantities of a machine in motion by inverse dynamics, each (positions, parts).
 
-    Parameters
-    ----------
-    about : pair of Value [m]
-        Reference point of the shaking moment.
+    `about` [m] is the reference point of the shaking moment.
     """
     shape, machine = np.shape(moving.motion.assembled), moving.machine
     joint_reactions, shaken = reactions(moving), shaking(moving)
@@ -196,27 +185,12 @@ class FreeSpring:
     force: float = math.inf
 
     def spring(self, stiffness: float, free: float) -> Spring:
-        """Return the spring as a load.
-
-        Parameters
-        ----------
-        stiffness : float [N/m]
-        free : float [m]
-            Free length.
-        """
+        """Return the spring of a stiffness [N/m] and free length [m] as a load."""
         return Spring(self.name, self.ends, stiffness, free, 0.0)
 
 
 def with_counterweight(inertia: Inertia, added: Parameters) -> Inertia:
-    """Return the mass properties of a body with a counterweight.
-
-    Parameters
-    ----------
-    inertia : Inertia
-        Mass properties of the body alone.
-    added : Parameters
-        Inertial parameters of the counterweight, about the start of the body.
-    """
+    """Return the mass properties of a body with a counterweight, whose parameters are `added`."""
     mass, along, across, moment = (a + b for a, b in zip(inertia.parameters, added, strict=True))
     if mass <= 0.0:
         return inertia
@@ -252,16 +226,7 @@ class Affine:
 class Effects:
     """Effects of the parameters of counterweights (four for each body) and springs (k and k * free length each).
 
-    Parameters
-    ----------
-    moving : Moving
-        The original machine at the evaluated positions, (positions,).
-    bodies : sequence of str
-        Names of the bodies with a counterweight.
-    springs : sequence of FreeSpring
-        The springs to be designed.
-    about : pair of Value [m]
-        Reference point of shaking moments.
+    `moving` is the original machine at the positions (positions,), `about` [m] the reference point of shaking moments.
     """
 
     def __init__(self, moving: Moving, bodies: Sequence[str], springs: Sequence[FreeSpring], about: Vector) -> None:

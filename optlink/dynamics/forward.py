@@ -214,27 +214,12 @@ def run(
     singular: Sequence[float] = (),
     interrupted: Callable[[], None] | None = None,
 ) -> Run:
-    """Simulate the motion of a machine.
+    """Simulate the motion of a machine; the result is shorter than requested where the machine stops (`Run.ending`).
 
-    Parameters
-    ----------
-    times : array (n,) [s], rising from 0
-        Times of the output; the integrator chooses its own steps.
-    angle, speed : float [rad], [rad/s]
-        Initial crank angle and speed.
-    torque : function of phi and omega to a torque [N m], optional
-        Driving torque. Default: constant speed.
-    limits : pair of float [rad], optional
-        Reachable range of the crank angle, where it cannot turn fully.
-    progress : function of the completed share, optional
-    singular : sequence of float [rad]
-        Crank angles at which the motion ends because it is not determined beyond, repeated every cycle.
-    interrupted : function, optional
-        Called at once on Ctrl-C, which ends the motion early.
-
-    Returns
-    -------
-    Run; shorter than requested where the machine stops (`ending`)
+    The output is at `times` (n,) [s], rising from 0, from a crank angle [rad] and speed; without a `torque` at constant speed.
+    `limits`: reachable range of the crank angle, where it cannot turn fully; `singular`: crank angles, repeated every cycle,
+    beyond which the motion is not determined; `progress` is called with the completed share, `interrupted` at once on Ctrl-C,
+    which ends the motion.
     """
     integration = _Integration(_EquationsOfMotion(machine, torque), times, angle, speed, limits, np.array(singular))
     with np.errstate(all="ignore"):

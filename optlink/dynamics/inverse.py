@@ -67,15 +67,7 @@ class Reactions:
             return {joint: cross(a, b) / np.sqrt(dot(a, a) * dot(b, b)) for joint, (a, b) in self.rows.items()}
 
     def pin(self, machine: Machine, point: str, on: str | None = None) -> Vector:
-        """Return the reaction at a pin [N].
-
-        Parameters
-        ----------
-        point : str
-            Name of the pin.
-        on : str, optional
-            Body on which the force acts. Default: that of `reported_on`.
-        """
+        """Return the reaction at a pin [N] on a body, by default that of `reported_on`."""
         return self.pins[point][on or reported_on(machine)[point]]
 
 
@@ -105,17 +97,7 @@ def acting_on(machine: Machine) -> dict[str, tuple[str, str]]:
 
 
 def required_wrench(moving: Moving, *, inertia: bool = True, gravity: bool = True, loads: bool = True) -> dict[str, Wrench]:
-    """Compute the wrench (about its start) that joints and drive together exert on each body.
-
-    Parameters
-    ----------
-    inertia, gravity, loads : bool
-        Contributions to include.
-
-    Returns
-    -------
-    mapping of body to Wrench
-    """
+    """Compute the wrench (about its start) that joints and drive together exert on each body, of the contributions chosen."""
     machine = moving.machine
     wrenches = dict.fromkeys(machine.mechanism.bodies, ZERO_WRENCH)
     for body, mass in machine.inertias.items():
@@ -139,18 +121,10 @@ def reactions(
 ) -> Reactions:
     """Compute all reactions and the driving torque.
 
-    Parameters
-    ----------
-    needed : mapping of body to Wrench, optional
-        Wrench that the joints exert on each body. Default: that of inertia, gravity and loads together.
-    normals : mapping of str to Value, optional
-        Assumed signs, +1 or -1, of the normal forces of guides with friction. Default: the consistent ones.
-
-    Returns
-    -------
-    Reactions
-        Infinite or NaN at a singular position of a group, where `singularity` is zero. The torque of a mechanism that is
-        continued through singular positions is finite there.
+    By default the joints exert on each body the wrench that inertia, gravity and loads need, and the normal forces of guides
+    with friction have consistent signs, not those of `normals` (+1 or -1). At a singular position of a group, where
+    `singularity` is zero, reactions are infinite or NaN; the torque of a mechanism that is continued through singular positions
+    is finite there.
     """
     wrenches = required_wrench(moving) if needed is None else needed
     with np.errstate(all="ignore"):
@@ -161,13 +135,7 @@ def reactions(
 
 
 def virtual_torque(wrenches: Mapping[str, Wrench], moving: Moving) -> Value:
-    """Compute the driving torque that corresponds to wrenches on the bodies [N m], by the principle of virtual power.
-
-    Parameters
-    ----------
-    wrenches : mapping of body to Wrench
-        Force [N] and moment about the start [N m] for each body.
-    """
+    """Compute the driving torque that corresponds to wrenches on the bodies [N m], by the principle of virtual power."""
     source, power = moving.turning, 0.0
     for body, (force, moment) in wrenches.items():
         state = source.state(body)
@@ -289,10 +257,7 @@ class ForceBalance(RemainingWrenches):
 def torque_parts(moving: Moving, whole: Reactions | None = None) -> dict[str, Value]:
     """Split the driving torque [N m] into the parts of inertia, gravity and loads; friction counts among the loads.
 
-    Parameters
-    ----------
-    whole : Reactions, optional
-        Reactions of this motion, if already computed.
+    `whole` are the reactions of this motion, if already computed.
     """
     smooth = Moving(moving.machine.with_(friction={}), moving.motion, moving.side, moving.direction)
     inertia = reactions(smooth, required_wrench(smooth, gravity=False, loads=False)).torque
@@ -304,11 +269,8 @@ def torque_parts(moving: Moving, whole: Reactions | None = None) -> dict[str, Va
 def shaking(moving: Moving) -> Wrench:
     """Compute the shaking force [N] and shaking moment about the crank pivot [N m] that the inertia exerts on the frame.
 
-    They are minus the rates of the momentum and of the angular momentum about the crank pivot, without gravity and loads.
-
-    References
-    ----------
-    R. S. Berkof, G. G. Lowen, A new method for completely force balancing simple linkages, 1969.
+    They are minus the rates of the momentum and of the angular momentum about the crank pivot, without gravity and loads (R. S.
+    Berkof, G. G. Lowen, A new method for completely force balancing simple linkages, 1969).
     """
     needed = required_wrench(moving, gravity=False, loads=False)
     pivot = moving.position(moving.machine.mechanism.crank.start)
@@ -335,12 +297,7 @@ def regressor(moving: Moving) -> dict[str, tuple[Reactions, ...]]:
 
 
 def reduced_inertia(machine: Machine, crank_angle: Array) -> tuple[Array, Array]:
-    """Return the inertia reduced to the crank [kg m^2] and its derivative with respect to the crank angle [kg m^2/rad].
-
-    Parameters
-    ----------
-    crank_angle : array (n,) [rad]
-    """
+    """Return the inertia reduced to the crank [kg m^2] and its derivative with respect to the crank angle [kg m^2/rad]."""
     with np.errstate(all="ignore"):
         moving = machine.moving(crank_angle, 1.0)
         weightless = required_wrench(moving, gravity=False, loads=False)

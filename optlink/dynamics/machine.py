@@ -91,16 +91,10 @@ class Machine:
     def moving(
         self, crank_angle: ArrayLike, speed: Value = 1.0, acceleration: Value = 0.0, side: int = 1, direction: Value = None
     ) -> Moving:
-        """Return the machine in motion at crank angles.
+        """Return the machine in motion at crank angles (angles,) [rad].
 
-        Parameters
-        ----------
-        crank_angle : array (angles,) [rad]
-        speed, acceleration : float or array (angles,) [rad/s], [rad/s^2]
-        side : int
-            Where a load jumps, at the reversal of the motion that it opposes: +1 the value just after, -1 just before.
-        direction : +1 or -1, optional
-            Sense of crank rotation. Default: that of the speed, positive where the crank is at rest.
+        `side`: where a load jumps, at the reversal of the motion that it opposes, +1 takes the value just after, -1 that just
+        before. `direction` is the sense of crank rotation, by default that of the speed, positive where the crank is at rest.
         """
         return Moving(self, sweep(self.mechanism, self.sizes, crank_angle, speed, acceleration), side, direction)
 
@@ -179,35 +173,17 @@ class Moving:
         return self.motion.pose
 
     def position(self, point: str, body: str = "") -> Vector:
-        """Return the position of a point [m].
-
-        Parameters
-        ----------
-        body : str
-            Not used: the point has the same position on all bodies that share it.
-        """
+        """Return the position of a point [m], which is the same on all bodies that share it."""
         x, y = self.pose.points[point]
         return as_jet(x).value, as_jet(y).value
 
     def velocity(self, point: str, body: str = "") -> Vector:
-        """Return the velocity of a point [m/s].
-
-        Parameters
-        ----------
-        body : str
-            Not used, see `position`.
-        """
+        """Return the velocity of a point [m/s]."""
         x, y = self.pose.points[point]
         return as_jet(x).rate, as_jet(y).rate
 
     def acceleration(self, point: str, body: str = "") -> Vector:
-        """Return the acceleration of a point [m/s^2].
-
-        Parameters
-        ----------
-        body : str
-            Not used, see `position`.
-        """
+        """Return the acceleration of a point [m/s^2]."""
         x, y = self.pose.points[point]
         return as_jet(x).acceleration, as_jet(y).acceleration
 
@@ -247,11 +223,8 @@ class Moving:
     def sense(self, of: Callable[[Moving], tuple[Value, Value]], size: Value = 1.0) -> Value:
         """Return the sign of a velocity; where it reverses, the sign just after (or before); zero for rounding errors.
 
-        Parameters
-        ----------
-        of : function of a machine in motion to a velocity and its acceleration
-        size : Value
-            Size of the machine [m] for the velocity of a point, 1 for an angular velocity.
+        `of` maps a machine in motion to the velocity and its acceleration; `size` is that of the machine [m] for the velocity
+        of a point, 1 for an angular velocity.
         """
         source = self.turning
         rate, acceleration = of(source)
@@ -281,12 +254,7 @@ class Moving:
     def scaled(self, speed: Value, acceleration: Value, direction: Value) -> Moving:
         """Return the motion at another crank speed and acceleration; this motion must have a constant speed of 1 rad/s.
 
-        Parameters
-        ----------
-        speed : Value [rad/s]
-        acceleration : Value [rad/s^2]
-        direction : Value
-            Sense of crank rotation, +1 or -1.
+        `direction` is the sense of crank rotation, +1 or -1.
         """
         return Moving(self.machine, self.motion.scaled(speed, acceleration), self.side, direction)
 

@@ -34,14 +34,9 @@ class Irregular(NamedTuple):
 
 
 def irregular(machine: Machine, grid: Array, speed: float) -> Irregular:
-    """Return the irregular crank angles of the loads of a machine.
+    """Return the irregular crank angles of the loads of a machine at a crank speed [rad/s].
 
-    Parameters
-    ----------
-    grid : array (n,) [rad], rising
-        Fine enough that a denominator has at most one zero or minimum between neighbours.
-    speed : float [rad/s]
-        Crank speed.
+    The rising grid [rad] is so fine that a denominator has at most one zero or minimum between neighbours.
     """
     corners, peaks, unbounded = [np.empty(0)], [np.empty(0)], {}
     for load in machine.loads:
@@ -63,26 +58,13 @@ def irregular(machine: Machine, grid: Array, speed: float) -> Irregular:
 
 
 def poles(machine: Machine, angles: Array, speed: float) -> Array:
-    """Return the crank angles [rad] at which a load grows without bound, in the range of some crank angles.
-
-    Parameters
-    ----------
-    angles : array (n,) [rad]
-    speed : float [rad/s]
-        Crank speed.
-    """
+    """Return the crank angles [rad] at which a load grows without bound, in the range of some crank angles (n,)."""
     grid = np.linspace(np.min(angles), np.max(angles), SAMPLES + 1)
     return np.concatenate([*irregular(machine, grid, speed).poles.values(), np.empty(0)])
 
 
 def without_values(machine: Machine, names: Collection[str]) -> Machine:
-    """Return a machine whose loads of some names have the value NaN, which marks all that depends on them.
-
-    Parameters
-    ----------
-    names : collection of str
-        Names of loads with a magnitude.
-    """
+    """Return a machine whose loads of some names have the value NaN, which marks all that depends on them."""
 
     def unknown(known: Mapping[str, Value]) -> Value:
         return np.nan

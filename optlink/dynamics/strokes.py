@@ -21,14 +21,7 @@ SAME_ANGLE = 1e-6  # rad; crank angles that near to one another are one
 def load_strokes(machine: Machine, load: Load) -> dict[Direction, list[tuple[float, float]]]:
     """Return the crank ranges [rad] of a cycle in which the motion of a load is forward and backward.
 
-    The crank turns counter-clockwise.
-
-    Parameters
-    ----------
-    machine : Machine
-        Its crank turns fully.
-    load : Load
-        Load that depends on the direction of a motion.
+    The crank turns fully, counter-clockwise.
     """
 
     def rates(angles: Array) -> Array:
@@ -52,15 +45,7 @@ def load_strokes(machine: Machine, load: Load) -> dict[Direction, list[tuple[flo
 
 
 def slow_stroke_of(machine: Machine, load: Load) -> Direction | None:
-    """Return the slow stroke of a load's motion for a crank that turns counter-clockwise; None if both are equally long.
-
-    Parameters
-    ----------
-    machine : Machine
-        Its crank turns fully.
-    load : Load
-        Load that depends on the direction of a motion.
-    """
+    """Return the slow stroke of a load's motion for a crank that turns counter-clockwise; None if both are equally long."""
     return _slow(load_strokes(machine, load))
 
 
@@ -85,15 +70,7 @@ class StrokeLoad:
 
 
 def acting_loads(machine: Machine, speed: float) -> tuple[StrokeLoad, ...]:
-    """Return the loads that act in one stroke only.
-
-    Parameters
-    ----------
-    machine : Machine
-        Its crank turns fully.
-    speed : float [rad/s]
-        Speed of the crank; only its sign is used.
-    """
+    """Return the loads that act in one stroke only, of a machine whose crank turns fully; only the sign of the speed is used."""
     return tuple(_acting(machine, speed))
 
 
@@ -108,15 +85,10 @@ def _acting(machine: Machine, speed: float) -> Iterator[StrokeLoad]:
 
 
 def working_stroke(travel: Travel, speed: float, acting: tuple[StrokeLoad, ...]) -> tuple[Direction | None, tuple[str, ...]]:
-    """Return the working stroke of an output and the loads that define it.
+    """Return the working stroke of an output and the loads that define it; only the sign of the crank speed is used.
 
     It is the stroke in which loads of the same dead centres act; None where no load is limited to one stroke, or loads act in
     both.
-
-    Parameters
-    ----------
-    speed : float [rad/s]
-        Speed of the crank; only its sign is used.
     """
     loads_by_stroke: dict[Direction, list[str]] = {}
     for stroke in travel.strokes(speed):
@@ -159,13 +131,7 @@ def named_travels(machine: Machine) -> tuple[dict[str, Travel], dict[str, Travel
 
 
 def last_output(machine: Machine, swings: Collection[str], strokes: Collection[str]) -> tuple[str, bool]:
-    """Return the last reciprocating slider on the frame and True, else the last body that swings (or turns) and False.
-
-    Parameters
-    ----------
-    swings, strokes : collection of str
-        Names of the bodies that swing, and of the sliders with a limited stroke.
-    """
+    """Return the last reciprocating slider on the frame and True, else the last body that swings (or turns) and False."""
     names = slider_names(machine)
     for guide in reversed(machine.mechanism.guides):
         if guide.on == FRAME and names[guide.name] in strokes:
@@ -175,11 +141,5 @@ def last_output(machine: Machine, swings: Collection[str], strokes: Collection[s
 
 
 def use_of(stroke: StrokeRange, working: Direction | None) -> str:
-    """Return the use of a stroke: "working", "return", or an empty string if there is no working stroke.
-
-    Parameters
-    ----------
-    working : "forward", "backward" or None
-        Name of the working stroke.
-    """
+    """Return the use of a stroke: "working", "return", or an empty string if there is no working stroke."""
     return "" if working is None else "working" if stroke.name == working else "return"

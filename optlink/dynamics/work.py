@@ -24,24 +24,13 @@ ROUGH = 1e-7  # share of the whole work that these may add to a panel, whose qua
 
 
 def gauss_points(a: Array, b: Array) -> tuple[Array, Array]:
-    """Return the points (k, nodes) of Gauss quadrature over intervals, and half their lengths (k,).
-
-    Parameters
-    ----------
-    a, b : array (k,)
-        Ends of the intervals.
-    """
+    """Return the points (k, nodes) of Gauss quadrature over intervals from `a` to `b` (k,), and half their lengths (k,)."""
     half = 0.5 * (b - a)
     return (0.5 * (a + b))[:, None] + half[:, None] * NODES, half
 
 
 def jumps(machine: Machine, low: float, high: float) -> Array:
-    """Return the crank angles [rad] from `low` to below `high` at which a load or friction may jump, rising.
-
-    Parameters
-    ----------
-    low, high : float [rad]
-    """
+    """Return the crank angles [rad] from `low` to below `high` at which a load or friction may jump, rising."""
     jump_angles: list[Array] = []
     switching = [load for load in machine.loads if load.switching]
     if switching or machine.friction:
@@ -60,11 +49,7 @@ def jumps(machine: Machine, low: float, high: float) -> Array:
 def corners(machine: Machine, low: float, high: float, speed: float) -> Array:
     """Return the crank angles [rad] at which a load has a corner, a row of its table, or at which a normal force is zero.
 
-    Parameters
-    ----------
-    low, high : float [rad]
-    speed : float [rad/s]
-        Crank speed, which affects the normal forces.
+    The crank speed [rad/s] affects the normal forces.
     """
     corner_angles: list[Array] = []
     rows: list[tuple[str, float]] = []
@@ -149,13 +134,7 @@ class Work:
         return math.sqrt(float(np.sum(half * (self._torques**2 @ WEIGHTS))) / float(self.knots[-1] - self.knots[0]))
 
     def mean(self, signal: Callable[[Array], Array], *, square: bool = False) -> float:
-        """Return the mean, or root mean square, of a function of crank angles (n,) over the range.
-
-        Parameters
-        ----------
-        signal : function of array (n,) [rad]
-            Smooth between the knots, as the torque.
-        """
+        """Return the mean, or root mean square, over the range of a function of crank angles (n,), smooth between the knots."""
         points, half = gauss_points(self.knots[:-1], self.knots[1:])
         values = signal(points.ravel()).reshape(points.shape)
         mean = float(np.sum(half * ((values**2 if square else values) @ WEIGHTS))) / float(self.knots[-1] - self.knots[0])
