@@ -98,12 +98,10 @@ class MotionColumns:
             with np.errstate(all="ignore"):
                 if name in self._motion:
                     self._values[name] = self.full(self._motion[name][1]())
-                elif name in self._reactions:
-                    self._values[name] = np.where(self.singular, np.nan, self.full(self._reactions[name][1]()))
                 else:
-                    _, value = self._drive[name] if name in self._drive else self._loads[name]
-                    unknown = self.singular & (not self.machine.mechanism.followed)
-                    self._values[name] = np.where(unknown, np.nan, self.full(value()))
+                    sources = next((part for part in (self._reactions, self._drive) if name in part), self._loads)
+                    unknown = self.singular & (sources is self._reactions or not self.machine.mechanism.followed)
+                    self._values[name] = np.where(unknown, np.nan, self.full(sources[name][1]()))
         return self._values[name]
 
     @cached_property
@@ -128,7 +126,8 @@ class MotionColumns:
 
     @cached_property
     def _reactions(self) -> Sources:
-        return _by_name(self._joint_forces())
+        forces = joint_forces(self.machine, self.reactions.pins, self.reactions.guides)
+        return {name: (meaning, _constant(value)) for name, meaning, value in forces}
 
     @cached_property
     def _loads(self) -> Sources:
@@ -167,10 +166,6 @@ class MotionColumns:
         yield f"{body}{ANGLE}", f"angle of {body}'s axis from +x", lambda: moving.motion.body_angle(body).value
         yield f"{body}.omega_rad_s", f"angular velocity of {body}", lambda: moving.state(body).omega
         yield f"{body}.alpha_rad_s2", f"angular acceleration of {body}", lambda: moving.state(body).alpha
-
-    def _joint_forces(self) -> Named:
-        for name, meaning, value in joint_forces(self.machine, self.reactions.pins, self.reactions.guides):
-            yield name, meaning, _constant(value)
 
     def _load_forces(self) -> Named:
         for load in self.machine.loads:
@@ -285,9 +280,7 @@ def unbounded_reactions(machine: Machine, positions: Sequence[AlignedPosition], 
     if not positions:
         return ()
     at = np.array([position.crank_angle for position in positions])
-    names, near = _amounts(machine, at, NEAR, speed)
-    _, nearer = _amounts(machine, at, NEARER, speed)
-    _, usual = _amounts(machine, at, ASIDE, speed)
+    (names, near), (_, nearer), (_, usual) = (_amounts(machine, at, distance, speed) for distance in (NEAR, NEARER, ASIDE))
     size = max(float(np.max(usual, initial=0.0)), 1e-300)
     grows = (NEARER * nearer > GROWS * NEAR * near) & (NEARER * nearer > NOTHING * size)
     return tuple(name for name, unbounded in zip(names, grows, strict=True) if unbounded)

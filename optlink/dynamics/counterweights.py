@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.dynamics.inertia import UNITS, Inertia, Parameters, Wrench, wrench
-from optlink.dynamics.inverse import Reactions, reactions, regressor, shaking
+from optlink.dynamics.inverse import ZERO_WRENCH, Reactions, reactions, regressor, shaking
 from optlink.dynamics.loads import Spring
 from optlink.dynamics.machine import Machine, Moving
 from optlink.linkage.vector2d import Array, Value, Vector, minus
@@ -242,6 +242,7 @@ class Effects:
     def _columns(self) -> list[tuple[Reactions, Wrench]]:
         """Reactions and shaking (its moment about `about`) per unit of each parameter."""
         effects: list[tuple[Reactions, Wrench]] = []
+        bare = self.moving.machine.with_(inertias={}, friction={})
         per_unit = regressor(self.moving) if self.bodies else {}
         for body in self.bodies:
             state = self.moving.state(body)
@@ -250,14 +251,10 @@ class Effects:
                 (x, y), moment = body_wrench.force, body_wrench.about(state.start, self.about)
                 effects.append((reaction, Wrench((-x, -y), -moment)))
         for spring in self.springs:
-            slack, tight = (self._of_spring(spring.spring(1.0, free)) for free in (0.0, 1.0))
-            still = Wrench((0.0, 0.0), 0.0)
-            effects += [(slack, still), (_difference(tight, slack), still)]
+            machines = (bare.with_(loads=(spring.spring(1.0, free),)) for free in (0.0, 1.0))
+            slack, tight = (reactions(Moving(machine, self.moving.motion)) for machine in machines)
+            effects += [(slack, ZERO_WRENCH), (_difference(tight, slack), ZERO_WRENCH)]
         return effects
-
-    def _of_spring(self, spring: Spring) -> Reactions:
-        machine = self.moving.machine.with_(inertias={}, loads=(spring,), friction={})
-        return reactions(Moving(machine, self.moving.motion))
 
     def lengths(self, spring: FreeSpring) -> Array:
         """Return the length of a spring over the positions [m]."""

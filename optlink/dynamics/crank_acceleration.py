@@ -56,12 +56,8 @@ def accelerations_with_friction(
         normals = dict(zip(names, trial, strict=True))
         still, moved = (reactions(moving, needed, normals) for moving, needed in zip(ends, wrenches, strict=True))
         share = (torque - still.torque) / (moved.torque - still.torque)
-        loaded = (
-            np.hypot(*force)
-            for joint_reactions in (still, moved)
-            for on in joint_reactions.pins.values()
-            for force in on.values()
-        )
+        pins = (*still.pins.values(), *moved.pins.values())
+        loaded = (np.hypot(*force) for on in pins for force in on.values())
         least = -ROUNDING * (1.0 + np.abs(share)) * sum(loaded)
         fits: Value = np.isfinite(share)
         for name, sign in normals.items():
@@ -102,8 +98,8 @@ def can_rest(geared: Moving, torque: float) -> bool:
         needed = required_wrench(still)
         for trial in itertools.product((1.0, -1.0), repeat=len(geared.machine.friction)):
             joint_reactions = reactions(still, needed, dict(zip(geared.machine.friction, trial, strict=True)))
-            least = float(np.asarray(joint_reactions.torque).ravel()[0])
-            determinant = math.prod(float(np.asarray(sine).ravel()[0]) for sine in joint_reactions.singularity.values())
+            least = np.asarray(joint_reactions.torque).item()
+            determinant = math.prod(np.asarray(sine).item() for sine in joint_reactions.singularity.values())
             lacks = abs(torque - least) > STEADY * (abs(torque) + abs(least))
             signs.add(np.sign(determinant * (torque - least)) if lacks else 0.0)
     return 0.0 in signs or {1.0, -1.0} <= signs

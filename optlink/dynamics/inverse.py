@@ -259,7 +259,7 @@ def torque_parts(moving: Moving, whole: Reactions | None = None) -> dict[str, Va
 
     `whole` are the reactions of this motion, if already computed.
     """
-    smooth = Moving(moving.machine.with_(friction={}), moving.motion, moving.side, moving.direction)
+    smooth = moving.without_friction
     inertia = reactions(smooth, required_wrench(smooth, gravity=False, loads=False)).torque
     gravity = reactions(smooth, required_wrench(smooth, inertia=False, loads=False)).torque
     total = (whole or reactions(moving)).torque
@@ -287,9 +287,8 @@ def regressor(moving: Moving) -> dict[str, tuple[Reactions, ...]]:
 
     Multiplied by `Inertia.parameters` of all bodies they sum to the part of every reaction due to inertia and gravity.
     """
-    smooth = Moving(moving.machine.with_(friction={}), moving.motion, moving.side, moving.direction)
+    smooth, gravity = moving.without_friction, moving.machine.gravity
     nothing = dict.fromkeys(moving.machine.mechanism.bodies, ZERO_WRENCH)
-    gravity = moving.machine.gravity
     return {
         body: tuple(reactions(smooth, {**nothing, body: wrench(unit, moving.state(body), gravity)}) for unit in UNITS)
         for body in nothing

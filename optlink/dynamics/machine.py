@@ -49,24 +49,19 @@ class Load(Protocol):
     @property
     def name(self) -> str:
         """Name in the problem file."""
-        ...
 
     @property
     def switching(self) -> bool:
         """Whether the load jumps where a motion reverses."""
-        ...
 
     def act(self, moving: Moving) -> Iterator[Acting]:
         """Yield the forces and torques of the load, body by body."""
-        ...
 
     def reversing(self, moving: Moving) -> tuple[Value, Value] | None:
         """Return the velocity at whose reversal the load jumps, and the corresponding acceleration."""
-        ...
 
     def potential(self, moving: Moving) -> Value:
         """Return the potential energy [J]; zero except for springs."""
-        ...
 
 
 @dataclass(frozen=True, repr=False)
@@ -114,10 +109,8 @@ class Machine:
     def size(self) -> Value:
         """Sum of the link lengths [m], the reference length of the motion."""
         lengths = [link.length for link in self.mechanism.links if link.end]
-        total: Value = 0.0
-        for length in lengths:
-            total = total + as_jet(self.sizes[length] if isinstance(length, str) else length).value
-        return total if lengths else 1.0
+        values = (as_jet(self.sizes[length] if isinstance(length, str) else length).value for length in lengths)
+        return sum(values, 0.0) if lengths else 1.0
 
     @cached_property
     def ranges(self) -> Ranges:
@@ -257,6 +250,11 @@ class Moving:
         `direction` is the sense of crank rotation, +1 or -1.
         """
         return Moving(self.machine, self.motion.scaled(speed, acceleration), self.side, direction)
+
+    @property
+    def without_friction(self) -> Moving:
+        """The same motion of the machine without friction."""
+        return Moving(self.machine.with_(friction={}), self.motion, self.side, self.direction)
 
     @cached_property
     def kinetic(self) -> Value:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.dynamics.loads import Force, Torque
-from optlink.dynamics.machine import Load, Machine
+from optlink.dynamics.machine import Machine
 from optlink.linkage.extrema import POINTS, distinct, refined_minima
 from optlink.linkage.vector2d import Array, Value
 from optlink.linkage.zeros import zeros
@@ -40,7 +40,7 @@ def irregular(machine: Machine, grid: Array, speed: float) -> Irregular:
     """
     corners, peaks, unbounded = [np.empty(0)], [np.empty(0)], {}
     for load in machine.loads:
-        if not _with_breakpoints(load):
+        if not isinstance(load, Force | Torque) or not hasattr(load.magnitude, "breakpoints"):
             continue
         with np.errstate(all="ignore"):
             values = _breakpoints(machine, load, speed)
@@ -77,17 +77,11 @@ def without_values(machine: Machine, names: Collection[str]) -> Machine:
     )
 
 
-def _with_breakpoints(load: Load) -> bool:
-    return hasattr(getattr(load, "magnitude", None), "breakpoints")
-
-
-def _breakpoints(machine: Machine, load: Load, speed: float) -> Callable[[Array], Array]:
+def _breakpoints(machine: Machine, load: Force | Torque, speed: float) -> Callable[[Array], Array]:
     """Return a function of crank angles (n,) to the quantities (k, n) at whose zeros the magnitude of a load is irregular."""
-    assert isinstance(load, Force | Torque)
-    magnitude = load.magnitude
 
     def values(angles: Array) -> Array:
-        points = magnitude.breakpoints(load.known(machine.moving(angles, speed)))  # type: ignore[attr-defined]
+        points = load.magnitude.breakpoints(load.known(machine.moving(angles, speed)))  # type: ignore[attr-defined]
         return np.array([np.broadcast_to(value, angles.shape) for value in points]).reshape(len(points), len(angles))
 
     return values
@@ -116,9 +110,8 @@ def _least(values: Callable[[Array], Array], grid: Array, samples: Array) -> tup
     return at, least <= NOTHING * largest[rows]
 
 
-def _grows(machine: Machine, load: Load, speed: float, at: Array) -> NDArray[np.bool_]:
+def _grows(machine: Machine, load: Force | Torque, speed: float, at: Array) -> NDArray[np.bool_]:
     """Return whether the magnitude of a load grows without bound towards crank angles (n,), from either side."""
-    assert isinstance(load, Force | Torque)
     beside = at[:, None, None] + BESIDE * np.array([[-1.0], [1.0]])
     values = load.magnitude(load.known(machine.moving(beside.ravel(), speed)))
     size = np.abs(np.broadcast_to(np.asarray(values, dtype=float), beside.size).reshape(beside.shape))

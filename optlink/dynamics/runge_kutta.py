@@ -21,6 +21,7 @@ RELATIVE, ABSOLUTE = 1e-11, 1e-12  # tolerances
 STAGES = 12  # stages of a step
 SAFETY, LEAST, MOST = 0.9, 0.2, 10.0  # of the change of the step size
 EXPONENT = -1.0 / 8.0
+PLACES = 16  # of each step, the last one its end, from which the speed over a turn is measured
 
 
 class TrialStep(NamedTuple):
@@ -37,7 +38,6 @@ def attempt(rates: Callable[[Any], Any], stack: Callable[[list[Any]], Any], stat
 
     `rates` maps a state to its rates; `stack` maps a list of rates to a matrix with these columns.
     """
-    coefficients = COEFFICIENTS
     stages, new = [first], state
 
     def combined(row: Array) -> Any:
@@ -45,12 +45,12 @@ def attempt(rates: Callable[[Any], Any], stack: Callable[[list[Any]], Any], stat
         return stack([stages[k] for k in used]) @ row[used]
 
     for stage in range(1, ALL):
-        at = state + size * combined(coefficients.stages[stage])
+        at = state + size * combined(COEFFICIENTS.stages[stage])
         stages.append(rates(at))
         if stage == STAGES:
             new = at
     scale = ABSOLUTE + RELATIVE * np.maximum(np.abs(state), np.abs(new))
-    fifth, third = (combined(row) / scale for row in (coefficients.fifth, coefficients.third))
+    fifth, third = (combined(row) / scale for row in (COEFFICIENTS.fifth, COEFFICIENTS.third))
     return TrialStep(new, stages, fifth.T @ fifth, third.T @ third)
 
 
@@ -95,18 +95,18 @@ def states_at(times: Array, steps: Sequence[Step]) -> Array:
     return dense((times - starts[places]) / sizes, sizes, before, after, rates)
 
 
-def between(steps: Sequence[Step], until: float, parts: int, count: int = 16) -> tuple[Array, Array]:
+def between(steps: Sequence[Step], until: float, parts: int) -> tuple[Array, Array]:
     """Return times (m,) at even places within consecutive steps, and the first `parts` elements of the state (m, parts) there.
 
     The last step counts as ended at `until` [s].
     """
     starts, sizes = (np.array([step[k] for step in steps]) for k in (0, 2))
     durations = np.array([min(step.end, until) for step in steps]) - starts
-    shares = ((durations / sizes)[:, None] * np.arange(1.0, count + 1.0) / count).ravel()
+    shares = ((durations / sizes)[:, None] * np.arange(1.0, PLACES + 1.0) / PLACES).ravel()
     states = [(step.before[:parts], step.after[:parts], step.rates[:, :parts]) for step in steps]
-    before, after, rates = (np.array(column).repeat(count, axis=0) for column in zip(*states, strict=True))
-    sizes = sizes.repeat(count)
-    return starts.repeat(count) + shares * sizes, dense(shares, sizes, before, after, rates)
+    before, after, rates = (np.array(column).repeat(PLACES, axis=0) for column in zip(*states, strict=True))
+    sizes = sizes.repeat(PLACES)
+    return starts.repeat(PLACES) + shares * sizes, dense(shares, sizes, before, after, rates)
 
 
 class Stepper:

@@ -1,7 +1,7 @@
 """Working and return strokes: the crank ranges in which loads act, and the slow stroke of an output."""
 
 import math
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -71,17 +71,14 @@ class StrokeLoad:
 
 def acting_loads(machine: Machine, speed: float) -> tuple[StrokeLoad, ...]:
     """Return the loads that act in one stroke only, of a machine whose crank turns fully; only the sign of the speed is used."""
-    return tuple(_acting(machine, speed))
-
-
-def _acting(machine: Machine, speed: float) -> Iterator[StrokeLoad]:
+    acting = []
     for load in machine.loads:
-        if not isinstance(load, Force | Torque) or load.stroke == "both":
-            continue
-        ranges = load_strokes(machine, load)
-        other = OTHER[load.stroke] if speed < 0.0 else load.stroke
-        direct, counter = (other, load.stroke) if load.turning else (load.stroke, other)
-        yield StrokeLoad(load.name, load.body, direct, tuple(ranges[counter]), pace_of(counter, _slow(ranges)))
+        if isinstance(load, Force | Torque) and load.stroke != "both":
+            ranges = load_strokes(machine, load)
+            other = OTHER[load.stroke] if speed < 0.0 else load.stroke
+            direct, counter = (other, load.stroke) if load.turning else (load.stroke, other)
+            acting.append(StrokeLoad(load.name, load.body, direct, tuple(ranges[counter]), pace_of(counter, _slow(ranges))))
+    return tuple(acting)
 
 
 def working_stroke(travel: Travel, speed: float, acting: tuple[StrokeLoad, ...]) -> tuple[Direction | None, tuple[str, ...]]:

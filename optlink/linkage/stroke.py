@@ -188,9 +188,9 @@ def failure(mechanism: Mechanism, sizes: Mapping[str, Value], crank_angle: float
     with np.errstate(all="ignore"):
         pose = mechanism.at(sizes, np.array([crank_angle]))
         for group in mechanism.groups:
-            margin = float(np.asarray(pose.margins[group.joint]).ravel()[0])
+            margin = np.asarray(pose.margins[group.joint]).item()
             if not margin >= group.least:
-                return Failure(crank_angle, group, float(np.asarray(group.gap(pose)).ravel()[0]))
+                return Failure(crank_angle, group, np.asarray(group.gap(pose)).item())
     return None
 
 
