@@ -104,7 +104,8 @@ class BalancingProgramme:
 
         self.cp: Any = cvxpy
         self.effects, self.counterweights, self.springs = effects, counterweights, springs
-        self.length = length
+        self.length, self.begin = length, 4 * len(counterweights)  # of the parameters of springs
+        self._cached_rows: dict[BalanceMeasure, tuple[float, Array, Array]] = {}
         self.scales = np.concatenate([self._scale(w, mass) for w in counterweights] + [self._stiffness(s) for s in springs])
         self.x = self.cp.Variable(effects.count)
         self.hard: list[PlaceLimit] = []
@@ -114,16 +115,13 @@ class BalancingProgramme:
         self.bounds: list[BalanceBound] = []
         for k, weight in enumerate(counterweights):
             self._counterweight(weight, self.x[4 * k : 4 * k + 4], self.scales[4 * k : 4 * k + 4])
-        begin = 4 * len(counterweights)
-        for k, spring in enumerate(springs, 0):
-            place = slice(begin + 2 * k, begin + 2 * k + 2)
-            self._spring(spring, self.x[place], self.scales[place])
+        for k, spring in zip(range(self.begin, effects.count, 2), springs, strict=True):
+            self._spring(spring, self.x[k : k + 2], self.scales[k : k + 2])
         if counterweights:
             self._between("mass of all counterweights together", "mass", self.total, total, self.mass_scale)
         for measure, bound in measures:
-            self.bounds.append(
-                BalanceBound(str(measure), "measure", self.expression(measure), bound, self.before(measure) or 1.0)
-            )
+            scale = self.before(measure) or 1.0
+            self.bounds.append(BalanceBound(str(measure), "measure", self.expression(measure), bound, scale))
 
     # --- scaling ------------------------------------------------------------------------------------------------------
 
@@ -143,13 +141,13 @@ class BalancingProgramme:
     @cached_property
     def mass_scale(self) -> float:
         """Unit of the total mass [kg]."""
-        return float(np.max(self.scales[0 : 4 * len(self.counterweights) : 4]))
+        return float(np.max(self.scales[: self.begin : 4]))
 
     @property
     def total(self) -> Any:
         """Mass of all counterweights, in units of `mass_scale`."""
         share = np.zeros(self.effects.count)
-        share[0 : 4 * len(self.counterweights) : 4] = self.scales[0 : 4 * len(self.counterweights) : 4] / self.mass_scale
+        share[: self.begin : 4] = self.scales[: self.begin : 4] / self.mass_scale
         return share @ self.x
 
     # --- feasible counterweights and springs -----------------------------------------------------------------------------
@@ -163,23 +161,20 @@ class BalancingProgramme:
         cp, unit, length = self.cp, float(scale[0]), float(scale[1] / scale[0])
         m, p, inertia = x[0], x[1:3], x[3]
         label = f"of the counterweight on {weight.body}"
-        high = weight.mass[1]
-        self.cones += [m >= 0.0]
+        self.cones.append(m >= 0.0)
         self._between(f"mass {label}", "mass", m, weight.mass, unit)
         origin = np.array(weight.origin) / length
         away = p - m * origin
-        if weight.at is not None:
+        if weight.at is None:
+            steiner = cp.quad_over_lin(p, m)
+        else:
             at = np.array(weight.at) / length
             self.cones.append(p == m * at)
             steiner = float(at @ at) * m
-        else:
-            steiner = cp.quad_over_lin(p, m)
         moment: Any = 0.0
         if weight.kind == "disc":
-            if weight.radius is not None:
-                moment = 0.5 * (weight.radius / length) ** 2 * m
-            else:
-                moment = weight.spread * unit / length**2 * cp.square(m)
+            linear, square = self._own_moment(weight, unit, length)
+            moment = linear * m if weight.radius is not None else square * cp.square(m)
         if weight.at is not None and weight.radius is not None:
             self.cones.append(inertia == steiner + moment)  # linear: nothing to relax
         else:
@@ -200,12 +195,18 @@ class BalancingProgramme:
                 edge = math.sqrt(2.0 * weight.spread * unit) / length
                 self.cones.append(cp.square(root) <= m)
                 self._hard(name, weight.extent, cp.norm(away) + edge * cp.quad_over_lin(m, root), m, length)
-        if weight.kind == "disc" and (furthest < math.inf):
+        if weight.kind == "disc" and furthest < math.inf:
             # the largest that a disc's moment of inertia can be, as a multiple of its mass
-            widest = weight.radius_of(high if high < math.inf else math.inf) if weight.radius is None else weight.radius
-            widest = min(widest, weight.extent)
+            widest = min(weight.radius_of(weight.mass[1]), weight.extent)
             if widest < math.inf:
                 self.relaxed.append(inertia <= m * (furthest**2 + 0.5 * widest**2) / length**2)
+
+    @staticmethod
+    def _own_moment(weight: Counterweight, unit: float, length: float) -> tuple[float, float]:
+        """Return the scaled central moment of inertia of a disc over its mass, if its radius is given, else over its square."""
+        if weight.radius is not None:
+            return 0.5 * (weight.radius / length) ** 2, 0.0
+        return 0.0, weight.spread * unit / length**2
 
     def _between(self, name: str, kind: str, expression: Any, ends: tuple[float, float], scale: float) -> None:
         """Add the bounds of a quantity that are neither zero nor infinite."""
@@ -236,25 +237,17 @@ class BalancingProgramme:
     @property
     def size(self) -> Any:
         """Added mass plus added stiffness, each in its scale."""
-        begin = 4 * len(self.counterweights)
         mass = self.total if self.counterweights else 0.0
-        return mass + self.cp.sum(self.x[begin::2]) if self.springs else mass
+        return mass + self.cp.sum(self.x[self.begin :: 2]) if self.springs else mass
 
     # --- measures -----------------------------------------------------------------------------------------------------------
-
-    @cached_property
-    def _cached_rows(self) -> dict[BalanceMeasure, tuple[float, Array, Array]]:
-        return {}
 
     def _rows(self, measure: BalanceMeasure) -> tuple[float, Array, Array]:
         """Return the original value of a measure, its scaled rows (positions, parts, n) or (k, n), and its offsets."""
         if measure not in self._cached_rows:
             affine = self.effects.affine(measure)
             before = measure.value(affine.offset)
-            if measure.of == "rms":
-                rows, offset = affine.compressed()
-            else:
-                rows, offset = affine.matrix, affine.offset
+            rows, offset = affine.compressed() if measure.of == "rms" else (affine.matrix, affine.offset)
             scale = before or float(np.max(np.abs(rows @ self.scales), initial=0.0)) or 1.0
             self._cached_rows[measure] = before, rows * self.scales / scale, offset / scale
         return self._cached_rows[measure]
@@ -283,6 +276,11 @@ class BalancingProgramme:
         amounts = rows @ x + offset
         return float(np.linalg.norm(amounts)) if measure.of == "rms" else measure.value(amounts)
 
+    @property
+    def found(self) -> Array:
+        """Scaled parameters of the programme that was solved last."""
+        return np.array(self.x.value, dtype=float)
+
     # --- solving ---------------------------------------------------------------------------------------------------------------
 
     def constraints(self, skip: BalanceBound | None = None) -> list[Any]:
@@ -298,9 +296,7 @@ class BalancingProgramme:
                 result[place] = 0.0
                 continue
             result[place] = np.array(weight.realised(Parameters(*(x[place] * self.scales[place])))) / self.scales[place]
-        begin = 4 * len(self.counterweights)
-        for k, spring in enumerate(self.springs):
-            i = begin + 2 * k
+        for i, spring in zip(range(self.begin, len(x), 2), self.springs, strict=True):
             stiffness = float(x[i]) if x[i] > NOTHING else 0.0
             low, high = (end / self.length * stiffness for end in spring.free)
             rest = min(max(x[i + 1], low), high)
@@ -347,8 +343,7 @@ class BalancingProgramme:
         slope = np.zeros(len(x))
         if m <= NOTHING:
             return slope, 0.0
-        linear = 0.5 * (weight.radius / length) ** 2 if weight.radius is not None else 0.0
-        square = weight.spread * unit / length**2 if weight.radius is None else 0.0
+        linear, square = self._own_moment(weight, unit, length)
         slope[place] = -float(p @ p) / m**2 + linear + 2.0 * square * m
         slope[place + 1 : place + 3] = 2.0 * p / m
         return slope, float(p @ p) / m + linear * m + square * m * m - float(slope @ x)
