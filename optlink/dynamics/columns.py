@@ -171,10 +171,10 @@ class MotionColumns:
         for load in self.machine.loads:
             for k, acting in enumerate(act for act in load.act(self.moving) if act.body != FRAME):
                 name = f"{load.name}.{acting.body}" if k else load.name
-                if not _nothing(acting.force):
+                if not _nothing(*acting.force):
                     for axis, value in zip("xy", acting.force, strict=True):
                         yield f"{name}.f{axis}_N", f"force of the load {load.name} on {acting.body} in {axis}", _constant(value)
-                if not _nothing((acting.torque, 0.0)):
+                if not _nothing(acting.torque):
                     yield f"{name}.torque_Nm", f"torque of the load {load.name} on {acting.body}", _constant(acting.torque)
 
     def _drives(self) -> Named:  # no function refers to the record, which would then outlive its use
@@ -256,7 +256,7 @@ def _by_name(columns: Named) -> Sources:
     return {name: (meaning, value) for name, meaning, value in columns}
 
 
-def _nothing(parts: tuple[Any, Any]) -> bool:
+def _nothing(*parts: Value) -> bool:
     return all(isinstance(part, float) and part == 0.0 for part in parts)
 
 

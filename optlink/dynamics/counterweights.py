@@ -18,7 +18,7 @@ from optlink.dynamics.inertia import UNITS, Inertia, Parameters, Wrench, wrench
 from optlink.dynamics.inverse import ZERO_WRENCH, Reactions, reactions, regressor, shaking
 from optlink.dynamics.loads import Spring
 from optlink.dynamics.machine import Machine, Moving
-from optlink.linkage.vector2d import Array, Value, Vector, minus
+from optlink.linkage.vector2d import TURN, Array, Value, Vector, minus
 
 Kind = Literal["shaking force", "shaking moment", "driving torque", "reaction"]
 KINDS: tuple[Kind, ...] = ("shaking force", "shaking moment", "driving torque", "reaction")
@@ -46,8 +46,8 @@ class BalanceMeasure:
     @property
     def quantity(self) -> str:
         """Name of the measured quantity, without the kind of mean."""
-        where = f" at {self.joint}" + (f" on {self.on}" if self.on else "") if self.joint else ""
-        return self.kind + where
+        on = f" on {self.on}" if self.on else ""
+        return f"{self.kind} at {self.joint}{on}" if self.joint else self.kind
 
     def __str__(self) -> str:
         arc = "" if self.arc is None else " from {:g} to {:g} deg".format(*(math.degrees(a) for a in self.arc))
@@ -58,9 +58,8 @@ class BalanceMeasure:
         if self.arc is None:
             return np.ones(len(angles), dtype=bool)
         low, high = self.arc
-        turned = np.mod(angles - low, 2.0 * np.pi)
-        span = math.fmod(high - low, 2.0 * np.pi)
-        return np.asarray((turned <= span + 1e-9) | (turned >= 2.0 * np.pi - 1e-9))
+        turned = np.mod(angles - low, TURN)
+        return np.asarray((turned <= math.fmod(high - low, TURN) + 1e-9) | (turned >= TURN - 1e-9))
 
     def value(self, amounts: Array) -> float:
         """Return the measure of a quantity (positions, parts)."""
@@ -111,10 +110,7 @@ def quantities(machine: Machine) -> list[BalanceMeasure]:
     """Return all measurable quantities of a machine (shaking, torque, every reaction), each as root mean square."""
     measures = [BalanceMeasure("shaking force"), BalanceMeasure("shaking moment"), BalanceMeasure("driving torque")]
     for point, bodies in machine.mechanism.pins.items():
-        measures += [
-            BalanceMeasure("reaction", "rms", point, body if len(bodies) > 2 else "")
-            for body in (bodies if len(bodies) > 2 else "-")
-        ]
+        measures += [BalanceMeasure("reaction", "rms", point, body) for body in (bodies if len(bodies) > 2 else ("",))]
     return measures + [BalanceMeasure("reaction", "rms", guide.name) for guide in machine.mechanism.guides]
 
 
@@ -248,8 +244,7 @@ class Effects:
             state = self.moving.state(body)
             for unit, reaction in zip(UNITS, per_unit[body], strict=True):
                 body_wrench = wrench(unit, state, (0.0, 0.0))
-                (x, y), moment = body_wrench.force, body_wrench.about(state.start, self.about)
-                effects.append((reaction, Wrench((-x, -y), -moment)))
+                effects.append((reaction, -Wrench(body_wrench.force, body_wrench.about(state.start, self.about))))
         for spring in self.springs:
             machines = (bare.with_(loads=(spring.spring(1.0, free),)) for free in (0.0, 1.0))
             slack, tight = (reactions(Moving(machine, self.moving.motion)) for machine in machines)

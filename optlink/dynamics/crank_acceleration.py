@@ -62,7 +62,7 @@ def accelerations_with_friction(
         fits: Value = np.isfinite(share)
         for name, sign in normals.items():
             low, high = (joint_reactions.guides[name].normal for joint_reactions in (still, moved))
-            fits = np.logical_and(fits, sign * (low + share * (high - low)) >= least)
+            fits = fits & (sign * (low + share * (high - low)) >= least)
         yield share * step, fits, normals
 
 
@@ -78,8 +78,8 @@ def acceleration_with_friction(
     several: Value = False
     for alpha, fits, normals in accelerations_with_friction(geared, speed, torque, direction):
         step = 1.0 + speed * speed + np.abs(torque) / (2.0 * geared.kinetic)
-        several = np.logical_or(several, np.logical_and(fits, np.abs(alpha - chosen) > 1e-6 * step))
-        first = np.logical_and(fits, np.isnan(chosen))
+        several = several | (fits & (np.abs(alpha - chosen) > 1e-6 * step))
+        first = fits & np.isnan(chosen)
         chosen = np.where(first, alpha, chosen)
         signs = {name: np.where(first, normals[name], sign) for name, sign in signs.items()}
     return np.where(several, np.nan, chosen), signs, several

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from optlink.linkage.jet import as_jet
-from optlink.linkage.vector2d import Value, Vector, cross, dot, turn
+from optlink.linkage.vector2d import Value, Vector, cross, dot, minus, plus, turn
 
 
 class Wrench(NamedTuple):
@@ -21,11 +21,13 @@ class Wrench(NamedTuple):
 
     def about(self, start: Vector, point: Vector) -> Value:
         """Return the moment about another point [N m]; `start` is that of the body, to which `moment` refers."""
-        return self.moment + cross((start[0] - point[0], start[1] - point[1]), self.force)
+        return self.moment + cross(minus(start, point), self.force)
 
     def __add__(self, other: Wrench) -> Wrench:  # type: ignore[override]
-        (ax, ay), (bx, by) = self.force, other.force
-        return Wrench((ax + bx, ay + by), self.moment + other.moment)
+        return Wrench(plus(self.force, other.force), self.moment + other.moment)
+
+    def __neg__(self) -> Wrench:
+        return Wrench((-self.force[0], -self.force[1]), -self.moment)
 
 
 class Parameters(NamedTuple):
@@ -65,7 +67,7 @@ class BodyMotion(NamedTuple):
 
     def at(self, point: Vector) -> tuple[Vector, Vector]:
         """Return the velocity and acceleration of the body's point at a position [m/s, m/s^2]."""
-        x, y = point[0] - self.start[0], point[1] - self.start[1]
+        x, y = minus(point, self.start)
         square = self.omega * self.omega
         velocity = self.velocity[0] - self.omega * y, self.velocity[1] + self.omega * x
         acceleration = (
@@ -92,7 +94,7 @@ def wrench(parameters: Parameters, state: BodyMotion, gravity: Vector) -> Wrench
     Gravity [m/s^2] counts as an acceleration of the frame of reference: pass (0, 0) for the inertia alone. These are the
     Newton-Euler equations, with the Steiner term.
     """
-    ax, ay = state.acceleration[0] - gravity[0], state.acceleration[1] - gravity[1]
+    ax, ay = minus(state.acceleration, gravity)
     rx, ry = turn((parameters.along, parameters.across), state.axis)
     square = state.omega * state.omega
     force = (

@@ -111,8 +111,7 @@ def required_wrench(moving: Moving, *, inertia: bool = True, gravity: bool = Tru
     for load in machine.loads if loads else ():
         for acting in load.act(moving):
             if acting.body != FRAME:
-                force, moment = acting.wrench(moving.state(acting.body))
-                wrenches[acting.body] = wrenches[acting.body] + Wrench((-force[0], -force[1]), -moment)
+                wrenches[acting.body] = wrenches[acting.body] + -acting.wrench(moving.state(acting.body))
     return wrenches
 
 
@@ -181,25 +180,25 @@ class ForceBalance(RemainingWrenches):
             tilts = {guide.name: sign * senses[guide.name] for guide, sign in zip(rough, signs, strict=True)}
             trial = solver(self, group, tilts)
             least = -ROUNDING * sum(np.abs(force) for force in trial.components)
-            fits: Value = True
+            fits: Value = np.True_
             for guide, sign in zip(rough, signs, strict=True):
-                fits = np.logical_and(fits, sign * self._normal(trial, guide) >= least)
+                fits = fits & (sign * self._normal(trial, guide) >= least)
             balances.append((fits, trial))
         # no consistent signs: friction locks the guide; several that differ: the solution is not unique (Painleve paradox)
         chosen = balances[0][1].each(lambda x: np.nan * x)
-        decided: Value = False
-        torn: Value = False
+        decided: Value = np.False_
+        torn: Value = np.False_
         for fits, trial in balances:
             if not np.any(decided) and np.all(fits):
                 chosen = trial
             else:
                 differs = sum(np.abs(a - b) for a, b in zip(trial.components, chosen.components, strict=True))
                 size = sum(np.abs(a) for a in chosen.components)
-                torn = np.logical_or(torn, np.logical_and(np.logical_and(fits, decided), differs > 1e-6 * size))
-                chosen = trial.where(np.logical_and(fits, np.logical_not(decided)), chosen)
-            decided = np.logical_or(decided, fits)
-        good = np.logical_and(decided, np.logical_not(torn))
-        self.jammed, self.several = np.logical_or(self.jammed, np.logical_not(good)), np.logical_or(self.several, torn)
+                torn = torn | (fits & decided & (differs > 1e-6 * size))
+                chosen = trial.where(fits & ~decided, chosen)
+            decided = decided | fits
+        good = decided & ~torn
+        self.jammed, self.several = self.jammed | ~good, self.several | torn
         return chosen if np.all(good) else chosen.each(lambda x: np.where(good, x, np.nan))
 
     def _normal(self, solved: GroupForces, guide: Guide) -> Value:
@@ -274,12 +273,10 @@ def shaking(moving: Moving) -> Wrench:
     """
     needed = required_wrench(moving, gravity=False, loads=False)
     pivot = moving.position(moving.machine.mechanism.crank.start)
-    force: Vector = (0.0, 0.0)
-    moment: Value = 0.0
-    for body, body_wrench in needed.items():
-        force = plus(force, body_wrench.force)
-        moment = moment + body_wrench.about(moving.state(body).start, pivot)
-    return Wrench((-force[0], -force[1]), -moment)
+    total = ZERO_WRENCH
+    for body, own in needed.items():
+        total = total + Wrench(own.force, own.about(moving.state(body).start, pivot))
+    return -total
 
 
 def regressor(moving: Moving) -> dict[str, tuple[Reactions, ...]]:

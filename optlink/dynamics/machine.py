@@ -31,8 +31,8 @@ class Acting(NamedTuple):
 
     body: str
     point: Vector
-    force: Vector
-    torque: Value
+    force: Vector = (0.0, 0.0)
+    torque: Value = 0.0
 
     def wrench(self, state: BodyMotion) -> Wrench:
         """Return the force and torque as a wrench about the start of the body."""

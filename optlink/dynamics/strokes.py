@@ -89,18 +89,16 @@ def working_stroke(travel: Travel, speed: float, acting: tuple[StrokeLoad, ...])
     """
     loads_by_stroke: dict[Direction, list[str]] = {}
     for stroke in travel.strokes(speed):
-        begin, end = sorted((stroke.begin, stroke.end))
+        ends = sorted((stroke.begin, stroke.end))
         for item in acting:
-            if len(item.ranges) == 1 and _same(item.ranges[0], (begin, end)):
+            if len(item.ranges) == 1 and all(
+                abs(math.remainder(a - b, TURN)) < SAME_ANGLE for a, b in zip(item.ranges[0], ends, strict=True)
+            ):
                 loads_by_stroke.setdefault(stroke.name, []).append(item.load)
     if len(loads_by_stroke) == 1:
         ((name, loads),) = loads_by_stroke.items()
         return name, tuple(loads)
     return None, ()
-
-
-def _same(one: tuple[float, float], other: tuple[float, float]) -> bool:
-    return all(abs(math.remainder(a - b, TURN)) < SAME_ANGLE for a, b in zip(one, other, strict=True))
 
 
 def travels_by_use(

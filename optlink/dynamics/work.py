@@ -97,8 +97,7 @@ def _panels(low: float, high: float) -> int:
 def _rising(lists: list[Array], low: float, high: float) -> Array:
     angles = distinct(np.concatenate([*lists, np.empty(0)]))
     inside = angles[(angles >= low) & (angles < high)]
-    keep = np.concatenate([np.ones(min(1, len(inside)), dtype=bool), np.diff(inside) > 1e-12])
-    return np.asarray(inside[keep])
+    return np.asarray(inside[np.diff(inside, prepend=-np.inf) > 1e-12])
 
 
 class Work:

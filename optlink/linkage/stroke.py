@@ -113,6 +113,7 @@ def range_grid(cycle: float) -> Array:
     return np.linspace(0.0, cycle, GRID * round(cycle / TURN) + 1)
 
 
+@np.errstate(all="ignore")
 def reachable(mechanism: Mechanism, sizes: Mapping[str, Value]) -> Ranges:
     """Compute the ranges in which the crank can turn, to machine precision.
 
@@ -128,15 +129,13 @@ def reachable(mechanism: Mechanism, sizes: Mapping[str, Value]) -> Ranges:
     crossing = [group for group in mechanism.groups if isinstance(group, PRP)]  # its lines may become parallel within the motion
 
     def function(angles: Array) -> Array:
-        with np.errstate(all="ignore"):
-            pose = mechanism.at(sizes, angles)
+        pose = mechanism.at(sizes, angles)
         sines = [np.broadcast_to(np.asarray(group.sine(pose), dtype=float), angles.shape) for group in crossing]
         margins = (pose.margins[group.joint] - group.least for group in mechanism.groups)
         return np.array([least_margin(pose, margins), *sines])
 
     def closed(angles: Array) -> bool:
-        with np.errstate(all="ignore"):
-            return bool(np.all(alignment_margin(mechanism.at(sizes, angles)) >= 0.0))
+        return bool(np.all(alignment_margin(mechanism.at(sizes, angles)) >= 0.0))
 
     failing = not closed(grid)
     if not failing and not crossing:
