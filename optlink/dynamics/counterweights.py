@@ -73,19 +73,13 @@ def quantity_over_cycle(
     joint_reactions: Reactions,
     shaken: Wrench,
     shape: tuple[int, ...],
-    pivot: Vector,
-    about: Vector,
 ) -> Array:
-    """Return a quantity over the positions, array (positions, parts); the parts of a force are x and y.
-
-    `shaken` is the shaking force and moment about `pivot` [m], `shape` that of the positions, and `about` [m] the reference
-    point of the shaking moment that is returned.
-    """
+    """Return a quantity over positions of some shape, array (positions, parts); the parts of a force are x and y."""
     parts: tuple[Value, ...]
     if quantity.kind == "shaking force":
         parts = shaken.force
     elif quantity.kind == "shaking moment":
-        parts = (shaken.about(pivot, about),)
+        parts = (shaken.moment,)
     elif quantity.kind == "driving torque":
         parts = (joint_reactions.torque,)
     elif quantity.joint in joint_reactions.guides:
@@ -101,9 +95,14 @@ def quantities_of(moving: Moving, quantities: Sequence[BalanceMeasure], about: V
     `about` [m] is the reference point of the shaking moment.
     """
     shape, machine = np.shape(moving.motion.assembled), moving.machine
-    joint_reactions, shaken = reactions(moving), shaking(moving)
-    pivot = moving.position(machine.mechanism.crank.start)
-    return [quantity_over_cycle(quantity, machine, joint_reactions, shaken, shape, pivot, about) for quantity in quantities]
+    joint_reactions, shaken = reactions(moving), _shaking_about(moving, about)
+    return [quantity_over_cycle(quantity, machine, joint_reactions, shaken, shape) for quantity in quantities]
+
+
+def _shaking_about(moving: Moving, point: Vector) -> Wrench:
+    """Return the shaking force, and the shaking moment about a point instead of the crank pivot."""
+    shaken = shaking(moving)
+    return Wrench(shaken.force, shaken.about(moving.position(moving.machine.mechanism.crank.start), point))
 
 
 def quantities(machine: Machine) -> list[BalanceMeasure]:
@@ -232,7 +231,7 @@ class Effects:
 
     @cached_property
     def _original(self) -> tuple[Reactions, Wrench]:
-        return reactions(self.moving), shaking(self.moving)
+        return reactions(self.moving), _shaking_about(self.moving, self.about)
 
     @cached_property
     def _columns(self) -> list[tuple[Reactions, Wrench]]:
@@ -260,11 +259,10 @@ class Effects:
     def affine(self, quantity: BalanceMeasure) -> Affine:
         """Return a quantity as an affine function, over the positions that its measure includes."""
         machine, rows = self.moving.machine, quantity.rows(np.asarray(self.moving.motion.crank_angle, dtype=float))
-        pivot = self.moving.position(machine.mechanism.crank.start)
-        offset = quantity_over_cycle(quantity, machine, *self._original, self.shape, pivot, self.about)
+        offset = quantity_over_cycle(quantity, machine, *self._original, self.shape)
         matrix = np.empty((*offset.shape, self.count))
         for k, (reaction, shaken) in enumerate(self._columns):
-            matrix[..., k] = quantity_over_cycle(quantity, machine, reaction, shaken, self.shape, self.about, self.about)
+            matrix[..., k] = quantity_over_cycle(quantity, machine, reaction, shaken, self.shape)
         return Affine(matrix[rows], offset[rows])
 
 

@@ -44,12 +44,8 @@ def load_strokes(machine: Machine, load: Load) -> dict[Direction, list[tuple[flo
     return ranges
 
 
-def slow_stroke_of(machine: Machine, load: Load) -> Direction | None:
-    """Return the slow stroke of a load's motion for a crank that turns counter-clockwise; None if both are equally long."""
-    return _slow(load_strokes(machine, load))
-
-
-def _slow(ranges: Mapping[Direction, list[tuple[float, float]]]) -> Direction | None:
+def slower(ranges: Mapping[Direction, list[tuple[float, float]]]) -> Direction | None:
+    """Return the slow one of both strokes from their crank ranges (`load_strokes`); None if both are equally long."""
     forward, backward = (math.fsum(end - begin for begin, end in ranges[name]) for name in OTHER)
     return slow_stroke(forward, backward)
 
@@ -77,7 +73,7 @@ def acting_loads(machine: Machine, speed: float) -> tuple[StrokeLoad, ...]:
             ranges = load_strokes(machine, load)
             other = OTHER[load.stroke] if speed < 0.0 else load.stroke
             direct, counter = (other, load.stroke) if load.turning else (load.stroke, other)
-            acting.append(StrokeLoad(load.name, load.body, direct, tuple(ranges[counter]), pace_of(counter, _slow(ranges))))
+            acting.append(StrokeLoad(load.name, load.body, direct, tuple(ranges[counter]), pace_of(counter, slower(ranges))))
     return tuple(acting)
 
 

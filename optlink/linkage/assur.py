@@ -15,7 +15,7 @@ from typing import get_args
 from optlink.errors import InvalidValue
 from optlink.io import Registry
 from optlink.linkage.dyad_types import FORWARD, RPR, LineDyad, ModalDyad, Transmitting
-from optlink.linkage.mechanism import FRAME, BodyPoint, Dyad, Ground, Guide, Joint, Link, Mechanism
+from optlink.linkage.mechanism import FRAME, BodyPoint, Dyad, Ground, Guide, Joint, Link, Mechanism, owners_of
 from optlink.unsupported import unsupported
 
 _SIDE = re.compile(r"\s*(left|right)\s+of\s+(\S+)\s*(?:->|-|–|→|to)\s*(\S+)\s*", re.ASCII)
@@ -60,11 +60,7 @@ class Assembly:
     def __post_init__(self) -> None:
         self.bodies = {link.body: link for link in self.links}
         self.rank = {body: k for k, body in enumerate(self.bodies)}
-        self.members: dict[str, list[str]] = {point: [FRAME] for point in self.ground}  # point -> bodies that have it
-        for link in self.links:
-            for point in (link.start, link.end, *(p.name for p in self.points if p.body == link.body)):
-                if point:
-                    self.members.setdefault(point, []).append(link.body)
+        self.members = owners_of(self.ground, self.links, self.points)
         self.placed = {FRAME, self.driver}
         self.groups: list[Dyad] = []
         self.used: set[str] = set()  # joints whose assembly mode is that of a group

@@ -153,7 +153,10 @@ class _Course:
             crossing = self._crossing(group, centre)
             if crossing is None:
                 return None
-            ahead.append((_ahead(centre, origin, cycle, closed=ranges.full), crossing))
+            distance = (centre - origin) % cycle
+            if ranges.full and (distance < SAME_ANGLE or distance > cycle - SAME_ANGLE):
+                distance = cycle  # at the origin of a closed motion
+            ahead.append((distance, crossing))
         ahead.sort(key=lambda pair: pair[0])
         turns = 2 if ranges.full and sum(crossing.flips for _, crossing in ahead) % 2 else 1
         if turns * cycle > MOST_TURNS * TURN:
@@ -211,9 +214,3 @@ def _significant(terms: Array, size: float, radius: float) -> Array:
     powers = np.arange(terms.shape[1])
     count = 1 + int(np.max(np.flatnonzero(np.max(np.abs(terms), axis=0) * 0.5**powers > NEGLIGIBLE * size), initial=0))
     return terms[:, :count] / radius ** powers[:count].astype(float)
-
-
-def _ahead(at: float, origin: float, cycle: float, *, closed: bool) -> float:
-    """Return the distance [rad] of a crank angle ahead of the origin; one cycle, not zero, at the origin of a closed motion."""
-    distance = (at - origin) % cycle
-    return cycle if closed and (distance < SAME_ANGLE or distance > cycle - SAME_ANGLE) else distance

@@ -6,7 +6,7 @@ each a Value (float, batch, symbol or jet), and returns positions and assembly m
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import ClassVar
@@ -372,12 +372,7 @@ class Mechanism:
     @cached_property
     def owners(self) -> dict[str, tuple[str, ...]]:
         """Every named point with the bodies that share it, the frame first; a point of more than one body is a pin."""
-        owners: dict[str, list[str]] = {name: [FRAME] for name in self.ground}
-        for link in self.links:
-            marks = [name for body, name in self.marks if body == link.body]
-            for name in (link.start, link.end, *marks):
-                if name:
-                    owners.setdefault(name, []).append(link.body)
+        owners = owners_of(self.ground, self.links, self.points)
         return {name: tuple(bodies) for name, bodies in owners.items()}
 
     @cached_property
@@ -457,6 +452,16 @@ class Mechanism:
             crank = turn(crank, unit(pose.size(self.datum)))
         pose.place(self.crank, crank, self.crank.start)
         return pose
+
+
+def owners_of(ground: Iterable[str], links: Iterable[Link], points: Iterable[BodyPoint]) -> dict[str, list[str]]:
+    """Return every named point with the bodies that share it, the frame first."""
+    owners = {name: [FRAME] for name in ground}
+    for link in links:
+        for name in (link.start, link.end, *(point.name for point in points if point.body == link.body)):
+            if name:
+                owners.setdefault(name, []).append(link.body)
+    return owners
 
 
 def _names(*sizes: Size) -> tuple[str, ...]:
