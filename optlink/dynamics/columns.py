@@ -231,13 +231,11 @@ def joint_forces(
     """Yield name, meaning and values of the columns of the joint reactions, as in `Reactions`."""
     for point, (by, on) in acting_on(machine).items():
         bodies = machine.mechanism.pins[point]
-        if len(bodies) == 2:
-            for axis, value in zip("xy", pins[point][on], strict=True):
-                yield f"{point}.f{axis}_N", f"force of {by} on {on} at {point} in {axis}", value
-        else:
-            for body in (on, *(b for b in bodies if b != on)):
-                for axis, value in zip("xy", pins[point][body], strict=True):
-                    yield f"{point}.{body}.f{axis}_N", f"force of the pin on {body} at {point} in {axis}", value
+        several = len(bodies) > 2
+        for body in (on, *(b for b in bodies if b != on)) if several else (on,):
+            name, what = (f"{point}.{body}", "the pin") if several else (point, by)
+            for axis, value in zip("xy", pins[point][body], strict=True):
+                yield f"{name}.f{axis}_N", f"force of {what} on {body} at {point} in {axis}", value
     for guide in machine.mechanism.guides:
         force, what = guides[guide.name], f"of {guide.on} on {guide.slider} in the guide {guide.name}"
         yield f"{guide.name}.normal_N", f"normal force {what}, to the left of the line", force.normal

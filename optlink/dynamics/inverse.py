@@ -147,12 +147,7 @@ class ForceBalance(RemainingWrenches):
 
     def __init__(self, moving: Moving, needed: Mapping[str, Wrench], normals: Mapping[str, Value] | None = None) -> None:
         super().__init__(moving, needed)
-        self.normals = normals
-        self.pins: dict[str, dict[str, Vector]] = {}
-        self.guides: dict[str, GuideForce] = {}
-        self.rows: dict[str, tuple[Vector, Vector]] = {}
-        self.jammed: Value = False
-        self.several: Value = False
+        self.normals, self.result = normals, Reactions(np.nan, {}, {}, {})
         self.order = {body: k for k, body in enumerate((FRAME, *self.mechanism.bodies))}
 
     def solve(self) -> Reactions:
@@ -160,9 +155,9 @@ class ForceBalance(RemainingWrenches):
         for group in reversed(self.mechanism.groups):
             self._commit(group, self.with_friction(group))
         crank = self.mechanism.crank
-        total = self.needed[crank.body]
-        self._exert(crank.start, crank.body, total.force, FRAME)
-        return Reactions(total.moment, self.pins, self.guides, self.rows, self.jammed, self.several)
+        force, self.result.torque = self.needed[crank.body]
+        self._exert(crank.start, crank.body, force, FRAME)
+        return self.result
 
     # --- one group -------------------------------------------------------------------------------------------------
 
@@ -198,7 +193,7 @@ class ForceBalance(RemainingWrenches):
                 chosen = trial.where(fits & ~decided, chosen)
             decided = decided | fits
         good = decided & ~torn
-        self.jammed, self.several = self.jammed | ~good, self.several | torn
+        self.result.jammed, self.result.several = self.result.jammed | ~good, self.result.several | torn
         return chosen if np.all(good) else chosen.each(lambda x: np.where(good, x, np.nan))
 
     def _normal(self, solved: GroupForces, guide: Guide) -> Value:
@@ -229,8 +224,8 @@ class ForceBalance(RemainingWrenches):
                 self._carry(other, at, force, moment)
             sign = 1.0 if body == guide.slider else -1.0
             line, on = self.moving.line(guide.name), (sign * force[0], sign * force[1])
-            self.guides[guide.name] = GuideForce(cross(line, on), dot(line, on), sign * moment, at, on)
-        self.rows[group.joint] = solved.rows
+            self.result.guides[guide.name] = GuideForce(cross(line, on), dot(line, on), sign * moment, at, on)
+        self.result.rows[group.joint] = solved.rows
 
     def _carrier(self, point: str, force: tuple[str, str]) -> str:
         """Return the body placed before a group that holds one of its outer joints."""
@@ -239,7 +234,7 @@ class ForceBalance(RemainingWrenches):
 
     def _exert(self, point: str, body: str, force: Vector, by: str) -> None:
         """Add the force of one body on another at a pin."""
-        forces = self.pins.setdefault(point, {})
+        forces = self.result.pins.setdefault(point, {})
         forces[body] = plus(forces[body], force) if body in forces else force
         forces[by] = minus(forces[by], force) if by in forces else (-force[0], -force[1])
 
