@@ -46,12 +46,8 @@ LIMIT = re.compile(r"(>=|<=|=|)\s*([-+]?\d\S*(?: \.\.\. \S+)?)")
 def causes(checks: Sequence[Check]) -> list[str]:
     """Return why a design is not valid, one text for each failed check that is no consequence of others.
 
-    Where the crank cannot turn, that is the cause; checks without a value follow from others that have one.
-
-    Parameters
-    ----------
-    checks : sequence of Check
-        All checks: two with the same limit prescribe a value.
+    Where the crank cannot turn, that is the cause; checks without a value follow from others that have one. Two checks with the
+    same limit prescribe a value.
     """
     failed = [check for check in checks if not check.passed]
     turns = [check for check in failed if re.fullmatch(TURNS, check.name)]
@@ -60,41 +56,19 @@ def causes(checks: Sequence[Check]) -> list[str]:
 
 
 def why_invalid(checks: Sequence[Check], otherwise: str) -> str:
-    """Return the first cause why a design is not valid, and the number of others.
-
-    Parameters
-    ----------
-    otherwise : str
-        Text if every check passed.
-    """
+    """Return the first cause why a design is not valid, and the number of others; `otherwise` if every check passed."""
     first, *others = causes(checks) or [otherwise]
     more = f"; {len(others)} more check{'s fail' if len(others) > 1 else ' fails'}" if others else ""
     return f"{first}{more}"
 
 
 def mark(checks: Sequence[Check], otherwise: str, refuted: str = "") -> str:
-    """Return the mark of a design that is not valid: which limits exclude each other, or the first cause.
-
-    Parameters
-    ----------
-    otherwise : str
-        Text if every check passed.
-    refuted : str, optional
-        Which limits exclude each other, if it is known.
-    """
+    """Return the mark of a design that is not valid: which limits exclude each other (`refuted`), or the first cause."""
     return refuted or f"NOT VALID: {why_invalid(checks, otherwise)}"
 
 
 def marked(title: str, valid: bool, checks: Sequence[Check], otherwise: str, refuted: str = "") -> list[str]:
-    """Return the lines of a picture's title, the second one the cause why the design is not valid, if it is not.
-
-    Parameters
-    ----------
-    otherwise : str
-        Text if every check passed.
-    refuted : str, optional
-        Which limits exclude each other, if it is known.
-    """
+    """Return the lines of a picture's title; the second one says why the design is not valid, see `mark`."""
     return [title] if valid else [title, mark(checks, otherwise, refuted)]
 
 

@@ -35,14 +35,8 @@ FACES = {"plate": (0.22, 2.2, 2.8, "round"), "slot": (0.13, 1.1, 2.6, "miter"), 
 class Sketch:
     """Drawing of a mechanism with one scale, symbol size and set of colours for all its positions.
 
-    Parameters
-    ----------
-    motion : Motion
-        The whole motion of a design; it determines extent, traces and slider strokes.
-    machine : Machine, optional
-        Its centroids and springs are drawn too.
-    share : float, optional
-        Height of a ground pivot, as a share of the extent of the mechanism.
+    Extent, traces and slider strokes are those of the whole motion; centroids and springs those of the machine; `share` is the
+    height of a ground pivot as a share of the extent.
     """
 
     def __init__(self, motion: Motion, machine: Machine | None = None, share: float = SYMBOL_SHARE) -> None:
@@ -76,23 +70,11 @@ class Sketch:
         return near
 
     def position(self, motion: Motion, name: str) -> Array:
-        """Return the positions of a point in the display unit, shape (positions, 2).
-
-        Parameters
-        ----------
-        name : str
-            Joint name.
-        """
+        """Return the positions of a point in the display unit, shape (positions, 2)."""
         return motion.position(name) * self.scale.factor
 
     def placed(self, motion: Motion, body: str, outline: Array) -> Array:
-        """Return the positions of an outline that moves with a body, shape (positions, corners, 2).
-
-        Parameters
-        ----------
-        outline : array (corners, 2)
-            Coordinates along and across the body from its start point, in the display unit.
-        """
+        """Return the positions (positions, corners, 2) of an outline (corners, 2) in the axes of a body, in the display unit."""
         shape = motion.crank_angle.shape
         with np.errstate(all="ignore"):  # at a dead centre of a group its rates are infinite or NaN
             direction = motion.pose.direction(body)
@@ -230,14 +212,7 @@ class Sketch:
         return (y1 - y0) / (x1 - x0)
 
     def bare_figure(self, width: float, height: float, *, traces: bool = True) -> tuple[Figure, Axes]:
-        """Return a figure that the fixed parts of the drawing fill, without scales, and its axes.
-
-        Parameters
-        ----------
-        width, height : float [inch]
-        traces : bool, optional
-            Draw the traces.
-        """
+        """Return a figure [inch] that the fixed parts of the drawing fill, without scales, and its axes."""
         fig = figure(width, height, None)
         self.stage(axes := fig.add_axes((0.0, 0.0, 1.0, 1.0)), traces=traces)
         half = 0.5 * np.max(np.ptp(self.limits, axis=1) / (width, height)) * np.array([[width], [height]])
@@ -248,13 +223,7 @@ class Sketch:
     # --- drawing -----------------------------------------------------------------------------------------------------------
 
     def stage(self, axes: Axes, *, traces: bool = True) -> None:
-        """Draw the fixed parts: equal scales, ground with rails, traces of the moving points.
-
-        Parameters
-        ----------
-        traces : bool, optional
-            Draw the traces.
-        """
+        """Draw the fixed parts: equal scales, ground with rails, traces of the moving points."""
         for line, width, filled in self.ground:
             if filled:
                 axes.add_patch(Polygon(line, closed=True, facecolor="white", edgecolor=GROUND, linewidth=width, zorder=2))
@@ -272,13 +241,7 @@ class Sketch:
         axes.set_aspect("equal")
 
     def pose(self, axes: Axes, motion: Motion, k: int = 0) -> list[Artist]:
-        """Draw position `k` of a motion and return the artists; the gid of each is its body, point or spring.
-
-        Parameters
-        ----------
-        k : int, optional
-            Index of the position.
-        """
+        """Draw position `k` of a motion and return the artists; the gid of each is its body, point or spring."""
         artists: list[Artist] = []
         for body, parts in self.parts.items():
             color = self.colours[body]
@@ -329,13 +292,7 @@ class Sketch:
         )
 
     def letters(self, axes: Axes, motion: Motion, k: int = 0) -> list[Label]:
-        """Return labels with the names of all points, for `labels.place_labels`.
-
-        Parameters
-        ----------
-        k : int, optional
-            Index of the position.
-        """
+        """Return labels with the names of all points at position `k`, for `labels.place_labels`."""
         return [
             Label(axes, (float(x), float(y)), short_name(name), GROUND, clear=2.5)
             for name in self.names
@@ -343,27 +300,13 @@ class Sketch:
         ]
 
     def show(self, axes: Axes, motion: Motion, *, traces: bool = True) -> list[Label]:
-        """Draw the fixed parts and the first position of a motion, and return the labels of its points.
-
-        Parameters
-        ----------
-        traces : bool, optional
-            Draw the traces.
-        """
+        """Draw the fixed parts and the first position of a motion, and return the labels of its points."""
         self.stage(axes, traces=traces)
         self.pose(axes, motion)
         return self.letters(axes, motion)
 
     def add_legend(self, fig: Figure, columns: int = 9, **extra: Artist) -> None:
-        """Draw the legend below a figure: bodies by colour, and the centroid symbol.
-
-        Parameters
-        ----------
-        columns : int, optional
-            Largest number of columns.
-        **extra : Artist
-            Further entries; underscores in their names stand for spaces.
-        """
+        """Draw the legend below a figure: bodies by colour, the centroid symbol, and others (underscores stand for spaces)."""
         entries: dict[str, Any] = {body: Line2D([], [], color=self.colours[body], linewidth=3.0) for body in self.parts}
         entries |= {"centroid": tuple(_centroid(GROUND))} if self.centroids else {}
         entries |= {name.replace("_", " "): artist for name, artist in extra.items()}
@@ -377,16 +320,9 @@ class Sketch:
         )
 
     def arrows(self, motion: Motion, k: int, names: Sequence[str], longest: float) -> dict[str, tuple[Array, Array]]:
-        """Return velocity arrows (begin, end) by point name; slow points are left out.
+        """Return velocity arrows (begin, end) of points by name at position `k`; slow points are left out.
 
-        Parameters
-        ----------
-        k : int
-            Index of the position.
-        names : sequence of str
-            Points.
-        longest : float
-            Length of the arrow of the fastest point, in the display unit.
+        `longest` is the length of the arrow of the fastest point, in the display unit.
         """
         speeds = {name: motion.velocity(name)[k] for name in names}
         top = max((float(np.linalg.norm(v)) for v in speeds.values() if np.all(np.isfinite(v))), default=0.0)
@@ -399,15 +335,7 @@ class Sketch:
 
 
 def merged_positions(positions: Iterable[tuple[str, float]], *, periodic: bool = True) -> dict[str, float]:
-    """Return named crank angles, where equal angles share a name.
-
-    Parameters
-    ----------
-    positions : iterable of (str, float)
-        Names and crank angles [rad].
-    periodic : bool, optional
-        Whether angles that differ by whole turns are equal.
-    """
+    """Return named crank angles [rad], where equal angles share a name; `periodic` angles are equal a whole turn apart."""
     merged: dict[str, float] = {}
     for name, at in positions:
         same = next((k for k, v in merged.items() if abs(math.remainder(v - at, TURN) if periodic else v - at) < 1e-6), name)

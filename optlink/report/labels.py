@@ -55,13 +55,7 @@ def lay_out(figure: Figure) -> None:
 
 
 def place_labels(figure: Figure, labels: Iterable[Label]) -> None:
-    """Finish the layout of a figure and place every label where it hides least.
-
-    Parameters
-    ----------
-    labels : iterable of Label
-        Those outside their axes are left out.
-    """
+    """Finish the layout of a figure and place every label where it hides least; those outside their axes are left out."""
     lay_out(figure)
     by_axes: dict[Axes, list[Label]] = {}
     for label in labels:

@@ -30,13 +30,7 @@ ROUNDS = 12
 
 
 def curve_problem(points: Any, *, closed: bool) -> Document:
-    """Return a path problem for a curve.
-
-    Parameters
-    ----------
-    points : list of [x, y] in mm
-    closed : bool
-        Whether the curve leads back to its first point.
+    """Return a path problem for points [x, y] in mm; a closed curve leads back to its first point.
 
     Raises
     ------
@@ -103,15 +97,7 @@ class _TimeExceeded(Exception):
 
 
 class _TimedPolisher(Polisher):
-    """A polisher that starts only refinements that will probably finish in time.
-
-    Parameters
-    ----------
-    left : function
-        Returns the remaining time [s].
-    valid : function of a design
-        Called for every valid one.
-    """
+    """A polisher that starts only refinements that will probably finish in the time `left` [s], and passes valid ones on."""
 
     def __init__(self, files: list[ProblemFile], left: Callable[[], float], valid: Callable[[PathDesign], None]) -> None:
         super().__init__(files, "ipopt")
@@ -129,15 +115,7 @@ class _TimedPolisher(Polisher):
 
 
 class CurveSearch:
-    """A search of four-bars for a drawn curve: first coarse candidates, then refined ones, until its time is over.
-
-    Parameters
-    ----------
-    document : Document
-        From `drawn`.
-    seconds : float
-        Longest time of the search.
-    """
+    """A search of four-bars for a drawn curve: first coarse candidates, then refined ones, until its time [s] is over."""
 
     def __init__(self, document: Document, seconds: float = TIME_LIMIT) -> None:
         self.document, self.begun, self._limit = document, time.perf_counter(), seconds
@@ -150,13 +128,7 @@ class CurveSearch:
         self._show: Callable[[bool], None] = lambda done: None
 
     def run(self, show: Callable[[bool], None]) -> None:
-        """Search.
-
-        Parameters
-        ----------
-        show : function
-            Called with whether the search is over, whenever there are better designs.
-        """
+        """Search; call `show` with whether the search is over, whenever there are better designs."""
         self._show = show
         coarse = self._searcher.coarse()
         self._add_coarse(coarse, 1)
@@ -216,15 +188,7 @@ class CurveSearch:
             self._show(done)
 
     def message(self, ident: int, *, done: bool) -> dict[str, Any]:
-        """Return the designs as a message.
-
-        Parameters
-        ----------
-        ident : int
-            Number of the request.
-        done : bool
-            Whether the search has ended.
-        """
+        """Return the designs as a message that answers a request."""
         items = [_item(design) for design in self.designs]
         seconds = round(self._seconds, 3)
         return {"type": "candidates", "id": ident, "done": done, "seconds": seconds, "items": items}

@@ -41,15 +41,7 @@ class Follower(Protocol):
     """Follows the optimum of problems with one structure."""
 
     def follow(self, problem: ProblemFile, near: Solution | None) -> Solution | None:
-        """Return the optimum of a problem near the last one, usable or not; None if it cannot be followed.
-
-        Parameters
-        ----------
-        problem : ProblemFile
-            With definite assembly modes.
-        near : Solution, optional
-            Last optimum.
-        """
+        """Return the optimum, usable or not, of a problem with definite assembly modes near the last one; None if it has none."""
         ...
 
 
@@ -61,15 +53,7 @@ class FunctionFollower:
         multistart.prepare(self.programme.nlp, BACKEND)
 
     def follow(self, problem: ProblemFile, near: Solution | None) -> Solution:
-        """Return the optimum of a problem near the last one.
-
-        Parameters
-        ----------
-        problem : ProblemFile
-            With definite assembly modes.
-        near : Solution, optional
-            Last optimum.
-        """
+        """Return the optimum of a problem near the last one."""
         task, programme = problem.spec, self.programme
         nlp = programme.nlp
         programme.bind(task)
@@ -87,12 +71,7 @@ class FunctionFollower:
 class PathFollower:
     """Follower of paths, motions, laws and transmission of any linkage; its programme has the targets as parameters.
 
-    Parameters
-    ----------
-    problem : ProblemFile
-        With definite assembly modes.
-    way : int
-        Sense of crank rotation from point to point, +1 or -1.
+    `direction` is the sense of crank rotation from point to point, +1 or -1.
     """
 
     def __init__(self, problem: ProblemFile, direction: int) -> None:
@@ -105,15 +84,7 @@ class PathFollower:
         multistart.prepare(self.nlp, BACKEND)
 
     def follow(self, problem: ProblemFile, near: Solution | None) -> Solution:
-        """Return the optimum of a problem near the last one.
-
-        Parameters
-        ----------
-        problem : ProblemFile
-            With definite assembly modes.
-        near : Solution, optional
-            Last optimum.
-        """
+        """Return the optimum of a problem near the last one."""
         task = path_model(problem)
         if not self._bind(task):
             self._build(task)
@@ -150,13 +121,7 @@ class PathFollower:
 
 
 def start_of(nlp: NLP, near: Solution | None) -> Array:
-    """Return the design of the last optimum as a starting point of a programme; without one the start of the programme.
-
-    Parameters
-    ----------
-    near : Solution, optional
-        Of this programme, or of another one with other variables or another scaling.
-    """
+    """Return the last optimum as a starting point of a programme with other variables or scaling; without one, its own start."""
     x = nlp.x_start.copy()
     if near is not None and near.nlp is nlp:
         x = near.x
@@ -171,12 +136,8 @@ def start_of(nlp: NLP, near: Solution | None) -> Array:
 class CycleFollower:
     """Follower of designs for quantities of the cycle; limits, bounds and fixed sizes are parameters of its programme.
 
-    Newton's method runs at fixed positions of the peaks, which hardly move.
-
-    Parameters
-    ----------
-    values : mapping of str to float [SI]
-        The last optimum; its order of events is that of the programme.
+    Newton's method runs at fixed positions of the peaks, which hardly move. `values` [SI] are the last optimum, whose order of
+    events is that of the programme.
     """
 
     def __init__(self, problem: ProblemFile, values: Mapping[str, float]) -> None:
@@ -197,13 +158,7 @@ class CycleFollower:
         )
 
     def follow(self, problem: ProblemFile, near: Solution | None) -> Solution | None:
-        """Return the optimum of a problem near the last one; None if its events have another order.
-
-        Parameters
-        ----------
-        near : Solution, optional
-            Not used: the follower keeps its last optimum.
-        """
+        """Return the optimum of a problem near the last one, which the follower keeps; None if its events have another order."""
         last = self._near
         if last is None:
             return None

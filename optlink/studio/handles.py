@@ -76,20 +76,7 @@ class Handle:
         return {} if self.kind == "range" else {"feasible": sorted([self.value, place[0]])}
 
     def changes(self, problem: ProblemFile, message: Mapping[str, Any]) -> dict[str, object]:
-        """Return the changes of the file for a place or a value of the handle.
-
-        Parameters
-        ----------
-        problem : ProblemFile
-            The problem before the change.
-        message : mapping
-            With `at` for a point, else with `value`.
-
-        Raises
-        ------
-        InputError
-            If the message has no usable number.
-        """
+        """Return the changes of the file for a message with a place (`at`) of a point, or the `value` of another handle."""
         if self.kind == "point":
             x, y = _numbers(message.get("at"), 2)
             origin_x, origin_y, turn = self.axes
@@ -144,13 +131,7 @@ def same_kind(first: Handle | None, second: Handle) -> TypeGuard[Handle]:
 
 
 def handles(problem: ProblemFile, picture: Picture | None) -> dict[str, Handle]:
-    """Return the handles of a problem at a design, by their names.
-
-    Parameters
-    ----------
-    picture : Picture or None
-        The design in motion; None if it cannot be assembled: then no handle lies on the drawing but those of the targets.
-    """
+    """Return the handles of a problem by name; without a picture, only those of the targets lie on the drawing."""
     result = _Handles(problem, picture)
     return {handle.id: handle for handle in result.all()}
 

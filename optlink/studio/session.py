@@ -47,12 +47,7 @@ FIRST_TEXT = "Validated; the full search for a better design runs."
 class Session:
     """The requests of one page.
 
-    Parameters
-    ----------
-    send : function of a message
-        Sends a message to the page.
-    interruptible : function of a function
-        Runs a function that the page may stop; raises KeyboardInterrupt then.
+    `send` sends a message to the page; `interruptible` runs a function that the page may stop, which raises KeyboardInterrupt.
     """
 
     def __init__(self, send: Send, interruptible: Callable[[Callable[[], Any]], Any] = lambda work: work()) -> None:
@@ -313,13 +308,7 @@ class Session:
         self._interruptible(self._prepare)
 
     def _show_near(self, problem: ProblemFile) -> tuple[str, ...]:
-        """Show the optimum near the last design; if there is none, that design: never the verdict of another problem.
-
-        Returns
-        -------
-        tuple of str
-            The conflicts near the last design.
-        """
+        """Show the optimum near the last design, else that design; never the verdict of another problem. Return the conflicts."""
         last = self._design
         if last is None:
             self._show(replace(started(problem), conclusion=SEARCHING_TEXT), problem, moving=False, searching=True)

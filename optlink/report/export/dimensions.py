@@ -47,13 +47,7 @@ class _Length:
 
 
 def dimensioned(cycle: Analysis, title: str) -> Drawing:
-    """Draw a mechanism with its dimensions in its clearest position.
-
-    Parameters
-    ----------
-    title : str
-        Begin of the description.
-    """
+    """Draw a mechanism with its dimensions in its clearest position; the description begins with the title."""
     at = clearest(cycle)
     drawn = scene(cycle, at=at)
     sheet = _Sheet(drawn)

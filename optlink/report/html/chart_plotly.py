@@ -174,11 +174,6 @@ def thinned(x: Array, y: Array, most: int = THIN_ABOVE) -> tuple[Array, Array]:
     """Reduce a long curve to at most about `most` points, keeping the extremes of each portion and all gaps.
 
     A curve that runs back in x, such as an orbit, keeps the extremes in x too.
-
-    Parameters
-    ----------
-    x : array (n,)
-    y : array (n,)
     """
     if len(x) <= most:
         return x, y

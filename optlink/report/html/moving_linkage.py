@@ -90,14 +90,7 @@ class Moving:
 
 
 def in_time(cycle: Analysis, scene: Scene, time: Array, shown: Iterable[tuple[str, Scale, Array]]) -> Moving:
-    """Return the animation of a scene whose positions are reached at times, with quantities that follow it.
-
-    Parameters
-    ----------
-    time : array (positions,) [s]
-    shown : iterable of (name, Scale, array (positions,))
-        Name, display unit and values [SI] of the quantities.
-    """
+    """Return the animation of a scene whose positions are reached at times [s], with quantities [SI] that follow it."""
     listed = [
         Readout(name, unit.unit, [round(float(v) * unit.factor, 5) if math.isfinite(v) else None for v in values])
         for name, unit, values in shown
@@ -112,25 +105,13 @@ def decimals_of(values: Array) -> int:
 
 
 def turning(cycle: Analysis, steps: int) -> Moving:
-    """Return the animation of a machine over its crank angle.
-
-    Parameters
-    ----------
-    steps : int
-        Number of positions per revolution.
-    """
+    """Return the animation of a machine over its crank angle, with `steps` positions per revolution."""
     drawn = scene(cycle, steps)
     return Moving(cycle, drawn, Stops("crank angle", "°", drawn.angles, 1, 360.0), readouts(cycle, drawn.angles))
 
 
 def readouts(cycle: Analysis, angles: Array) -> list[Readout]:
-    """Return the quantities shown beside the moving linkage: slides, transmission angles; with masses or loads, driving torque.
-
-    Parameters
-    ----------
-    angles : array (positions,) [deg]
-        Crank angles.
-    """
+    """Return the quantities beside the moving linkage: slides, transmission angles; with masses or loads, driving torque."""
     machine = cycle.machine
     record = MotionColumns(machine.moving(np.radians(angles), cycle.speed))
     sliders = [f"{name}.s_m" for name in slider_names(machine).values()]

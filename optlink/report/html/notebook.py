@@ -54,13 +54,7 @@ def notebook_html(result: Any) -> str | None:
 
 
 def moving_html(moving: Moving, title: str) -> str:
-    """Return a linkage that a slider moves, as HTML for any number of outputs of a notebook.
-
-    Parameters
-    ----------
-    title : str
-        Accessible name of the drawing.
-    """
+    """Return a linkage that a slider moves, as HTML for any number of outputs of a notebook."""
     motion = json.dumps(moving.to_dict(), separators=(",", ":"), allow_nan=False)
     script = asset("motion.js") + asset("notebook.js")
     text = templates().get_template("notebook.html").render(moving=moving, title=title, motion=motion, script=script)

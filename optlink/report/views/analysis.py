@@ -150,11 +150,6 @@ def frames(cycle: CycleCurves, count: int = FRAMES) -> list[Image.Image]:
     """Draw the frames of the animation: one revolution, or back and forth over a limited crank range.
 
     Beside the mechanism, the driving torque or the output motion is drawn.
-
-    Parameters
-    ----------
-    count : int, optional
-        Number of frames.
     """
     result = cycle.result
     machine = result.machine

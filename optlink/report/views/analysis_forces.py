@@ -18,24 +18,12 @@ SHAKING = ("frame.shaking_fx_N", "frame.shaking_fy_N", "frame.shaking_moment_Nm"
 
 
 def forces(cycle: CycleCurves, initial: CycleCurves | None = None) -> list[ChartSpec]:
-    """Return the charts of torque, joint reactions, guide forces, work and shaking that the machine has.
-
-    Parameters
-    ----------
-    initial : CycleCurves or None, optional
-        Initial machine, drawn in grey.
-    """
+    """Return the charts of torque, joint reactions, guide forces, work and shaking that the machine has."""
     return [*torque(cycle, initial), *reactions(cycle), *guides(cycle), *work(cycle, initial), *shaking(cycle, initial)]
 
 
 def torque(cycle: CycleCurves, initial: CycleCurves | None = None) -> list[ChartSpec]:
-    """Return the driving torque, its inertia, gravity and load parts, and its mean, with extremes marked.
-
-    Parameters
-    ----------
-    initial : CycleCurves, optional
-        Initial machine, drawn in grey.
-    """
+    """Return the driving torque, its inertia, gravity and load parts, and its mean, with extremes marked."""
     if not cycle.has(TORQUE):
         return []
     result = cycle.result
@@ -103,20 +91,7 @@ def hodograph(
 ) -> ChartSpec:
     """Return the hodograph of a force on equal scales: the origin, the direction of motion and round crank angles are marked.
 
-    Parameters
-    ----------
-    x : str
-        Column of the x component [N].
-    y : str
-        Column of the y component [N].
-    unit : Scale
-        Display unit of both axes.
-    file : str
-        Name of the picture.
-    more : sequence of Mark, optional
-        Further marks.
-    heading : str, optional
-        Title of the picture; default: that of the chart.
+    `x` and `y` are columns [N], `unit` that of both axes.
     """
     breaks = [k + 1 for k in cycle.breaks(x, y)]
     xs, ys = (np.insert(cycle[name] * unit.factor, breaks, np.nan) for name in (x, y))
@@ -204,13 +179,7 @@ def _extent(cycle: CycleCurves) -> float:
 
 
 def work(cycle: CycleCurves, initial: CycleCurves | None = None) -> list[ChartSpec]:
-    """Return the work of the drive since the start with its extremes, and below it the kinetic and potential energy.
-
-    Parameters
-    ----------
-    initial : CycleCurves, optional
-        Initial machine, drawn in grey.
-    """
+    """Return the work of the drive since the start with its extremes, and below it the kinetic and potential energy."""
     name, energies = "input.work_J", ("energy.kinetic_J", "energy.potential_J")
     if not cycle.has(name):
         return []
@@ -232,13 +201,7 @@ def work(cycle: CycleCurves, initial: CycleCurves | None = None) -> list[ChartSp
 
 
 def shaking(cycle: CycleCurves, initial: CycleCurves | None = None) -> list[ChartSpec]:
-    """Return the hodograph of the shaking force, and over the crank angle its components and the moment about the pivot.
-
-    Parameters
-    ----------
-    initial : CycleCurves, optional
-        Initial machine, drawn in grey.
-    """
+    """Return the hodograph of the shaking force, and over the crank angle its components and the moment about the pivot."""
     x, y, moment = SHAKING
     forced = any(cycle.has(name, [x, y, *joints(cycle).values()]) for name in (x, y))
     if not forced and not cycle.has(moment):

@@ -131,27 +131,14 @@ def _travels(outcome: Analysis) -> Iterator[Part | None]:
 
 
 def machine_strokes(machine: Machine, speed: float) -> TableSpec | None:
-    """Tabulate the forward and return strokes of the outputs of a machine whose crank turns fully; None if there are none.
-
-    Parameters
-    ----------
-    speed : float [rad/s]
-        Crank speed; only its sign matters.
-    """
+    """Tabulate the forward and return strokes of the outputs of a machine whose crank turns fully; None if there are none."""
     return stroke_table(named_travels(machine)[0], speed, acting_loads(machine, speed))
 
 
 def stroke_table(travels: Mapping[str, Travel], speed: float, acting: tuple[StrokeLoad, ...]) -> TableSpec | None:
     """Tabulate the forward and return strokes of outputs with their crank ranges; None if no output has two dead centres.
 
-    Parameters
-    ----------
-    travels : mapping of str to Travel
-        Strokes or swings by name of the output.
-    speed : float [rad/s]
-        Crank speed; only its sign matters.
-    acting : tuple of StrokeLoad
-        Loads that act in one stroke only.
+    The sign of the crank speed gives the direction; `acting` are loads that act in one stroke only.
     """
     rows: list[tuple[str, ...]] = []
     for name, travel in travels.items():
@@ -248,15 +235,7 @@ def simulation(outcome: Simulation) -> Summary:
 
 
 def simulation_parts(figures: Mapping[str, float], columns: Mapping[str, Array], steps: int, evaluations: int) -> list[Part]:
-    """Return the tables of a simulation in time, as computed or as stored.
-
-    Parameters
-    ----------
-    figures : mapping of str to float [SI]
-    columns : mapping of str to array (n,) [SI]
-    steps, evaluations : int
-        Steps of the integrator and evaluations of the accelerations.
-    """
+    """Return the tables of a simulation in time [SI], as computed or as stored."""
     speed, turns = figures["end.speed_rad_s"], figures["end.crank_angle_rad"] / (2.0 * math.pi)
     end = [
         ("time", number(figures["end.time_s"]), "s"),

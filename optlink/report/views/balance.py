@@ -36,13 +36,7 @@ MAX_PANELS = 4  # largest number of stacked panels in a chart of the page
 
 
 def charts(result: Balance) -> list[ChartSpec]:
-    """Return the charts of a balancing result.
-
-    Parameters
-    ----------
-    result : Balance
-        As computed or as stored.
-    """
+    """Return the charts of a balancing result, as computed or as stored."""
     return [*trade_off(result), *cycle_charts(result)]
 
 

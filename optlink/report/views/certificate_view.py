@@ -23,12 +23,7 @@ CONTINUE = "to continue the proof: --certify with a longer --time-limit or a lar
 def certificate_table(certificate: Certificate, shown: Shown, seconds: Mapping[str, float]) -> TableSpec:
     """Tabulate a certificate: best design and lower bound, gap, effort, finding, and how to continue a proof that is not closed.
 
-    Parameters
-    ----------
-    shown : function of an objective [SI]
-        Returns it in its display unit.
-    seconds : mapping of str to float [s]
-        Wall time per stage.
+    `shown` returns an objective [SI] in its display unit; `seconds` is the wall time per stage.
     """
     rows: list[Row] = []
     objective, bound = certificate.objective, certificate.lower_bound
@@ -102,18 +97,8 @@ def certificate_charts(
 ) -> list[ChartSpec]:
     """Return the boxes of two design variables, and the bounds of the objective against the number of boxes.
 
-    Parameters
-    ----------
-    title : str
-        Of the problem.
-    shown : function of an objective [SI]
-        Returns it in its display unit.
-    design : mapping of str to float [SI]
-        Of the best design; empty if there is none.
-    assembly : object
-        Its assembly mode, in the words of the problem file.
-    display : function of a name
-        Returns factor and display unit of a design variable.
+    `design` [SI] and `assembly`, its mode in the words of the file, are those of the best design, empty if there is none; `shown`
+    returns an objective [SI] in its display unit, `display` factor and unit of a design variable.
     """
     if certificate is None:
         return []

@@ -35,13 +35,7 @@ ROUNDING = 1e-9  # share of the initial value below which the remainder is round
 
 
 def design(outcome: FunctionResult | PathResult | CycleResult, limits: Iterable[LimitState]) -> str:
-    """Return the conclusion of a synthesis or of the validation of a given design.
-
-    Parameters
-    ----------
-    limits : iterable of LimitState
-        Constraints with their shadow prices.
-    """
+    """Return the conclusion of a synthesis or of the validation of a given design; `limits` have the shadow prices."""
     best, certified = outcome.best, clause(outcome.certificate)
     if best is None or outcome.conflict:
         return _sentences(shown(outcome.refuted) or "No design was found.", certified)
@@ -165,14 +159,7 @@ def analysis(outcome: Analysis) -> str:
 
 
 def simulation(figures: Mapping[str, float], finished: bool, message: str) -> str:
-    """Return the conclusion of a simulation in time.
-
-    Parameters
-    ----------
-    figures : mapping of str to float [SI]
-    message : str
-        Why it ended.
-    """
+    """Return the conclusion of a simulation in time; the message says why it ended."""
     speed, time = figures["end.speed_rad_s"] * 30.0 / math.pi, figures["end.time_s"]
     turns = figures["end.crank_angle_rad"] / (2.0 * math.pi)
     text = (

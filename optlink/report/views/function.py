@@ -215,11 +215,6 @@ def frames(result: FunctionResult, count: int = 90) -> list[Image.Image]:
     """Draw the frames of the animation: one revolution, or back and forth over the reachable range.
 
     Beside the mechanism, the rocker angle is drawn.
-
-    Parameters
-    ----------
-    count : int, optional
-        Number of frames.
     """
     angles = _range(result)
     if angles.size == 0:
@@ -253,14 +248,8 @@ def frames(result: FunctionResult, count: int = 90) -> list[Image.Image]:
 def function_chart(function: Function, offsets: Array, error: Array, title: str, *, warning: bool = False) -> ChartSpec:
     """Return the prescribed and the generated y(x) with the error in y.
 
-    Parameters
-    ----------
-    offsets : array (positions,) [rad]
-        Crank rotations from the start.
-    error : array (positions,) [rad or m]
-        Prescribed minus generated output; finite at one position at least.
-    warning : bool, optional
-        Whether the title is that of a design that is not valid.
+    `offsets` (positions,) [rad] are crank rotations from the start; `error` [rad or m] is prescribed minus generated output,
+    finite at one of them at least; `warning` says that the design is not valid.
     """
     least, largest = function.ends
     x = function.low + (function.high - function.low) * offsets / function.input

@@ -80,18 +80,8 @@ def search_summary(
 ) -> Summary:
     """Summarise the search of one design: its own tables, then those that every such search has.
 
-    Parameters
-    ----------
-    tables : iterable of Part
-        Strokes and objective.
-    measured : sequence of Line, optional
-        Objective in the short text.
-    hits : str, optional
-        Statistics of the starting points.
-    tail : str, optional
-        Addition to the verdict.
-    over : str, optional
-        Addition to the title of the distinct optima.
+    `measured` is the objective in the short text, `hits` the statistics of the starting points; `tail` is added to the verdict,
+    `over` to the title of the distinct optima.
     """
     proof, solution, model = outcome.certificate, outcome.solution, outcome.problem.model
     priced = None
@@ -148,12 +138,7 @@ def _message(outcome: SearchedResult) -> str:
 def search_verdict(status: Status, word: str, positive: bool, certificate: Certificate | None = None) -> list[Inline]:
     """Return how a search ended, and its verdict; an infeasible problem has one phrase for both.
 
-    Parameters
-    ----------
-    word : str
-        The verdict.
-    certificate : Certificate, optional
-        Without a closed one an optimum is a local one.
+    Without a closed certificate an optimum is a local one.
     """
     if status is Status.INFEASIBLE:
         return [bad("no feasible design" if certificate is not None and certificate.closed else "no feasible design found")]
@@ -164,13 +149,7 @@ def search_verdict(status: Status, word: str, positive: bool, certificate: Certi
 
 
 def graded_status(line: Sequence[Inline], fit: Fit | None, tail: str = "") -> Iterator[Line]:
-    """Yield a line with the grade of a fit and a tail, then the likely reasons of a poor fit with remedies.
-
-    Parameters
-    ----------
-    fit : Fit or None
-        None appends the tail only.
-    """
+    """Yield a line with the grade of a fit, if there is one, and a tail, then the likely reasons of a poor fit with remedies."""
     if fit is None:
         yield [*line, tail]
         return
@@ -191,16 +170,7 @@ def _design(outcome: FunctionResult) -> TableSpec:
 def dimension_rows(
     model: Problem, values: Mapping[str, float], derived: Mapping[str, str], shown: Callable[[float], str] = dimension
 ) -> list[Row]:
-    """Return the rows of a design: name, value, unit, and whether it is free.
-
-    Parameters
-    ----------
-    values : mapping of str to float [SI]
-    derived : mapping of str to str
-        Remarks on values that are not quantities of the problem.
-    shown : function of float to str, optional
-        Format of a value.
-    """
+    """Return the rows of a design [SI]: name, value, unit, and whether it is free, or the remark on a derived value."""
     rows: list[Row] = []
     for name, value in values.items():
         (factor, unit), quantity = model.display(name), model.quantities.get(name)
@@ -236,20 +206,11 @@ def _objective(outcome: FunctionResult) -> TableSpec:
 
 
 def active(model: Problem, objective: float, limits: Iterable[LimitState]) -> Part:
-    """Tabulate the active constraints with their shadow prices.
+    """Tabulate the active constraints with their shadow prices, in the unit in which the model shows its objective.
 
     The price of an inequality is the improvement of the objective per step by which its bound alone is relaxed; that of an
-    equality is the change of the objective, with its sign, per step by which its value is raised. A step is one unit, or 0.01
-    of a ratio.
-
-    Parameters
-    ----------
-    model : Problem
-        Its display unit of the objective is that of the prices.
-    objective : float [SI]
-        Minimised value, for relative prices.
-    limits : iterable of LimitState
-        All constraints; inactive ones are left out.
+    equality is the change of the objective, with its sign, per step by which its value is raised. A step is one unit, or 0.01 of
+    a ratio.
     """
     (base, factor, unit, _), rows, raised = model.shown_objective(objective), [], False
     joint: dict[frozenset[str], tuple[float, set[str]]] = {}
@@ -288,13 +249,7 @@ def active(model: Problem, objective: float, limits: Iterable[LimitState]) -> Pa
 
 
 def checks(selected: Sequence[Check], gathered: Sequence[Check] = ()) -> TableSpec:
-    """Tabulate the checks of a validation.
-
-    Parameters
-    ----------
-    gathered : sequence of Check, optional
-        Passed bounds of dimensions that share one row.
-    """
+    """Tabulate the checks of a validation; passed bounds of dimensions (`gathered`) share one row."""
     rows: list[Row] = [
         (verdict("ok" if item.passed else "FAIL", item.passed), item.name, number(item.value), quiet(item.unit), item.limit)
         for item in selected

@@ -30,15 +30,7 @@ def dots(count: int) -> float:
 
 
 def points_on(axes: Axes, places: Array, size: float = 1.0) -> None:
-    """Draw the precision points.
-
-    Parameters
-    ----------
-    places : array (n, 2)
-        In the unit of the axes.
-    size : float, optional
-        Factor on the marker size.
-    """
+    """Draw the precision points (n, 2); `size` is a factor on the marker size."""
     size *= dots(len(places))
     axes.plot(*places.T, linestyle="none", marker="o", markersize=size, color=TARGET, mew=0.0, zorder=5, gid="target")
 
@@ -46,13 +38,7 @@ def points_on(axes: Axes, places: Array, size: float = 1.0) -> None:
 def small_frames(places: Array, angles: Array, length: float) -> Array:
     """Return small coordinate frames, an arrow along x and a short line along y, as one line with gaps, shape (10 n, 2).
 
-    Parameters
-    ----------
-    places : array (n, 2)
-        Origins, in the unit of the axes.
-    angles : array (n,) [rad]
-    length : float
-        Length of the arrow, in the unit of the axes.
+    `places` (n, 2) are the origins, `angles` (n,) in rad; the arrow has the given length.
     """
     x, y = np.stack([np.cos(angles), np.sin(angles)], axis=-1), np.stack([-np.sin(angles), np.cos(angles)], axis=-1)
     gap = (math.nan, math.nan)
@@ -124,14 +110,9 @@ class CloseUp:
         return bool(np.ptp(view.run.crank_angle) >= np.ptp(view.motion.crank_angle) - 1e-9)
 
     def chart(self, magnified: float | None = 1.0, *, points: bool = True) -> ChartSpec:
-        """Return the close-up as a chart: the curve, points, tolerances, deviations and poses.
+        """Return the close-up as a chart: the curve, points, and poses; tolerances and deviations if they are magnified.
 
-        Parameters
-        ----------
-        magnified : float or None, optional
-            Magnification of tolerances and deviations; None leaves them out.
-        points : bool, optional
-            Draw the generated points and the whole curve instead of the surroundings of the points.
+        `points` draws the generated points and the whole curve instead of the surroundings of the points.
         """
         view, factor, unit = self.track, self.unit.factor, self.unit.unit
         full_curve, run = (view.position(motion) * factor for motion in (view.motion, view.run))
@@ -158,13 +139,7 @@ class CloseUp:
         return ChartSpec("", "Path", [Panel(y, traces, marks=self._numbers(size))], x, equal=True, cursor=False)
 
     def draw(self, axes: Axes, magnified: float | None) -> list[Label]:
-        """Draw the close-up without a legend and return the labels of the points.
-
-        Parameters
-        ----------
-        magnified : float or None
-            See `chart`.
-        """
+        """Draw the close-up without a legend and return the labels of the points."""
         labels = draw_into(axes, self.chart(magnified, points=False), legend=False)
         axes.set_aspect("equal", adjustable="box")
         return labels

@@ -64,13 +64,7 @@ def _draw_poses(axes: Axes, view: PathView) -> None:
 
 
 def trim(fig: Figure, rows: int = 1) -> None:
-    """Reduce the height of a figure by the empty space above and below its panels.
-
-    Parameters
-    ----------
-    rows : int, optional
-        Number of rows of panels.
-    """
+    """Reduce the height of a figure by the empty space above and below its rows of panels."""
     fig.draw_without_rendering()
     empty = math.inf
     for axes in fig.axes:
@@ -222,15 +216,7 @@ def _outputs(shown: OutputCurves) -> Panel:
 
 
 def output_film(view: PathView, steps: Array, titles: Sequence[str]) -> list[Image.Image]:
-    """Draw the frames of the mechanism beside its output or its transmission angles.
-
-    Parameters
-    ----------
-    steps : array (frames,) [rad]
-        Crank angles.
-    titles : sequence of str
-        Lines of the title.
-    """
+    """Draw the frames of the mechanism at crank angles [rad] beside its output or its transmission angles."""
     shown = output(view)
     order = np.argsort(shown.crank)
     height = np.interp(np.degrees(steps), shown.crank[order], shown.generated[order, 0])

@@ -147,39 +147,18 @@ LINE = 0.17  # line height of a figure title [inch]
 
 
 def fitting(value: float, unit: Scale) -> Scale:
-    """Return the unit of the figure, or a smaller unit for values that are small in it.
-
-    Parameters
-    ----------
-    value : float [m]
-    unit : Scale
-        Unit of the figure.
-    """
+    """Return the unit of the figure, or a smaller unit for values [m] that are small in it."""
     return unit if value == 0.0 or not math.isfinite(value) or value * unit.factor >= 0.01 else scale(value, "m")
 
 
 def length(value: float, unit: Scale) -> str:
-    """Format a deviation with its unit.
-
-    Parameters
-    ----------
-    value : float [m]
-    unit : Scale
-        Unit of the figure.
-    """
+    """Format a deviation [m] with its unit, from the unit of the figure."""
     shown = fitting(value, unit)
     return f"{_digits(value * shown.factor, 4)} {shown.unit}"
 
 
 def squares(value: float, unit: Scale) -> str:
-    """Format a sum of squares in the square of the figure's unit, or of a smaller one that avoids an exponent.
-
-    Parameters
-    ----------
-    value : float [m²]
-    unit : Scale
-        Unit of the figure.
-    """
+    """Format a sum of squares [m²] in the square of the figure's unit, or of a smaller one that avoids an exponent."""
     small = Scale(1e3, "mm"), Scale(1e6, "µm"), Scale(1e9, "nm")
     units = [unit, *(smaller for smaller in small if smaller.factor > unit.factor)]
     shown = next((item for item in units if value * item.factor**2 >= 1e-4), units[-1])
@@ -200,13 +179,7 @@ def _digits(value: float, count: int) -> str:
 def with_verdict(
     machine: ProblemFile | None, design: PathDesign | FunctionResult | CycleResult | None, refuted: str = ""
 ) -> tuple[ProblemFile, str] | None:
-    """Return the machine of a design with its verdict; None if there is none.
-
-    Parameters
-    ----------
-    refuted : str, optional
-        Which limits exclude each other, if it is known.
-    """
+    """Return the machine of a design with its verdict; None if there is none."""
     if machine is None or design is None:
         return None
     why = refuted or why_invalid(design.validation.checks, design.status.text)
@@ -297,16 +270,7 @@ def sizes(view: PathView) -> list[str]:
 
 
 def wrapped(items: Sequence[str], width: float, gap: str, size: float = TITLE) -> str:
-    """Join items to lines of similar length that fit a width; items are not broken.
-
-    Parameters
-    ----------
-    width : float [inch]
-    gap : str
-        Separator between items.
-    size : float [pt], optional
-        Font size.
-    """
+    """Join items to lines of similar length that fit a width [inch] at a font size [pt]; items are not broken."""
     most = max(16, int(72.0 * width / (0.56 * size)))
 
     def lines(limit: int) -> list[str]:
@@ -325,14 +289,7 @@ def wrapped(items: Sequence[str], width: float, gap: str, size: float = TITLE) -
 
 
 def title_of(view: PathView, width: float, title: str, *more: str) -> str:
-    """Compose a title with further lines below it; an invalid design is marked as not valid.
-
-    Parameters
-    ----------
-    width : float [inch]
-    *more : str
-        Further lines; empty ones are left out.
-    """
+    """Compose a title with further lines below it, without empty ones; an invalid design is marked as not valid."""
     text = [heading(title, width, TITLE)]
     if not view.design.valid:
         text.append(heading(mark(view.design.validation.checks, view.design.status.text, view.refuted), width, TITLE))
@@ -342,11 +299,6 @@ def title_of(view: PathView, width: float, title: str, *more: str) -> str:
 
 
 def mechanism_title(view: PathView, width: float) -> str:
-    """Compose the title of a mechanism with its deviations and dimensions.
-
-    Parameters
-    ----------
-    width : float [inch]
-    """
+    """Compose the title of a mechanism with its deviations and dimensions."""
     texts = wrapped(figures(view), width, "; "), wrapped(sizes(view), width, "   ")
     return title_of(view, width, view.task.title, *texts)

@@ -8,14 +8,9 @@ from optlink.tasks.results.conflict import OpposedLimit, opposed_limits, outward
 
 
 def conflict(limits: Sequence[Relaxation], together: Sequence[Relaxation]) -> TableSpec:
-    """Tabulate conflicting limits with the relaxation that each would need.
+    """Tabulate conflicting limits with the relaxation that each would need alone, infinite where that does not suffice.
 
-    Parameters
-    ----------
-    limits : sequence of Relaxation
-        Each limit relaxed alone; an infinite amount where that does not suffice.
-    together : sequence of Relaxation
-        Limits relaxed simultaneously; shown if one of `limits` does not suffice alone.
+    Limits relaxed together are shown in that case.
     """
     opposed = opposed_limits(limits)
     rows = [(limit.name, _limit(limit), _relaxed(limit) or "not by this limit alone") for limit in opposed]

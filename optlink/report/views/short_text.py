@@ -13,28 +13,12 @@ DETAILS = "--details shows the rest"
 
 
 def short_text(title: str, status: Iterable[Line], design: Part, limits: Part | None, checks: TableSpec | None = None) -> Summary:
-    """Return the short text of a design.
-
-    Parameters
-    ----------
-    status : iterable of Line
-        Verdict, objective and proof.
-    limits : TableSpec, Paragraph or None
-        Active or conflicting limits.
-    checks : TableSpec, optional
-        Of the validation; only failed ones are shown.
-    """
+    """Return the short text of a design: verdict, objective, proof, dimensions, active or conflicting limits, failed checks."""
     return summary(title, status, design, limits, _failed(checks))
 
 
 def verdict_lines(lines: Sequence[Line]) -> list[Line]:
-    """Return a verdict with the first one of the reasons that follow it.
-
-    Parameters
-    ----------
-    lines : sequence of Line
-        The verdict, then the reasons.
-    """
+    """Return a verdict with the first one of the reasons that follow it."""
     if len(lines) <= 2:
         return list(lines)
     reason = [lines[1]] if isinstance(lines[1], str | Span) else list(lines[1])
@@ -42,12 +26,9 @@ def verdict_lines(lines: Sequence[Line]) -> list[Line]:
 
 
 def objective_line(objective: TableSpec) -> Line:
-    """Return a table of the objective as one line.
+    """Return a table of the objective as one line: name, value, unit and the remark on the first row.
 
-    Parameters
-    ----------
-    objective : TableSpec
-        Name, value, unit and remark; rows without a name are the same value in other units. The remark on the first row is shown.
+    Rows without a name are the same value in other units.
     """
     first, *others = objective.rows
     pieces = [Span(f"objective: {first[0].text} "), first[1], Span(f" {first[2].text}".rstrip())]
@@ -61,13 +42,7 @@ def objective_line(objective: TableSpec) -> Line:
 
 
 def dimensions(design: TableSpec) -> Part:
-    """Return a design as a table without a heading, or as text where it has many dimensions.
-
-    Parameters
-    ----------
-    design : TableSpec
-        Name, value, unit and remarks of each dimension.
-    """
+    """Return a design as a table without a heading, or as text where it has many dimensions."""
     if len(design.rows) <= MAX_DIMENSIONS:
         return table(design.title, "<><", [row[:3] for row in design.rows]) if design.header else design
     pieces: list[Span] = []

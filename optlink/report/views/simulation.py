@@ -49,19 +49,7 @@ class History:
     def curve(
         self, name: str, factor: float, words: str, colour: str, width: float = 1.6, dash: Dash = "solid", *, legend: bool = True
     ) -> Curve:
-        """Return a column times a factor over time as a curve.
-
-        Parameters
-        ----------
-        name : str
-            Name of the column.
-        factor : float
-            Display unit per SI unit.
-        words : str
-            Entry in the legend.
-        width : float, optional
-            Line width [pt].
-        """
+        """Return a column times a factor over time as a curve."""
         return Curve(self.columns["time_s"], self.columns[name] * factor, words, colour, width, dash, legend=legend, gid=name)
 
     def largest(self, names: Iterable[str]) -> float:
@@ -70,14 +58,7 @@ class History:
 
 
 def largest(columns: Mapping[str, Array], names: Iterable[str]) -> float:
-    """Return the largest absolute finite value in columns [SI].
-
-    Parameters
-    ----------
-    columns : mapping of str to array (n,)
-    names : iterable of str
-        Columns to consider.
-    """
+    """Return the largest absolute finite value in columns [SI]."""
     every = [np.abs(columns[name]) for name in names]
     return max((float(np.max(values, initial=0.0, where=np.isfinite(values))) for values in every), default=0.0)
 

@@ -331,13 +331,7 @@ def _cells(result: Pareto, values: tuple[float, ...]) -> Iterator[Inline]:
 
 
 def relative_change(value: float, before: float) -> str:
-    """Format the change of a value: in per cent, or as a ratio if it is large.
-
-    Parameters
-    ----------
-    before : float
-        Reference in the same unit; zero gives an empty text.
-    """
+    """Format the change of a value: in per cent, or as a ratio if it is large; empty if it was zero before."""
     if not before:
         return ""
     ratio = value / before

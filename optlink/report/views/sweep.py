@@ -205,15 +205,7 @@ def _heading(table: SweepTable, what: str) -> str:
 
 
 def _picks(table: SweepTable, rows: NDArray[np.intp], x: Array, y: Array) -> Picks:
-    """Tabulate the design of every selectable row.
-
-    Parameters
-    ----------
-    rows : array (n,)
-        Rising rows of the table of the sweep.
-    x, y : array (n,)
-        Their places.
-    """
+    """Tabulate the design of every selectable row (n,) of the table of the sweep, with its place."""
     columns, result = table.result.columns, table.result
     names = [*(axis.column for axis in result.grid.axes), *table.shown, *table.designs]
     heads = [study_tables.with_unit(axis.key, axis.unit) for axis in result.grid.axes] + [
