@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from optlink.linkage.fourbar import four_bar, grashof
     from optlink.problem.file import ProblemFile, load, read, shipped
     from optlink.problem.templates import new
-    from optlink.report.html.notebook import Explorer
     from optlink.studio import explore
     from optlink.tasks.analyze import analyze
     from optlink.tasks.balance import balance
@@ -44,7 +43,6 @@ _NAMES = {
     "optlink.linkage.fourbar": ("four_bar", "grashof"),
     "optlink.problem.file": ("ProblemFile", "load", "read", "shipped"),
     "optlink.problem.templates": ("new",),
-    "optlink.report.html.notebook": ("Explorer",),
     "optlink.studio": ("explore",),
     "optlink.tasks.analyze": ("analyze",),
     "optlink.tasks.balance": ("balance",),
@@ -72,7 +70,6 @@ __all__ = [
     "Comparison",
     "CycleResult",
     "DesignResult",
-    "Explorer",
     "FunctionResult",
     "InputError",
     "InverseMotion",

@@ -153,7 +153,7 @@ class _Handles:
         """Yield the handles: targets, requirement, dimensions, limits, bounds."""
         yield from self._targets()
         yield from self._requirement()
-        by_key = {knob.key: knob for knob in knobs(self.problem) if knob.key}
+        by_key = {knob.key: knob for knob in knobs(self.problem)}
         dimensions = {key: knob for key, knob in by_key.items() if not key.startswith("limits.")}
         yield from self._geometry(dimensions)
         for key, knob in by_key.items():
