@@ -179,10 +179,7 @@ class Sketch:
 
     def _extent(self) -> tuple[Array, Array]:
         """Return the least and largest coordinates of everything that is drawn."""
-        corners = [
-            finite(self.points[:, self.near] * self.scale.factor),
-            *(finite(line) for line, _, _ in self.ground),
-        ]
+        corners = [finite(self.points[:, self.near] * self.scale.factor), *(finite(line) for line, _, _ in self.ground)]
         for body, parts in self.parts.items():
             outlines = [part.outline for part in parts] + ([self.centroids[body]] if body in self.centroids else [])
             corners += [finite(self.placed(self.motion, body, outline)[self.near]) for outline in outlines]

@@ -167,19 +167,12 @@ def validated_design(design: Design) -> Design:
 
     model = design.problem.model
     result = design_of(validate(design.problem, {name: design.values[name] for name in model.free}))
-    return replace(
-        result, solution=design.solution, limits=design.limits, objective=design.objective, conclusion=result.conclusion
-    )
+    return replace(result, solution=design.solution, limits=design.limits, objective=design.objective)
 
 
 def verdict(design: Design) -> dict[str, Any]:
     """Return the verdict of an infeasible design, for the last feasible one that stays drawn without its objective and prices."""
-    return {
-        **NO_RESULT,
-        "status": design.status,
-        "conclusion": design.conclusion,
-        "conflicts": design.conflicts,
-    }
+    return {**NO_RESULT, "status": design.status, "conclusion": design.conclusion, "conflicts": design.conflicts}
 
 
 def failure(error: OptlinkError, status: str = "failed") -> dict[str, Any]:

@@ -16,7 +16,7 @@ from optlink.optimization.cycle_nlp import CycleNLP
 from optlink.optimization.cycle_signals import TracedCycle
 from optlink.optimization.nlp import NLP
 from optlink.optimization.path_nlp import build_path_nlp, constant_values, has_position_limits
-from optlink.problem.cycle.model import Bound, CycleProblem
+from optlink.problem.cycle.model import CycleProblem
 from optlink.problem.file import ProblemFile
 from optlink.problem.limits import Reach
 from optlink.problem.machine.model import Problem
@@ -192,7 +192,7 @@ class CycleFollower:
         vars(trace).update(vars(self.programme.trace) | {"problem": task})
         programme_nlp = self.programme.nlp
         movable = {"x_low": programme_nlp.x_low.copy(), "x_high": programme_nlp.x_high.copy()}
-        nlp = with_bounds(programme_nlp, dict(_moved(self.task, task)), trace=trace, **movable)
+        nlp = with_bounds(programme_nlp, _moved(self.task, task), trace=trace, **movable)
         nlp.p[:] = last.p
         nlp.p[1 : 1 + len(nlp.constants)] = [v.scaled(task.quantities[v.name].value) for v in nlp.constants]
         _set_bounds(nlp, task)
@@ -207,19 +207,15 @@ def _set_bounds(nlp: NLP, task: Problem) -> None:
             nlp.limit(i, v.scaled(low), v.scaled(high))
 
 
-def _moved(old: CycleProblem, new: CycleProblem) -> list[tuple[str, float]]:
-    """Return the limits that differ, as key with side and value in the unit of the file."""
-    moves: list[tuple[str, float]] = []
-    for before, now in zip(old.bounds, new.bounds, strict=True):
-        for side, before_value, value in zip(("min", "max"), _ends(before), _ends(now), strict=True):
-            if before_value != value and value is not None:
-                size = factor(now.interval.unit, now.interval.kind) if now.interval.kind else 1.0
-                moves.append((f"{now.key}.{side}", value / size))
-    return moves
-
-
-def _ends(bound: Bound) -> tuple[float | None, float | None]:
-    return bound.interval.low, bound.interval.high
+def _moved(old: CycleProblem, new: CycleProblem) -> dict[str, float]:
+    """Return the limits that differ, in the unit of the file, by key with side."""
+    moved: dict[str, float] = {}
+    for bound, now in zip(old.bounds, new.bounds, strict=True):
+        before, interval = bound.interval, now.interval
+        for side, was, value in (("min", before.low, interval.low), ("max", before.high, interval.high)):
+            if was != value and value is not None:
+                moved[f"{now.key}.{side}"] = value / (factor(interval.unit, interval.kind) if interval.kind else 1.0)
+    return moved
 
 
 def _with_active_rows(solution: Solution) -> Solution:

@@ -11,7 +11,7 @@ MAX_STEPS = 200
 class History(Generic[Step]):
     """Documents in the order of their changes, and the index of the present one."""
 
-    def __init__(self, steps: Sequence[Step], at: int = 0) -> None:
+    def __init__(self, steps: Sequence[Step], at: int) -> None:
         self.steps, self.at = list(steps), at
 
     @property

@@ -197,11 +197,6 @@ def structure(problem: ProblemFile) -> Any:
     return tuple(map(repr, parts))
 
 
-def follower(problem: ProblemFile, values: Mapping[str, float], direction: int) -> Follower | None:
-    """Return a follower of a problem, see `Kind.follower`; None without design variables."""
-    return kind_of(problem).follower(problem, values, direction) if problem.model.free else None
-
-
 def _without_numbers(value: Any) -> Any:
     """Return a value of the file without its numbers."""
     if isinstance(value, Mapping):

@@ -53,9 +53,9 @@ class Picture:
 
     # --- what is sent -------------------------------------------------------------------------------------------------------
 
-    def at(self, name: str, k: int = 0) -> tuple[float, float]:
+    def at(self, name: str) -> tuple[float, float]:
         """Return the place of a point [mm] at the first position."""
-        x, y = 1e3 * self.motion.position(name)[k]
+        x, y = 1e3 * self.motion.position(name)[0]
         return float(x), float(y)
 
     def document(self) -> dict[str, Any]:

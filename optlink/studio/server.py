@@ -222,7 +222,7 @@ class _Guard:
         await self.app(scope, receive, sent)
 
 
-def serve(initial: str | None = None, port: int = 0, ready: Callable[[str], None] = print) -> None:
+def serve(initial: str | None, port: int, ready: Callable[[str], None]) -> None:
     """Serve the studio on this machine until it is interrupted; port 0 is any free one, `ready` takes the address.
 
     Raises

@@ -99,7 +99,7 @@ def checks(design: Design) -> list[dict[str, Any]] | None:
 # --- charts -----------------------------------------------------------------------------------------------------------------
 
 
-def charts(design: Design, picture: Picture, problem: ProblemFile, *, moving: bool) -> list[dict[str, Any]]:
+def charts(design: Design, picture: Picture, problem: ProblemFile) -> list[dict[str, Any]]:
     """Return the curves of a design over the crank angle, with the limits of the present problem."""
     kind, model = kind_of(design.problem), design.problem.model
     curves = kind.error_curves(model, design.values, design.start, design.crank_angles)

@@ -211,10 +211,7 @@ def impacts(turns: RevolutionCurves) -> list[ChartSpec]:
         caption += f"; still in contact at the end: {', '.join(lasting)}"
     x = Axis("revolutions since the start", (float(begin), float(max(math.ceil(max(times)), begin + 1))))
     speeds = Axis(f"approach speed [{unit.unit}]", from_zero(fastest * unit.factor))
-    panels = [
-        Panel(speeds, above),
-        Panel(Axis(f"largest penetration [{small.unit}]", from_zero(deepest * small.factor)), below),
-    ]
+    panels = [Panel(speeds, above), Panel(Axis(f"largest penetration [{small.unit}]", from_zero(deepest * small.factor)), below)]
     where = Axis(CRANK_ANGLE, (0.0, FULL), step=60.0)
     return [
         ChartSpec("impacts", "Impacts over the revolutions", panels, x, turns.title("impacts"), caption, cursor=False),
