@@ -5,9 +5,15 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from optlink.report.format import number
 from optlink.validation.check import Check
+
+if TYPE_CHECKING:
+    from optlink.tasks.function import FunctionResult
+    from optlink.tasks.results.cycle import CycleResult
+    from optlink.tasks.results.path import PathDesign
 
 KEY = r"(?:[\w.]+: )?"
 MEASURED = (
@@ -62,14 +68,14 @@ def why_invalid(checks: Sequence[Check], otherwise: str) -> str:
     return f"{first}{more}"
 
 
-def mark(checks: Sequence[Check], otherwise: str, refuted: str = "") -> str:
-    """Return the mark of a design that is not valid: which limits exclude each other (`refuted`), or the first cause."""
-    return refuted or f"NOT VALID: {why_invalid(checks, otherwise)}"
+def marked(title: str, design: FunctionResult | PathDesign | CycleResult, refuted: str) -> list[str]:
+    """Return the lines of a picture's title; the second one says why a design is not valid.
 
-
-def marked(title: str, valid: bool, checks: Sequence[Check], otherwise: str, refuted: str = "") -> list[str]:
-    """Return the lines of a picture's title; the second one says why the design is not valid, see `mark`."""
-    return [title] if valid else [title, mark(checks, otherwise, refuted)]
+    That is which limits exclude each other (`refuted`), or the first cause.
+    """
+    if design.valid:
+        return [title]
+    return [title, refuted or f"NOT VALID: {why_invalid(design.validation.checks, design.status.text)}"]
 
 
 def _cause(check: Check, checks: Sequence[Check]) -> str:

@@ -131,11 +131,9 @@ class Sketch:
             elif (body == guide.slider) != rod:
                 parts.append(Part("block", rectangle(point, direction, -half[0], half[0], half[1])))
             else:
-                ends = np.array([point + (low - 1.25 * half[0]) * direction, point + (high + 1.25 * half[0]) * direction])
-                parts.append(
-                    Part("slot", rectangle(point, direction, low - 1.25 * half[0], high + 1.25 * half[0], 1.2 * half[1]))
-                )
-                arm = stem(points, ends)
+                low, high = low - 1.25 * half[0], high + 1.25 * half[0]
+                parts.append(Part("slot", rectangle(point, direction, low, high, 1.2 * half[1])))
+                arm = stem(points, np.array([point + low * direction, point + high * direction]))
                 if np.linalg.norm(arm[1] - arm[0]) > 0.5 * self.size:
                     parts.append(Part("bar", arm))
         if len(points) > 1:
@@ -156,13 +154,11 @@ class Sketch:
             if name in self.mechanism.pins or name in anchors:
                 lines.append((at + s * np.array([[0.0, 0.0], [-0.55, -1.0], [0.55, -1.0], [0.0, 0.0]]), 1.1, True))
                 lines.append((at + s * np.array([[-0.9, -1.0], [0.9, -1.0]]), 1.1, False))
-                lines.append(
-                    (hatching(at - s * np.array([0.9, 1.0]), np.array([1.0, 0.0]), 1.8 * s, -0.35 * s, 0.25 * s), 0.8, False)
-                )
+                strokes = hatching(at - s * np.array([0.9, 1.0]), np.array([1.0, 0.0]), 1.8 * s, -0.35 * s, 0.25 * s)
+                lines.append((strokes, 0.8, False))
             else:
-                lines.append(
-                    (at + 0.35 * s * np.array([[-1.0, 0.0], [1.0, 0.0], [np.nan, np.nan], [0.0, -1.0], [0.0, 1.0]]), 1.0, False)
-                )
+                cross = np.array([[-1.0, 0.0], [1.0, 0.0], [np.nan, np.nan], [0.0, -1.0], [0.0, 1.0]])
+                lines.append((at + 0.35 * s * cross, 1.0, False))
         for guide in self.mechanism.guides:
             if guide.on == FRAME:
                 point, direction = self._line(guide, FRAME)
@@ -288,12 +284,12 @@ class Sketch:
             pins[:, 0], pins[:, 1], linestyle="none", marker="o", markersize=5.5, mfc="white", mec=GROUND, zorder=4, gid="pins"
         )
 
-    def letters(self, axes: Axes, motion: Motion, k: int = 0) -> list[Label]:
-        """Return labels with the names of all points at position `k`, for `labels.place_labels`."""
+    def letters(self, axes: Axes, motion: Motion) -> list[Label]:
+        """Return labels with the names of all points at the first position, for `labels.place_labels`."""
         return [
             Label(axes, (float(x), float(y)), short_name(name), GROUND, clear=2.5)
             for name in self.names
-            for x, y in self.position(motion, name)[k : k + 1]
+            for x, y in self.position(motion, name)[:1]
         ]
 
     def show(self, axes: Axes, motion: Motion, *, traces: bool = True) -> list[Label]:
@@ -307,26 +303,20 @@ class Sketch:
         entries: dict[str, Any] = {body: Line2D([], [], color=self.colours[body], linewidth=3.0) for body in self.parts}
         entries |= {"centroid": tuple(_centroid(GROUND))} if self.centroids else {}
         entries |= {name.replace("_", " "): artist for name, artist in extra.items()}
-        fig.legend(
-            [*entries.values()],
-            [*entries],
-            loc="outside lower center",
-            ncols=min(len(entries), columns),
-            frameon=False,
-            fontsize=8.5,
-        )
+        style: dict[str, Any] = {"loc": "outside lower center", "frameon": False, "fontsize": 8.5}
+        fig.legend([*entries.values()], [*entries], ncols=min(len(entries), columns), **style)
 
-    def arrows(self, motion: Motion, k: int, names: Sequence[str], longest: float) -> dict[str, tuple[Array, Array]]:
-        """Return velocity arrows (begin, end) of points by name at position `k`; slow points are left out.
+    def arrows(self, motion: Motion, names: Sequence[str], longest: float) -> dict[str, tuple[Array, Array]]:
+        """Return velocity arrows (begin, end) of points by name at the first position; slow points are left out.
 
         `longest` is the length of the arrow of the fastest point, in the display unit.
         """
-        speeds = {name: motion.velocity(name)[k] for name in names}
+        speeds = {name: motion.velocity(name)[0] for name in names}
         top = max((float(np.linalg.norm(v)) for v in speeds.values() if np.all(np.isfinite(v))), default=0.0)
         arrows = {}
         for name, v in speeds.items():
             if np.all(np.isfinite(v)) and float(np.linalg.norm(v)) > 0.01 * top:
-                at = self.position(motion, name)[k]
+                at = self.position(motion, name)[0]
                 arrows[name] = (at, at + v * longest / top)
         return arrows
 

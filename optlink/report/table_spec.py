@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal, Self
 
 Role = Literal["", "good", "bad", "quiet", "strong"]
@@ -20,24 +21,10 @@ Row = Sequence[Inline]
 Line = Inline | Row
 
 
-def good(text: str) -> Span:
-    """Return a text that reports a success."""
-    return Span(text, "good")
-
-
-def bad(text: str) -> Span:
-    """Return a text that reports a failure."""
-    return Span(text, "bad")
-
-
-def quiet(text: str) -> Span:
-    """Return a remark."""
-    return Span(text, "quiet")
-
-
-def strong(text: str) -> Span:
-    """Return an emphasised text."""
-    return Span(text, "strong")
+good = partial(Span, role="good")  # a text that reports a success
+bad = partial(Span, role="bad")  # a text that reports a failure
+quiet = partial(Span, role="quiet")  # a remark
+strong = partial(Span, role="strong")  # an emphasised text
 
 
 def verdict(word: str, positive: bool) -> Inline:

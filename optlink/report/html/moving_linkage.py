@@ -40,9 +40,9 @@ class Readout:
         largest = max((abs(value) for value in self.values if value is not None), default=0.0)
         return 3 if largest < 10.0 else 2 if largest < 1000.0 else 1
 
-    def text(self, k: int = 0) -> str:
-        """Format value `k`."""
-        value = self.values[k]
+    def text(self) -> str:
+        """Format the first value."""
+        value = self.values[0]
         return "–" if value is None else f"{value:z.{self.decimals}f}".replace("-", "−")
 
 
@@ -56,9 +56,9 @@ class Stops:
     decimals: int
     turn: float | None = None
 
-    def text(self, k: int = 0) -> str:
-        """Format position `k`."""
-        return f"{self.values[k]:z.{self.decimals}f}{self.unit}".replace("-", "−")
+    def text(self) -> str:
+        """Format the first position."""
+        return f"{self.values[0]:z.{self.decimals}f}{self.unit}".replace("-", "−")
 
 
 @dataclass(frozen=True, eq=False)

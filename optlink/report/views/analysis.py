@@ -76,7 +76,7 @@ def mechanism(cycle: CycleCurves) -> Figure:
     if slow and not cycle.steady:
         chosen = min(slow, key=lambda name: slow[name])
     longest = 0.2 * float(np.max(sketch.high - sketch.low))
-    drawn_arrows = sketch.arrows(motions[chosen], 0, moving, longest)
+    drawn_arrows = sketch.arrows(motions[chosen], moving, longest)
     sketch.widen(np.array([end for _, end in drawn_arrows.values()]).reshape(-1, 2))
     count = len(angles) + bool(drawn_arrows)
     tall = sketch.ratio > 1.15

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from optlink.clearance.integration import Impact
 from optlink.clearance.joint import Gap
-from optlink.report.chart_spec import CRANK_ANGLE, Array, Axis, ChartSpec, Curve, Panel
+from optlink.report.chart_spec import Array, Axis, ChartSpec, Curve, Panel, crank_angle
 from optlink.report.format import round_below
 from optlink.report.style import BODIES, GROUND, LIMIT, MUTED, RESULT, TARGET, Scale, charts_per_row, scale
 from optlink.report.views.revolutions import (
@@ -212,7 +212,7 @@ def impacts(turns: RevolutionCurves) -> list[ChartSpec]:
     x = Axis("revolutions since the start", (float(begin), float(max(math.ceil(max(times)), begin + 1))))
     speeds = Axis(f"approach speed [{unit.unit}]", from_zero(fastest * unit.factor))
     panels = [Panel(speeds, above), Panel(Axis(f"largest penetration [{small.unit}]", from_zero(deepest * small.factor)), below)]
-    where = Axis(CRANK_ANGLE, (0.0, FULL), step=60.0)
+    where = crank_angle(limits=(0.0, FULL))
     return [
         ChartSpec("impacts", "Impacts over the revolutions", panels, x, turns.title("impacts"), caption, cursor=False),
         ChartSpec(

@@ -65,7 +65,6 @@ def _function(outcome: FunctionResult) -> str:
 
 
 def _path(best: PathDesign) -> str:
-
     task, measured = best.task, best.measured
     unit = task.unit or ""
     least = math.degrees(best.least_transmission)
@@ -89,7 +88,6 @@ def _path(best: PathDesign) -> str:
 
 
 def _cycle(outcome: CycleResult) -> str:
-
     stroke = isinstance(outcome.task, StrokeProblem)
     goals = [goal for goal in outcome.figures if goal.limit in ("minimised", "maximised")] or outcome.figures[:1]
     words = []
@@ -145,12 +143,8 @@ def analysis(outcome: Analysis) -> str:
         pin = max(forces, key=lambda name: forces[name])
         words.append(f"the largest joint reaction is {si(forces[pin], 'N')} at {pin.replace('.', ' on ')}")
     if not words:
-        words = [
-            f"the stroke of {name} is {si(travel.high - travel.low, 'm')}" for name, travel in list(outcome.strokes.items())[:2]
-        ]
-        words = words or [
-            f"the swing of {name} is {si(travel.high - travel.low, 'rad')}" for name, travel in list(outcome.swings.items())[:2]
-        ]
+        word, unit, travels = ("stroke", "m", outcome.strokes) if outcome.strokes else ("swing", "rad", outcome.swings)
+        words = [f"the {word} of {name} is {si(travel.span, unit)}" for name, travel in list(travels.items())[:2]]
     text = joined(words) if words else "the motion was computed"
     if not outcome.sound:
         text = f"not every position has finite reactions ({outcome.status}); {text}"
@@ -162,9 +156,8 @@ def simulation(figures: Mapping[str, float], finished: bool, message: str) -> st
     """Return the conclusion of a simulation in time; the message says why it ended."""
     speed, time = figures["end.speed_rad_s"] * 30.0 / math.pi, figures["end.time_s"]
     turns = figures["end.crank_angle_rad"] / (2.0 * math.pi)
-    text = (
-        f"After {figure(time, 's')} the crank turns at {figure(speed, 'rpm')}, {figure(turns)} revolutions from its zero position"
-    )
+    text = f"After {figure(time, 's')} the crank turns at {figure(speed, 'rpm')}, "
+    text += f"{figure(turns)} revolutions from its zero position"
     if "last_turn.fluctuation" in figures:
         last = "cycle" if "last_turn.revolutions" in figures else "revolution"
         text += f"; its speed fluctuates by {100.0 * figures['last_turn.fluctuation']:z.2f} % in the last {last}"
@@ -199,11 +192,9 @@ def comparison(result: Comparison) -> str:
     if best == "none":
         rms = si(finished[best].mean, result.unit)
         return f"Best without control: root mean square deviation {rms}; every controller that completed increases it.{tail}"
-    less = (
-        f", {100.0 * (1.0 - finished[best].mean / finished['none'].mean):z.1f} % less than without control"
-        if "none" in finished
-        else ""
-    )
+    less = ""
+    if "none" in finished:
+        less = f", {100.0 * (1.0 - finished[best].mean / finished['none'].mean):z.1f} % less than without control"
     rms, peak = (si(value, result.unit) for value in (finished[best].mean, float(np.max(finished[best].peak))))
     return f"The best control is {best}: root mean square deviation {rms}{less}; peak {peak}.{tail}"
 
@@ -238,11 +229,10 @@ def sweep(result: Sweep) -> str:
     where = [f"{axis.key} = {figure(float(result.best[axis.column]), axis.unit)}" for axis in result.grid.axes]
     value = figure(float(result.best[name]), unit.replace("2", "²"))
     extreme = "largest" if result.problem.model.objective_display[0] < 0.0 else "least"
-    text = (
-        f"The objective is {extreme}, {value}, at {joined(where)}; {result.valid:,} of {total:,} points have a verified design."
-    )
+    verified = f"{result.valid:,} of {total:,} points have a verified design"
     active = str(result.best.get("active", ""))
-    return text + (f" Active limits of the best: {active}." if active else "")
+    limits = f" Active limits of the best: {active}." if active else ""
+    return f"The objective is {extreme}, {value}, at {joined(where)}; {verified}.{limits}"
 
 
 def pareto(result: Pareto) -> str:

@@ -22,7 +22,7 @@ from optlink.report.chart_spec import Array, Axis, Band, ChartSpec, Curve, Line,
 from optlink.report.drawing import Sketch, merged_positions
 from optlink.report.format import dimension
 from optlink.report.labels import place_labels
-from optlink.report.style import LIMIT, MUTED, RESULT, ROCKER, TARGET, figure, figure as new_figure, heading, panels, styled
+from optlink.report.style import LIMIT, MUTED, RESULT, ROCKER, TARGET, figure, heading, panels, styled
 from optlink.report.view import View
 from optlink.report.views.certificate_view import certificate_charts
 from optlink.report.views.path_view import with_verdict
@@ -98,7 +98,7 @@ def mechanism(result: FunctionResult) -> Figure | None:
         psi = math.degrees(float(position.body_angle("rocker").value[0]))
         axes.set_title(f"{name}\nφ {math.degrees(phi) % 360.0:z.2f}°   ψ {psi:z.2f}°   γ {gamma:z.2f}°", fontsize=9.5)
     lengths = "   ".join(f"{name} {value * sketch.scale.factor:z.3f}" for name, value in result.sizes.items())
-    titles = marked(result.problem.spec.title, result.valid, result.validation.checks, result.status.text, result.refuted)
+    titles = marked(result.problem.spec.title, result, result.refuted)
     lines = [heading(line, 3.9 * columns) for line in (*titles, f"{lengths} {sketch.scale.unit}")]
     fig.suptitle("\n".join(lines), fontsize=11, color=None if result.valid else LIMIT)
     place_labels(fig, letters)
@@ -185,8 +185,12 @@ def transmission(result: FunctionResult) -> list[ChartSpec]:
             spans.append(Span(low, high, "" if spans else "span of the requirement", RESULT, 0.08))
     traces = [Curve(crank, gamma, "transmission angle γ", RESULT, 1.9, gid="transmission")]
     lines = []
-    for bound, low in transmission_limits(result):
-        name = f"{'at least' if low else 'at most'} {bound:.5g}°"
+    limit = problem.limits.transmission_at()
+    for words, end in () if limit is None else (("at least", limit.low), ("at most", limit.high)):
+        if end is None:
+            continue
+        bound = math.degrees(end)
+        name = f"{words} {bound:.5g}°"
         if problem.limits.transmission_range == "revolution":
             lines.append(Line(bound, name, LIMIT, 1.3))
         else:
@@ -198,13 +202,6 @@ def transmission(result: FunctionResult) -> list[ChartSpec]:
     x = crank_angle(clockwise=_clockwise(result), limits=(float(crank[0]), float(crank[-1])))
     shown = Panel(Axis("γ [deg]"), traces, 1.4, lines, marks)
     return [ChartSpec("transmission", "Transmission angle", [shown], x, f"{problem.title}: transmission angle", spans=spans)]
-
-
-def transmission_limits(result: FunctionResult) -> list[tuple[float, bool]]:
-    """Return the limits of the transmission angle [deg], each with whether it is the lower one."""
-    limit = result.problem.spec.limits.transmission_at()
-    bounds = () if limit is None else (limit.low, limit.high)
-    return [(math.degrees(bound), k == 0) for k, bound in enumerate(bounds) if bound is not None]
 
 
 # --- animation -------------------------------------------------------------------------------------------------------
@@ -230,7 +227,7 @@ def frames(result: FunctionResult, count: int = 90) -> list[Image.Image]:
     at = (np.degrees(steps) - crank[0]) % 360.0 + crank[0] if full else np.degrees(steps)
 
     traces = [Curve(crank, psi, "", ROCKER)]
-    x = Axis("crank angle φ [deg]", (float(crank[0]), float(crank[-1])), step=60.0)
+    x = crank_angle(limits=(float(crank[0]), float(crank[-1])))
     strip = ChartSpec("", "", [Panel(Axis("rocker angle ψ [deg]"), traces)], x)
 
     def required(axes: Axes) -> None:
@@ -241,7 +238,7 @@ def frames(result: FunctionResult, count: int = 90) -> list[Image.Image]:
         axes.add_patch(Arc((0.0, 0.0), size, size, color=MUTED, linewidth=1.3, **ends))
 
     marks = np.stack([at, np.interp(at, crank, psi)], axis=-1)
-    titles = marked(result.problem.spec.title, result.valid, result.validation.checks, result.status.text, result.refuted)
+    titles = marked(result.problem.spec.title, result, result.refuted)
     return film(sketch, _moved(result, steps), strip, marks, titles, more=required)
 
 
@@ -260,13 +257,9 @@ def function_chart(function: Function, offsets: Array, error: Array, title: str,
         Curve(x, target, "target", TARGET, 1.4, "dash", gid="target y"),
         Curve(x, target - deviation, "generated", RESULT, 1.8, gid="generated y"),
     ]
-    mark = Mark(
-        float(x[worst]),
-        float(deviation[worst]),
-        f"largest {deviation[worst]:+.3g}".replace("-", "−"),
-        size=1.0,
-        prefer=(0.0, np.sign(deviation[worst])),
-    )
+    most = float(deviation[worst])
+    words = f"largest {most:+.3g}".replace("-", "−")
+    mark = Mark(float(x[worst]), most, words, size=1.0, prefer=(0.0, np.sign(most)))
     below = Panel(Axis("target minus generated"), [Curve(x, deviation, "", LIMIT, 1.5, gid="error in y")], marks=[mark])
     panels = [Panel(Axis("y"), above, 1.7), below]
     return ChartSpec("function", "Function y(x)", panels, Axis("x"), title, cursor=False, warning=warning)
@@ -299,8 +292,8 @@ def objective_map(result: FunctionResult) -> Figure | None:
             value = np.broadcast_to(np.asarray(row.value, dtype=float), x.shape)
             slacks.append(np.fmin(value - row.low, row.high - value))
         least = np.min(slacks or [np.ones_like(x)], axis=0)
-    figure = new_figure(7.0, 5.8)
-    axes = figure.subplots()
+    fig = figure(7.0, 5.8)
+    axes = fig.subplots()
     scale_x, scale_y = (1e3 if name in LENGTHS else math.degrees(1.0) for name in problem.free)
     shown = np.where(np.isfinite(objective) & (objective > 0.0), objective, np.nan)
     furthest = math.pi if result.unit == "rad" else len(problem.law.offsets) * math.pi**2
@@ -326,18 +319,14 @@ def objective_map(result: FunctionResult) -> Figure | None:
     axes.set(**dict(zip(("xlabel", "ylabel"), names, strict=True)))
     axes.grid(False)
     axes.legend(frameon=True, framealpha=0.9, fontsize=8.5, loc="upper right")
-    bar = figure.colorbar(filled, ax=axes, pad=0.02)
+    bar = fig.colorbar(filled, ax=axes, pad=0.02)
     ticks = [t for t in range(math.floor(np.log10(low)), math.ceil(np.log10(high)) + 1) if np.log10(low) <= t <= np.log10(high)]
     bar.set_ticks(ticks, labels=[f"10{str(t).translate(SUPERSCRIPTS)}" for t in ticks])
     bar.set_label(f"{result.measure} [{unit_of(result)}]")
-    place = ", ".join(
-        f"{name} {dimension(value)} {problem.display(name)[1]}" for name, value in zip(problem.free, at, strict=True)
-    )
-    words = (
-        f"{problem.title}: {result.measure} {problem.shown_objective(result.objective).value:.6g} {unit_of(result)} at {place}"
-    )
-    axes.set_title(heading(words, 6.8, 10.5), fontsize=10.5)
-    return figure
+    place = (f"{name} {dimension(value)} {problem.display(name)[1]}" for name, value in zip(problem.free, at, strict=True))
+    reached = f"{result.measure} {problem.shown_objective(result.objective).value:.6g} {unit_of(result)}"
+    axes.set_title(heading(f"{problem.title}: {reached} at {', '.join(place)}", 6.8, 10.5), fontsize=10.5)
+    return fig
 
 
 def _iterations(axes: Axes, result: FunctionResult, scale_x: float, scale_y: float) -> None:

@@ -146,11 +146,11 @@ class MagnifiedMachine(Sketch):
             artists.append(Line2D(*np.array([journal, end]).T, color=self._colour(gap.journal), linewidth=line, zorder=4.2))
         return artists
 
-    def letters(self, axes: Axes, motion: Motion, k: int = 0) -> list[Label]:
+    def letters(self, axes: Axes, motion: Motion) -> list[Label]:
         """Return the labels of all points, clear of the bearing rings; the axes must have their final size."""
         play = max(gap.clearance for gap in self.gaps.values()) * self.scale.factor
         ring = in_points(axes, self.radius + self.factor * play)
-        return [replace(label, clear=ring) if label.text in self.gaps else label for label in super().letters(axes, motion, k)]
+        return [replace(label, clear=ring) if label.text in self.gaps else label for label in super().letters(axes, motion)]
 
     # --- close-ups ---------------------------------------------------------------------------------------------------------
 
@@ -161,10 +161,9 @@ class MagnifiedMachine(Sketch):
         """
         self.close_up = axes
         for i, gap in enumerate(self.gaps.values()):
-            self.middles[gap.point] = middle = np.array(
-                [CLOSE_UP_WIDTH * (i % columns), -(CLOSE_UP_WIDTH + CAPTION_HEIGHT) * (i // columns)]
-            )
-            share = self._share(gap)
+            row, column = divmod(i, columns)
+            middle, share = np.array([CLOSE_UP_WIDTH * column, -(CLOSE_UP_WIDTH + CAPTION_HEIGHT) * row]), self._share(gap)
+            self.middles[gap.point] = middle
             axes.add_patch(_circle(middle, 1.0, "white", self._colour(gap.bearing), 3.0, 2.0, f"bearing {gap.point}"))
             last = self.turns.rows(1)
             x, y = (self.turns.result[f"{gap.point}.e{axis}_m"][last] / gap.clearance * share for axis in "xy")

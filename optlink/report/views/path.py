@@ -164,7 +164,7 @@ def frames(result: PathResult, count: int = FRAMES) -> list[Image.Image]:
     view = best(result)
     if view is None:
         return []
-    titles = marked(view.task.title, view.design.valid, view.design.validation.checks, view.design.status.text, view.refuted)
+    titles = marked(view.task.title, view.design, view.refuted)
     steps = view.begin + view.direction * np.linspace(0.0, TURN, count, endpoint=False)
     if view.task.requirement.kind == "function" or (view.task.pointed and not view.design.crank_turns):
         steps = there_and_back(view.begin, view.end, count)

@@ -10,7 +10,7 @@ from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.file import ProblemFile
 from optlink.problem.path import MARK
-from optlink.report.causes import mark, why_invalid
+from optlink.report.causes import marked, why_invalid
 from optlink.report.drawing import Sketch
 from optlink.report.files import verdict
 from optlink.report.format import round_below
@@ -290,12 +290,10 @@ def wrapped(items: Sequence[str], width: float, gap: str, size: float = TITLE) -
 
 def title_of(view: PathView, width: float, title: str, *more: str) -> str:
     """Compose a title with further lines below it, without empty ones; an invalid design is marked as not valid."""
-    text = [heading(title, width, TITLE)]
-    if not view.design.valid:
-        text.append(heading(mark(view.design.validation.checks, view.design.status.text, view.refuted), width, TITLE))
-    elif view.design.fit is not None and view.design.fit.grade == "poor":
-        text.append(heading(view.design.fit.text.capitalize(), width, TITLE))
-    return "\n".join([*text, *filter(None, more)])
+    lines, fit = marked(title, view.design, view.refuted), view.design.fit
+    if view.design.valid and fit is not None and fit.grade == "poor":
+        lines.append(fit.text.capitalize())
+    return "\n".join([*(heading(line, width, TITLE) for line in lines), *filter(None, more)])
 
 
 def mechanism_title(view: PathView, width: float) -> str:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.clearance.joint import Gap
-from optlink.report.chart_spec import CRANK_ANGLE, Array, Axis, Curve, Line, Span
+from optlink.report.chart_spec import Array, Axis, Curve, Line, Span, crank_angle
 from optlink.report.format import round_below
 from optlink.report.style import MUTED, RESULT, SHADE, Scale, scale
 from optlink.tasks.results.clearance import ClearanceSimulation
@@ -151,8 +151,7 @@ class RevolutionCurves:
     @property
     def crank_axis(self) -> Axis:
         """Axis of the crank angle within a revolution, with time increasing to the right."""
-        name = CRANK_ANGLE + ("" if self.direction > 0.0 else ", clockwise to the right")
-        return Axis(name, (0.0, FULL), reversed=self.direction < 0.0, step=60.0)
+        return crank_angle(clockwise=self.direction < 0.0, limits=(0.0, FULL))
 
     def overlay(self, values: Array, unit: Scale, name: str, colour: str = RESULT, advance: float = 0.0) -> list[Curve]:
         """Return every revolution after the running-in as a thin curve and the last one as a bold curve, of values (n,) [SI]."""
