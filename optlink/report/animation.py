@@ -9,7 +9,7 @@ from matplotlib.lines import Line2D
 from PIL import Image
 
 from optlink.linkage.motion import Motion
-from optlink.linkage.vector2d import Array
+from optlink.linkage.vector2d import TURN, Array
 from optlink.report.chart_mpl import draw_into
 from optlink.report.chart_spec import ChartSpec
 from optlink.report.drawing import Sketch
@@ -72,4 +72,4 @@ def film(
 def there_and_back(low: float, high: float, count: int) -> Array:
     """Return crank angles [rad] that swing smoothly through a range and back."""
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
-    return np.asarray(middle - half * np.cos(np.linspace(0.0, 2.0 * np.pi, count, endpoint=False)))
+    return np.asarray(middle - half * np.cos(np.linspace(0.0, TURN, count, endpoint=False)))

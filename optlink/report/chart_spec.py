@@ -326,6 +326,11 @@ def _ends(trace: Trace) -> list[float]:
     return [float(np.min(finite_values)), float(np.max(finite_values))] if finite_values.size else []
 
 
+def max_abs(values: Array) -> float:
+    """Return the largest absolute value that is finite; 0 if there is none."""
+    return float(np.max(np.abs(values), initial=0.0, where=np.isfinite(values)))
+
+
 def cells(places: Array, *, log: bool = False) -> Array:
     """Return the cell borders (n + 1,) around rising places (n,) of a heat map, on a logarithmic axis if `log`."""
     centres = np.log(places) if log else np.asarray(places, dtype=float)

@@ -44,7 +44,7 @@ class Sketch:
         self.names = list(self.mechanism.owners)
         self.points = np.array([motion.position(name) for name in self.names])  # m, (points, positions, 2)
         self.near = self._in_sight()
-        extent = max(float(np.max(spread(finite(self.points[:, self.near])))), 1e-30)
+        extent = max(np.max(spread(finite(self.points[:, self.near]))), 1e-30)
         self.scale: Scale = scale(extent, "m")
         self.size = share * extent * self.scale.factor
         bodies = [body for body in self.mechanism.bodies if body != self.mechanism.crank.body]
@@ -192,8 +192,8 @@ class Sketch:
     def limits(self) -> tuple[tuple[float, float], tuple[float, float]]:
         """Limits of x and y with a margin; the aspect ratio is limited."""
         size = self.high - self.low
-        room = 0.07 * float(np.max(size))
-        widths = np.maximum(size + 2.0 * room, 0.22 * float(np.max(size)))
+        room = 0.07 * np.max(size)
+        widths = np.maximum(size + 2.0 * room, 0.22 * np.max(size))
         middle = 0.5 * (self.low + self.high)
         (x0, y0), (x1, y1) = middle - 0.5 * widths, middle + 0.5 * widths
         return (float(x0), float(x1)), (float(y0), float(y1))
@@ -270,7 +270,7 @@ class Sketch:
         for body, centroid in self.centroids.items():
             at = self.placed(motion, body, centroid)[k, 0]
             points = finite(np.array([self.position(motion, name)[k] for name in self.names]))
-            if np.all(np.isfinite(at)) and float(np.min(np.linalg.norm(points - at, axis=1))) > 0.4 * self.size:
+            if np.all(np.isfinite(at)) and np.min(np.linalg.norm(points - at, axis=1)) > 0.4 * self.size:
                 for artist in _centroid(self.colours[body]):
                     artist.set(xdata=[at[0]], ydata=[at[1]], zorder=3.6, gid=f"centroid {body}")
                     yield artist
@@ -312,10 +312,10 @@ class Sketch:
         `longest` is the length of the arrow of the fastest point, in the display unit.
         """
         speeds = {name: motion.velocity(name)[0] for name in names}
-        top = max((float(np.linalg.norm(v)) for v in speeds.values() if np.all(np.isfinite(v))), default=0.0)
+        top = max((np.linalg.norm(v) for v in speeds.values() if np.all(np.isfinite(v))), default=0.0)
         arrows = {}
         for name, v in speeds.items():
-            if np.all(np.isfinite(v)) and float(np.linalg.norm(v)) > 0.01 * top:
+            if np.all(np.isfinite(v)) and np.linalg.norm(v) > 0.01 * top:
                 at = self.position(motion, name)[0]
                 arrows[name] = (at, at + v * longest / top)
         return arrows

@@ -14,6 +14,7 @@ from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import quantity_key
 from optlink.problem.limits import Limits
 from optlink.problem.path import PathProblem
+from optlink.report.chart_spec import max_abs
 from optlink.report.format import price_step
 from optlink.report.style import scale
 from optlink.studio.design import Design
@@ -169,5 +170,5 @@ def _forces(design: Design, picture: Picture) -> Iterator[dict[str, Any]]:
 
 def _rounded(values: Array) -> Any:
     """Return numbers as lists, with as many digits as a drawing can show."""
-    largest = float(np.max(np.abs(values), initial=0.0, where=np.isfinite(values)))
+    largest = max_abs(values)
     return np.round(values, max(0, DIGITS - 1 - math.floor(math.log10(largest))) if largest > 0.0 else 0).tolist()

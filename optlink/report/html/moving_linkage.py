@@ -11,6 +11,7 @@ from optlink.dynamics.columns import MotionColumns
 from optlink.dynamics.machine import slider_names
 from optlink.io import finite
 from optlink.linkage.vector2d import Array
+from optlink.report.chart_spec import max_abs
 from optlink.report.export.svg import svg
 from optlink.report.format import pretty
 from optlink.report.scene import Scene, scene
@@ -127,6 +128,6 @@ def readouts(cycle: Analysis, angles: Array) -> list[Readout]:
     result = []
     for column, label, unit in columns:
         values = record[column]
-        shown = scale(float(np.max(np.abs(values), initial=0.0, where=np.isfinite(values))), unit)
+        shown = scale(max_abs(values), unit)
         result.append(Readout(label, shown.unit, finite(np.round(values * shown.factor, 4))))
     return result

@@ -69,13 +69,13 @@ def mechanism(cycle: CycleCurves) -> Figure:
     angles = positions(cycle)
     motions = {name: sweep(machine.mechanism, machine.sizes, np.array([at]), result.speed) for name, at in angles.items()}
     moving = [point for point, bodies in machine.mechanism.owners.items() if FRAME not in bodies]
-    speeds = {name: max(float(np.linalg.norm(motion.velocity(point)[0])) for point in moving) for name, motion in motions.items()}
+    speeds = {name: max(np.linalg.norm(motion.velocity(point)[0]) for point in moving) for name, motion in motions.items()}
     # show velocities at the largest torque or, if some are unbounded, where they are smallest
     slow = {name: speed for name, speed in speeds.items() if math.isfinite(speed)}
     chosen = next((name for name in angles if "largest torque" in name), next(iter(angles)))
     if slow and not cycle.steady:
         chosen = min(slow, key=lambda name: slow[name])
-    longest = 0.2 * float(np.max(sketch.high - sketch.low))
+    longest = 0.2 * np.max(sketch.high - sketch.low)
     drawn_arrows = sketch.arrows(motions[chosen], moving, longest)
     sketch.widen(np.array([end for _, end in drawn_arrows.values()]).reshape(-1, 2))
     count = len(angles) + bool(drawn_arrows)
@@ -116,7 +116,7 @@ def _scale_arrow(axes: Axes, top: float, longest: float) -> None:
     x, y = axes.transData.inverted().transform((right, low - 27.0 / 72.0 * drawn.dpi))
     length = longest * shown / (top * unit.factor)
     _arrow(axes, np.array([x - length, y]), np.array([x, y]), gid="scale").set_clip_on(False)
-    room = 0.015 * float(np.ptp(axes.get_xlim()))
+    room = 0.015 * np.ptp(axes.get_xlim())
     axes.text(x - length - room, y, f"{shown:g} {unit.unit}", ha="right", va="center", fontsize=8.5, in_layout=False)
 
 

@@ -13,7 +13,7 @@ from optlink.dynamics.strokes import last_output
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.stroke import Travel
 from optlink.linkage.vector2d import TURN, Array
-from optlink.report.chart_spec import Axis, ChartSpec, Curve, Dash, Line, Mark, Panel, Span, crank_angle
+from optlink.report.chart_spec import Axis, ChartSpec, Curve, Dash, Line, Mark, Panel, Span, crank_angle, max_abs
 from optlink.report.style import BODIES, CRANK, LIMIT, MUTED, RESULT, TARGET, Scale, degrees, scale
 from optlink.report.views.analysis_curves import ROUNDING, CycleCurves
 from optlink.tasks.results.extremes import Extreme
@@ -233,7 +233,7 @@ def together(columns: Mapping[str, Array], names: Mapping[str, str]) -> dict[str
     merged: dict[str, str] = {}
     for label, name in names.items():
         values = columns[name]
-        least = ROUNDING * float(np.max(np.abs(values), initial=0.0, where=np.isfinite(values)))
+        least = ROUNDING * max_abs(values)
         same = next((k for k, v in merged.items() if np.allclose(columns[v], values, ROUNDING, least, equal_nan=True)), None)
         if same is None:
             merged[label] = name

@@ -77,7 +77,7 @@ def reactions(cycle: CycleCurves) -> list[ChartSpec]:
         amount = "without bound" if name in cycle.result.unbounded else amount
         traces += curves(cycle, name, unit, f"{label}:  {amount}" if amount else label, colour, *look(k, len(shown)))
     y_axis = axis(cycle, f"amount of force [{unit.unit}]", traces)
-    high = y_axis.limits[1] if y_axis.limits else 1.06 * max(float(np.nanmax(trace.y)) for trace in traces)
+    high = y_axis.limits[1] if y_axis.limits else 1.06 * max(np.nanmax(trace.y) for trace in traces)
     every = Panel(Axis(y_axis.name, (0.0, high)), traces, 1.7)
     return [
         pivot_chart,
@@ -136,7 +136,7 @@ def _sense(xs: Array, ys: Array, occupied: Sequence[tuple[float, float]]) -> lis
     if lengths[k][-1] <= 0.0:
         return []
     places = np.searchsorted(lengths[k], np.linspace(0.2, 0.8, 13) * lengths[k][-1])
-    free = [float(np.min(np.linalg.norm(np.array(occupied) - paths[k][place], axis=1))) for place in places]
+    free = [np.min(np.linalg.norm(np.array(occupied) - paths[k][place], axis=1)) for place in places]
     p, q = (paths[k][places[int(np.argmax(free))] + i] for i in (0, 1))
     angle = math.degrees(math.atan2(q[1] - p[1], q[0] - p[0])) - 90.0
     return [Mark(float(p[0]), float(p[1]), "", RESULT, "triangle", 8.0, angle=angle)]

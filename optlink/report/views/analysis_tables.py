@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from optlink.dynamics.machine import Machine
 from optlink.dynamics.strokes import StrokeLoad, acting_loads, named_travels, travels_by_use, use_of, working_stroke
 from optlink.linkage.stroke import Travel
-from optlink.linkage.vector2d import Array
+from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.file import ProblemFile
 from optlink.problem.mechanism import DyadsSection
 from optlink.report.format import dimension, fixed, number
@@ -236,7 +236,7 @@ def simulation(outcome: Simulation) -> Summary:
 
 def simulation_parts(figures: Mapping[str, float], columns: Mapping[str, Array], steps: int, evaluations: int) -> list[Part]:
     """Return the tables of a simulation in time [SI], as computed or as stored."""
-    speed, turns = figures["end.speed_rad_s"], figures["end.crank_angle_rad"] / (2.0 * math.pi)
+    speed, turns = figures["end.speed_rad_s"], figures["end.crank_angle_rad"] / TURN
     end = [
         ("time", number(figures["end.time_s"]), "s"),
         ("crank angle", number(figures["end.crank_angle_rad"]), f"rad ({turns:z.4f} turns)"),

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from optlink.linkage.motion import sweep
-from optlink.linkage.vector2d import Array
+from optlink.linkage.vector2d import TURN, Array
 from optlink.report.drawing import Sketch
 from optlink.report.labels import Label, in_points, lay_out, place_labels
 from optlink.report.style import figure, heading, scale, styled
@@ -29,7 +29,7 @@ def mechanism(result: Balance) -> Figure | None:
         corners = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]]) * size
         sketch.widen((path[:, None, :] + corners).reshape(-1, 2))
     start = result.problem.model.drive.start.value
-    turn = math.copysign(2.0 * math.pi, result.speed)
+    turn = math.copysign(TURN, result.speed)
     full = len(result.angles) == (result.problem.model.balance.positions if result.problem.model.balance else 0)
     places = [start, start + 0.5 * turn] if full else [float(result.angles[0]), float(result.angles[-1])]
     panel = 5.2

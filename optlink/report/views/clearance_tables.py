@@ -51,7 +51,7 @@ def _error(outcome: ClearanceSimulation) -> TableSpec:
     ]
     rms = outcome.per_revolution[f"rms_{unit}"][-counted:]
     if len(rms) > 1:
-        rows.append(("scatter between revolutions", f"{float(np.std(rms)) * factor:.2g}", displayed))
+        rows.append(("scatter between revolutions", f"{np.std(rms) * factor:.2g}", displayed))
     return table(f"Deviation of {outcome.output.name} from the machine without clearance, {span}", "<><", rows)
 
 
@@ -108,8 +108,8 @@ def comparison(outcome: Comparison) -> Summary:
     rows: list[Row] = []
     for kind, trials in outcome.trials.items():
         gain = math.nan if kind == "none" or "none" not in outcome.trials else outcome.gain(kind)
-        effort, torque = math.degrees(float(np.mean(trials.correction))), float(np.mean(trials.torque))
-        sizes = [fixed(value * factor, 4) for value in (trials.mean, trials.scatter, float(np.max(trials.peak)))]
+        effort, torque = math.degrees(np.mean(trials.correction)), float(np.mean(trials.torque))
+        sizes = [fixed(value * factor, 4) for value in (trials.mean, trials.scatter, np.max(trials.peak))]
         row = [kind, *sizes, percent(gain) if math.isfinite(gain) else "", fixed(effort, 3), fixed(torque, 3)]
         rows.append([*row] if trials.finished else [bad(cell) for cell in row])
         if trials.stalled:

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
+from optlink.linkage.vector2d import TURN
 from optlink.optimization.objectives import MEASURES
 from optlink.problem.cycle.model import REQUIRED, StrokeProblem
 from optlink.report.causes import why_invalid
@@ -77,11 +78,11 @@ def _path(best: PathDesign) -> str:
         text = "The linkage meets every prescribed position exactly"
     elif unit == "m":
         text = f"The linkage passes the {len(measured.distances)} prescribed points within {si(most, 'm')}"
-        text += f" (root mean square {si(math.sqrt(float(np.mean(measured.distances**2))), 'm')})"
+        text += f" (root mean square {si(math.sqrt(np.mean(measured.distances**2)), 'm')})"
     else:
         text = f"The output follows the prescribed function within {si(most, unit)}"
     if measured.turned is not None and not exact:
-        text += f" and {si(float(np.max(np.abs(measured.turned))), 'rad')}"
+        text += f" and {si(np.max(np.abs(measured.turned)), 'rad')}"
     if isinstance(best.fit, PathFit) and best.fit.grade != best.fit.at_points:
         text += f", but deviates by {si(best.fit.excursion, 'm')} between {best.fit.segment}"
     return f"{text}; {grip}." if grip else f"{text}."
@@ -155,7 +156,7 @@ def analysis(outcome: Analysis) -> str:
 def simulation(figures: Mapping[str, float], finished: bool, message: str) -> str:
     """Return the conclusion of a simulation in time; the message says why it ended."""
     speed, time = figures["end.speed_rad_s"] * 30.0 / math.pi, figures["end.time_s"]
-    turns = figures["end.crank_angle_rad"] / (2.0 * math.pi)
+    turns = figures["end.crank_angle_rad"] / TURN
     text = f"After {figure(time, 's')} the crank turns at {figure(speed, 'rpm')}, "
     text += f"{figure(turns)} revolutions from its zero position"
     if "last_turn.fluctuation" in figures:
@@ -174,7 +175,7 @@ def clearance(result: ClearanceSimulation) -> str:
     text = f"Joint clearance makes the {result.output.name} deviate by {si(figures[f'rms_{unit}'], unit)} (root mean square), "
     text += f"at most {si(figures[f'peak_{unit}'], unit)}"
     counted = int(figures["settled_revolutions"])
-    last = {gap.point: float(np.max(result.per_revolution[f"{gap.point}.normal_max_N"][-counted:])) for gap in result.gaps}
+    last = {gap.point: np.max(result.per_revolution[f"{gap.point}.normal_max_N"][-counted:]) for gap in result.gaps}
     point = max(last, key=lambda name: last[name])
     first = max(figures[f"{gap.point}.normal_max_N"] for gap in result.gaps)
     text += f"; the contact force reaches {si(last[point], 'N')} at {point}"
@@ -195,7 +196,7 @@ def comparison(result: Comparison) -> str:
     less = ""
     if "none" in finished:
         less = f", {100.0 * (1.0 - finished[best].mean / finished['none'].mean):z.1f} % less than without control"
-    rms, peak = (si(value, result.unit) for value in (finished[best].mean, float(np.max(finished[best].peak))))
+    rms, peak = (si(value, result.unit) for value in (finished[best].mean, np.max(finished[best].peak)))
     return f"The best control is {best}: root mean square deviation {rms}{less}; peak {peak}.{tail}"
 
 
@@ -258,7 +259,7 @@ def pareto(result: Pareto) -> str:
 def tolerance(record: ToleranceRecord) -> str:
     """Return the conclusion of a tolerance analysis: yield or worst case, and the tolerance with the largest share."""
     k, unit, sampled = record.scale, record.display_unit, record.monte_carlo
-    worst = float(np.max(np.maximum(-record.linear.worst_low, record.linear.worst_high)))
+    worst = np.max(np.maximum(-record.linear.worst_low, record.linear.worst_high))
     part = max(record.tolerances, key=lambda part_tolerance: float(part_tolerance.contribution_percent[record.where]))
     most = f"{part.name} contributes {float(part.contribution_percent[record.where]):.3g} % of the variance"
     if sampled is not None and math.isfinite(sampled.share):

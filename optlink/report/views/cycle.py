@@ -89,13 +89,13 @@ def charts(result: CycleResult) -> list[ChartSpec]:
 
 def _panel(result: CycleResult, term: Term, cycles: dict[str, Cycle], limits: tuple[float | None, float | None]) -> Panel:
     lines = {name: _line(cycle, term) for name, cycle in cycles.items()}
-    shown = scale(max(float(np.nanmax(np.abs(line.values))) for line in lines.values()), _unit(result.task.kind(term)))
+    shown = scale(max(np.nanmax(np.abs(line.values)) for line in lines.values()), _unit(result.task.kind(term)))
     styles = {"initial": (INITIAL, 1.3), "result": (RESULT, 1.8)}
     curves = [
         Curve(line.angles, line.values * shown.factor, f"{name}: {term.how} {shown.text(line.figure)}", *styles[name], gid=name)
         for name, line in lines.items()
     ]
-    low = min(float(np.nanmin(line.values)) for line in lines.values())
+    low = min(np.nanmin(line.values) for line in lines.values())
     return Panel(Axis(f"{_named(term)} [{shown.unit}]"), curves, lines=list(_limits(term, limits, shown, low)))
 
 

@@ -49,10 +49,10 @@ def _range(result: FunctionResult) -> Array:
     """Return rising crank angles [rad] of a revolution from the starting angle, or of the reachable range that contains it."""
     start = _start(result)
     for low, high in reachable(*lengths_of(result.sizes)):
-        if high - low > 2.0 * np.pi - 1e-9:
+        if high - low > TURN - 1e-9:
             begin = (start if math.isfinite(start) else 0.0) - (TURN if _clockwise(result) else 0.0)
             return np.linspace(begin, begin + TURN, 721)
-        for turn in (-2.0 * np.pi, 0.0, 2.0 * np.pi):
+        for turn in (-TURN, 0.0, TURN):
             if math.isfinite(start) and low + turn - 1e-9 <= start <= high + turn + 1e-9:
                 return np.linspace(low + turn + 1e-6, high + turn - 1e-6, 721)
     return np.array([])
@@ -69,7 +69,7 @@ def positions(result: FunctionResult) -> dict[str, float]:
     """Return the characteristic crank angles [rad] by name: start and end of the span, dead centres, transmission extremes."""
     problem, sizes = result.problem.spec, result.sizes
     angles: dict[str, float] = {"start": result.design["phi0"], "end of the span": result.design["phi0"] + problem.span}
-    whole_turn = [(low, high) for low, high in reachable(*lengths_of(sizes)) if high - low > 2.0 * np.pi - 1e-9]
+    whole_turn = [(low, high) for low, high in reachable(*lengths_of(sizes)) if high - low > TURN - 1e-9]
     if whole_turn:
         for name, outer in (("outer dead centre", True), ("inner dead centre", False)):
             limit = dead_centre(*lengths_of(sizes), problem.side, outer=outer)
@@ -216,12 +216,12 @@ def frames(result: FunctionResult, count: int = 90) -> list[Image.Image]:
     angles = _range(result)
     if angles.size == 0:
         return []
-    full = angles[-1] - angles[0] > 2.0 * np.pi - 1e-6
+    full = angles[-1] - angles[0] > TURN - 1e-6
     motion = _moved(result, angles)
     sketch = Sketch(motion)
     begin, span = result.design["phi0"], result.problem.spec.span
     known = math.isfinite(begin)  # no start: a linkage without the dead centre at which the law begins
-    once = (begin if known else 0.0) + np.linspace(0.0, 2.0 * np.pi, count, endpoint=False)
+    once = (begin if known else 0.0) + np.linspace(0.0, TURN, count, endpoint=False)
     steps = once if full else there_and_back(float(angles[0]), float(angles[-1]), count)
     psi, crank = np.degrees(np.asarray(motion.body_angle("rocker").value)), np.degrees(angles)
     at = (np.degrees(steps) - crank[0]) % 360.0 + crank[0] if full else np.degrees(steps)
@@ -301,7 +301,7 @@ def objective_map(result: FunctionResult) -> Figure | None:
     shown = np.minimum(shown, furthest) * problem.objective_display[0]
     if not np.any(np.isfinite(shown)):
         return None
-    low, high = max(float(np.nanmin(shown)), 1e-12), float(np.nanmax(shown))
+    low, high = max(np.nanmin(shown), 1e-12), np.nanmax(shown)
     levels, height = np.log10(np.geomspace(low * 1.0001, high, 22)), np.log10(shown)
     x, y = x * scale_x, y * scale_y
     filled = axes.contourf(x, y, height, levels=levels, cmap="Blues_r", alpha=0.9)

@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 from optlink.clearance.joint import Gap
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.motion import Motion, sweep
-from optlink.linkage.vector2d import Array
+from optlink.linkage.vector2d import TURN, Array
 from optlink.report.animation import STACKED_RATIO
 from optlink.report.chart_mpl import FONT, TITLE
+from optlink.report.chart_spec import max_abs
 from optlink.report.drawing import Sketch
 from optlink.report.format import round_below
 from optlink.report.labels import Label, in_points, lay_out, place_labels
@@ -47,7 +48,7 @@ class MagnifiedMachine(Sketch):
     def __init__(self, turns: RevolutionCurves, rows: NDArray[np.intp]) -> None:
         result = turns.result
         machine, speed = result.machine, result.speed
-        turn = np.radians(turns.angle[rows[-1]]) + np.linspace(0.0, 2.0 * math.pi, TRACE_POSITIONS)
+        turn = np.radians(turns.angle[rows[-1]]) + np.linspace(0.0, TURN, TRACE_POSITIONS)
         super().__init__(sweep(machine.mechanism, machine.sizes, turn, speed), machine)
         self.turns, self.rows, self.gaps = turns, rows, {gap.point: gap for gap in result.gaps}
         self.steps = sweep(machine.mechanism, machine.sizes, np.radians(turns.angle[rows]), speed)
@@ -55,15 +56,15 @@ class MagnifiedMachine(Sketch):
         self.middles: dict[str, Array] = {}
         ideal = {body: self.steps.body_angle(body).value for body in self.mechanism.bodies}
         bends = {
-            body: np.remainder(self.columns(f"{body}.angle_rad") - ideal_angle + math.pi, 2.0 * math.pi) - math.pi
+            body: np.remainder(self.columns(f"{body}.angle_rad") - ideal_angle + math.pi, TURN) - math.pi
             for body, ideal_angle in ideal.items()
         }
         play = max(gap.clearance for gap in self.gaps.values()) * self.scale.factor
-        bent = max(float(np.nanmax(np.abs(bend), initial=0.0)) for bend in bends.values())
+        bent = max(max_abs(bend) for bend in bends.values())
         self.factor = max(1.0, round_below(min(MAX_OFFSET * self.size / play, MAX_ROTATION / max(bent, 1e-9))))
         self.angles = {body: ideal[body] + self.factor * bends[body] for body in ideal}
         self.radius = JOURNAL_RADIUS * self.size
-        self.strongest = max(float(np.max(self.force(gap))) for gap in self.gaps.values())
+        self.strongest = max(np.max(self.force(gap)) for gap in self.gaps.values())
         reach = self.radius + self.factor * play
         self.low, self.high = self.low - reach, self.high + reach
 

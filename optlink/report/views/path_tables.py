@@ -115,7 +115,7 @@ def _objective(design: PathDesign) -> TableSpec:
     what = {"m": "distance", "rad": "error", "": "cosine"}[task.unit]
     remark = f"{what}: rms {number(factor * rms, 4)}, largest {number(factor * largest, 4)} {unit}".rstrip()
     if design.between is not None and np.nanmax(design.between, initial=0.0) > MIN_LENGTH:
-        remark += f"; between the points up to {number(1e3 * float(np.nanmax(design.between)), 3)} mm"
+        remark += f"; between the points up to {number(1e3 * np.nanmax(design.between), 3)} mm"
     if measured.turned is not None:
         remark += f"; angle: largest {number(math.degrees(float(abs(measured.turned).max())), 4)} deg"
     scale, square = task.objective_display
@@ -147,7 +147,7 @@ def _points(design: PathDesign) -> TableSpec:
         row.append(fixed(math.degrees(design.crank_angles[i]), 2))
         if between is not None:
             after = between[i : i + step]
-            row.append(number(1e3 * float(np.nanmax(after)), 3) if np.any(np.isfinite(after)) else "")
+            row.append(number(1e3 * np.nanmax(after), 3) if np.any(np.isfinite(after)) else "")
         if measured.turned is not None:
             row.append(number(math.degrees(measured.turned[i]), 3))
         rows.append(row)

@@ -116,18 +116,18 @@ class PathView:
     @cached_property
     def size(self) -> float:
         """Extent of the points [m]."""
-        extent = float(np.max(spread(finite(np.concatenate([self.targets, self.generated])))))
+        extent = np.max(spread(finite(np.concatenate([self.targets, self.generated]))))
         return extent if extent > 0.0 else self.task.size
 
     @cached_property
     def factor(self) -> float:
         """Magnification of deviations and tolerances in the figures."""
-        largest = 0.0 if self.exact else float(np.nanmax(self.design.measured.distances))
+        largest = 0.0 if self.exact else np.nanmax(self.design.measured.distances)
         limit = DEVIATION_LENGTH * self.size / largest if largest > 0.0 else math.inf
         tolerances = self.tolerances[np.isfinite(self.tolerances)]
         if tolerances.size:
             distances = np.linalg.norm(np.diff(self.targets, axis=0), axis=1)
-            limit = min(limit, 0.45 * float(np.median(distances)) / float(np.max(tolerances)))
+            limit = min(limit, 0.45 * np.median(distances) / float(np.max(tolerances)))
         return max(1.0, round_below(limit))
 
 
@@ -227,15 +227,15 @@ def figures(view: PathView) -> list[str]:
         texts.append(f"{many} {'points' if turned is None else 'poses'} met exactly, to rounding")
     else:
         plain = turned is None and task.target_points.weights is None
-        rms, largest = math.sqrt(float(np.nanmean(distances**2))), float(np.nanmax(distances))
+        rms, largest = math.sqrt(np.nanmean(distances**2)), np.nanmax(distances)
         if not (plain and task.measure in ("rms", "max")):
             texts.append(objective(view))
         shown = fitting(rms, unit)
         texts.append(f"distances: rms {length(rms, shown)}, largest {length(largest, shown)}")
         if turned is not None:
-            texts.append(f"angles: largest {_digits(math.degrees(float(np.nanmax(np.abs(turned)))), 4)}°")
+            texts.append(f"angles: largest {_digits(math.degrees(np.nanmax(np.abs(turned))), 4)}°")
         if np.any(np.isfinite(view.tolerances)):
-            used = float(np.nanmax(distances / view.tolerances))
+            used = np.nanmax(distances / view.tolerances)
             texts.append(f"at most {f'{100.0 * used:.3g} % of' if used < 10.0 else f'{used:.3g} times'} the tolerance")
     return [*texts, *filter(None, [transmission(design)])]
 
@@ -245,7 +245,7 @@ def _error(view: PathView) -> list[str]:
     task, errors = view.task, view.design.measured.distances
     if not task.unit or view.exact:
         return []
-    rms, largest = math.sqrt(float(np.nanmean(errors**2))), float(np.nanmax(errors))
+    rms, largest = math.sqrt(np.nanmean(errors**2)), np.nanmax(errors)
     unit = fitting(rms, view.sketch.scale) if task.slides else Scale(math.degrees(1.0), "deg")
     shown = (f"{_digits(value * unit.factor, 4)} {unit.unit}" for value in (rms, largest))
     return ["error: rms {}, largest {}".format(*shown)]

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.clearance.joint import Gap
+from optlink.linkage.vector2d import TURN
 from optlink.report.chart_spec import Array, Axis, Curve, Line, Span, crank_angle
 from optlink.report.format import round_below
 from optlink.report.style import MUTED, RESULT, SHADE, Scale, scale
@@ -17,7 +18,7 @@ FULL = 360.0
 TORQUE = "input.torque_Nm"
 WINDOW = 3  # number of revolutions drawn over time
 LIMITS_PERCENTILE = 99.8  # percentile of the values that the limits of y include
-CIRCLE = np.linspace(0.0, 2.0 * math.pi, 181)
+CIRCLE = np.linspace(0.0, TURN, 181)
 
 
 class RevolutionCurves:
@@ -31,7 +32,7 @@ class RevolutionCurves:
         self.result = result
         self.time: Array = np.asarray(result.columns.get("time_s", np.zeros(0)))
         self.direction = 1.0 if result.speed > 0.0 else -1.0
-        self.period = 2.0 * math.pi / abs(result.speed)
+        self.period = TURN / abs(result.speed)
         step = float(self.time[1] - self.time[0]) if len(self.time) > 1 else self.period
         self.points = max(1, round(self.period / step))
         self.kept = -(-len(self.time) // self.points)
@@ -95,7 +96,7 @@ class RevolutionCurves:
         if self.result.output.guide:
             return values
         values = np.unwrap(values)
-        return np.asarray(values - 2.0 * math.pi * math.floor(float(np.min(values[self.rows(WINDOW)])) / (2.0 * math.pi) + 0.5))
+        return np.asarray(values - TURN * math.floor(float(np.min(values[self.rows(WINDOW)])) / TURN + 0.5))
 
     @property
     def error(self) -> Array:
@@ -114,7 +115,7 @@ class RevolutionCurves:
             return 0.0
         rows = self.rows(1)
         values, turned = self.output[rows], (self.angle[rows.stop - 1] - self.angle[rows.start]) / FULL
-        return 2.0 * math.pi * round(float(values[-1] - values[0]) / (2.0 * math.pi * (turned or 1.0)))
+        return TURN * round(float(values[-1] - values[0]) / (TURN * (turned or 1.0)))
 
     def shares(self, largest: float) -> Scale:
         """Return the display unit of the output or its deviation."""
@@ -123,7 +124,7 @@ class RevolutionCurves:
     def peak(self, name: str, count: int) -> float:
         """Return the largest torque, normal force or penetration of the last revolutions, including peaks between rows."""
         values = self.result[name][self.rows(count)]
-        peak = float(np.nanmax(np.abs(values) if name == TORQUE else values, initial=0.0))
+        peak = np.nanmax(np.abs(values) if name == TORQUE else values, initial=0.0)
         stem, _, unit = name.rpartition("_")
         exact = self.result.per_revolution[f"{stem}_max_{unit}".removeprefix("input.")] if self.last else np.zeros(0)
         complete = min(count - self.broken, len(exact))
@@ -243,7 +244,7 @@ def from_zero(largest: float) -> tuple[float, float]:
 def clipped_limits(turns: RevolutionCurves, values: Array, low: float, high: float) -> tuple[tuple[float, float], str]:
     """Return limits of the last revolution and most others, down to low and up to high, and ", cut off" if values exceed them."""
     every = values[turns.rows(turns.shown)]
-    top = max(high, float(np.max(values[turns.rows(1)])), float(np.percentile(every, LIMITS_PERCENTILE)))
+    top = max(high, np.max(values[turns.rows(1)]), np.percentile(every, LIMITS_PERCENTILE))
     top = top if top > 0.0 else 1.0
     return (1.08 * low, 1.08 * top), ", cut off" if float(np.max(every)) > 1.08 * top else ""
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from optlink.problem.file import ProblemFile
 from optlink.report import chart_spec
-from optlink.report.chart_spec import Array, ChartSpec, Curve, HeatMap, Line, Panel, Picks, Span, cells
+from optlink.report.chart_spec import Array, ChartSpec, Curve, HeatMap, Line, Panel, Picks, Span, cells, max_abs
 from optlink.report.format import number
 from optlink.report.html import chart_plotly
 from optlink.report.html.shell import PageSection, StoredStudy
@@ -290,8 +290,7 @@ def _analysis_panels(table: SweepTable) -> Iterator[tuple[str, dict[str, Array]]
     for column, names in _measures_by_column(table).items():
         curves = {WORDS.get(_column_and_measure(name)[1], name): table.column(name) for name in names}
         name, unit = study_tables.named(column)
-        sizes = np.abs(np.stack(list(curves.values())))
-        largest = float(np.max(sizes, initial=0.0, where=np.isfinite(sizes)))
+        largest = max_abs(np.stack(list(curves.values())))
         length = scale(math.sqrt(largest) if unit == "m²" else largest, "m")
         shown = {"m": length, "m²": Scale(length.factor**2, f"{length.unit}²")}.get(unit, Scale(1.0, unit))
         yield study_tables.with_unit(name, shown.unit), {word: values * shown.factor for word, values in curves.items()}
@@ -361,7 +360,7 @@ def _slices(table: SweepTable) -> list[ChartSpec]:
     names = next(iter(_measures_by_column(table).values())) if table.result.evaluated else table.shown
     name = next((name for name in names if name.endswith(".rms")), names[0])
     values = np.asarray(table.column(name), dtype=float)[chosen]
-    limits = (float(np.nanmin(values)), float(np.nanmax(values))) if np.any(np.isfinite(values)) else (0.0, 1.0)
+    limits = (np.nanmin(values), np.nanmax(values)) if np.any(np.isfinite(values)) else (0.0, 1.0)
     selection = "" if len(chosen) == len(slow.values) else f" ({len(chosen)} of its {len(slow.values)} values)"
     heading = _heading(table, f"{_column_text(name)} over {slow.key}{selection}, {up.key} and {side.key}")
     specs = []

@@ -89,7 +89,7 @@ def charts(record: ToleranceRecord) -> list[ChartSpec]:
 
 def _contributions(record: ToleranceRecord) -> ChartSpec:
     """Plot the variance contributions: stacked over the crank angle, or as bars if there is only one."""
-    parts = sorted(record.tolerances, key=lambda part: -float(np.mean(part.contribution_percent)))
+    parts = sorted(record.tolerances, key=lambda part: -np.mean(part.contribution_percent))
     colours = [COLOURS[k % len(COLOURS)] for k in range(len(parts))]
     title, heading = f"Variance contributions to {record.output}", f"{record.title}: variance contributions to its scatter"
     x = record.crank_angles_deg
@@ -125,7 +125,7 @@ def _band(record: ToleranceRecord) -> ChartSpec:
         ends = f"ends of {record.monte_carlo.samples:,} samples"
         for column, legend in ((record.monte_carlo.most, True), (record.monte_carlo.least, False)):
             traces.append(Curve(x, k * (base + column), ends, TARGET, 1.1, "dot", mode, legend=legend))
-    reach = 1.05 * max(float(np.nanmax(np.abs(y))) for trace in traces for y in _heights(trace))
+    reach = 1.05 * max(np.nanmax(np.abs(y)) for trace in traces for y in _heights(trace))
     words, lines, ends_of_y = f"limit ±{limit:.5g} {record.display_unit}", list[Line](), None
     if limit <= LIMIT_RATIO * reach:
         lines = [Line(limit, words, LIMIT, 1.6, "solid"), Line(-limit, "", LIMIT, 1.6, "solid")]

@@ -110,7 +110,7 @@ def _contributions(file: ProblemFile, record: ToleranceRecord) -> TableSpec:
     for part in sorted(record.tolerances, key=lambda part: -part.contribution_percent[at]):
         unit, shares = _unit(file, part), part.contribution_percent
         per = f"{record.scale * part.per_deviation[at] / unit[0]:+z.5f}"
-        cells = quiet(_distribution(part)), per, strong(f"{shares[at]:z.1f} %"), f"{float(np.mean(shares)):z.1f} %"
+        cells = quiet(_distribution(part)), per, strong(f"{shares[at]:z.1f} %"), f"{np.mean(shares):z.1f} %"
         rows.append((part.name, _symmetric(part.tolerance_SI, unit), *cells))
     change = f">change [{record.display_unit}\nper {' or '.join(sorted(units, reverse=True))}]"
     columns = ["", ">tolerance", "distribution", change, ">share of the\nvariance", ">over all\nangles"]
