@@ -166,7 +166,7 @@ def rounded(points: Array, radius: float) -> tuple[Vertex, ...]:
     vertices: list[Vertex] = []
     for k, corner in enumerate(corners):
         before, after = corner - corners[k - 1], corners[(k + 1) % len(corners)] - corner
-        turned = math.atan2(before[0] * after[1] - before[1] * after[0], float(before @ after)) % (TURN)
+        turned = math.atan2(before[0] * after[1] - before[1] * after[0], float(before @ after)) % TURN
         normals = [np.array([edge[1], -edge[0]]) / np.linalg.norm(edge) for edge in (before, after)]
         first, second = (corner + radius * normal for normal in normals)
         vertices += [(float(first[0]), float(first[1]), math.tan(turned / 4.0)), (float(second[0]), float(second[1]), 0.0)]

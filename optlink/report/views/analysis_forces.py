@@ -109,9 +109,7 @@ def hodograph(
         if np.all(np.isfinite(at)):
             outward = (at - middle) / max(float(np.linalg.norm(at - middle)), 1e-30)
             prefer = (float(outward[0]), float(outward[1]))
-            marks.append(
-                Mark(float(at[0]), float(at[1]), f"{turned % 360.0:z.0f}°", RESULT, size=4.0, prefer=prefer, written=True)
-            )
+            marks.append(Mark(at[0], at[1], f"{turned % 360.0:z.0f}°", RESULT, size=4.0, prefer=prefer, written=True))
     marks += _sense(xs, ys, [(mark.x, mark.y) for mark in marks])
     across, up = _window(cycle, xs[finite_points], ys[finite_points])
     shown = Panel(Axis(f"force in y [{unit.unit}]", up), traces, marks=marks)
@@ -139,7 +137,7 @@ def _sense(xs: Array, ys: Array, occupied: Sequence[tuple[float, float]]) -> lis
     free = [np.min(np.linalg.norm(np.array(occupied) - paths[k][place], axis=1)) for place in places]
     p, q = (paths[k][places[int(np.argmax(free))] + i] for i in (0, 1))
     angle = math.degrees(math.atan2(q[1] - p[1], q[0] - p[0])) - 90.0
-    return [Mark(float(p[0]), float(p[1]), "", RESULT, "triangle", 8.0, angle=angle)]
+    return [Mark(p[0], p[1], "", RESULT, "triangle", 8.0, angle=angle)]
 
 
 def guides(cycle: CycleCurves) -> list[ChartSpec]:

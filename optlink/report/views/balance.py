@@ -129,7 +129,7 @@ def hodograph(result: Balance) -> ChartSpec:
         recorded = f"{name}: at most {unit.text(most) if most > 1e-12 * largest else '0'}"
         curves.append(Curve(closed[:, 0], closed[:, 1], recorded, colour, width, gid=f"hodograph {name}"))
         if most < 0.02 * largest:  # degenerates to a point: no crank angles to mark
-            marks.append(Mark(float(middle[0]), float(middle[1]), "", colour, size=6.0))
+            marks.append(Mark(middle[0], middle[1], "", colour, size=6.0))
             continue
         for turned in range(0, 360, 60):
             k = int(np.argmin(np.abs(np.mod(result.columns["crank_angle_deg"] - turned + 180.0, 360.0) - 180.0)))
@@ -166,11 +166,11 @@ def trade_off(result: Balance) -> list[ChartSpec]:
     names = {0: f"least {trade.first.quantity}", len(trade.points) - 1: f"least {trade.second.quantity}"}
     if trade.knee is not None:
         names[trade.knee] = "knee"
-    marks = [Mark(float(initial[0]), float(initial[1]), "initial machine", TARGET, "square", 6.5, font=9.0)]
+    marks = [Mark(initial[0], initial[1], "initial machine", TARGET, "square", 6.5, font=9.0)]
     for k, name in names.items():
         shares = (change(value / before - 1.0) for value, before in zip(trade.points[k].realised, trade.before, strict=True))
         text = f"{name}\n{', '.join(f'{_short(m)} {share}' for m, share in zip(objectives, shares, strict=True))}"
-        marks.append(Mark(float(real[k, 0]), float(real[k, 1]), text, LIMIT, size=7.0, prefer=(0.7, 0.7), gid=name))
+        marks.append(Mark(real[k, 0], real[k, 1], text, LIMIT, size=7.0, prefer=(0.7, 0.7), gid=name))
     panels = [Panel(Axis(f"{trade.second} [{units[1].unit}]"), curves, 2.0, marks=marks)]
     crank = result.original.mechanism.crank.body
     bodies = [body for body in result.original.mechanism.bodies if body != crank]

@@ -85,4 +85,4 @@ def _mass_label(axes: Axes, sketch: Sketch, counterweight: AddedCounterweight, c
     size = f"{'gyration' if radius is None else '∅'} {scale(shown, 'm').text(shown)}"
     text = f"{counterweight.body}: {counterweight.mass:.4g} kg\n{size}"
     clear = in_points(axes, _size(counterweight, sketch))
-    return Label(axes, (float(centre[0]), float(centre[1])), text, sketch.colours[counterweight.body], 8.5, clear)
+    return Label(axes, (centre[0], centre[1]), text, sketch.colours[counterweight.body], 8.5, clear)

@@ -147,6 +147,6 @@ def _bounds(certificate: Certificate, title: str, shown: Shown) -> ChartSpec:
     ]
     unit = pretty(shown(certificate.objective).unit)
     axis = Axis(f"objective [{unit}]" if unit else "objective")
-    x = Axis("boxes examined", (float(boxes[0]), float(boxes[-1])), "log")
+    x = Axis("boxes examined", (boxes[0], boxes[-1]), "log")
     name, heading = "Global search: bounds of the objective", f"{title}: bounds of the objective"
     return ChartSpec("bounds", name, [Panel(axis, curves, 1.4)], x, heading, certificate.text, cursor=False)

@@ -160,7 +160,7 @@ def law(result: FunctionResult) -> list[ChartSpec]:
         top, words = float(built[int(error[worst] > 0.0), worst]), f"{words} nominal"
     below.append(Curve(crank, error, "" if robust is None else "nominal", LIMIT, 1.5, gid="error"))
     below.append(Curve(marked, at_marks, "", LIMIT, mode="markers", size=3.0))
-    mark = Mark(float(crank[worst]), top, words, size=1.0, prefer=(0.0, 1.0 if error[worst] > 0.0 else -1.0))
+    mark = Mark(crank[worst], top, words, size=1.0, prefer=(0.0, 1.0 if error[worst] > 0.0 else -1.0))
     panels = [Panel(Axis("rocker angle ψ [deg]"), above, 1.7), Panel(Axis("target minus generated [deg]"), below, marks=[mark])]
     shown = problem.shown_objective(result.objective)
     objective = f"{shown.value:.4g}°" if shown.unit == "deg" else f"{shown.value:.6g} {unit_of(result)}"
@@ -196,10 +196,10 @@ def transmission(result: FunctionResult) -> list[ChartSpec]:
         else:
             traces.append(Curve(np.sort([start, start + span]), np.full(2, bound), name, LIMIT, 1.3, "dash"))
     marks = [
-        Mark(float(crank[k]), float(gamma[k]), f"{word} {gamma[k]:z.2f}°", RESULT, prefer=(0.0, direction))
+        Mark(crank[k], gamma[k], f"{word} {gamma[k]:z.2f}°", RESULT, prefer=(0.0, direction))
         for k, word, direction in ((int(np.argmin(gamma)), "least", -1.0), (int(np.argmax(gamma)), "largest", 1.0))
     ]
-    x = crank_angle(clockwise=_clockwise(result), limits=(float(crank[0]), float(crank[-1])))
+    x = crank_angle(clockwise=_clockwise(result), limits=(crank[0], crank[-1]))
     shown = Panel(Axis("γ [deg]"), traces, 1.4, lines, marks)
     return [ChartSpec("transmission", "Transmission angle", [shown], x, f"{problem.title}: transmission angle", spans=spans)]
 
@@ -227,7 +227,7 @@ def frames(result: FunctionResult, count: int = 90) -> list[Image.Image]:
     at = (np.degrees(steps) - crank[0]) % 360.0 + crank[0] if full else np.degrees(steps)
 
     traces = [Curve(crank, psi, "", ROCKER)]
-    x = crank_angle(limits=(float(crank[0]), float(crank[-1])))
+    x = crank_angle(limits=(crank[0], crank[-1]))
     strip = ChartSpec("", "", [Panel(Axis("rocker angle ψ [deg]"), traces)], x)
 
     def required(axes: Axes) -> None:
@@ -259,7 +259,7 @@ def function_chart(function: Function, offsets: Array, error: Array, title: str,
     ]
     most = float(deviation[worst])
     words = f"largest {most:+.3g}".replace("-", "−")
-    mark = Mark(float(x[worst]), most, words, size=1.0, prefer=(0.0, np.sign(most)))
+    mark = Mark(x[worst], most, words, size=1.0, prefer=(0.0, np.sign(most)))
     below = Panel(Axis("target minus generated"), [Curve(x, deviation, "", LIMIT, 1.5, gid="error in y")], marks=[mark])
     panels = [Panel(Axis("y"), above, 1.7), below]
     return ChartSpec("function", "Function y(x)", panels, Axis("x"), title, cursor=False, warning=warning)

@@ -180,7 +180,7 @@ def _front(result: Pareto, values: Array, x: int, y: int) -> ChartSpec:
     style: dict[str, Any] = {"symbol": "circle" if two else "open circle", "size": 7.0, "prefer": outward}
     style |= {"font": 8.5 if two else 7.5, "written": True}
     marks = [
-        Mark(float(across[k]), float(up[k]), _point_label(result, point), LIMIT, gid=point.mark, **style)
+        Mark(across[k], up[k], _point_label(result, point), LIMIT, gid=point.mark, **style)
         for k, point in enumerate(result.points)
         if point.mark
     ]

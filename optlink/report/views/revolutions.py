@@ -225,7 +225,7 @@ def revolution_axis(numbers: Array) -> Axis:
     """Return the axis of revolution numbers, with whole numbers as ticks."""
     step = max(1, int(round_below(len(numbers) / 8.0)))
     ticks = [(float(number), f"{number:g}") for number in numbers if number % step == 0.0]
-    return Axis("revolution", (float(numbers[0]) - 0.5, float(numbers[-1]) + 0.5), ticks=ticks)
+    return Axis("revolution", (numbers[0] - 0.5, numbers[-1] + 0.5), ticks=ticks)
 
 
 def joint_name(gap: Gap) -> str:
