@@ -276,8 +276,8 @@ def _scaled(axes: Axes, direction: str, axis: Axis, limits: tuple[float, float] 
     if limits is not None and limits[1] > limits[0]:
         (axes.set_xlim if direction == "x" else axes.set_ylim)(*limits, auto=widened)
     if axis.reversed:
-        (axes.invert_xaxis if direction == "x" else axes.invert_yaxis)()
-    low, high = sorted(axes.get_xlim() if direction == "x" else axes.get_ylim())
+        side.set_inverted(True)
+    low, high = sorted(side.get_view_interval())
     if axis.step and high - low >= 4.0 * axis.step:
         side.set_major_locator(MultipleLocator(axis.step))
     if axis.ticks:

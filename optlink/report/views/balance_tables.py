@@ -21,7 +21,7 @@ from optlink.report.table_spec import (
     summary,
     table,
 )
-from optlink.report.views.short_text import first_rows, objective_line, short_text
+from optlink.report.views.short_text import objective_line, short_text
 from optlink.tasks.results.balance import Balance, TradeOff
 from optlink.units import percent
 
@@ -42,7 +42,7 @@ def balance(outcome: Balance) -> Summary:
         if outcome.trade is not None:
             parts.append(_trade(outcome.trade))
         measured = objective_line(replace(objective, rows=objective.rows[:2]))
-        short = short_text(title, [*status, measured], _in_words(added), first_rows(limits))
+        short = short_text(title, [*status, measured], _in_words(added), limits)
     effort = f"{outcome.solver}, {outcome.iterations} iterations, {len(outcome.angles)} positions; {times(outcome.seconds)}"
     return replace(summary(title, status, *parts, Paragraph(quiet(effort), appendix=True)), short=short)
 

@@ -27,10 +27,9 @@ def certificate_table(certificate: Certificate, shown: Shown, seconds: Mapping[s
     """
     rows: list[Row] = []
     objective, bound = certificate.objective, certificate.lower_bound
-    digits = 6
+    digits = min(14, max(6, 2 - math.floor(math.log10(certificate.gap)))) if 0.0 < certificate.gap < 1.0 else 6
     value, unit, name = shown(objective).value, *shown(objective if math.isfinite(objective) else bound)[2:]
     if math.isfinite(objective):
-        digits = min(14, max(6, 2 - math.floor(math.log10(certificate.gap)))) if 0.0 < certificate.gap < 1.0 else 6
         rows.append(("best design", strong(f"{value:.{digits}g}"), unit, quiet(name * (name != "objective"))))
     if math.isfinite(bound):
         rows.append(("lower bound", strong(rounded_down(shown(bound).value, digits)), unit, quiet(ROUNDING_NOTE)))

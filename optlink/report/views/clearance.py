@@ -101,11 +101,10 @@ def measured(turns: RevolutionCurves) -> list[ChartSpec]:
     small = turns.shares(max(max_abs(part) for part in (lost, without)))
     sparse = len(time) <= MAX_MARKERS * WINDOW
     points = partial(Curve, time, mode="lines+markers" if sparse else "lines", size=3.0)
+    look: dict[str, Any] = {"mode": "markers", "size": 3.5} if sparse else {"width": 1.1, "dash": "dash"}
     motions = [
         Curve(time, simulated * unit.factor, "simulated", ROCKER, 1.7, gid="simulated"),
-        Curve(time, values * unit.factor, "measured", TARGET, size=3.5, mode="markers", gid="measured")
-        if sparse
-        else Curve(time, values * unit.factor, "measured", TARGET, 1.1, "dash", gid="measured"),
+        Curve(time, values * unit.factor, "measured", TARGET, gid="measured", **look),
     ]
     differences = [
         points(without * small.factor, "measured minus ideal machine", MUTED, 1.1, gid="from ideal"),
@@ -117,11 +116,8 @@ def measured(turns: RevolutionCurves) -> list[ChartSpec]:
     ]
     rms = turns.result.figures[f"measured.rms_{out.unit}"]
     caption = f"RMS of measured minus simulated {rms * small.factor:.4g} {small.unit}"
-    return [
-        ChartSpec(
-            "measured", f"Measured and simulated {out.name}", panels, Axis(TIME), turns.title("measured and simulated"), caption
-        )
-    ]
+    title, heading = f"Measured and simulated {out.name}", turns.title("measured and simulated")
+    return [ChartSpec("measured", title, panels, Axis(TIME), heading, caption)]
 
 
 def _forces_over_time(turns: RevolutionCurves, rows: slice) -> ChartSpec:

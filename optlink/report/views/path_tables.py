@@ -17,13 +17,13 @@ from optlink.report.views.function_tables import (
     active,
     backends,
     checks,
+    conflict,
     dimension_rows,
     graded_status,
     refuted_first,
     search_verdict,
 )
-from optlink.report.views.relaxations import conflict
-from optlink.report.views.short_text import dimensions, first_rows, objective_line, short_text, verdict_lines
+from optlink.report.views.short_text import dimensions, objective_line, short_text, verdict_lines
 from optlink.solvers.contract import LEAST_SQUARES
 from optlink.tasks.machine import turning_machine
 from optlink.tasks.results.path import LEVEL, PathDesign, PathResult
@@ -74,12 +74,7 @@ def path_result(outcome: PathResult) -> Summary:
     )
     evidence = [quiet(reached)] if reached else []
     status = [*verdict_lines(verdict), *notes, objective_line(objective), *proof, *evidence]
-    return replace(
-        full,
-        short=short_text(
-            model.title, status, dimensions(design), impossible or first_rows(limits), None if impossible else checked
-        ),
-    )
+    return replace(full, short=short_text(model.title, status, dimensions(design), limits, checked, impossible))
 
 
 def _verdict(outcome: PathResult, best: PathDesign) -> Iterator[Line]:

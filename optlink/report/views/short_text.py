@@ -12,9 +12,19 @@ MAX_LIMITS = 4  # rows of the active limits
 DETAILS = "--details shows the rest"
 
 
-def short_text(title: str, status: Iterable[Line], design: Part, limits: Part | None, checks: TableSpec | None = None) -> Summary:
-    """Return the short text of a design: verdict, objective, proof, dimensions, active or conflicting limits, failed checks."""
-    return summary(title, status, design, limits, _failed(checks))
+def short_text(
+    title: str,
+    status: Iterable[Line],
+    design: Part,
+    limits: Part | None,
+    checks: TableSpec | None = None,
+    conflict: TableSpec | None = None,
+) -> Summary:
+    """Return the short text of a design: verdict, objective, proof, dimensions, and active limits with failed checks.
+
+    Conflicting limits take the place of these two.
+    """
+    return summary(title, status, design, conflict or first_rows(limits), _failed(None if conflict else checks))
 
 
 def verdict_lines(lines: Sequence[Line]) -> list[Line]:

@@ -191,7 +191,7 @@ def charts(result: Sweep) -> list[ChartSpec]:
     """Return the charts over the parameters that have several values."""
     table = SweepTable.of(result)
     if not table.axes or result.grid.count > MAX_POINTS:
-        return [] if not table.axes else _extreme_charts(table)
+        return _extreme_charts(table)
     if len(table.axes) == 1:
         return [_curves(table)]
     if len(table.axes) == 2:
