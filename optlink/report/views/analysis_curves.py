@@ -18,7 +18,7 @@ ROUNDING = 1e-9  # share of the largest value below which a value is rounding er
 class CycleCurves:
     """Time history of a machine over the crank angle, in the order of the motion.
 
-    It contains every row of the analysis table (unless there are more than `TABLE`), points between them, the crank angles of all
+    It contains every row of the analysis table (if there are not too many), points between them, the crank angles of all
     extremes, and two points at each jump of a load: the values just before and just after it.
     """
 

@@ -302,11 +302,8 @@ def _parts(
     for k, spring in enumerate(record.springs):
         if spring.name not in names:
             raise Contradiction(f"springs[{k}].name", "the problem has no such spring", spring.name)
-    added = [AddedCounterweight(bodies[counterweight.body], counterweight.parameters) for counterweight in record.counterweights]
-    springs = [
-        FittedSpring(names[counterweight.name], counterweight.stiffness_N_m, counterweight.free_length_m)
-        for counterweight in record.springs
-    ]
+    added = (AddedCounterweight(bodies[weight.body], weight.parameters) for weight in record.counterweights)
+    springs = (FittedSpring(names[spring.name], spring.stiffness_N_m, spring.free_length_m) for spring in record.springs)
     return tuple(added), tuple(springs)
 
 
@@ -325,10 +322,8 @@ def _rows(record: BalanceRecord, machine: Machine, heavier: Machine, angles: Arr
         for when in ("before", "after"):
             is_, stored_value = getattr(row, when), getattr(stored, when)
             if abs(is_ - stored_value) > MEASURE_TOLERANCE * max(row.before, abs(is_)):
-                message = (
-                    f"the {row.measure} {when} is {is_:.6g} {row.measure.unit} with these counterweights, not {stored_value:.6g}"
-                )
-                raise Contradiction(f"measures[{k}].{when}", message)
+                found = f"{is_:.6g} {row.measure.unit} with these counterweights, not {stored_value:.6g}"
+                raise Contradiction(f"measures[{k}].{when}", f"the {row.measure} {when} is {found}")
     return rows
 
 

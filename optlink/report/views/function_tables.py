@@ -116,7 +116,7 @@ def search_summary(
 
 def _verdict(outcome: SearchedResult, tail: str) -> Iterator[Line]:
     yield from refuted_first(outcome)
-    line = search_verdict(outcome.status, "valid" if outcome.valid else "not valid", outcome.valid, outcome.certificate)
+    line = search_verdict(outcome.status, outcome.valid, outcome.certificate)
     yield from graded_status(line, outcome.fit if outcome.valid else None, tail)
 
 
@@ -132,7 +132,7 @@ def _message(outcome: SearchedResult) -> str:
     return text + " (use --starts N for a multistart search)" * single
 
 
-def search_verdict(status: Status, word: str, positive: bool, certificate: Certificate | None = None) -> list[Inline]:
+def search_verdict(status: Status, valid: bool, certificate: Certificate | None) -> list[Inline]:
     """Return how a search ended, and its verdict; an infeasible problem has one phrase for both.
 
     Without a closed certificate an optimum is a local one.
@@ -142,10 +142,10 @@ def search_verdict(status: Status, word: str, positive: bool, certificate: Certi
     ended = "given design" if status is Status.NOT_SEARCHED else status.value
     if status is Status.OPTIMAL and (certificate is None or not certificate.proven):
         ended = "locally optimal"
-    return [f"{ended}, ", verdict(word, positive)]
+    return [f"{ended}, ", verdict("valid" if valid else "not valid", valid)]
 
 
-def graded_status(line: Sequence[Inline], fit: Fit | None, tail: str = "") -> Iterator[Line]:
+def graded_status(line: Sequence[Inline], fit: Fit | None, tail: str) -> Iterator[Line]:
     """Yield a line with the grade of a fit, if there is one, and a tail, then the likely reasons of a poor fit with remedies."""
     if fit is None:
         yield [*line, tail]
@@ -231,17 +231,13 @@ def active(model: Problem, objective: float, limits: Iterable[LimitState]) -> Pa
         rows.append((limit.name, f"{limit.sense} {limit.bound:g} {limit.unit}".rstrip(), effect))
     if not rows:
         return Paragraph(strong("Active constraints"), "none: only the requirement determines this design")
-    notes = (
-        [quiet(f"=: change of the objective if the value is raised by that much{RELAXED_NOTE * (len(rows) > 1)}")]
-        if raised
-        else []
-    )
+    note = f"=: change of the objective if the value is raised by that much{RELAXED_NOTE * (len(rows) > 1)}"
+    notes = [quiet(note)] if raised else []
     for names, (gain, units) in joint.items():
         words = joined([name for name, *_ in rows if name in names])
         size, step = price_step("") if units == {""} else (1.0, "one unit")
         effect = f"the objective improves by {size * gain:.4g} {unit}{share(size * gain)} if each is relaxed by {step}"
-        text = f"{words} hold together: {effect}"
-        notes.append(quiet(text))
+        notes.append(quiet(f"{words} hold together: {effect}"))
     return table("Active constraints and their shadow prices", "<<<", rows, notes=notes)
 
 
@@ -275,11 +271,8 @@ def _optima(outcome: SearchedResult, over: str) -> TableSpec:
         ">starts" if left >= 0 else ">searches",
     ]
     others = f"; {left} of them ended at worse optima that are not listed, or at none" if left > 0 else ""
-    notes = (
-        [quiet(f"starts: of all {outcome.starts} starting points, random and given{others}")]
-        if outcome.starts > 1 and left >= 0
-        else []
-    )
+    note = f"starts: of all {outcome.starts} starting points, random and given{others}"
+    notes = [quiet(note)] if outcome.starts > 1 and left >= 0 else []
     return table(f"Distinct optima{over}", columns, rows, appendix=True, notes=notes)
 
 

@@ -134,7 +134,7 @@ OUTPUT_POSITIONS = 360  # number of positions of the output curve
 
 
 class OutputCurves(NamedTuple):
-    """OutputCurves over crank angles (n,) [deg]: `generated` (n, curves) in the unit of `name`, `target` (n,) if prescribed.
+    """An output over crank angles (n,) [deg]: `generated` (n, curves) in the unit of `name`, `target` (n,) if prescribed.
 
     `factor`: from SI to that unit.
     """

@@ -81,7 +81,7 @@ def _verdict(outcome: PathResult, best: PathDesign) -> Iterator[Line]:
     count = len(outcome.designs)
     suffix = f"; {count} distinct design{'s' * (count != 1)} verified" if best.valid else "; the nearest design is shown"
     yield from refuted_first(outcome)
-    line = search_verdict(best.status, "valid" if best.valid else "not valid", best.valid, outcome.certificate)
+    line = search_verdict(best.status, best.valid, outcome.certificate)
     yield from graded_status(line, best.fit if best.valid else None, "" if outcome.starts == 0 else suffix)
 
 
@@ -151,9 +151,8 @@ def _points(design: PathDesign) -> TableSpec:
     columns += [">turned by"] if measured.turned is not None else []
     notes = [quiet(f"{len(rows)} of {len(targets)} points; all of them with --out or --json")] if step > 1 else []
     if between is not None:
-        notes.append(
-            quiet("between: distance of the curve from the line to the next point, beyond the arc that the points suggest")
-        )
+        note = "between: distance of the curve from the line to the next point, beyond the arc that the points suggest"
+        notes.append(quiet(note))
     return table("Points [mm, deg]", columns, rows, notes=notes, unbroken=True)
 
 

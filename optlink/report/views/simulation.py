@@ -52,10 +52,6 @@ class History:
         """Return a column times a factor over time as a curve."""
         return Curve(self.columns["time_s"], self.columns[name] * factor, words, colour, width, dash, legend=legend, gid=name)
 
-    def largest(self, names: Iterable[str]) -> float:
-        """Return the largest absolute finite value of columns [SI]."""
-        return largest(self.columns, names)
-
 
 def largest(columns: Mapping[str, Array], names: Iterable[str]) -> float:
     """Return the largest absolute finite value in columns [SI]."""
@@ -90,7 +86,7 @@ def drive(run: History) -> list[ChartSpec]:
         panels.append(Panel(Axis("crank speed [rpm]", limits), curves, 1.4, note=note))
     if "input.torque_Nm" in run.columns:
         torque = run.columns["input.torque_Nm"]
-        most = run.largest(["input.torque_Nm"])
+        most = largest(run.columns, ["input.torque_Nm"])
         unit = scale(most, "N m")
         limits_ = None
         if np.ptp(torque) < 1e-6 * most:  # constant torque: start at zero instead of showing rounding errors
@@ -114,7 +110,7 @@ def output(run: History) -> list[ChartSpec]:
     for word, ending, unit in rows:
         if name + ending in run.columns:
             values = np.unwrap(run.columns[name + ending]) if unit == "deg" else run.columns[name + ending]
-            shown = scale(run.largest([name + ending]), unit)
+            shown = scale(largest(run.columns, [name + ending]), unit)
             curve = Curve(run.columns["time_s"], values * shown.factor, word, BODIES[1], legend=False, gid=name + ending)
             panels.append(Panel(Axis(f"{word} [{shown.unit}]"), [curve]))
     return [ChartSpec("output", f"Motion of {name}", panels, Axis(TIME), f"{run.title}: {name}")] if panels else []
@@ -125,8 +121,8 @@ def bodies(run: History) -> list[ChartSpec]:
     crank = run.machine.mechanism.crank.body
     names = {body: f"{body}.omega_rad_s" for body in run.machine.mechanism.bodies if body != crank}
     colours = {name: BODIES[k % len(BODIES)] for k, name in enumerate(names.values())}
-    floor = 1e-8 * run.largest({*colours, f"{crank}.omega_rad_s"} & run.columns.keys())
-    turning = {body: name for body, name in names.items() if name in run.columns and run.largest([name]) > floor}
+    floor = 1e-8 * largest(run.columns, {*colours, f"{crank}.omega_rad_s"} & run.columns.keys())
+    turning = {body: name for body, name in names.items() if name in run.columns and largest(run.columns, [name]) > floor}
     shown = dict(list(together(run.columns, turning).items())[:MAX_BODIES])
     curves = []
     for k, (label, name) in enumerate(shown.items()):
@@ -150,7 +146,7 @@ def reactions(run: History) -> list[ChartSpec]:
         joint = name.partition(".")[0]
         of_frame = guides[joint].on == FRAME if joint in guides else FRAME in mechanism.pins[joint]
         if of_frame and len(panels) < MAX_FRAME_JOINTS:
-            unit = scale(run.largest(parts[name]), "N")
+            unit = scale(largest(run.columns, parts[name]), "N")
             x, *y = parts[name]
             pair = [run.curve(x, unit.factor, "in x" if y else "", RESULT)]
             pair += [run.curve(one, unit.factor, "in y", CRANK, dash="dash") for one in y]
@@ -178,7 +174,7 @@ def energy(run: History) -> list[ChartSpec]:
         what = "drive" if name == "input.work_J" else name.removesuffix(".work_J")
         above.append(run.curve(name, shown.factor, f"work of {what}", colour))
     for name, words, colour in zip(stored, ("kinetic energy", "potential energy"), BODIES[3:], strict=False):
-        if run.largest([name]) > 0.0:
+        if largest(run.columns, [name]) > 0.0:
             above.append(run.curve(name, shown.factor, words, colour, 1.2, "dashdot"))
     panels = [Panel(Axis(f"energy [{shown.unit}]"), above, 2.0)]
     if all(name in columns for name in run.figures if name.endswith(".work_J")):

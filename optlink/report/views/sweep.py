@@ -208,19 +208,15 @@ def _picks(table: SweepTable, rows: NDArray[np.intp], x: Array, y: Array) -> Pic
     """Tabulate the design of every selectable row (n,) of the table of the sweep, with its place."""
     columns, result = table.result.columns, table.result
     names = [*(axis.column for axis in result.grid.axes), *table.shown, *table.designs]
-    heads = [study_tables.with_unit(axis.key, axis.unit) for axis in result.grid.axes] + [
-        _column_text(name) for name in (*table.shown, *table.designs)
-    ]
+    heads = [study_tables.with_unit(axis.key, axis.unit) for axis in result.grid.axes]
+    heads += map(_column_text, (*table.shown, *table.designs))
     words = {"status": "status", "reason": "reason"} if result.evaluated else {ACTIVE: "active", "status": "status"}
     blank = np.full(result.grid.count, "")
     texts = [columns.get(name, blank) for name in words.values()]
-    point_texts = [
-        (
-            *(number(float(columns[name][k]), 7) for name in names),
-            *(str(column[k]) or "none" * (ACTIVE in words) for column in texts),
-        )
-        for k in rows
-    ]
+    point_texts = []
+    for k in rows:
+        values = (number(float(columns[name][k]), 7) for name in names)
+        point_texts.append((*values, *(str(column[k]) or "none" * (ACTIVE in words) for column in texts)))
     first = 0 if table.best is None else int(np.argmin(np.abs(rows - table.best)))
     return Picks("point", (*heads, *words), tuple(point_texts), x, y, first, [int(k) for k in rows])
 
