@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from optlink.linkage.fourbar import four_bar, grashof
     from optlink.problem.file import ProblemFile, load, read, shipped
     from optlink.problem.templates import new
+    from optlink.report.stored import read_result
     from optlink.studio import explore
     from optlink.tasks.analyze import analyze
     from optlink.tasks.balance import balance
@@ -43,6 +44,7 @@ _NAMES = {
     "optlink.linkage.fourbar": ("four_bar", "grashof"),
     "optlink.problem.file": ("ProblemFile", "load", "read", "shipped"),
     "optlink.problem.templates": ("new",),
+    "optlink.report.stored": ("read_result",),
     "optlink.studio": ("explore",),
     "optlink.tasks.analyze": ("analyze",),
     "optlink.tasks.balance": ("balance",),
@@ -97,6 +99,7 @@ __all__ = [
     "new",
     "read",
     "read_design",
+    "read_result",
     "shipped",
     "simulate",
     "simulate_clearance",
@@ -130,9 +133,9 @@ def __getattr__(name: str) -> Any:
         study = STUDIES.get(name)
         hint = "" if study is None else f". It is a study: from {study} import {name}"
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}{hint}", name=name, obj=sys.modules[__name__])
-    from optlink.problem.base_model import Recorded
+    from optlink.problem.document import Document
 
-    Recorded.notebook = staticmethod(_notebook)
+    Document.notebook = staticmethod(_notebook)
     return getattr(importlib.import_module(home), name)
 
 

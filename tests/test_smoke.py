@@ -61,7 +61,7 @@ class Session:
             self.wrong.append(f"{folder}: no result")
             return
         place = shutil.move(folder, f"moved/{folder}")
-        self.run(self.codes[folder], "report", place, "--problem", self.name, "-o", f"{folder}.html")
+        self.run(self.codes[folder], "report", place, "-o", f"{folder}.html")
 
 
 @pytest.fixture
@@ -115,6 +115,8 @@ def commands(session: Session) -> None:
     run(2, "validate", name)
     if designed:
         run(0, "validate", name, *of)
+        run(0, "validate", "solved")
+        run(motion_codes(session), "analyze", "solved", *ROWS)
 
     run(motion_codes(session), "analyze", name, *ROWS, *of, "--out", "analysed")
     simulations(session, of)
@@ -150,7 +152,7 @@ def exports(session: Session, designed: bool, of: tuple[str, ...]) -> None:
     for suffix in ("dxf", "svg", "csv", "json"):
         session.run(0, "export", name, *of, "-o", f"file.{suffix}")
         if session.file.task != "analysis":  # a balancing is not a single design
-            session.run(0 if designed else 2, "export", "solved", "--problem", name, "-o", f"saved.{suffix}")
+            session.run(0 if designed else 2, "export", "solved", "-o", f"saved.{suffix}")
 
 
 def studies(session: Session, designed: bool, of: tuple[str, ...]) -> None:

@@ -92,7 +92,7 @@ def picture(name: str) -> bytes:
         If no valid design is found.
     """
     problem = optlink.load(name)
-    found = report_model_of(problem, solve_or_validate(problem, starts=STARTS))
+    found = report_model_of(solve_or_validate(problem, starts=STARTS))
     if found.cycle is None or not found.valid:
         raise ValueError(f"{name}: no valid design to draw")
     machine, view = found.cycle.machine, _view(found.result)

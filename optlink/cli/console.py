@@ -191,7 +191,7 @@ def deliver(
         from optlink.io import write_json
         from optlink.report.files import CHECKPOINT
 
-        write_json(out / "result.json", {**result.to_dict(), "interrupted": True})
+        write_json(out / "result.json", result.to_dict())
         begun = not getattr(result, "finished", True) and (out / CHECKPOINT).is_file()
         print(f"Interrupted: {out} {lacking}{'; add --resume to continue' if begun else ''}", file=sys.stderr)
     if as_json:
@@ -300,20 +300,35 @@ def progress_bar(*columns: ProgressColumn, what: str, **options: Any) -> Iterato
 # --- input -------------------------------------------------------------------------------------------------------------------
 
 
-def load(problem: str, changes: list[str] | None) -> ProblemFile:
-    """Load a problem with the changes of `--set`.
+def load(problem: str, changes: list[str] | None, *, definite: bool = True) -> ProblemFile:
+    """Load a problem with the changes of `--set`: a shipped one by name, a file, or that of a stored result.
 
-    Parameters
-    ----------
-    problem : str
-        Name of a shipped problem, or the path of a file.
-    changes : list of str or None
-        KEY=VALUE.
+    The problem of a result has the assembly modes of its design, if `definite`.
     """
     from optlink.problem.assignment import parse_assignments
     from optlink.problem.file import load as read
+    from optlink.report.files import is_result
 
-    return read(problem, parse_assignments(changes or []))
+    assignments = parse_assignments(changes or [])
+    if not is_result(problem):
+        return read(problem, assignments)
+    from optlink.report.stored import read_result
+
+    result = read_result(problem)
+    file: ProblemFile = getattr(result, "definite", result.problem) if definite else result.problem
+    return file.override(assignments) if assignments else file
+
+
+def design_of(problem: str, design: list[str] | None) -> list[str] | None:
+    """Return the values of `--design`; without them, of a stored result that has a design, its file."""
+    from optlink.report.files import is_result
+
+    if design or not is_result(problem):
+        return design
+    from optlink.io import read_object
+
+    path = Path(problem) / "result.json" if os.path.isdir(problem) else Path(problem)
+    return [str(path)] if "design" in (read_object(path) or {}) else None
 
 
 def read_design_option(file: ProblemFile, design: list[str] | None, varied: Collection[str] = ()) -> dict[str, float] | None:

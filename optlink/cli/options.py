@@ -113,7 +113,7 @@ def flag(text: str, *names: str, **more: Any) -> Any:
     return typer.Option(*names, help=text, **more)
 
 
-PROBLEM_HELP = "A shipped problem (see `list`) or the path of a TOML file."
+PROBLEM_HELP = "A shipped problem (see `list`), the path of a TOML file, or a result.json that --out wrote, or its folder."
 Problem = Annotated[str, typer.Argument(metavar="PROBLEM", help=PROBLEM_HELP, autocompletion=problem_names)]
 Set = Annotated[
     list[str] | None,
@@ -165,7 +165,3 @@ Engine = Annotated[str | None, option("NAME", "local (default: processes of this
 Scheduler = Annotated[str | None, option("ADDRESS", "With --engine dask: address of a running scheduler.", "--scheduler")]
 
 # --- reports and exports -----------------------------------------------------------------------------------------------------
-
-RESULT_HELP = "A shipped problem, a TOML file, or a result.json that --out wrote, or its folder."
-ProblemOrResult = Annotated[str, typer.Argument(metavar="PROBLEM|RESULT", autocompletion=problem_names, help=RESULT_HELP)]
-Of = Annotated[str | None, option("FILE", "Problem file of a RESULT that is neither shipped nor beside it.", "--problem")]

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from optlink.cli import console
-from optlink.cli.options import Design, Json, Of, ProblemOrResult, Quiet, Searcher, Seed, Set, Starts, flag, number, option
+from optlink.cli.options import Design, Json, Problem, Quiet, Searcher, Seed, Set, Starts, flag, number, option
 from optlink.errors import InputError
 from optlink.execution import interrupts
 from optlink.io import head
@@ -25,9 +25,8 @@ Words = list[str] | None
 
 
 def report(
-    source: ProblemOrResult,
+    source: Problem,
     output: Annotated[Path, option("FILE.html", "HTML file to write.", "-o", "--out")],
-    problem: Of = None,
     backend: Searcher = "ipopt",
     starts: Starts = None,
     seed: Seed = 0,
@@ -49,7 +48,7 @@ def report(
     facts = {"title": title, "company": company, "author": author, "part": part, "revision": revision, "date": date}
     changes = [*(changes or []), *(f"report.{key}={json.dumps(text)}" for key, text in facts.items() if text is not None)]
     with console.working("Reading or solving the problem"):
-        about = _report_model(source, output, problem, (backend, starts, seed), changes, design, priced=True)
+        about = _report_model(source, output, (backend, starts, seed), changes, design)
         interrupts.check()
     from optlink.report.html.page import write_page
 
@@ -59,7 +58,7 @@ def report(
 
 
 def export(
-    source: ProblemOrResult,
+    source: Problem,
     output: Annotated[
         Path, option("FILE", "File to write; its suffix selects the format: .dxf, .svg, .csv or .json.", "-o", "--out")
     ],
@@ -70,7 +69,6 @@ def export(
     width: Annotated[str | None, option("SIZE", 'DXF: link width: --width "20 mm".', "--width")] = None,
     points: Annotated[int, number("CSV: steps of the table per revolution.", "--points")] = 360,
     even_invalid: Annotated[bool, flag("Write the design even if it is not valid.", "--even-invalid")] = False,
-    problem: Of = None,
     backend: Searcher = "ipopt",
     starts: Starts = None,
     seed: Seed = 0,
@@ -87,7 +85,7 @@ def export(
     angle = console.quantity(at, "angle", "--at")
     options = Options(angle, console.quantity(hole, "length", "--hole"), console.quantity(width, "length", "--width"), points)
     with console.working("Reading or solving the problem"):
-        about = _report_model(source, output, problem, (backend, starts, seed), changes, design, priced=False)
+        about = _report_model(source, output, (backend, starts, seed), changes, design)
         interrupts.check()
     from optlink.report.report_model import ReportModel
 
@@ -103,29 +101,28 @@ def export(
 def _report_model(
     text: str,
     output: Path,
-    problem: str | None,
     search: tuple[str, int | None, int],
     changes: Words,
     design: Words,
-    *,
-    priced: bool,
 ) -> ReportModel | StoredStudy:
-    """Return the subject of the command: a stored result, with shadow prices if `priced`, or a problem with its solution."""
+    """Return the subject of the command: a stored result, or a problem with its solution."""
     from optlink.report.files import is_result
     from optlink.report.report_model import report_model_of, solve_or_validate
 
     if output.exists() and os.path.exists(text) and os.path.samefile(output, text):
         raise InputError("this would overwrite the input file", "Choose another name", key="--out", value=str(output))
     if is_result(text):
-        remedy = "Leave it out, or name the problem instead of its result"
-        console.refuse({"--design": design, "--starts": search[1]}, "a result already contains its design", remedy, text)
-        from optlink.report.stored.loader import load_stored
+        from optlink.problem.assignment import parse_assignments
+        from optlink.report.stored import read_result, stored_page
 
-        return load_stored(text, problem, changes or (), priced=priced)
-    remedy = "Leave it out, or name a result.json first"
-    console.refuse({"--problem": problem}, "the option applies to a RESULT only", remedy, text)
+        remedy = "Leave it out, or name the problem instead of its result"
+        facts = parse_assignments(changes or ())
+        other = next((key for key in facts if not key.startswith("report.")), None)
+        console.refuse({"--design": design, "--starts": search[1]}, "a result already contains its design", remedy, text)
+        console.refuse({"--set": other}, "a result already contains its problem", remedy, text)
+        return stored_page(read_result(text), facts, text)
     file = console.load(text, changes)
-    return report_model_of(file, solve_or_validate(file, *search, console.read_design_option(file, design)))
+    return report_model_of(solve_or_validate(file, *search, console.read_design_option(file, design)))
 
 
 def _refuse(about: ReportModel, as_json: bool) -> None:

@@ -91,9 +91,10 @@ def _replaced(path: Path, before: Any, written: set[Path], about: dict[str, Any]
 
 def _writers(schema: str) -> list[str]:
     """Return the commands that write results of a schema: for folders without a manifest."""
-    from optlink.report.stored.loader import COMMANDS
+    from optlink.report.registry import KINDS
 
-    command = COMMANDS.get(schema.rpartition("/")[0], "").partition(" --")[0].rpartition(" ")[2]
+    kind = schema.removeprefix("optlink/").rpartition("/")[0].replace("-", " ")
+    command = KINDS.get(kind, "").partition(" --")[0].rpartition(" ")[2]
     return ["solve", "validate"] if command == "solve" else [command] if command else []
 
 

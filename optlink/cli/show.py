@@ -78,12 +78,17 @@ def show(
 
 
 def _template(problem: ProblemFile, name: str = "") -> str:
-    """Return the problem of a path with default limits as TOML text, with the comments and the spellings of its file."""
+    """Return a problem with default limits as TOML text, with the comments and the spellings of its file."""
+    from optlink.problem.document import stored_problem
     from optlink.problem.file import complete
+    from optlink.report.files import is_result
     from optlink.report.toml_text import rewritten, tables
 
-    path = Path(name) if name.endswith(".toml") else problem.folder / os.path.basename(problem.file)
-    text = path.read_text(encoding="utf-8-sig")
+    if is_result(name):
+        text = stored_problem(problem)["toml"]
+    else:
+        path = Path(name) if name.endswith(".toml") else problem.folder / os.path.basename(problem.file)
+        text = path.read_text(encoding="utf-8-sig")
     return rewritten(text, tables(text), complete(problem))
 
 

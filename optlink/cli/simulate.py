@@ -89,7 +89,7 @@ def simulate(
     file = console.load(problem, [*(changes or []), *_series(measured)])
     if torque is not None:
         file = file.override({"drive.torque": torque, "drive.servo": None})
-    values = console.read_design_option(file, design)
+    values = console.read_design_option(file, console.design_of(problem, design))
     with_clearance = file.model.has_clearance and not ideal
     if not with_clearance:
         of_gaps: dict[str, Any] = {"--revolutions": revolutions, "--control": control, "--tolerance": tolerance}
@@ -122,7 +122,7 @@ def simulate(
 
         with console.share("simulating") as progress:
             ideal_run = run(file, time, progress=progress, flywheel=inertia, **common, **console.given(rows=points))
-        _deliver(ideal_run, "simulation", ideal_run.run.ending.value, as_json, out, csv)
+        _deliver(ideal_run, "simulation", ideal_run.ending.value, as_json, out, csv)
         return
     whole_revolutions = _revolutions(file, revolutions, time, common["speed"])
     compiling = functools.partial(console.working, "Compiling the equations of motion (cached for the next time)")

@@ -135,7 +135,8 @@ def _validate(
     from optlink.tasks.modes import possible_modes
     from optlink.tasks.run import validate as check
 
-    file = console.load(problem, changes)
+    file = console.load(problem, changes, definite=False)
+    design = console.design_of(problem, design) or []
     values, hashes = read_design(file, design), [document.get("problem_hash") for _, document in _documents(design)]
     file = next((mode for mode in possible_modes(file) if mode.hash in hashes), file)  # of a result file
     result = check(_in_mode(file, design), values)
@@ -218,7 +219,7 @@ def analyze(
     if step is not None:
         console.refuse({"--points": points}, "--step sets the rows of the table", "Give one of the two")
     file = console.load(problem, changes)
-    values = console.read_design_option(file, design)
+    values = console.read_design_option(file, console.design_of(problem, design))
     console.places(out, "analyze", problem, csv)
     turn, rate = console.quantity(step, "angle", "--step"), console.quantity(speed, "angular velocity", "--speed")
     result = run(file, step=turn, speed=rate, design=values, **console.given(points=points))

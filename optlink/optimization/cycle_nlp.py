@@ -19,6 +19,7 @@ from optlink.optimization.cycle_constraints import EVENT, CycleTerms, WatchedTer
 from optlink.optimization.cycle_signals import EventOrder, TracedCycle
 from optlink.optimization.nlp import NLP, boxed
 from optlink.optimization.objectives import ErrorMeasure
+from optlink.problem.cycle.model import CycleProblem
 from optlink.problem.function import EPIGRAPH
 from optlink.symbolic import CompiledFunction, symbols_in_numpy
 
@@ -211,4 +212,22 @@ def build_cycle(
         exchanged=tuple(others[len(heights) :]),
         nodes=nodes,
         scales=(parts.size, tuple(sizes)),
+        recipe={
+            "builder": "cycle",
+            "values": None if trace.values is None else dict(trace.values),
+            "loads": None if trace.slow is None else dict(trace.slow),
+            "structure": vars(structure),
+            "start": dict(start),
+            "nodes": nodes,
+            "slots": slots,
+            "scales": scales,
+        },
     )
+
+
+def build_cycle_again(problem: CycleProblem, recipe: Mapping[str, Any]) -> CycleNLP:
+    """Return the programme that `build_cycle` has built from the parts in its `recipe`."""
+    order = {name: tuple(items) for name, items in recipe["structure"].items()}
+    trace = TracedCycle(problem, recipe["values"], recipe["loads"])
+    size, sizes = recipe["scales"]
+    return build_cycle(trace, EventOrder(**order), recipe["start"], recipe["nodes"], recipe["slots"], (size, tuple(sizes)))

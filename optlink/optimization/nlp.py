@@ -105,6 +105,7 @@ class NLP:
     smoothing: int = 0  # index in `p` of the smoothing of a scatter (`optlink.problem.robust.SMOOTHED`); 0: none
     exchange_rows: tuple[int, int] = (0, 0)  # index of the first row of the exchange points, number of rows per position
     cycle: bool = False  # of a machine cycle
+    recipe: Mapping[str, Any] = field(default_factory=dict, compare=False)  # what it is built from, beside its problem
     mapped: MappedTerms | None = field(default=None, compare=False)  # the same programme by vectors of positions
     cache: dict[str, Any] = field(default_factory=dict, compare=False)  # functions compiled for this NLP by back ends
 
@@ -444,4 +445,5 @@ def build(problem: DesignProblem, *, movable: bool = False) -> NLP:
         position_symbol=position,
         position_expression=residual(casadi.vertcat(known, position[0]), position[1]),
         mapped=mapped,
+        recipe={"builder": "law"},
     )

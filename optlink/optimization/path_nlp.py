@@ -204,6 +204,7 @@ def build_path_nlp(problem: PathProblem, direction: int = 1, *, movable: bool = 
         exchange_rows=(first, len(placed) + has_sampled_objective(problem)),
         constants=(*constants, *moving),
         mapped=mapped,
+        recipe={"builder": "path", "direction": direction},
     )
 
 

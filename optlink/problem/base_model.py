@@ -8,7 +8,7 @@ from dataclasses import fields
 from operator import attrgetter
 from pathlib import Path
 from types import FunctionType, NoneType
-from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar, get_args, get_origin
+from typing import Annotated, Any, Literal, Self, TypeVar, get_args, get_origin
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,12 +25,11 @@ from pydantic import (
 )
 from pydantic.fields import FieldInfo
 
-from optlink.errors import InputError, UnknownName, nearest
-from optlink.io import Summary, finite
+from optlink.errors import InputError
+from optlink.io import finite
 from optlink.linkage.mechanism import FRAME
 from optlink.problem.quantity import Unusable
 from optlink.units import split_range
-from optlink.version import VERSION
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,39}", re.ASCII)
 DEEPEST = 10
@@ -294,47 +293,6 @@ def _records(kind: type[Record], value: Any) -> Any:
     if isinstance(value, Mapping):
         return {name: _records(kind, item) for name, item in value.items()}
     return tuple(_records(kind, item) for item in value) if type(value) in (list, tuple) else kind.of(value)
-
-
-class ResultRecord(Record):
-    """The common first entries of the document of every result."""
-
-    format: str = Field(alias="schema")
-    optlink: Annotated[str, lambda _: VERSION]
-    problem: Annotated[str, "problem.name"]
-    title: Annotated[str, "problem.model.title"]
-    problem_hash: Annotated[str, "problem.hash"]
-    overrides: Annotated[dict[str, Any], "problem.overrides"] = Field(default_factory=dict)
-    seed: Annotated[int | None, lambda result: getattr(result, "seed", None)]
-    status: Any
-
-
-class Recorded(Summary):
-    """Base class of results that write themselves as records."""
-
-    record: ClassVar[type[ResultRecord]]
-
-    notebook: ClassVar[Callable[[Any], str | None] | None] = None
-    """Renderer of notebooks, which the package installs, as records do not depend on reports."""
-
-    def _repr_html_(self) -> str | None:
-        return None if Recorded.notebook is None else Recorded.notebook(self)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the result as a JSON document: SI, or the unit that ends the key; null where there is no finite value."""
-        return self.record.of(self).document()
-
-
-class Tabled(Recorded):
-    """Base class of results with columns, which `result["input.torque_Nm"]` returns by their names."""
-
-    columns: Mapping[str, NDArray[np.float64]]
-
-    def __getitem__(self, name: str) -> NDArray[np.float64]:
-        try:
-            return self.columns[name]  # those of a damaged file refuse the name themselves
-        except KeyError:
-            raise UnknownName(f"no column {name}", nearest(str(name), self.columns)) from None
 
 
 def read_document(path: Path) -> dict[str, Any]:

@@ -71,7 +71,28 @@ class ProblemFile:
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: Any) -> Any:
-        return core_schema.is_instance_schema(cls)
+        """Within a document a problem is stated by its changes of the document's problem; see `optlink.problem.document`."""
+
+        def read_changes(value: Any, info: core_schema.ValidationInfo) -> ProblemFile:
+            context: dict[str, ProblemFile] = info.context or {}
+            if isinstance(value, ProblemFile):
+                problem = value
+            else:
+                problem = context["problem"].override(value) if value else context["problem"]
+            context["present"] = problem  # that of the parts which follow
+            return problem
+
+        def changes(value: ProblemFile, info: core_schema.SerializationInfo) -> dict[str, Any]:
+            common = info.context["problem"].overrides  # type: ignore[index]
+            return {key: item for key, item in value.overrides.items() if key not in common or common[key] != item}
+
+        return core_schema.with_info_plain_validator_function(
+            read_changes, serialization=core_schema.plain_serializer_function_ser_schema(changes, info_arg=True)
+        )
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, schema: Any, handler: Any) -> dict[str, Any]:
+        return {"type": "object"}
 
     def __hash__(self) -> int:
         return hash((self.name, self.file, self.hash))

@@ -1,7 +1,9 @@
 """The problem with all design variables fixed at a given design: a machine for `analyze`, `simulate` and pictures."""
 
+import codecs
 import copy
 import math
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -59,9 +61,8 @@ def with_files_beside(file: ProblemFile) -> tuple[ProblemFile, dict[str, bytes]]
     raw: dict[str, Any] = copy.deepcopy(dict(file.raw))
     files: dict[str, bytes] = {}
     for table, key, suffix in [*references(raw)]:
-        path = read_tolerance(table[key], file.folder).text if suffix == "" else table[key]
+        path, data = _file_of(table, key, suffix, file.folder)
         suffix = suffix or "csv"
-        data = read_file({suffix: path}, suffix, file.folder)[1]
         stem = f"design-{Path(path).stem[:60].lower()}"
         name, number = f"{stem}.{suffix}", 1
         while files.get(name, data) != data:
@@ -69,6 +70,36 @@ def with_files_beside(file: ProblemFile) -> tuple[ProblemFile, dict[str, bytes]]
             name = f"{stem}-{number}.{suffix}"
         files[name], table[key] = data, name
     return replace(file, raw=raw), files
+
+
+def enclosing(file: ProblemFile) -> dict[str, Any]:
+    """Return the tables of a problem with the content of every CSV or SVG file in place of its name, as `read_file` takes it.
+
+    Raises
+    ------
+    Unusable
+        when a file cannot be read.
+    """
+    raw: dict[str, Any] = copy.deepcopy(dict(file.raw))
+    for table, key, suffix in [*references(raw)]:
+        name, data = _file_of(table, key, suffix, file.folder)
+        table[key] = f"{name}\n{_text_of(data)}"
+    return raw
+
+
+def _file_of(table: Mapping[str, Any], key: str, suffix: str, folder: Path) -> tuple[str, bytes]:
+    """Return the name and the bytes of a file to which a table refers, see `references`."""
+    source = table[key] if suffix else read_tolerance(table[key], folder).source
+    return source.partition("\n")[0], read_file({suffix or "csv": source}, suffix or "csv", folder)[1]
+
+
+def _text_of(data: bytes) -> str:
+    """Return the text of a file; of one that is not UTF-8, with UTF-8 as the encoding that it declares."""
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = data.decode("utf-16" if data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) else "latin-1")
+        return re.sub(r"""(<\?xml[^>]*encoding=)["'][^"']*["']""", r'\1"UTF-8"', text, count=1)
 
 
 def references(raw: Any, within: str = "") -> Iterator[tuple[dict[str, Any], str, str]]:

@@ -4,14 +4,25 @@ Each is imported when it is used: a table needs no plotting library.
 """
 
 from collections.abc import Callable
-from typing import Any, get_args
+from typing import Any
 
-from optlink.problem.base_model import ResultRecord
+from optlink.problem.document import Document
 from optlink.report.table_spec import Summary
 from optlink.report.view import View
 
 REGISTERED: dict[str, View] = {}
 """Views of further kinds of results by the name of the kind."""
+KINDS = {
+    **dict.fromkeys(("function", "path", "cycle"), "solve"),
+    "analysis": "analyze",
+    **dict.fromkeys(("simulation", "clearance"), "simulate"),
+    "control comparison": "simulate --control compare",
+    "tuning": "simulate --tune",
+    "balance": "balance",
+    **{kind: f"study {kind}" for kind in ("sensitivity", "sweep", "tolerance", "pareto")},
+    "output sensitivity": "study sensitivity --quantity",
+}
+"""Kinds of stored results, and the commands that write them."""
 
 
 def table_of(kind: str) -> Callable[[Any], Summary]:
@@ -110,6 +121,10 @@ def view_of(kind: str) -> View:
             from optlink.report.views import sensitivity
 
             return sensitivity.VIEW
+        case "output sensitivity":
+            from optlink.studies.motion_sensitivity import OutputStudy
+
+            return View(result=OutputStudy, no_page="Read the derivatives of an output in the sensitivity.csv beside it")
         case "tolerance":
             from optlink.report.views import tolerance
 
@@ -119,37 +134,16 @@ def view_of(kind: str) -> View:
 
             return pareto.VIEW
         case "tuning":
-            return View()
+            from optlink.tasks.results.control_comparison import Tuning
+
+            return View(result=Tuning, no_page="Read the best parameters in it, under best")
         case _:
             raise KeyError(kind)
 
 
-def records() -> dict[str, type[ResultRecord]]:
-    """Import the records of all kinds of results."""
-    from optlink.studies.motion_sensitivity import OutputSensitivityRecord
-    from optlink.studies.pareto.epsilon_constraint import ParetoRecord
-    from optlink.studies.sensitivity import SensitivitiesRecord
-    from optlink.studies.sweep import SweepRecord
-    from optlink.studies.tolerance.analysis import ToleranceRecord
-    from optlink.tasks.function import FunctionRecord
-    from optlink.tasks.results.analysis import AnalysisRecord
-    from optlink.tasks.results.balance import BalanceRecord
-    from optlink.tasks.results.clearance import ClearanceRecord
-    from optlink.tasks.results.control_comparison import ComparisonRecord
-    from optlink.tasks.results.cycle import CycleRecord
-    from optlink.tasks.results.path import PathRecord
-    from optlink.tasks.simulate import SimulationRecord
-
-    designs = (FunctionRecord, PathRecord, CycleRecord, AnalysisRecord, SensitivitiesRecord, OutputSensitivityRecord)
-    machines = (SimulationRecord, ClearanceRecord, ComparisonRecord, BalanceRecord)
-    classes = (*designs, *machines, SweepRecord, ToleranceRecord, ParetoRecord)
-    return {schema_of(record).split("/")[1].replace("-", " "): record for record in classes}
-
-
-def schema_of(record: type[ResultRecord]) -> str:
-    """Return the only schema that a record takes, "optlink/KIND/VERSION"."""
-    [schema] = get_args(record.model_fields["format"].annotation)
-    return str(schema)
+def result_class(kind: str) -> type[Document] | None:
+    """Import the class of the results of a kind; None if there are none."""
+    return view_of(kind).result if kind in KINDS or kind in REGISTERED else None
 
 
 def json_schema(kind: str) -> dict[str, Any]:
@@ -165,16 +159,14 @@ def json_schema(kind: str) -> dict[str, Any]:
     InputError
         If the kind is unknown.
     """
-    from pydantic.json_schema import models_json_schema
-
     from optlink.problem.quantity import check_choice
 
-    classes = records()
-    check_choice("--schema", kind, ["result", *classes], "no such kind of result")
-    chosen = list(classes.values()) if kind == "result" else [classes[kind]]
-    places, schema = models_json_schema([(record, "validation") for record in chosen], title=f"optlink {kind}")
+    check_choice("--schema", kind, ["result", *KINDS], "no such kind of result")
+    schemas = [one.json_schema() for name in KINDS if kind in ("result", name) and (one := result_class(name)) is not None]
+    parts = {name: part for schema in schemas for name, part in schema.pop("$defs", {}).items()}
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
-        **schema,
-        "anyOf": [places[record, "validation"] for record in chosen],
+        "title": f"optlink {kind}",
+        "$defs": dict(sorted(parts.items())),
+        "anyOf": schemas,
     }

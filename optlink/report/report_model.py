@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, TypeAlias, cast
 from optlink.errors import InputError, Status
 from optlink.problem.file import ProblemFile
 from optlink.report.causes import causes, why_invalid
-from optlink.solvers.solution import LimitState
 from optlink.tasks.analyze import analyze
 from optlink.tasks.results.analysis import Analysis
 from optlink.tasks.run import solve, validate
@@ -32,16 +31,14 @@ class ReportModel:
     """A problem with its result.
 
     `cycle` is the analysis of the resulting machine over its whole motion from the start of its task; it is None if the machine
-    cannot be assembled, with the reason in `unmoved`. `limits` are constraint states with shadow prices read from a result file.
-    `notes` inform the reader about the origin of the result. `effects` are the sensitivities of the optimum, if they were
-    requested.
+    cannot be assembled, with the reason in `unmoved`. `notes` are for the reader of a page. `effects` are the sensitivities of
+    the optimum, if they were requested.
     """
 
     problem: ProblemFile
     result: DesignResult | Analysis
     cycle: Analysis | None
     unmoved: str = ""
-    limits: tuple[LimitState, ...] = ()
     notes: tuple[str, ...] = ()
     effects: Sensitivities | None = None
 
@@ -94,30 +91,23 @@ def solve_or_validate(
     return cast(Outcome, solve(problem, backend, starts, seed) if design is None else validate(problem, design))
 
 
-def report_model_of(
-    problem: ProblemFile, outcome: DesignResult | Analysis, limits: tuple[LimitState, ...] = (), notes: tuple[str, ...] = ()
-) -> ReportModel:
-    """Return the report model of a solved problem.
+def report_model_of(outcome: DesignResult | Analysis) -> ReportModel:
+    """Return the report model of a result, found just now or read from a file.
 
     Parameters
     ----------
-    problem : ProblemFile
     outcome : DesignResult or Analysis
-    limits : tuple of LimitState, optional
-        Constraint states with shadow prices.
-    notes : tuple of str, optional
-        Notes on the origin of the result.
     """
+    problem = outcome.problem
     if isinstance(outcome, Analysis):
-        if problem.task == "balance":
-            notes += ("this is the machine before balancing: `solve --out DIR` and `report DIR` show the balanced one",)
-        return ReportModel(problem, outcome, outcome, limits=limits, notes=notes)
+        balanced = "this is the machine before balancing: `solve --out DIR` and `report DIR` show the balanced one"
+        return ReportModel(problem, outcome, outcome, notes=(balanced,) if problem.task == "balance" else ())
     try:
         machine = outcome.machine
         cycle = None if machine is None else analyze(machine)
     except InputError as error:
-        return ReportModel(problem, outcome, None, error.faults[0].message, limits, notes)
-    return ReportModel(problem, outcome, cycle, "" if cycle else "no linkage was found", limits, notes)
+        return ReportModel(problem, outcome, None, error.faults[0].message)
+    return ReportModel(problem, outcome, cycle, "" if cycle else "no linkage was found")
 
 
 def verdict(model: ReportModel | StoredStudy) -> str:

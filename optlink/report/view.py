@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from optlink.io import write_json
-from optlink.problem.base_model import Contradiction
+from optlink.problem.document import Document
 from optlink.report.files import write_csv, write_design
 from optlink.report.table_spec import Paragraph, Summary
 
@@ -19,10 +19,7 @@ if TYPE_CHECKING:
     from optlink.problem.file import ProblemFile
     from optlink.report.chart_spec import ChartSpec
     from optlink.report.html.shell import StoredStudy
-
-
-def _unreadable(document: Any, *_: Any) -> Any:
-    raise Contradiction("schema", "results of this kind cannot be read", document["schema"])
+    from optlink.report.report_model import ReportModel
 
 
 @dataclass(frozen=True)
@@ -46,12 +43,12 @@ class View:
         Returns the machine of a result and a comment on it for design.toml, or None.
     frames : function
         Returns the frames of the animation motion.gif; none if there is nothing to move.
-    page : function of (record, problem, path)
-        Returns the page of a result that is shown as stored.
-    schema : str
-        `schema` of the JSON document of a kind from outside the package, whose result files `report` reads.
-    stored : function of (document, problem)
-        Returns the result of such a document, a dictionary, and its problem; raises `Contradiction` if they do not fit.
+    page : function, optional
+        Returns the page of a result. Default: the page of a design with the motion of its machine.
+    result : type of Document, optional
+        Class of the results, by which stored ones are read.
+    no_page : str
+        Where to read results of a kind without a page.
     """
 
     table: Callable[[Any], Summary] = lambda _: Summary("", Paragraph())
@@ -61,9 +58,9 @@ class View:
     tables: Callable[[Any], Mapping[str, Mapping[str, Iterable[float | str]]]] = lambda _: {}
     design: Callable[[Any], tuple[ProblemFile, str] | None] = lambda _: None
     frames: Callable[[Any], list[Image.Image]] = lambda _: []
-    page: Callable[[Any, ProblemFile, Path], StoredStudy] = _unreadable
-    schema: str = ""
-    stored: Callable[[dict[str, Any], ProblemFile], Any] = _unreadable
+    page: Callable[[Any], StoredStudy | ReportModel] | None = None
+    result: type[Document] | None = None
+    no_page: str = ""
 
     def write(self, result: Any, folder: Path, pictures: str = "png", *, film: bool = False) -> list[Path]:
         """Write result.json, the certificate, the tables, the design and the pictures; return the paths.

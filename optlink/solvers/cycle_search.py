@@ -300,7 +300,7 @@ def _round(orders: Sequence[OrderSearch], k: int, ahead: Iterator[list[dict[str,
     """Search from the k-th starting point of each order; `ahead`: the local searches from there, made by other processes."""
     for order in orders:
         if k < len(order.begin.starts):
-            order.advance(k, None if ahead is None else [Solution(nlp=order.nlp, **parts) for parts in next(ahead)])
+            order.advance(k, None if ahead is None else [Solution(source=order.nlp, **parts) for parts in next(ahead)])
 
 
 def _cross(orders: Sequence[OrderSearch], beside: list[OrderSearch], names: tuple[str, ...]) -> None:

@@ -6,23 +6,25 @@ The solver's own flag and message are recorded but not relied on.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
-from typing import TYPE_CHECKING, Any, Protocol
+from functools import cached_property, partial
+from typing import TYPE_CHECKING, Annotated, Any, Protocol
 
 import numpy as np
+from pydantic import ConfigDict, Field, PlainSerializer, PlainValidator, ValidationInfo, WithJsonSchema
 
 from optlink.errors import Status
 from optlink.io import Summary
 from optlink.linkage.vector2d import Array
 from optlink.optimization.constraints import Scale, SIScale
 from optlink.optimization.multipliers import ACTIVE, LEAST_PRICE, SAME_SUM, MultiplierSet, active_sides
-from optlink.problem.base_model import Number
+from optlink.problem.base_model import Column, Never, Number
 from optlink.units import in_si
 
 if TYPE_CHECKING:
     from optlink.optimization.nlp import NLP, NLPValues
+    from optlink.problem.file import ProblemFile
 
 
 FEASIBLE = 1e-8  # largest violation, in scaled units, that counts as satisfied
@@ -108,37 +110,79 @@ class Relaxation:
 class Stationarity:
     """First-order optimality conditions at x: `multipliers` of bounds (n) then rows, `active` indices of these, KKT residual."""
 
-    multipliers: Array
+    multipliers: Column
     active: list[int]
-    kkt: float
+    kkt: Never
+
+
+def _read_recipe(recipe: Any, info: ValidationInfo) -> Callable[[], NLP]:
+    """Return what builds the programme of a stored solution again, for the problem that was read before it."""
+    return partial(_built_again, (info.context or {})["present"], recipe)
+
+
+def _built_again(problem: ProblemFile, recipe: Mapping[str, Any]) -> NLP:
+    model: Any = problem.model
+    match recipe:
+        case {"builder": "law"}:
+            from optlink.optimization.nlp import build
+
+            return build(model)
+        case {"builder": "path", "direction": direction}:
+            from optlink.optimization.path_nlp import build_path_nlp
+
+            return build_path_nlp(model, direction)
+    from optlink.optimization.cycle_nlp import build_cycle_again
+
+    return build_cycle_again(model, recipe)
+
+
+Source = Annotated[
+    Any,
+    PlainValidator(_read_recipe),
+    PlainSerializer(lambda source: dict((source() if callable(source) else source).recipe)),
+    WithJsonSchema({"type": "object"}),
+]
+"""An NLP, or a function that builds it; in a document what it is built from."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Solution(Summary):
     """A point of the NLP with its optimality conditions. `x` is scaled, `design` and `objective` are in SI units.
 
-    `price` converts multipliers (of bounds, then rows) from the scaled objective to that of `objective`.
+    `source`: the NLP, or a function that builds it when it is needed, for a stored solution; `price` converts multipliers (of
+    bounds, then rows) from the scaled objective to that of `objective`.
     """
 
-    nlp: NLP
-    x: Array
-    g: Array
-    price: float
-    design: dict[str, float]
-    objective: float
+    __pydantic_config__ = ConfigDict(arbitrary_types_allowed=True)
+
+    source: Source
+    x: Column
+    g: Column
+    price: Number
+    design: dict[str, Number]
+    objective: Number
     status: Status
-    violation: float
-    kkt: float
-    p: Array
+    violation: Never
+    kkt: Never
+    p: Column
     conditions: Stationarity
     iterations: int
     message: str
-    path: Array | None = None
+    path: Annotated[Array | None, Field(exclude=True)] = None
+
+    @cached_property
+    def nlp(self) -> NLP:
+        """The programme."""
+        if not callable(self.source):
+            return self.source  # type: ignore[no-any-return]
+        nlp: NLP = self.source()
+        nlp.p[1:] = self.p[1:]
+        return nlp
 
     @property
     def parts(self) -> dict[str, Any]:
         """All fields but the programme, for another process."""
-        return {item.name: getattr(self, item.name) for item in fields(self) if item.name != "nlp"}
+        return {item.name: getattr(self, item.name) for item in fields(self) if item.name != "source"}
 
     @cached_property
     def curvature(self) -> float:
@@ -230,7 +274,7 @@ def verified_solution(
         status = Status.OPTIMAL if _optimal(nlp, x, p, point, conditions, residuals) else Status.STALLED
     price = p[0] * nlp.factor * nlp.measure.slope(residuals) if np.all(np.isfinite(residuals)) else 0.0
     return Solution(
-        nlp=nlp,
+        source=nlp,
         x=x,
         g=point.g,
         price=price,

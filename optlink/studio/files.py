@@ -30,7 +30,7 @@ def exported(design: Design, name: str, format: str) -> dict[str, Any]:
     from optlink.report.html.page import page
     from optlink.report.report_model import report_model_of
 
-    model = report_model_of(design.problem, design.result)
+    model = report_model_of(design.result)
     if format == "html":
         text = page(model)
     else:

@@ -154,6 +154,7 @@ def analyze(
         unbounded,
         math.nan if unsound or not ranges.full else work.rms_torque,
         design or {},
+        (points, step),
     )
 
 

@@ -192,7 +192,7 @@ def balance(
     seconds["optimum"] = time.perf_counter() - begin
     before = _before(task, goal)
     common: dict[str, Any] = {name: getattr(task, name) for name in ("problem", "angles", "speed", "about")}
-    common |= {"original": task.machine, "goal": tuple(goal), "before": before, "solver": version(), "seconds": seconds}
+    common |= {"goal": tuple(goal), "before": before, "solver": version(), "seconds": seconds}
     common["iterations"] = solution.certificate.iterations
     if solution.certificate.status == "infeasible":
         return Balance(
@@ -226,7 +226,6 @@ def balance(
         added=added,
         springs=springs,
         machine=balanced,
-        heavier=heavier,
         rows=rows,
         disagreement=disagreement,
         limits=tuple(active_limit(price, after, scale) for price in solution.prices),

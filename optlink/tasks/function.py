@@ -9,21 +9,21 @@ import time
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import Field
 
 from optlink.errors import OPTIONS_NAMED, InputError, Status
 from optlink.execution import interrupts
+from optlink.io import checked
 from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.vector2d import Array
 from optlink.optimization.nlp import NLP, build
 from optlink.optimization.objectives import MEASURES
 from optlink.problem.arguments import typed
 from optlink.problem.assignment import parse_assignments
-from optlink.problem.base_model import Number, Record, absent, itself
+from optlink.problem.document import Source
 from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import fixed_design, started
 from optlink.problem.quantity import Quantity, input_of, read_quantity
@@ -31,21 +31,20 @@ from optlink.problem.targets.expression import Expression
 from optlink.solvers import multistart
 from optlink.solvers.function_exchange import ALONG, error_at, error_function, place_at_peaks
 from optlink.solvers.solution import EXACTLY_MET, Relaxation, Solution
+from optlink.synthesis.freudenstein import FirstStep
 from optlink.tasks.machine import check_names, turning_machine
 from optlink.tasks.modes import best_mode
 from optlink.tasks.protocol import DesignTask, Search, agreement, part
-from optlink.tasks.results.certificate import CertificateRecord
-from optlink.tasks.results.common import ROUNDED, SingleRecord, SingleResult, better
+from optlink.tasks.results.common import ROUNDED, SingleResult, better
 from optlink.tasks.results.default_margins import margin_notes
 from optlink.tasks.results.evidence import Evidence, evidence
 from optlink.tasks.results.fit import Fit, law_fit
 from optlink.tasks.results.rejected import RejectedDesign, best_rejected
 from optlink.tasks.results.rotation import cannot_turn
-from optlink.units import show
+from optlink.units import KINDS, show
 from optlink.validation import Check, validate as validate_law
 
 if TYPE_CHECKING:
-    from optlink.synthesis.freudenstein import FirstStep
     from optlink.tasks.function_search import FunctionCandidate
 
 Start = NDArray[np.float64]
@@ -54,40 +53,19 @@ EXTREME_SHARE = 0.99  # fraction of the largest error that counts as an extreme 
 MIN_CURVATURE = 1e-7  # least curvature, for an objective scaled to 1, of a unique optimum
 
 
-class FunctionObjectiveRecord(Record):
-    """Objective and errors of a design; what the tolerances add, and the alternations of a minimax optimum."""
-
-    value: Annotated[Number, "objective"]
-    unit: str
-    measure: Annotated[str, "problem.spec.measure"]
-    rms_deg: Annotated[Number, lambda result: math.degrees(MEASURES["rms"].of(result.error()))]
-    largest_deg: Annotated[Number, lambda result: math.degrees(MEASURES["max"].of(result.error()))]
-    alternations: Annotated[int | None, lambda result: result.alternations if result.problem.spec.measure == "max" else None] = (
-        absent()
-    )
-    robust: Annotated[str | None, lambda result: getattr(result.problem.spec.requirement.robust, "text", None)] = absent()
-    tolerances_SI: Annotated[dict[str, float] | None, "tolerances"] = absent()
-
-
-class FunctionRecord(SingleRecord):
-    """Document of a function synthesis: SI, or the unit that ends the key."""
-
-    format: Literal["optlink/function/2"] = Field(alias="schema")
-    assembly: str
-    objective: Annotated[FunctionObjectiveRecord, itself]
-    evidence: Evidence | None = absent()
-    starts_that_reached_each_value: Annotated[tuple[int, ...] | None, lambda result: result.counts or None] = absent()
-    first_step: Annotated[
-        dict[str, Any] | None, lambda result: result.first and vars(result.first) | {"gap": result.first.gap}
-    ] = absent()
-    certificate: CertificateRecord | None = absent()
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class FunctionResult(SingleResult):
     """A design with its validation, or the reason why there is none."""
 
-    record = FunctionRecord
+    kind = "function"
+    shown: ClassVar[Mapping[str, Source]] = {
+        **SingleResult.shown,
+        "assembly": "assembly",
+        "objective": "stated_objective",
+        "evidence?": "evidence",
+        "starts_that_reached_each_value?": lambda result: result.counts or None,
+        "first_step?": lambda result: result.first and vars(result.first) | {"gap": result.first.gap},
+    }
 
     first: FirstStep | None = None  # best convex first design of a function
     margins: tuple[str, ...] = ()  # notes on default margins that exclude a better optimum
@@ -199,6 +177,24 @@ class FunctionResult(SingleResult):
     def unit(self) -> str:
         """Unit of the objective."""
         return self.problem.spec.objective_unit
+
+    @property
+    def stated_objective(self) -> dict[str, Any]:
+        """Objective and errors; what the tolerances add, and the alternations of a minimax optimum."""
+        spec, error = self.problem.spec, self.error()
+        further = {
+            "alternations": self.alternations if spec.measure == "max" else None,
+            "robust": getattr(spec.requirement.robust, "text", None),
+            "tolerances_SI": self.tolerances,
+        }
+        return {
+            "value": self.objective,
+            "unit": self.unit,
+            "measure": spec.measure,
+            "rms_deg": math.degrees(MEASURES["rms"].of(error)),
+            "largest_deg": math.degrees(MEASURES["max"].of(error)),
+            **{key: value for key, value in further.items() if value is not None},
+        }
 
     def displayed(self, design: Mapping[str, float]) -> dict[str, float]:
         """Return a design [SI] in display units, which end the keys."""
@@ -365,7 +361,17 @@ def _explained(nlp: NLP, seed: int, exactly: bool) -> tuple[Start | None, Soluti
 def _stored(text: str, quantities: Mapping[str, Quantity]) -> list[tuple[str, object]]:
     """Return the assignments of a result.json, one per quantity (phi0 and psi0 only if not derived)."""
     try:
-        design = json.loads(Path(text).read_text(encoding="utf-8"))["design"].items()
+        document = json.loads(Path(text).read_text(encoding="utf-8"))
+        state = document.get("state", {}) if checked(document) is not None else {}  # of a changed file the entries for people
+        best = (state.get("designs") or [document.get("nearest") or {}])[0] if "designs" in state else {}
+        exact = state.get("design") or best.get("values")  # [SI]
+        if isinstance(exact, dict):
+            return [
+                (name, f"{float(value)!r} {KINDS[quantities[name].kind].si}")
+                for name, value in exact.items()
+                if name in quantities
+            ]
+        design = document["design"].items()
         parts = [(*key.rpartition("_"), float(value)) for key, value in design if not isinstance(value, bool)]
         return [(name, f"{value!r} {unit}") for name, _, unit, value in parts if name in quantities or name in LENGTHS]
     except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:

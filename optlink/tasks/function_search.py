@@ -375,7 +375,7 @@ class FunctionSearch:
         points = [(start.x, self._method(start)) for start in starts]
         task = LocalSearchTask(self.nlp, tuple(points[k : k + CHUNK] for k in range(0, len(points), CHUNK)))
         for piece in ordered(task, len(task.pieces), runs):
-            yield from (Solution(nlp=self.nlp, **part) for part in piece)
+            yield from (Solution(source=self.nlp, **part) for part in piece)
 
     @property
     def _exact(self) -> bool:

@@ -153,7 +153,7 @@ class Polisher:
         task = PolishTask(packed((self.files, self.backend, self.alone)), tuple(candidates), near)
         for candidate, parts in zip(candidates, ordered(task, len(candidates), self.runs), strict=True):
             if parts["solution"] is not None:
-                parts["solution"] = Solution(nlp=self.programme(candidate.variant, candidate.direction), **parts["solution"])
+                parts["solution"] = Solution(source=self.programme(candidate.variant, candidate.direction), **parts["solution"])
             yield PathDesign(problem=self.files[candidate.variant], **parts)
 
     def unpolished(self, candidate: Candidate) -> PathDesign:

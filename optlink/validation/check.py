@@ -91,7 +91,7 @@ class Validation:
     """All checks of a design, and its measured objective [SI]."""
 
     checks: tuple[Check, ...]
-    objective: float
+    objective: Number
 
     def __repr__(self) -> str:
         failed = f", failed: {', '.join(self.failed)}" if self.failed else ""

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from optlink.errors import Status
-from optlink.io import head
 from optlink.linkage.extrema import extremes
 from optlink.linkage.motion import sweep
 from optlink.problem.base_model import Section
@@ -28,11 +27,10 @@ class ClearingProblem(Problem):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ClearingResult(SingleResult):
+    kind = "clearing"
+    shown = {"valid": "valid", "distance_m": "objective"}
     notes = ()
     machine = property(lambda self: self.problem)
-
-    def to_dict(self):
-        return head("example/clearing/1", self.problem, str(self.status)) | {"valid": self.valid, "distance_m": self.objective}
 
 
 def distances(problem, angles):

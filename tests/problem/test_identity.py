@@ -27,8 +27,6 @@ from optlink.problem.function import DesignProblem
 from optlink.problem.identity import identity
 from optlink.problem.machine.model import Problem
 from optlink.problem.path import PathProblem
-from optlink.report.stored.loader import load_stored
-from optlink.report.stored.stored_certificate import read_certificate
 from optlink.studies.pareto.epsilon_constraint import pareto
 from optlink.studies.sweep import sweep
 from optlink.studies.tolerance.analysis import tolerance
@@ -119,8 +117,16 @@ def stored(result: Any, folder: Path) -> Again:
     """The result as the file that `--out` writes, for `optlink report`."""
     path = folder / "result.json"
     path.write_text(json.dumps(result.to_dict()))
-    load_stored(str(path), str(folder / "mine.toml"))  # is shown as long as nothing has changed
-    return lambda file: load_stored(str(path), str(folder / "mine.toml"))
+
+    def again(file: optlink.ProblemFile) -> None:
+        """The result stays that of the problem that it contains."""
+        own = optlink.read_result(path)
+        assert own.to_dict() == result.to_dict()
+        if own.problem.hash != file.hash:
+            raise InputError("another problem", "Solve it again")
+
+    again(result.problem)
+    return again
 
 
 def report(file: optlink.ProblemFile, folder: Path) -> Again:
@@ -183,8 +189,14 @@ def scatter(file: optlink.ProblemFile, folder: Path) -> Again:
 
 def certificate(file: optlink.ProblemFile, folder: Path) -> Again:
     result = optlink.solve(file, starts=2, certify=True, gap=0.9)
-    (folder / "certificate.json").write_text(json.dumps(certificate_document(result.certificate, result)))
-    return lambda changed: read_certificate(changed, folder / "certificate.json")
+    document = certificate_document(result.certificate, result)
+    assert document["problem_hash"] == file.hash
+
+    def again(changed: optlink.ProblemFile) -> None:
+        if document["problem_hash"] != changed.hash:
+            raise InputError("the certificate of another problem", "Make it again")
+
+    return again
 
 
 def clearance(file: optlink.ProblemFile, folder: Path) -> Again:
@@ -444,7 +456,6 @@ def test_measured_deviations_of_the_command_line_belong_to_a_study(tmp_path, mon
     assert again.problem.hash == result.problem.hash != problem.hash
     (elsewhere / "result.json").write_text(json.dumps(result.to_dict()))
     monkeypatch.chdir(elsewhere)
-    assert load_stored("result.json").verdict
-    (study / parts).write_text("rocker_mm\n0.11\n-0.07\n0.02\n0.06\n", encoding="utf-8")
-    with pytest.raises(InputError, match=OTHER):
-        load_stored("result.json")
+    for _ in range(2):
+        assert optlink.read_result("result.json").to_dict() == result.to_dict()
+        (study / parts).write_text("rocker_mm\n0.11\n-0.07\n0.02\n0.06\n", encoding="utf-8")  # of another study now

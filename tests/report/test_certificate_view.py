@@ -17,7 +17,7 @@ from optlink.problem.machine.model import ShownObjective
 from optlink.report import chart_mpl
 from optlink.report.html import chart_plotly
 from optlink.report.registry import table_of, view_of
-from optlink.report.stored.loader import load_stored
+from optlink.report.stored import read_result
 from optlink.report.views import certificate_view, conclusions
 from optlink.tasks.certify import certify
 from optlink.tasks.results.certificate import Certificate, certificate_document
@@ -158,7 +158,7 @@ def test_no_charts_without_a_cover(solved, unfinished):
     assert "bounds" not in charts(unfinished)
     [cover] = solved.certificate.covers
     many = {
-        name: np.repeat(getattr(cover, name), certificate_view.MAX_SHOWN_BOXES // len(cover.test) + 1, axis=0)
+        name: np.repeat(getattr(cover, name), MOST_DRAWN // len(cover.test) + 1, axis=0)
         for name in ("low", "high", "test")
     }
     large = replace(solved, certificate=replace(solved.certificate, covers=(replace(cover, **many),)))
@@ -169,103 +169,51 @@ def test_no_charts_without_a_cover(solved, unfinished):
 # --- stored results ------------------------------------------------------------------------------------------------------------
 
 
-def stored(document, folder, proof=None):
+def stored(result, folder):
+    """The result of its file."""
     path = folder / "result.json"
-    path.write_text(json.dumps(document), encoding="utf-8")
-    if proof is not None:
-        (folder / "certificate.json").write_text(json.dumps(proof), encoding="utf-8")
-    return load_stored(str(path))
+    path.write_text(json.dumps(result.to_dict()), encoding="utf-8")
+    return read_result(path)
 
 
 def test_a_stored_certificate_is_that_of_the_result(solved, tmp_path):
-    model = stored(solved.to_dict(), tmp_path, certificate_document(solved.certificate, solved))
-    result = model.result.certificate
+    result = stored(solved, tmp_path).certificate
     assert (result.text, result.lower_bound, result.boxes) == (
         solved.certificate.text,
         solved.certificate.lower_bound,
         solved.certificate.boxes,
     )
     assert np.array_equal(result.history, solved.certificate.history)
-    assert np.array_equal(result.covers[0].low, solved.certificate.covers[0].low)
-    assert np.array_equal(result.covers[0].test, solved.certificate.covers[0].test)
-    assert {"boxes", "bounds"} <= set(charts(model.result))
-    assert any("certificate of the global optimum is that of the file" in note for note in model.notes)
+    for name in ("low", "high", "test"):
+        assert np.array_equal(getattr(result.covers[0], name), getattr(solved.certificate.covers[0], name))
+    assert {"boxes", "bounds"} <= set(charts(stored(solved, tmp_path)))
 
 
-def test_the_boxes_of_a_proof_are_in_a_file_of_their_own(solved, tmp_path):
-    """A result alone is short, and its page has no boxes; those of another search are not shown."""
-    assert len(json.dumps(solved.to_dict())) < 12_000
-    assert "bounds" in charts(stored(solved.to_dict(), tmp_path).result)
-    assert "boxes" not in charts(stored(solved.to_dict(), tmp_path).result)
-    other = certificate_document(solved.certificate, solved) | {"lower_bound": 0.9 * solved.certificate.lower_bound}
-    assert "boxes" not in charts(stored(solved.to_dict(), tmp_path, other).result)
+def test_a_result_contains_what_is_drawn_of_a_proof(solved, tmp_path):
+    """The boxes of two design variables, unless there are too many to draw; certificate.json has all of them."""
+    assert len(json.dumps(solved.to_dict(), indent=2)) < 60_000
+    [cover] = solved.certificate.covers
+    many = {
+        name: np.repeat(getattr(cover, name), MOST_DRAWN // len(cover.test) + 1, axis=0)
+        for name in ("low", "high", "test", "multipliers")
+    }
+    large = replace(solved, certificate=replace(solved.certificate, covers=(replace(cover, **many),)))
+    again = stored(large, tmp_path)
+    assert again.certificate.covers == ()
+    assert "boxes" not in charts(large)
+    assert set(charts(again)) == set(charts(large))
 
 
 def test_a_stored_infeasible_certificate_is_restored(opposed, tmp_path):
-    path = tmp_path / "result.json"
-    path.write_text(json.dumps(opposed.to_dict()), encoding="utf-8")
-    result = load_stored(str(path), changes=[f"{key}={value}" for key, value in OPPOSED.items()]).result.certificate
+    result = stored(opposed, tmp_path).certificate
     assert result.status == "infeasible"
     assert math.isinf(result.lower_bound)
 
 
-DAMAGED = {
-    "status": ("fine", "certificate.status"),
-    "objective": (0.5, "the gap is too large for the status of the proof"),
-    "lower_bound": (0.001, "certificate.lower_bound = 0.001: the result is damaged: the gap is too large for the status"),
-    "asked": (7.0, "certificate.asked = 7.0: the result is damaged: expected a number from 1e-12 to less than 1"),
-    "boxes": (-1, "certificate.open_boxes"),
-    "open_boxes": (4, "certificate.open_boxes = 4: the result is damaged: it does not fit the status of the proof"),
-    "unknowns": (["coupler"], "the design variables of the problem are coupler, rocker"),
-    "history": ([[1.0, 2.0]], "certificate.history: the result is damaged: its rows are not boxes, lower bound and objective"),
-    "rigorous": (False, "certificate.rigorous"),
-    "improved": (7, "certificate.improved"),
-    "text": (7, "certificate.text = 7: the result is damaged: this is not a text"),
-    "gap": ("small", 'certificate.gap = "small": the result is damaged: this is not a number'),
-}
-
-
-@pytest.mark.parametrize("key", DAMAGED)
-def test_a_damaged_certificate_is_refused_in_a_sentence(solved, tmp_path, key):
-    document = copy.deepcopy(solved.to_dict())
-    document["certificate"][key], message = DAMAGED[key]
-    with pytest.raises(optlink.InputError) as refused:
-        stored(document, tmp_path)
-    assert message in str(refused.value)
-    assert "damaged" in str(refused.value)
+def test_a_changed_certificate_is_refused_in_a_sentence(solved, tmp_path):
+    document = json.loads(json.dumps(solved.to_dict()))
+    document["certificate"]["lower_bound"] *= 1.001
+    (tmp_path / "result.json").write_text(json.dumps(document), encoding="utf-8")
+    with pytest.raises(optlink.InputError, match="the result was changed since it was written") as refused:
+        read_result(tmp_path)
     assert "\n" not in str(refused.value)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"test": ["magic"]}, "covers[0].test"),
-        ({"low": [[0.9, 0.9]]}, "the upper corner of a box lies below its lower corner"),
-        ({"low": [[0.1]]}, "this is not 1 rows of 2 finite numbers"),
-    ],
-)
-def test_damaged_boxes_are_refused(solved, tmp_path, change, message):
-    one = {"assembly": "left", "low": [[0.1, 0.1]], "high": [[0.2, 0.2]], "test": ["limits"], "limits": [], "multipliers": [{}]}
-    proof = certificate_document(solved.certificate, solved) | {"covers": [one | change]}
-    with pytest.raises(optlink.InputError, match="damaged") as refused:
-        stored(solved.to_dict(), tmp_path, proof)
-    assert message in str(refused.value)
-
-
-def test_a_certificate_of_another_verdict_is_refused(solved, tmp_path):
-    document = copy.deepcopy(solved.to_dict())
-    document["certificate"]["status"] = "infeasible"
-    with pytest.raises(optlink.InputError, match="there is an objective or a bound of it"):
-        stored(document, tmp_path)
-
-
-def test_a_certificate_of_another_design_is_not_shown(solved, tmp_path):
-    """A design without a certificate, or a proof that there is none, must not borrow one."""
-    other = {"objective": 2.0 * solved.objective, "lower_bound": 2.0 * solved.objective}
-    none = {"status": "infeasible", "objective": None, "lower_bound": None}
-    for change in (other, none):
-        document = copy.deepcopy(solved.to_dict())
-        document["certificate"] |= change
-        model = stored(document, tmp_path)
-        assert model.result.certificate is None
-        assert any("not that of this design" in note for note in model.notes)

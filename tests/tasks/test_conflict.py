@@ -10,7 +10,7 @@ import optlink
 from optlink.report import terminal
 from optlink.report.registry import table_of
 from optlink.report.report_model import report_model_of, verdict
-from optlink.report.stored.stored_result import read_report_model
+from optlink.report.stored import read_result
 from optlink.report.views import conclusions, path as path_view
 from optlink.report.views.path_drawings import title_of
 from optlink.solvers.solution import Relaxation
@@ -118,13 +118,13 @@ def test_the_sentence_leads_in_every_place(tmp_path) -> None:
     assert "FAIL" not in text  # a consequence
     page = conclusions.design(result, ())
     assert page == re.sub(r"(\d) deg", r"\1°", sentence)
-    assert verdict(report_model_of(result.problem, result)) == "No feasible design found"
+    assert verdict(report_model_of(result)) == "No feasible design found"
     view = path_view.best(result)
     assert view is not None
     assert sentence in " ".join(title_of(view, 7.0, "pump drive").split())
     path = tmp_path / "result.json"
     path.write_text(json.dumps(result.to_dict()), encoding="utf-8")
-    assert read_report_model(result.record.model_validate(result.to_dict()), result.problem, path).result.refuted == sentence
+    assert read_result(path).refuted == sentence
     for key, value in {
         "swing_angle": swing.possible,
         "transmission_angle": [angle.possible, f"{180 - float(angle.possible[:-4])} deg"],

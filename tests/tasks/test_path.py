@@ -17,7 +17,8 @@ import optlink
 from optlink.linkage.fourbar import LENGTHS
 from optlink.report.html.page import page
 from optlink.report.registry import view_of
-from optlink.report.stored.loader import load_stored
+from optlink.report.report_model import report_model_of
+from optlink.report.stored import read_result
 from optlink.solvers.multistart import solve_from
 from optlink.tasks.path import solve
 from optlink.tasks.run import design_task
@@ -305,7 +306,7 @@ def test_both_back_ends_search_every_kind_of_path_and_agree(
     assert set(document["backends"]) == {"slsqp", "ipopt"}
     stored = tmp_path / "result.json"
     stored.write_text(json.dumps(document), encoding="utf-8")
-    assert "both back ends agree" in page(load_stored(str(stored)))
+    assert "both back ends agree" in page(report_model_of(read_result(stored)))
 
 
 @pytest.mark.parametrize("name", ["path-arc5", "law-slider-crank", "crank-rocker", "stroke-slider-crank"])

@@ -13,7 +13,8 @@ import pytest
 import optlink
 from optlink.report.html.page import page
 from optlink.report.registry import table_of
-from optlink.report.stored.loader import load_stored
+from optlink.report.report_model import report_model_of
+from optlink.report.stored import read_result
 from optlink.tasks import function_search, path_search
 from optlink.validation import Check, Validation
 from optlink.validation.check import MEASURED
@@ -82,7 +83,7 @@ def test_a_better_optimum_that_fails_a_check_is_named_with_it(
     assert document["rejected"]["failed"][0]["name"] == REACHED.name
     screen = printed(table_of(file.task)(result), 10_000, monkeypatch)
     assert note in screen
-    assert "the cover is not reached" in page(load_stored(str(stored)))
+    assert "the cover is not reached" in page(report_model_of(read_result(stored)))
 
 
 @pytest.mark.slow

@@ -67,7 +67,6 @@ def read_count(raw: Mapping[str, Any]) -> int:
     Raises
     ------
     Unusable
-        If it is not a whole number, or out of range.
     """
     count = raw.get("points", DEFAULT_POINTS)
     if isinstance(count, bool) or not isinstance(count, int) or not 2 <= count <= MAX_POINTS:
@@ -81,7 +80,6 @@ def metres(raw: Mapping[str, Any]) -> float:
     Raises
     ------
     Unusable
-        If the unit is not a unit of length.
     """
     if not isinstance(raw["unit"], str):
         raise Unusable("expected a unit of length", 'Write unit = "mm"', "unit", raw["unit"])
@@ -109,6 +107,8 @@ def file_kind(data: bytes) -> str:
 def read_file(raw: Mapping[str, Any], key: str, folder: Path) -> tuple[str, bytes]:
     """Return the display name and the bytes of a file; devices and pipes are refused.
 
+    A text of several lines is an enclosed file, as results contain them: its name, then its content.
+
     Parameters
     ----------
     key : str
@@ -124,6 +124,9 @@ def read_file(raw: Mapping[str, Any], key: str, folder: Path) -> tuple[str, byte
     name = raw[key]
     if not isinstance(name, str) or not name.strip() or "\0" in name:
         raise Unusable(f"expected the name of a file ending in .{key}", f'Write {key} = "curve.{key}"', key, name)
+    title, enclosed, content = name.partition("\n")
+    if enclosed:
+        return shortened(title), content.encode()
     path, remedy = folder / name, "Give the path relative to the problem file"
     try:
         if not path.is_file():

@@ -6,21 +6,14 @@ import io
 import itertools
 import json
 import re
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from optlink.errors import InputError
-from optlink.problem.base_model import Contradiction
 from optlink.report.html.moving_linkage import Moving
 from optlink.report.html.page import animation_of
 from optlink.report.html.shell import asset, fragment, templates
-from optlink.report.registry import schema_of, table_of, view_of
-from optlink.report.report_model import report_model_of
-from optlink.report.stored.loader import STUDIES, WITH_PAGE
-from optlink.tasks.function import FunctionResult
-from optlink.tasks.results.analysis import Analysis
-from optlink.tasks.results.cycle import CycleResult
-from optlink.tasks.results.path import PathResult
+from optlink.report.registry import table_of, view_of
+from optlink.report.report_model import ReportModel, report_model_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -30,14 +23,13 @@ STEPS = 120  # positions per revolution
 
 def notebook_html(result: Any) -> str | None:
     """Return the drawings and the tables of a result as HTML; None for a kind without a table."""
-    schema = schema_of(type(result).record)
-    if schema not in WITH_PAGE:
+    view = view_of(result.kind)
+    if view.no_page:
         return None
-    _, kind = WITH_PAGE[schema]
-    shown = table_of(kind)(result)
-    moving = _moving(kind, result, study=schema in STUDIES)
+    shown = table_of(result.kind)(result)
+    moving = _moving(result)
     linkage = "" if moving is None else _linkage(moving, result.problem.model.title)
-    chart = _chart(kind, result) if moving is None or schema in STUDIES else ""
+    chart = _chart(result) if moving is None or view.page is not None else ""
     return fragment(shown.status) + linkage + chart + fragment(*shown.parts)
 
 
@@ -49,22 +41,20 @@ def _linkage(moving: Moving, title: str) -> str:
     return text.replace("\n\n", "\n")
 
 
-def _moving(kind: str, result: Any, *, study: bool) -> Moving | None:
+def _moving(result: Any) -> Moving | None:
     """Return the moving linkage of a result; None if it has none, or cannot be assembled."""
     try:
-        if study:
-            return view_of(kind).page(type(result).record.of(result), result.problem, Path("result.json")).moving(STEPS)
-        drawn = isinstance(result, FunctionResult | PathResult | CycleResult | Analysis)
-        return animation_of(report_model_of(result.problem, result), STEPS) if drawn else None
-    except (InputError, Contradiction):  # a design that cannot be assembled, a study without a design
+        about = (view_of(result.kind).page or report_model_of)(result)
+        return animation_of(about, STEPS) if isinstance(about, ReportModel) else about.moving(STEPS)
+    except InputError:  # a design that cannot be assembled, a study without a design
         return None
 
 
-def _chart(kind: str, result: Any) -> str:
+def _chart(result: Any) -> str:
     """Return the first chart or drawing of a result as SVG; an empty text if it has none."""
     from optlink.report.chart_mpl import draw
 
-    view = view_of(kind)
+    view = view_of(result.kind)
     charts = (draw([chart]) for chart in view.charts(view.model(result)))
     drawings = (fig for drawing in view.drawings.values() if (fig := drawing(result)) is not None)
     return next(map(_svg, itertools.chain(charts, drawings)), "")

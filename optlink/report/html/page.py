@@ -11,15 +11,14 @@ from optlink.report.format import single_units
 from optlink.report.html import chart_plotly
 from optlink.report.html.moving_linkage import Moving, turning
 from optlink.report.html.shell import PageSection, StoredStudy
+from optlink.report.html.study_page import study_page
 from optlink.report.registry import table_of, view_of
 from optlink.report.report_model import ReportModel, verdict
-from optlink.report.stored.stored_study import study_page
-from optlink.report.table_spec import Paragraph, Part, Span, Summary, TableSpec
+from optlink.report.table_spec import Paragraph, Span, Summary
 from optlink.report.views import (
     analysis_charts,
     analysis_forces,
     conclusions,
-    function_tables,
     path_tables,
     sensitivity,
     study_tables,
@@ -94,7 +93,7 @@ def _sections(model: ReportModel, shown: Summary, effects: Sensitivities | None)
     if model.cycle is None and model.unmoved:
         yield PageSection("Linkage", (Paragraph(f"It cannot be shown in motion: {model.unmoved}."),))
     name = "Analysis" if isinstance(model.result, Analysis) else "Design and checks"
-    yield PageSection(name, (_with_recorded_limits(model, shown),))
+    yield PageSection(name, (list(shown.parts),))
     if effects is not None and model.effects is None:
         yield _sensitivity_section(effects)
     yield PageSection("Curves", chart_plotly.charts(charts(model)))
@@ -127,7 +126,7 @@ def _conclusion(model: ReportModel, shown: Summary) -> str:
         return conclusions.analysis(outcome)
     if isinstance(outcome, FunctionResult | PathResult | CycleResult):
         solution = None if outcome.best is None else outcome.best.solution
-        text = conclusions.design(outcome, model.limits if solution is None else solution.displayed_limits)
+        text = conclusions.design(outcome, () if solution is None else solution.displayed_limits)
         return f"{conclusions.sensitivities(model.effects)} {text}" if model.effects is not None else text
     return "".join(span.text for line in shown.status.lines[:1] for span in line)
 
@@ -162,18 +161,6 @@ def charts(model: ReportModel) -> list[ChartSpec]:
         if model.forces:
             result += analysis_forces.forces(curves, initial)
     return result
-
-
-def _with_recorded_limits(model: ReportModel, shown: Summary) -> list[Part]:
-    """Return the tables of the result, with the stored active constraints before the validation."""
-    parts = list(shown.parts)
-    if model.limits and getattr(model.result, "solution", None) is None:  # it has no shadow prices of its own
-        titles = [part.title if isinstance(part, TableSpec) else "" for part in parts]
-        parts.insert(
-            next((k for k, title in enumerate(titles) if "Validation" in title), len(parts)),
-            function_tables.active(model.problem.model, model.objective, model.limits),
-        )
-    return parts
 
 
 def _method(model: ReportModel) -> str:

@@ -22,6 +22,7 @@ from optlink.report.view import View
 from optlink.report.views import analysis_charts, analysis_forces
 from optlink.report.views.analysis_charts import output
 from optlink.report.views.analysis_curves import ROUNDING, CycleCurves
+from optlink.tasks.results.analysis import Analysis
 
 FRAMES = 80
 
@@ -170,4 +171,5 @@ VIEW = View(
     drawings={"mechanism": mechanism},
     tables=lambda result: {"cycle": result.columns},
     frames=frames,
+    result=Analysis,
 )

@@ -2,32 +2,25 @@
 
 import math
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 
-from optlink.dynamics.counterweights import BalanceMeasure, quantities, quantities_of
+from optlink.dynamics.counterweights import BalanceMeasure, quantities
 from optlink.dynamics.inverse import reported_on
-from optlink.dynamics.machine import Machine
 from optlink.errors import Status
-from optlink.problem.base_model import Contradiction
 from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import fixed_design
-from optlink.problem.machine.balance import BalanceSection, read_measure
 from optlink.problem.mechanism import sizes_of
-from optlink.problem.quantity import Unusable
 from optlink.report.chart_spec import Array, Axis, Band, ChartSpec, Curve, Line, Mark, Panel, Picks, crank_angle, max_abs
 from optlink.report.files import verdict
 from optlink.report.format import change, number
 from optlink.report.html import chart_plotly
 from optlink.report.html.shell import PageSection, StoredStudy
-from optlink.report.stored.stored_study import no_animation, turning_linkage
+from optlink.report.html.study_page import no_animation, turning_linkage
 from optlink.report.style import BODIES, CRANK, LIMIT, RESULT, TARGET, scale
 from optlink.report.view import View
 from optlink.report.views import balance_drawing, balance_tables, conclusions
-from optlink.tasks.balance import balanced_problem, measure_changes, positions
-from optlink.tasks.machine import machine_of
-from optlink.tasks.results.balance import AddedCounterweight, Balance, BalanceRecord, FittedSpring, MeasureChange, TradeOff
+from optlink.tasks.results.balance import Balance, TradeOff
 
 INITIAL = "#8a8a8a"
 COMMON = ("shaking force", "shaking moment", "driving torque")
@@ -242,113 +235,16 @@ VERDICTS = {
 }
 
 
-# --- reading -----------------------------------------------------------------------------------------------------------------
-
-
-def read(record: BalanceRecord, file: ProblemFile) -> Balance:
-    """Return a stored balancing result; its measures are recomputed from its counterweights.
-
-    Parameters
-    ----------
-    file : ProblemFile
-        The problem that was solved.
-
-    Raises
-    ------
-    Contradiction
-        If the measures differ from those of the counterweights, or the problem has no such counterweight.
-    """
-    section = file.model.balance
-    if section is None:
-        raise Contradiction("status", "its problem has no section [balance]", record.status)
-    machine = machine_of(file)
-    angles = positions(file, machine, record.speed_rad_s)
-    added, springs = _parts(record, section, machine)
-    balanced = balanced_problem(file, machine, added, springs) if record.measures else None
-    heavier = None if balanced is None else machine_of(balanced)
-    weighted = len(section.goal) > 1 and " + " in record.measure
-    return record.build(
-        Balance,
-        problem=file,
-        goal=section.goal if weighted else ((_measure(record.measure), 1.0),),
-        original=machine,
-        angles=angles,
-        added=added,
-        springs=springs,
-        machine=balanced,
-        heavier=heavier,
-        rows=() if heavier is None else _rows(record, machine, heavier, angles),
-        trade=None if record.trade is None else record.trade.build(TradeOff),
-        excess=0.0 if record.valid else math.inf,
-    )
-
-
-def _measure(text: str) -> BalanceMeasure:
-    try:
-        return read_measure(text)
-    except Unusable as error:
-        raise Contradiction("measure", error.message, text) from None
-
-
-def _parts(
-    record: BalanceRecord, section: BalanceSection, machine: Machine
-) -> tuple[tuple[AddedCounterweight, ...], tuple[FittedSpring, ...]]:
-    """Return the optimal counterweights and springs."""
-    weights, free = section.build(machine)
-    bodies, names = {weight.body: weight for weight in weights}, {spring.name: spring for spring in free}
-    for k, counterweight in enumerate(record.counterweights):
-        if counterweight.body not in bodies:
-            raise Contradiction(f"counterweights[{k}].body", "the problem has no such counterweight", counterweight.body)
-    for k, spring in enumerate(record.springs):
-        if spring.name not in names:
-            raise Contradiction(f"springs[{k}].name", "the problem has no such spring", spring.name)
-    added = (AddedCounterweight(bodies[weight.body], weight.parameters) for weight in record.counterweights)
-    springs = (FittedSpring(names[spring.name], spring.stiffness_N_m, spring.free_length_m) for spring in record.springs)
-    return tuple(added), tuple(springs)
-
-
-def _rows(record: BalanceRecord, machine: Machine, heavier: Machine, angles: Array) -> tuple[MeasureChange, ...]:
-    """Recompute all measures before and after balancing by inverse dynamics; raise if the record differs."""
-    measured = quantities(machine)
-    values = [
-        quantities_of(stored.moving(angles, record.speed_rad_s), measured, record.moment_about_m) for stored in (machine, heavier)
-    ]
-    rows = measure_changes(measured, *values)
-    recorded = {str(stored.name): (k, stored) for k, stored in enumerate(record.measures)}
-    for row in rows:
-        if str(row.measure) not in recorded:
-            raise Contradiction("measures", f"the {row.measure} is missing")
-        k, stored = recorded[str(row.measure)]
-        for when in ("before", "after"):
-            is_, stored_value = getattr(row, when), getattr(stored, when)
-            if abs(is_ - stored_value) > MEASURE_TOLERANCE * max(row.before, abs(is_)):
-                found = f"{is_:.6g} {row.measure.unit} with these counterweights, not {stored_value:.6g}"
-                raise Contradiction(f"measures[{k}].{when}", f"the {row.measure} {when} is {found}")
-    return rows
-
-
 # --- the page ----------------------------------------------------------------------------------------------------------------
 
 
-def stored_study(record: BalanceRecord, file: ProblemFile, _: Path) -> StoredStudy:
-    """Build the report of a stored balancing result.
-
-    Parameters
-    ----------
-    file : ProblemFile
-        The problem that was solved.
-
-    Raises
-    ------
-    InputError
-        If the record is damaged or its measures differ from those of its counterweights.
-    """
-    result = read(record, file)
+def page(result: Balance) -> StoredStudy:
+    """Return the page of a balanced machine."""
     shown = balance_tables.balance(result)
     chapters = {"Trade-off": trade_off(result), "Before and after": cycle_charts(result)}
     curves = [PageSection(name, chart_plotly.charts(group)) for name, group in chapters.items()]
     return StoredStudy(
-        problem=file,
+        problem=result.problem,
         kind="balance",
         verdict=VERDICTS[result.status] if result.valid or result.status is Status.INFEASIBLE else "Not valid",
         valid=result.valid,
@@ -362,4 +258,11 @@ def stored_study(record: BalanceRecord, file: ProblemFile, _: Path) -> StoredStu
     )
 
 
-VIEW = View(charts=charts, drawings={"mechanism": balance_drawing.mechanism}, tables=_tables, design=_design, page=stored_study)
+VIEW = View(
+    charts=charts,
+    drawings={"mechanism": balance_drawing.mechanism},
+    tables=_tables,
+    design=_design,
+    page=page,
+    result=Balance,
+)

@@ -12,7 +12,7 @@ from optlink.problem.machine.model import ShownObjective
 from optlink.report.chart_spec import Axis, Boxes, ChartSpec, Curve, Mark, Panel
 from optlink.report.format import pretty
 from optlink.report.table_spec import Line, Row, TableSpec, quiet, strong, table
-from optlink.tasks.results.certificate import Certificate, Cover, share_text
+from optlink.tasks.results.certificate import MOST_DRAWN, Certificate, Cover, share_text
 
 ROUNDING_NOTE = "no design within the bounds has a smaller one; rounding errors are included"
 Shown = Callable[[float], ShownObjective]
@@ -80,7 +80,6 @@ def clause(certificate: Certificate | None) -> str:
 Design = Mapping[str, float]
 Display = Callable[[str], tuple[float, str]]
 """Returns factor and display unit of a design variable."""
-MAX_SHOWN_BOXES = 3_000  # discarded boxes up to which they are drawn
 MIN_BOXES = 256  # boxes up to which the bounds are not drawn: about one batch of the search
 SCHEME = {
     "limits": ("limit violated", "#c0392b"),
@@ -102,7 +101,7 @@ def certificate_charts(
     if certificate is None:
         return []
     charts = []
-    if len(certificate.unknowns) == 2 and 0 < sum(len(cover.test) for cover in certificate.covers) <= MAX_SHOWN_BOXES:
+    if len(certificate.unknowns) == 2 and 0 < sum(len(cover.test) for cover in certificate.covers) <= MOST_DRAWN:
         for k, cover in enumerate(certificate.covers):
             at = design if certificate.proven and str(cover.assembly) == str(assembly) else {}
             mode = f", assembly {cover.assembly}" if len(certificate.covers) > 1 else ""

@@ -179,4 +179,5 @@ VIEW = View(
     drawings={"mechanisms": mechanisms},
     tables=lambda result: {} if result.analysis is None else {"cycle": result.analysis.columns},
     design=lambda result: with_verdict(None if result.analysis is None else result.machine, result, result.refuted),
+    result=CycleResult,
 )

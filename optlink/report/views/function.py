@@ -345,4 +345,5 @@ VIEW = View(
     drawings={"mechanism": mechanism, "map": objective_map},
     design=lambda result: with_verdict(None if result.conflict else result.machine, result),
     frames=frames,
+    result=FunctionResult,
 )

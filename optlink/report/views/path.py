@@ -185,4 +185,5 @@ VIEW = View(
     tables=lambda result: {} if result.best is None else {"points": columns(result.best)},
     design=lambda result: with_verdict(result.machine, result.best, result.refuted),
     frames=frames,
+    result=PathResult,
 )

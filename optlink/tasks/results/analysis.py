@@ -6,9 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Annotated, Any, Literal
-
-from pydantic import Field
+from typing import Any, ClassVar
 
 from optlink.dynamics.flywheel import Flywheel
 from optlink.dynamics.inverse import acting_on
@@ -16,80 +14,29 @@ from optlink.dynamics.machine import Machine
 from optlink.dynamics.strokes import StrokeLoad, acting_loads, named_travels, use_of, working_stroke
 from optlink.linkage.stroke import Ranges, Travel, within_cycle
 from optlink.linkage.vector2d import TURN, Array
-from optlink.problem.base_model import Columns, Number, Record, ResultRecord, Tabled, absent
+from optlink.problem.document import Source, Tabled
 from optlink.problem.file import ProblemFile
-from optlink.tasks.results.extremes import Extremes
+from optlink.tasks.results.extremes import Extreme, Extremes
+
+FLYWHEEL = ("mean_speed", "mean_torque", "fluctuation", "allowed", "inertia")
 
 
-class GroupRecord(Record):
-    """A group of the mechanism, in the order of solution."""
-
-    kind: str
-    joint: str
-    bodies: Annotated[tuple[str, ...], lambda group: [link.body for link in group.links]]
+def _extreme_document(extreme: Extreme) -> dict[str, float]:
+    angles = {"min_at_deg": math.degrees(extreme.least_at), "max_at_deg": math.degrees(extreme.largest_at)}
+    return {"min": extreme.least, "max": extreme.largest, **angles}
 
 
-class ExtremeRecord(Record):
-    """Least and largest value of a column."""
-
-    min: Annotated[Number, "least"]
-    min_at_deg: Annotated[Number, lambda extreme: math.degrees(extreme.least_at)]
-    max: Annotated[Number, "largest"]
-    max_at_deg: Annotated[Number, lambda extreme: math.degrees(extreme.largest_at)]
-
-
-class SingularRecord(Record):
-    """A position at which the motion is not determined; `followed`: the mechanism is continued through it."""
-
-    crank_angle_deg: Annotated[float, lambda position: math.degrees(position.crank_angle)]
-    joint: Annotated[str, "group.joint"]
-    alignment_deg: Annotated[float, lambda position: math.degrees(position.angle)]
-    followed: bool
-
-
-class FlywheelRecord(Record):
-    """Flywheel sizing for a constant driving torque [SI]."""
-
-    mean_speed: Number
-    mean_torque: Number
-    fluctuation: Number
-    allowed: Number
-    inertia: Number
-    mean_speed_over: Literal["crank angle"]
-
-
-class AnalysisRecord(ResultRecord):
-    """Document of an analysis: SI, or the unit that ends the key."""
-
-    format: Literal["optlink/analysis/2"] = Field(alias="schema")
-    sound: bool
-    notes: tuple[str, ...]
-    groups: Annotated[tuple[GroupRecord, ...], "machine.mechanism.groups"]
-    sizes: Annotated[dict[str, float], "machine.sizes"]
-    speed_rad_s: Annotated[float, "speed"]
-    full_rotation: Annotated[bool, "full"]
-    reachable_deg: Annotated[
-        tuple[tuple[float, float], ...], lambda result: [list(map(math.degrees, ends)) for ends in result.ranges.ranges]
+def _singular_documents(ranges: Ranges) -> list[dict[str, Any]]:
+    """Return the positions at which the motion is not determined; `followed`: the mechanism is continued through it."""
+    return [
+        {
+            "crank_angle_deg": math.degrees(position.crank_angle),
+            "joint": position.group.joint,
+            "alignment_deg": math.degrees(position.angle),
+            "followed": position.followed,
+        }
+        for position in (*ranges.singular, *ranges.followed)
     ]
-    reactions: Annotated[dict[str, str], lambda result: reaction_conventions(result.machine)]
-    strokes: Annotated[dict[str, dict[str, Any]], lambda result: result.documents(result.strokes, "m")]
-    swings: Annotated[dict[str, dict[str, Any]], lambda result: result.documents(result.swings, "rad")]
-    extremes: dict[str, ExtremeRecord]
-    load_jumps_deg: Annotated[tuple[float, ...], lambda result: result.within(result.jumps)]
-    work_J: Annotated[Number, "work"]
-    singular_deg: Annotated[tuple[float, ...], lambda result: result.within(result.singular)]
-    singular_positions: Annotated[tuple[SingularRecord, ...], lambda result: (*result.ranges.singular, *result.ranges.followed)]
-    cycle_deg: Annotated[float | None, lambda result: math.degrees(result.cycle) if result.full else None]
-    unbounded: tuple[str, ...]
-    jammed_deg: Annotated[tuple[float, ...], lambda result: result.within(result.jammed)]
-    undefined_deg: Annotated[tuple[float, ...], lambda result: result.within(result.undefined)]
-    meanings: dict[str, str]
-    columns: Columns
-    flywheel: FlywheelRecord | None = absent()
-    design: Annotated[dict[str, float] | None, lambda result: dict(result.design) or None] = absent()
-    rms_torque_Nm: Annotated[float | None, lambda result: result.rms_torque if math.isfinite(result.rms_torque) else None] = (
-        absent()
-    )
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -100,10 +47,43 @@ class Analysis(Tabled):
     `meanings` describe them; `extremes` are refined to their exact crank angles when they are read, one-sided at load jumps;
     `unbounded`: columns of reactions that grow without bound towards change points through which the motion is continued;
     `swings` of bodies and `strokes` of sliders (by slider name); `rms_torque`: torque of the drive [N m], root mean square over a
-    cycle, by which the heating of a motor is rated; NaN unless the crank turns fully; `design`: the given values [SI].
+    cycle, by which the heating of a motor is rated; NaN unless the crank turns fully; `design`: the given values [SI]; `asked`:
+    requested crank angle steps per revolution, or step [rad].
     """
 
-    record = AnalysisRecord
+    kind = "analysis"
+    stored = ("asked", "speed", "design")
+    shown: ClassVar[Mapping[str, Source]] = {
+        "sound": "sound",
+        "notes": "notes",
+        "groups": lambda result: [
+            {"kind": group.kind, "joint": group.joint, "bodies": [link.body for link in group.links]}
+            for group in result.machine.mechanism.groups
+        ],
+        "sizes": "machine.sizes",
+        "speed_rad_s": "speed",
+        "full_rotation": "full",
+        "reachable_deg": lambda result: [list(map(math.degrees, ends)) for ends in result.ranges.ranges],
+        "reactions": lambda result: reaction_conventions(result.machine),
+        "strokes": lambda result: result.documents(result.strokes, "m"),
+        "swings": lambda result: result.documents(result.swings, "rad"),
+        "extremes": lambda result: {name: _extreme_document(extreme) for name, extreme in result.extremes.items()},
+        "load_jumps_deg": lambda result: result.within(result.jumps),
+        "work_J": "work",
+        "singular_deg": lambda result: result.within(result.singular),
+        "singular_positions": lambda result: _singular_documents(result.ranges),
+        "cycle_deg": lambda result: math.degrees(result.cycle) if result.full else None,
+        "unbounded": "unbounded",
+        "jammed_deg": lambda result: result.within(result.jammed),
+        "undefined_deg": lambda result: result.within(result.undefined),
+        "meanings": "meanings",
+        "columns": "columns",
+        "flywheel?": lambda result: (
+            result.flywheel and {**{name: getattr(result.flywheel, name) for name in FLYWHEEL}, "mean_speed_over": "crank angle"}
+        ),
+        "design?": lambda result: dict(result.design) or None,
+        "rms_torque_Nm?": lambda result: result.rms_torque if math.isfinite(result.rms_torque) else None,
+    }
 
     problem: ProblemFile
     machine: Machine
@@ -126,6 +106,15 @@ class Analysis(Tabled):
     unbounded: tuple[str, ...] = ()
     rms_torque: float = math.nan
     design: Mapping[str, float] = field(default_factory=dict)
+    asked: tuple[int, float | None] = (360, None)
+
+    @classmethod
+    def restored(cls, problem: ProblemFile, values: Mapping[str, Any]) -> Analysis:
+        """Return the same analysis again."""
+        from optlink.tasks.analyze import analyze
+
+        points, step = values["asked"]
+        return analyze(problem, points, step, values["speed"], values["design"] or None)
 
     @property
     def full(self) -> bool:

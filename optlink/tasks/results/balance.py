@@ -4,39 +4,68 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Annotated, Literal, Self
+from operator import attrgetter
+from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
-from annotated_types import Gt
-from pydantic import Field, PlainSerializer, PlainValidator, WithJsonSchema, model_validator
+from pydantic import PlainSerializer, PlainValidator, ValidationInfo, WithJsonSchema
 
 from optlink.dynamics.counterweights import BalanceMeasure, Counterweight, FreeSpring, quantities, quantities_of
 from optlink.dynamics.inertia import Parameters
 from optlink.dynamics.machine import Machine
 from optlink.errors import Status
 from optlink.linkage.vector2d import Array
-from optlink.problem.base_model import Contradiction, Never, Number, Record, Recorded, ResultRecord, absent
+from optlink.problem.base_model import Column, Never, Number
+from optlink.problem.document import Document, Source
 from optlink.problem.file import ProblemFile
-from optlink.problem.machine.balance import read_measure
 from optlink.solvers.solution import Relaxation
+from optlink.tasks.machine import machine_of
 from optlink.tasks.results.conflict import refutation
 
 AGREES = 1e-8
 """Tolerance between the programme and the inverse dynamics of the balanced machine, relative to the largest amount."""
 
-Measure = Annotated[BalanceMeasure, PlainValidator(read_measure), PlainSerializer(str), WithJsonSchema({"type": "string"})]
-"""A measure as a text, such as "rms shaking force"."""
-
 ACTIVE = 1e-6
 """Distance from a limit, relative, up to which it is active."""
+
+
+def _by_name(key: str) -> tuple[Any, ...]:
+    """Return how a permitted counterweight or spring is written: by its name in the problem, the attribute `key`."""
+
+    def found(name: str, info: ValidationInfo) -> Any:
+        problem: ProblemFile = (info.context or {})["problem"]
+        assert problem.model.balance is not None
+        permitted = problem.model.balance.build(machine_of(problem))
+        return next(item for group in permitted for item in group if getattr(item, key, None) == name)
+
+    return PlainSerializer(attrgetter(key)), PlainValidator(found), WithJsonSchema({"type": "string"})
 
 
 @dataclass(frozen=True)
 class AddedCounterweight:
     """A counterweight of the result: its inertia parameters in the axes of its body [SI]."""
 
-    specification: Counterweight
-    parameters: Parameters
+    shown: ClassVar[Mapping[str, Source]] = {
+        "body": "body",
+        "kind": "specification.kind",
+        "mass_kg": "mass",
+        "along_m": "along",
+        "across_m": "across",
+        "first_moment_along_kg_m": "parameters.along",
+        "first_moment_across_kg_m": "parameters.across",
+        "moment_of_inertia_about_start_kg_m2": "parameters.moment",
+        "radius_of_gyration_m": "gyration",
+        "radius_m": "radius",
+        "thickness_m": "thickness",
+    }
+
+    specification: Annotated[Counterweight, *_by_name("body")]
+    parameters: Annotated[
+        Parameters,
+        PlainSerializer(lambda parameters: [float(value) for value in parameters]),
+        PlainValidator(lambda values: Parameters(*values)),
+        WithJsonSchema({"type": "array", "items": {"type": "number"}}),
+    ]
 
     @property
     def body(self) -> str:
@@ -80,33 +109,18 @@ class AddedCounterweight:
         return self.specification.thickness_of(self.mass) if self.specification.kind == "disc" else None
 
 
-class CounterweightRecord(Record):
-    """A counterweight of the result, in the axes of its body [SI]."""
-
-    body: str
-    kind: Annotated[str, "specification.kind"]
-    mass_kg: Annotated[float, "mass", Gt(0)]
-    along_m: Annotated[float, "along"]
-    across_m: Annotated[float, "across"]
-    first_moment_along_kg_m: Annotated[float, "parameters.along"]
-    first_moment_across_kg_m: Annotated[float, "parameters.across"]
-    moment_of_inertia_about_start_kg_m2: Annotated[float, "parameters.moment"]
-    radius_of_gyration_m: Annotated[float, "gyration"]
-    radius_m: Annotated[float | None, "radius"]
-    thickness_m: Annotated[float | None, "thickness"]
-
-    @property
-    def parameters(self) -> Parameters:
-        """Inertia parameters in the axes of the body [SI]."""
-        first = self.first_moment_along_kg_m, self.first_moment_across_kg_m
-        return Parameters(self.mass_kg, *first, self.moment_of_inertia_about_start_kg_m2)
-
-
 @dataclass(frozen=True)
 class FittedSpring:
     """A spring of the result: stiffness [N/m], free length [m]."""
 
-    specification: FreeSpring
+    shown: ClassVar[Mapping[str, Source]] = {
+        "name": "specification.name",
+        "stiffness_N_m": "stiffness",
+        "free_length_m": "free",
+        "between": "between",
+    }
+
+    specification: Annotated[FreeSpring, *_by_name("name")]
     stiffness: float
     free: float
 
@@ -116,18 +130,15 @@ class FittedSpring:
         return [point for _, point in self.specification.ends]
 
 
-class SpringRecord(Record):
-    """A spring of the result."""
-
-    name: Annotated[str, "specification.name"]
-    stiffness_N_m: Annotated[float, "stiffness"]
-    free_length_m: Annotated[float, "free"]
-    between: list[str]
-
-
 @dataclass(frozen=True)
 class MeasureChange:
     """A measure before and after balancing [SI]."""
+
+    shown: ClassVar[Mapping[str, Source]] = {
+        "name": lambda row: str(row.measure),
+        "unit": "measure.unit",
+        **{name: name for name in ("before", "after", "change")},
+    }
 
     measure: BalanceMeasure
     before: float
@@ -137,16 +148,6 @@ class MeasureChange:
     def change(self) -> float:
         """Relative change; -0.3 is a reduction by 30 per cent."""
         return self.after / self.before - 1.0 if self.before > 0.0 else math.nan
-
-
-class MeasureRecord(Record):
-    """A measure before and after balancing [SI]."""
-
-    name: Annotated[Measure, "measure"]
-    unit: Annotated[str, "measure.unit"]
-    before: float
-    after: float
-    change: Number
 
 
 @dataclass(frozen=True)
@@ -162,9 +163,9 @@ class ActiveLimit:
     value: float
     unit: str
     active: bool
-    price: float
+    price: Number
     step: float
-    buys: float
+    buys: Number
     depends_on: tuple[str, ...] = ()
 
 
@@ -211,13 +212,23 @@ class TradeOff:
     `knee`: index of the point farthest from the chord of the ends; None if the curve is practically straight.
     """
 
+    shown: ClassVar[Mapping[str, Source]] = {
+        "first": lambda trade: str(trade.first),
+        "second": lambda trade: str(trade.second),
+        **{name: name for name in ("before", "knee", "monotone")},
+        "first_point_s": "first_seconds",
+        "further_point_s": "further_seconds",
+        "ratio": "ratio",
+        "points": "points",
+    }
+
     first: BalanceMeasure
     second: BalanceMeasure
     before: tuple[float, float]
     points: tuple[TradePoint, ...]
     knee: int | None
     first_seconds: float
-    further_seconds: float
+    further_seconds: Number
 
     @property
     def ratio(self) -> float:
@@ -238,29 +249,6 @@ class TradeOff:
         return [f"{text}: no discs were found there that meet all limits"] if missed else []
 
 
-Above = Annotated[float, Gt(0)]
-
-
-class TradeRecord(Record):
-    """The trade-off between two measures [SI]."""
-
-    first: Measure
-    second: Measure
-    before: tuple[Above, Above]
-    knee: int | None
-    monotone: bool
-    first_point_s: Annotated[Above, "first_seconds"]
-    further_point_s: Annotated[Number, "further_seconds"]
-    ratio: Number
-    points: tuple[TradePoint, ...]
-
-    @model_validator(mode="after")
-    def _check_points(self) -> Self:
-        if not self.points or (self.knee is not None and not 0 <= self.knee < len(self.points)):
-            raise Contradiction("points", "there are none, or the knee is none of them")
-        return self
-
-
 MESSAGES = {
     Status.OPTIMAL: "globally optimal: no counterweights within the limits do better, up to the duality gap",
     Status.RELAXED: "near the lower bound: no discs were found that reach it",
@@ -269,50 +257,31 @@ MESSAGES = {
 }
 
 
-class BalanceRecord(ResultRecord):
-    """Document of a balanced machine (SI)."""
-
-    format: Literal["optlink/balance/2"] = Field(alias="schema")
-    status: Literal[Status.OPTIMAL, Status.RELAXED, Status.INFEASIBLE, Status.STALLED]
-    valid: bool
-    proven: bool
-    notes: tuple[str, ...]
-    measure: str
-    unit: str
-    before: float
-    objective: Number
-    reduction: Number
-    lower_bound: Annotated[Number, "lower"]
-    duality_gap: Annotated[Number, "gap"]
-    above_bound: Annotated[float, "slack"]
-    exact_least_squares: Annotated[bool, "exact"]
-    solver: str
-    iterations: int
-    positions: Annotated[int, "angles.size"]
-    speed_rad_s: Annotated[float, "speed"]
-    moment_about_m: Annotated[tuple[float, float], "about"]
-    counterweights: Annotated[tuple[CounterweightRecord, ...], "added"]
-    springs: tuple[SpringRecord, ...]
-    verified: bool
-    disagreement: Never
-    measures: Annotated[tuple[MeasureRecord, ...], "rows"]
-    limits: tuple[ActiveLimit, ...]
-    conflict: tuple[RelaxedLimit, ...]
-    seconds: dict[str, float]
-    trade: TradeRecord | None = absent()
-
-
 @dataclass(frozen=True, repr=False)
-class Balance(Recorded):
+class Balance(Document):
     """A balanced machine, or the limits that conflict.
 
     `status`: optimal, relaxed (discs approach the proven bound without reaching it), infeasible or stalled. `objective` and
     `before` in the unit of the measure, or as weighted ratios to the original machine; `lower`: proven lower bound; `gap`:
     relative duality gap; `slack`: relative excess of the realisable design over the bound. `disagreement`: difference of the
-    programme from the inverse dynamics of `machine`, the problem with the new bodies; `original`: the machine before balancing.
+    programme from the inverse dynamics of `machine`, the problem with the new bodies.
     """
 
-    record = BalanceRecord
+    kind = "balance"
+    shown: ClassVar[Mapping[str, Source]] = {
+        **{name: name for name in ("valid", "proven", "measure", "unit", "reduction", "verified")},
+        "lower_bound": "lower",
+        "duality_gap": "gap",
+        "above_bound": "slack",
+        "exact_least_squares": "exact",
+        "positions": "angles.size",
+        "speed_rad_s": "speed",
+        "moment_about_m": "about",
+        "counterweights": "added",
+        "springs": "springs",
+        "measures": "rows",
+        "trade?": "trade",
+    }
     interrupted = False
     """A convex programme is never left early."""
     starts = 1
@@ -321,21 +290,19 @@ class Balance(Recorded):
     problem: ProblemFile
     goal: tuple[tuple[BalanceMeasure, float], ...]
     status: Status
-    original: Machine
-    angles: Array
+    angles: Column
     speed: float
     about: tuple[float, float]
     before: float
-    objective: float = math.nan
-    lower: float = math.nan
-    gap: float = math.nan
+    objective: Number = math.nan
+    lower: Number = math.nan
+    gap: Number = math.nan
     slack: float = 0.0
     added: tuple[AddedCounterweight, ...] = ()
     springs: tuple[FittedSpring, ...] = ()
     machine: ProblemFile | None = None
-    heavier: Machine | None = None
     rows: tuple[MeasureChange, ...] = ()
-    disagreement: float = math.inf
+    disagreement: Never = math.inf
     limits: tuple[ActiveLimit, ...] = ()
     conflict: tuple[RelaxedLimit, ...] = ()
     trade: TradeOff | None = None
@@ -345,6 +312,16 @@ class Balance(Recorded):
     exact: bool = False
     excess: float = 0.0
     seconds: Mapping[str, float] = field(default_factory=dict)
+
+    @cached_property
+    def original(self) -> Machine:
+        """The machine before balancing."""
+        return machine_of(self.problem)
+
+    @cached_property
+    def heavier(self) -> Machine | None:
+        """The balanced machine; None if there is none."""
+        return None if self.machine is None else machine_of(self.machine)
 
     @property
     def best(self) -> Self:

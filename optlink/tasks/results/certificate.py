@@ -5,16 +5,17 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import AfterValidator, PlainSerializer, PlainValidator, WithJsonSchema, computed_field
 
 from optlink.errors import Status
 from optlink.linkage.dyad_types import ModalDyad
 from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.vector2d import Array
-from optlink.problem.base_model import Contradiction, Never, Number, Record, Rows
+from optlink.problem.base_model import Never, Rows
 from optlink.problem.file import ProblemFile
 from optlink.problem.function import DesignProblem
 from optlink.solvers.global_search.lagrangian import TESTS
@@ -23,8 +24,6 @@ from optlink.version import VERSION
 GLOBAL, WITHIN_GAP, NOT_CLOSED, INFEASIBLE = "global", "within gap", "not closed", "infeasible"
 EXACT = 1e-9  # rms deviation [rad], or share of the curve, below which a design is exact: none can be better
 GLOBAL_GAP = 1e-6  # largest relative gap of a design that is called globally optimal
-OBJECTIVE_TOLERANCE = 1e-6  # relative difference of the same objective, once computed and once read
-TINY = 1e-16  # objective [SI] below which the difference of two values is rounding
 SCHEMA = "optlink/certificate/2"
 
 
@@ -78,6 +77,50 @@ class Cover:
         return [TESTS[k] for k in self.test]
 
 
+MOST_DRAWN = 3_000
+"""Boxes of two design variables up to which they are drawn, and a result contains them."""
+
+
+def _drawn(covers: tuple[Cover, ...]) -> list[dict[str, Any]]:
+    """Return the boxes of two design variables by the numbers of their edges, as texts; none if there are too many to draw."""
+    if not 0 < sum(len(cover.test) for cover in covers) <= MOST_DRAWN or covers[0].low.shape[1] != 2:
+        return []
+    documents = []
+    for cover in covers:
+        document: dict[str, Any] = {"assembly": cover.assembly, "test": " ".join(map(str, cover.test)), "edges": []}
+        for k in range(2):
+            edges, places = np.unique(np.stack([cover.low[:, k], cover.high[:, k]]), return_inverse=True)
+            low, high = (" ".join(map(str, row)) for row in places.reshape(2, -1))
+            document["edges"].append({"at": edges.tolist(), "low": low, "high": high})
+        documents.append(document)
+    return documents
+
+
+def _read_drawn(documents: list[dict[str, Any]]) -> tuple[Cover, ...]:
+    covers = []
+    for document in documents:
+        low, high = (
+            np.stack([np.array(axis["at"])[np.array(axis[end].split(), dtype=int)] for axis in document["edges"]], axis=1)
+            for end in ("low", "high")
+        )
+        test = np.array(document["test"].split(), dtype=np.int8)
+        covers.append(Cover(document["assembly"], low, high, test, np.zeros((len(test), 0)), ()))
+    return tuple(covers)
+
+
+DrawnCovers = Annotated[
+    tuple[Cover, ...],
+    PlainValidator(_read_drawn),
+    PlainSerializer(_drawn),
+    WithJsonSchema({"type": "array", "items": {"type": "object"}}),
+]
+"""Covers, of which a document contains what is drawn; certificate.json has all."""
+History = Annotated[
+    Rows, AfterValidator(lambda rows: np.where(np.isnan(rows), math.inf, rows) if rows.size else np.zeros((0, 3)))
+]
+"""Rows in which a number that is not finite is infinite."""
+
+
 @dataclass(frozen=True, eq=False)
 class Certificate:
     """Lower bound of the objective over all designs within the bounds.
@@ -100,22 +143,25 @@ class Certificate:
     history : array (k, 3)
         Boxes bounded, lower bound, objective of the best known design.
     covers : tuple of Cover
-        Empty if there are too many boxes, or if it was read from a result document.
+        Empty if there are too many boxes; without multipliers if it was read from a result.
     """
 
     status: str
-    objective: float
-    lower_bound: float
+    objective: Never
+    lower_bound: Never
     asked: float
     boxes: int
     open_boxes: int
     unknowns: tuple[str, ...]
     improved: bool = False
-    history: Array = field(default_factory=lambda: np.zeros((0, 3)), repr=False)
-    covers: tuple[Cover, ...] = field(default=(), repr=False)
+    history: History = field(default_factory=lambda: np.zeros((0, 3)), repr=False)
+    covers: DrawnCovers = field(default=(), repr=False)
 
-    rigorous = True
-    """Whether the bound includes all rounding errors."""
+    @computed_field  # type: ignore[prop-decorator]
+    @property
+    def rigorous(self) -> Literal[True]:
+        """Whether the bound includes all rounding errors: always."""
+        return True
 
     @property
     def closed(self) -> bool:
@@ -132,6 +178,7 @@ class Certificate:
         """Whether the objective is zero to rounding, so that no design can be better."""
         return self.status == GLOBAL and (self.objective == 0.0 or self.gap > GLOBAL_GAP * (1.0 + 1e-6))
 
+    @computed_field  # type: ignore[prop-decorator]
     @property
     def gap(self) -> float:
         """Share of the objective by which a design could be better; 0 for an objective of 0, NaN without a design."""
@@ -139,6 +186,7 @@ class Certificate:
             return math.nan
         return (self.objective - self.lower_bound) / self.objective if self.objective > 0.0 else 0.0
 
+    @computed_field  # type: ignore[prop-decorator]
     @property
     def text(self) -> str:
         """The finding as a sentence."""
@@ -161,10 +209,6 @@ class Certificate:
         if self.exact:
             return "globally optimal"
         return f"{'globally optimal within' if self.proven else 'gap'} {share_text(self.gap)}"
-
-    def belongs_to(self, objective: float) -> bool:
-        """Return whether it is the certificate of a design with this objective (infinite without a valid design)."""
-        return self.objective == objective or abs(self.objective - objective) <= OBJECTIVE_TOLERANCE * max(abs(objective), TINY)
 
 
 def message(status: Status, certificate: Certificate | None, refuted: str) -> str:
@@ -190,58 +234,6 @@ def share_text(share: float) -> str:
     digits = max(0, 1 - math.floor(math.log10(100.0 * share)))
     shown = f"{math.ceil(100.0 * share * 10**digits - 1e-9) / 10**digits:z.{digits}f}"
     return (shown.rstrip("0").rstrip(".") if digits else shown) + " %"
-
-
-class CertificateRecord(Record):
-    """A certificate in the document of a result: objectives [SI]; certificate.json has its boxes."""
-
-    status: Literal["global", "within gap", "not closed", "infeasible"]
-    text: str
-    objective: Never
-    lower_bound: Never
-    gap: Number
-    asked: float
-    rigorous: Literal[True]
-    boxes: int
-    open_boxes: int
-    improved: bool
-    unknowns: tuple[str, ...]
-    history: Rows
-
-    def certificate(self, unknowns: tuple[str, ...], *, exact: bool) -> Certificate:
-        """Return the certificate, after a check that it fits the problem and itself.
-
-        Parameters
-        ----------
-        unknowns : tuple of str
-            Design variables of the problem.
-        exact : bool
-            Whether the objective of the design is zero to rounding.
-
-        Raises
-        ------
-        Contradiction
-            If it does not fit the problem or itself.
-        """
-        history = np.where(np.isnan(self.history), math.inf, self.history) if self.history.size else np.zeros((0, 3))
-        certificate = self.build(Certificate, covers=(), history=history)
-        if self.unknowns != unknowns:
-            raise Contradiction("unknowns", f"the design variables of the problem are {', '.join(unknowns)}")
-        if certificate.history.shape != (len(certificate.history), 3):
-            raise Contradiction("history", "its rows are not boxes, lower bound and objective")
-        if min(self.boxes, self.open_boxes) < 0 or certificate.closed != (self.open_boxes == 0):
-            raise Contradiction("open_boxes", "it does not fit the status of the proof", self.open_boxes)
-        if not 1e-12 <= self.asked < 1.0:
-            raise Contradiction("asked", "expected a number from 1e-12 to less than 1", self.asked)
-        if certificate.status == INFEASIBLE:
-            if math.isfinite(min(self.objective, self.lower_bound)):
-                raise Contradiction("status", "there is an objective or a bound of it", self.status)
-        elif not 0.0 <= self.lower_bound <= self.objective or (certificate.proven and not math.isfinite(self.objective)):
-            raise Contradiction("lower_bound", "this is not between zero and the objective", self.lower_bound)
-        share = {GLOBAL: GLOBAL_GAP, WITHIN_GAP: self.asked}.get(certificate.status, 1.0)
-        if certificate.proven and not certificate.gap <= share * (1.0 + 1e-6) and not exact:
-            raise Contradiction("lower_bound", "the gap is too large for the status of the proof", self.lower_bound)
-        return certificate
 
 
 def _cover_document(cover: Cover) -> dict[str, Any]:

@@ -1,18 +1,18 @@
 """Common interface of search results: validity, optimality checks, JSON document."""
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Annotated, Any, ClassVar, Protocol, Self
+from typing import Any, ClassVar, Protocol, Self
 
 from optlink.errors import Status
-from optlink.problem.base_model import Contradiction, Number, Record, Recorded, ResultRecord, absent
+from optlink.problem.base_model import Number
+from optlink.problem.document import Document, Source
 from optlink.problem.file import ProblemFile
 from optlink.solvers.solution import FEASIBLE, STATIONARY, LimitState, Relaxation, Solution
 from optlink.tasks.results.certificate import Certificate, message
 from optlink.tasks.results.conflict import refutation
-from optlink.tasks.results.fit import FitRecord
-from optlink.tasks.results.rejected import RejectedDesign, RejectedRecord, best_rejected, rejected_record
+from optlink.tasks.results.rejected import RejectedDesign, best_rejected
 from optlink.validation.check import MEASURED, MEASURED_ROBUST, Check, Validation
 
 ROUNDED = 2e-7
@@ -27,8 +27,8 @@ INEXACT = frozenset({OPTIMALITY_CHECK, LIMITS_CHECK, MEASURED, MEASURED_ROBUST})
 class Optimum:
     """A distinct optimum of a multistart search: design [SI], objective, number of converged searches, assembly mode."""
 
-    design: Mapping[str, float]
-    objective: float
+    design: Mapping[str, Number]
+    objective: Number
     count: int
     assembly: str = ""
 
@@ -187,8 +187,30 @@ class DesignResult(Protocol):
         ...
 
 
+def iteration_figures(solution: Solution) -> dict[str, Any]:
+    """Return what the document states of the solution of one solver, without its design."""
+    names = ("status", "objective", "iterations", "kkt", "violation", "message")
+    return {name: getattr(solution, name) for name in names}
+
+
+def of_solution(name: str) -> Callable[[Any], Any]:
+    """Return the source of a figure of the solution, which a design that was not searched lacks."""
+    return lambda result: getattr(result.solution, name, None)
+
+
+SEARCHED: Mapping[str, Source] = {"message": "message", "valid": "valid", "notes": "notes"}
+"""Computed entries of the document of every search."""
+FOUND: Mapping[str, Source] = {
+    "rejected?": "rejected",
+    "backends?": lambda result: (
+        {name: {"design": result.displayed(one.design)} | iteration_figures(one) for name, one in result.backends.items()} or None
+    ),
+}
+"""Computed entries of designs that are not the best one."""
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class SingleResult(Recorded):
+class SingleResult(Document):
     """Result of a search for one design, which is its own best design.
 
     `design` [SI]; `objective` [SI]; `counts` and `conflict` as they apply: a search without a design has the reason instead.
@@ -196,12 +218,30 @@ class SingleResult(Recorded):
 
     incomplete: ClassVar[bool] = False
     """Whether a note states that the search may have missed the best design."""
+    shown: ClassVar[Mapping[str, Source]] = {
+        **SEARCHED,
+        "design": lambda result: result.displayed(result.complete(result.design)),
+        "fit": "fit",
+        "strokes": "strokes",
+        "limits": lambda result: result.solution.displayed_limits if result.solution else (),
+        "validation": "validation.checks",
+        "iterations": lambda result: result.solution.iterations if result.solution else 0,
+        **{f"{name}?": of_solution(name) for name in ("kkt", "violation", "curvature")},
+        **FOUND,
+        "optima?": lambda result: (
+            [
+                {key: value for key, value in vars(one).items() if value != ""} | {"design": result.displayed(one.design)}
+                for one in result.optima
+            ]
+            or None
+        ),
+    }
 
     problem: ProblemFile
     status: Status
     backend: str
-    design: dict[str, float]
-    objective: float
+    design: dict[str, Number]
+    objective: Number
     validation: Validation
     seconds: dict[str, float]
     seed: int | None = None
@@ -282,91 +322,3 @@ class SingleResult(Recorded):
 def better(result: SingleResult) -> tuple[bool, bool, float]:
     """Return a sort key: valid before invalid before infeasible, then by objective."""
     return not result.valid, result.status in (Status.INFEASIBLE, Status.NON_FINITE), result.objective
-
-
-class SolutionRecord(Record):
-    """Solution of one solver, in display units."""
-
-    status: Status
-    design: dict[str, Number]
-    objective: Number
-    iterations: int
-    kkt: Number
-    violation: Number
-    message: str
-
-
-class OptimumRecord(Record):
-    """A distinct optimum of a multistart search, in display units."""
-
-    design: dict[str, Number]
-    objective: Number
-    count: int
-    assembly: Annotated[str | None, lambda optimum: optimum.assembly or None] = absent()
-
-
-class SearchRecord(ResultRecord):
-    """The common entries of the document of every search."""
-
-    status: Status
-    message: str
-    valid: bool
-    notes: tuple[str, ...]
-    backend: str
-    starts: int
-    seconds: dict[str, float]
-
-
-def solution_records(result: Any) -> dict[str, SolutionRecord] | None:
-    """Return the solutions of the back ends of a result in display units."""
-    return {
-        name: SolutionRecord.of(solution, design=result.displayed(solution.design)) for name, solution in result.backends.items()
-    } or None
-
-
-def _optima(result: SingleResult) -> tuple[OptimumRecord, ...] | None:
-    """Return the distinct optima in display units."""
-    return tuple(OptimumRecord.of(optimum, design=result.displayed(optimum.design)) for optimum in result.optima) or None
-
-
-class SingleRecord(SearchRecord):
-    """The common entries of the document of a search for one design."""
-
-    design: Annotated[dict[str, float], lambda result: result.displayed(result.complete(result.design))]
-    fit: FitRecord | None
-    strokes: dict[str, dict[str, Any]]
-    limits: Annotated[tuple[LimitState, ...], lambda result: result.solution.displayed_limits if result.solution else ()]
-    validation: Annotated[tuple[Check, ...], "validation.checks"]
-    iterations: Annotated[int, lambda result: result.solution.iterations if result.solution else 0]
-    kkt: Annotated[Number, lambda result: getattr(result.solution, "kkt", None)] = absent()
-    violation: Annotated[Number, lambda result: getattr(result.solution, "violation", None)] = absent()
-    curvature: Annotated[Number, lambda result: getattr(result.solution, "curvature", None)] = absent()
-    backends: Annotated[dict[str, SolutionRecord] | None, solution_records] = absent()
-    optima: Annotated[tuple[OptimumRecord, ...] | None, _optima] = absent()
-    rejected: Annotated[RejectedRecord | None, rejected_record] = absent()
-    conflict: Annotated[tuple[Relaxation, ...] | None, lambda result: result.conflict or None] = absent()
-    relax_together: Annotated[tuple[Relaxation, ...] | None, lambda result: result.together if result.conflict else None] = (
-        absent()
-    )
-
-
-def check_entries(table: str, entries: Collection[str], names: Iterable[str]) -> None:
-    """Raise if a table of a record lacks an entry.
-
-    Parameters
-    ----------
-    table : str
-        Key of the table.
-    entries : collection of str
-        Its keys.
-    names : iterable of str
-        Keys that it must have.
-
-    Raises
-    ------
-    Contradiction
-        with the first missing key.
-    """
-    for name in names:
-        if name not in entries:
-            raise Contradiction(f"{table}.{name}", "this is missing")

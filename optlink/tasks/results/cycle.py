@@ -4,21 +4,20 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, Any, Literal
-
-from pydantic import Field
+from typing import Any, ClassVar
 
 from optlink.dynamics.machine import Machine
 from optlink.errors import InputError, Status
-from optlink.problem.base_model import Number, Record, itself
+from optlink.problem.base_model import Number
 from optlink.problem.cycle.model import CycleProblem, StrokeProblem
 from optlink.problem.cycle.terms import Term
+from optlink.problem.document import Source
 from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import fixed_design
 from optlink.problem.quantity import Unusable
 from optlink.tasks.analyze import analyze
 from optlink.tasks.results.analysis import Analysis, stroke_document
-from optlink.tasks.results.common import SingleRecord, SingleResult
+from optlink.tasks.results.common import SingleResult
 from optlink.tasks.results.fit import Fit, transmission_fit
 from optlink.units import KINDS, factor, percent
 from optlink.validation.check import Validation
@@ -37,30 +36,6 @@ class CycleFigure:
     unit: str
 
 
-class CycleObjectiveRecord(Record):
-    """Minimised value [SI]."""
-
-    value: Annotated[Number, "objective"]
-    unit: str
-
-
-class InitialRecord(Record):
-    """The initial design of the file."""
-
-    objective: Number
-    feasible: Annotated[bool, "valid"]
-
-
-class CycleRecord(SingleRecord):
-    """Document of a cycle optimisation: SI, or the unit that ends the key."""
-
-    format: Literal["optlink/cycle/2"] = Field(alias="schema")
-    free: tuple[str, ...]
-    objective: Annotated[CycleObjectiveRecord, itself]
-    initial: InitialRecord
-    figures: tuple[CycleFigure, ...]
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class CycleResult(SingleResult):
     """A machine with its validation, or the reason why there is none.
@@ -68,7 +43,14 @@ class CycleResult(SingleResult):
     `design`: design variables [SI]; `objective`: minimised value [SI], negative for a maximised term.
     """
 
-    record = CycleRecord
+    kind = "cycle"
+    shown: ClassVar[Mapping[str, Source]] = {
+        **{key: source for key, source in SingleResult.shown.items() if key != "notes"},
+        "free": "free",
+        "objective": lambda result: {"value": result.objective, "unit": result.unit},
+        "initial": lambda result: {"objective": result.initial.objective, "feasible": result.initial.valid},
+        "figures": "figures",
+    }
 
     notes: tuple[str, ...] = ()
 

@@ -17,16 +17,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from optlink.linkage.fourbar import LENGTHS, classify
 from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import TURN, Array
-from optlink.problem.base_model import Record
+from optlink.problem.document import Source
 from optlink.problem.mechanism import FourBarSection
 from optlink.problem.quantity import Quantity
 from optlink.problem.targets.law import begins_at_psi0
@@ -70,6 +69,8 @@ class Fit:
 
     `error` and `size` in `unit` (m, rad); `of` names the size; `reasons` only for a poor fit.
     """
+
+    shown: ClassVar[Mapping[str, Source]] = {name: name for name in ("grade", "share", "error", "size", "unit", "of", "reasons")}
 
     error: float
     size: float
@@ -143,18 +144,6 @@ class PathFit(Fit):
 def _percent(share: float) -> str:
     """Format a share in percent, from 100 % on without digits after the point."""
     return f"{100.0 * share:.2g} %" if share < 0.99 else f"{100.0 * share:z.0f} %"
-
-
-class FitRecord(Record):
-    """Grade of a design [m, rad]."""
-
-    grade: str
-    share: float
-    error: float
-    size: float
-    unit: str
-    of_: Annotated[str, "of"] = Field(alias="of")
-    reasons: tuple[PoorFitReason, ...]
 
 
 @dataclass(frozen=True)

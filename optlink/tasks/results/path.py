@@ -6,20 +6,20 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Annotated, Any, Literal, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
-from pydantic import Field
 
 from optlink.errors import InputError, Status
-from optlink.io import Summary
+from optlink.io import Summary, finite
 from optlink.linkage.cognates import Cognate, CouplerLinkage, cognates
 from optlink.linkage.dyad_types import transmitting
 from optlink.linkage.extrema import extremes
 from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import TURN, Array
-from optlink.problem.base_model import Number, Record, Recorded, Rows, absent
+from optlink.problem.base_model import Column, Number
+from optlink.problem.document import Document, Source, entries
 from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import fixed_design, started
 from optlink.problem.mechanism import FourBarSection
@@ -27,12 +27,12 @@ from optlink.problem.path import START, PathProblem
 from optlink.solvers.solution import LimitState, Relaxation, Solution
 from optlink.tasks.machine import turning_machine
 from optlink.tasks.results.analysis import stroke_document
-from optlink.tasks.results.certificate import Certificate, CertificateRecord, message
-from optlink.tasks.results.common import ROUNDED, SearchRecord, SolutionRecord, solution_records, verified
+from optlink.tasks.results.certificate import Certificate, message
+from optlink.tasks.results.common import FOUND, ROUNDED, SEARCHED, of_solution, verified
 from optlink.tasks.results.conflict import refutation
 from optlink.tasks.results.evidence import INCOMPLETE, Evidence
-from optlink.tasks.results.fit import Fit, FitRecord, path_fit, transmission_fit
-from optlink.tasks.results.rejected import RejectedDesign, RejectedRecord, rejected_record
+from optlink.tasks.results.fit import Fit, path_fit, transmission_fit
+from optlink.tasks.results.rejected import RejectedDesign
 from optlink.units import DISPLAYED
 from optlink.validation.between import excursions
 from optlink.validation.check import Check, Validation
@@ -52,10 +52,23 @@ class PathDesign(Summary):
     the points; `objective` in the SI unit of the measure.
     """
 
+    shown: ClassVar[Mapping[str, Source]] = {
+        **{name: name for name in ("valid", "status", "assembly")},
+        "design": "displayed",
+        "objective": "stated_objective",
+        "fit": "fit",
+        "least_transmission_deg": lambda design: math.degrees(design.least_transmission),
+        "points": "points",
+        "limits": "displayed_limits",
+        "validation": "validation.checks",
+        "cognates": lambda design: [_cognate_document(cognate) for cognate in design.cognates],
+        **{f"{name}?": of_solution(name) for name in ("kkt", "violation", "iterations")},
+    }
+
     problem: ProblemFile
-    values: dict[str, float]
-    crank_angles: Array
-    objective: float
+    values: dict[str, Number]
+    crank_angles: Column
+    objective: Number
     status: Status
     validation: Validation
     solution: Solution | None = None
@@ -200,60 +213,12 @@ class PathDesign(Summary):
         """All bounds and limits in display units."""
         return self.solution.displayed_limits if self.solution is not None else ()
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the design as a JSON document: SI, or the unit that ends the key."""
-        return PathDesignRecord.of(self).document()
-
-
-class CognateRecord(Record):
-    """Another four-bar with the same coupler curve."""
-
-    frame_mm: Annotated[float, lambda cognate: 1e3 * cognate.linkage.frame]
-    crank_mm: Annotated[float, lambda cognate: 1e3 * cognate.linkage.crank]
-    coupler_mm: Annotated[float, lambda cognate: 1e3 * cognate.linkage.coupler]
-    rocker_mm: Annotated[float, lambda cognate: 1e3 * cognate.linkage.rocker]
-    along_mm: Annotated[float, lambda cognate: 1e3 * cognate.linkage.along]
-    across_mm: Annotated[float, lambda cognate: 1e3 * cognate.linkage.across]
-    x_mm: Annotated[float, lambda cognate: 1e3 * cognate.linkage.x] = Field(alias="A.x_mm")
-    y_mm: Annotated[float, lambda cognate: 1e3 * cognate.linkage.y] = Field(alias="A.y_mm")
-    direction_deg: Annotated[float, lambda cognate: math.degrees(cognate.linkage.direction)]
-    side: Annotated[int, "linkage.side"]
-    inversion: Annotated[str, "inversion.value"]
-    crank_turns: bool
-    keeps_side: bool
-    turns_as: str
-
-
-class PathDesignRecord(Record):
-    """A design: SI, or the unit that ends the key; `objective` and `points` have keys for the unit of the deviations."""
-
-    valid: bool
-    status: Status
-    assembly: Any
-    design: Annotated[dict[str, float], "displayed"]
-    objective: dict[str, Any]
-    fit: FitRecord | None
-    least_transmission_deg: Annotated[Number, lambda result: math.degrees(result.least_transmission)]
-    points: dict[str, Rows]
-    limits: Annotated[tuple[LimitState, ...], "displayed_limits"]
-    validation: Annotated[tuple[Check, ...], "validation.checks"]
-    cognates: tuple[CognateRecord, ...]
-    kkt: Annotated[Number, lambda result: getattr(result.solution, "kkt", None)] = absent()
-    violation: Annotated[Number, lambda result: getattr(result.solution, "violation", None)] = absent()
-    iterations: Annotated[int | None, lambda result: getattr(result.solution, "iterations", None)] = absent()
-
-    @classmethod
-    def of(cls, result: PathDesign, **values: Any) -> Self:
-        """As `Record.of`, with the points in display units.
-
-        Parameters
-        ----------
-        **values
-            Values of fields, in place of those of the result.
-        """
-        measured, task = result.measured, result.task
+    @property
+    def points(self) -> dict[str, Array]:
+        """Crank angles, generated points and their deviations, in the unit that ends the key."""
+        measured, task = self.measured, self.task
         size, unit = DISPLAYED[task.unit]
-        points: dict[str, Array] = {"crank_deg": np.degrees(result.crank_angles)}
+        points: dict[str, Array] = {"crank_deg": np.degrees(self.crank_angles)}
         if task.pointed:
             points["x_mm"], points["y_mm"] = (measured.generated * 1e3).T
         elif task.requirement.kind == "transmission":
@@ -261,49 +226,67 @@ class PathDesignRecord(Record):
         else:
             points[f"output_{unit}"] = measured.generated[:, 0] * size
         points[f"distance_{unit}".rstrip("_")] = measured.distances * size
+        if self.between is not None:
+            missing = np.full(len(measured.distances) - len(self.between), np.nan)
+            points["between_mm"] = 1e3 * np.append(self.between, missing)
+        if measured.turned is not None:
+            points["turned_deg"] = np.degrees(measured.turned)
+        return points
+
+    @property
+    def stated_objective(self) -> dict[str, Any]:
+        """Objective [SI], and the deviations in the unit that ends the key."""
+        measured, task = self.measured, self.task
+        size, unit = DISPLAYED[task.unit]
         objective = {
-            "value": result.objective,
+            "value": self.objective,
             "unit": task.objective_unit,
             "measure": task.measure,
             f"rms_{unit}".rstrip("_"): size * math.sqrt(float(np.mean(measured.distances**2))),
             f"largest_{unit}".rstrip("_"): size * float(np.max(measured.distances)),
         }
-        if result.between is not None:
-            largest = float(np.nanmax(result.between, initial=0.0))
-            points["between_mm"] = 1e3 * np.append(result.between, np.full(len(measured.distances) - len(result.between), np.nan))
-            objective["largest_between_mm"] = 1e3 * largest
+        if self.between is not None:
+            objective["largest_between_mm"] = 1e3 * float(np.nanmax(self.between, initial=0.0))
         if measured.turned is not None:
-            points["turned_deg"] = np.degrees(measured.turned)
             objective["largest_turned_deg"] = math.degrees(float(np.max(np.abs(measured.turned))))
-        return super().of(result, objective=objective, points=points, **values)
+        return objective
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the design as a JSON document: SI, or the unit that ends the key."""
+        return finite(dict(entries(self)))  # type: ignore[no-any-return]
 
 
-class PathRecord(SearchRecord):
-    """Document of a path, motion, function or transmission synthesis: the figures of the best design, and all designs."""
-
-    format: Literal["optlink/path/2"] = Field(alias="schema")
-    starts_that_reached_the_best: Annotated[int, "hits"]
-    evidence: Evidence
-    design: Annotated[dict[str, float] | None, lambda result: result.best and result.best.displayed] = absent()
-    strokes: dict[str, dict[str, Any]] | None = absent()
-    assembly: Annotated[Any, lambda result: result.best and result.best.assembly] = absent()
-    fit: Annotated[FitRecord | None, lambda result: result.best and result.best.fit]
-    designs: tuple[PathDesignRecord, ...]
-    rejected: Annotated[RejectedRecord | None, rejected_record] = absent()
-    backends: Annotated[dict[str, SolutionRecord] | None, solution_records] = absent()
-    conflict: Annotated[tuple[Relaxation, ...] | None, lambda result: result.conflict or None] = absent()
-    relax_together: Annotated[tuple[Relaxation, ...] | None, lambda result: result.together if result.conflict else None] = (
-        absent()
-    )
-    certificate: CertificateRecord | None = absent()
-    nearest_miss: Annotated[PathDesignRecord | None, lambda result: None if result.designs else result.nearest]
+def _cognate_document(cognate: Cognate) -> dict[str, Any]:
+    """Return another four-bar with the same coupler curve: SI, or the unit that ends the key."""
+    linkage = cognate.linkage
+    places = ("frame", "crank", "coupler", "rocker", "along", "across")
+    return {
+        **{f"{name}_mm": 1e3 * getattr(linkage, name) for name in places},
+        "A.x_mm": 1e3 * linkage.x,
+        "A.y_mm": 1e3 * linkage.y,
+        "direction_deg": math.degrees(linkage.direction),
+        "side": linkage.side,
+        "inversion": cognate.inversion.value,
+        **{name: getattr(cognate, name) for name in ("crank_turns", "keeps_side", "turns_as")},
+    }
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PathResult(Recorded):
+class PathResult(Document):
     """Result of path, motion or function synthesis: validated designs, best first; or the nearest invalid one and the reason."""
 
-    record = PathRecord
+    kind = "path"
+    shown: ClassVar[Mapping[str, Source]] = {
+        **{key: source for key, source in SEARCHED.items() if key != "notes"},
+        "starts_that_reached_the_best": "hits",
+        "design?": lambda result: result.best and result.best.displayed,
+        "strokes?": "strokes",
+        "assembly?": lambda result: result.best and result.best.assembly,
+        "fit": lambda result: result.best and result.best.fit,
+        "designs": "designs",
+        **FOUND,
+        "nearest_miss": lambda result: None if result.designs else result.nearest,
+    }
 
     problem: ProblemFile
     designs: tuple[PathDesign, ...]
@@ -318,8 +301,8 @@ class PathResult(Recorded):
     conflict: tuple[Relaxation, ...] = ()
     together: tuple[Relaxation, ...] = ()
     certificate: Certificate | None = None
-    rejected: RejectedDesign | None = None
     backends: dict[str, Solution] = field(default_factory=dict)
+    rejected: RejectedDesign | None = None
 
     @property
     def hits(self) -> int:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
-from optlink.problem.base_model import Number, Record
+from optlink.problem.base_model import Number
+from optlink.problem.document import Source
 from optlink.problem.file import ProblemFile
 from optlink.validation.check import Check
 
@@ -17,9 +18,14 @@ BETTER = 1e-6  # relative difference by which the objective of a better optimum 
 class RejectedDesign:
     """A better optimum that was not accepted: the problem with its assembly modes, design and objective [SI], failed checks."""
 
+    shown: ClassVar[Mapping[str, Source]] = {
+        "design": lambda rejected: rejected.problem.model.displayed(rejected.design),
+        **{name: name for name in ("objective", "assembly", "failed")},
+    }
+
     problem: ProblemFile
-    design: Mapping[str, float]
-    objective: float
+    design: Mapping[str, Number]
+    objective: Number
     failed: tuple[Check, ...]
 
     @property
@@ -53,20 +59,3 @@ def best_rejected(designs: Iterable[RejectedDesign | None], objective: float) ->
     """
     better = [one for one in designs if one is not None and one.objective < objective * (1.0 - BETTER)]
     return min(better, key=lambda one: one.objective, default=None)
-
-
-class RejectedRecord(Record):
-    """A rejected design, in display units."""
-
-    design: dict[str, Number]
-    objective: Number
-    assembly: Any
-    failed: tuple[Check, ...]
-
-
-def rejected_record(result: Any) -> RejectedRecord | None:
-    """Return the record of the rejected design of a result, its attribute `rejected`."""
-    rejected: RejectedDesign | None = result.rejected
-    if rejected is None:
-        return None
-    return RejectedRecord.of(rejected, design=rejected.problem.model.displayed(rejected.design))

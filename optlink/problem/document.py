@@ -1,0 +1,242 @@
+"""Results as documents: each writes everything that it holds, with the problem that it is about, and is read from that alone.
+
+A document has the fields of the result under their names, and further entries for people, `shown`, which are computed from them:
+a design in display units, a verdict in words. A field whose name such an entry takes stands under `state`. All is SI, or the unit
+that ends the key; null where there is no finite value.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import fields, is_dataclass, replace
+from operator import attrgetter
+from pathlib import Path
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import TypeAdapter, ValidationError
+
+from optlink.errors import InputError, UnknownName, nearest
+from optlink.io import SUM, Summary, checked, finite, head, with_check_sum
+from optlink.problem.file import ProblemFile, read
+from optlink.problem.fixed_design import enclosing
+from optlink.version import VERSION
+
+VERSION_OF_SCHEMAS = 3
+AGAIN = "Solve it again with this version, or use the version of optlink that wrote it"
+HEAD = ("schema", "optlink", "problem", "title", "problem_hash", "overrides")
+"""First entries of a document, which follow from its problem."""
+
+Source = str | Callable[[Any], Any]
+"""An attribute of a result, or a function of it."""
+
+
+class Document(Summary):
+    """Base class of results, dataclasses that write themselves as JSON documents and are read from them."""
+
+    kind: ClassVar[str]
+    """Name of the kind of result, in the schema of its documents."""
+    shown: ClassVar[Mapping[str, Source]] = {}
+    """Computed entries by key; one whose key ends in "?" is left out if it is None."""
+    stored: ClassVar[tuple[str, ...] | None] = None
+    """Fields from which the others are computed again when it is read, see `restored`. Default: all are stored."""
+    notebook: ClassVar[Callable[[Any], str | None] | None] = None
+    """Renderer of notebooks, which the package installs, as results do not depend on reports."""
+
+    problem: ProblemFile
+
+    def _repr_html_(self) -> str | None:
+        return None if Document.notebook is None else Document.notebook(self)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the result as a JSON document: SI, or the unit that ends the key; null where there is no finite value."""
+        if self.stored is not None:
+            state = {name: getattr(self, name) for name in self.stored}
+        else:
+            state = adapter(type(self)).dump_python(self, context={"problem": self.problem}, exclude={"problem"}, warnings=False)
+        hidden = hidden_fields(type(self))
+        about = head(self.schema(), self.problem, getattr(self, "status", "")) | {"seed": getattr(self, "seed", None)}
+        document = about | dict(entries(self)) | {name: value for name, value in state.items() if name not in hidden}
+        if below := {name: value for name, value in state.items() if name in hidden}:
+            document["state"] = below
+        document["problem_file"] = stored_problem(self.problem)
+        return with_check_sum(finite(document))
+
+    @classmethod
+    def from_dict(cls, document: Mapping[str, Any], path: Path) -> Self:
+        """Return the result that a document holds.
+
+        Parameters
+        ----------
+        document : mapping
+            From `to_dict`.
+        path : Path
+            File of the document, for errors.
+
+        Raises
+        ------
+        InputError
+            If the document was changed, or this version reads its problem differently.
+        """
+        content = checked(document)
+        if content is None:
+            raise InputError("the result was changed since it was written", AGAIN, str(path), SUM, document.get(SUM))
+        hidden = hidden_fields(cls)
+        try:
+            problem = read_problem(content, path)
+            values = {name: content["state"][name] if name in hidden else content[name] for name in stored_fields(cls)}
+            return cls.restored(problem, values)
+        except (KeyError, ValidationError) as error:
+            message = f"this is not what version {VERSION} writes: it lacks or misreads {_place(error)}"
+            raise InputError(message, AGAIN, str(path)) from None
+
+    @classmethod
+    def restored(cls, problem: ProblemFile, values: Mapping[str, Any]) -> Self:
+        """Return the result for the fields in a document."""
+        result: Self = adapter(cls).validate_python({**values, "problem": problem}, context={"problem": problem})
+        return result
+
+    @classmethod
+    def json_schema(cls) -> dict[str, Any]:
+        """Return the JSON schema of the documents: of their fields; computed entries may be anything."""
+        whole = adapter(cls).json_schema(mode="serialization") if cls.stored is None else {}
+        parts: dict[str, Any] = whole.get("properties", {name: {} for name in cls.stored or ()})
+        hidden = hidden_fields(cls)
+        properties = {
+            "schema": {"const": cls.schema()},
+            **{name: {"type": "string"} for name in HEAD[1:5]},
+            "overrides": {"type": "object"},
+            "seed": {"anyOf": [{"type": "integer"}, {"type": "null"}]},
+            "status": {"type": "string"},
+            **{key.rstrip("?"): {} for key in cls.shown},
+            **{name: part for name, part in parts.items() if name not in hidden and name != "problem"},
+            "state": _closed({name: part for name, part in parts.items() if name in hidden}),
+            "problem_file": _closed({key: {"type": "string"} for key in ("file", "toml")}),
+            SUM: {"type": "string"},
+        }
+        if not hidden:
+            del properties["state"]
+        optional = {key.rstrip("?") for key in cls.shown if key.endswith("?")}
+        return {"title": cls.__name__, **_closed(properties, optional), "$defs": whole.get("$defs", {})}
+
+    @classmethod
+    def schema(cls) -> str:
+        """Return the name of the schema."""
+        return f"optlink/{cls.kind.replace(' ', '-')}/{VERSION_OF_SCHEMAS}"
+
+
+class Tabled(Document):
+    """Base class of results with columns, which `result["input.torque_Nm"]` returns by their names."""
+
+    columns: Mapping[str, NDArray[np.float64]]
+
+    def __getitem__(self, name: str) -> NDArray[np.float64]:
+        try:
+            return self.columns[name]  # those of a damaged file refuse the name themselves
+        except KeyError:
+            raise UnknownName(f"no column {name}", nearest(str(name), self.columns)) from None
+
+
+_ADAPTERS: dict[type[Any], TypeAdapter[Any]] = {}
+
+
+def adapter(kind: type[Any]) -> TypeAdapter[Any]:
+    """Return what reads and writes the fields of a dataclass; made once, since that takes time."""
+    if kind not in _ADAPTERS:
+        _ADAPTERS[kind] = TypeAdapter(kind)
+    return _ADAPTERS[kind]
+
+
+def stored_fields(kind: Any) -> tuple[str, ...]:
+    """Return the names of the fields in a document, without the problem."""
+    return kind.stored or tuple(item.name for item in fields(kind) if item.init and item.name != "problem")
+
+
+def hidden_fields(kind: Any) -> frozenset[str]:
+    """Return the fields that stand under `state`: those whose names computed entries take, and those that are read alone."""
+    return frozenset(kind.stored or set(stored_fields(kind)) & {*HEAD, *(key.rstrip("?") for key in kind.shown)})
+
+
+def entries(item: Any) -> Iterator[tuple[str, Any]]:
+    """Yield the computed entries of a result or of a part of it."""
+    for key, source in type(item).shown.items():
+        value = (attrgetter(source) if isinstance(source, str) else source)(item)
+        if value is not None or not key.endswith("?"):
+            yield key.rstrip("?"), plain(value)
+
+
+def plain(value: Any) -> Any:
+    """Return a value for people as tables and lists: of parts that have computed entries these, of others their fields."""
+    if isinstance(getattr(type(value), "shown", None), Mapping):
+        return dict(entries(value))
+    if is_dataclass(value) and not isinstance(value, type):
+        return {item.name: plain(getattr(value, item.name)) for item in fields(value)}
+    if isinstance(value, Mapping):
+        return {key: plain(part) for key, part in value.items()}
+    return [plain(part) for part in value] if isinstance(value, list | tuple) else value
+
+
+def _closed(properties: dict[str, Any], optional: Collection[str] = ()) -> dict[str, Any]:
+    """Return the schema of an object with these keys and no others."""
+    required = [name for name in properties if name not in optional]
+    return {"type": "object", "properties": properties, "required": required, "additionalProperties": False}
+
+
+def _place(error: KeyError | ValidationError) -> str:
+    """Return the key of a document at which its reading failed."""
+    return ".".join(map(str, error.errors()[0]["loc"])) if isinstance(error, ValidationError) else str(error.args[0])
+
+
+def stored_problem(problem: ProblemFile) -> dict[str, Any]:
+    """Return a problem as a document contains it: its text with all changes, and with the files to which it refers."""
+    return {"file": problem.file, "toml": "\n".join(_toml_lines(enclosing(problem))) + "\n"}
+
+
+def _toml_lines(table: Mapping[str, Any], path: str = "") -> Iterator[str]:
+    """Yield the lines of a table in TOML with its keys in their order, on which that of design variables depends.
+
+    Tables behind the last other value are sections, those before it stand in one line.
+    """
+    last = max((k for k, value in enumerate(table.values()) if not isinstance(value, Mapping)), default=-1)
+    items = [(_toml_key(key), value) for key, value in table.items()]
+    if not path:  # sections have no order
+        items.sort(key=lambda item: isinstance(item[1], Mapping))
+        last = sum(not isinstance(value, Mapping) for value in table.values()) - 1
+    yield from (f"{key} = {_toml_value(value)}" for key, value in items[: last + 1])
+    for key, value in items[last + 1 :]:
+        yield f"\n[{path}{key}]"
+        yield from _toml_lines(value, f"{path}{key}.")
+
+
+def _toml_key(key: str) -> str:
+    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else json.dumps(key, ensure_ascii=False)
+
+
+def _toml_value(value: Any) -> str:
+    """Return a value in one line."""
+    import tomli_w
+
+    if isinstance(value, Mapping):
+        return f"{{ {', '.join(f'{_toml_key(key)} = {_toml_value(item)}' for key, item in value.items())} }}"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_toml_value, value))}]"
+    return tomli_w.dumps({"value": value}).removeprefix("value = ").rstrip("\n")
+
+
+def read_problem(document: Mapping[str, Any], path: Path) -> ProblemFile:
+    """Return the problem that a document contains.
+
+    Raises
+    ------
+    InputError
+        If this version reads it differently.
+    """
+    stored = document["problem_file"]
+    problem = read(stored["toml"], document["problem"], stored["file"], Path())
+    if problem.hash != document["problem_hash"]:
+        message = f"version {document['optlink']} read its problem otherwise than version {VERSION}"
+        raise InputError(message, AGAIN, str(path), "problem_hash", document["problem_hash"])
+    return replace(problem, overrides=document["overrides"])

@@ -1,1 +1,0 @@
-"""Strict reading of result files."""
