@@ -25,15 +25,16 @@ RUNNING_IN = 5
 
 
 def _read_impacts(rows: Iterable[Iterable[Any]]) -> tuple[Impact, ...]:
-    return tuple(Impact(*(math.nan if value is None else value for value in row)) for row in rows)
+    return tuple(Impact._make(math.nan if value is None else value for value in row) for row in rows)
 
 
 Impacts = Annotated[tuple[Impact, ...], PlainValidator(_read_impacts), WithJsonSchema({"type": "array"})]
 
 
 def _prediction(result: "ClearanceSimulation") -> dict[str, Any] | None:
-    found = result.prediction
-    return found and {"chaotic": found.chaotic, "parted_revolutions": found.parted, "watched": found.watched}
+    if (found := result.prediction) is None:
+        return None
+    return {"chaotic": found.chaotic, "parted_revolutions": found.parted, "watched": found.watched}
 
 
 @dataclass(frozen=True, repr=False, eq=False)
