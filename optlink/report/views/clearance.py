@@ -35,13 +35,7 @@ ENLARGE_RATIO = 4.0  # ratio to the ideal torque beyond which a second panel enl
 
 
 def charts(result: ClearanceSimulation) -> list[ChartSpec]:
-    """Return the charts of a simulation with clearance; none if it was interrupted in its first revolution.
-
-    Parameters
-    ----------
-    result : ClearanceSimulation
-        As computed or as stored.
-    """
+    """Return the charts of a simulation with clearance; none if it was interrupted in its first revolution."""
     turns = RevolutionCurves(result)
     if not turns:
         return []

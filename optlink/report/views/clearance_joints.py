@@ -42,15 +42,7 @@ def charts(turns: RevolutionCurves) -> list[ChartSpec]:
 
 
 def magnification(gap: Gap, deepest: float) -> float:
-    """Return the factor by which penetrations are magnified: a round number, 1 if they are visible to scale.
-
-    Parameters
-    ----------
-    gap : Gap
-        Joint with clearance.
-    deepest : float [m]
-        Largest penetration.
-    """
+    """Return the factor by which penetrations are magnified: a round number, 1 if they are visible to scale."""
     return max(1.0, min(round_below(MAX_PENETRATION * gap.clearance / deepest), MAX_MAGNIFICATION)) if deepest > 0.0 else 1.0
 
 

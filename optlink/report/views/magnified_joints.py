@@ -41,12 +41,8 @@ MIN_FORCE_SHARE = 0.02  # share of the largest force above which a force is draw
 class MagnifiedMachine(Sketch):
     """Sketch of a mechanism with clearance, with deviations from the ideal machine magnified by `factor`.
 
-    Parameters
-    ----------
-    turns : RevolutionCurves
-        The simulated revolutions.
-    rows : array of int (positions,)
-        Rows of the simulation to draw; `steps` is the motion of the ideal machine at these rows.
+    `rows` (positions,) are drawn; `steps` is the motion of the ideal machine at these rows. Methods take its motion, or
+    `self.motion` for the ideal machine.
     """
 
     def __init__(self, turns: RevolutionCurves, rows: NDArray[np.intp]) -> None:
@@ -87,15 +83,7 @@ class MagnifiedMachine(Sketch):
     # --- positions -------------------------------------------------------------------------------------------------------
 
     def at(self, point: str, body: str) -> Array:
-        """Return the drawn positions of a point of a body at the rows, shape (positions, 2).
-
-        Parameters
-        ----------
-        point : str
-            Joint name.
-        body : str
-            Body to which the point belongs; matters at a joint with clearance.
-        """
+        """Return the drawn positions of a point of a body, which matters at a joint with clearance, shape (positions, 2)."""
         ideal, columns = super().position(self.steps, point), self.turns.result.columns
         name = f"{point}.{body}" if f"{point}.{body}.x_m" in columns else point
         if name == point and point in self.gaps:  # a third body shares the bearing
@@ -106,29 +94,13 @@ class MagnifiedMachine(Sketch):
         return np.asarray(ideal + self.factor * (actual - ideal))
 
     def position(self, motion: Motion, name: str) -> Array:
-        """Return the positions of a point in the display unit; at a joint with clearance, those of the bearing centre.
-
-        Parameters
-        ----------
-        motion : Motion
-            `self.motion` for the ideal machine, otherwise the rows are used.
-        name : str
-            Joint name.
-        """
+        """Return the positions of a point in the display unit; at a joint with clearance, those of the bearing centre."""
         if motion is self.motion:
             return super().position(motion, name)
         return self.at(name, self.gaps[name].bearing if name in self.gaps else self.mechanism.owners[name][0])
 
     def placed(self, motion: Motion, body: str, outline: Array) -> Array:
-        """Return the positions of an outline that moves with a body, shape (positions, corners, 2).
-
-        Parameters
-        ----------
-        motion : Motion
-            `self.motion` for the ideal machine, otherwise the rows are used.
-        outline : array (corners, 2)
-            Coordinates along and across the body from its start point, in the display unit.
-        """
+        """Return the positions of an outline that moves with a body, shape (positions, corners, 2)."""
         if motion is self.motion:
             return super().placed(motion, body, outline)
         x, y = np.cos(self.angles[body])[:, None], np.sin(self.angles[body])[:, None]
@@ -139,15 +111,7 @@ class MagnifiedMachine(Sketch):
     # --- drawing -----------------------------------------------------------------------------------------------------------
 
     def pose(self, axes: Axes, motion: Motion, k: int = 0) -> list[Artist]:
-        """Draw the mechanism at row `k`, with joints with clearance as journals in bearings; also draw the close-ups, if any.
-
-        Parameters
-        ----------
-        motion : Motion
-            `self.steps`.
-        k : int, optional
-            Index of the row.
-        """
+        """Draw the mechanism at row `k`, with joints with clearance as journals in bearings; also draw the close-ups, if any."""
         artists = super().pose(axes, motion, k)
         ideal = [name for name in self.mechanism.pins if name not in self.gaps]
         for artist in artists:
@@ -181,15 +145,7 @@ class MagnifiedMachine(Sketch):
         return artists
 
     def letters(self, axes: Axes, motion: Motion, k: int = 0) -> list[Label]:
-        """Return the labels of all points, clear of the bearing rings; the axes must have their final size.
-
-        Parameters
-        ----------
-        motion : Motion
-            `self.steps`.
-        k : int, optional
-            Index of the row.
-        """
+        """Return the labels of all points, clear of the bearing rings; the axes must have their final size."""
         play = max(gap.clearance for gap in self.gaps.values()) * self.scale.factor
         ring = in_points(axes, self.radius + self.factor * play)
         return [replace(label, clear=ring) if label.text in self.gaps else label for label in super().letters(axes, motion, k)]
@@ -197,17 +153,7 @@ class MagnifiedMachine(Sketch):
     # --- close-ups ---------------------------------------------------------------------------------------------------------
 
     def lay(self, axes: Axes, columns: int, at_row: int) -> None:
-        """Draw the fixed parts of the close-ups: the bearings and the paths of the journal centres.
-
-        Parameters
-        ----------
-        axes : Axes
-            Axes of the close-ups, also used by `pose`.
-        columns : int
-            Number of joints side by side.
-        at_row : int
-            Row whose contact state is written below each joint.
-        """
+        """Draw the fixed parts of `columns` close-ups side by side: bearings, paths of journal centres, the contacts at a row."""
         self.close_up = axes
         for i, gap in enumerate(self.gaps.values()):
             self.middles[gap.point] = middle = np.array(

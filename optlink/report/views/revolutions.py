@@ -121,15 +121,7 @@ class RevolutionCurves:
         return scale(largest, "m" if self.result.output.guide else "deg")
 
     def peak(self, name: str, count: int) -> float:
-        """Return the largest torque magnitude, normal force or penetration of the last revolutions, including peaks between rows.
-
-        Parameters
-        ----------
-        name : str
-            Column name.
-        count : int
-            Number of revolutions.
-        """
+        """Return the largest torque magnitude, normal force or penetration of revolutions, with peaks between rows."""
         values = self.result[name][self.rows(count)]
         peak = float(np.nanmax(np.abs(values) if name == TORQUE else values, initial=0.0))
         stem, _, unit = name.rpartition("_")
@@ -140,15 +132,7 @@ class RevolutionCurves:
     # --- titles --------------------------------------------------------------------------------------------------------
 
     def title(self, what: str, more: str = "") -> str:
-        """Compose the title of a picture: machine and subject, then speed, control and `more`.
-
-        Parameters
-        ----------
-        what : str
-            Subject of the picture.
-        more : str, optional
-            Addition to the second line.
-        """
+        """Compose the title of a picture: machine and subject, then speed, control and `more`."""
         result = self.result
         nominal, sense = "nominal " if self.free else "", "" if self.direction > 0.0 else " clockwise"
         parts = [f"{nominal}{abs(result.speed) * 30.0 / math.pi:.5g} rpm{sense}"]
@@ -161,15 +145,7 @@ class RevolutionCurves:
     # --- the crank angle as abscissa -----------------------------------------------------------------------------------
 
     def fold(self, values: Array, rows: slice, advance: float = 0.0) -> tuple[Array, Array]:
-        """Return crank angles within a revolution [deg] and values, with NaN between revolutions.
-
-        Parameters
-        ----------
-        values : array (n,)
-            Values at all rows.
-        advance : float, optional
-            Amount subtracted from the values for every whole turn of the crank.
-        """
+        """Return crank angles within a revolution [deg] and values; see `fold`."""
         return fold(self.angle[rows], values[rows], advance)
 
     @property
@@ -179,19 +155,7 @@ class RevolutionCurves:
         return Axis(name, (0.0, FULL), reversed=self.direction < 0.0, step=60.0)
 
     def overlay(self, values: Array, unit: Scale, name: str, colour: str = RESULT, advance: float = 0.0) -> list[Curve]:
-        """Return every revolution after the running-in as a thin curve and the last one as a bold curve.
-
-        Parameters
-        ----------
-        values : array (n,) [SI]
-            Values at all rows.
-        unit : Scale
-            Display unit of the axis.
-        name : str
-            Entry in the legend.
-        advance : float [SI], optional
-            Amount subtracted from the values for every whole turn of the crank.
-        """
+        """Return every revolution after the running-in as a thin curve, the last one as a bold curve; `advance` as in `fold`."""
         curves = []
         if self.shown > 1:
             rows = slice(self.rows(self.shown).start, self.rows(1).start + 1)
@@ -203,15 +167,7 @@ class RevolutionCurves:
         return [*curves, Curve(x, y, name, colour, 1.7, gid="last revolution")]
 
     def bands(self, contact: Array, rows: slice, name: str) -> list[Span]:
-        """Return the crank angles at which journal and bearing are in contact as shaded ranges.
-
-        Parameters
-        ----------
-        contact : array (n,)
-            1 in contact, 0 apart, at all rows.
-        name : str
-            Entry in the legend.
-        """
+        """Return the crank angles at which journal and bearing are in contact (1; 0 apart) as shaded ranges."""
         x, touching = self.fold(contact, rows)
         spans: list[Span] = []
         for piece in np.split(np.arange(len(x)), np.flatnonzero(np.isnan(x))):
@@ -234,16 +190,7 @@ class RevolutionCurves:
 
 
 def fold(angle: Array, values: Array, advance: float = 0.0) -> tuple[Array, Array]:
-    """Return crank angles within a revolution [deg] and values, with NaN between revolutions.
-
-    Parameters
-    ----------
-    angle : array (n,) [deg]
-        Continuous crank angles.
-    values : array (n,)
-    advance : float, optional
-        Amount subtracted from the values for every whole turn of the crank.
-    """
+    """Return crank angles within a revolution [deg] and values less `advance` per whole turn, with NaN between revolutions."""
     turn = np.floor(angle / FULL + 1e-9)
     x, y = angle - FULL * turn, values - advance * turn
     at = np.flatnonzero(np.diff(turn) != 0.0)
@@ -260,14 +207,7 @@ def fold(angle: Array, values: Array, advance: float = 0.0) -> tuple[Array, Arra
 
 
 def rough(value: float, unit: str) -> str:
-    """Format a value with four significant digits and its unit.
-
-    Parameters
-    ----------
-    value : float [SI]
-    unit : str
-        SI unit, or "deg" for an angle in rad.
-    """
+    """Format an SI value with four significant digits and its unit; that of an angle is "deg"."""
     shown = scale(value, unit)
     return f"{value * shown.factor:.4g}{'°' if unit == 'deg' else ' ' + shown.unit}"
 
@@ -299,17 +239,7 @@ def from_zero(largest: float) -> tuple[float, float]:
 
 
 def clipped_limits(turns: RevolutionCurves, values: Array, low: float, high: float) -> tuple[tuple[float, float], str]:
-    """Return limits of the last revolution and most of the others, and ", cut off" if values exceed them.
-
-    Parameters
-    ----------
-    values : array (n,)
-        Values at all rows, in the unit of the axis.
-    low : float
-        Least value to include, in the unit of the axis.
-    high : float
-        Largest value to include, in the unit of the axis.
-    """
+    """Return limits of the last revolution and most others, including `low` and `high`; ", cut off" if values exceed them."""
     every = values[turns.rows(turns.shown)]
     top = max(high, float(np.max(values[turns.rows(1)])), float(np.percentile(every, LIMITS_PERCENTILE)))
     top = top if top > 0.0 else 1.0
@@ -317,15 +247,7 @@ def clipped_limits(turns: RevolutionCurves, values: Array, low: float, high: flo
 
 
 def padded_limits(values: Array, least: float = 0.0) -> tuple[float, float]:
-    """Return limits of all finite values with a margin.
-
-    Parameters
-    ----------
-    values : array
-        In the unit of the axis.
-    least : float, optional
-        Smallest range, as a share of the largest absolute value.
-    """
+    """Return limits of all finite values with a margin; their range is at least a share `least` of the largest amount."""
     finite_values = values[np.isfinite(values)]
     low, high = (float(finite_values.min()), float(finite_values.max())) if finite_values.size else (0.0, 0.0)
     width = max(high - low, least * max(abs(low), abs(high))) or 1.0
