@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Annotated, Any, ClassVar
 
@@ -81,8 +81,8 @@ class ClearanceSimulation(Tabled):
     message: str
     notes: tuple[str, ...]
     tolerance: float
-    integrator: str = "cvodes"
-    measured: Columns = field(default_factory=dict)
+    integrator: str
+    measured: Columns
 
     @property
     def finished(self) -> bool:
