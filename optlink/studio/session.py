@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 from optlink.errors import InputError, OptlinkError
 from optlink.problem.assignment import parse_assignment
+from optlink.problem.enclosed import references
 from optlink.problem.file import ProblemFile, load
-from optlink.problem.fixed_design import references
 from optlink.report.format import pretty
 from optlink.studio import state
 from optlink.studio.design import (

@@ -16,7 +16,7 @@ from optlink.solvers.solution import LimitState
 from optlink.studies.pareto.epsilon_constraint import Pareto
 from optlink.studies.sensitivity import Sensitivities
 from optlink.studies.sweep import Sweep
-from optlink.studies.tolerance.analysis import ToleranceRecord
+from optlink.studies.tolerance.analysis import Tolerance
 from optlink.tasks.function import FunctionResult
 from optlink.tasks.results.analysis import Analysis
 from optlink.tasks.results.balance import Balance
@@ -126,7 +126,7 @@ def _limiting(limits: Iterable[LimitState]) -> str:
 
 def sensitivities(result: Sensitivities) -> str:
     """Return the conclusion of a sensitivity analysis."""
-    if not result.moving:
+    if not result.displayed.moving:
         return "No prescribed value has an effect on this optimum, to first order."
     first = result.displayed.moving[0]
     base, factor, *_ = result.problem.model.shown_objective(result.solution.objective)
@@ -273,18 +273,23 @@ def pareto(result: Pareto) -> str:
     return text if result.complete else f"{text} Not every point is verified."
 
 
-def tolerance(record: ToleranceRecord) -> str:
+def tolerance(result: Tolerance) -> str:
     """Return the conclusion of a tolerance analysis: yield or worst case, and the tolerance with the largest share."""
-    k, unit, sampled = record.scale, record.display_unit, record.monte_carlo
-    worst = float(np.max(np.maximum(-record.linear.worst_low, record.linear.worst_high)))
-    part = max(record.tolerances, key=lambda part_tolerance: float(part_tolerance.contribution_percent[record.where]))
-    most = f"{part.name} contributes {float(part.contribution_percent[record.where]):.3g} % of the variance"
-    if sampled is not None and math.isfinite(sampled.share):
+    k, unit, sampled, shares = (
+        result.scale,
+        result.display_unit,
+        result.monte_carlo,
+        100.0 * result.contributions[:, result.where],
+    )
+    part = int(np.argmax(shares))
+    most = f"{result.deviations[part].name} contributes {shares[part]:.3g} % of the variance"
+    if sampled is not None and result.limit is not None:
         low, high = sampled.interval
-        text = f"{100.0 * sampled.share:.4g} % of the linkages stay within the limit of ±{figure(k * record.limit, unit)} "
+        text = f"{100.0 * sampled.share:.4g} % of the linkages stay within the limit of ±{figure(k * result.limit, unit)} "
         text += f"(95 % confidence: {100.0 * low:.4g} ... {100.0 * high:.4g} %)"
     else:
-        text = f"The tolerances change {record.output} by at most ±{figure(k * worst, unit)} in the worst case"
-    if record.allocation is not None and not record.allocation.achieved:
-        text = f"The allocated tolerances do not keep the yield of {100.0 * record.allocation.target_yield:.4g} %. {text}"
+        worst = float(np.max(np.abs(result.worst)))
+        text = f"The tolerances change {result.nominal.name} by at most ±{figure(k * worst, unit)} in the worst case"
+    if result.allocation is not None and not result.allocation.achieved:
+        text = f"The allocated tolerances do not keep the yield of {100.0 * result.allocation.target_yield:.4g} %. {text}"
     return f"{text}; {most}."
