@@ -157,6 +157,12 @@ class GridStudy(Document):
     engine: str
     workers: int | None
 
+    @property
+    def path(self) -> Path:
+        """File of the table."""
+        assert self.table is not None
+        return self.table.path
+
 
 @dataclass(frozen=True, repr=False, kw_only=True)
 class Sweep(GridStudy):
