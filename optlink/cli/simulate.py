@@ -122,7 +122,7 @@ def simulate(
 
         with console.share("simulating") as progress:
             ideal_run = run(file, time, progress=progress, flywheel=inertia, **common, **console.given(rows=points))
-        _deliver(ideal_run, "simulation", ideal_run.run.ending.value, as_json, out, csv)
+        _deliver(ideal_run, "simulation", ideal_run.ending.value, as_json, out, csv)
         return
     whole_revolutions = _revolutions(file, revolutions, time, common["speed"])
     compiling = functools.partial(console.working, "Compiling the equations of motion (cached for the next time)")

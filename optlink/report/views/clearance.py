@@ -1,20 +1,12 @@
-"""Charts of a simulation with joint clearance, and the HTML sections of a stored one and of a control comparison."""
+"""Charts and page of a simulation with joint clearance."""
 
 import math
-from collections.abc import Mapping
 from functools import partial
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from optlink.clearance.controller import Control
-from optlink.clearance.integration import Impact
-from optlink.clearance.output import outputs
-from optlink.clearance.statistics import Prediction
 from optlink.dynamics.columns import MotionColumns
-from optlink.problem.base_model import Contradiction
-from optlink.problem.file import ProblemFile
 from optlink.report.chart_spec import TIME, Array, Axis, ChartSpec, Curve, Dash, Panel, Span
 from optlink.report.html import chart_plotly
 from optlink.report.html.moving_linkage import Moving, in_time
@@ -36,8 +28,7 @@ from optlink.report.views.revolutions import (
     rough,
 )
 from optlink.report.views.simulation import largest
-from optlink.tasks.machine import machine_of
-from optlink.tasks.results.clearance import ClearanceRecord, ClearanceSimulation
+from optlink.tasks.results.clearance import ClearanceSimulation
 
 MAX_MARKERS = 60  # number of revolutions up to which each has a marker
 ENLARGE_RATIO = 4.0  # ratio to the ideal torque beyond which a second panel enlarges the latter
@@ -279,84 +270,16 @@ def energy(turns: RevolutionCurves) -> list[ChartSpec]:
     return [ChartSpec("energy", "Energy account", panels, Axis(TIME), heading, caption)]
 
 
-class _Table(dict[str, Any]):
-    """Table of a record whose missing entries are reported."""
-
-    def __init__(self, name: str, entries: Mapping[str, Any]) -> None:
-        super().__init__({key: value for key, value in entries.items() if isinstance(value, np.ndarray) or math.isfinite(value)})
-        self.name = name
-
-    def __missing__(self, key: str) -> Any:
-        raise Contradiction(f"{self.name}.{key}", "this is missing")
-
-
-# --- reading -----------------------------------------------------------------------------------------------------------------
-
-
-def read(record: ClearanceRecord, file: ProblemFile) -> ClearanceSimulation:
-    """Return a stored simulation with clearance.
-
-    Parameters
-    ----------
-    file : ProblemFile
-        The problem that was simulated.
-
-    Raises
-    ------
-    Contradiction
-        If the record is not that of the problem, or lacks what the report needs.
-    """
-    machine = machine_of(file)
-    available, names = outputs(machine), [gap.point for gap in record.gaps]
-    if record.output not in available:
-        raise Contradiction("output", "the problem has no such output", record.output)
-    for k, impact in enumerate(record.impacts):
-        if impact.gap not in names:
-            raise Contradiction(f"impacts[{k}].gap", "no joint of that name has a clearance", impact.gap)
-    impacts = [Impact(**dict(impact) | {"gap": names.index(impact.gap)}) for impact in record.impacts]
-    caption = record.prediction
-    predicted = None if caption is None else Prediction(caption.parted_revolutions, caption.watched, math.nan)
-    output = available[record.output]
-    tables = {name: _Table(name, getattr(record, name)) for name in ("columns", "per_revolution", "poincare_map", "figures")}
-    result = record.build(
-        ClearanceSimulation, problem=file, machine=machine, output=output, impacts=tuple(impacts), prediction=predicted, **tables
-    )
-    _check_keys(result)
-    return result
-
-
-def _check_keys(result: ClearanceSimulation) -> None:
-    """Check that the simulation can be divided into revolutions."""
-    if result.figures["settled_revolutions"] > result.revolutions:
-        raise Contradiction("figures.settled_revolutions", "these are more than all revolutions")
-    if not result.revolutions:
-        return
-    if len(result.columns["time_s"]) < 2 or not np.all(np.diff(result.columns["time_s"]) > 0.0):
-        raise Contradiction("columns.time_s", "its times do not rise")
-
-
 # --- the page ----------------------------------------------------------------------------------------------------------------
 
 
-def stored_study(record: ClearanceRecord, file: ProblemFile, _: Path) -> StoredStudy:
-    """Build the report of a stored simulation with clearance.
-
-    Parameters
-    ----------
-    file : ProblemFile
-        The problem that was simulated.
-
-    Raises
-    ------
-    InputError
-        If the record is damaged.
-    """
-    result = read(record, file)
+def page(result: ClearanceSimulation) -> StoredStudy:
+    """Return the page of a simulation with clearance."""
     shown = clearance_tables.simulation(result)
     curves = chart_plotly.charts(charts(result)) if result.revolutions else ()
     control = "" if result.control is Control.NONE else f"; control: {result.control}"
     return StoredStudy(
-        problem=file,
+        problem=result.problem,
         kind="simulation with clearance",
         verdict="Finished" if result.finished else f"Not finished: {result.ending.value}",
         valid=result.finished,
@@ -371,7 +294,7 @@ def stored_study(record: ClearanceRecord, file: ProblemFile, _: Path) -> StoredS
 
 def _moving(result: ClearanceSimulation, steps: int) -> Moving | None:
     """Animate the machine without clearance over the last revolutions."""
-    cycle = cycle_of(result.problem, {}) if result.revolutions else None
+    cycle = cycle_of(result.problem, result.machine.sizes) if result.revolutions else None
     if cycle is None:
         return None
     turns = RevolutionCurves(result)
@@ -392,5 +315,6 @@ VIEW = View(
     charts=charts,
     drawings={"mechanism": magnified_joints.mechanism},
     tables=lambda result: {"play": result.columns} if result.columns else {},
-    page=stored_study,
+    page=page,
+    result=ClearanceSimulation,
 )

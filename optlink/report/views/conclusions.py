@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from optlink.tasks.results.control_comparison import Comparison
 from optlink.tasks.results.cycle import CycleResult
 from optlink.tasks.results.fit import PathFit
 from optlink.tasks.results.path import PathDesign, PathResult
+from optlink.tasks.simulate import Simulation
 from optlink.units import percent
 
 NO_BREAK = "\N{NO-BREAK SPACE}"
@@ -164,15 +165,9 @@ def analysis(outcome: Analysis) -> str:
     return f"{text[:1].upper()}{text[1:]}.{turn}"
 
 
-def simulation(figures: Mapping[str, float], finished: bool, message: str) -> str:
-    """Return the conclusion of a simulation in time.
-
-    Parameters
-    ----------
-    figures : mapping of str to float [SI]
-    message : str
-        Why it ended.
-    """
+def simulation(result: Simulation) -> str:
+    """Return the conclusion of a simulation in time."""
+    figures = result.figures
     speed, time = figures["end.speed_rad_s"] * 30.0 / math.pi, figures["end.time_s"]
     turns = figures["end.crank_angle_rad"] / (2.0 * math.pi)
     text = (
@@ -183,7 +178,7 @@ def simulation(figures: Mapping[str, float], finished: bool, message: str) -> st
         text += f"; its speed fluctuates by {100.0 * figures['last_turn.fluctuation']:z.2f} % in the last {last}"
     if "input.work_J" in figures:
         text += f"; the drive has done {si(figures['input.work_J'], 'J')} of work"
-    return f"{text}." if finished else f"Not finished: {message}. {text}."
+    return f"{text}." if result.finished else f"Not finished: {result.ending.text}. {text}."
 
 
 def clearance(result: ClearanceSimulation) -> str:

@@ -1,14 +1,12 @@
-"""Charts of a control comparison, and the HTML sections of a stored one: deviation under each control, several starts."""
+"""Charts and page of a control comparison: deviation under each control, several starts."""
 
 import math
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 
-from optlink.problem.file import ProblemFile
 from optlink.report.chart_spec import Array, Axis, Band, ChartSpec, Curve, Line, Panel
 from optlink.report.html import chart_plotly
 from optlink.report.html.shell import PageSection, StoredStudy
@@ -18,7 +16,7 @@ from optlink.report.view import View
 from optlink.report.views import clearance_tables, conclusions
 from optlink.report.views.revolutions import FULL, RevolutionCurves, fold
 from optlink.tasks.results.clearance import ClearanceSimulation
-from optlink.tasks.results.control_comparison import Comparison, ComparisonRecord, Trials
+from optlink.tasks.results.control_comparison import Comparison
 from optlink.units import percent
 
 
@@ -122,24 +120,11 @@ def trials(comparison: Comparison) -> ChartSpec:
 # --- the page ---------------------------------------------------------------------------------------------------------------
 
 
-def stored_study(record: ComparisonRecord, file: ProblemFile, _: Path) -> StoredStudy:
-    """Build the report of a stored control comparison.
-
-    Parameters
-    ----------
-    file : ProblemFile
-        The problem that was simulated.
-
-    Raises
-    ------
-    InputError
-        If the record is damaged.
-    """
-    trials = {name: trial_record.build(Trials) for name, trial_record in record.trials.items()}
-    comparison = record.build(Comparison, problem=file, trials=trials, examples={})
+def page(comparison: Comparison) -> StoredStudy:
+    """Return the page of a control comparison."""
     shown = clearance_tables.comparison(comparison)
     return StoredStudy(
-        problem=file,
+        problem=comparison.problem,
         kind="comparison of control",
         verdict="Finished" if comparison.finished else "Not every run was finished",
         valid=comparison.finished,
@@ -151,4 +136,4 @@ def stored_study(record: ComparisonRecord, file: ProblemFile, _: Path) -> Stored
     )
 
 
-VIEW = View(charts=charts, page=stored_study)
+VIEW = View(charts=charts, page=page, result=Comparison)
