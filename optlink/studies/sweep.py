@@ -24,7 +24,7 @@ from optlink.errors import InputError, Status
 from optlink.execution.runner import run
 from optlink.execution.store import TABLE, Progress, Store
 from optlink.problem.arguments import typed
-from optlink.problem.document import AGAIN, Document, Source
+from optlink.problem.document import Document, Source
 from optlink.problem.file import ProblemFile
 from optlink.studies.analysis_task import MAX_ANGLES, analysis_task
 from optlink.studies.cycle_task import optimum_task
@@ -90,7 +90,7 @@ class TableFile:
                 parts.append(list(map(_read_column, names, zip(*portion, strict=True))))
         except (OSError, ValueError, StopIteration, csv.Error) as error:
             reason = getattr(error, "strerror", None) or "it is damaged"
-            raise InputError(f"cannot read the table of the sweep: {reason}", AGAIN, str(self.path)) from None
+            raise InputError(f"cannot read the table of the sweep: {reason}", "Run the sweep again", str(self.path)) from None
         return dict(zip(names, map(np.concatenate, zip(*parts, strict=True)), strict=True))
 
     def _rows(self) -> Iterator[list[str]]:
