@@ -87,7 +87,7 @@ class TableFile:
             rows, parts = self._rows(), []
             names = next(rows)
             while portion := list(itertools.islice(rows, BLOCK_ROWS)):
-                parts.append(list(map(_read_column, names, zip(*portion, strict=True))))
+                parts.append([_read_column(*part) for part in zip(names, zip(*portion, strict=True), strict=True)])
         except (OSError, ValueError, StopIteration, csv.Error) as error:
             reason = getattr(error, "strerror", None) or "it is damaged"
             raise InputError(f"cannot read the table of the sweep: {reason}", "Run the sweep again", str(self.path)) from None
