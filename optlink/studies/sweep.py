@@ -214,15 +214,12 @@ class Sweep(GridStudy):
     @property
     def columns(self) -> dict[str, NDArray[Any]]:
         """The table: arrays by name, of texts for columns of words."""
-        if self.data is not None:
-            return self.data
-        assert self.table is not None
-        return self.table.columns
+        return self.table.columns if self.data is None and self.table is not None else self.data or {}
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the columns."""
-        return tuple(self.data) if self.data is not None or self.table is None else self.table.names
+        return self.table.names if self.data is None and self.table is not None else tuple(self.data or ())
 
     @property
     def evaluated(self) -> bool:
