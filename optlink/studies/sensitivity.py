@@ -117,6 +117,9 @@ class Derivatives:
     values: dict[str, Number]
     units: dict[str, str]
 
+    def __getitem__(self, key: str) -> Sensitivity:
+        return next(row for row in self.rows if key in (row.parameter.key, row.parameter.name))
+
     @property
     def moving(self) -> tuple[Sensitivity, ...]:
         """Sensitivities to parameters with an effect."""
@@ -176,7 +179,7 @@ class Sensitivities(Document):
         return self.in_si.moving
 
     def __getitem__(self, key: str) -> Sensitivity:
-        return next(row for row in self.rows if key in (row.parameter.key, row.parameter.name))
+        return self.in_si[key]
 
     @property
     def gap(self) -> float | None:
