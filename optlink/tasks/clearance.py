@@ -222,7 +222,7 @@ def simulate_clearance(
                 member.compile()
     account = Statistics(closed_loop)
     skipped = revolutions - revolutions_counted(revolutions)
-    options = {
+    options: dict[str, Any] = {
         "problem_hash": problem.hash,
         "speed_rad_s": setting.nominal,
         "start_rad": setting.start,
