@@ -8,7 +8,6 @@ import math
 import numpy as np
 import pytest
 import tomli_w
-from optlink.report.stored.loader import load_stored
 from typer.testing import CliRunner
 
 import optlink
