@@ -10,7 +10,6 @@ from optlink.clearance.compiled.machine import code_of, engine
 from optlink.clearance.contact_laws import SLOWEST
 from optlink.clearance.integration import BUSY, DEEPEST, Block, Impact, Integration, Stalled
 from optlink.clearance.reference_signal import ReferenceSignal
-from optlink.linkage.vector2d import Array
 
 ROWS = 4096
 """Most rows of a call."""
@@ -59,6 +58,12 @@ class CompiledIntegration(Integration):
         Stalled
             The integration cannot continue.
         """
+        reasons = {
+            motion.STUCK: "the integrator cannot continue",
+            motion.INFINITE: "the motion is no longer finite",
+            motion.DEEP: "the penetration of the journal is too large",
+            motion.BUSY: f"more than {BUSY} contacts begin and end within {self.step:.3g} s",
+        }
         while rows:
             block, status = self._call(min(rows, ROWS))
             rows -= len(block.time)
@@ -66,7 +71,10 @@ class CompiledIntegration(Integration):
                 yield block
             if self.stop():
                 raise KeyboardInterrupt
-            self._refuse(status)
+            if status == motion.DEEP:
+                self._check()  # names the joint
+            if status in reasons:
+                raise Stalled(reasons[status])
 
     def _call(self, rows: int) -> tuple[Block, int]:
         n, k, parameters = 2 * self.equations.size, len(self.equations.gaps), self._space[-1]
@@ -85,32 +93,9 @@ class CompiledIntegration(Integration):
         self.state, self._gained = y[:n].copy(), y[n:].copy()
         self.works = self._before + self._gained
         self.entered, self.modes = parameters[4 : 4 + k].copy(), parameters[4 + k :].copy()
-        for event in events[:written]:
-            self._record(event)
+        for gap, begins, *figures in events[:written].tolist():
+            self._record(int(gap), begins > 0.0, *figures)
         return block, int(status)
-
-    def _record(self, event: Array) -> None:
-        """Record the start or end of a contact."""
-        gap, time, rate = int(event[motion.GAP]), float(event[motion.TIME]), float(event[motion.RATE])
-        self.switches += 1
-        if event[motion.BEGINS]:
-            self.open[gap] = Impact(gap, time, float(event[motion.ANGLE]), rate, 0.0, np.nan, np.nan)
-        else:
-            deepest = float(event[motion.DEPTH])
-            self.finished.append(self.open.pop(gap)._replace(penetration=deepest, end=time, departure=-rate))
-
-    def _refuse(self, status: int) -> None:
-        """Raise for a call that ended because the integration cannot continue."""
-        if status == motion.DEEP:
-            self._check()
-        reasons = {
-            motion.STUCK: "the integrator cannot continue",
-            motion.INFINITE: "the motion is no longer finite",
-            motion.DEEP: "the penetration of the journal is too large",
-            motion.BUSY: f"more than {BUSY} contacts begin and end within {self.step:.3g} s",
-        }
-        if status in reasons:
-            raise Stalled(reasons[status])
 
     def take_peaks(self) -> tuple[float, ...]:
         """Return the maxima since the last call: penetrations [m] and normal forces [N] of all gaps, torque [N m]."""
@@ -122,4 +107,4 @@ class CompiledIntegration(Integration):
     @property
     def lasting(self) -> tuple[Impact, ...]:
         """The contacts that have not ended."""
-        return tuple(one._replace(penetration=max(one.penetration, float(self._contact[gap]))) for gap, one in self.open.items())
+        return tuple(impact.deepened(float(self._contact[gap])) for gap, impact in self.open.items())
