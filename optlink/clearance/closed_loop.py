@@ -117,16 +117,14 @@ class ClosedLoop:
         if not count:
             return
         matrix, grip = mass.reshape(count, count).T, constraint_rows.reshape(count, -1).T
-        lengths = np.array(
-            [1.0 if equations.tree.coordinates[i].kind == "angle" else equations.machine.size for i in equations.free]
-        )
+        coordinates = [equations.tree.coordinates[i] for i in equations.free]
+        lengths = np.array([1.0 if coordinate.kind == "angle" else equations.machine.size for coordinate in coordinates])
         matrix, grip = matrix * np.outer(lengths, lengths), grip * lengths
         _, values, rows = np.linalg.svd(grip, full_matrices=True) if grip.size else (None, np.zeros(0), np.eye(count))
         free = rows[int(np.sum(values > 1e-9 * np.max(values, initial=0.0))) :].T  # motions that the closing joints permit
         sizes, ways = np.linalg.eigh(free.T @ matrix @ free)
         if sizes.size and sizes[0] <= 1e-12 * max(sizes[-1], 0.0):
-            blame = int(np.argmax(np.abs(free @ ways[:, 0])))
-            raise Weightless(equations.tree.coordinates[equations.free[blame]].body)
+            raise Weightless(coordinates[int(np.argmax(np.abs(free @ ways[:, 0])))].body)
 
     def compile(self) -> None:
         """Integrate by the compiled engine from now on; the first use compiles it, which takes some seconds."""
@@ -157,10 +155,16 @@ class ClosedLoop:
             The integration cannot continue.
         """
         integration, every = self.integration, self.rows // self.points
+        stride = self.rows // self.samples if self.controller else self.rows
         parts: list[tuple[Block, Array]] = []
         integration.restart()
         try:
-            self._samples(parts)
+            for sample in range(self.rows // stride):
+                if self.controller:
+                    integration.further = self.controller(sample, self.measured())
+                for block in integration.advance(stride):
+                    parts.append((block, np.full(len(block.time), integration.further)))
+                    self.advanced(integration.row / self.rows)
         finally:
             self.partial = self._rows(parts, every) if sum(len(block.time) for block, _ in parts) >= every else None
         impacts, integration.finished = tuple(integration.finished), []
@@ -174,17 +178,6 @@ class ClosedLoop:
         columns = zip(*((*block, further) for block, further in parts), strict=True)
         *block, further = (np.concatenate(column)[every - 1 :: every] for column in columns)
         return SimulatedRevolution(Block(*block), further, ())
-
-    def _samples(self, parts: list[tuple[Block, Array]]) -> None:
-        """Simulate one revolution, sample by sample of the controller."""
-        integration = self.integration
-        stride = self.rows // self.samples if self.controller else self.rows
-        for sample in range(self.rows // stride):
-            if self.controller:
-                integration.further = self.controller(sample, self.measured())
-            for block in integration.advance(stride):
-                parts.append((block, np.full(len(block.time), integration.further)))
-                self.advanced(integration.row / self.rows)
 
     def save(self) -> dict[str, Any]:
         """Return the state at the end of a revolution as plain numbers; `restore` continues from it bit-identically."""

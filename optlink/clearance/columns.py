@@ -41,7 +41,7 @@ class ClearanceColumns:
     def _balance(self) -> None:
         """Compute the forces in the ideal joints: first the closing joints, then body by body from the leaves of the tree."""
         moving, cut = self.motion, self.equations.tree
-        needed = moving.needed()
+        self.needed = moving.needed()  # by the joints that are not computed yet
         forces = [exerted for of_load in moving.acting().values() for exerted in of_load]
         for gap, contact in zip(self.equations.gaps, self.touches, strict=True):
             both = acting(gap, moving.journal_motion(gap), moving.position(gap.point, gap.journal), contact)
@@ -50,20 +50,20 @@ class ClearanceColumns:
                 self._exert(gap.point, exerted.body, exerted.force)
         for exerted in forces:
             if exerted.body != FRAME:
-                _need(needed, exerted.body, exerted.wrench(moving.state(exerted.body)))
+                self._need(exerted.body, exerted.wrench(moving.state(exerted.body)))
         for i, joint in enumerate(cut.closing):
             a, b = -self.pull[:, 2 * i], -self.pull[:, 2 * i + 1]
             if isinstance(joint, Guide):
                 x, y = moving.line(joint.name)
-                self._apply_joint_force(needed, joint, (-a * y, a * x), b)
+                self._apply_joint_force(joint, (-a * y, a * x), b)
             else:
-                self._apply_joint_force(needed, joint, (a, b), 0.0)
+                self._apply_joint_force(joint, (a, b), 0.0)
         for body, _, branch_joint in reversed(cut.branches):
             if branch_joint is not None:
-                total = needed[body]
+                total = self.needed[body]
                 force, moment = total.force, total.about(moving.state(body).start, self._joint(branch_joint))
                 sign = 1.0 if body == branch_joint.bodies[0] else -1.0
-                self._apply_joint_force(needed, branch_joint, (sign * force[0], sign * force[1]), sign * moment, skip=body)
+                self._apply_joint_force(branch_joint, (sign * force[0], sign * force[1]), sign * moment, skip=body)
 
     def _joint(self, joint: Pin | Guide) -> Vector:
         """Point at which a joint acts: the pin, or the slider's point."""
@@ -71,9 +71,7 @@ class ClearanceColumns:
             return self.equations.tree.line(joint, joint.slider, self.motion.state(joint.slider))[0]
         return self.motion.position(joint.point, joint.first)
 
-    def _apply_joint_force(
-        self, needed: dict[str, Wrench], joint: Pin | Guide, force: Vector, moment: Value, skip: str = ""
-    ) -> None:
+    def _apply_joint_force(self, joint: Pin | Guide, force: Vector, moment: Value, skip: str = "") -> None:
         """Apply the force and moment of a joint to its first body, and the opposite to its second."""
         at = self._joint(joint)
         for body, sign in zip(joint.bodies, (1.0, -1.0), strict=True):
@@ -88,7 +86,12 @@ class ClearanceColumns:
             if body not in (FRAME, skip):
                 lever = minus(at, self.motion.state(body).start)
                 turned = sign * moment if isinstance(joint, Guide) else 0.0
-                _need(needed, body, Wrench(force_on_body, turned + cross(lever, force_on_body)))
+                self._need(body, Wrench(force_on_body, turned + cross(lever, force_on_body)))
+
+    def _need(self, body: str, wrench: Wrench) -> None:
+        """Subtract a wrench that acts on a body from what its other joints must exert."""
+        (x, y), moment = wrench
+        self.needed[body] += Wrench((-x, -y), -moment)
 
     def _exert(self, point: str, body: str, force: Vector) -> None:
         forces = self.pins.setdefault(point, {})
@@ -112,9 +115,9 @@ class ClearanceColumns:
         yield "crank_angle_deg", "crank angle", np.degrees(moving.crank.value)
         for body in mechanism.bodies:
             state = moving.state(body)
-            own = (body, "angle")
-            places = self.equations.tree.coordinates
-            angle = self.block.states[:, places.index(own)] if own in places else np.arctan2(state.axis[1], state.axis[0])
+            own, coordinates = (body, "angle"), self.equations.tree.coordinates
+            known = own in coordinates  # then it is not wrapped
+            angle = self.block.states[:, coordinates.index(own)] if known else np.arctan2(state.axis[1], state.axis[0])
             yield f"{body}.angle_rad", f"angle of {body}'s axis from +x", angle
             yield f"{body}.omega_rad_s", f"angular velocity of {body}", state.omega
             yield f"{body}.alpha_rad_s2", f"angular acceleration of {body}", state.alpha
@@ -166,12 +169,6 @@ class ClearanceColumns:
     def energy(self) -> Array:
         """Sum of kinetic energy, potential energy of gravity and elastic energy of the contacts [J]."""
         return np.asarray(self.motion.kinetic + self.motion.potential + self._elastic + 0.0 * self.block.time)
-
-
-def _need(needed: dict[str, Wrench], body: str, wrench: Wrench) -> None:
-    """Subtract a wrench that acts on a body from that which its other joints must exert."""
-    (x, y), moment = wrench
-    needed[body] += Wrench((-x, -y), -moment)
 
 
 def _work(name: str) -> str:

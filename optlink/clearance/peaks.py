@@ -139,25 +139,25 @@ class Peaks:
         for bound, interval in waiting:
             if bound <= peak.value * (1.0 + PEAK_ACCURACY):
                 break
-            peak.value = self._raised(peak.value, interval, j, deeper=True)
+            peak.value = self._larger(peak.value, interval, j, twice=True)
         return peak.value
 
-    def _raised(self, least: float, interval: MotionInterval, j: int, *, deeper: bool) -> float:
-        """Raise the maximum `least` of quantity j by that of an interval, divided into small steps, twice if `deeper`."""
+    def _larger(self, best: float, interval: MotionInterval, j: int, *, twice: bool) -> float:
+        """Return the larger of `best` and the maximum of quantity j in an interval, which is divided once or twice."""
         if interval.divided is None:
             interval.divided = self.solve(interval.state, interval.parameters, PARTS)
         states, watched = interval.divided
         parameters = interval.parameters.copy()
         parameters[0] /= PARTS
         values, slopes = (part[:, j] for part in _curves(watched))
-        best = max(least, float(np.max(values)))
-        if not deeper:
+        best = max(best, float(np.max(values)))
+        if not twice:
             return max(best, float(np.max(_cubic_summits(values, slopes, float(parameters[0])))))
         bounds = self._bounds(watched, parameters)[:, j]
         for i in np.argsort(-bounds).tolist():
             if bounds[i] <= best * (1.0 + PEAK_ACCURACY):
                 break
-            best = self._raised(best, MotionInterval(states[i], _later(parameters, i)), j, deeper=False)
+            best = self._larger(best, MotionInterval(states[i], _later(parameters, i)), j, twice=False)
         return best
 
 
