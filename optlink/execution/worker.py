@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import pickle
 import queue
 import sys
 import threading
@@ -83,7 +82,7 @@ def built(build: Callable[..., T], packed_task: bytes) -> T:
     if key not in _BUILT:
         while len(_BUILT) >= MOST_BUILT:
             del _BUILT[next(iter(_BUILT))]
-        _BUILT[key] = build(*pickle.loads(packed_task))
+        _BUILT[key] = build(*_unpacked(packed_task))
     task: T = _BUILT[key]
     return task
 
@@ -109,7 +108,7 @@ def receive(stream: IO[bytes]) -> Any:
     EOFError
         If the stream ends before.
     """
-    return pickle.loads(_item(stream))
+    return _unpacked(_item(stream))
 
 
 def _item(stream: IO[bytes]) -> bytes:
@@ -119,6 +118,12 @@ def _item(stream: IO[bytes]) -> bytes:
     if not size or len(item) < size:
         raise EOFError
     return item
+
+
+def _unpacked(item: bytes) -> Any:
+    from multiprocessing.reduction import ForkingPickler
+
+    return ForkingPickler.loads(item)
 
 
 def main() -> None:
@@ -134,7 +139,7 @@ def main() -> None:
     task: Any = None
     try:
         while True:
-            message = pickle.loads(items.get())
+            message = _unpacked(items.get())
             if isinstance(message, int):
                 send(answers, packed(run_chunk(task, message)))
             else:
