@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, WrapValidator
 
-from optlink.linkage.assur import CONTINUE, EITHER, assemble
+from optlink.linkage.assur import CONTINUE, EITHER, Assembly
 from optlink.linkage.fourbar import LENGTHS, four_bar
 from optlink.linkage.mechanism import FRAME, BodyPoint, Guide, Link, Mechanism, Size
 from optlink.problem.base_model import RESERVED, Name, Section
@@ -320,7 +320,7 @@ class DyadsSection(Section):
         ground: dict[str, tuple[Size, Size]] = {point: (f"{point}.x", f"{point}.y") for point in self.ground}
         modes = {**self.assembly, **dict.fromkeys(self.near, EITHER)}
         with below("mechanism"):
-            return assemble(name, ground, links, points, guides, body, modes)
+            return Assembly(ground, links, points, guides, body, modes).mechanism(name)
 
     def _links(self) -> Iterator[Link]:
         for name, link in self.links.items():

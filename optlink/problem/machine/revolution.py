@@ -107,11 +107,11 @@ class RevolutionSamples:
         For one design with full crank rotation the exact crank angles of the reversals are used, else the sampled positions that
         can be reached, with interpolated reversals.
         """
-        from optlink.dynamics.strokes import slow_stroke_of
+        from optlink.dynamics.strokes import load_strokes, slower
 
         assembled = self.moving.motion.assembled
         if np.ndim(assembled) == 1 and np.all(assembled):
-            return np.array([_SENSE[slow_stroke_of(self.machine, load)]])
+            return np.array([_SENSE[slower(load_strokes(self.machine, load))]])
         rate = self._rate(load) + np.zeros(STROKES)
         rate = np.concatenate([rate, rate[..., :1]], axis=-1)
         size = np.abs(rate[..., 1:]) + np.abs(rate[..., :-1])
