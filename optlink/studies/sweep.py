@@ -76,13 +76,7 @@ class TableFile:
 
     @cached_property
     def columns(self) -> dict[str, NDArray[Any]]:
-        """The columns by name.
-
-        Raises
-        ------
-        InputError
-            If the file cannot be read.
-        """
+        """The columns by name."""
         try:
             rows, parts = self._rows(), []
             names = next(rows)

@@ -37,7 +37,7 @@ ENLARGE_RATIO = 4.0  # ratio to the ideal torque beyond which a second panel enl
 
 
 def charts(result: ClearanceSimulation) -> list[ChartSpec]:
-    """Return the charts of a simulation with clearance; none if it was interrupted in its first revolution."""
+    """Return the charts of a simulation with clearance, as computed or as stored; none if it ended in its first revolution."""
     turns = RevolutionCurves(result)
     if not turns:
         return []
