@@ -15,8 +15,7 @@ from pydantic import PlainValidator, WithJsonSchema
 from optlink.execution.runner import ordered
 from optlink.execution.worker import Runs
 from optlink.linkage.vector2d import Array
-from optlink.problem.base_model import Column
-from optlink.problem.document import Source
+from optlink.problem.document import Column, Source
 from optlink.problem.tolerances import Deviation
 from optlink.studies.tolerance.linear import LinearAnalysis
 from optlink.studies.tolerance.nominal import Nominal

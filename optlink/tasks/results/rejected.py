@@ -6,8 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from optlink.problem.base_model import Number
-from optlink.problem.document import Source
+from optlink.problem.document import Number, Source
 from optlink.problem.file import ProblemFile
 from optlink.validation.check import Check
 
