@@ -175,9 +175,10 @@ def test_a_simulation_at_constant_speed_is_the_analysis(results):
     assert np.diff(crank) == pytest.approx(360.0 / (len(crank) - 1), abs=2e-3)
 
 
-def test_a_simulation_is_drawn_with_the_sizes_that_ran():
+def test_a_simulation_is_drawn_with_the_sizes_that_ran(tmp_path):
     run = optlink.simulate(optlink.load("crank-rocker"), speed=5.0, rows=90, design={"coupler": 0.43, "rocker": 0.22})
-    moving = content(run).moving
+    (tmp_path / "result.json").write_text(json.dumps(run.to_dict()))
+    moving = content(read_result(tmp_path)).moving
     places = moving.scene.points["C"] - moving.scene.points["B"]
     assert np.hypot(*places.T) == pytest.approx(430.0, abs=1e-3)
 

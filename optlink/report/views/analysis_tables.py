@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from optlink.dynamics.machine import Machine
 from optlink.dynamics.strokes import StrokeLoad, acting_loads, named_travels, travels_by_use, use_of, working_stroke
 from optlink.linkage.stroke import Travel
+from optlink.linkage.vector2d import TURN
 from optlink.problem.file import ProblemFile
 from optlink.problem.mechanism import DyadsSection
 from optlink.report.format import dimension, fixed, number
@@ -130,27 +131,14 @@ def _travels(outcome: Analysis) -> Iterator[Part | None]:
 
 
 def machine_strokes(machine: Machine, speed: float) -> TableSpec | None:
-    """Tabulate the forward and return strokes of the outputs of a machine whose crank turns fully; None if there are none.
-
-    Parameters
-    ----------
-    speed : float [rad/s]
-        Crank speed; only its sign matters.
-    """
+    """Tabulate the forward and return strokes of the outputs of a machine whose crank turns fully; None if there are none."""
     return stroke_table(named_travels(machine)[0], speed, acting_loads(machine, speed))
 
 
 def stroke_table(travels: Mapping[str, Travel], speed: float, acting: tuple[StrokeLoad, ...]) -> TableSpec | None:
     """Tabulate the forward and return strokes of outputs with their crank ranges; None if no output has two dead centres.
 
-    Parameters
-    ----------
-    travels : mapping of str to Travel
-        Strokes or swings by name of the output.
-    speed : float [rad/s]
-        Crank speed; only its sign matters.
-    acting : tuple of StrokeLoad
-        Loads that act in one stroke only.
+    The sign of the crank speed gives the direction; `acting` are loads that act in one stroke only.
     """
     rows: list[tuple[str, ...]] = []
     for name, travel in travels.items():
@@ -240,7 +228,7 @@ def _work(outcome: Analysis) -> TableSpec:
 def simulation(outcome: Simulation) -> Summary:
     """Summarise a simulation in time: final state, energy balance, drift and speed fluctuation."""
     figures = outcome.figures
-    speed, turns = figures["end.speed_rad_s"], figures["end.crank_angle_rad"] / (2.0 * math.pi)
+    speed, turns = figures["end.speed_rad_s"], figures["end.crank_angle_rad"] / TURN
     end = [
         ("time", number(figures["end.time_s"]), "s"),
         ("crank angle", number(figures["end.crank_angle_rad"]), f"rad ({turns:z.4f} turns)"),

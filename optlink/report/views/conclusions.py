@@ -6,6 +6,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from optlink.linkage.vector2d import TURN
 from optlink.optimization.objectives import MEASURES
 from optlink.problem.cycle.model import REQUIRED, StrokeProblem
 from optlink.report.causes import why_invalid
@@ -36,13 +37,7 @@ ROUNDING = 1e-9  # share of the initial value below which the remainder is round
 
 
 def design(outcome: FunctionResult | PathResult | CycleResult, limits: Iterable[LimitState]) -> str:
-    """Return the conclusion of a synthesis or of the validation of a given design.
-
-    Parameters
-    ----------
-    limits : iterable of LimitState
-        Constraints with their shadow prices.
-    """
+    """Return the conclusion of a synthesis or of the validation of a given design; `limits` have the shadow prices."""
     best, certified = outcome.best, clause(outcome.certificate)
     if best is None or outcome.conflict:
         return _sentences(shown(outcome.refuted) or "No design was found.", certified)
@@ -72,7 +67,6 @@ def _function(outcome: FunctionResult) -> str:
 
 
 def _path(best: PathDesign) -> str:
-
     task, measured = best.task, best.measured
     unit = task.unit or ""
     least = math.degrees(best.least_transmission)
@@ -85,18 +79,17 @@ def _path(best: PathDesign) -> str:
         text = "The linkage meets every prescribed position exactly"
     elif unit == "m":
         text = f"The linkage passes the {len(measured.distances)} prescribed points within {si(most, 'm')}"
-        text += f" (root mean square {si(math.sqrt(float(np.mean(measured.distances**2))), 'm')})"
+        text += f" (root mean square {si(math.sqrt(np.mean(measured.distances**2)), 'm')})"
     else:
         text = f"The output follows the prescribed function within {si(most, unit)}"
     if measured.turned is not None and not exact:
-        text += f" and {si(float(np.max(np.abs(measured.turned))), 'rad')}"
+        text += f" and {si(np.max(np.abs(measured.turned)), 'rad')}"
     if isinstance(best.fit, PathFit) and best.fit.grade != best.fit.at_points:
         text += f", but deviates by {si(best.fit.excursion, 'm')} between {best.fit.segment}"
     return f"{text}; {grip}." if grip else f"{text}."
 
 
 def _cycle(outcome: CycleResult) -> str:
-
     stroke = isinstance(outcome.task, StrokeProblem)
     goals = [goal for goal in outcome.figures if goal.limit in ("minimised", "maximised")] or outcome.figures[:1]
     words = []
@@ -152,12 +145,8 @@ def analysis(outcome: Analysis) -> str:
         pin = max(forces, key=lambda name: forces[name])
         words.append(f"the largest joint reaction is {si(forces[pin], 'N')} at {pin.replace('.', ' on ')}")
     if not words:
-        words = [
-            f"the stroke of {name} is {si(travel.high - travel.low, 'm')}" for name, travel in list(outcome.strokes.items())[:2]
-        ]
-        words = words or [
-            f"the swing of {name} is {si(travel.high - travel.low, 'rad')}" for name, travel in list(outcome.swings.items())[:2]
-        ]
+        word, unit, travels = ("stroke", "m", outcome.strokes) if outcome.strokes else ("swing", "rad", outcome.swings)
+        words = [f"the {word} of {name} is {si(travel.span, unit)}" for name, travel in list(travels.items())[:2]]
     text = joined(words) if words else "the motion was computed"
     if not outcome.sound:
         text = f"not every position has finite reactions ({outcome.status}); {text}"
@@ -169,10 +158,9 @@ def simulation(result: Simulation) -> str:
     """Return the conclusion of a simulation in time."""
     figures = result.figures
     speed, time = figures["end.speed_rad_s"] * 30.0 / math.pi, figures["end.time_s"]
-    turns = figures["end.crank_angle_rad"] / (2.0 * math.pi)
-    text = (
-        f"After {figure(time, 's')} the crank turns at {figure(speed, 'rpm')}, {figure(turns)} revolutions from its zero position"
-    )
+    turns = figures["end.crank_angle_rad"] / TURN
+    text = f"After {figure(time, 's')} the crank turns at {figure(speed, 'rpm')}, "
+    text += f"{figure(turns)} revolutions from its zero position"
     if "last_turn.fluctuation" in figures:
         last = "cycle" if "last_turn.revolutions" in figures else "revolution"
         text += f"; its speed fluctuates by {100.0 * figures['last_turn.fluctuation']:z.2f} % in the last {last}"
@@ -189,7 +177,7 @@ def clearance(result: ClearanceSimulation) -> str:
     text = f"Joint clearance makes the {result.output.name} deviate by {si(figures[f'rms_{unit}'], unit)} (root mean square), "
     text += f"at most {si(figures[f'peak_{unit}'], unit)}"
     counted = int(figures["settled_revolutions"])
-    last = {gap.point: float(np.max(result.per_revolution[f"{gap.point}.normal_max_N"][-counted:])) for gap in result.gaps}
+    last = {gap.point: np.max(result.per_revolution[f"{gap.point}.normal_max_N"][-counted:]) for gap in result.gaps}
     point = max(last, key=lambda name: last[name])
     first = max(figures[f"{gap.point}.normal_max_N"] for gap in result.gaps)
     text += f"; the contact force reaches {si(last[point], 'N')} at {point}"
@@ -207,12 +195,10 @@ def comparison(result: Comparison) -> str:
     if best == "none":
         rms = si(finished[best].mean, result.unit)
         return f"Best without control: root mean square deviation {rms}; every controller that completed increases it.{tail}"
-    less = (
-        f", {100.0 * (1.0 - finished[best].mean / finished['none'].mean):z.1f} % less than without control"
-        if "none" in finished
-        else ""
-    )
-    rms, peak = (si(value, result.unit) for value in (finished[best].mean, float(np.max(finished[best].peak))))
+    less = ""
+    if "none" in finished:
+        less = f", {100.0 * (1.0 - finished[best].mean / finished['none'].mean):z.1f} % less than without control"
+    rms, peak = (si(value, result.unit) for value in (finished[best].mean, np.max(finished[best].peak)))
     return f"The best control is {best}: root mean square deviation {rms}{less}; peak {peak}.{tail}"
 
 
@@ -246,11 +232,10 @@ def sweep(result: Sweep) -> str:
     where = [f"{axis.key} = {figure(float(result.best[axis.column]), axis.unit)}" for axis in result.grid.axes]
     value = figure(float(result.best[name]), unit.replace("2", "²"))
     extreme = "largest" if result.problem.model.objective_display[0] < 0.0 else "least"
-    text = (
-        f"The objective is {extreme}, {value}, at {joined(where)}; {result.valid:,} of {total:,} points have a verified design."
-    )
+    verified = f"{result.valid:,} of {total:,} points have a verified design"
     active = str(result.best.get("active", ""))
-    return text + (f" Active limits of the best: {active}." if active else "")
+    limits = f" Active limits of the best: {active}." if active else ""
+    return f"The objective is {extreme}, {value}, at {joined(where)}; {verified}.{limits}"
 
 
 def pareto(result: Pareto) -> str:

@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from optlink.report.chart_spec import Array, Axis, Band, ChartSpec, Curve, Line, Panel
+from optlink.report.chart_spec import Array, Axis, Band, ChartSpec, Curve, Line, Panel, max_abs
 from optlink.report.html import chart_plotly
 from optlink.report.html.shell import PageSection, StoredStudy
 from optlink.report.html.study_page import no_animation
@@ -58,7 +58,7 @@ def compensation(results: Mapping[str, ClearanceSimulation]) -> list[ChartSpec]:
         return []
     first = next(iter(every.values()))
     means = {name: _mean_revolution(turns, turns.error) for name, turns in every.items()}
-    shown = first.shares(max(float(np.max(np.abs(mean[1:]))) for mean in means.values()))
+    shown = first.shares(max(max_abs(np.array(mean[1:])) for mean in means.values()))
     colours = dict(zip(every, (MUTED, COUPLER, BODIES[2], ROCKER, *BODIES[3:]), strict=False)) | {"none": TARGET}
     before = every["none"].rms if "none" in every else None
     deviations: list[Curve | Band] = []
@@ -109,7 +109,7 @@ def trials(comparison: Comparison) -> ChartSpec:
         ends = np.array([k - 0.34, k + 0.1])
         curves.append(Curve(np.full(2, runs.mean * shown.factor), ends, "mean", TARGET, legend=k == 1, gid="mean"))
     y = Axis("", (0.4, len(kinds) + 0.6), reversed=True, ticks=[(float(k), _kind(name)) for k, name in enumerate(kinds, 1)])
-    furthest = max(float(np.max(curve.x)) for curve in curves)
+    furthest = max(np.max(curve.x) for curve in curves)
     x = Axis(f"deviation [{shown.unit}]", (0.0, 1.05 * furthest))
     count = f"{comparison.revolutions} revolutions from each of {len(comparison.starts)} starts"
     heading = f"{comparison.problem.model.title}: kinds of control\n{count}"
@@ -130,7 +130,7 @@ def page(comparison: Comparison) -> StoredStudy:
         valid=comparison.finished,
         conclusion=conclusions.comparison(comparison),
         status=shown.status.lines,
-        sections=[PageSection("Figures", (shown.parts,)), PageSection("Chart", chart_plotly.charts(charts(comparison)))],
+        sections=[PageSection("Figures", (shown.parts,)), PageSection("Charts", chart_plotly.charts(charts(comparison)))],
         moving=no_animation,
         by=f"event-driven integration from {len(comparison.starts)} crank angles, seed {comparison.seed}",
     )

@@ -87,7 +87,7 @@ def _front(result: Pareto, values: Array, x: int, y: int) -> ChartSpec:
     style: dict[str, Any] = {"symbol": "circle" if two else "open circle", "size": 7.0, "prefer": outward}
     style |= {"font": 8.5 if two else 7.5, "written": True}
     marks = [
-        Mark(float(across[k]), float(up[k]), _point_label(result, point), LIMIT, gid=point.mark, **style)
+        Mark(across[k], up[k], _point_label(result, point), LIMIT, gid=point.mark, **style)
         for k, point in enumerate(result.points)
         if point.mark
     ]
@@ -113,9 +113,7 @@ def _point_label(result: Pareto, point: ParetoPoint) -> str:
     """Return the label of a marked point with its change from the reference design."""
     words = point.mark.replace(", ", ",\n")
     if len(result.objectives) == 2 and result.reference is not None:
-        changes = [
-            study_tables.relative_change(value, before) for value, before in zip(point.values, result.reference, strict=True)
-        ]
+        changes = map(study_tables.relative_change, point.values, result.reference)
         words += f"\n{', '.join(filter(None, changes))}"
     return words
 
@@ -129,11 +127,8 @@ def _picks(front: Pareto, x: Array, y: Array) -> Picks:
     """Tabulate the design of every point."""
     names: list[str] = []
     for objective in front.objectives:
-        names += (
-            [_objective_label(objective), f"{objective.name}: change"]
-            if front.reference is not None
-            else [_objective_label(objective)]
-        )
+        names.append(_objective_label(objective))
+        names += [f"{objective.name}: change"] if front.reference is not None else []
     names += ["{} [{}]".format(*name.rpartition("_")[::2]) for name in front.points[0].design]
     rows = []
     for point in front.points:

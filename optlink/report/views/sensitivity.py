@@ -49,13 +49,11 @@ def charts(result: Sensitivities) -> list[ChartSpec]:
     names = [f"{row.parameter.name}\n{value}, {step(row)}" for row, value in shown]
     y = Axis(ticks=[(float(place) - 0.15, name) for place, name in zip(places, names, strict=True)])
     x, zero = Axis(f"change of the objective [{unit}]"), Line(0.0, colour=MUTED, width=1.0, dash="solid")
-    title, heading = (
-        "Effect of one step more or less: 1 deg of an angle, else 1 %",
-        f"{result.problem.model.title}: sensitivities",
-    )
+    title = "Effect of one step more or less: 1 deg of an angle, else 1 %"
     remark = "To first order; solid: one step more, pale: one step less; left is better"
     remark += "; no bar to the side where a limit ends the derivative at once" * one_sided
     panel = Panel(y, bars, 0.25 * len(rows) + 0.15)
+    heading = f"{result.problem.model.title}: sensitivities"
     return [ChartSpec("tornado", title, [panel], x, heading, remark, lines=[zero], cursor=False, width=8.0)]
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from optlink.dynamics.ending import Ending
 from optlink.dynamics.machine import slider_names
 from optlink.linkage.mechanism import FRAME
-from optlink.report.chart_spec import TIME, Array, Axis, ChartSpec, Curve, Panel
+from optlink.report.chart_spec import TIME, Array, Axis, ChartSpec, Curve, Panel, max_abs
 from optlink.report.html import chart_plotly
 from optlink.report.html.moving_linkage import Moving, in_time
 from optlink.report.html.shell import PageSection, StoredStudy
@@ -31,15 +31,14 @@ MAX_REACTIONS = 10  # largest number of joint reactions
 MAX_FRAME_JOINTS = 4  # largest number of joints of the frame whose forces are shown by components
 
 
-def _curve(run: Simulation, name: str, factor: float, words: str, colour: str, *style: Any, **more: Any) -> Curve:
+def _curve(run: Simulation, name: str, factor: float, words: str, colour: str, **style: Any) -> Curve:
     """Return a column times a factor, the display unit per SI unit, over time as a curve."""
-    return Curve(run["time_s"], run[name] * factor, words, colour, *style, **more, gid=name)
+    return Curve(run["time_s"], run[name] * factor, words, colour, gid=name, **style)
 
 
 def largest(columns: Mapping[str, Array], names: Iterable[str]) -> float:
     """Return the largest absolute finite value in columns [SI]."""
-    every = [np.abs(columns[name]) for name in names]
-    return max((float(np.max(values, initial=0.0, where=np.isfinite(values))) for values in every), default=0.0)
+    return max((max_abs(columns[name]) for name in names), default=0.0)
 
 
 def charts(run: Simulation) -> list[ChartSpec]:
@@ -64,16 +63,16 @@ def drive(run: Simulation) -> list[ChartSpec]:
                 f"last {'turn' if revolutions == 1.0 else 'cycle'}: mean over time {mean_speed:.4g} rad/s "
                 f"({mean_speed * RPM:.4g} rpm), fluctuation {percent(share, 2)}"
             )
-        rise, most = float(np.ptp(values)), float(np.max(np.abs(values)))
+        rise, most = np.ptp(values), np.max(np.abs(values))
         room = 0.16 * rise if rise > ROUNDING * most else 0.1 * most or 1.0
-        limits = float(np.min(values)) - room, float(np.max(values)) + 0.4 * room
+        limits = np.min(values) - room, np.max(values) + 0.4 * room
         panels.append(Panel(Axis("crank speed [rpm]", limits), curves, 1.4, note=note))
     if "input.torque_Nm" in run.columns:
         torque = run["input.torque_Nm"]
         most = largest(run.columns, ["input.torque_Nm"])
         unit = scale(most, "N m")
         limits_ = None
-        if float(np.ptp(torque)) < 1e-6 * most:  # constant torque: start at zero instead of showing rounding errors
+        if np.ptp(torque) < 1e-6 * most:  # constant torque: start at zero instead of showing rounding errors
             low, high = sorted((0.0, 1.15 * float(torque[0]) * unit.factor))
             limits_ = low, high
         curve = _curve(run, "input.torque_Nm", unit.factor, "driving torque", BODIES[0], legend=False)
@@ -111,7 +110,7 @@ def bodies(run: Simulation) -> list[ChartSpec]:
     curves = []
     for k, (label, name) in enumerate(shown.items()):
         width, dash = look(k, len(shown))
-        curves.append(_curve(run, name, 1.0, label, colours[name], width, dash))
+        curves.append(_curve(run, name, 1.0, label, colours[name], width=width, dash=dash))
     panels, heading = [Panel(Axis("angular velocity [rad/s]"), curves, 1.6)], f"{run.problem.model.title}: rotation of the bodies"
     return [ChartSpec("bodies", "Rotation of the bodies", panels, Axis(TIME), heading)] if curves else []
 
@@ -159,13 +158,15 @@ def energy(run: Simulation) -> list[ChartSpec]:
         above.append(_curve(run, name, shown.factor, f"work of {what}", colour))
     for name, words, colour in zip(stored, ("kinetic energy", "potential energy"), BODIES[3:], strict=False):
         if largest(run.columns, [name]) > 0.0:
-            above.append(_curve(run, name, shown.factor, words, colour, 1.2, "dashdot"))
+            above.append(_curve(run, name, shown.factor, words, colour, width=1.2, dash="dashdot"))
     panels = [Panel(Axis(f"energy [{shown.unit}]"), above, 2.0)]
     if all(name in columns for name in run.figures if name.endswith(".work_J")):
-        above.append(_curve(run, "energy.gained_J", shown.factor, "gain of kinetic and potential energy", TARGET, 1.4, "dash"))
+        above.append(
+            _curve(run, "energy.gained_J", shown.factor, "gain of kinetic and potential energy", TARGET, width=1.4, dash="dash")
+        )
         missing = np.abs(columns["energy.gained_J"] - sum(columns[name] for name in works)) / turnover
         share = Curve(columns["time_s"], np.maximum(missing, 1e-17), "imbalance", MUTED, 1.2, legend=False, gid="imbalance")
-        limits = 1e-17, max(1e-8, 10.0 * float(np.max(missing)))
+        limits = 1e-17, max(1e-8, 10.0 * np.max(missing))
         panels.append(Panel(Axis("imbalance / largest", limits, "log"), [share]))
     return [ChartSpec("energy", "Energy", panels, Axis(TIME), f"{run.problem.model.title}: energy account")]
 

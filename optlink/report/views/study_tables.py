@@ -78,9 +78,7 @@ def _effects(result: Sensitivities) -> TableSpec:
     for row in optimum.moving:
         p = row.parameter
         share = _percent(factor * row.effect / objective if objective else math.nan)
-        responses = (
-            [signed(row.design[name] * p.step) for name in names] if narrow else [_largest_responses(optimum, row)]
-        )
+        responses = [signed(row.design[name] * p.step) for name in names] if narrow else [_largest_responses(optimum, row)]
         changed = f"{number(p.value)} {p.unit}".rstrip() + f" + {step(row)}"
         rows.append((p.name, changed, good(share) if row.effect < 0.0 else share, *responses))
     effect_columns = [f">{name}\n[{optimum.units[name]}]" for name in names] if narrow else ["moves most"]
@@ -280,13 +278,8 @@ def _status(result: Pareto) -> Iterator[Line]:
     missed = result.solved - result.valid - result.infeasible
     empty = f", {result.infeasible} without a feasible design" if result.infeasible else ""
     counted = f": {result.solved} solved, {result.dominated} dominated by others{empty}"
-    counted_points = f"{points(len(result.points))}, "
-    yield (
-        counted_points,
-        good("each a verified local optimum"),
-        counted,
-        bad(f", {missed} not verified and left out" if missed else ""),
-    )
+    left_out = bad(f", {missed} not verified and left out" if missed else "")
+    yield f"{points(len(result.points))}, ", good("each a verified local optimum"), counted, left_out
     if result.single_point:
         yield result.single_point
     elif result.points and result.knee is None:
@@ -306,10 +299,8 @@ def _points(result: Pareto) -> TableSpec:
         rows.append(("", *_cells(result, result.reference), quiet(result.reference_label)))
     columns = [">"]
     for objective in result.objectives:
-        columns += [
-            f">{objective.name}\n[{objective.unit}]" if objective.unit else f">{objective.name}",
-            *([">change"] if _compared(result) else []),
-        ]
+        columns.append(f">{objective.name}\n[{objective.unit}]" if objective.unit else f">{objective.name}")
+        columns += [">change"] if _compared(result) else []
     return table("Front", [*columns, ""], rows, unbroken=True)
 
 
@@ -333,13 +324,7 @@ def _cells(result: Pareto, values: tuple[float, ...]) -> Iterator[Inline]:
 
 
 def relative_change(value: float, before: float) -> str:
-    """Format the change of a value: in per cent, or as a ratio if it is large.
-
-    Parameters
-    ----------
-    before : float
-        Reference in the same unit; zero gives an empty text.
-    """
+    """Format the change of a value: in per cent, or as a ratio if it is large; empty if it was zero before."""
     if not before:
         return ""
     ratio = value / before

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from optlink.problem.file import ProblemFile
 from optlink.report import chart_spec
-from optlink.report.chart_spec import Array, ChartSpec, Curve, HeatMap, Line, Panel, Picks, Span, cells
+from optlink.report.chart_spec import Array, ChartSpec, Curve, HeatMap, Line, Panel, Picks, Span, cells, max_abs
 from optlink.report.format import number
 from optlink.report.html import chart_plotly
 from optlink.report.html.shell import PageSection, StoredStudy
@@ -174,7 +174,7 @@ def charts(result: Sweep) -> list[ChartSpec]:
     """Return the charts over the parameters that have several values."""
     table = SweepTable.of(result)
     if not table.axes or result.grid.count > MAX_ROWS:
-        return [] if not table.axes else _extreme_charts(table)
+        return _extreme_charts(table)
     if len(table.axes) == 1:
         return [_curves(table)]
     if len(table.axes) == 2:
@@ -188,30 +188,18 @@ def _heading(table: SweepTable, what: str) -> str:
 
 
 def _picks(table: SweepTable, rows: NDArray[np.intp], x: Array, y: Array) -> Picks:
-    """Tabulate the design of every selectable row.
-
-    Parameters
-    ----------
-    rows : array (n,)
-        Rising rows of the table of the sweep.
-    x, y : array (n,)
-        Their places.
-    """
+    """Tabulate the design of every selectable row (n,) of the table of the sweep, with its place."""
     columns, result = table.result.columns, table.result
     names = [*(axis.column for axis in result.grid.axes), *table.shown, *table.designs]
-    heads = [study_tables.with_unit(axis.key, axis.unit) for axis in result.grid.axes] + [
-        _column_text(name) for name in (*table.shown, *table.designs)
-    ]
+    heads = [study_tables.with_unit(axis.key, axis.unit) for axis in result.grid.axes]
+    heads += map(_column_text, (*table.shown, *table.designs))
     words = {"status": "status", "reason": "reason"} if result.evaluated else {ACTIVE: "active", "status": "status"}
     blank = np.full(result.grid.count, "")
     texts = [columns.get(name, blank) for name in words.values()]
-    point_texts = [
-        (
-            *(number(float(columns[name][k]), 7) for name in names),
-            *(str(column[k]) or "none" * (ACTIVE in words) for column in texts),
-        )
-        for k in rows
-    ]
+    point_texts = []
+    for k in rows:
+        values = (number(float(columns[name][k]), 7) for name in names)
+        point_texts.append((*values, *(str(column[k]) or "none" * (ACTIVE in words) for column in texts)))
     first = 0 if table.best is None else int(np.argmin(np.abs(rows - table.best)))
     return Picks("point", (*heads, *words), tuple(point_texts), x, y, first, [int(k) for k in rows])
 
@@ -281,8 +269,7 @@ def _analysis_panels(table: SweepTable) -> Iterator[tuple[str, dict[str, Array]]
     for column, names in _measures_by_column(table).items():
         curves = {WORDS.get(_column_and_measure(name)[1], name): table.column(name) for name in names}
         name, unit = study_tables.named(column)
-        sizes = np.abs(np.stack(list(curves.values())))
-        largest = float(np.max(sizes, initial=0.0, where=np.isfinite(sizes)))
+        largest = max_abs(np.stack(list(curves.values())))
         length = scale(math.sqrt(largest) if unit == "m²" else largest, "m")
         shown = {"m": length, "m²": Scale(length.factor**2, f"{length.unit}²")}.get(unit, Scale(1.0, unit))
         yield study_tables.with_unit(name, shown.unit), {word: values * shown.factor for word, values in curves.items()}
@@ -352,7 +339,7 @@ def _slices(table: SweepTable) -> list[ChartSpec]:
     names = next(iter(_measures_by_column(table).values())) if table.result.evaluated else table.shown
     name = next((name for name in names if name.endswith(".rms")), names[0])
     values = np.asarray(table.column(name), dtype=float)[chosen]
-    limits = (float(np.nanmin(values)), float(np.nanmax(values))) if np.any(np.isfinite(values)) else (0.0, 1.0)
+    limits = (np.nanmin(values), np.nanmax(values)) if np.any(np.isfinite(values)) else (0.0, 1.0)
     selection = "" if len(chosen) == len(slow.values) else f" ({len(chosen)} of its {len(slow.values)} values)"
     heading = _heading(table, f"{_column_text(name)} over {slow.key}{selection}, {up.key} and {side.key}")
     specs = []

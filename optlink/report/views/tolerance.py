@@ -73,7 +73,7 @@ def charts(result: Tolerance) -> list[ChartSpec]:
 def _contributions(result: Tolerance) -> ChartSpec:
     """Plot the variance contributions: stacked over the crank angle, or as bars if there is only one."""
     named = zip([deviation.name for deviation in result.deviations], 100.0 * result.contributions, strict=True)
-    parts = sorted(named, key=lambda part: -float(np.mean(part[1])))
+    parts = sorted(named, key=lambda part: -np.mean(part[1]))
     colours = [COLOURS[k % len(COLOURS)] for k in range(len(parts))]
     title = f"Variance contributions to {result.nominal.name}"
     heading, x = f"{result.problem.model.title}: variance contributions to its scatter", result.nominal.degrees
@@ -109,7 +109,7 @@ def _band(result: Tolerance) -> ChartSpec:
         ends = f"ends of {result.monte_carlo.samples:,} samples"
         for column, legend in ((result.monte_carlo.most, True), (result.monte_carlo.least, False)):
             traces.append(Curve(x, k * (base + column), ends, TARGET, 1.1, "dot", mode, legend=legend))
-    reach = 1.05 * max(float(np.nanmax(np.abs(y))) for trace in traces for y in _heights(trace))
+    reach = 1.05 * max(np.nanmax(np.abs(y)) for trace in traces for y in _heights(trace))
     words, lines, ends_of_y = f"limit ±{limit:.5g} {unit}", list[Line](), None
     if limit <= LIMIT_RATIO * reach:
         lines = [Line(limit, words, LIMIT, 1.6, "solid"), Line(-limit, "", LIMIT, 1.6, "solid")]

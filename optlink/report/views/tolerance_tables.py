@@ -87,7 +87,7 @@ def _contributions(result: Tolerance) -> TableSpec:
     for deviation, by, shares in sorted(parts, key=lambda part: -part[2][at]):
         unit = _unit(result.problem, deviation)
         per = f"{result.scale * by[at] / unit[0]:+z.5f}"
-        cells = quiet(_distribution(deviation)), per, strong(f"{shares[at]:z.1f} %"), f"{float(np.mean(shares)):z.1f} %"
+        cells = quiet(_distribution(deviation)), per, strong(f"{shares[at]:z.1f} %"), f"{np.mean(shares):z.1f} %"
         rows.append((deviation.name, _symmetric(deviation.tolerance, unit), *cells))
     change = f">change [{result.display_unit}\nper {' or '.join(sorted(units, reverse=True))}]"
     columns = ["", ">tolerance", "distribution", change, ">share of the\nvariance", ">over all\nangles"]
