@@ -38,14 +38,12 @@ class Allocation:
     """
 
     shown: ClassVar[Mapping[str, Source]] = {
-        "target_yield": "target_yield",
+        **{name: name for name in ("target_yield", "cost", "achieved")},
         "tolerances_SI": "sizes",
         "cost_coefficients": "coefficients",
-        "cost": "cost",
         "cost_of_specified": "before",
         "duality_gap": "gap",
         "without_effect": "free",
-        "achieved": "achieved",
         "check": "monte_carlo",
     }
 
