@@ -164,13 +164,7 @@ def simulate(
 
 
 def _series(measured: Path | None) -> list[str]:
-    """Return the change of the problem that names the file of a measured series.
-
-    Raises
-    ------
-    InputError
-        If there is no such file.
-    """
+    """Return the change of the problem that names the file of a measured series."""
     if measured is None:
         return []
     if not measured.is_file():
@@ -179,13 +173,7 @@ def _series(measured: Path | None) -> list[str]:
 
 
 def _rows_done(begun: Mapping[str, Any], revolutions: int, out: Path | None) -> int:
-    """Return the number of rows of a simulation before those that follow; the last revolution is simulated again.
-
-    Raises
-    ------
-    InputError
-        If the results of so many revolutions are already in the folder.
-    """
+    """Return the number of rows of a simulation before those that follow; the last revolution is simulated again."""
     from optlink.cli.run_folder import earlier_result
 
     result = {} if out is None else earlier_result(out)
@@ -234,7 +222,6 @@ def _kept(out: Path | None, resume: bool, parts: str, what: str) -> Iterator[dic
 
 
 def _revolutions(file: ProblemFile, revolutions: int | None, duration: float | None, speed: float | None) -> int:
-    """Return the number of revolutions."""
     if revolutions is not None and duration is not None:
         raise InputError("revolutions and a duration are given", "Give one of the two", key="--duration")
     if revolutions is not None:

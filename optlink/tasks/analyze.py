@@ -225,17 +225,9 @@ def _least_forces(record: MotionColumns, angles: Array, pins: Iterable[tuple[str
 
 
 def chord_shares(force: Array) -> Array:
-    """Return the places, shares (..., n - 1) between samples (2, ..., n), where the chord of a force is closest to zero.
+    """Return where, as shares (..., n - 1) between samples (2, ..., n), the chord of a force is closest to zero.
 
-    Parameters
-    ----------
-    force : array (2, ..., n)
-        Its two components.
-
-    Returns
-    -------
-    shares : array (..., n - 1)
-        Also below 0 and above 1; NaN where the force does not change.
+    Shares may lie below 0 or above 1; they are NaN where the force does not change.
     """
     change = np.diff(force, axis=-1)
     with np.errstate(all="ignore"):
@@ -243,13 +235,7 @@ def chord_shares(force: Array) -> Array:
 
 
 def quick_stroke_notes(problem: ProblemFile, machine: Machine, speed: float) -> list[str]:
-    """Return a note for every load that acts in the quick stroke although the file does not specify "quick".
-
-    Parameters
-    ----------
-    speed : float [rad/s]
-        Crank speed.
-    """
+    """Return a note for every load that acts in the quick stroke although the file does not specify "quick"."""
     notes = []
     for item in acting_loads(machine, speed):
         if item.pace == "quick" and problem.model.loads[item.load].stroke != "quick":

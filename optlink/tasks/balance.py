@@ -45,20 +45,7 @@ Progress = Callable[[float], None]
 
 
 def positions(problem: ProblemFile, machine: Machine, speed: float) -> Array:
-    """Return the crank angles [rad] at which a machine is balanced; a cycle without its end, which equals its start.
-
-    Parameters
-    ----------
-    problem : ProblemFile
-        With a section [balance].
-    speed : float [rad/s]
-        Crank speed.
-
-    Raises
-    ------
-    InputError
-        If the mechanism has singular positions.
-    """
+    """Return the crank angles [rad] at which a machine is balanced; a cycle without its end, which equals its start."""
     section, start = problem.model.balance, problem.model.drive.start.value
     assert section is not None
     ranges, low, high = motion_range(problem, machine, start)
@@ -274,13 +261,7 @@ def _before(task: _Task, goal: Sequence[tuple[BalanceMeasure, float]]) -> float:
 def balanced_problem(
     problem: ProblemFile, machine: Machine, added: Sequence[AddedCounterweight], springs: Sequence[FittedSpring]
 ) -> ProblemFile:
-    """Return the problem with the counterweights in its bodies and the springs among its loads.
-
-    Parameters
-    ----------
-    machine : Machine
-        Machine without counterweights.
-    """
+    """Return the problem of `machine` with the counterweights added to its bodies and the springs to its loads."""
     changes: dict[str, object] = {"balance": None}
     for counterweight in added:
         inertia = with_counterweight(machine.inertias.get(counterweight.body, Inertia()), counterweight.parameters)
@@ -315,15 +296,7 @@ def _verified(
 def measure_changes(
     observed: Sequence[BalanceMeasure], before: Sequence[Array], after: Sequence[Array]
 ) -> tuple[MeasureChange, ...]:
-    """Return the root mean square and the largest value of quantities before and after balancing.
-
-    Parameters
-    ----------
-    observed : sequence of BalanceMeasure
-        Quantities.
-    before, after : sequence of array (positions, 1 or 2) [SI]
-        Their values before and after.
-    """
+    """Return the root mean square and largest value of quantities (positions, 1 or 2) [SI] before and after balancing."""
     measures = (
         [BalanceMeasure(measure.kind, how, measure.joint, measure.on) for how in ("rms", "largest")] for measure in observed
     )

@@ -172,14 +172,8 @@ def batch_extremes(
 ) -> tuple[dict[str, Array], NDArray[np.bool_]]:
     """Return exact extremes of columns over the revolution for many designs at once, as those of `optlink.analyze`.
 
-    Parameters
-    ----------
-    problem : ProblemFile
-        Its machine has no loads that jump (`Machine.switching`) or have corners (`Machine.cornered`).
-    designs : mapping of quantity to array (designs,) [SI]
-        Quantities that are not named keep their value.
-    columns : sequence of str
-        Names as in `Analysis.columns`, or `B.f_N` for the magnitude of a reaction; no angles of bodies.
+    The machine must have no loads that jump (`Machine.switching`) or have corners (`Machine.cornered`). Columns are those of
+    `Analysis.columns` except angles of bodies, or `B.f_N` for the magnitude of a reaction.
 
     Returns
     -------
@@ -187,11 +181,6 @@ def batch_extremes(
     clear : array (designs,) of bool
         Designs that are clear of singular positions, and have the least of each reaction beside its smallest sample. The
         extremes of the others are meaningless.
-
-    Raises
-    ------
-    InputError
-        As `analyze_batch`.
     """
     arrays = _read(problem, designs)
     count = len(next(iter(arrays.values())))

@@ -62,13 +62,7 @@ def automatic(problem: ProblemFile) -> bool:
 
 
 def check_problem(problem: ProblemFile) -> None:
-    """Raise if no lower bound is available for a problem, before it is searched.
-
-    Raises
-    ------
-    InputError
-        If it has none.
-    """
+    """Raise if no lower bound is available for a problem, before it is searched."""
     model = problem.model
     if not (isinstance(model, DesignProblem) and model.error_bounded) and not _of_path(problem):
         box_problem(problem.variants()[0])
@@ -86,10 +80,6 @@ def _of_path(problem: ProblemFile) -> bool:
 
 def check_options(gap: float, time_limit: float) -> None:
     """Raise if an option of the proof is out of range.
-
-    Parameters
-    ----------
-    time_limit : float [s]
 
     Raises
     ------
@@ -116,31 +106,9 @@ def certify(
 ) -> Certified:
     """Compute a lower bound of the objective over all designs by branch and bound; a better design replaces that of the result.
 
-    Parameters
-    ----------
-    result : FunctionResult or PathResult
-        From `optlink.solve`, with or without a design.
-    gap : float
-        Relative optimality gap at which the search ends.
-    time_limit : float [s]
-    progress : function of (share, gap), optional
-    seed : int
-        Seed of searches for a better design.
-    boxes : float
-        Largest number of boxes.
-    original : ProblemFile, optional
-        The problem whose open assembly modes are searched too; `result` has the best ones. Default: that of `result`.
-    runs : function, optional
-        From `optlink.execution.runner.pool`, for a long search; it changes nothing in the result. Default: the present process.
-
-    Returns
-    -------
-    FunctionResult or PathResult, with its `certificate`
-
-    Raises
-    ------
-    InputError
-        If `gap` or `time_limit` is out of range, or no lower bound is available for this kind of problem.
+    The search ends at the relative `gap`, after `time_limit` [s] or that many `boxes`. It includes the assembly modes that
+    `original` (by default the problem of the result) leaves open. `runs` shares a long search and changes nothing in the result.
+    A `gap` or `time_limit` out of range is refused, and a problem without a lower bound.
     """
     check_options(gap, time_limit)
     model, problem = result.problem.model, original or result.problem

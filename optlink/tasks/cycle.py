@@ -82,12 +82,7 @@ class CycleTask(DesignTask[CycleResult]):
         return build_programme(trace, groups[0])
 
     def place(self, problem: ProblemFile, nlp: NLP, x: Array) -> None:
-        """Move the exchange points to the peaks of limits and of the objective; see `DesignTask.place`.
-
-        Parameters
-        ----------
-        x : array (n,)
-        """
+        """Move the exchange points to the peaks of limits and of the objective; see `DesignTask.place`."""
         from optlink.optimization.cycle_nlp import CycleNLP
         from optlink.solvers.semi_infinite import peaks
 
@@ -98,10 +93,6 @@ class CycleTask(DesignTask[CycleResult]):
         """Validate given dimensions; those not named have their value in the file.
 
         Another value of a fixed dimension is a failed check.
-
-        Parameters
-        ----------
-        design : mapping of str to float [SI]
         """
         return min((_validated(variant, design) for variant in possible_modes(problem)), key=better)
 
@@ -216,10 +207,7 @@ def _explained(result: CycleSearchResult, names: Sequence[str]) -> CycleSearchRe
 def _first_starts(problem: ProblemFile, samples: StartSequence, count: int) -> list[StartGroup]:
     """Return starting points: dimensions that move like the first ones in which every output with a stroke reciprocates.
 
-    Raises
-    ------
-    InputError
-        If such an output reciprocates in none of the dimensions that turn fully.
+    An output that reciprocates in none of the dimensions that turn fully is refused.
     """
     from optlink.solvers.cycle_starts import start_groups
 

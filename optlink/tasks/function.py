@@ -216,13 +216,7 @@ class FunctionTask(DesignTask[FunctionResult]):
     free_example = 'coupler = { start = "400 mm", bounds = ["100 mm", "900 mm"] }'
 
     def check(self, problem: ProblemFile) -> None:
-        """Refuse a problem without a requirement.
-
-        Raises
-        ------
-        InputError
-            If it has none.
-        """
+        """Refuse a problem without a requirement."""
         _ = problem.spec
 
     def search(self, problem: ProblemFile, search: Search) -> FunctionResult:
@@ -245,21 +239,11 @@ class FunctionTask(DesignTask[FunctionResult]):
         return build(problem.spec)
 
     def place(self, problem: ProblemFile, nlp: NLP, x: Array) -> None:
-        """Move the exchange points to the peaks of the error; see `DesignTask.place`.
-
-        Parameters
-        ----------
-        x : array (n,)
-        """
+        """Move the exchange points to the peaks of the error; see `DesignTask.place`."""
         place_at_peaks(problem.spec, nlp, x)
 
     def validate(self, problem: ProblemFile, design: Mapping[str, float]) -> FunctionResult:
-        """Validate a given design, in the better assembly mode if the file leaves it open; see `DesignTask.validate`.
-
-        Parameters
-        ----------
-        design : mapping of str to float [m, rad]
-        """
+        """Validate a given design, in the better assembly mode if the file leaves it open; see `DesignTask.validate`."""
         begin = time.perf_counter()
         results = []
         for variant in problem.variants():
@@ -420,11 +404,6 @@ def read_design(problem: ProblemFile, assignments: list[str], varied: Collection
 
 def check_complete(problem: ProblemFile, names: Collection[str]) -> None:
     """Refuse a design without a value for each of the design variables.
-
-    Parameters
-    ----------
-    names : collection of str
-        Quantities that have a value.
 
     Raises
     ------

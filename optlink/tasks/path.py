@@ -115,21 +115,11 @@ class PathTask(DesignTask[PathResult]):
         return build_path_nlp(task, -1 if task.requirement.rotation == "clockwise" else 1)
 
     def place(self, problem: ProblemFile, nlp: NLP, x: Array) -> None:
-        """Move the exchange points to the peaks of limits and of the transmission angle; see `DesignTask.place`.
-
-        Parameters
-        ----------
-        x : array (n,)
-        """
+        """Move the exchange points to the peaks of limits and of the transmission angle; see `DesignTask.place`."""
         place_at_peaks(path_model(problem), nlp, x)
 
     def unknowns(self, problem: ProblemFile, nlp: NLP, design: Mapping[str, float]) -> Array:
-        """Return the scaled unknowns; free crank angles are those with the least deviation.
-
-        Parameters
-        ----------
-        design : mapping of str to float [SI]
-        """
+        """Return the scaled unknowns; free crank angles are those with the least deviation."""
         from optlink.validation.timing import passing
 
         task = path_model(problem)
@@ -141,11 +131,6 @@ class PathTask(DesignTask[PathResult]):
         """Validate a given design; with free timing, at the crank angles with the least deviation.
 
         If the problem leaves the assembly mode open, valid designs come first, then the one with the least objective.
-
-        Parameters
-        ----------
-        design : mapping of str to float [m, rad]
-            All design variables; further quantities replace those of the file.
         """
         from optlink.validation.timing import passing
 
@@ -270,11 +255,6 @@ class SearchRounds:
         All assembly modes and senses of rotation are tried, those of the nearest design first. The order of the points and their
         tolerances are kept while limits are relaxed. If no design is valid although limits are met within the tolerance of a
         solution, limits that are missed by less count as conflicting (`exactly`).
-
-        Parameters
-        ----------
-        exactly : bool
-            See `optlink.solvers.infeasibility.explain`.
         """
         polisher, near = self.collection.polisher, self.collection.nearest
         task = path_model(self.problem)

@@ -86,28 +86,14 @@ class Polisher:
         self.runs: Runs | None = None
 
     def programme(self, variant: int, direction: int) -> NLP:
-        """Return the NLP of a variant.
-
-        Parameters
-        ----------
-        variant : int
-            Index of the file with definite assembly modes.
-        direction : int
-            Crank direction, +1 or -1; ignored with prescribed timing.
-        """
+        """Return the NLP of a file with definite assembly modes; the crank direction, +1 or -1, matters with free timing only."""
         key = (variant, direction if path_model(self.files[variant]).data.offsets is None else 1)
         if key not in self.programmes:
             self.programmes[key] = build_path_nlp(path_model(self.files[variant]), key[1])
         return self.programmes[key]
 
     def polish(self, candidate: Candidate, *, near: bool = False) -> PathDesign:
-        """Return the nearest local optimum with all limits, validated.
-
-        Parameters
-        ----------
-        near : bool
-            Whether the candidate itself satisfies its limits everywhere.
-        """
+        """Return the nearest local optimum with all limits, validated; `near`: the candidate meets its limits everywhere."""
         file, start = self.files[candidate.variant], self._scaled_point(candidate)
         task, minimax = path_model(file), self.method == MINIMAX
         solution = solve_semi_infinite(task, start, self.method, near=near)
@@ -140,13 +126,7 @@ class Polisher:
         return objective
 
     def each(self, candidates: Sequence[Candidate], *, near: bool = False) -> Iterator[PathDesign]:
-        """Yield the refined designs of candidates in order; see `polish`. The caller may leave the iterator at any of them.
-
-        Parameters
-        ----------
-        near : bool
-            See `polish`.
-        """
+        """Yield the refined designs of candidates in order; see `polish`. The caller may leave the iterator at any of them."""
         if self.runs is None:
             yield from (self.polish(candidate, near=near) for candidate in candidates)
             return
@@ -162,15 +142,7 @@ class Polisher:
         return feasible(validated_design(self.files[candidate.variant], start))
 
     def from_feasible(self, variant: int, nlp: NLP, x: Array) -> Iterator[PathDesign]:
-        """Yield the local optimum near a point that meets all limits at the positions of its NLP, then the point itself.
-
-        Parameters
-        ----------
-        variant : int
-            Index of the file with definite assembly modes.
-        x : array (n,)
-            Scaled point.
-        """
+        """Yield the local optimum near a point that meets all limits at the positions of its NLP, then the point itself."""
         file, start = self.files[variant], multistart.solution_at(nlp, nlp.lifted(x), "found by the analysis of limits")
         yield validated_design(file, solve_semi_infinite(path_model(file), start, self.backend))
         yield feasible(validated_design(file, start))
@@ -198,13 +170,7 @@ def feasible(design: PathDesign) -> PathDesign:
 
 
 def validated_design(file: ProblemFile, solution: Solution) -> PathDesign:
-    """Return a solution of the NLP as a validated design.
-
-    Parameters
-    ----------
-    file : ProblemFile
-        With definite assembly modes.
-    """
+    """Return a solution of the NLP as a validated design."""
     task = path_model(file)
     values, angles = solved_values(task, solution.design, solution.x)
     checked = with_optimality(validate_path(task, values, angles, solution.objective), solution)
@@ -212,15 +178,10 @@ def validated_design(file: ProblemFile, solution: Solution) -> PathDesign:
 
 
 class DesignCollection:
-    """Distinct valid designs, best first, and the optima of all refined candidates.
+    """The `requested` best distinct valid designs, and the optima of all refined candidates.
 
     Candidates are refined after every round, so that a search of few rounds collects a subset of what a longer one with
     the same seed collects: more starts never give a worse design.
-
-    Parameters
-    ----------
-    requested : int
-        Number of distinct designs.
     """
 
     def __init__(self, polisher: Polisher, requested: int) -> None:
@@ -395,13 +356,7 @@ class DesignCollection:
 
 
 def no_worse_fit(design: PathDesign, reference: PathDesign) -> bool:
-    """Return whether a design is no worse than another one for the same points, within rounding.
-
-    Parameters
-    ----------
-    reference : PathDesign
-        Reference.
-    """
+    """Return whether a design is no worse than another one for the same points, within rounding."""
     return design.exact or design.error <= reference.error * (1.0 + ROUNDING)
 
 
@@ -440,19 +395,10 @@ STEPS = 120
 def designs_from_four_bar(
     part: ContainedFourBar, four_bars: Sequence[PathDesign], polisher: Polisher, seed: int
 ) -> list[PathDesign]:
-    """Return valid designs derived from designs of the four-bar, best first; empty if its curve cannot be repeated.
+    """Return valid designs derived from those of the four-bar, best first; empty if its curve cannot be repeated.
 
     If no local search ends at an optimum as good as the best four-bar, the starts themselves and the feasible designs
-    at which the searches stalled are included.
-
-    Parameters
-    ----------
-    four_bars : sequence of PathDesign
-        Valid designs of `part.file`.
-    polisher : Polisher
-        For the whole linkage.
-    seed : int
-        Seed of the random dimensions.
+    at which the searches stalled are included. `polisher` is for the whole linkage.
     """
     if not four_bars:
         return []

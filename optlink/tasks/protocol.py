@@ -47,20 +47,8 @@ def agreement(
 ) -> tuple[Check, ...]:
     """Check that two back ends found the same objective, and the same design unless several are equally good.
 
-    Parameters
-    ----------
-    what : str
-        "design" or "sizes".
-    same : bool
-        Whether the objectives agree.
-    gaps : (float, float)
-        Relative difference of the objectives, and difference of the designs.
-    nearest_design : float
-        Difference up to which two designs are the same.
-    limit : str
-        The same, for display.
-    unit : str
-        Unit of the difference of the designs.
+    `gaps` are the relative difference of the objectives and that of the designs [`unit`]; up to `nearest_design`, shown as
+    `limit`, two designs are the same.
     """
     equal = gaps[1] <= nearest_design
     words = "" if equal or not same else " (two of equal value)"
@@ -71,12 +59,7 @@ def agreement(
 
 
 def part(progress: Progress, k: int, count: int) -> Progress:
-    """Return the progress function of the k-th of several searches.
-
-    Parameters
-    ----------
-    progress : function of the completed fraction, optional
-    """
+    """Return the progress function of the k-th of several searches."""
     return None if progress is None else lambda share: progress((k + share) / count)
 
 

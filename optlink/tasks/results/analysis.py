@@ -110,7 +110,14 @@ class Analysis(Tabled):
 
     @classmethod
     def restored(cls, problem: ProblemFile, values: Mapping[str, Any]) -> Analysis:
-        """Return the same analysis again."""
+        """Return the same analysis again.
+
+        Parameters
+        ----------
+        problem : ProblemFile
+        values : mapping of str to object
+            The attributes that `stored` names.
+        """
         from optlink.tasks.analyze import analyze
 
         points, step = values["asked"]
@@ -209,12 +216,7 @@ class Analysis(Tabled):
 def stroke_records(travel: Travel, speed: float, acting: tuple[StrokeLoad, ...]) -> dict[str, Any]:
     """Return the working, slow, forward and backward stroke of an output as JSON, with crank ranges in the direction of rotation.
 
-    Parameters
-    ----------
-    speed : float [rad/s]
-        Crank speed; only its sign matters.
-    acting : tuple of StrokeLoad
-        Loads that act in one stroke only.
+    `acting` are the loads that act in one stroke only; of the speed only the sign matters.
     """
     working, loads = working_stroke(travel, speed, acting)
     strokes = travel.strokes(speed)
@@ -236,13 +238,7 @@ def stroke_records(travel: Travel, speed: float, acting: tuple[StrokeLoad, ...])
 
 
 def stroke_document(machine: Machine, speed: float) -> dict[str, Any]:
-    """Return the strokes of every output of a machine whose crank turns fully, as JSON.
-
-    Parameters
-    ----------
-    speed : float [rad/s]
-        Crank speed; only its sign matters.
-    """
+    """Return the strokes of every output of a machine whose crank turns fully, as JSON."""
     acting = acting_loads(machine, speed)
     return {
         name: {"time_ratio": travel.time_ratio, **stroke_records(travel, speed, acting)}

@@ -25,14 +25,7 @@ def _shown(limit: Price | BalanceBound) -> tuple[str, str, float, float]:
 def active_limit(price: Price, after: float, scale: float) -> ActiveLimit:
     """Return a limit at the optimum with its shadow price.
 
-    Parameters
-    ----------
-    price : Price
-        Limit [SI] with its multiplier, in the scaled objective.
-    after : float
-        Scaled objective of the balanced machine.
-    scale : float
-        Objective over the scaled objective.
+    `after` is the scaled objective of the balanced machine, `scale` the objective over the scaled one.
     """
     sense, unit, factor, step = _shown(price)
     return ActiveLimit(

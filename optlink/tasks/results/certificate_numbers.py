@@ -24,13 +24,7 @@ Numbers = dict[str, Any]
 
 
 def numbers_of(problem: ProblemFile) -> Numbers:
-    """Return the numbers of a problem, without its assembly modes, as plain data.
-
-    Parameters
-    ----------
-    problem : ProblemFile
-        With a lower bound over boxes, see `optlink.optimization.box_models.box_problem`.
-    """
+    """Return the numbers of a problem with a lower bound over boxes, without its assembly modes, as plain data."""
     model: Any = problem.model
     quantities = {
         name: {"value": quantity.value, "low": quantity.bounds[0], "high": quantity.bounds[1], "free": quantity.free}

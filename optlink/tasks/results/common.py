@@ -47,11 +47,6 @@ def with_optimality(checked: Validation, solution: Solution) -> Validation:
     """Return a validation with the checks of feasibility and stationarity by the NLP, without mere consequences of failed ones.
 
     A design that breaks a limit is no optimum; one that fails a measured check need not be told that it breaks a limit.
-
-    Parameters
-    ----------
-    checked : Validation
-        Measured checks.
     """
     met = solution.violation <= FEASIBLE
     feasible = Check(LIMITS_CHECK, met, solution.violation, f"<= {FEASIBLE:.0e}", "")

@@ -124,15 +124,7 @@ class OpposedLimit:
 
 
 def refutation(limits: Sequence[Relaxation], what: str = "linkage") -> str:
-    """State in words which limits exclude each other, and what is possible instead; empty without limits.
-
-    Parameters
-    ----------
-    limits : sequence of Relaxation
-        Each limit relaxed alone.
-    what : str
-        What does not exist.
-    """
+    """State which limits, each relaxed alone, exclude each other, and what is possible instead; empty without limits."""
     opposed = opposed_limits(limits)
     if not opposed:
         return ""
@@ -163,13 +155,7 @@ def opposed_limits(items: Sequence[Relaxation]) -> list[OpposedLimit]:
 
 
 def outward(side: Relaxation, digits: int) -> float:
-    """Round a relaxed value away from its limit value.
-
-    Parameters
-    ----------
-    digits : int
-        Significant digits.
-    """
+    """Round a relaxed value to significant digits, away from its limit value."""
     if not math.isfinite(side.relaxed) or side.relaxed == 0.0:
         return side.relaxed
     rounding, sign = (ROUND_CEILING, 1.0) if side.relaxed > side.bound else (ROUND_FLOOR, -1.0)

@@ -184,13 +184,7 @@ def task_of(problem: ProblemFile) -> CycleProblem:
 
 
 def analysis_of(task: CycleProblem, values: Mapping[str, float]) -> Cycle | None:
-    """Return a design in motion, or None if it cannot be built.
-
-    Parameters
-    ----------
-    values : mapping of str to float [SI]
-        Quantities; those not named have their value in the file.
-    """
+    """Return a design [SI] in motion, with the values of the file where it has none; None if it cannot be built."""
     try:
         return Cycle(task, values)
     except Unusable:

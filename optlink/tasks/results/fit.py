@@ -176,22 +176,9 @@ def transmission_fit(
     solution: Solution | None = None,
     task: Problem | None = None,
 ) -> TransmissionFit | None:
-    """Grade a design whose transmission angle is optimised; return None if it has no transmission angle.
+    """Grade a design by its least transmission angle [rad]; return None if it has none.
 
-    Parameters
-    ----------
-    least : float [rad]
-        Least distance of the transmission angle from 0 and 180 deg over the motion.
-    quantities : mapping of str to Quantity
-        Dimensions.
-    values : mapping of str to float [m, rad]
-        All quantities.
-    limits : sequence of LimitState
-        Limits of the optimum with their multipliers; empty for a given design.
-    solution : Solution, optional
-        The optimum; None for a given design.
-    task : Problem, optional
-        Its model.
+    A given design has no optimum: no `limits` with multipliers, and no `solution`.
     """
     if not math.isfinite(least):
         return None
@@ -218,21 +205,7 @@ def path_fit(
 ) -> Fit | None:
     """Grade a path, motion or function design; return None for transmission (see `transmission_fit`) or a design without motion.
 
-    Parameters
-    ----------
-    problem : ProblemFile
-        With definite assembly modes.
-    values : mapping of str to float [m, rad]
-        All quantities.
-    crank_angles : array (points,) [rad]
-    measured : MeasuredDeviations
-        Deviations of the design at these crank angles.
-    between : array (segments,) [m], optional
-        Excursions of the curve between the points.
-    limits : sequence of LimitState
-        Limits of the optimum with their multipliers; empty for a given design.
-    solution : Solution, optional
-        The optimum; None for a given design.
+    `between` are the excursions [m] of the curve between the points. A given design has no `limits` and no `solution`.
     """
     from optlink.problem.path import PathProblem
 
@@ -285,17 +258,7 @@ def _sized(errors: Array, size: float, unit: str, of: str, links: Sequence[float
 
 
 def law_fit(problem: ProblemFile, values: Mapping[str, float], error: Array, solution: Solution | None = None) -> Fit | None:
-    """Grade a function design of a four-bar; return None if it has no position at some point of the law.
-
-    Parameters
-    ----------
-    values : mapping of str to float [m, rad]
-        Quantities of the design.
-    error : array (positions,) [rad]
-        Error of the output.
-    solution : Solution, optional
-        The optimum with its multipliers; None for a given design.
-    """
+    """Grade a function design of a four-bar by its error (positions,) [rad]; return None if it has no position at some point."""
     if not np.all(np.isfinite(error)):
         return None
     task, law = problem.spec, problem.spec.law

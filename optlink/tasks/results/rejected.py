@@ -50,12 +50,6 @@ class RejectedDesign:
 
 
 def best_rejected(designs: Iterable[RejectedDesign | None], objective: float) -> RejectedDesign | None:
-    """Return the best of some rejected designs if it is better than an objective; None if there is none.
-
-    Parameters
-    ----------
-    objective : float
-        Of the accepted design.
-    """
+    """Return the best of some rejected designs if it is better than the objective of the accepted one, else None."""
     better = [one for one in designs if one is not None and one.objective < objective * (1.0 - BETTER)]
     return min(better, key=lambda one: one.objective, default=None)

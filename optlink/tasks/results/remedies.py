@@ -47,12 +47,7 @@ class PoorFitReason:
 def start_reasons(task: DesignProblem, values: Mapping[str, float], error: float) -> Iterator[PoorFitReason]:
     """Yield the start of a law as a reason if it is the default, or if the same linkage is better from another crank angle.
 
-    Parameters
-    ----------
-    values : mapping of str to float [m, rad]
-        Quantities of the design.
-    error : float [rad]
-        Root mean square error of the design.
+    `error` is the root mean square error of the design [rad].
     """
     requirement, law = task.requirement, task.requirement.law
     own = isinstance(law, Function) or (isinstance(law, Table) and not law.from_start)
@@ -89,14 +84,7 @@ def _errors(task: DesignProblem, values: Mapping[str, float], starts: Array) -> 
 def law_mode_reasons(problem: ProblemFile, values: Mapping[str, float], error: float) -> Iterator[PoorFitReason]:
     """Yield the assembly mode of a four-bar as a reason if the same lengths follow the law better in the other mode.
 
-    Parameters
-    ----------
-    problem : ProblemFile
-        Of a law.
-    values : mapping of str to float [m, rad]
-        Quantities of the design.
-    error : float [rad]
-        Root mean square error of the design.
+    `error` is the root mean square error of the design [rad].
     """
 
     def measured(variant: ProblemFile) -> float:
@@ -112,19 +100,8 @@ def path_mode_reasons(
 ) -> Iterator[PoorFitReason]:
     """Yield the assembly modes of a linkage as a reason if the same sizes are better for a path or a law in other modes.
 
-    The crank angle at which the task begins and the output there follow where they are free.
-
-    Parameters
-    ----------
-    problem : ProblemFile
-        Of a path or a law.
-    values : mapping of str to float [m, rad]
-        Quantities of the design.
-    crank_angles : array (points,) [rad]
-    error : float [m or rad]
-        Root mean square error of the design.
-    unit : str
-        "m" or "rad".
+    The crank angle at which the task begins and the output there follow where they are free. `error` is the root mean square
+    error of the design, in `unit` (m or rad).
     """
     from optlink.problem.path import START, PathProblem
 
@@ -160,12 +137,7 @@ def _deviation(task: PathProblem, values: Mapping[str, float]) -> float:
 def curve_distances(task: PathProblem, values: Mapping[str, float], crank_angles: Array) -> Array:
     """Return the distance [m] of every point of a path from the curve of a linkage, at any crank angle.
 
-    Parameters
-    ----------
-    values : mapping of str to float [m, rad]
-        All quantities.
-    crank_angles : array (points,) [rad]
-        Crank angles of the design; the curve of a crank that need not turn fully is that between them.
+    The curve of a crank that need not turn fully is that between the first and last of `crank_angles` [rad].
     """
     begin = float(crank_angles[0])
     end = begin + TURN if task.limits.crank != "span" else float(crank_angles[-1])
@@ -217,19 +189,7 @@ def fixed_reasons(
     solution: Solution | None = None,
     task: Problem | None = None,
 ) -> Iterator[PoorFitReason]:
-    """Yield the fixed dimensions as a reason; of an optimum, the one with the largest effect comes first.
-
-    Parameters
-    ----------
-    quantities : mapping of str to Quantity
-        Dimensions.
-    values : mapping of str to float [m, rad]
-        Quantities of the design.
-    solution : Solution, optional
-        The optimum, with its multipliers.
-    task : Problem, optional
-        Its model.
-    """
+    """Yield the fixed dimensions as a reason; of an optimum (`solution`), the one with the largest effect comes first."""
     effects = {} if solution is None or task is None else fixed_effects(solution, task)
     fixed = [name for name, quantity in quantities.items() if not quantity.free]
     fixed.sort(key=lambda name: -abs(effects.get(name, 0.0)))

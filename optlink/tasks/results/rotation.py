@@ -43,14 +43,8 @@ Loop = Mapping[str, Length]  # by the names of `LENGTHS`
 def cannot_turn(section: FourBarSection | DyadsSection, mechanism: Mechanism, crank: str, least_angle: float) -> tuple[str, ...]:
     """Return a sentence that no sizes within the bounds let the crank turn, with the change that does; else nothing.
 
-    The first loop of the mechanism decides: crank, a link, and a link or slider on the frame.
-
-    Parameters
-    ----------
-    crank : str
-        `limits.crank` of the problem; empty if it has none.
-    least_angle : float [rad]
-        Least angle of the two links of a joint off alignment.
+    The first loop of the mechanism decides: crank, a link, and a link or slider on the frame. `crank` is `limits.crank` of the
+    problem, empty if it has none; `least_angle` [rad] the least angle of the two links of a joint off alignment.
     """
     quantities = section.quantities
     if crank not in SHORTEST:
@@ -124,15 +118,7 @@ def _slider_conflict(group: RRP, mechanism: Mechanism, quantities: Mapping[str, 
 
 
 def four_bar_conflict(loop: Loop, crank: str, least_angle: float) -> str:
-    """Return which inequality of Grashof fails for all sizes, and the change that helps; empty if none does.
-
-    Parameters
-    ----------
-    crank : str
-        As for `cannot_turn`.
-    least_angle : float [rad]
-        Least angle of coupler and rocker off alignment.
-    """
+    """Return which inequality of Grashof fails for all sizes, and the change that helps; empty if none does."""
     missed = [(shortest, violation) for shortest in SHORTEST[crank] if (violation := _violation(loop, shortest)) is not None]
     if len(missed) < len(SHORTEST[crank]):
         return ""
