@@ -30,7 +30,7 @@ from optlink.tasks.machine import (
     table_angles,
 )
 from optlink.tasks.results.analysis import Analysis
-from optlink.tasks.results.extremes import Extremes
+from optlink.tasks.results.extremes import Extremes, distances
 
 MAX_POINTS = 1_000_000
 GRID = 720  # positions among which extremes are bracketed
@@ -99,7 +99,8 @@ def analyze(
     swings: dict[str, Travel] = {}
     strokes: dict[str, Travel] = {}
     unbounded: tuple[str, ...] = ()
-    grid = even = _even(low, high, ranges.full, cycle)
+    count = GRID * (max(1, round(cycle / TURN)) if ranges.full else 1)
+    grid = even = np.asarray(low + (high - low) / count * np.arange(count + 1), dtype=float)
     if ranges.singular:  # two branches continue the motion: it is not determined as a whole
         singular = _undetermined(columns, singular, ranges.singular, low, high)
     else:
@@ -187,28 +188,19 @@ def _undetermined(columns: dict[str, Array], rows: Array, positions: Iterable[Al
     angles = np.radians(columns["crank_angle_deg"])
     exact = np.array([low + (position.crank_angle - low) % TURN for position in positions])
     exact = np.where(exact - low > TURN - SINGULAR_WIDTH, low, exact)
-    distances = np.abs(np.remainder(angles[:, None] - exact + math.pi, TURN) - math.pi)
-    singular = np.any(distances <= SINGULAR_WIDTH, axis=1)
+    singular = np.any(distances(angles, exact, TURN) <= SINGULAR_WIDTH, axis=1)
     for name, column in columns.items():
         if name == "input.work_J":
             columns[name] = np.full(column.shape, np.nan)
         elif not name.endswith(PLACES):
             columns[name] = np.where(singular, np.nan, column)
-    remaining = rows[np.all(np.abs(rows[:, None] - exact) > SINGULAR_WIDTH, axis=1)] if rows.size else rows
+    remaining = rows[np.all(np.abs(rows[:, None] - exact) > SINGULAR_WIDTH, axis=1)]
     return distinct(np.concatenate([remaining, exact[exact <= high + SINGULAR_WIDTH]]))
 
 
 def _beyond(rows: Array, positions: Iterable[AlignedPosition], cycle: float) -> Array:
     """Return crank angles [rad] of rows without finite reactions other than positions through which the motion is continued."""
-    for position in positions:
-        rows = rows[np.abs(np.remainder(rows - position.crank_angle + 0.5 * cycle, cycle) - 0.5 * cycle) > SINGULAR_WIDTH]
-    return rows
-
-
-def _even(low: float, high: float, full: bool, cycle: float) -> Array:
-    """Return the crank angles [rad] between which extremes are sought."""
-    count = GRID * (max(1, round(cycle / TURN)) if full else 1)
-    return np.asarray(low + (high - low) / count * np.arange(count + 1), dtype=float)
+    return rows[np.all(distances(rows, [position.crank_angle for position in positions], cycle) > SINGULAR_WIDTH, axis=1)]
 
 
 def _least_forces(record: MotionColumns, angles: Array, pins: Iterable[tuple[str, str, str]]) -> Array:

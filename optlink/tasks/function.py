@@ -26,13 +26,13 @@ from optlink.problem.assignment import parse_assignments
 from optlink.problem.document import Source
 from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import fixed_design, started
-from optlink.problem.quantity import Quantity, input_of, read_quantity
+from optlink.problem.quantity import Quantity, check_choice, input_of, read_quantity
 from optlink.problem.targets.expression import Expression
 from optlink.solvers import multistart
 from optlink.solvers.function_exchange import ALONG, error_at, error_function, place_at_peaks
 from optlink.solvers.solution import EXACTLY_MET, Relaxation, Solution
 from optlink.synthesis.freudenstein import FirstStep
-from optlink.tasks.machine import check_names, turning_machine
+from optlink.tasks.machine import UNKNOWN_QUANTITY, turning_machine
 from optlink.tasks.modes import best_mode
 from optlink.tasks.protocol import DesignTask, Search, agreement, part
 from optlink.tasks.results.common import ROUNDED, SingleResult, better
@@ -47,7 +47,6 @@ from optlink.validation import Check, validate as validate_law
 if TYPE_CHECKING:
     from optlink.tasks.function_search import FunctionCandidate
 
-Start = NDArray[np.float64]
 SAME_DESIGN = 1e-6  # difference of equal designs, as a share of the frame
 EXTREME_SHARE = 0.99  # fraction of the largest error that counts as an extreme value
 MIN_CURVATURE = 1e-7  # least curvature, for an objective scaled to 1, of a unique optimum
@@ -330,7 +329,7 @@ def _rejected(problem: ProblemFile, candidate: FunctionCandidate | None) -> Reje
 Conflict = tuple[tuple[Relaxation, ...], tuple[Relaxation, ...]]
 
 
-def _explained(nlp: NLP, seed: int, exactly: bool) -> tuple[Start | None, Solution | None, Conflict]:
+def _explained(nlp: NLP, seed: int, exactly: bool) -> tuple[Array | None, Solution | None, Conflict]:
     """Return a feasible point, or the nearest design and the conflicting limits, if no start led to a feasible design."""
     from optlink.solvers.infeasibility import Explanation, explain
 
@@ -392,7 +391,7 @@ def read_design(problem: ProblemFile, assignments: list[str], varied: Collection
     assigned = parse_assignments([text for text in assignments if not text.endswith(".json")], "--design")
     for key, value in (*stored, *assigned.items()):
         name = key.removeprefix("mechanism.")
-        check_names(problem, [name], quantities)
+        check_choice("--design", name, quantities, UNKNOWN_QUANTITY, problem.file)
         if isinstance(value, dict | list):
             remedy = f'Give one value, such as {name}="{show(quantities[name].value, quantities[name].kind)}"'
             raise InputError("a given design has no bounds", remedy, problem.file, f"--design {name}", value)

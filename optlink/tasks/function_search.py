@@ -28,14 +28,13 @@ from optlink.solvers import multistart
 from optlink.solvers.contract import BACKENDS, CLOSE
 from optlink.solvers.function_exchange import add_peak_errors
 from optlink.solvers.solution import Solution
+from optlink.tasks.protocol import Progress
 from optlink.tasks.results.common import ROUNDED, Optimum, inexact, verified, with_optimality
 from optlink.tasks.results.evidence import evidence, tally
 from optlink.validation import Validation, validate as validate_law
 
 if TYPE_CHECKING:
     from optlink.synthesis.freudenstein import FirstStep
-
-Progress = Callable[[float], None] | None
 
 STARTS_PER_ROUND = 24  # random starts between evaluations of the evidence
 MAX_RANDOM_STARTS = 144  # their largest number by default

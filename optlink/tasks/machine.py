@@ -2,7 +2,7 @@
 
 import math
 import weakref
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -24,6 +24,7 @@ MIN_SPEED, MAX_SPEED = 1e-9, 1e6  # rad/s
 MIN_DURATION, MAX_DURATION = 1e-9, 1e7  # s
 MAX_PERIODS = 200_000  # of the fastest process within a revolution: minutes of computing time
 POLE_TURNS = 50  # revolutions in which poles of loads are sought, from the start on
+UNKNOWN_QUANTITY = "unknown quantity of the design"
 RATES = ("omega", "v", "w")  # variables of a load that are not known before the motion under a torque
 SAME_RANGE = 1e-9  # rad, difference of the ends of ranges that are the same
 MARGIN = 1e-3  # fraction of a limited range omitted at either end: speeds are infinite at a dead position
@@ -40,12 +41,6 @@ def turning_machine(problem: ProblemFile, design: Mapping[str, float]) -> Machin
     return machine if machine.ranges.full else None
 
 
-def check_names(problem: ProblemFile, names: Iterable[str], valid: Collection[str]) -> None:
-    """Refuse names that are not quantities of a design."""
-    for name in names:
-        check_choice("--design", name, valid, "unknown quantity of the design", problem.file)
-
-
 def check_design(problem: ProblemFile, design: Mapping[str, float] | None) -> None:
     """Refuse a design with names that the problem does not know, or with a value that is not finite.
 
@@ -57,7 +52,8 @@ def check_design(problem: ProblemFile, design: Mapping[str, float] | None) -> No
         If there is one.
     """
     follow = () if problem.task in ("path", "cycle") else ("phi0", "psi0")
-    check_names(problem, design or {}, dict.fromkeys((*problem.model.quantities, *follow)))
+    for name in design or {}:
+        check_choice("--design", name, (*problem.model.quantities, *follow), UNKNOWN_QUANTITY, problem.file)
     for name, value in (design or {}).items():
         if not math.isfinite(value):
             raise InputError("not a finite number", "Give one in SI units", problem.file, f"design.{name}", value)

@@ -66,7 +66,7 @@ class PolishTask:
 
     def __call__(self, index: int) -> dict[str, Any]:
         """Return the fields of a refined and validated design, without problem and programme."""
-        design = built(_polisher, self.polisher).polish(self.candidates[index], near=self.near)
+        design = built(Polisher, self.polisher).polish(self.candidates[index], near=self.near)
         parts = {field.name: getattr(design, field.name) for field in fields(design) if field.name != "problem"}
         return parts | {"solution": None if design.solution is None else design.solution.parts}
 
@@ -78,16 +78,16 @@ class Polisher:
     `runs`: processes that refine several candidates at a time, if any.
     """
 
-    def __init__(self, files: list[ProblemFile], backend: str, *, alone: bool = False) -> None:
+    def __init__(self, files: list[ProblemFile], backend: str, alone: bool = False) -> None:
         self.files, self.backend, self.alone = files, backend, alone
-        minimax = path_model(files[0]).measure == "max" and not alone
-        self.method = MINIMAX if minimax else backend
+        self.task = path_model(files[0])
+        self.method = MINIMAX if self.task.measure == "max" and not alone else backend
         self.programmes: dict[tuple[int, int], NLP] = {}
         self.runs: Runs | None = None
 
     def programme(self, variant: int, direction: int) -> NLP:
         """Return the NLP of a file with definite assembly modes; the crank direction, +1 or -1, matters with free timing only."""
-        key = (variant, direction if path_model(self.files[variant]).data.offsets is None else 1)
+        key = (variant, direction if self.task.data.offsets is None else 1)
         if key not in self.programmes:
             self.programmes[key] = build_path_nlp(path_model(self.files[variant]), key[1])
         return self.programmes[key]
@@ -150,16 +150,10 @@ class Polisher:
     def _scaled_point(self, candidate: Candidate) -> Solution:
         """Return a candidate as a point of its NLP."""
         nlp = self.programme(candidate.variant, candidate.direction)
-        timed = path_model(self.files[candidate.variant]).data.offsets is None
-        x = np.concatenate([candidate.x, candidate.t]) if timed else candidate.x
+        x = candidate.x if self.task.data.offsets is not None else np.concatenate([candidate.x, candidate.t])
         if len(nlp.variables) > len(x):
             x = np.append(x, 0.0)  # the largest deviation; `given` sets it
         return multistart.solution_at(nlp, np.clip(x, nlp.x_low, nlp.x_high), FOUND)
-
-
-def _polisher(files: list[ProblemFile], backend: str, alone: bool) -> Polisher:
-    """Return a polisher for `PolishTask`."""
-    return Polisher(files, backend, alone=alone)
 
 
 def feasible(design: PathDesign) -> PathDesign:
@@ -185,16 +179,15 @@ class DesignCollection:
     """
 
     def __init__(self, polisher: Polisher, requested: int) -> None:
-        self.polisher, self.requested = polisher, requested
+        self.polisher, self.requested, self.task = polisher, requested, polisher.task
         self.designs: list[PathDesign] = []
         self.nearest: PathDesign | None = None
         self._ends: dict[Candidate, PathDesign] = {}
-        self._tries = COMPOUND_TRIES if has_several_dyads(path_model(polisher.files[0])) else PER_ROUND
-        self._failures = (
-            (COMPOUND_TRIES, 1) if has_several_dyads(path_model(polisher.files[0])) else (TRIES * requested, REORDERED)
-        )
-        self._allowed = _allowed_cost(path_model(polisher.files[0]))
-        self._exact_cost = ROUNDED**2 * len(path_model(polisher.files[0]).data.columns)
+        self._compound = has_several_dyads(self.task)
+        self._tries = COMPOUND_TRIES if self._compound else PER_ROUND
+        self._failures = (COMPOUND_TRIES, 1) if self._compound else (TRIES * requested, REORDERED)
+        self._allowed = _allowed_cost(self.task)
+        self._exact_cost = ROUNDED**2 * len(self.task.data.columns)
         self._first = True
         self._accepted = 1.0  # share of the starting points that end in the order of the points and within the limits
         self._idle = 0  # rounds in a row whose reordered candidates improved no design
@@ -223,9 +216,7 @@ class DesignCollection:
     @property
     def grade(self) -> str:
         """How well the best design fits at the points; exact without design and for linkages of several dyads."""
-        if not self.designs or has_several_dyads(self.designs[0].task):
-            return "exact"
-        fit = self.designs[0].fit
+        fit = self.designs[0].fit if self.designs and not self._compound else None
         return "exact" if fit is None else fit.at_points
 
     @property
@@ -241,7 +232,7 @@ class DesignCollection:
         in their order, and where the best design misses them. Any crank passes three points in their order, in one direction or
         the other.
         """
-        data = path_model(self.polisher.files[0]).data
+        data = self.task.data
         if data.offsets is not None or len(data.columns) <= ANY_ORDER:
             return 1.0
         share = min(1.0, self._accepted / MOST_IN_ORDER)
@@ -407,9 +398,7 @@ def designs_from_four_bar(
     begun: list[Candidate] = []
     ended: list[Candidate] = []
     for variant, file in enumerate(files):
-        task = file.model
-        assert isinstance(task, PathProblem)
-        batch = Batch(task)
+        batch = Batch(path_model(file))
         grown = [
             grow_from_four_bar(
                 replace(part, file=part_design.problem), batch, part_design.values, part_design.crank_angles, STARTS, rng

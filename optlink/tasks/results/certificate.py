@@ -51,11 +51,6 @@ class Cover:
     limits: tuple[str, ...]
     sides: Mapping[str, int] = field(default_factory=dict)
 
-    @property
-    def names(self) -> list[str]:
-        """Names of the tests."""
-        return [TESTS[k] for k in self.test]
-
 
 MOST_DRAWN = 3_000
 """Boxes of two design variables up to which they are drawn, and a result contains them."""
@@ -198,18 +193,6 @@ def share_text(share: float) -> str:
     return (shown.rstrip("0").rstrip(".") if digits else shown) + " %"
 
 
-def _cover_document(cover: Cover) -> dict[str, Any]:
-    """Return the boxes of a cover as plain data, with the multipliers above zero."""
-    return {
-        "assembly": cover.assembly,
-        "low": cover.low.tolist(),
-        "high": cover.high.tolist(),
-        "test": cover.names,
-        "limits": list(cover.limits),
-        "multipliers": [{str(k): float(row[k]) for k in np.flatnonzero(row > 0.0)} for row in cover.multipliers],
-    }
-
-
 def sides_of(linkage: Mechanism) -> dict[str, int]:
     """Return the assembly mode of every dyad that has two, +1 or -1, by its joint."""
     return {group.joint: group.side for group in linkage.groups if isinstance(group, ModalDyad)}
@@ -233,5 +216,15 @@ def certificate_document(certificate: Certificate, result: Any) -> dict[str, Any
         "asked": certificate.asked,
         "unknowns": list(certificate.unknowns),
         "design": dict(result.design) if certificate.proven else None,
-        "covers": [_cover_document(cover) for cover in certificate.covers],
+        "covers": [
+            {
+                "assembly": cover.assembly,
+                "low": cover.low.tolist(),
+                "high": cover.high.tolist(),
+                "test": [TESTS[k] for k in cover.test],
+                "limits": list(cover.limits),
+                "multipliers": [{str(k): float(row[k]) for k in np.flatnonzero(row > 0.0)} for row in cover.multipliers],
+            }
+            for cover in certificate.covers
+        ],
     }

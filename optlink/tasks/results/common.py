@@ -182,12 +182,6 @@ class DesignResult(Protocol):
         ...
 
 
-def iteration_figures(solution: Solution) -> dict[str, Any]:
-    """Return what the document states of the solution of one solver, without its design."""
-    names = ("status", "objective", "iterations", "kkt", "violation", "message")
-    return {name: getattr(solution, name) for name in names}
-
-
 def of_solution(name: str) -> Callable[[Any], Any]:
     """Return the source of a figure of the solution, which a design that was not searched lacks."""
     return lambda result: getattr(result.solution, name, None)
@@ -195,10 +189,15 @@ def of_solution(name: str) -> Callable[[Any], Any]:
 
 SEARCHED: Mapping[str, Source] = {"message": "message", "valid": "valid", "notes": "notes"}
 """Computed entries of the document of every search."""
+FIGURES = ("status", "objective", "iterations", "kkt", "violation", "message")
 FOUND: Mapping[str, Source] = {
     "rejected?": "rejected",
     "backends?": lambda result: (
-        {name: {"design": result.displayed(one.design)} | iteration_figures(one) for name, one in result.backends.items()} or None
+        {
+            name: {"design": result.displayed(one.design), **{figure: getattr(one, figure) for figure in FIGURES}}
+            for name, one in result.backends.items()
+        }
+        or None
     ),
 }
 """Computed entries of designs that are not the best one."""

@@ -158,8 +158,13 @@ def outward(side: Relaxation, digits: int) -> float:
     """Round a relaxed value to significant digits, away from its limit value."""
     if not math.isfinite(side.relaxed) or side.relaxed == 0.0:
         return side.relaxed
-    rounding, sign = (ROUND_CEILING, 1.0) if side.relaxed > side.bound else (ROUND_FLOOR, -1.0)
-    return float(Context(digits, rounding).create_decimal_from_float(side.relaxed + sign * MARGIN * abs(side.relaxed)))
+    up = side.relaxed > side.bound
+    return rounded(side.relaxed + (MARGIN if up else -MARGIN) * abs(side.relaxed), digits, up)
+
+
+def rounded(value: float, digits: int, up: bool) -> float:
+    """Round a value to significant digits in one direction."""
+    return float(Context(digits, ROUND_CEILING if up else ROUND_FLOOR).create_decimal_from_float(value))
 
 
 def _number(value: float) -> str:

@@ -34,8 +34,10 @@ from optlink.tasks.results.remedies import (
     PoorFitReason,
     curve_distances,
     fixed_reasons,
+    in_degrees,
     law_mode_reasons,
     path_mode_reasons,
+    rms,
     start_reasons,
 )
 
@@ -165,7 +167,7 @@ class TransmissionFit(Fit):
     def text(self) -> str:
         """The grade with its figure."""
         advised = f", below {math.degrees(FAIR_ANGLE):z.0f} deg" if self.grade == "poor" else ""
-        return f"{self.grade} transmission: least transmission angle is {_degrees(self.angle)}{advised}"
+        return f"{self.grade} transmission: least transmission angle is {in_degrees(self.angle)}{advised}"
 
 
 def transmission_fit(
@@ -188,10 +190,6 @@ def transmission_fit(
         return fit
     remaining = [limit for limit in limits if not any(words in f"{limit.key} {limit.name}" for words in TRANSMISSION_KEYS)]
     return replace(fit, reasons=(*active_reasons(remaining), *fixed_reasons(quantities, values, solution, task)))
-
-
-def _rms(values: Array) -> float:
-    return math.sqrt(float(np.mean(np.abs(values) ** 2)))
 
 
 def path_fit(
@@ -242,7 +240,7 @@ def path_fit(
         *_crowded(task, crank_angles),
         *_timed(task, values, crank_angles, measured),
         *_placed(task, values, measured),
-        *path_mode_reasons(problem, values, crank_angles, _rms(distances), "m" if task.pointed else str(task.unit)),
+        *path_mode_reasons(problem, values, crank_angles, rms(distances), "m" if task.pointed else str(task.unit)),
     ]
     reasons += [*active_reasons(limits), *fixed_reasons(_quantities(task), values, solution, task), *_kind(task, values)]
     return Fit(worst.error, worst.size, worst.unit, worst.of, tuple(reasons))
@@ -254,7 +252,7 @@ def _sized(errors: Array, size: float, unit: str, of: str, links: Sequence[float
     An angle error in radians is the error of the end of a lever, relative to its length.
     """
     whole, name = (1.0, "a radian") if unit == "rad" else (max(links, default=0.0), "the longest link")
-    return Fit(_rms(errors), *((whole, unit, name) if size <= NO_RANGE * whole else (size, unit, of)))
+    return Fit(rms(errors), *((whole, unit, name) if size <= NO_RANGE * whole else (size, unit, of)))
 
 
 def law_fit(problem: ProblemFile, values: Mapping[str, float], error: Array, solution: Solution | None = None) -> Fit | None:
@@ -298,7 +296,9 @@ def _rotating(task: PathProblem, values: Mapping[str, float]) -> Iterator[PoorFi
     turned, needed = float(np.ptp(np.unwrap(angle))), _rotation(task)
     if needed > turned:
         kind = _four_bar(task, values) or "linkage"
-        reason = f"the poses turn through {_degrees(needed)}, the {task.body} of this {kind} through {_degrees(turned)} at most"
+        reason = (
+            f"the poses turn through {in_degrees(needed)}, the {task.body} of this {kind} through {in_degrees(turned)} at most"
+        )
         suggestion = 'allow double-cranks, whose coupler turns fully (limits.crank = "double-crank"), or ' * (
             kind == "crank-rocker"
         )
@@ -311,7 +311,7 @@ def _timed(
     """Detect a curve that passes the points, but at crank angles other than those prescribed."""
     if task.requirement.kind != "path" or task.data.offsets is None:
         return
-    near, error = _rms(curve_distances(task, values, angles)), _rms(measured.distances)
+    near, error = rms(curve_distances(task, values, angles)), rms(measured.distances)
     if near < MAX_TIMED_ERROR * error:
         reason = f"the curve passes the points at an rms distance of {_length(near)}, but at other crank angles"
         yield PoorFitReason(reason, 'free the timing: requirement.timing = "free"')
@@ -342,11 +342,11 @@ def _placed(task: PathProblem, values: Mapping[str, float], measured: MeasuredDe
     path, goal = generated - np.mean(generated), targets - np.mean(targets)
     rotation = np.sum(goal * path.conj())
     turned = path * (rotation / abs(rotation)) if turn and abs(rotation) > 0.0 and task.requirement.kind == "path" else path
-    moved, error = _rms(goal - turned), _rms(measured.distances)
+    moved, error = rms(goal - turned), rms(measured.distances)
     if moved < MAX_DISPLACED_ERROR * error:
         place = f"({_length(values.get('A.x', 0.0))}, {_length(values.get('A.y', 0.0))})"
         fixed = [f"the crank pivot is fixed at {place}"] * pivot
-        fixed += [f"the frame's direction is fixed at {_degrees(values.get('direction', 0.0))}"] * turn
+        fixed += [f"the frame's direction is fixed at {in_degrees(values.get('direction', 0.0))}"] * turn
         gain = f"moved as a whole, this linkage has an rms error of {_length(moved)} instead of {_length(error)}"
         keys = ["mechanism.pivot"] * pivot + ["mechanism.direction"] * turn
         yield PoorFitReason(f"{' and '.join(fixed)}; {gain}", f"free {' and '.join(keys)} by bounds")
@@ -391,7 +391,3 @@ def _kind(task: PathProblem, values: Mapping[str, float]) -> Iterator[PoorFitRea
 
 def _length(value: float) -> str:
     return f"{1e3 * value:.3g} mm"
-
-
-def _degrees(value: float) -> str:
-    return f"{math.degrees(value):.4g} deg"

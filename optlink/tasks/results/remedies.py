@@ -53,7 +53,7 @@ def start_reasons(task: DesignProblem, values: Mapping[str, float], error: float
     own = isinstance(law, Function) or (isinstance(law, Table) and not law.from_start)
     if own or (isinstance(requirement.start, Quantity) and requirement.start.free):
         return
-    start = requirement.start if isinstance(requirement.start, str) else _degrees(requirement.start.value)
+    start = requirement.start if isinstance(requirement.start, str) else in_degrees(requirement.start.value)
     default = "start" not in requirement.model_fields_set
     reason = f"the law starts at the {start}, the default of requirement.from" if default else f"the law starts at {start}"
     angles = np.linspace(0.0, TURN, STARTS, endpoint=False)
@@ -61,8 +61,8 @@ def start_reasons(task: DesignProblem, values: Mapping[str, float], error: float
     best = int(np.argmin(np.where(np.isfinite(errors), errors, np.inf)))
     gain = math.isfinite(errors[best]) and errors[best] < BETTER * error
     if gain:
-        reason += f"; from {_degrees(angles[best])} the same linkage has an rms error of {_degrees(errors[best])}"
-        reason += f" instead of {_degrees(error)}"
+        reason += f"; from {in_degrees(angles[best])} the same linkage has an rms error of {in_degrees(errors[best])}"
+        reason += f" instead of {in_degrees(error)}"
     if gain or default:
         yield PoorFitReason(reason, FREE_START)
 
@@ -90,7 +90,7 @@ def law_mode_reasons(problem: ProblemFile, values: Mapping[str, float], error: f
     def measured(variant: ProblemFile) -> float:
         task = variant.spec
         mirrored = task.design({name: values[name] for name in task.quantities})
-        return _rms(error_at(task, mirrored, task.law.offsets))
+        return rms(error_at(task, mirrored, task.law.offsets))
 
     yield from _mode_reasons(problem, error, "rad", measured)
 
@@ -109,7 +109,7 @@ def path_mode_reasons(
         task = variant.model
         assert isinstance(task, PathProblem)
         if task.pointed and task.data.offsets is None:
-            return _rms(curve_distances(task, values, crank_angles))
+            return rms(curve_distances(task, values, crank_angles))
         begins = np.linspace(0.0, TURN, STARTS, endpoint=False) if START in task.free else [values.get(START, 0.0)]
         errors = [_deviation(task, {**values, START: float(begin)}) for begin in begins]
         return min(filter(math.isfinite, errors), default=math.inf)
@@ -126,12 +126,12 @@ def _deviation(task: PathProblem, values: Mapping[str, float]) -> float:
 
     measured = deviations(task, values, task.crank_angles(values, None))
     if ZERO not in task.free:
-        return _rms(measured.distances)
+        return rms(measured.distances)
     error = measured.generated[:, 0] - task.prescribed_outputs(values)
     if task.slides:
         return float(np.std(error))
     middle = np.angle(np.mean(np.exp(1j * error)))
-    return _rms(np.remainder(error - middle + math.pi, TURN) - math.pi)
+    return rms(np.remainder(error - middle + math.pi, TURN) - math.pi)
 
 
 def curve_distances(task: PathProblem, values: Mapping[str, float], crank_angles: Array) -> Array:
@@ -158,10 +158,10 @@ def _mode_reasons(
             variant = problem.override({**problem.located, **change})
         except InputError:  # a mode that the problem does not permit
             continue
-        rms = measured(variant)
-        if rms < min(best, BETTER * error):
+        other_error = measured(variant)
+        if other_error < min(best, BETTER * error):
             pairs = zip(linkage.groups, variant.model.linkage.groups, strict=True)
-            best, changed = rms, {one.joint: _mode(change, one.joint) for one, other in pairs if one != other}
+            best, changed = other_error, {one.joint: _mode(change, one.joint) for one, other in pairs if one != other}
     if not changed:
         return
     modes = " and ".join(f"{joint} {mode}" for joint, (_, mode) in changed.items())
@@ -175,12 +175,13 @@ def _mode(change: Mapping[str, str], joint: str) -> tuple[str, str]:
     return key, f"to the {mode}" if mode else change[key]
 
 
-def _rms(values: Array) -> float:
-    return math.sqrt(float(np.mean(values**2)))
+def rms(values: Array) -> float:
+    """Return the root mean square of numbers, also complex ones."""
+    return math.sqrt(float(np.mean(np.abs(values) ** 2)))
 
 
 def _shown(value: float, unit: str) -> str:
-    return _degrees(value) if unit == "rad" else f"{1e3 * value:.4g} mm"
+    return in_degrees(value) if unit == "rad" else f"{1e3 * value:.4g} mm"
 
 
 def fixed_reasons(
@@ -235,5 +236,6 @@ def fixed_effects(solution: Solution, task: Problem) -> dict[str, float]:
     return effects
 
 
-def _degrees(value: float) -> str:
+def in_degrees(value: float) -> str:
+    """Format an angle [rad]."""
     return f"{math.degrees(value):.4g} deg"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Mapping
-from decimal import ROUND_CEILING, ROUND_FLOOR, Context
 from typing import NamedTuple
 
 from optlink.linkage.dyad_types import RRP, RRR
@@ -13,11 +12,11 @@ from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.mechanism import FRAME, Link, Mechanism
 from optlink.problem.mechanism import DyadsSection, FourBarSection
 from optlink.problem.quantity import Quantity
+from optlink.tasks.results.conflict import DIGITS, rounded
 
 SHORTEST = {"full rotation": ("crank",), "double-crank": ("frame",), "": ("crank", "frame")}
 """Possible shortest links by `limits.crank`; empty: without this limit."""
 INSIDE = 1e-4  # share of the longest link by which a changed bound goes beyond the least change, at first
-DIGITS = 4
 
 
 class Length(NamedTuple):
@@ -195,5 +194,4 @@ def _angle(violation: Violation, sizes: Mapping[str, float]) -> float:
 
 def _outward(value: float, upper: bool) -> float:
     """Return a length with few digits [m], rounded so that the bound becomes wider."""
-    rounding = ROUND_CEILING if upper else ROUND_FLOOR
-    return float(Context(DIGITS, rounding).create_decimal_from_float(1e3 * value)) * 1e-3
+    return rounded(1e3 * value, DIGITS, upper) * 1e-3
