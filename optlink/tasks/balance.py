@@ -49,6 +49,9 @@ from optlink.tasks.results.balance import (
 )
 from optlink.units import percent
 
+Goal = Sequence[tuple[BalanceMeasure, float]]
+"""Measures to minimise together, with their weights."""
+
 # --- the problem ------------------------------------------------------------------------------------------------------------
 
 
@@ -246,7 +249,7 @@ def _pair(text: str, task: _Task) -> tuple[BalanceMeasure, BalanceMeasure]:
     return _measure(first, "--trade", task), _measure(second, "--trade", task)
 
 
-def _check(task: _Task, goal: Sequence[tuple[BalanceMeasure, float]], pair: Sequence[BalanceMeasure], points: int) -> None:
+def _check(task: _Task, goal: Goal, pair: Sequence[BalanceMeasure], points: int) -> None:
     """Refuse measures that are zero already: they cannot be reduced, and no relative value is defined."""
     check_range("--points", points, 3, 1000)
     if len(pair) == 2 and pair[0] == pair[1]:
@@ -409,7 +412,7 @@ def _heavier(machine: Machine, added: Sequence[AddedCounterweight], springs: Seq
 
 def _notes(
     task: _Task,
-    goal: Sequence[tuple[BalanceMeasure, float]],
+    goal: Goal,
     status: Status,
     slack: float,
     heavier: Machine,
@@ -437,7 +440,7 @@ def _notes(
     return notes
 
 
-def _between(task: _Task, goal: Sequence[tuple[BalanceMeasure, float]], heavier: Machine) -> list[str]:
+def _between(task: _Task, goal: Goal, heavier: Machine) -> list[str]:
     """Return notes on higher values between the positions, for largest amounts that are minimised or limited."""
     largest = [m for m in (*(m for m, _ in goal), *(m for m, _ in task.limited)) if m.of == "largest"]
     if not largest:

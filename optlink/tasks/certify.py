@@ -24,7 +24,7 @@ from optlink.solvers.global_search.lagrangian import Guess, LagrangianBounds
 from optlink.solvers.global_search.quadratic import least_squares
 from optlink.tasks.function import FunctionResult
 from optlink.tasks.function_search import certified_by_default
-from optlink.tasks.protocol import completed
+from optlink.tasks.protocol import Proving, completed
 from optlink.tasks.results.certificate import (
     GLOBAL,
     GLOBAL_GAP,
@@ -43,8 +43,6 @@ if TYPE_CHECKING:
     from optlink.tasks.results.path import PathResult
 
 Certified = TypeVar("Certified", FunctionResult, "PathResult")
-Progress = Callable[[float, float], None]
-"""Receives the share of the bounds that is done, and the present gap (NaN without a design)."""
 
 ACTIVE = 1e-6  # slack of a limit, and share of the bounds from one, below which it counts as active at the best design
 NEAR_LARGEST = 1e-3  # share below the largest deviation within which others are as large
@@ -97,7 +95,7 @@ def certify(
     result: Certified,
     gap: float = GLOBAL_GAP,
     time_limit: float = math.inf,
-    progress: Progress | None = None,
+    progress: Proving = None,
     seed: int = 0,
     boxes: float = math.inf,
     original: ProblemFile | None = None,
@@ -130,7 +128,7 @@ class _Search:
     runs: Runs | None = None
     improved: bool = False
 
-    def run(self, seconds: float, boxes: float, progress: Progress | None) -> Any:
+    def run(self, seconds: float, boxes: float, progress: Proving) -> Any:
         """Search every assembly mode, each with the best design found so far."""
         begin = time.perf_counter()
         variants = self.original.variants()
@@ -235,7 +233,7 @@ class _Search:
 
     # --- the finding -----------------------------------------------------------------------------------------------
 
-    def _report(self, progress: Progress | None, searches: list[BranchAndBound], k: int, search: BranchAndBound) -> None:
+    def _report(self, progress: Proving, searches: list[BranchAndBound], k: int, search: BranchAndBound) -> None:
         if progress is None:
             return
         volume = float(np.prod(search.bounder.high - search.bounder.low))
@@ -298,7 +296,7 @@ class _Search:
 class _ErrorSearch(_Search):
     """The search of a function whose largest error is minimised: over start angles, with all link lengths at once."""
 
-    def run(self, seconds: float, boxes: float, progress: Progress | None) -> Any:
+    def run(self, seconds: float, boxes: float, progress: Proving) -> Any:
         """Search all assembly modes."""
         begin = time.perf_counter()
         model, share = self.original.model, GAP_SHARE * self.gap
@@ -319,7 +317,7 @@ class _PathSearch(_Search):
 
     failed = 0
 
-    def run(self, seconds: float, boxes: float, progress: Progress | None) -> Any:
+    def run(self, seconds: float, boxes: float, progress: Proving) -> Any:
         """Search all assembly modes."""
         from optlink.problem.path import PathProblem
         from optlink.solvers.global_search.timed_path import TimedPathBounds

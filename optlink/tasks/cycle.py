@@ -12,7 +12,7 @@ import numpy as np
 from optlink.errors import InputError, Status
 from optlink.execution import interrupts
 from optlink.linkage.vector2d import Array
-from optlink.problem.cycle.model import Bound, CycleProblem
+from optlink.problem.cycle.model import CycleProblem
 from optlink.problem.file import ProblemFile
 from optlink.problem.function import EPIGRAPH
 from optlink.problem.quantity import input_of
@@ -302,7 +302,8 @@ def _refined(nlp: CycleNLP, solutions: dict[str, Solution]) -> tuple[CycleNLP, d
             if bound.term.integral:
                 size = factor(bound.interval.unit, bound.interval.kind or "")
                 validated = values[bound.key] * size
-                gaps.append(abs(cycle.figure(bound.term) - validated) / max(abs(validated), *map(abs, _ends(bound))))
+                ends = [abs(end) for end in (bound.interval.low, bound.interval.high) if end]
+                gaps.append(abs(cycle.figure(bound.term) - validated) / max(abs(validated), *ends, 1e-300))
         if max(gaps) <= INTEGRAL_TOLERANCE:
             break
         nodes *= 2
@@ -315,16 +316,12 @@ def _refined(nlp: CycleNLP, solutions: dict[str, Solution]) -> tuple[CycleNLP, d
     return nlp, solutions
 
 
-def _ends(bound: Bound) -> list[float]:
-    """Return the limits of a figure [SI] other than zero, the reference of relative accuracy."""
-    return [value for value in (bound.interval.low, bound.interval.high) if value] or [1e-300]
-
-
 def _agreement(solutions: Mapping[str, Solution]) -> tuple[Check, ...]:
     """Check that both solvers found the same objective, and the same dimensions unless several are equally good."""
     from optlink.solvers.multistart import SAME_DESIGN, compare
 
     first, second = solutions.values()
-    same, count = compare(first, second), len(first.design)
+    count = len(first.design)
     gap = float(np.max(np.abs(first.x[:count] - second.x[:count])))
-    return agreement("sizes", same.same, (same.objective, gap), SAME_DESIGN, f"<= {SAME_DESIGN:.0e}", "of the size")
+    gaps = replace(compare(first, second), design=gap)
+    return agreement("sizes", gaps, SAME_DESIGN, f"<= {SAME_DESIGN:.0e}", "of the size")

@@ -35,11 +35,10 @@ from optlink.synthesis.freudenstein import FirstStep
 from optlink.tasks.machine import UNKNOWN_QUANTITY, turning_machine
 from optlink.tasks.modes import best_mode
 from optlink.tasks.protocol import DesignTask, Search, agreement, part
-from optlink.tasks.results.common import ROUNDED, SingleResult, better
+from optlink.tasks.results.common import ROUNDED, RejectedDesign, SingleResult, best_rejected, better
 from optlink.tasks.results.default_margins import margin_notes
 from optlink.tasks.results.evidence import Evidence, evidence
 from optlink.tasks.results.fit import Fit, law_fit
-from optlink.tasks.results.rejected import RejectedDesign, best_rejected
 from optlink.tasks.results.rotation import cannot_turn
 from optlink.units import KINDS, show
 from optlink.validation import Check, validate as validate_law
@@ -290,8 +289,7 @@ def _search(problem: ProblemFile, search: Search) -> FunctionResult:
     if len(search.names) > 1:
         backends = multistart.reconcile(nlp, backends)
         winner = min([winner, *(chosen.judge(solution) for solution in backends.values())], key=lambda candidate: candidate.rank)
-        gaps = multistart.compare(*backends.values())
-        checks = agreement("design", gaps.same, (gaps.objective, gaps.design), SAME_DESIGN, "<= 1e-06 frame")
+        checks = agreement("design", multistart.compare(*backends.values()), SAME_DESIGN, "<= 1e-06 frame")
     search.timer.lap("solve")
     validating = sum(item.validating for item in searches.values())
     return FunctionResult(

@@ -184,7 +184,7 @@ def _compared(problem: ProblemFile, search: Search, one: Callable[[ProblemFile, 
             solution = again if solution is None else multistart.best([solution, again])
         solutions[name] = solution
     gaps = multistart.compare(*solutions.values())
-    checks = agreement("design", gaps.same, (gaps.objective, gaps.design), SAME_DESIGN, f"<= {SAME_DESIGN:.0e} of the size")
+    checks = agreement("design", gaps, SAME_DESIGN, f"<= {SAME_DESIGN:.0e} of the size")
     judged = replace(best, validation=replace(best.validation, checks=(*best.validation.checks, *checks)))
     return replace(
         winner,

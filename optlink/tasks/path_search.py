@@ -24,10 +24,17 @@ from optlink.synthesis.batch import Batch
 from optlink.synthesis.batch_search import Candidate, Exploration, acceptable
 from optlink.synthesis.growth import ContainedFourBar, grow_from_four_bar
 from optlink.synthesis.levenberg_marquardt import minimise
-from optlink.tasks.results.common import OPTIMALITY_CHECK, ROUNDED, inexact, with_optimality
+from optlink.tasks.results.common import (
+    BETTER,
+    OPTIMALITY_CHECK,
+    ROUNDED,
+    RejectedDesign,
+    best_rejected,
+    inexact,
+    with_optimality,
+)
 from optlink.tasks.results.evidence import Evidence, evidence, tally
 from optlink.tasks.results.path import PathDesign
-from optlink.tasks.results.rejected import BETTER, RejectedDesign, best_rejected
 from optlink.validation.path import validate_path
 
 TRIES = 6  # candidates refined in the first round per requested design, while too few are valid

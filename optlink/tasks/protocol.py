@@ -20,6 +20,7 @@ from optlink.validation.check import Check
 if TYPE_CHECKING:
     from optlink.linkage.vector2d import Array
     from optlink.optimization.nlp import NLP
+    from optlink.solvers.multistart import Agreement
     from optlink.tasks.results.balance import Balance
     from optlink.tasks.results.common import DesignResult
 
@@ -27,6 +28,8 @@ R = TypeVar("R", bound="DesignResult | Balance")
 MAX_DESIGNS = 50
 Progress = Callable[[float], None] | None
 """Receives the share of the work that is done, from 0 to 1."""
+Proving = Callable[[float, float], None] | None
+"""Receives the share of the bounds that is done, and the present gap (NaN without a design)."""
 
 
 class Timer:
@@ -42,19 +45,16 @@ class Timer:
         self.seconds[stage], self._last = now - self._last, now
 
 
-def agreement(
-    what: str, same: bool, gaps: tuple[float, float], nearest_design: float, limit: str, unit: str = ""
-) -> tuple[Check, ...]:
+def agreement(what: str, gaps: Agreement, nearest_design: float, limit: str, unit: str = "") -> tuple[Check, ...]:
     """Check that two back ends found the same objective, and the same design unless several are equally good.
 
-    `gaps` are the relative difference of the objectives and that of the designs [`unit`]; up to `nearest_design`, shown as
-    `limit`, two designs are the same.
+    Up to `nearest_design`, shown as `limit`, two designs are the same.
     """
-    equal = gaps[1] <= nearest_design
-    words = "" if equal or not same else " (two of equal value)"
+    equal = gaps.design <= nearest_design
+    words = "" if equal or not gaps.same else " (two of equal value)"
     return (
-        Check("both back ends agree: objective", same, gaps[0], "<= 1e-06", ""),
-        Check(f"both back ends agree: {what}{words}", same, gaps[1], limit if equal else "-", unit),
+        Check("both back ends agree: objective", gaps.same, gaps.objective, "<= 1e-06", ""),
+        Check(f"both back ends agree: {what}{words}", gaps.same, gaps.design, limit if equal else "-", unit),
     )
 
 

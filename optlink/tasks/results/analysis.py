@@ -16,14 +16,9 @@ from optlink.linkage.stroke import Ranges, Travel, within_cycle
 from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.document import Source, Tabled
 from optlink.problem.file import ProblemFile
-from optlink.tasks.results.extremes import Extreme, Extremes
+from optlink.tasks.results.extremes import Extremes
 
 FLYWHEEL = ("mean_speed", "mean_torque", "fluctuation", "allowed", "inertia")
-
-
-def _extreme_document(extreme: Extreme) -> dict[str, float]:
-    angles = {"min_at_deg": math.degrees(extreme.least_at), "max_at_deg": math.degrees(extreme.largest_at)}
-    return {"min": extreme.least, "max": extreme.largest, **angles}
 
 
 def _singular_documents(ranges: Ranges) -> list[dict[str, Any]]:
@@ -67,7 +62,10 @@ class Analysis(Tabled):
         "reactions": lambda result: reaction_conventions(result.machine),
         "strokes": lambda result: result.documents(result.strokes, "m"),
         "swings": lambda result: result.documents(result.swings, "rad"),
-        "extremes": lambda result: {name: _extreme_document(extreme) for name, extreme in result.extremes.items()},
+        "extremes": lambda result: {
+            name: {"min": low, "max": high, "min_at_deg": math.degrees(low_at), "max_at_deg": math.degrees(high_at)}
+            for name, (low, low_at, high, high_at) in result.extremes.items()
+        },
         "load_jumps_deg": lambda result: result.within(result.jumps),
         "work_J": "work",
         "singular_deg": lambda result: result.within(result.singular),

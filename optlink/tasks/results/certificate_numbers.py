@@ -85,14 +85,17 @@ def _of_law(model: DesignProblem) -> Numbers:
         "kind": "law",
         "offsets": model.law.offsets.tolist(),
         "span": model.span,
+        **_EMPTY,
         "start": start if start in DEAD_CENTRES and "phi0" not in model.quantities else None,
         "law": _law(model.law),
         "output": "rocker",
-        **_NO_POINTS,
     }
 
 
-_NO_POINTS: Numbers = {"slides": False, "point": "", "body": "", "radian": 1.0, "targets": [], "roots": [], "tolerances": []}
+_EMPTY: Numbers = {
+    **{"start": None, "law": None, "output": "", "slides": False, "point": "", "body": "", "radian": 1.0},
+    **{"targets": [], "roots": [], "tolerances": []},
+}
 
 
 def _of_positions(model: PathProblem) -> Numbers:
@@ -103,10 +106,7 @@ def _of_positions(model: PathProblem) -> Numbers:
         "kind": requirement.kind,
         "offsets": data.offsets.tolist(),
         "span": float(data.offsets[-1] - data.offsets[0]),
-        "start": None,
-        "law": None,
-        "output": "",
-        **_NO_POINTS,
+        **_EMPTY,
     }
     if requirement.kind == "function":
         return numbers | {"law": _law(model.law), "output": str(requirement.output), "slides": model.slides}

@@ -1,6 +1,6 @@
 """Common interface of search results: validity, optimality checks, JSON document."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, ClassVar, Protocol, Self
@@ -12,13 +12,13 @@ from optlink.problem.file import ProblemFile
 from optlink.solvers.solution import FEASIBLE, STATIONARY, LimitState, Relaxation, Solution
 from optlink.tasks.results.certificate import Certificate, message
 from optlink.tasks.results.conflict import refutation
-from optlink.tasks.results.rejected import RejectedDesign, best_rejected
 from optlink.validation.check import MEASURED, MEASURED_ROBUST, Check, Validation
 
 ROUNDED = 2e-7
 """Root mean square of the deviations, as a share of the size of the curve or in rad, below which a design is as good as exact:
 targets with six decimals leave that much."""
 OPTIMALITY_CHECK, LIMITS_CHECK = "optimality (KKT residual)", "all limits met (scaled)"  # names of checks
+BETTER = 1e-6  # relative difference by which the objective of a better optimum is less
 INEXACT = frozenset({OPTIMALITY_CHECK, LIMITS_CHECK, MEASURED, MEASURED_ROBUST})
 """Checks that a design may fail because its search ended too early: it is refined and measured again."""
 
@@ -31,6 +31,47 @@ class Optimum:
     objective: Number
     count: int
     assembly: str = ""
+
+
+@dataclass(frozen=True)
+class RejectedDesign:
+    """A better optimum that was not accepted: the problem with its assembly modes, design and objective [SI], failed checks."""
+
+    shown: ClassVar[Mapping[str, Source]] = {
+        "design": lambda rejected: rejected.problem.model.displayed(rejected.design),
+        **{name: name for name in ("objective", "assembly", "failed")},
+    }
+
+    problem: ProblemFile
+    design: Mapping[str, Number]
+    objective: Number
+    failed: tuple[Check, ...]
+
+    @property
+    def assembly(self) -> Any:
+        """Assembly modes, in the words of the problem file."""
+        return self.problem.raw["mechanism"].get("assembly", "left")
+
+    @property
+    def note(self) -> str:
+        """The note for the user: objective, design, and the first failed check."""
+        model, first = self.problem.model, self.failed[0]
+        objective = model.shown_objective(self.objective)
+        sizes = [(name, *model.display(name)) for name in model.free]
+        design = ", ".join(f"{name} {self.design[name] * size:z.4f} {shown}".rstrip() for name, size, shown in sizes)
+        more = f", and {len(self.failed) - 1} more" if len(self.failed) > 1 else ""
+        return (
+            f"a better optimum was found but not accepted: {objective.value:.4g} {objective.unit}".rstrip()
+            + f' ({design}; assembly {self.assembly}); it fails the check "{first.name}" '
+            + f"({first.value:.4g} {first.unit}".rstrip()
+            + f", required {first.limit}){more}"
+        )
+
+
+def best_rejected(designs: Iterable[RejectedDesign | None], objective: float) -> RejectedDesign | None:
+    """Return the best of some rejected designs if it is better than the objective of the accepted one, else None."""
+    better = [one for one in designs if one is not None and one.objective < objective * (1.0 - BETTER)]
+    return min(better, key=lambda one: one.objective, default=None)
 
 
 def verified(status: Status, validation: Validation) -> bool:
