@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from optlink.linkage.fourbar import four_bar, grashof
     from optlink.problem.file import ProblemFile, load, read, shipped
     from optlink.problem.templates import new
-    from optlink.report.html.notebook import Explorer
     from optlink.report.stored import read_result
     from optlink.studio import explore
     from optlink.tasks.analyze import analyze
@@ -45,7 +44,6 @@ _NAMES = {
     "optlink.linkage.fourbar": ("four_bar", "grashof"),
     "optlink.problem.file": ("ProblemFile", "load", "read", "shipped"),
     "optlink.problem.templates": ("new",),
-    "optlink.report.html.notebook": ("Explorer",),
     "optlink.report.stored": ("read_result",),
     "optlink.studio": ("explore",),
     "optlink.tasks.analyze": ("analyze",),
@@ -74,7 +72,6 @@ __all__ = [
     "Comparison",
     "CycleResult",
     "DesignResult",
-    "Explorer",
     "FunctionResult",
     "InputError",
     "InverseMotion",

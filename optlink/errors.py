@@ -93,13 +93,7 @@ _OPTION = re.compile(r'(`[^`]*`)|(?<![\w-])--([a-z][a-z-]*)(?: ("[^"]*"|[A-Z\d][
 
 
 def arguments_for_options(text: str) -> str:
-    """Replace the options of commands by arguments: `--time-limit` by time_limit; commands in backticks remain as they are.
-
-    Parameters
-    ----------
-    text : str
-        Text of an error.
-    """
+    """Replace the options of commands by arguments: `--time-limit` by time_limit; commands in backticks remain as they are."""
 
     def argument(match: re.Match[str]) -> str:
         command, option, value = match.groups()
@@ -118,12 +112,7 @@ LIKE = 0.62
 def nearest(key: str, choices: Iterable[str], deeper: Sequence[str] = ()) -> str:
     """Return a remedy for an unknown name: the shortest that contain it, or else the closest one, and all known ones.
 
-    Parameters
-    ----------
-    key : str
-        The unknown name.
-    deeper : sequence of str
-        Full names that end with it, which are meant rather than others.
+    `deeper` are full names that end with it, which are meant rather than others.
     """
     import difflib
 

@@ -103,19 +103,8 @@ def elementwise(function: Any, shared: int, count: int) -> Any:
     casadi's virtual machine spends most of its time on the choice of the operation: it evaluates a function of SX expressions one
     number at a time, one of MX expressions one vector at a time.
 
-    Parameters
-    ----------
-    function : casadi.Function
-        Of SX expressions.
-    shared : int
-        Number of its first inputs that are the same at every position.
-    count : int
-        Number of positions.
-
-    Returns
-    -------
-    casadi.Function
-        Its other inputs have a row for each position and a column for each element; so have its results, for all elements.
+    The first `shared` inputs of `function` (of SX expressions) are the same at all `count` positions. Each other input of the
+    result has a row for each position and a column for each element; so have its results, for all elements.
     """
     whole = dense_function(function.sx_in(), list(function.call(function.sx_in())))
     rows = [1 if i < shared else count for i in range(whole.n_in())]
@@ -175,16 +164,7 @@ class NumpyEvaluator:
         self._one_thread = threading.Lock()  # at a time: a block has its own inputs and results
 
     def __call__(self, *inputs: Any) -> Array:
-        """Evaluate the expressions.
-
-        Parameters
-        ----------
-        inputs : floats or arrays that broadcast to (rows, ...), one per scalar input
-
-        Returns
-        -------
-        array (outputs, rows, ...)
-        """
+        """Evaluate the expressions at arrays that broadcast to (rows, ...), one per scalar input; return (outputs, rows, ...)."""
         arrays = [np.asarray(x, dtype=float) for x in inputs]
         shape = np.broadcast_shapes(*{x.shape for x in arrays})
         first, *others = shape or (1,)
@@ -192,17 +172,13 @@ class NumpyEvaluator:
         out = np.empty((self.outputs, first * width))
         rows = max(1, PORTION // max(1, width))
         with self._one_thread:
-            block = self._block(first * width)
+            size = BLOCKS[0] if first * width <= 2 * BLOCKS[0] else BLOCKS[1]
+            if size not in self._blocks:
+                self._blocks[size] = _Block(self._function, size)
+            block = self._blocks[size]
             for row in range(0, first, rows):
                 given = np.empty((len(arrays), min(rows, first - row), *others))
                 for own, x in zip(given, arrays, strict=True):
                     own[...] = x[row : row + rows] if x.ndim == own.ndim and len(x) > 1 else x
                 block.evaluate(given.reshape(len(arrays), -1), out[:, row * width : (row + rows) * width])
         return out.reshape(self.outputs, *shape)
-
-    def _block(self, count: int) -> _Block:
-        """Return the function for as many positions."""
-        size = BLOCKS[0] if count <= 2 * BLOCKS[0] else BLOCKS[1]
-        if size not in self._blocks:
-            self._blocks[size] = _Block(self._function, size)
-        return self._blocks[size]

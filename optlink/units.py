@@ -191,13 +191,7 @@ def _product(factors: Iterator[tuple[_Unit, float]]) -> _Unit:
 
 
 def plain(text: str) -> str:
-    """Replace typographic signs: superscripts, degree and micro signs, dots of products, minus signs, fixed spaces.
-
-    Parameters
-    ----------
-    text : str
-        Text such as "−5 µm" or "2 kg·m²".
-    """
+    """Replace typographic signs: superscripts, degree and micro signs, dots of products, minus signs, fixed spaces."""
     if text.isascii():
         return text
     text = text.translate(_PLAIN)
@@ -225,14 +219,7 @@ def _unit(unit: str, kind: str) -> _Unit:
 
 
 def factor(unit: str, kind: str) -> float:
-    """Return the SI value of one `unit`.
-
-    Parameters
-    ----------
-    unit : str
-        A unit, for example "mm" or "kg*m^2".
-    kind : str
-        One of `KINDS`.
+    """Return the SI value of one `unit` of a kind of `KINDS`, for example "mm" or "kg*m^2".
 
     Raises
     ------
@@ -243,13 +230,7 @@ def factor(unit: str, kind: str) -> float:
 
 
 def measures(text: str, kind: str) -> bool:
-    """Return whether a text is a quantity of a kind.
-
-    Parameters
-    ----------
-    kind : str
-        One of `KINDS`.
-    """
+    """Return whether a text is a quantity of a kind."""
     with contextlib.suppress(UnitProblem):
         return math.isfinite(parse(text, kind)[0])
     return False
@@ -271,13 +252,7 @@ def kind_of_unit(unit: str) -> str | None:
 
 
 def in_si(unit: str) -> tuple[float, str]:
-    """Return the SI value of one `unit`, and the SI unit of its kind; any other text, as that of a ratio, remains with 1.
-
-    Parameters
-    ----------
-    unit : str
-        A unit, for example "mm" or "kg*m^2".
-    """
+    """Return the SI value of one `unit`, and the SI unit of its kind; any other text, as that of a ratio, remains with 1."""
     kind = kind_of_unit(unit)
     return (1.0, unit) if kind is None else (factor(unit, kind), KINDS[kind].si.replace("**", "^"))
 
@@ -289,50 +264,39 @@ def read_number(text: str) -> float:
 
 
 def parse(text: object, kind: str) -> tuple[float, str]:
-    """Parse a quantity such as "412 mm".
-
-    Parameters
-    ----------
-    text : str
-        A number and a unit.
-    kind : str
-        One of `KINDS`.
-
-    Returns
-    -------
-    value : float, in SI
-    unit : str, in canonical spelling: "N*m" for "N·m" or "Nm"
+    """Return value [SI] and unit of a quantity such as "412 mm"; the unit in canonical spelling: "N*m" for "N·m" or "Nm".
 
     Raises
     ------
     UnitProblem
         Not a text, no number, no unit, unknown unit, unit of another quantity, or not finite.
     """
-    expected_kind = KINDS[kind]
+    expected_kind, quantity = KINDS[kind], with_article(kind)
+    remedy = f'Write a number and a unit: "{expected_kind.example}"'
     if isinstance(text, bool) or not isinstance(text, (str, int, float)):
         kinds = {bool: "a logical value", list: "a list", dict: "a table", datetime.date: "a date", datetime.time: "a time"}
         name = kinds.get(type(text), type(text).__name__)
-        raise UnitProblem(f"expected {_a(kind)}, found {name}", f'Write it as text: "{expected_kind.example}"')
+        raise UnitProblem(f"expected {quantity}, found {name}", f'Write it as text: "{expected_kind.example}"')
     if not isinstance(text, str):
         if abs(text) > 1e300 or not math.isfinite(text):
-            raise UnitProblem(f"{_a(kind)} must be finite", f'Write a number and a unit: "{expected_kind.example}"')
+            raise UnitProblem(f"{quantity} must be finite", remedy)
         results = () if OPTIONS_NAMED.get() else (expected_kind.si.replace("**", "^"),)  # a length is typed in mm
         units = dict.fromkeys((expected_kind.display, *results))
-        written = " or ".join(f'"{_digits(text)} {unit}"' for unit in units)
-        raise UnitProblem(f"{_a(kind)} needs a unit", f"Write {written}, with the quotes")
+        written = " or ".join(f'"{text:.12g} {unit}"' for unit in units)
+        raise UnitProblem(f"{quantity} needs a unit", f"Write {written}, with the quotes")
     text = plain(text[:201])
     match = _QUANTITY.fullmatch(text) if len(text) <= 200 else None
     if match is None or _UNIT.fullmatch(match[2] or "m") is None:
         _check_form(text.strip(), kind)
     if match is None:
-        raise UnitProblem(f"this is not {_a(kind)}", f'Write a number and a unit: "{expected_kind.example}"')
+        raise UnitProblem(f"this is not {quantity}", remedy)
     number, unit = match.groups()
     if unit is None:
-        raise UnitProblem(f"{_a(kind)} needs a unit", f'Write "{number} {expected_kind.display}"')
+        raise UnitProblem(f"{quantity} needs a unit", f'Write "{number} {expected_kind.display}"')
     known_unit = _unit(unit, kind)
     value = float(number) * known_unit.scale
     if not math.isfinite(value):
-        raise UnitProblem(f"{_a(kind)} must be finite", f'Write a number and a unit: "{expected_kind.example}"')
+        raise UnitProblem(f"{quantity} must be finite", remedy)
     return value, known_unit.symbol
 
 
@@ -342,7 +306,7 @@ def _check_form(text: str, kind: str) -> None:
     if len(text) > 200:
         return
     if re.match(r"[-+]?(nan|inf)", text, re.IGNORECASE):
-        raise UnitProblem(f"{_a(kind)} must be finite", f'Write a number and a unit: "{expected_kind.example}"')
+        raise UnitProblem(f"{with_article(kind)} must be finite", f'Write a number and a unit: "{expected_kind.example}"')
     if split_range(text) is not None:
         raise UnitProblem(f"one {kind} is needed here, not a range", f'Write one value: "{expected_kind.example}"')
     numbers, unit = respelled(text)
@@ -372,15 +336,7 @@ def respelled(text: str) -> tuple[tuple[str, ...], str]:
 def split_range(text: str) -> dict[str, str | float] | None:
     """Return the sides of a range such as "40..140 deg", "40 deg ... 140 deg" or ">= 40 deg"; None for any other text.
 
-    Parameters
-    ----------
-    text : str
-        A text of a problem file.
-
-    Returns
-    -------
-    dict of str to (str or float), or None
-        Values by "min" and "max", each with its unit; numbers where none is written.
+    The values by "min" and "max" have their units; they are numbers where none is written.
     """
     if len(text) > 200 or not re.search(r"\.\.|\u2026|[<>\u2264\u2265]", text):
         return None
@@ -397,13 +353,7 @@ def split_range(text: str) -> dict[str, str | float] | None:
 
 
 def mistyped_range(text: str) -> str | None:
-    """Return the range that "40-140 deg", "40 to 140 deg" or "40...140 deg" means, with two dots; None for any other text.
-
-    Parameters
-    ----------
-    text : str
-        A text of a problem file.
-    """
+    """Return the range that "40-140 deg", "40 to 140 deg" or "40...140 deg" means, with two dots; None for any other text."""
     text = plain(text[:201]).strip()
     hyphen = re.fullmatch(_HYPHEN, text)
     dotted = "..".join(part.strip() for part in (hyphen.groups() if hyphen else text.split("...")))
@@ -417,23 +367,14 @@ def _side(number: str, unit: str | None) -> str | float:
 
 
 def split(text: str) -> tuple[float, str] | None:
-    """Return number and unit of a quantity, the unit empty where there is none; None for any other text.
-
-    Parameters
-    ----------
-    text : str
-        A text such as "412 mm".
-    """
+    """Return number and unit of a quantity, the unit empty where there is none; None for any other text."""
     match = _QUANTITY.fullmatch(plain(text)) if len(text) <= 200 else None
     return None if match is None else (float(match[1]), match[2] or "")
 
 
-def _a(kind: str) -> str:
-    return f"{'an' if kind[0] in 'aeiou' else 'a'} {kind}"
-
-
-def _digits(number: float) -> str:
-    return f"{number:.12g}"
+def with_article(words: str) -> str:
+    """Return words after "a" or "an"."""
+    return f"{'an' if words[0] in 'aeiou' else 'a'} {words}"
 
 
 DISPLAYED = {"m": (1e3, "mm"), "rad": (math.degrees(1.0), "deg"), "": (1.0, "")}
@@ -443,37 +384,17 @@ DISPLAYED = {"m": (1e3, "mm"), "rad": (math.degrees(1.0), "deg"), "": (1.0, "")}
 def display_unit(kind: str) -> tuple[float, str]:
     """Return the factor from SI to the display unit of a kind, and that unit."""
     unit = KINDS[kind].display
-    return 1.0 / factor(unit, kind) if unit else 1.0, unit
+    return 1.0 / factor(unit, kind), unit
 
 
 def show(value: float, kind: str, unit: str | None = None, digits: int = 6) -> str:
-    """Format an SI value in display units: `show(0.412, "length")` is "412 mm".
-
-    Parameters
-    ----------
-    value : float
-        Value in SI.
-    kind : str
-        One of `KINDS`.
-    unit : str, optional
-        Unit of the output. Default: the display unit of the kind.
-    digits : int
-        Significant digits.
-    """
+    """Format an SI value in a unit, by default the display unit of its kind: `show(0.412, "length")` is "412 mm"."""
     unit = unit or KINDS[kind].display
     return f"{value / factor(unit, kind):z.{digits}g} {unit}"
 
 
 def percent(share: float, decimals: int = 1, *, signed: bool = False) -> str:
-    """Format a share in per cent, as in "97.3 %"; a dash if it is not finite.
-
-    Parameters
-    ----------
-    share : float
-        1 is 100 %.
-    signed : bool, optional
-        Whether a change that is not zero has its sign.
-    """
+    """Format a share in per cent, as in "97.3 %"; a dash if it is not finite. `signed`: a change other than zero has its sign."""
     if not math.isfinite(share):
         return "-"
     shown = f"{100.0 * share:{'+' if signed else ''}z.{decimals}f}"

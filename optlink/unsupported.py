@@ -5,16 +5,9 @@ from typing import NamedTuple
 
 
 class Unsupported(NamedTuple):
-    """Something that is not supported.
+    """Something that is not supported: `what` with its verb, and what to do `instead`; names in braces are filled in.
 
-    Parameters
-    ----------
-    what : str
-        With its verb, for "... not supported".
-    instead : str
-        What to do instead; names in braces are filled in.
-    keys : str
-        Pattern of the unknown keys, with dots between their parts, that ask for it; empty for what other checks recognise.
+    `keys`: pattern of the unknown keys, with dots between their parts, that ask for it; empty for what other checks recognise.
     """
 
     what: str
@@ -112,26 +105,12 @@ UNSUPPORTED = {
 
 
 def unsupported(name: str, **names: str) -> tuple[str, str]:
-    """Return the message and the remedy of what is not supported.
-
-    Parameters
-    ----------
-    name : str
-        One of `UNSUPPORTED`.
-    **names : str
-        Names that its texts need.
-    """
+    """Return the message and the remedy of one of `UNSUPPORTED`; `names` are those that its texts need."""
     item = UNSUPPORTED[name]
     return f"{item.what} not supported".format(**names), item.instead.format(**names)
 
 
 def unsupported_key(key: str) -> tuple[str, str] | None:
-    """Return the message and the remedy of what an unknown key asks for, if that is known to be not supported.
-
-    Parameters
-    ----------
-    key : str
-        The whole key, its parts with dots between them.
-    """
+    """Return message and remedy of what an unknown key, whole with its dots, asks for, if that is known to be not supported."""
     name = next((name for name, item in UNSUPPORTED.items() if item.keys and re.fullmatch(item.keys, key.lower())), None)
     return None if name is None else unsupported(name)

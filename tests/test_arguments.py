@@ -237,7 +237,7 @@ def test_an_unknown_part_of_a_motion_is_named(method) -> None:
         (lambda: LAW.override("x"), "changes = .*not a mapping"),
         (lambda: optlink.read(3), "raw = 3: not a mapping"),
         (lambda: optlink.read_design(LAW, "coupler=3"), "assignments = .*not a list"),
-        (lambda: optlink.explore(LAW, 3), "design = 3: not a mapping"),
+        (lambda: optlink.explore(3), "problem = 3: .*"),
     ],
 )
 def test_an_argument_of_another_type_is_refused_in_one_sentence(call, message) -> None:

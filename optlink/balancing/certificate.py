@@ -50,13 +50,7 @@ class ConeCertificate:
 
 
 def solved(cp: Any, problem: Any) -> ConeCertificate:
-    """Solve a cone programme to the tightest tolerance that the solver reaches, and certify the solution.
-
-    Parameters
-    ----------
-    cp : module
-        cvxpy.
-    """
+    """Solve a problem of cvxpy (`cp`) to the tightest tolerance that the solver reaches, and certify the solution."""
     best = ConeCertificate("not solved")
     for options in TOLERANCES:
         settings = {**options, **REFINED}

@@ -66,15 +66,7 @@ class Optimum:
 
 
 def evaluate(programme: BalancingProgramme, goal: Goal, x: Array) -> float:
-    """Return the weighted sum of measures, each divided by its value in the original machine.
-
-    Parameters
-    ----------
-    goal : sequence of (Measure, float)
-        Measures and their weights.
-    x : array (n,)
-        Scaled parameters.
-    """
+    """Return the weighted sum of measures at scaled parameters (n,), each divided by its value in the original machine."""
     return sum(weight * programme.evaluate(measure, x) for measure, weight in goal)
 
 
@@ -82,16 +74,6 @@ def optimum(programme: BalancingProgramme, goal: Goal) -> Optimum:
     """Return the global optimum of a weighted sum of measures.
 
     Of several optima, the one with the least added mass (and stiffness) is returned.
-
-    Parameters
-    ----------
-    goal : sequence of (Measure, float)
-        Measures and their weights.
-
-    Raises
-    ------
-    SolverError
-        when the solver finds neither an optimum nor that there is none.
     """
     cp = programme.cp
     expression = sum(weight * programme.expression(measure) for measure, weight in goal)
@@ -100,7 +82,7 @@ def optimum(programme: BalancingProgramme, goal: Goal) -> Optimum:
     certificate = solved(cp, problem)
     if certificate.status != "optimal":
         return Optimum(np.full(programme.effects.count, np.nan), math.nan, certificate)
-    x = np.array(programme.x.value, dtype=float)
+    x = programme.found
     duals = [max(float(np.max(row.dual_value)), 0.0) for row in (*rows, *(place.constraint for place in programme.hard))]
     value = evaluate(programme, goal, x)
     if len(goal) == 1 and goal[0][0].of == "rms":
@@ -121,9 +103,8 @@ def _without_crumbs(programme: BalancingProgramme, goal: Goal, x: Array) -> Arra
         if 0.0 < x[4 * k] < CRUMB:
             without = x.copy()
             without[4 * k : 4 * k + 4] = 0.0
-            if evaluate(programme, goal, without) <= value + CONSTRAINT_TOLERANCE and programme.excess(without) <= max(
-                excess, CONSTRAINT_TOLERANCE
-            ):
+            as_good = evaluate(programme, goal, without) <= value + CONSTRAINT_TOLERANCE
+            if as_good and programme.excess(without) <= max(excess, CONSTRAINT_TOLERANCE):
                 x = without
     return x
 
@@ -226,7 +207,7 @@ class _Lightest:
             self.values.value = values + room
             if solved(self.programme.cp, self.near).status != "optimal":
                 continue
-            near = np.array(self.programme.x.value, dtype=float)
+            near = self.programme.found
             measured = [self.programme.evaluate(measure, near) for measure in self.measures]
             if np.all(measured <= values + room + CONSTRAINT_TOLERANCE) and self.programme.excess(near) <= GAP:
                 return near if self._size(near) < self._size(best) * (1.0 - LIGHTER) else best
@@ -241,16 +222,9 @@ class _Lightest:
 
 
 def realised_discs(programme: BalancingProgramme, goal: Goal, x: Array) -> Array:
-    """Return feasible discs near the optimum of their relaxation, by successive linearisation of the moments of inertia.
+    """Return feasible discs near the optimum `x` of their relaxation, by successive linearisation of the moments of inertia.
 
     The step is limited by a trust region. If discs reach the value of the relaxation, that point is returned directly.
-
-    Parameters
-    ----------
-    goal : sequence of (Measure, float)
-        Measures and their weights.
-    x : array (n,)
-        Scaled parameters of the optimum of the relaxation.
     """
     best = min(map(programme.realised, (x, programme.with_mass(x))), key=lambda y: _merit(programme, goal, y))
     if not programme.relaxed or _merit(programme, goal, best) <= _merit(programme, goal, x) + GAP:
@@ -269,7 +243,7 @@ def realised_discs(programme: BalancingProgramme, goal: Goal, x: Array) -> Array
         here.value, width.value = best, reach
         certificate = solved(cp, problem)
         if certificate.status == "optimal":
-            step = programme.realised(np.array(programme.x.value, dtype=float))
+            step = programme.realised(programme.found)
             if _merit(programme, goal, step) < _merit(programme, goal, best) - 1e-12:
                 best, reach = step, 2.0 * reach
                 continue
@@ -306,8 +280,7 @@ def conflict(programme: BalancingProgramme) -> tuple[Conflict, ...]:
     amounts = np.array(slack.value, dtype=float) if elastic.status == "optimal" else np.full(len(bounds), np.inf)
     conflicts = []
     for k, bound in enumerate(bounds):
-        problem = cp.Problem(cp.Minimize(bound.sense * bound.expression), programme.constraints(bound))
-        single = solved(cp, problem)
+        single = solved(cp, cp.Problem(cp.Minimize(bound.sense * bound.expression), programme.constraints(bound)))
         value = float(bound.expression.value) * bound.scale if single.status == "optimal" else math.inf
         together = bound.bound + bound.sense * float(amounts[k]) * sizes[k] * bound.scale
         if math.isfinite(value) or amounts[k] > CONSTRAINT_TOLERANCE:
@@ -345,40 +318,26 @@ class TradeOffCurve:
 
 
 def curve(programme: BalancingProgramme, first: BalanceMeasure, second: BalanceMeasure, count: int) -> TradeOffCurve:
-    """Return Pareto-optimal points of two measures, evenly spaced along the front.
+    """Return Pareto-optimal points of two measures, evenly spaced along the front, `count` with both ends.
 
-    The ends are the optima of each measure, with the other as small as that allows. For the points between, evenly spaced points
-    of the chord are the reference points of a Pascoletti-Serafini scalarisation: one programme with the reference point as
-    parameter.
-
-    Parameters
-    ----------
-    count : int
-        Number of points, including both ends.
+    The ends are the optima of each measure, with the other as small as that allows. For the points between, evenly spaced
+    points of the chord are the reference points of a Pascoletti-Serafini scalarisation (J. Optim. Theory Appl. 42 (1984)
+    499-524): one programme with the reference point as parameter.
 
     Raises
     ------
     SolverError
         when the solver finds no optimum for a point of the front.
-
-    References
-    ----------
-    A. Pascoletti, P. Serafini, Scalarizing vector optimization problems, J. Optim. Theory Appl. 42 (1984) 499-524.
     """
     cp = programme.cp
     ends = [_end(programme, first, second), _end(programme, second, first)]
     (a0, b0), (a1, b1) = ((programme.evaluate(first, end.x), programme.evaluate(second, end.x)) for end in ends)
     start = TradeOffPoint(ends[0].x, a0, b0, a0 - ends[0].lower, math.nan)
     stop = TradeOffPoint(ends[1].x, a1, b1, b1 - ends[1].lower, math.nan)
-    if (
-        a1 - a0 <= 10.0 * LEAST_SQUARES_DIFFERENCE or b0 - b1 <= 10.0 * LEAST_SQUARES_DIFFERENCE
-    ):  # no conflict: one point minimises both
+    if min(a1 - a0, b0 - b1) <= 10.0 * LEAST_SQUARES_DIFFERENCE:  # no conflict: one point minimises both
         return TradeOffCurve((start,), math.nan, math.nan)
     at, depth = cp.Parameter(2), cp.Variable()
-    rows = [
-        programme.expression(first) <= at[0] + depth * (a1 - a0),
-        programme.expression(second) <= at[1] + depth * (b0 - b1),
-    ]
+    rows = [programme.expression(first) <= at[0] + depth * (a1 - a0), programme.expression(second) <= at[1] + depth * (b0 - b1)]
     problem = cp.Problem(cp.Minimize(depth), [*programme.constraints(), *rows])
     assert problem.is_dcp(dpp=True)
     inner, seconds, lightest = [], [], _Lightest(programme, [first, second])
@@ -389,7 +348,7 @@ def curve(programme: BalancingProgramme, first: BalanceMeasure, second: BalanceM
         seconds.append(time.perf_counter() - begin)
         if certificate.status != "optimal":
             raise SolverError(f"the trade-off stopped at {percent(share, 0)} of its length: {certificate.status}")
-        x = np.array(programme.x.value, dtype=float)
+        x = programme.found
         first_dual, second_dual = (float(np.max(row.dual_value)) for row in rows)
         values = programme.evaluate(first, x), programme.evaluate(second, x)
         x = lightest.like(x)
@@ -410,5 +369,5 @@ def _end(programme: BalancingProgramme, first: BalanceMeasure, second: BalanceMe
     then = solved(cp, cp.Problem(cp.Minimize(programme.expression(second)), [*programme.constraints(), bound]))
     if then.status != "optimal":
         return best
-    x = _Lightest(programme, [first, second]).like(np.array(programme.x.value, dtype=float))
+    x = _Lightest(programme, [first, second]).like(programme.found)
     return Optimum(x, best.value, best.certificate, best.prices)

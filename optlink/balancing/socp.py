@@ -86,20 +86,8 @@ class Price:
 class BalancingProgramme:
     """The feasible counterweights and springs of a machine, and measures of them, as convex expressions.
 
-    Parameters
-    ----------
-    counterweights : sequence of Counterweight
-        In the order of `effects`.
-    springs : sequence of FreeSpring
-        In the order of `effects`, after the counterweights.
-    measures : sequence of (BalanceMeasure, float)
-        Measures with their upper bounds [SI].
-    total : pair of float [kg]
-        Least and largest mass of all counterweights together.
-    mass : float [kg]
-        Typical mass of the machine.
-    length : float [m]
-        Typical length of the machine.
+    `measures` have upper bounds [SI], and `total` are the least and the largest mass of all counterweights together [kg];
+    `mass` [kg] and `length` [m] are typical of the machine. The parameters are in the order of `effects`.
     """
 
     def __init__(
@@ -116,7 +104,8 @@ class BalancingProgramme:
 
         self.cp: Any = cvxpy
         self.effects, self.counterweights, self.springs = effects, counterweights, springs
-        self.length = length
+        self.length, self.begin = length, 4 * len(counterweights)  # of the parameters of springs
+        self._cached_rows: dict[BalanceMeasure, tuple[float, Array, Array]] = {}
         self.scales = np.concatenate([self._scale(w, mass) for w in counterweights] + [self._stiffness(s) for s in springs])
         self.x = self.cp.Variable(effects.count)
         self.hard: list[PlaceLimit] = []
@@ -126,16 +115,13 @@ class BalancingProgramme:
         self.bounds: list[BalanceBound] = []
         for k, weight in enumerate(counterweights):
             self._counterweight(weight, self.x[4 * k : 4 * k + 4], self.scales[4 * k : 4 * k + 4])
-        begin = 4 * len(counterweights)
-        for k, spring in enumerate(springs, 0):
-            place = slice(begin + 2 * k, begin + 2 * k + 2)
-            self._spring(spring, self.x[place], self.scales[place])
+        for k, spring in zip(range(self.begin, effects.count, 2), springs, strict=True):
+            self._spring(spring, self.x[k : k + 2], self.scales[k : k + 2])
         if counterweights:
             self._between("mass of all counterweights together", "mass", self.total, total, self.mass_scale)
         for measure, bound in measures:
-            self.bounds.append(
-                BalanceBound(str(measure), "measure", self.expression(measure), bound, self.before(measure) or 1.0)
-            )
+            scale = self.before(measure) or 1.0
+            self.bounds.append(BalanceBound(str(measure), "measure", self.expression(measure), bound, scale))
 
     # --- scaling ------------------------------------------------------------------------------------------------------
 
@@ -155,13 +141,13 @@ class BalancingProgramme:
     @cached_property
     def mass_scale(self) -> float:
         """Unit of the total mass [kg]."""
-        return float(np.max(self.scales[0 : 4 * len(self.counterweights) : 4]))
+        return float(np.max(self.scales[: self.begin : 4]))
 
     @property
     def total(self) -> Any:
         """Mass of all counterweights, in units of `mass_scale`."""
         share = np.zeros(self.effects.count)
-        share[0 : 4 * len(self.counterweights) : 4] = self.scales[0 : 4 * len(self.counterweights) : 4] / self.mass_scale
+        share[: self.begin : 4] = self.scales[: self.begin : 4] / self.mass_scale
         return share @ self.x
 
     # --- feasible counterweights and springs -----------------------------------------------------------------------------
@@ -175,23 +161,20 @@ class BalancingProgramme:
         cp, unit, length = self.cp, float(scale[0]), float(scale[1] / scale[0])
         m, p, inertia = x[0], x[1:3], x[3]
         label = f"of the counterweight on {weight.body}"
-        high = weight.mass[1]
-        self.cones += [m >= 0.0]
+        self.cones.append(m >= 0.0)
         self._between(f"mass {label}", "mass", m, weight.mass, unit)
         origin = np.array(weight.origin) / length
         away = p - m * origin
-        if weight.at is not None:
+        if weight.at is None:
+            steiner = cp.quad_over_lin(p, m)
+        else:
             at = np.array(weight.at) / length
             self.cones.append(p == m * at)
             steiner = float(at @ at) * m
-        else:
-            steiner = cp.quad_over_lin(p, m)
         moment: Any = 0.0
         if weight.kind == "disc":
-            if weight.radius is not None:
-                moment = 0.5 * (weight.radius / length) ** 2 * m
-            else:
-                moment = weight.spread * unit / length**2 * cp.square(m)
+            linear, square = self._own_moment(weight, unit, length)
+            moment = linear * m if weight.radius is not None else square * cp.square(m)
         if weight.at is not None and weight.radius is not None:
             self.cones.append(inertia == steiner + moment)  # linear: nothing to relax
         else:
@@ -212,12 +195,18 @@ class BalancingProgramme:
                 edge = math.sqrt(2.0 * weight.spread * unit) / length
                 self.cones.append(cp.square(root) <= m)
                 self._hard(name, weight.extent, cp.norm(away) + edge * cp.quad_over_lin(m, root), m, length)
-        if weight.kind == "disc" and (furthest < math.inf):
+        if weight.kind == "disc" and furthest < math.inf:
             # the largest that a disc's moment of inertia can be, as a multiple of its mass
-            widest = weight.radius_of(high if high < math.inf else math.inf) if weight.radius is None else weight.radius
-            widest = min(widest, weight.extent)
+            widest = min(weight.radius_of(weight.mass[1]), weight.extent)
             if widest < math.inf:
                 self.relaxed.append(inertia <= m * (furthest**2 + 0.5 * widest**2) / length**2)
+
+    @staticmethod
+    def _own_moment(weight: Counterweight, unit: float, length: float) -> tuple[float, float]:
+        """Return the scaled central moment of inertia of a disc over its mass, if its radius is given, else over its square."""
+        if weight.radius is not None:
+            return 0.5 * (weight.radius / length) ** 2, 0.0
+        return 0.0, weight.spread * unit / length**2
 
     def _between(self, name: str, kind: str, expression: Any, ends: tuple[float, float], scale: float) -> None:
         """Add the bounds of a quantity that are neither zero nor infinite."""
@@ -248,25 +237,17 @@ class BalancingProgramme:
     @property
     def size(self) -> Any:
         """Added mass plus added stiffness, each in its scale."""
-        begin = 4 * len(self.counterweights)
         mass = self.total if self.counterweights else 0.0
-        return mass + self.cp.sum(self.x[begin::2]) if self.springs else mass
+        return mass + self.cp.sum(self.x[self.begin :: 2]) if self.springs else mass
 
     # --- measures -----------------------------------------------------------------------------------------------------------
-
-    @cached_property
-    def _cached_rows(self) -> dict[BalanceMeasure, tuple[float, Array, Array]]:
-        return {}
 
     def _rows(self, measure: BalanceMeasure) -> tuple[float, Array, Array]:
         """Return the original value of a measure, its scaled rows (positions, parts, n) or (k, n), and its offsets."""
         if measure not in self._cached_rows:
             affine = self.effects.affine(measure)
             before = measure.value(affine.offset)
-            if measure.of == "rms":
-                rows, offset = affine.compressed()
-            else:
-                rows, offset = affine.matrix, affine.offset
+            rows, offset = affine.compressed() if measure.of == "rms" else (affine.matrix, affine.offset)
             scale = before or float(np.max(np.abs(rows @ self.scales), initial=0.0)) or 1.0
             self._cached_rows[measure] = before, rows * self.scales / scale, offset / scale
         return self._cached_rows[measure]
@@ -290,16 +271,15 @@ class BalancingProgramme:
         return cp.max(cp.norm(amounts, axis=1)) if parts > 1 else cp.max(cp.abs(amounts))
 
     def evaluate(self, measure: BalanceMeasure, x: Array) -> float:
-        """Return a measure divided by its value in the original machine.
-
-        Parameters
-        ----------
-        x : array (n,)
-            Scaled parameters.
-        """
+        """Return a measure at scaled parameters (n,), divided by its value in the original machine."""
         _, rows, offset = self._rows(measure)
         amounts = rows @ x + offset
         return float(np.linalg.norm(amounts)) if measure.of == "rms" else measure.value(amounts)
+
+    @property
+    def found(self) -> Array:
+        """Scaled parameters of the programme that was solved last."""
+        return np.array(self.x.value, dtype=float)
 
     # --- solving ---------------------------------------------------------------------------------------------------------------
 
@@ -316,9 +296,7 @@ class BalancingProgramme:
                 result[place] = 0.0
                 continue
             result[place] = np.array(weight.realised(Parameters(*(x[place] * self.scales[place])))) / self.scales[place]
-        begin = 4 * len(self.counterweights)
-        for k, spring in enumerate(self.springs):
-            i = begin + 2 * k
+        for i, spring in zip(range(self.begin, len(x), 2), self.springs, strict=True):
             stiffness = float(x[i]) if x[i] > NOTHING else 0.0
             low, high = (end / self.length * stiffness for end in spring.free)
             rest = min(max(x[i + 1], low), high)
@@ -353,54 +331,26 @@ class BalancingProgramme:
         return max((float(np.max(row.violation())) for row in [*self.cones, *map(self.row, self.bounds)]), default=0.0)
 
     def satisfies(self, x: Array, rows: Sequence[Any]) -> bool:
-        """Return whether parameters satisfy the cones and some constraints.
-
-        Parameters
-        ----------
-        x : array (n,)
-            Scaled parameters.
-        rows : sequence of cvxpy constraints
-            Checked beside the cones.
-        """
+        """Return whether scaled parameters satisfy the cones and some constraints."""
         self.put(x)
         return all(float(np.max(row.violation())) <= CONSTRAINT_TOLERANCE for row in [*self.cones, *rows])
 
     def tangent(self, x: Array, k: int) -> tuple[Array, float]:
-        """Linearise the moment of inertia of a disc: J is about slope . x + level, scaled.
-
-        Parameters
-        ----------
-        x : array (n,)
-            Scaled parameters at which to linearise.
-        k : int
-            Index of the counterweight.
-
-        Returns
-        -------
-        slope : array (n,)
-        level : float
-        """
+        """Linearise the moment of inertia of the disc number `k` at scaled parameters: it is about slope . x + level."""
         weight, place = self.counterweights[k], 4 * k
         unit, length = float(self.scales[place]), float(self.scales[place + 1] / self.scales[place])
         m, p = float(x[place]), x[place + 1 : place + 3]
         slope = np.zeros(len(x))
         if m <= NOTHING:
             return slope, 0.0
-        linear = 0.5 * (weight.radius / length) ** 2 if weight.radius is not None else 0.0
-        square = weight.spread * unit / length**2 if weight.radius is None else 0.0
+        linear, square = self._own_moment(weight, unit, length)
         slope[place] = -float(p @ p) / m**2 + linear + 2.0 * square * m
         slope[place + 1 : place + 3] = 2.0 * p / m
         return slope, float(p @ p) / m + linear * m + square * m * m - float(slope @ x)
 
     @staticmethod
     def row(bound: BalanceBound, slack: Any = 0.0) -> Any:
-        """Return the cvxpy constraint of a bound.
-
-        Parameters
-        ----------
-        slack : float or cvxpy expression
-            Relaxation, in units of the bound's scale.
-        """
+        """Return the cvxpy constraint of a bound, relaxed by a slack in units of its scale."""
         return bound.sense * bound.expression <= bound.sense * bound.bound / bound.scale + slack
 
 

@@ -117,9 +117,9 @@ def _report_model(
 
         remedy = "Leave it out, or name the problem instead of its result"
         facts = parse_assignments(changes or ())
-        other = [key for key in facts if not key.startswith("report.")]
+        other = next((key for key in facts if not key.startswith("report.")), None)
         console.refuse({"--design": design, "--starts": search[1]}, "a result already contains its design", remedy, text)
-        console.refuse({"--set": other[:1]}, "a result already contains its problem", remedy, text)
+        console.refuse({"--set": other}, "a result already contains its problem", remedy, text)
         return stored_page(read_result(text), facts, text)
     file = console.load(text, changes)
     return report_model_of(solve_or_validate(file, *search, console.read_design_option(file, design)))

@@ -121,7 +121,7 @@ def simulate(
 
         with console.share("simulating") as progress:
             ideal_run = run(file, time, progress=progress, flywheel=inertia, **common, **console.given(rows=points))
-        _deliver(ideal_run, "simulation", ideal_run.run.ending.value, as_json, out, csv)
+        _deliver(ideal_run, "simulation", ideal_run.ending.value, as_json, out, csv)
         return
     from optlink.report.files import CHECKPOINT
 

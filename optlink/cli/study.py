@@ -106,7 +106,7 @@ def _output(file: ProblemFile, output: str, angles: str, design: list[str] | Non
     import numpy as np
 
     from optlink.problem.quantity import check_choice
-    from optlink.studies.motion_sensitivity import OutputSensitivityRecord, output_names, output_sensitivity
+    from optlink.studies.motion_sensitivity import OutputStudy, output_names
     from optlink.tasks.function import read_design, solve
     from optlink.tasks.protocol import completed
 
@@ -118,24 +118,22 @@ def _output(file: ProblemFile, output: str, angles: str, design: list[str] | Non
         sizes |= {key: value for key, value in completed(solve(file)).design.items() if key in sizes}
     names = output_names(file.model.linkage)
     check_choice("--quantity", output, names, "unknown output", file.file)
-    result = output_sensitivity(file.model.linkage, sizes, crank, output)
-    about: dict[str, Any] = {"problem": file.name, "title": file.model.title, "problem_hash": file.hash, "status": "done"}
-    about |= {"overrides": file.overrides, "sizes_SI": sizes, "crank_angles_deg": np.degrees(crank)}
-    document = OutputSensitivityRecord.of(result, **about).document()
+    result = OutputStudy(file, output, sizes, crank)
+    found = result.derivatives
     if out is not None:
         from optlink.io import write_json
         from optlink.report.files import write_csv
 
-        write_json(out / "result.json", document)
-        columns = {f"per_{name}_SI": column for name, column in result.by.items()}
-        value = f"{result.name}_{result.unit}"
-        write_csv(out / "sensitivity.csv", {"crank_angle_deg": np.degrees(crank), value: result.value} | columns)
+        write_json(out / "result.json", result.to_dict())
+        columns = {f"per_{name}_SI": column for name, column in found.by.items()}
+        value = f"{found.name}_{found.unit}"
+        write_csv(out / "sensitivity.csv", {"crank_angle_deg": np.degrees(crank), value: found.value} | columns)
     if as_json:
-        console.print_json(document)
+        console.print_json(result.to_dict())
         return
     from optlink.report.views import study_tables
 
-    console.show(study_tables.outputs(result))
+    console.show(study_tables.outputs(found))
 
 
 @study.command()

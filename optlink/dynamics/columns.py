@@ -98,12 +98,10 @@ class MotionColumns:
             with np.errstate(all="ignore"):
                 if name in self._motion:
                     self._values[name] = self.full(self._motion[name][1]())
-                elif name in self._reactions:
-                    self._values[name] = np.where(self.singular, np.nan, self.full(self._reactions[name][1]()))
                 else:
-                    _, value = self._drive[name] if name in self._drive else self._loads[name]
-                    unknown = self.singular & (not self.machine.mechanism.followed)
-                    self._values[name] = np.where(unknown, np.nan, self.full(value()))
+                    sources = next((part for part in (self._reactions, self._drive) if name in part), self._loads)
+                    unknown = self.singular & (sources is self._reactions or not self.machine.mechanism.followed)
+                    self._values[name] = np.where(unknown, np.nan, self.full(sources[name][1]()))
         return self._values[name]
 
     @cached_property
@@ -128,7 +126,8 @@ class MotionColumns:
 
     @cached_property
     def _reactions(self) -> Sources:
-        return _by_name(self._joint_forces())
+        forces = joint_forces(self.machine, self.reactions.pins, self.reactions.guides)
+        return {name: (meaning, _constant(value)) for name, meaning, value in forces}
 
     @cached_property
     def _loads(self) -> Sources:
@@ -168,18 +167,14 @@ class MotionColumns:
         yield f"{body}.omega_rad_s", f"angular velocity of {body}", lambda: moving.state(body).omega
         yield f"{body}.alpha_rad_s2", f"angular acceleration of {body}", lambda: moving.state(body).alpha
 
-    def _joint_forces(self) -> Named:
-        for name, meaning, value in joint_forces(self.machine, self.reactions.pins, self.reactions.guides):
-            yield name, meaning, _constant(value)
-
     def _load_forces(self) -> Named:
         for load in self.machine.loads:
             for k, acting in enumerate(act for act in load.act(self.moving) if act.body != FRAME):
                 name = f"{load.name}.{acting.body}" if k else load.name
-                if not _nothing(acting.force):
+                if not _nothing(*acting.force):
                     for axis, value in zip("xy", acting.force, strict=True):
                         yield f"{name}.f{axis}_N", f"force of the load {load.name} on {acting.body} in {axis}", _constant(value)
-                if not _nothing((acting.torque, 0.0)):
+                if not _nothing(acting.torque):
                     yield f"{name}.torque_Nm", f"torque of the load {load.name} on {acting.body}", _constant(acting.torque)
 
     def _drives(self) -> Named:  # no function refers to the record, which would then outlive its use
@@ -209,11 +204,7 @@ class Table(NamedTuple):
 def tabulated(moving: Callable[[slice], Moving], count: int) -> Table:
     """Return all columns of a machine over many positions, computed in blocks so that only the results take memory.
 
-    Parameters
-    ----------
-    moving : function of the rows of a block to the machine in motion there
-    count : int
-        Number of rows.
+    `moving` maps the rows of a block to the machine in motion there.
     """
     columns: dict[str, Column] = {}
     faults = {kind: np.zeros(count, dtype=bool) for kind in FAULTS}
@@ -237,24 +228,14 @@ def tabulated(moving: Callable[[slice], Moving], count: int) -> Table:
 def joint_forces(
     machine: Machine, pins: Mapping[str, Mapping[str, Vector]], guides: Mapping[str, GuideForce]
 ) -> Iterator[tuple[str, str, Value]]:
-    """Yield name, meaning and values of the columns of the joint reactions.
-
-    Parameters
-    ----------
-    pins : mapping of point and body to pair of Value [N]
-        Force of each pin on each of its bodies.
-    guides : mapping of str to GuideForce
-        By the name of the guide.
-    """
+    """Yield name, meaning and values of the columns of the joint reactions, as in `Reactions`."""
     for point, (by, on) in acting_on(machine).items():
         bodies = machine.mechanism.pins[point]
-        if len(bodies) == 2:
-            for axis, value in zip("xy", pins[point][on], strict=True):
-                yield f"{point}.f{axis}_N", f"force of {by} on {on} at {point} in {axis}", value
-        else:
-            for body in (on, *(b for b in bodies if b != on)):
-                for axis, value in zip("xy", pins[point][body], strict=True):
-                    yield f"{point}.{body}.f{axis}_N", f"force of the pin on {body} at {point} in {axis}", value
+        several = len(bodies) > 2
+        for body in (on, *(b for b in bodies if b != on)) if several else (on,):
+            name, what = (f"{point}.{body}", "the pin") if several else (point, by)
+            for axis, value in zip("xy", pins[point][body], strict=True):
+                yield f"{name}.f{axis}_N", f"force of {what} on {body} at {point} in {axis}", value
     for guide in machine.mechanism.guides:
         force, what = guides[guide.name], f"of {guide.on} on {guide.slider} in the guide {guide.name}"
         yield f"{guide.name}.normal_N", f"normal force {what}, to the left of the line", force.normal
@@ -273,7 +254,7 @@ def _by_name(columns: Named) -> Sources:
     return {name: (meaning, value) for name, meaning, value in columns}
 
 
-def _nothing(parts: tuple[Any, Any]) -> bool:
+def _nothing(*parts: Value) -> bool:
     return all(isinstance(part, float) and part == 0.0 for part in parts)
 
 
@@ -290,24 +271,14 @@ def pin_columns(machine: Machine) -> list[tuple[str, str, str]]:
 
 
 def unbounded_reactions(machine: Machine, positions: Sequence[AlignedPosition], speed: float) -> tuple[str, ...]:
-    """Return the columns of reactions that grow without bound towards change points.
+    """Return the columns of reactions that grow without bound towards the change points through which a machine is continued.
 
-    Parameters
-    ----------
-    positions : sequence of AlignedPosition
-        Change points through which the machine is continued.
-    speed : float [rad/s]
-
-    Notes
-    -----
     Such a force grows as the inverse of the distance, so force times distance has a limit other than zero.
     """
     if not positions:
         return ()
     at = np.array([position.crank_angle for position in positions])
-    names, near = _amounts(machine, at, NEAR, speed)
-    _, nearer = _amounts(machine, at, NEARER, speed)
-    _, usual = _amounts(machine, at, ASIDE, speed)
+    (names, near), (_, nearer), (_, usual) = (_amounts(machine, at, distance, speed) for distance in (NEAR, NEARER, ASIDE))
     size = max(float(np.max(usual, initial=0.0)), 1e-300)
     grows = (NEARER * nearer > GROWS * NEAR * near) & (NEARER * nearer > NOTHING * size)
     return tuple(name for name, unbounded in zip(names, grows, strict=True) if unbounded)

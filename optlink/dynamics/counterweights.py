@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.dynamics.inertia import UNITS, Inertia, Parameters, Wrench, wrench
-from optlink.dynamics.inverse import Reactions, reactions, regressor, shaking
+from optlink.dynamics.inverse import ZERO_WRENCH, Reactions, reactions, regressor, shaking
 from optlink.dynamics.loads import Spring
 from optlink.dynamics.machine import Machine, Moving
-from optlink.linkage.vector2d import Array, Value, Vector, minus
+from optlink.linkage.vector2d import TURN, Array, Value, Vector, minus
 
 Kind = Literal["shaking force", "shaking moment", "driving torque", "reaction"]
 KINDS: tuple[Kind, ...] = ("shaking force", "shaking moment", "driving torque", "reaction")
@@ -46,8 +46,8 @@ class BalanceMeasure:
     @property
     def quantity(self) -> str:
         """Name of the measured quantity, without the kind of mean."""
-        where = f" at {self.joint}" + (f" on {self.on}" if self.on else "") if self.joint else ""
-        return self.kind + where
+        on = f" on {self.on}" if self.on else ""
+        return f"{self.kind} at {self.joint}{on}" if self.joint else self.kind
 
     def __str__(self) -> str:
         arc = "" if self.arc is None else " from {:g} to {:g} deg".format(*(math.degrees(a) for a in self.arc))
@@ -58,9 +58,8 @@ class BalanceMeasure:
         if self.arc is None:
             return np.ones(len(angles), dtype=bool)
         low, high = self.arc
-        turned = np.mod(angles - low, 2.0 * np.pi)
-        span = math.fmod(high - low, 2.0 * np.pi)
-        return np.asarray((turned <= span + 1e-9) | (turned >= 2.0 * np.pi - 1e-9))
+        turned = np.mod(angles - low, TURN)
+        return np.asarray((turned <= math.fmod(high - low, TURN) + 1e-9) | (turned >= TURN - 1e-9))
 
     def value(self, amounts: Array) -> float:
         """Return the measure of a quantity (positions, parts)."""
@@ -74,27 +73,13 @@ def quantity_over_cycle(
     joint_reactions: Reactions,
     shaken: Wrench,
     shape: tuple[int, ...],
-    pivot: Vector,
-    about: Vector,
 ) -> Array:
-    """Return a quantity over the positions, array (positions, parts); the parts of a force are x and y.
-
-    Parameters
-    ----------
-    shaken : Wrench
-        Shaking force [N] and shaking moment about `pivot` [N m].
-    shape : tuple of int
-        Shape of the positions.
-    pivot : pair of Value [m]
-        Reference point of the moment of `shaken`.
-    about : pair of Value [m]
-        Reference point of the shaking moment that is returned.
-    """
+    """Return a quantity over positions of some shape, array (positions, parts); the parts of a force are x and y."""
     parts: tuple[Value, ...]
     if quantity.kind == "shaking force":
         parts = shaken.force
     elif quantity.kind == "shaking moment":
-        parts = (shaken.about(pivot, about),)
+        parts = (shaken.moment,)
     elif quantity.kind == "driving torque":
         parts = (joint_reactions.torque,)
     elif quantity.joint in joint_reactions.guides:
@@ -107,25 +92,24 @@ def quantity_over_cycle(
 def quantities_of(moving: Moving, quantities: Sequence[BalanceMeasure], about: Vector) -> list[Array]:
     """Compute quantities of a machine in motion by inverse dynamics, each (positions, parts).
 
-    Parameters
-    ----------
-    about : pair of Value [m]
-        Reference point of the shaking moment.
+    `about` [m] is the reference point of the shaking moment.
     """
     shape, machine = np.shape(moving.motion.assembled), moving.machine
-    joint_reactions, shaken = reactions(moving), shaking(moving)
-    pivot = moving.position(machine.mechanism.crank.start)
-    return [quantity_over_cycle(quantity, machine, joint_reactions, shaken, shape, pivot, about) for quantity in quantities]
+    joint_reactions, shaken = reactions(moving), _shaking_about(moving, about)
+    return [quantity_over_cycle(quantity, machine, joint_reactions, shaken, shape) for quantity in quantities]
+
+
+def _shaking_about(moving: Moving, point: Vector) -> Wrench:
+    """Return the shaking force, and the shaking moment about a point instead of the crank pivot."""
+    shaken = shaking(moving)
+    return Wrench(shaken.force, shaken.about(moving.position(moving.machine.mechanism.crank.start), point))
 
 
 def quantities(machine: Machine) -> list[BalanceMeasure]:
     """Return all measurable quantities of a machine (shaking, torque, every reaction), each as root mean square."""
     measures = [BalanceMeasure("shaking force"), BalanceMeasure("shaking moment"), BalanceMeasure("driving torque")]
     for point, bodies in machine.mechanism.pins.items():
-        measures += [
-            BalanceMeasure("reaction", "rms", point, body if len(bodies) > 2 else "")
-            for body in (bodies if len(bodies) > 2 else "-")
-        ]
+        measures += [BalanceMeasure("reaction", "rms", point, body) for body in (bodies if len(bodies) > 2 else ("",))]
     return measures + [BalanceMeasure("reaction", "rms", guide.name) for guide in machine.mechanism.guides]
 
 
@@ -196,27 +180,12 @@ class FreeSpring:
     force: float = math.inf
 
     def spring(self, stiffness: float, free: float) -> Spring:
-        """Return the spring as a load.
-
-        Parameters
-        ----------
-        stiffness : float [N/m]
-        free : float [m]
-            Free length.
-        """
+        """Return the spring of a stiffness [N/m] and free length [m] as a load."""
         return Spring(self.name, self.ends, stiffness, free, 0.0)
 
 
 def with_counterweight(inertia: Inertia, added: Parameters) -> Inertia:
-    """Return the mass properties of a body with a counterweight.
-
-    Parameters
-    ----------
-    inertia : Inertia
-        Mass properties of the body alone.
-    added : Parameters
-        Inertial parameters of the counterweight, about the start of the body.
-    """
+    """Return the mass properties of a body with a counterweight, whose parameters are `added`."""
     mass, along, across, moment = (a + b for a, b in zip(inertia.parameters, added, strict=True))
     if mass <= 0.0:
         return inertia
@@ -252,16 +221,7 @@ class Affine:
 class Effects:
     """Effects of the parameters of counterweights (four for each body) and springs (k and k * free length each).
 
-    Parameters
-    ----------
-    moving : Moving
-        The original machine at the evaluated positions, (positions,).
-    bodies : sequence of str
-        Names of the bodies with a counterweight.
-    springs : sequence of FreeSpring
-        The springs to be designed.
-    about : pair of Value [m]
-        Reference point of shaking moments.
+    `moving` is the original machine at the positions (positions,), `about` [m] the reference point of shaking moments.
     """
 
     def __init__(self, moving: Moving, bodies: Sequence[str], springs: Sequence[FreeSpring], about: Vector) -> None:
@@ -271,28 +231,24 @@ class Effects:
 
     @cached_property
     def _original(self) -> tuple[Reactions, Wrench]:
-        return reactions(self.moving), shaking(self.moving)
+        return reactions(self.moving), _shaking_about(self.moving, self.about)
 
     @cached_property
     def _columns(self) -> list[tuple[Reactions, Wrench]]:
         """Reactions and shaking (its moment about `about`) per unit of each parameter."""
         effects: list[tuple[Reactions, Wrench]] = []
+        bare = self.moving.machine.with_(inertias={}, friction={})
         per_unit = regressor(self.moving) if self.bodies else {}
         for body in self.bodies:
             state = self.moving.state(body)
             for unit, reaction in zip(UNITS, per_unit[body], strict=True):
                 body_wrench = wrench(unit, state, (0.0, 0.0))
-                (x, y), moment = body_wrench.force, body_wrench.about(state.start, self.about)
-                effects.append((reaction, Wrench((-x, -y), -moment)))
+                effects.append((reaction, -Wrench(body_wrench.force, body_wrench.about(state.start, self.about))))
         for spring in self.springs:
-            slack, tight = (self._of_spring(spring.spring(1.0, free)) for free in (0.0, 1.0))
-            still = Wrench((0.0, 0.0), 0.0)
-            effects += [(slack, still), (_difference(tight, slack), still)]
+            machines = (bare.with_(loads=(spring.spring(1.0, free),)) for free in (0.0, 1.0))
+            slack, tight = (reactions(Moving(machine, self.moving.motion)) for machine in machines)
+            effects += [(slack, ZERO_WRENCH), (_difference(tight, slack), ZERO_WRENCH)]
         return effects
-
-    def _of_spring(self, spring: Spring) -> Reactions:
-        machine = self.moving.machine.with_(inertias={}, loads=(spring,), friction={})
-        return reactions(Moving(machine, self.moving.motion))
 
     def lengths(self, spring: FreeSpring) -> Array:
         """Return the length of a spring over the positions [m]."""
@@ -303,11 +259,10 @@ class Effects:
     def affine(self, quantity: BalanceMeasure) -> Affine:
         """Return a quantity as an affine function, over the positions that its measure includes."""
         machine, rows = self.moving.machine, quantity.rows(np.asarray(self.moving.motion.crank_angle, dtype=float))
-        pivot = self.moving.position(machine.mechanism.crank.start)
-        offset = quantity_over_cycle(quantity, machine, *self._original, self.shape, pivot, self.about)
+        offset = quantity_over_cycle(quantity, machine, *self._original, self.shape)
         matrix = np.empty((*offset.shape, self.count))
         for k, (reaction, shaken) in enumerate(self._columns):
-            matrix[..., k] = quantity_over_cycle(quantity, machine, reaction, shaken, self.shape, self.about, self.about)
+            matrix[..., k] = quantity_over_cycle(quantity, machine, reaction, shaken, self.shape)
         return Affine(matrix[rows], offset[rows])
 
 

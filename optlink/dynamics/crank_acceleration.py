@@ -21,10 +21,7 @@ STEADY = 1e-13  # share of the larger torque by which a resting machine may be o
 def required_torque(moving: Moving, geared: Moving) -> tuple[Value, Reactions | None]:
     """Return the torque on the crank that a motion requires [N m], and the reactions if friction requires them (else None).
 
-    Parameters
-    ----------
-    geared : Moving
-        The same positions at a crank speed of 1 rad/s.
+    `geared` are the same positions at a crank speed of 1 rad/s, in this whole module.
     """
     if moving.machine.friction:
         joint_reactions = reactions(moving)
@@ -35,18 +32,8 @@ def required_torque(moving: Moving, geared: Moving) -> tuple[Value, Reactions | 
 def crank_acceleration(geared: Moving, speed: Value, torque: Value, direction: Value) -> Value:
     """Compute the angular acceleration of the crank [rad/s^2] under a driving torque, elementwise (forward dynamics).
 
-    Parameters
-    ----------
-    geared : Moving
-        The positions (n,) at a crank speed of 1 rad/s.
-    speed, torque : float or array (n,) [rad/s], [N m]
-    direction : float or array (n,)
-        Sense in which the crank turns, or is about to turn: +1 or -1.
-
-    Returns
-    -------
-    acceleration : Value [rad/s^2]
-        NaN where no signs of the normal forces in guides with friction are consistent, or several that differ are.
+    It is NaN where no signs of the normal forces in guides with friction are consistent, or several that differ are. The crank
+    turns, or is about to turn, in `direction`: +1 or -1.
     """
     if geared.machine.friction:
         return acceleration_with_friction(geared, speed, torque, direction)[0]
@@ -60,15 +47,6 @@ def accelerations_with_friction(
     """Yield for all signs of the normal forces in guides the acceleration, whether it is consistent with them, and the signs.
 
     For assumed signs, torque and normal forces are linear in the acceleration: two accelerations determine them.
-
-    Parameters
-    ----------
-    geared : Moving
-        The positions (n,) at a crank speed of 1 rad/s.
-    speed, torque : float or array (n,) [rad/s], [N m]
-        Of the crank; torque of the drive.
-    direction : float or array (n,)
-        Sense in which the crank turns, or is about to turn: +1 or -1.
     """
     names = tuple(geared.machine.friction)
     step = 1.0 + speed * speed + np.abs(torque) / (2.0 * geared.kinetic)
@@ -78,62 +56,41 @@ def accelerations_with_friction(
         normals = dict(zip(names, trial, strict=True))
         still, moved = (reactions(moving, needed, normals) for moving, needed in zip(ends, wrenches, strict=True))
         share = (torque - still.torque) / (moved.torque - still.torque)
-        loaded = (
-            np.hypot(*force)
-            for joint_reactions in (still, moved)
-            for on in joint_reactions.pins.values()
-            for force in on.values()
-        )
+        pins = (*still.pins.values(), *moved.pins.values())
+        loaded = (np.hypot(*force) for on in pins for force in on.values())
         least = -ROUNDING * (1.0 + np.abs(share)) * sum(loaded)
         fits: Value = np.isfinite(share)
         for name, sign in normals.items():
             low, high = (joint_reactions.guides[name].normal for joint_reactions in (still, moved))
-            fits = np.logical_and(fits, sign * (low + share * (high - low)) >= least)
+            fits = fits & (sign * (low + share * (high - low)) >= least)
         yield share * step, fits, normals
 
 
 def acceleration_with_friction(
     geared: Moving, speed: Value, torque: Value, direction: Value
 ) -> tuple[Value, dict[str, Value], Value]:
-    """Return the acceleration of the crank and the signs of the normal forces in guides with friction, elementwise.
+    """Return the acceleration of the crank, the signs of the normal forces in guides, and where several fit.
 
-    Parameters
-    ----------
-    geared, speed, torque, direction
-        See `accelerations_with_friction`.
-
-    Returns
-    -------
-    acceleration : Value [rad/s^2]
-        NaN where no signs are consistent, or several whose accelerations differ.
-    signs : mapping of guide to Value
-    several : Value
-        Where there are several.
+    The acceleration is NaN where no signs are consistent, or several whose accelerations differ.
     """
     chosen: Value = np.nan
     signs: dict[str, Value] = dict.fromkeys(geared.machine.friction, 1.0)
     several: Value = False
     for alpha, fits, normals in accelerations_with_friction(geared, speed, torque, direction):
         step = 1.0 + speed * speed + np.abs(torque) / (2.0 * geared.kinetic)
-        several = np.logical_or(several, np.logical_and(fits, np.abs(alpha - chosen) > 1e-6 * step))
-        first = np.logical_and(fits, np.isnan(chosen))
+        several = several | (fits & (np.abs(alpha - chosen) > 1e-6 * step))
+        first = fits & np.isnan(chosen)
         chosen = np.where(first, alpha, chosen)
         signs = {name: np.where(first, normals[name], sign) for name, sign in signs.items()}
     return np.where(several, np.nan, chosen), signs, several
 
 
 def can_rest(geared: Moving, torque: float) -> bool:
-    """Return whether friction in guides can hold a machine at rest.
+    """Return whether friction in guides can hold a machine at rest against a torque of the drive [N m].
 
-    Torque and friction are out of balance by a polynomial that is linear in every coefficient of friction, between minus and plus
-    its largest value: it vanishes if it has both signs among all the largest ones. It is the torque times the determinants.
-
-    Parameters
-    ----------
-    geared : Moving
-        The position at a crank speed of 1 rad/s.
-    torque : float [N m]
-        Of the drive.
+    Torque and friction are out of balance by a polynomial that is linear in every coefficient of friction, between minus and
+    plus its largest value: it vanishes if it has both signs among all the largest ones. It is the torque times the
+    determinants.
     """
     signs = set()
     for direction in (1.0, -1.0):
@@ -141,8 +98,8 @@ def can_rest(geared: Moving, torque: float) -> bool:
         needed = required_wrench(still)
         for trial in itertools.product((1.0, -1.0), repeat=len(geared.machine.friction)):
             joint_reactions = reactions(still, needed, dict(zip(geared.machine.friction, trial, strict=True)))
-            least = float(np.asarray(joint_reactions.torque).ravel()[0])
-            determinant = math.prod(float(np.asarray(sine).ravel()[0]) for sine in joint_reactions.singularity.values())
+            least = np.asarray(joint_reactions.torque).item()
+            determinant = math.prod(np.asarray(sine).item() for sine in joint_reactions.singularity.values())
             lacks = abs(torque - least) > STEADY * (abs(torque) + abs(least))
             signs.add(np.sign(determinant * (torque - least)) if lacks else 0.0)
     return 0.0 in signs or {1.0, -1.0} <= signs

@@ -50,12 +50,7 @@ class GroupForces:
         )
 
     def where(self, which: Value, other: GroupForces) -> GroupForces:
-        """Return these forces, elementwise, and those of another solution where `which` is false.
-
-        Parameters
-        ----------
-        which : bool or array (n,)
-        """
+        """Return these forces where `which` is true, elementwise, and those of another solution elsewhere."""
         numbers: list[Value] = []
         other.each(lambda x: numbers.append(x) or x)  # type: ignore[func-returns-value]
         rest = iter(numbers)
@@ -63,20 +58,17 @@ class GroupForces:
 
 
 class RemainingWrenches:
-    """Wrenches `needed` that the joints not solved yet must exert on the bodies of a machine in motion."""
+    """Wrenches `needed` that the joints not solved yet must exert on the bodies of a machine in motion.
+
+    `tilts` are the tangents of the friction angles of guides with friction, by name.
+    """
 
     def __init__(self, moving: Moving, needed: Mapping[str, Wrench]) -> None:
         self.moving, self.mechanism, self.needed = moving, moving.machine.mechanism, dict(needed)
         self._places: dict[str, Vector] = {}
 
     def across(self, guide: Guide, tilts: Mapping[str, Value]) -> Vector:
-        """Return the direction in which a guide exerts no force: its line, rotated by the friction angle.
-
-        Parameters
-        ----------
-        tilts : mapping of str to Value [-]
-            Tangents of the friction angles of guides with friction.
-        """
+        """Return the direction in which a guide exerts no force: its line, rotated by the friction angle."""
         x, y = self.moving.line(guide.name)
         if guide.name not in tilts:
             return x, y
@@ -91,26 +83,15 @@ class RemainingWrenches:
         return self._places[name]
 
     def about(self, link: Link, point: Vector) -> Value:
-        """Return the moment about a point that the joints exert on a body.
-
-        Parameters
-        ----------
-        link : Link
-            Body.
-        point : pair of Value [m]
-        """
+        """Return the moment about a point [m] that the joints exert on a body."""
         return self.needed[link.body].about(self.moving.state(link.body).start, point)
 
     def directions(self, group: JointedDyad, tilts: Mapping[str, Value]) -> tuple[Vector, Vector]:
         """Return the two directions between which a group has its transmission angle; it is singular where they are parallel.
 
-        They are those of two of its joints, seen from the third one, a pin: its inner joint or, if that is a guide, the outer one
-        of the first body. A guide has that in which it exerts no force, another pin the normal to the lever between the two pins.
-
-        Parameters
-        ----------
-        tilts : mapping of str to Value [-]
-            Tangents of the friction angles of guides with friction.
+        They are those of two of its joints, seen from the third one, a pin: its inner joint or, if that is a guide, the outer
+        one of the first body. A guide has that in which it exerts no force, another pin the normal to the lever between the two
+        pins.
         """
         first, second, pin = *group.outer, group.inner
         if isinstance(pin, Guide):
@@ -123,16 +104,9 @@ class RemainingWrenches:
         return moment_row(minus(self.at(joint), self.at(pin)))
 
     def component(self, joint: Joint, row: Vector, force: Vector, *links: Link) -> Value:
-        """Return row . force for the force that bodies exert on others at the end of the lever from an outer joint of theirs.
+        """Return row . force for the force of one or two bodies on others at the end of the lever from their outer joint.
 
-        Parameters
-        ----------
-        row : pair of Value
-            One of `directions`.
-        force : pair of Value [N]
-            That all joints of the bodies together exert on them.
-        *links : Link
-            The bodies, one or two.
+        `row` is one of `directions`, `force` [N] that of all joints of the bodies on them.
         """
         if isinstance(joint, Guide):
             return -dot(row, force)
@@ -149,13 +123,8 @@ class RemainingWrenches:
 def jointed_forces(balance: RemainingWrenches, group: JointedDyad, tilts: Mapping[str, Value]) -> GroupForces:
     """Return the forces of a group from its three joints: a pin exerts no moment about itself, a guide no force along its line.
 
-    With an inner pin its force follows from one balance of each body, with an inner guide that of the first body's outer pin from
-    one balance of this body and one of both.
-
-    Parameters
-    ----------
-    tilts : mapping of str to Value [-]
-        Tangents of the friction angles of guides with friction.
+    With an inner pin its force follows from one balance of each body, with an inner guide that of the first body's outer pin
+    from one balance of this body and one of both.
     """
     (first, second), (joint, other) = group.links, group.outer
     of_first, of_second = (balance.needed[link.body].force for link in group.links)

@@ -43,16 +43,7 @@ _TEXT = {
 
 
 def nearest(angle: float, marks: Array, cycle: float, aside: float = 0.0) -> list[float]:
-    """Return the nearest below and above a crank angle of marks that repeat every cycle.
-
-    Parameters
-    ----------
-    angle : float [rad]
-    marks : array (n,) [rad]
-    cycle : float [rad]
-    aside : float [rad]
-        Least distance from the angle.
-    """
+    """Return the nearest below and above a crank angle [rad] of marks that repeat every cycle, at least `aside` away."""
     if not len(marks):
         return []
     every = (marks[:, None] + cycle * (np.floor(angle / cycle) + np.arange(-2.0, 3.0))).ravel()
@@ -60,16 +51,9 @@ def nearest(angle: float, marks: Array, cycle: float, aside: float = 0.0) -> lis
 
 
 def marks_ahead(angle: float, switches: Array, cycle: float, limits: tuple[float, float] | None) -> list[tuple[str, float]]:
-    """Return crank angles at which the integration restarts or ends, the nearest on either side, with the kind of event.
+    """Return crank angles [rad] at which the integration restarts or ends, the nearest on either side, with the kind of event.
 
-    Parameters
-    ----------
-    angle : float [rad]
-    switches : array (n,) [rad]
-        Crank angles at which a load jumps, repeated every cycle.
-    cycle : float [rad]
-    limits : pair of float [rad], optional
-        Reachable range.
+    `switches` are the crank angles at which a load jumps, repeated every cycle, `limits` the reachable range.
     """
     marks = [("switch", at) for at in nearest(angle, switches, cycle, PASSED_JUMP)]
     if limits is not None:
@@ -81,13 +65,7 @@ def marks_ahead(angle: float, switches: Array, cycle: float, limits: tuple[float
 def first_event(step: Step, direction: float, marks: list[tuple[str, float]]) -> tuple[float, str | None]:
     """Return the time of the first event within a step, an angle is reached or the crank stops, and its kind; else the end.
 
-    Parameters
-    ----------
-    step : Step
-        Of a state that begins with crank angle and speed.
-    direction : float
-        Sense in which the crank turns, 0 if it cannot come to rest.
-    marks : list of (kind, crank angle [rad])
+    The state begins with crank angle and speed; `direction` is the sense in which the crank turns, 0 if it cannot come to rest.
     """
     (angle, speed), (later, slower) = step.before[:2].tolist(), step.after[:2].tolist()
     events = [(kind, 0, at) for kind, at in marks if (angle - at) * (later - at) < 0.0]

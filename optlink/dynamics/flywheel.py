@@ -79,19 +79,10 @@ class Fluctuation:
 
 
 def flywheel(machine: Machine, speed: float, allowed: float, start: float = 0.0) -> Flywheel | None:
-    """Compute the flywheel that limits the fluctuation of the crank speed to `allowed` (share of the mean speed).
+    """Compute the flywheel that limits the fluctuation of the crank speed to `allowed` (share of the mean `speed` [rad/s]).
 
-    Parameters
-    ----------
-    speed : float [rad/s], mean
-    allowed : float [-], for example 0.02
-    start : float [rad]
-        Crank angle at which the cycle starts.
-
-    Returns
-    -------
-    Flywheel or None
-        Its inertia is 0 if the fluctuation is within the limit without one; None where the torque is not finite at some position.
+    The cycle starts at the crank angle `start` [rad]. The inertia is 0 if the fluctuation is within the limit without a
+    flywheel; None where the torque is not finite at some position.
     """
     balance = Fluctuation(machine, speed, start)
     if not np.all(np.isfinite(balance.gain)):
@@ -121,12 +112,7 @@ def _least(enough: Callable[[float], bool], likely: float) -> float:
 class LastTurn:
     """Speed of a simulated crank over its last revolution or cycle, from places within the steps of the integrator.
 
-    Parameters
-    ----------
-    angle, speed : float [rad], [rad/s]
-        Initial crank angle and speed.
-    turn : float [rad]
-        Crank rotation after which motion and loads repeat.
+    `turn` [rad] is the crank rotation after which motion and loads repeat.
     """
 
     def __init__(self, angle: float, speed: float, turn: float = TURN) -> None:
@@ -134,14 +120,9 @@ class LastTurn:
         self.blocks = [np.array([[0.0, angle, speed]])]  # time, crank angle, speed
 
     def add(self, steps: Sequence[Step], until: float) -> None:
-        """Add consecutive steps, and drop what lies more than a cycle before their end.
+        """Add consecutive steps, the last of which ends at `until` [s]; drop what lies more than a cycle before.
 
-        Parameters
-        ----------
-        steps : sequence of Step
-            Of a state that begins with crank angle and speed.
-        until : float [s]
-            Where the last step counts as ended.
+        Their states begin with crank angle and speed.
         """
         self.blocks.append(np.column_stack(between(steps, until, 2)))
         end = self.blocks[-1][-1, 1]

@@ -27,7 +27,7 @@ from optlink.dynamics.crank_acceleration import (
 from optlink.dynamics.dop853 import ALL
 from optlink.dynamics.ending import Ending, first_event, marks_ahead, nearest
 from optlink.dynamics.flywheel import LastTurn
-from optlink.dynamics.inverse import Reactions, reactions
+from optlink.dynamics.inverse import reactions
 from optlink.dynamics.loads import Magnitude
 from optlink.dynamics.machine import Machine, Moving
 from optlink.dynamics.runge_kutta import Step, Stepper, TrialStep, attempt, states_at
@@ -88,6 +88,7 @@ class _EquationsOfMotion:
         self.bodies, self.cycle = tuple(machine.mechanism.bodies), machine.mechanism.cycle
         self.names = ["input", *(load.name for load in machine.loads), *(["friction"] if machine.friction else [])]
         self.direction = 1.0
+        self.by_numbers = bool(machine.friction)  # symbols do not support the iteration for friction
         self.buffered: dict[float, tuple[Callable[..., list[Array]], Callable[..., list[Array]]]] = {}
         self.evaluations = 0
 
@@ -98,41 +99,33 @@ class _EquationsOfMotion:
 
     def start(self, angle: float, speed: float) -> Array:
         moving = self.geared(angle).scaled(speed, 0.0, self.direction)
-        return np.concatenate([[angle, speed], np.zeros(len(self.names)), *self.coordinates(moving)])
-
-    def coordinates(self, moving: Moving) -> tuple[Array, Array]:
-        """Positions (start x, y and angle of every body) and velocities."""
-        states = [moving.state(body) for body in self.bodies]
+        states = list(map(moving.state, self.bodies))
         positions = [part for s in states for part in (*s.start, np.arctan2(s.axis[1], s.axis[0]))]
         velocities = [part for s in states for part in (*s.velocity, s.omega)]
-        return _flat(positions), _flat(velocities)
+        return np.concatenate([[angle, speed], np.zeros(len(self.names)), _flat(positions), _flat(velocities)])
 
     def accelerations(self, moving: Moving) -> list[Value]:
-        states = [moving.state(body) for body in self.bodies]
-        return [part for s in states for part in (*s.acceleration, s.alpha)]
+        return [part for s in map(moving.state, self.bodies) for part in (*s.acceleration, s.alpha)]
 
     def torque(self, angle: Value, speed: Value) -> Value:
         assert self.drive is not None
         return self.drive({"phi": angle, "omega": speed})
 
-    def now(self, angle: Value, speed: Value) -> tuple[Value, Value, Moving, Reactions | None]:
-        """Acceleration of the crank, torque of the drive, the machine in motion, reactions if friction needs them."""
-        geared = self.geared(angle)
+    def rates(self, angle: Value, speed: Value) -> list[Value]:
+        """Acceleration of the crank; powers of drive, loads and friction; accelerations of the bodies. Numbers or symbols."""
+        geared, alpha, joint_reactions = self.geared(angle), 0.0, None
         if self.drive is None:
             moving = geared.scaled(speed, 0.0, self.direction)
             torque, joint_reactions = required_torque(moving, geared)
-            return 0.0, torque, moving, joint_reactions
-        torque = self.torque(angle, speed)
-        if not self.machine.friction:
-            alpha = crank_acceleration(geared, speed, torque, self.direction)
-            return alpha, torque, geared.scaled(speed, alpha, self.direction), None
-        alpha, signs, _ = acceleration_with_friction(geared, speed, torque, self.direction)
-        moving = geared.scaled(speed, alpha, self.direction)
-        return alpha, torque, moving, reactions(moving, None, signs)
-
-    def rates(self, angle: Value, speed: Value) -> list[Value]:
-        """Acceleration of the crank; powers of drive, loads and friction; accelerations of the bodies. Numbers or symbols."""
-        alpha, torque, moving, joint_reactions = self.now(angle, speed)
+        else:
+            torque = self.torque(angle, speed)
+            if self.machine.friction:
+                alpha, signs, _ = acceleration_with_friction(geared, speed, torque, self.direction)
+                moving = geared.scaled(speed, alpha, self.direction)
+                joint_reactions = reactions(moving, None, signs)
+            else:
+                alpha = crank_acceleration(geared, speed, torque, self.direction)
+                moving = geared.scaled(speed, alpha, self.direction)
         powers = [torque * speed]
         for load in self.machine.loads:
             powers.append(sum((act.power(moving.state(act.body)) for act in load.act(moving)), 0.0))
@@ -168,25 +161,16 @@ class _EquationsOfMotion:
         outputs = [trial.state, casadi.horzcat(*trial.rates), casadi.vertcat(trial.fifth, trial.third)]
         return rates, dense_function([state, first, size], outputs)
 
-    def traced(self, crank: Array) -> Array:
-        """The rates at a crank angle and speed, 30 times faster."""
-        return self.functions()[0](crank)[0]
-
     def placed(self, rates: Any, state: Any) -> tuple[Any, ...]:
         """Rates of the whole state from those of crank speed, works and velocities."""
         count = 3 * len(self.bodies)
         return state[1:2], rates[:-count], state[-count:], rates[-count:]
 
-    @property
-    def by_numbers(self) -> bool:
-        """Whether symbols do not support the machine: the iteration for friction."""
-        return bool(self.machine.friction)
-
     def __call__(self, state: Array) -> Array:
         """Rates of the state; also where the crank is at rest, for which symbols cannot choose the sense of motion."""
         self.evaluations += 1
         numbers = self.by_numbers or state[1] == 0.0
-        rates = _flat(self.rates(float(state[0]), float(state[1]))) if numbers else self.traced(state[:2])
+        rates = _flat(self.rates(float(state[0]), float(state[1]))) if numbers else self.functions()[0](state[:2])[0]
         return np.concatenate(self.placed(rates, state))
 
     def attempt(self, state: Array, first: Array, size: float) -> TrialStep:
@@ -200,9 +184,10 @@ class _EquationsOfMotion:
 
 
 def _flat(parts: list[Value]) -> Array:
-    return np.array([np.asarray(part, dtype=float).ravel()[0] for part in parts])
+    return np.array([np.asarray(part, dtype=float).item() for part in parts])
 
 
+@np.errstate(all="ignore")
 def run(
     machine: Machine,
     times: Array,
@@ -214,32 +199,16 @@ def run(
     singular: Sequence[float] = (),
     interrupted: Callable[[], None] | None = None,
 ) -> Run:
-    """Simulate the motion of a machine.
+    """Simulate the motion of a machine; the result is shorter than requested where the machine stops (`Run.ending`).
 
-    Parameters
-    ----------
-    times : array (n,) [s], rising from 0
-        Times of the output; the integrator chooses its own steps.
-    angle, speed : float [rad], [rad/s]
-        Initial crank angle and speed.
-    torque : function of phi and omega to a torque [N m], optional
-        Driving torque. Default: constant speed.
-    limits : pair of float [rad], optional
-        Reachable range of the crank angle, where it cannot turn fully.
-    progress : function of the completed share, optional
-    singular : sequence of float [rad]
-        Crank angles at which the motion ends because it is not determined beyond, repeated every cycle.
-    interrupted : function, optional
-        Called at once on Ctrl-C, which ends the motion early.
-
-    Returns
-    -------
-    Run; shorter than requested where the machine stops (`ending`)
+    The output is at `times` (n,) [s], rising from 0, from a crank angle [rad] and speed; without a `torque` at constant speed.
+    `limits`: reachable range of the crank angle, where it cannot turn fully; `singular`: crank angles, repeated every cycle,
+    beyond which the motion is not determined; `progress` is called with the completed share, `interrupted` at once on Ctrl-C,
+    which ends the motion.
     """
     integration = _Integration(_EquationsOfMotion(machine, torque), times, angle, speed, limits, np.array(singular))
-    with np.errstate(all="ignore"):
-        integration.travel(progress, interrupted)
-        return integration.result()
+    integration.travel(progress, interrupted)
+    return integration.result()
 
 
 class _Integration:
@@ -256,7 +225,7 @@ class _Integration:
     ) -> None:
         self.equations, self.times, self.limits, self.singular = equations, times, limits, singular
         equations.direction = float(np.sign(speed)) or 1.0
-        self.switches = jumps(equations.machine, 0.0, equations.cycle) if equations.machine.switching else np.empty(0)
+        self.switches = jumps(equations.machine, 0.0, equations.cycle)
         self.may_rest = equations.drive is not None and equations.machine.switching
         self.time, self.state = 0.0, equations.start(angle, speed)
         self.blocks, self.ways, self.recent = [self.state[None]], [equations.direction], list[Step]()
@@ -283,11 +252,8 @@ class _Integration:
 
     def stops(self) -> list[tuple[str, float]]:
         """Return the nearest singular position on either side, with a small margin."""
-        angle = float(self.state[0])
-        return [
-            ("singular", at + way * STOP)
-            for way, at in zip((1.0, -1.0), nearest(angle, self.singular, self.equations.cycle), strict=False)
-        ]
+        around = nearest(float(self.state[0]), self.singular, self.equations.cycle)
+        return [("singular", at + way * STOP) for way, at in zip((1.0, -1.0), around, strict=False)]
 
     def leg(self, progress: Callable[[float], None] | None) -> None:
         """Integrate to the next event."""
@@ -359,9 +325,7 @@ class _Integration:
         if self.ending is Ending.AT_REST and speeds[-1] == 0.0:
             accelerations = np.where(np.arange(len(times)) == len(times) - 1, 0.0, accelerations)
         moving = geared.scaled(speeds, accelerations, ways)
-        kinetic, potential = (
-            np.zeros(len(times)) + part for part in (machine.kinetic(moving.state), machine.weight(moving.state))
-        )
+        kinetic, potential = (np.zeros(len(times)) + energy(moving.state) for energy in (machine.kinetic, machine.weight))
         works = {name: states[:, 2 + k] for k, name in enumerate(equations.names)}
         energy = kinetic + potential
         imbalance = energy - energy[0] - sum(works.values())
@@ -395,7 +359,7 @@ class _Integration:
 
 def _set_off(equations: _EquationsOfMotion, angle: float) -> Ending:
     """Set the sense in which a resting machine starts to turn; return why it ends there, `FINISHED` if it starts."""
-    torque, geared = float(np.asarray(equations.torque(angle, 0.0)).ravel()[0]), equations.geared(angle)
+    torque, geared = np.asarray(equations.torque(angle, 0.0)).item(), equations.geared(angle)
     starts: list[tuple[float, float]] = []
     determined, rough = True, equations.machine.friction
     for direction in (equations.direction, -equations.direction):
@@ -403,7 +367,7 @@ def _set_off(equations: _EquationsOfMotion, angle: float) -> Ending:
             solutions = [alpha for alpha, fits, _ in accelerations_with_friction(geared, 0.0, torque, direction) if np.all(fits)]
         else:
             solutions = [crank_acceleration(geared, 0.0, torque, direction)]
-        for pull in (float(np.asarray(2.0 * geared.kinetic * alpha).ravel()[0]) for alpha in solutions):
+        for pull in (np.asarray(2.0 * geared.kinetic * alpha).item() for alpha in solutions):
             determined = determined and math.isfinite(pull)
             if direction * pull > STEADY * (abs(torque) + abs(torque - pull)):
                 starts.append((direction, pull))

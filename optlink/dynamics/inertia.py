@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from optlink.linkage.jet import as_jet
-from optlink.linkage.vector2d import Value, Vector, cross, dot, turn
+from optlink.linkage.vector2d import Value, Vector, cross, dot, minus, plus, turn
 
 
 class Wrench(NamedTuple):
@@ -20,20 +20,14 @@ class Wrench(NamedTuple):
     moment: Value
 
     def about(self, start: Vector, point: Vector) -> Value:
-        """Return the moment about another point [N m].
-
-        Parameters
-        ----------
-        start : pair of Value [m]
-            Start of the body, to which `moment` refers.
-        point : pair of Value [m]
-            The new reference point.
-        """
-        return self.moment + cross((start[0] - point[0], start[1] - point[1]), self.force)
+        """Return the moment about another point [N m]; `start` is that of the body, to which `moment` refers."""
+        return self.moment + cross(minus(start, point), self.force)
 
     def __add__(self, other: Wrench) -> Wrench:  # type: ignore[override]
-        (ax, ay), (bx, by) = self.force, other.force
-        return Wrench((ax + bx, ay + by), self.moment + other.moment)
+        return Wrench(plus(self.force, other.force), self.moment + other.moment)
+
+    def __neg__(self) -> Wrench:
+        return Wrench((-self.force[0], -self.force[1]), -self.moment)
 
 
 class Parameters(NamedTuple):
@@ -73,7 +67,7 @@ class BodyMotion(NamedTuple):
 
     def at(self, point: Vector) -> tuple[Vector, Vector]:
         """Return the velocity and acceleration of the body's point at a position [m/s, m/s^2]."""
-        x, y = point[0] - self.start[0], point[1] - self.start[1]
+        x, y = minus(point, self.start)
         square = self.omega * self.omega
         velocity = self.velocity[0] - self.omega * y, self.velocity[1] + self.omega * x
         acceleration = (
@@ -84,14 +78,9 @@ class BodyMotion(NamedTuple):
 
 
 def body_motion(start: Vector, axis: Vector) -> BodyMotion:
-    """Return the state of a body from the motion of its start and of its x axis.
+    """Return the state of a body from the motion of its start [m] and of its x axis (unit vector), pairs of jets.
 
-    Parameters
-    ----------
-    start : pair of Jet [m, m/s, m/s^2]
-        x and y of the start; what is not a jet does not move.
-    axis : pair of Jet [-, 1/s, 1/s^2]
-        x and y of the unit vector of the x axis, likewise.
+    What is not a jet does not move.
     """
     x, y, c, s = as_jet(start[0]), as_jet(start[1]), as_jet(axis[0]), as_jet(axis[1])
     way, turned = (c.value, s.value), cross((c.value, s.value), (c.acceleration, s.acceleration))
@@ -102,17 +91,10 @@ def body_motion(start: Vector, axis: Vector) -> BodyMotion:
 def wrench(parameters: Parameters, state: BodyMotion, gravity: Vector) -> Wrench:
     """Compute the force and moment (about the start of the body) that joints and loads together exert on a body in motion.
 
-    Gravity counts as an acceleration of the frame of reference: pass (0, 0) for the inertia alone.
-
-    Parameters
-    ----------
-    gravity : pair of Value [m/s^2]
-
-    References
-    ----------
+    Gravity [m/s^2] counts as an acceleration of the frame of reference: pass (0, 0) for the inertia alone. These are the
     Newton-Euler equations, with the Steiner term.
     """
-    ax, ay = state.acceleration[0] - gravity[0], state.acceleration[1] - gravity[1]
+    ax, ay = minus(state.acceleration, gravity)
     rx, ry = turn((parameters.along, parameters.across), state.axis)
     square = state.omega * state.omega
     force = (
@@ -138,11 +120,6 @@ def kinetic(parameters: Parameters, state: BodyMotion) -> Value:
 
 
 def potential(parameters: Parameters, state: BodyMotion, gravity: Vector) -> Value:
-    """Return the potential energy of a body in the field of gravity [J], zero at the origin.
-
-    Parameters
-    ----------
-    gravity : pair of Value [m/s^2]
-    """
+    """Return the potential energy of a body in the field of gravity [m/s^2], zero at the origin [J]."""
     first = turn((parameters.along, parameters.across), state.axis)
     return -(parameters.mass * dot(gravity, state.start) + dot(gravity, first))

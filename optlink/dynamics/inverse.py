@@ -67,15 +67,7 @@ class Reactions:
             return {joint: cross(a, b) / np.sqrt(dot(a, a) * dot(b, b)) for joint, (a, b) in self.rows.items()}
 
     def pin(self, machine: Machine, point: str, on: str | None = None) -> Vector:
-        """Return the reaction at a pin [N].
-
-        Parameters
-        ----------
-        point : str
-            Name of the pin.
-        on : str, optional
-            Body on which the force acts. Default: that of `reported_on`.
-        """
+        """Return the reaction at a pin [N] on a body, by default that of `reported_on`."""
         return self.pins[point][on or reported_on(machine)[point]]
 
 
@@ -105,17 +97,7 @@ def acting_on(machine: Machine) -> dict[str, tuple[str, str]]:
 
 
 def required_wrench(moving: Moving, *, inertia: bool = True, gravity: bool = True, loads: bool = True) -> dict[str, Wrench]:
-    """Compute the wrench (about its start) that joints and drive together exert on each body.
-
-    Parameters
-    ----------
-    inertia, gravity, loads : bool
-        Contributions to include.
-
-    Returns
-    -------
-    mapping of body to Wrench
-    """
+    """Compute the wrench (about its start) that joints and drive together exert on each body, of the contributions chosen."""
     machine = moving.machine
     wrenches = dict.fromkeys(machine.mechanism.bodies, ZERO_WRENCH)
     for body, mass in machine.inertias.items():
@@ -129,8 +111,7 @@ def required_wrench(moving: Moving, *, inertia: bool = True, gravity: bool = Tru
     for load in machine.loads if loads else ():
         for acting in load.act(moving):
             if acting.body != FRAME:
-                force, moment = acting.wrench(moving.state(acting.body))
-                wrenches[acting.body] = wrenches[acting.body] + Wrench((-force[0], -force[1]), -moment)
+                wrenches[acting.body] = wrenches[acting.body] + -acting.wrench(moving.state(acting.body))
     return wrenches
 
 
@@ -139,18 +120,10 @@ def reactions(
 ) -> Reactions:
     """Compute all reactions and the driving torque.
 
-    Parameters
-    ----------
-    needed : mapping of body to Wrench, optional
-        Wrench that the joints exert on each body. Default: that of inertia, gravity and loads together.
-    normals : mapping of str to Value, optional
-        Assumed signs, +1 or -1, of the normal forces of guides with friction. Default: the consistent ones.
-
-    Returns
-    -------
-    Reactions
-        Infinite or NaN at a singular position of a group, where `singularity` is zero. The torque of a mechanism that is
-        continued through singular positions is finite there.
+    By default the joints exert on each body the wrench that inertia, gravity and loads need, and the normal forces of guides
+    with friction have consistent signs, not those of `normals` (+1 or -1). At a singular position of a group, where
+    `singularity` is zero, reactions are infinite or NaN; the torque of a mechanism that is continued through singular positions
+    is finite there.
     """
     wrenches = required_wrench(moving) if needed is None else needed
     with np.errstate(all="ignore"):
@@ -161,13 +134,7 @@ def reactions(
 
 
 def virtual_torque(wrenches: Mapping[str, Wrench], moving: Moving) -> Value:
-    """Compute the driving torque that corresponds to wrenches on the bodies [N m], by the principle of virtual power.
-
-    Parameters
-    ----------
-    wrenches : mapping of body to Wrench
-        Force [N] and moment about the start [N m] for each body.
-    """
+    """Compute the driving torque that corresponds to wrenches on the bodies [N m], by the principle of virtual power."""
     source, power = moving.turning, 0.0
     for body, (force, moment) in wrenches.items():
         state = source.state(body)
@@ -180,12 +147,7 @@ class ForceBalance(RemainingWrenches):
 
     def __init__(self, moving: Moving, needed: Mapping[str, Wrench], normals: Mapping[str, Value] | None = None) -> None:
         super().__init__(moving, needed)
-        self.normals = normals
-        self.pins: dict[str, dict[str, Vector]] = {}
-        self.guides: dict[str, GuideForce] = {}
-        self.rows: dict[str, tuple[Vector, Vector]] = {}
-        self.jammed: Value = False
-        self.several: Value = False
+        self.normals, self.result = normals, Reactions(np.nan, {}, {}, {})
         self.order = {body: k for k, body in enumerate((FRAME, *self.mechanism.bodies))}
 
     def solve(self) -> Reactions:
@@ -193,9 +155,9 @@ class ForceBalance(RemainingWrenches):
         for group in reversed(self.mechanism.groups):
             self._commit(group, self.with_friction(group))
         crank = self.mechanism.crank
-        total = self.needed[crank.body]
-        self._exert(crank.start, crank.body, total.force, FRAME)
-        return Reactions(total.moment, self.pins, self.guides, self.rows, self.jammed, self.several)
+        force, self.result.torque = self.needed[crank.body]
+        self._exert(crank.start, crank.body, force, FRAME)
+        return self.result
 
     # --- one group -------------------------------------------------------------------------------------------------
 
@@ -213,25 +175,25 @@ class ForceBalance(RemainingWrenches):
             tilts = {guide.name: sign * senses[guide.name] for guide, sign in zip(rough, signs, strict=True)}
             trial = solver(self, group, tilts)
             least = -ROUNDING * sum(np.abs(force) for force in trial.components)
-            fits: Value = True
+            fits: Value = np.True_
             for guide, sign in zip(rough, signs, strict=True):
-                fits = np.logical_and(fits, sign * self._normal(trial, guide) >= least)
+                fits = fits & (sign * self._normal(trial, guide) >= least)
             balances.append((fits, trial))
         # no consistent signs: friction locks the guide; several that differ: the solution is not unique (Painleve paradox)
         chosen = balances[0][1].each(lambda x: np.nan * x)
-        decided: Value = False
-        torn: Value = False
+        decided: Value = np.False_
+        torn: Value = np.False_
         for fits, trial in balances:
             if not np.any(decided) and np.all(fits):
                 chosen = trial
             else:
                 differs = sum(np.abs(a - b) for a, b in zip(trial.components, chosen.components, strict=True))
                 size = sum(np.abs(a) for a in chosen.components)
-                torn = np.logical_or(torn, np.logical_and(np.logical_and(fits, decided), differs > 1e-6 * size))
-                chosen = trial.where(np.logical_and(fits, np.logical_not(decided)), chosen)
-            decided = np.logical_or(decided, fits)
-        good = np.logical_and(decided, np.logical_not(torn))
-        self.jammed, self.several = np.logical_or(self.jammed, np.logical_not(good)), np.logical_or(self.several, torn)
+                torn = torn | (fits & decided & (differs > 1e-6 * size))
+                chosen = trial.where(fits & ~decided, chosen)
+            decided = decided | fits
+        good = decided & ~torn
+        self.result.jammed, self.result.several = self.result.jammed | ~good, self.result.several | torn
         return chosen if np.all(good) else chosen.each(lambda x: np.where(good, x, np.nan))
 
     def _normal(self, solved: GroupForces, guide: Guide) -> Value:
@@ -262,8 +224,8 @@ class ForceBalance(RemainingWrenches):
                 self._carry(other, at, force, moment)
             sign = 1.0 if body == guide.slider else -1.0
             line, on = self.moving.line(guide.name), (sign * force[0], sign * force[1])
-            self.guides[guide.name] = GuideForce(cross(line, on), dot(line, on), sign * moment, at, on)
-        self.rows[group.joint] = solved.rows
+            self.result.guides[guide.name] = GuideForce(cross(line, on), dot(line, on), sign * moment, at, on)
+        self.result.rows[group.joint] = solved.rows
 
     def _carrier(self, point: str, force: tuple[str, str]) -> str:
         """Return the body placed before a group that holds one of its outer joints."""
@@ -272,7 +234,7 @@ class ForceBalance(RemainingWrenches):
 
     def _exert(self, point: str, body: str, force: Vector, by: str) -> None:
         """Add the force of one body on another at a pin."""
-        forces = self.pins.setdefault(point, {})
+        forces = self.result.pins.setdefault(point, {})
         forces[body] = plus(forces[body], force) if body in forces else force
         forces[by] = minus(forces[by], force) if by in forces else (-force[0], -force[1])
 
@@ -289,12 +251,9 @@ class ForceBalance(RemainingWrenches):
 def torque_parts(moving: Moving, whole: Reactions | None = None) -> dict[str, Value]:
     """Split the driving torque [N m] into the parts of inertia, gravity and loads; friction counts among the loads.
 
-    Parameters
-    ----------
-    whole : Reactions, optional
-        Reactions of this motion, if already computed.
+    `whole` are the reactions of this motion, if already computed.
     """
-    smooth = Moving(moving.machine.with_(friction={}), moving.motion, moving.side, moving.direction)
+    smooth = moving.without_friction
     inertia = reactions(smooth, required_wrench(smooth, gravity=False, loads=False)).torque
     gravity = reactions(smooth, required_wrench(smooth, inertia=False, loads=False)).torque
     total = (whole or reactions(moving)).torque
@@ -304,20 +263,15 @@ def torque_parts(moving: Moving, whole: Reactions | None = None) -> dict[str, Va
 def shaking(moving: Moving) -> Wrench:
     """Compute the shaking force [N] and shaking moment about the crank pivot [N m] that the inertia exerts on the frame.
 
-    They are minus the rates of the momentum and of the angular momentum about the crank pivot, without gravity and loads.
-
-    References
-    ----------
-    R. S. Berkof, G. G. Lowen, A new method for completely force balancing simple linkages, 1969.
+    They are minus the rates of the momentum and of the angular momentum about the crank pivot, without gravity and loads (R. S.
+    Berkof, G. G. Lowen, A new method for completely force balancing simple linkages, 1969).
     """
     needed = required_wrench(moving, gravity=False, loads=False)
     pivot = moving.position(moving.machine.mechanism.crank.start)
-    force: Vector = (0.0, 0.0)
-    moment: Value = 0.0
-    for body, body_wrench in needed.items():
-        force = plus(force, body_wrench.force)
-        moment = moment + body_wrench.about(moving.state(body).start, pivot)
-    return Wrench((-force[0], -force[1]), -moment)
+    total = ZERO_WRENCH
+    for body, own in needed.items():
+        total = total + Wrench(own.force, own.about(moving.state(body).start, pivot))
+    return -total
 
 
 def regressor(moving: Moving) -> dict[str, tuple[Reactions, ...]]:
@@ -325,9 +279,8 @@ def regressor(moving: Moving) -> dict[str, tuple[Reactions, ...]]:
 
     Multiplied by `Inertia.parameters` of all bodies they sum to the part of every reaction due to inertia and gravity.
     """
-    smooth = Moving(moving.machine.with_(friction={}), moving.motion, moving.side, moving.direction)
+    smooth, gravity = moving.without_friction, moving.machine.gravity
     nothing = dict.fromkeys(moving.machine.mechanism.bodies, ZERO_WRENCH)
-    gravity = moving.machine.gravity
     return {
         body: tuple(reactions(smooth, {**nothing, body: wrench(unit, moving.state(body), gravity)}) for unit in UNITS)
         for body in nothing
@@ -335,12 +288,7 @@ def regressor(moving: Moving) -> dict[str, tuple[Reactions, ...]]:
 
 
 def reduced_inertia(machine: Machine, crank_angle: Array) -> tuple[Array, Array]:
-    """Return the inertia reduced to the crank [kg m^2] and its derivative with respect to the crank angle [kg m^2/rad].
-
-    Parameters
-    ----------
-    crank_angle : array (n,) [rad]
-    """
+    """Return the inertia reduced to the crank [kg m^2] and its derivative with respect to the crank angle [kg m^2/rad]."""
     with np.errstate(all="ignore"):
         moving = machine.moving(crank_angle, 1.0)
         weightless = required_wrench(moving, gravity=False, loads=False)

@@ -97,9 +97,9 @@ class Force(_Process):
         size = self.magnitude(self.known(moving)) * _sense(self, moving)
         x, y = self.along(moving)
         at, force = moving.position(self.point, self.body), (size * x + 0.0, size * y + 0.0)  # + 0.0: avoids -0.0
-        yield Acting(self.body, at, force, 0.0)
+        yield Acting(self.body, at, force)
         if self.against != FRAME:
-            yield Acting(self.against, at, (-force[0], -force[1]), 0.0)
+            yield Acting(self.against, at, (-force[0], -force[1]))
 
 
 @dataclass(frozen=True)
@@ -125,9 +125,9 @@ class Torque(_Process):
         """Yield the torque, and its reaction on the other body."""
         state = moving.state(self.body)
         torque = self.magnitude(self.known(moving)) * _sense(self, moving)
-        yield Acting(self.body, state.start, (0.0, 0.0), torque)
+        yield Acting(self.body, state.start, torque=torque)
         if self.against != FRAME:
-            yield Acting(self.against, moving.state(self.against).start, (0.0, 0.0), -torque)
+            yield Acting(self.against, moving.state(self.against).start, torque=-torque)
 
 
 class Steady:
@@ -167,7 +167,7 @@ class Spring(Steady):
         length, (x, y), rate = self._stretch(moving)
         pull = self.stiffness * (length - self.free) + self.damping * rate
         for (body, point), sign in zip(self.ends, (1.0, -1.0), strict=True):
-            yield Acting(body, moving.position(point, body), (sign * pull * x, sign * pull * y), 0.0)
+            yield Acting(body, moving.position(point, body), (sign * pull * x, sign * pull * y))
 
     def potential(self, moving: Moving) -> Value:
         """Return the energy stored in the spring [J]."""
@@ -199,8 +199,8 @@ class TorsionSpring(Steady):
         """Yield the torque of the spring on both bodies."""
         body, against = moving.state(self.body), moving.state(self.against)
         torque = -self.stiffness * self._deflection(moving) - self.damping * (body.omega - against.omega)
-        yield Acting(self.body, body.start, (0.0, 0.0), torque)
-        yield Acting(self.against, against.start, (0.0, 0.0), -torque)
+        yield Acting(self.body, body.start, torque=torque)
+        yield Acting(self.against, against.start, torque=-torque)
 
     def potential(self, moving: Moving) -> Value:
         """Return the energy stored in the spring [J]."""
@@ -224,6 +224,6 @@ class SlideDamper(Steady):
         x, y = moving.line(self.guide)
         force = -self.damping * moving.slides[self.guide][1]
         point = moving.position(self.point, self.slider)
-        yield Acting(self.slider, point, (force * x, force * y), 0.0)
+        yield Acting(self.slider, point, (force * x, force * y))
         if self.on != FRAME:
-            yield Acting(self.on, point, (-force * x, -force * y), 0.0)
+            yield Acting(self.on, point, (-force * x, -force * y))

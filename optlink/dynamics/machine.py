@@ -31,8 +31,8 @@ class Acting(NamedTuple):
 
     body: str
     point: Vector
-    force: Vector
-    torque: Value
+    force: Vector = (0.0, 0.0)
+    torque: Value = 0.0
 
     def wrench(self, state: BodyMotion) -> Wrench:
         """Return the force and torque as a wrench about the start of the body."""
@@ -49,24 +49,19 @@ class Load(Protocol):
     @property
     def name(self) -> str:
         """Name in the problem file."""
-        ...
 
     @property
     def switching(self) -> bool:
         """Whether the load jumps where a motion reverses."""
-        ...
 
     def act(self, moving: Moving) -> Iterator[Acting]:
         """Yield the forces and torques of the load, body by body."""
-        ...
 
     def reversing(self, moving: Moving) -> tuple[Value, Value] | None:
         """Return the velocity at whose reversal the load jumps, and the corresponding acceleration."""
-        ...
 
     def potential(self, moving: Moving) -> Value:
         """Return the potential energy [J]; zero except for springs."""
-        ...
 
 
 @dataclass(frozen=True, repr=False)
@@ -91,16 +86,10 @@ class Machine:
     def moving(
         self, crank_angle: ArrayLike, speed: Value = 1.0, acceleration: Value = 0.0, side: int = 1, direction: Value = None
     ) -> Moving:
-        """Return the machine in motion at crank angles.
+        """Return the machine in motion at crank angles (angles,) [rad].
 
-        Parameters
-        ----------
-        crank_angle : array (angles,) [rad]
-        speed, acceleration : float or array (angles,) [rad/s], [rad/s^2]
-        side : int
-            Where a load jumps, at the reversal of the motion that it opposes: +1 the value just after, -1 just before.
-        direction : +1 or -1, optional
-            Sense of crank rotation. Default: that of the speed, positive where the crank is at rest.
+        `side`: where a load jumps, at the reversal of the motion that it opposes, +1 takes the value just after, -1 that just
+        before. `direction` is the sense of crank rotation, by default that of the speed, positive where the crank is at rest.
         """
         return Moving(self, sweep(self.mechanism, self.sizes, crank_angle, speed, acceleration), side, direction)
 
@@ -120,10 +109,8 @@ class Machine:
     def size(self) -> Value:
         """Sum of the link lengths [m], the reference length of the motion."""
         lengths = [link.length for link in self.mechanism.links if link.end]
-        total: Value = 0.0
-        for length in lengths:
-            total = total + as_jet(self.sizes[length] if isinstance(length, str) else length).value
-        return total if lengths else 1.0
+        values = (as_jet(self.sizes[length] if isinstance(length, str) else length).value for length in lengths)
+        return sum(values, 0.0) if lengths else 1.0
 
     @cached_property
     def ranges(self) -> Ranges:
@@ -179,35 +166,17 @@ class Moving:
         return self.motion.pose
 
     def position(self, point: str, body: str = "") -> Vector:
-        """Return the position of a point [m].
-
-        Parameters
-        ----------
-        body : str
-            Not used: the point has the same position on all bodies that share it.
-        """
+        """Return the position of a point [m], which is the same on all bodies that share it."""
         x, y = self.pose.points[point]
         return as_jet(x).value, as_jet(y).value
 
     def velocity(self, point: str, body: str = "") -> Vector:
-        """Return the velocity of a point [m/s].
-
-        Parameters
-        ----------
-        body : str
-            Not used, see `position`.
-        """
+        """Return the velocity of a point [m/s]."""
         x, y = self.pose.points[point]
         return as_jet(x).rate, as_jet(y).rate
 
     def acceleration(self, point: str, body: str = "") -> Vector:
-        """Return the acceleration of a point [m/s^2].
-
-        Parameters
-        ----------
-        body : str
-            Not used, see `position`.
-        """
+        """Return the acceleration of a point [m/s^2]."""
         x, y = self.pose.points[point]
         return as_jet(x).acceleration, as_jet(y).acceleration
 
@@ -247,11 +216,8 @@ class Moving:
     def sense(self, of: Callable[[Moving], tuple[Value, Value]], size: Value = 1.0) -> Value:
         """Return the sign of a velocity; where it reverses, the sign just after (or before); zero for rounding errors.
 
-        Parameters
-        ----------
-        of : function of a machine in motion to a velocity and its acceleration
-        size : Value
-            Size of the machine [m] for the velocity of a point, 1 for an angular velocity.
+        `of` maps a machine in motion to the velocity and its acceleration; `size` is that of the machine [m] for the velocity
+        of a point, 1 for an angular velocity.
         """
         source = self.turning
         rate, acceleration = of(source)
@@ -281,14 +247,14 @@ class Moving:
     def scaled(self, speed: Value, acceleration: Value, direction: Value) -> Moving:
         """Return the motion at another crank speed and acceleration; this motion must have a constant speed of 1 rad/s.
 
-        Parameters
-        ----------
-        speed : Value [rad/s]
-        acceleration : Value [rad/s^2]
-        direction : Value
-            Sense of crank rotation, +1 or -1.
+        `direction` is the sense of crank rotation, +1 or -1.
         """
         return Moving(self.machine, self.motion.scaled(speed, acceleration), self.side, direction)
+
+    @property
+    def without_friction(self) -> Moving:
+        """The same motion of the machine without friction."""
+        return Moving(self.machine.with_(friction={}), self.motion, self.side, self.direction)
 
     @cached_property
     def kinetic(self) -> Value:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.dynamics.loads import Force, Torque
-from optlink.dynamics.machine import Load, Machine
+from optlink.dynamics.machine import Machine
 from optlink.linkage.extrema import POINTS, distinct, refined_minima
 from optlink.linkage.vector2d import Array, Value
 from optlink.linkage.zeros import zeros
@@ -34,18 +34,13 @@ class Irregular(NamedTuple):
 
 
 def irregular(machine: Machine, grid: Array, speed: float) -> Irregular:
-    """Return the irregular crank angles of the loads of a machine.
+    """Return the irregular crank angles of the loads of a machine at a crank speed [rad/s].
 
-    Parameters
-    ----------
-    grid : array (n,) [rad], rising
-        Fine enough that a denominator has at most one zero or minimum between neighbours.
-    speed : float [rad/s]
-        Crank speed.
+    The rising grid [rad] is so fine that a denominator has at most one zero or minimum between neighbours.
     """
     corners, peaks, unbounded = [np.empty(0)], [np.empty(0)], {}
     for load in machine.loads:
-        if not _with_breakpoints(load):
+        if not isinstance(load, Force | Torque) or not hasattr(load.magnitude, "breakpoints"):
             continue
         with np.errstate(all="ignore"):
             values = _breakpoints(machine, load, speed)
@@ -63,26 +58,13 @@ def irregular(machine: Machine, grid: Array, speed: float) -> Irregular:
 
 
 def poles(machine: Machine, angles: Array, speed: float) -> Array:
-    """Return the crank angles [rad] at which a load grows without bound, in the range of some crank angles.
-
-    Parameters
-    ----------
-    angles : array (n,) [rad]
-    speed : float [rad/s]
-        Crank speed.
-    """
+    """Return the crank angles [rad] at which a load grows without bound, in the range of some crank angles (n,)."""
     grid = np.linspace(np.min(angles), np.max(angles), SAMPLES + 1)
     return np.concatenate([*irregular(machine, grid, speed).poles.values(), np.empty(0)])
 
 
 def without_values(machine: Machine, names: Collection[str]) -> Machine:
-    """Return a machine whose loads of some names have the value NaN, which marks all that depends on them.
-
-    Parameters
-    ----------
-    names : collection of str
-        Names of loads with a magnitude.
-    """
+    """Return a machine whose loads of some names have the value NaN, which marks all that depends on them."""
 
     def unknown(known: Mapping[str, Value]) -> Value:
         return np.nan
@@ -95,17 +77,11 @@ def without_values(machine: Machine, names: Collection[str]) -> Machine:
     )
 
 
-def _with_breakpoints(load: Load) -> bool:
-    return hasattr(getattr(load, "magnitude", None), "breakpoints")
-
-
-def _breakpoints(machine: Machine, load: Load, speed: float) -> Callable[[Array], Array]:
+def _breakpoints(machine: Machine, load: Force | Torque, speed: float) -> Callable[[Array], Array]:
     """Return a function of crank angles (n,) to the quantities (k, n) at whose zeros the magnitude of a load is irregular."""
-    assert isinstance(load, Force | Torque)
-    magnitude = load.magnitude
 
     def values(angles: Array) -> Array:
-        points = magnitude.breakpoints(load.known(machine.moving(angles, speed)))  # type: ignore[attr-defined]
+        points = load.magnitude.breakpoints(load.known(machine.moving(angles, speed)))  # type: ignore[attr-defined]
         return np.array([np.broadcast_to(value, angles.shape) for value in points]).reshape(len(points), len(angles))
 
     return values
@@ -134,9 +110,8 @@ def _least(values: Callable[[Array], Array], grid: Array, samples: Array) -> tup
     return at, least <= NOTHING * largest[rows]
 
 
-def _grows(machine: Machine, load: Load, speed: float, at: Array) -> NDArray[np.bool_]:
+def _grows(machine: Machine, load: Force | Torque, speed: float, at: Array) -> NDArray[np.bool_]:
     """Return whether the magnitude of a load grows without bound towards crank angles (n,), from either side."""
-    assert isinstance(load, Force | Torque)
     beside = at[:, None, None] + BESIDE * np.array([[-1.0], [1.0]])
     values = load.magnitude(load.known(machine.moving(beside.ravel(), speed)))
     size = np.abs(np.broadcast_to(np.asarray(values, dtype=float), beside.size).reshape(beside.shape))

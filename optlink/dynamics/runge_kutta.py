@@ -21,6 +21,7 @@ RELATIVE, ABSOLUTE = 1e-11, 1e-12  # tolerances
 STAGES = 12  # stages of a step
 SAFETY, LEAST, MOST = 0.9, 0.2, 10.0  # of the change of the step size
 EXPONENT = -1.0 / 8.0
+PLACES = 16  # of each step, the last one its end, from which the speed over a turn is measured
 
 
 class TrialStep(NamedTuple):
@@ -33,19 +34,10 @@ class TrialStep(NamedTuple):
 
 
 def attempt(rates: Callable[[Any], Any], stack: Callable[[list[Any]], Any], state: Any, first: Any, size: Any) -> TrialStep:
-    """Take one step, of numbers or symbols.
+    """Take one step of a size [s], of numbers or symbols, from a state and the rates `first` at it, columns (n,).
 
-    Parameters
-    ----------
-    rates : function of a state to its rates
-    stack : function of a list of rates (n,) to a matrix with these columns
-    state : array (n,) or column of symbols
-    first : array (n,) or column of symbols
-        Rates at the state.
-    size : float or symbol [s]
-        Step size.
+    `rates` maps a state to its rates; `stack` maps a list of rates to a matrix with these columns.
     """
-    coefficients = COEFFICIENTS
     stages, new = [first], state
 
     def combined(row: Array) -> Any:
@@ -53,12 +45,12 @@ def attempt(rates: Callable[[Any], Any], stack: Callable[[list[Any]], Any], stat
         return stack([stages[k] for k in used]) @ row[used]
 
     for stage in range(1, ALL):
-        at = state + size * combined(coefficients.stages[stage])
+        at = state + size * combined(COEFFICIENTS.stages[stage])
         stages.append(rates(at))
         if stage == STAGES:
             new = at
     scale = ABSOLUTE + RELATIVE * np.maximum(np.abs(state), np.abs(new))
-    fifth, third = (combined(row) / scale for row in (coefficients.fifth, coefficients.third))
+    fifth, third = (combined(row) / scale for row in (COEFFICIENTS.fifth, COEFFICIENTS.third))
     return TrialStep(new, stages, fifth.T @ fifth, third.T @ third)
 
 
@@ -73,14 +65,7 @@ class Step(NamedTuple):
     rates: Array
 
     def at(self, time: float, part: int) -> float:
-        """Return one element of the state at a time within the step.
-
-        Parameters
-        ----------
-        time : float [s]
-        part : int
-            Which element.
-        """
+        """Return the element number `part` of the state at a time [s] within the step."""
         parts = (self.before[None, [part]], self.after[None, [part]], self.rates[None, :, [part]])
         return float(dense(np.array([(time - self.time) / self.size]), np.array([self.size]), *parts)[0, 0])
 
@@ -88,15 +73,8 @@ class Step(NamedTuple):
 def dense(shares: Array, sizes: Array, before: Array, after: Array, rates: Array) -> Array:
     """Return the states within steps, from the dense output of order 7.
 
-    Parameters
-    ----------
-    shares : array (m,)
-        Places within the steps, 0 to 1.
-    sizes : array (m,) [s]
-    before, after : array (m, n)
-        States at their ends.
-    rates : array (m, 16, n)
-        At all stages.
+    `shares` (m,), 0 to 1, are the places within the steps of `sizes` (m,) [s]; `before` and `after` (m, n) the states at their
+    ends and `rates` (m, 16, n) those at all stages.
     """
     over, first, last = after - before, sizes[:, None] * rates[:, 0], sizes[:, None] * rates[:, STAGES]
     upper = sizes[:, None, None] * (COEFFICIENTS.dense @ rates)
@@ -108,12 +86,7 @@ def dense(shares: Array, sizes: Array, before: Array, after: Array, rates: Array
 
 
 def states_at(times: Array, steps: Sequence[Step]) -> Array:
-    """Return the states (m, n) at times within consecutive steps.
-
-    Parameters
-    ----------
-    times : array (m,) [s], rising
-    """
+    """Return the states (m, n) at rising times (m,) [s] within consecutive steps."""
     starts = np.array([step.time for step in steps])
     places = np.clip(np.searchsorted(starts, times, side="left") - 1, 0, len(steps) - 1)
     chosen = [steps[k] for k in places]
@@ -122,37 +95,24 @@ def states_at(times: Array, steps: Sequence[Step]) -> Array:
     return dense((times - starts[places]) / sizes, sizes, before, after, rates)
 
 
-def between(steps: Sequence[Step], until: float, parts: int, count: int = 16) -> tuple[Array, Array]:
-    """Return times (m,) at even places within consecutive steps, and the first elements of the state (m, parts) there.
+def between(steps: Sequence[Step], until: float, parts: int) -> tuple[Array, Array]:
+    """Return times (m,) at even places within consecutive steps, and the first `parts` elements of the state (m, parts) there.
 
-    Parameters
-    ----------
-    until : float [s]
-        Where the last step counts as ended.
-    parts : int
-        Number of elements of the state.
-    count : int
-        Places in each step; the last one is its end.
+    The last step counts as ended at `until` [s].
     """
     starts, sizes = (np.array([step[k] for step in steps]) for k in (0, 2))
     durations = np.array([min(step.end, until) for step in steps]) - starts
-    shares = ((durations / sizes)[:, None] * np.arange(1.0, count + 1.0) / count).ravel()
+    shares = ((durations / sizes)[:, None] * np.arange(1.0, PLACES + 1.0) / PLACES).ravel()
     states = [(step.before[:parts], step.after[:parts], step.rates[:, :parts]) for step in steps]
-    before, after, rates = (np.array(column).repeat(count, axis=0) for column in zip(*states, strict=True))
-    sizes = sizes.repeat(count)
-    return starts.repeat(count) + shares * sizes, dense(shares, sizes, before, after, rates)
+    before, after, rates = (np.array(column).repeat(PLACES, axis=0) for column in zip(*states, strict=True))
+    sizes = sizes.repeat(PLACES)
+    return starts.repeat(PLACES) + shares * sizes, dense(shares, sizes, before, after, rates)
 
 
 class Stepper:
-    """Integration from a state on, one accepted step at a time.
+    """Integration from a state (n,) and its rates on, one accepted step at a time, from `time` to `end` [s].
 
-    Parameters
-    ----------
-    rates : function of a state (n,) to its rates
-    attempt : function of a state, its rates and a step size to an TrialStep
-    time, end : float [s]
-    state, first : array (n,)
-        Initial state and its rates.
+    `attempt` maps a state, its rates and a step size to a `TrialStep`.
     """
 
     def __init__(

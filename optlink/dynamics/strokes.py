@@ -1,7 +1,7 @@
 """Working and return strokes: the crank ranges in which loads act, and the slow stroke of an output."""
 
 import math
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,14 +21,7 @@ SAME_ANGLE = 1e-6  # rad; crank angles that near to one another are one
 def load_strokes(machine: Machine, load: Load) -> dict[Direction, list[tuple[float, float]]]:
     """Return the crank ranges [rad] of a cycle in which the motion of a load is forward and backward.
 
-    The crank turns counter-clockwise.
-
-    Parameters
-    ----------
-    machine : Machine
-        Its crank turns fully.
-    load : Load
-        Load that depends on the direction of a motion.
+    The crank turns fully, counter-clockwise.
     """
 
     def rates(angles: Array) -> Array:
@@ -51,20 +44,8 @@ def load_strokes(machine: Machine, load: Load) -> dict[Direction, list[tuple[flo
     return ranges
 
 
-def slow_stroke_of(machine: Machine, load: Load) -> Direction | None:
-    """Return the slow stroke of a load's motion for a crank that turns counter-clockwise; None if both are equally long.
-
-    Parameters
-    ----------
-    machine : Machine
-        Its crank turns fully.
-    load : Load
-        Load that depends on the direction of a motion.
-    """
-    return _slow(load_strokes(machine, load))
-
-
-def _slow(ranges: Mapping[Direction, list[tuple[float, float]]]) -> Direction | None:
+def slower(ranges: Mapping[Direction, list[tuple[float, float]]]) -> Direction | None:
+    """Return the slow one of both strokes from their crank ranges (`load_strokes`); None if both are equally long."""
     forward, backward = (math.fsum(end - begin for begin, end in ranges[name]) for name in OTHER)
     return slow_stroke(forward, backward)
 
@@ -85,53 +66,35 @@ class StrokeLoad:
 
 
 def acting_loads(machine: Machine, speed: float) -> tuple[StrokeLoad, ...]:
-    """Return the loads that act in one stroke only.
-
-    Parameters
-    ----------
-    machine : Machine
-        Its crank turns fully.
-    speed : float [rad/s]
-        Speed of the crank; only its sign is used.
-    """
-    return tuple(_acting(machine, speed))
-
-
-def _acting(machine: Machine, speed: float) -> Iterator[StrokeLoad]:
+    """Return the loads that act in one stroke only, of a machine whose crank turns fully; only the sign of the speed is used."""
+    acting = []
     for load in machine.loads:
-        if not isinstance(load, Force | Torque) or load.stroke == "both":
-            continue
-        ranges = load_strokes(machine, load)
-        other = OTHER[load.stroke] if speed < 0.0 else load.stroke
-        direct, counter = (other, load.stroke) if load.turning else (load.stroke, other)
-        yield StrokeLoad(load.name, load.body, direct, tuple(ranges[counter]), pace_of(counter, _slow(ranges)))
+        if isinstance(load, Force | Torque) and load.stroke != "both":
+            ranges = load_strokes(machine, load)
+            other = OTHER[load.stroke] if speed < 0.0 else load.stroke
+            direct, counter = (other, load.stroke) if load.turning else (load.stroke, other)
+            acting.append(StrokeLoad(load.name, load.body, direct, tuple(ranges[counter]), pace_of(counter, slower(ranges))))
+    return tuple(acting)
 
 
 def working_stroke(travel: Travel, speed: float, acting: tuple[StrokeLoad, ...]) -> tuple[Direction | None, tuple[str, ...]]:
-    """Return the working stroke of an output and the loads that define it.
+    """Return the working stroke of an output and the loads that define it; only the sign of the crank speed is used.
 
     It is the stroke in which loads of the same dead centres act; None where no load is limited to one stroke, or loads act in
     both.
-
-    Parameters
-    ----------
-    speed : float [rad/s]
-        Speed of the crank; only its sign is used.
     """
     loads_by_stroke: dict[Direction, list[str]] = {}
     for stroke in travel.strokes(speed):
-        begin, end = sorted((stroke.begin, stroke.end))
+        ends = sorted((stroke.begin, stroke.end))
         for item in acting:
-            if len(item.ranges) == 1 and _same(item.ranges[0], (begin, end)):
+            if len(item.ranges) == 1 and all(
+                abs(math.remainder(a - b, TURN)) < SAME_ANGLE for a, b in zip(item.ranges[0], ends, strict=True)
+            ):
                 loads_by_stroke.setdefault(stroke.name, []).append(item.load)
     if len(loads_by_stroke) == 1:
         ((name, loads),) = loads_by_stroke.items()
         return name, tuple(loads)
     return None, ()
-
-
-def _same(one: tuple[float, float], other: tuple[float, float]) -> bool:
-    return all(abs(math.remainder(a - b, TURN)) < SAME_ANGLE for a, b in zip(one, other, strict=True))
 
 
 def travels_by_use(
@@ -159,13 +122,7 @@ def named_travels(machine: Machine) -> tuple[dict[str, Travel], dict[str, Travel
 
 
 def last_output(machine: Machine, swings: Collection[str], strokes: Collection[str]) -> tuple[str, bool]:
-    """Return the last reciprocating slider on the frame and True, else the last body that swings (or turns) and False.
-
-    Parameters
-    ----------
-    swings, strokes : collection of str
-        Names of the bodies that swing, and of the sliders with a limited stroke.
-    """
+    """Return the last reciprocating slider on the frame and True, else the last body that swings (or turns) and False."""
     names = slider_names(machine)
     for guide in reversed(machine.mechanism.guides):
         if guide.on == FRAME and names[guide.name] in strokes:
@@ -175,11 +132,5 @@ def last_output(machine: Machine, swings: Collection[str], strokes: Collection[s
 
 
 def use_of(stroke: StrokeRange, working: Direction | None) -> str:
-    """Return the use of a stroke: "working", "return", or an empty string if there is no working stroke.
-
-    Parameters
-    ----------
-    working : "forward", "backward" or None
-        Name of the working stroke.
-    """
+    """Return the use of a stroke: "working", "return", or an empty string if there is no working stroke."""
     return "" if working is None else "working" if stroke.name == working else "return"

@@ -24,24 +24,19 @@ ROUGH = 1e-7  # share of the whole work that these may add to a panel, whose qua
 
 
 def gauss_points(a: Array, b: Array) -> tuple[Array, Array]:
-    """Return the points (k, nodes) of Gauss quadrature over intervals, and half their lengths (k,).
-
-    Parameters
-    ----------
-    a, b : array (k,)
-        Ends of the intervals.
-    """
+    """Return the points (k, nodes) of Gauss quadrature over intervals from `a` to `b` (k,), and half their lengths (k,)."""
     half = 0.5 * (b - a)
     return (0.5 * (a + b))[:, None] + half[:, None] * NODES, half
 
 
-def jumps(machine: Machine, low: float, high: float) -> Array:
-    """Return the crank angles [rad] from `low` to below `high` at which a load or friction may jump, rising.
+def _at_gauss_points(function: Callable[[Array], Array], a: Array, b: Array) -> tuple[Array, Array]:
+    """Return the values of a function of crank angles at `gauss_points`, and half the lengths of the intervals."""
+    points, half = gauss_points(a, b)
+    return function(points.ravel()).reshape(points.shape), half
 
-    Parameters
-    ----------
-    low, high : float [rad]
-    """
+
+def jumps(machine: Machine, low: float, high: float) -> Array:
+    """Return the crank angles [rad] from `low` to below `high` at which a load or friction may jump, rising."""
     jump_angles: list[Array] = []
     switching = [load for load in machine.loads if load.switching]
     if switching or machine.friction:
@@ -60,11 +55,7 @@ def jumps(machine: Machine, low: float, high: float) -> Array:
 def corners(machine: Machine, low: float, high: float, speed: float) -> Array:
     """Return the crank angles [rad] at which a load has a corner, a row of its table, or at which a normal force is zero.
 
-    Parameters
-    ----------
-    low, high : float [rad]
-    speed : float [rad/s]
-        Crank speed, which affects the normal forces.
+    The crank speed [rad/s] affects the normal forces.
     """
     corner_angles: list[Array] = []
     rows: list[tuple[str, float]] = []
@@ -106,8 +97,7 @@ def _panels(low: float, high: float) -> int:
 def _rising(lists: list[Array], low: float, high: float) -> Array:
     angles = distinct(np.concatenate([*lists, np.empty(0)]))
     inside = angles[(angles >= low) & (angles < high)]
-    keep = np.concatenate([np.ones(min(1, len(inside)), dtype=bool), np.diff(inside) > 1e-12])
-    return np.asarray(inside[keep])
+    return np.asarray(inside[np.diff(inside, prepend=-np.inf) > 1e-12])
 
 
 class Work:
@@ -121,9 +111,8 @@ class Work:
         self.machine, self.speed = machine, speed
         self.jumps = jumps(machine, low, high)
         irregular_angles, self.peaks, self.poles = irregular(machine, _grid(low, high), speed)
-        bent = np.concatenate(
-            [corners(machine, low, high, speed), irregular_angles]
-        )  # a normal force may change its sign by a jump
+        bent = np.concatenate([corners(machine, low, high, speed), irregular_angles])
+        # a normal force may change its sign by a jump
         apart = np.min(np.abs(bent[:, None] - self.jumps), axis=1, initial=np.inf) > BESIDE
         self.breaks = _rising([self.jumps, bent[apart]], low, high)
         even = np.linspace(low, high, _panels(low, high) + 1)
@@ -149,15 +138,8 @@ class Work:
         return math.sqrt(float(np.sum(half * (self._torques**2 @ WEIGHTS))) / float(self.knots[-1] - self.knots[0]))
 
     def mean(self, signal: Callable[[Array], Array], *, square: bool = False) -> float:
-        """Return the mean, or root mean square, of a function of crank angles (n,) over the range.
-
-        Parameters
-        ----------
-        signal : function of array (n,) [rad]
-            Smooth between the knots, as the torque.
-        """
-        points, half = gauss_points(self.knots[:-1], self.knots[1:])
-        values = signal(points.ravel()).reshape(points.shape)
+        """Return the mean, or root mean square, over the range of a function of crank angles (n,), smooth between the knots."""
+        values, half = _at_gauss_points(signal, self.knots[:-1], self.knots[1:])
         mean = float(np.sum(half * ((values**2 if square else values) @ WEIGHTS))) / float(self.knots[-1] - self.knots[0])
         return math.sqrt(mean) if square else mean
 
@@ -165,8 +147,7 @@ class Work:
         """Return knots between which the torque is smooth, halved where it is not, and the works and torques between them."""
         a, b, total, panels, torques = knots[:-1], knots[1:], None, [], []
         for level in range(HALVINGS):
-            points, half = gauss_points(a, b)
-            values = self.torque(points.ravel()).reshape(points.shape)
+            values, half = _at_gauss_points(self.torque, a, b)
             if total is None:
                 total = float(np.nansum(half * (np.abs(values) @ WEIGHTS)))
             with np.errstate(invalid="ignore"):  # a load without a value
@@ -183,14 +164,10 @@ class Work:
         order = np.argsort(begins)
         return np.append(begins[order], knots[-1]), works[order], np.concatenate(torques)[order]
 
-    def _integral(self, a: Array, b: Array) -> Array:
-        points, half = gauss_points(a, b)
-        values = self.torque(points.ravel()).reshape(points.shape)
-        return np.asarray(half * (values @ WEIGHTS))
-
     def __call__(self, angles: Array) -> Array:
         """Return the work [J] from the start to crank angles (n,)."""
         place = np.clip(np.searchsorted(self.knots, angles, side="right") - 1, 0, len(self.knots) - 2)
         blocks = [slice(begin, begin + BLOCK) for begin in range(0, len(angles), BLOCK)]
-        rest = [self._integral(self.knots[place[block]], angles[block]) for block in blocks]
+        parts = (_at_gauss_points(self.torque, self.knots[place[block]], angles[block]) for block in blocks)
+        rest = [half * (values @ WEIGHTS) for values, half in parts]
         return np.asarray(self._sum[place] + np.concatenate([np.empty(0), *rest]) - self._start)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.linkage.extrema import in_portions
+from optlink.linkage.extrema import in_portions, own_values
 from optlink.linkage.jet import Jet, as_jet
 from optlink.linkage.margins import NEAR_ALIGNMENT, SINGULAR_ALIGNMENT
 from optlink.linkage.mechanism import Dyad, Mechanism, Pose
@@ -62,13 +62,7 @@ def angles_text(angles: Array) -> str:
 
 
 def squared_sines(pose: Pose, groups: Sequence[Dyad] | None = None) -> Array:
-    """Return the alignment [-] of groups, array (groups, n); NaN for those that follow one that cannot be assembled.
-
-    Parameters
-    ----------
-    groups : sequence of Dyad, optional
-        Default: every group.
-    """
+    """Return the alignment [-] of groups, by default all, array (groups, n); NaN for those that follow one that cannot close."""
     shape = np.shape(as_jet(pose.directions[pose.mechanism.crank.body][0]).value)
     with np.errstate(all="ignore"):
         alignments = [np.broadcast_to(as_jet(group.alignment(pose)).value, shape) for group in groups or pose.mechanism.groups]
@@ -76,24 +70,15 @@ def squared_sines(pose: Pose, groups: Sequence[Dyad] | None = None) -> Array:
 
 
 def alignment_margin(pose: Pose, groups: Sequence[Dyad] | None = None) -> Array:
-    """Return the least alignment of groups above its limit [-], array (n,); negative, never NaN, if one fails to close.
-
-    Parameters
-    ----------
-    groups : sequence of Dyad, optional
-        Default: every group.
-    """
+    """Return the least alignment of groups above its limit [-], array (n,); negative, never NaN, if one fails to close."""
     by_group = zip(groups or pose.mechanism.groups, squared_sines(pose, groups), strict=True)  # parallel lines meet nowhere
     return least_margin(pose, (sines - group.least if group.least > 0.0 else sines + TOUCHING for group, sines in by_group))
 
 
 def least_margin(pose: Pose, margins: Iterable[Array]) -> Array:
-    """Return the least margin of all groups [-], array (n,); the first that fails to close counts -1, its followers nothing.
+    """Return the least of the margins of all groups [-], array (n,), each NaN where it or one before it cannot close.
 
-    Parameters
-    ----------
-    margins : iterable of array (n,)
-        That of each group; NaN where it or one before it cannot be assembled.
+    The first that fails to close counts -1, its followers nothing.
     """
     least = np.full(np.shape(as_jet(pose.directions[pose.mechanism.crank.body][0]).value), np.inf)
     for margin in margins:
@@ -107,46 +92,27 @@ def alignment_grid(cycle: float) -> Array:
     return np.arange(-0.37 * step, cycle + step, step)
 
 
+@np.errstate(all="ignore")
 def least_alignments(mechanism: Mechanism, sizes: Mapping[str, Value], last: Pose | None = None) -> list[AlignedPosition]:
     """Return the positions of one cycle in which a group comes within `NEAR_ALIGNMENT` of alignment, each at the least angle.
 
-    Parameters
-    ----------
-    sizes : mapping of parameter name to float [m, rad]
-    last : Pose, optional
-        Pose at the crank angles of `alignment_grid`, at a crank speed of 1 rad/s: only positions of the last group are sought.
-
-    Returns
-    -------
-    list of AlignedPosition
-        In the order of the groups and of the crank angle.
+    They are in the order of the groups and of the crank angle. With `last`, the pose at the crank angles of `alignment_grid` at a
+    crank speed of 1 rad/s, only those of the last group are sought.
     """
     groups = mechanism.groups if last is None else mechanism.groups[-1:]
     if not groups:
         return []
     grid = alignment_grid(mechanism.cycle)
 
-    def moving(angles: Value) -> Pose:
-        with np.errstate(all="ignore"):
-            return mechanism.at(sizes, Jet(angles, 1.0))
+    def rates(angles: Array, pose: Pose | None = None) -> Array:
+        moving = pose or mechanism.at(sizes, Jet(angles, 1.0))
+        return np.array([np.broadcast_to(as_jet(group.alignment(moving)).rate, angles.shape) for group in groups])
 
-    def rates_of(pose: Pose, shape: tuple[int, ...]) -> Array:
-        with np.errstate(all="ignore"):
-            derivatives = [as_jet(group.alignment(pose)).rate for group in groups]
-        return np.array([np.broadcast_to(rate, shape) for rate in derivatives])
-
-    def rates(angles: Array) -> Array:
-        return rates_of(moving(angles), angles.shape)
-
-    samples = in_portions(rates, grid) if last is None else rates_of(last, grid.shape)
+    samples = in_portions(rates, grid) if last is None else rates(grid, last)
     still = np.max(np.nan_to_num(np.abs(samples), posinf=0.0), axis=1, initial=0.0) <= _STILL
 
-    def sines(angles: Array) -> Array:
-        with np.errstate(all="ignore"):
-            return squared_sines(mechanism.at(sizes, angles), groups)
-
     def slope(k: int, angle: float) -> tuple[float, float]:
-        alignment = as_jet(groups[k].alignment(moving(angle)))
+        alignment = as_jet(groups[k].alignment(mechanism.at(sizes, Jet(angle, 1.0))))
         return float(alignment.rate), float(alignment.acceleration)
 
     # Newton's method takes a few poses of all groups; for many groups at once the others are cheaper in one array
@@ -158,7 +124,10 @@ def least_alignments(mechanism: Mechanism, sizes: Mapping[str, Value], last: Pos
     if not at.size:
         return []
     beside = np.concatenate([at + aside for aside in (-_ASIDE, 0.0, _ASIDE)])
-    before, least, after = in_portions(sines, beside, np.tile(which, 3)).reshape(3, -1)
+    every = own_values(
+        lambda angles, rows: squared_sines(mechanism.at(sizes, angles), groups)[rows], beside, np.tile(which, 3), len(groups)
+    )
+    before, least, after = every.reshape(3, -1)
     lowest = (least <= before) & (least <= after) & (least < math.sin(NEAR_ALIGNMENT) ** 2) & (least >= -TOUCHING)
     return [
         AlignedPosition(0.0 if abs(angle) < 1e-9 else float(angle), groups[k], math.asin(math.sqrt(max(sine, 0.0))))
@@ -169,16 +138,9 @@ def least_alignments(mechanism: Mechanism, sizes: Mapping[str, Value], last: Pos
 def near_singular(pose: Pose, crank_angle: Array) -> NDArray[np.bool_]:
     """Return which designs (designs,) may have a singular position, from the alignment of their groups at sampled crank angles.
 
-    Parameters
-    ----------
-    pose : Pose
-        Pose of the designs (designs, 1) at these crank angles, at a crank speed of 1 rad/s.
-    crank_angle : array (angles,) [rad]
-        Evenly spaced over a revolution, the last one step before the first.
-
-    Notes
-    -----
-    Between two samples, where the alignment has a minimum and is convex, it lies above the intersection of its two tangents.
+    The pose is that of the designs (designs, 1) at a crank speed of 1 rad/s; the crank angles [rad] are evenly spaced over a
+    revolution, the last one step before the first. Between two samples, where the alignment has a minimum and is convex, it lies
+    above the intersection of its two tangents.
     """
     step, count = crank_angle[1] - crank_angle[0], len(crank_angle)
     shape = np.broadcast_shapes(*(np.shape(as_jet(margin).value) for margin in pose.margins.values()), (1, count))

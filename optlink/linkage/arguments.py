@@ -13,16 +13,11 @@ from numpy.typing import ArrayLike
 from optlink.errors import InputError, UnknownName, nearest
 from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.motion import Motion, sweep as sweep_unchecked
-from optlink.linkage.vector2d import Array
+from optlink.linkage.vector2d import Array, Value
 
 
 def check_number(name: str, value: Any) -> float:
     """Return a finite number.
-
-    Parameters
-    ----------
-    name : str
-        Name of the argument.
 
     Raises
     ------
@@ -38,19 +33,15 @@ def check_number(name: str, value: Any) -> float:
 def check_length(name: str, value: Any) -> float:
     """Return a length: a positive finite number [m].
 
-    Parameters
-    ----------
-    name : str
-        Name of the argument.
-
     Raises
     ------
     InputError
         If it is none.
     """
-    if check_number(name, value) <= 0.0:
+    length = check_number(name, value)
+    if length <= 0.0:
         raise InputError("a length must be positive", "Give it in metres, above 0", key=name, value=value)
-    return float(value)
+    return length
 
 
 def check_side(side: Any) -> None:
@@ -66,12 +57,7 @@ def check_side(side: Any) -> None:
 
 
 def check_point_names(points: Iterable[str], taken: Collection[str]) -> tuple[str, ...]:
-    """Return the names of further points.
-
-    Parameters
-    ----------
-    taken : collection of str
-        Names that the linkage itself has.
+    """Return the names of further points, none of which the linkage itself has `taken`.
 
     Raises
     ------
@@ -91,11 +77,6 @@ def check_point_names(points: Iterable[str], taken: Collection[str]) -> tuple[st
 
 def check_array(name: str, value: Any) -> Array:
     """Return an array of finite numbers.
-
-    Parameters
-    ----------
-    name : str
-        Name of the argument.
 
     Raises
     ------
@@ -151,24 +132,27 @@ def sweep(
     for group in mechanism.groups:
         check_side(getattr(group, "side", 1))
     values = _sizes(mechanism, sizes)
-    angles, rate, change = (
-        check_array(name, value)
-        for name, value in (("crank_angle", crank_angle), ("speed", speed), ("acceleration", acceleration))
-    )
-    for name, array in (
-        *((f"sizes.{name}", np.asarray(value)) for name, value in values.items()),
-        ("speed", rate),
-        ("acceleration", change),
-    ):
+    angles = check_array("crank_angle", crank_angle)
+    rate, change = _value("speed", speed), _value("acceleration", acceleration)
+    for name, value in {
+        **{f"sizes.{name}": size for name, size in values.items()},
+        "speed": rate,
+        "acceleration": change,
+    }.items():
         try:
-            np.broadcast_shapes(array.shape, np.atleast_1d(angles).shape)
+            np.broadcast_shapes(np.shape(value), np.atleast_1d(angles).shape)
         except ValueError:
             remedy = "Give a number, one value per crank angle, or designs in a column: shape (designs, 1)"
-            raise InputError(f"its shape {array.shape} does not match that of crank_angle", remedy, key=name) from None
-    return sweep_unchecked(mechanism, values, angles, *(array if array.ndim else float(array) for array in (rate, change)))
+            raise InputError(f"its shape {np.shape(value)} does not match that of crank_angle", remedy, key=name) from None
+    return sweep_unchecked(mechanism, values, angles, rate, change)
 
 
-def _sizes(mechanism: Mechanism, sizes: Any) -> dict[str, Any]:
+def _value(name: str, value: Any) -> Value:
+    array = check_array(name, value)
+    return array if array.ndim else float(array)
+
+
+def _sizes(mechanism: Mechanism, sizes: Any) -> dict[str, Value]:
     """Return the sizes of a mechanism as numbers and arrays."""
     if not isinstance(sizes, Mapping):
         raise InputError("not a mapping of names to values", "Give SI values by name", key="sizes", value=sizes)
@@ -179,8 +163,8 @@ def _sizes(mechanism: Mechanism, sizes: Any) -> dict[str, Any]:
             raise UnknownName("the mechanism has no such size", nearest(str(name), needed), key=f"sizes.{name}")
     if missing := [name for name in needed if name not in sizes]:
         raise InputError(f"missing: {', '.join(missing)}", "Give SI values of all sizes by name", key="sizes")
-    arrays = {name: check_array(f"sizes.{name}", size) for name, size in sizes.items()}
+    values = {name: _value(f"sizes.{name}", size) for name, size in sizes.items()}
     for name in mechanism.lengths:
-        if np.any(arrays[name] <= 0.0):
+        if np.any(values[name] <= 0.0):
             raise InputError("a length must be positive", "Give it in metres, above 0", key=f"sizes.{name}", value=sizes[name])
-    return {name: array if array.ndim else float(array) for name, array in arrays.items()}
+    return values

@@ -6,15 +6,16 @@ L. V. Assur (1914): classification of mechanisms; a mechanism is a driving crank
 """
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import cached_property, partial
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
 from itertools import combinations
 from typing import get_args
 
 from optlink.errors import InvalidValue
 from optlink.io import Registry
 from optlink.linkage.dyad_types import FORWARD, RPR, LineDyad, ModalDyad, Transmitting
-from optlink.linkage.mechanism import FRAME, BodyPoint, Dyad, Ground, Guide, Joint, Link, Mechanism
+from optlink.linkage.mechanism import FRAME, BodyPoint, Dyad, Ground, Guide, Joint, Link, Mechanism, owners_of
 from optlink.unsupported import unsupported
 
 _SIDE = re.compile(r"\s*(left|right)\s+of\s+(\S+)\s*(?:->|-|–|→|to)\s*(\S+)\s*", re.ASCII)
@@ -29,123 +30,62 @@ class StructureError(InvalidValue):
     """Error for bodies that do not form a chain of dyads: `message`, `remedy`, and the faulty `key` below the mechanism."""
 
 
-def assemble(
-    name: str,
-    ground: Mapping[str, Ground],
-    links: Sequence[Link],
-    points: Sequence[BodyPoint],
-    guides: Sequence[Guide],
-    driver: str,
-    modes: Mapping[str, str],
-) -> Mechanism:
-    """Decompose a mechanism into dyads, in an order in which the bodies can be placed two at a time.
-
-    Parameters
-    ----------
-    name : str
-        Name of the mechanism.
-    ground : mapping of point name to Ground
-        Points of the frame: coordinates (x, y) [m] or parameter names, or an `Arm`.
-    links : sequence of Link
-        Every moving body.
-    points : sequence of BodyPoint
-        Further points fixed on the bodies.
-    guides : sequence of Guide
-        The prismatic joints.
-    driver : str
-        Name of the driven body; its start is its pivot on the frame.
-    modes : mapping of joint name to assembly mode
-        RRR groups: "left of B-D" or "right of B-D"; RRP and RPR groups: "forward" or "backward" along the guide. With
-        ", continue" appended the group is continued smoothly through its singular positions.
-
-    Raises
-    ------
-    StructureError
-        The bodies do not form such a chain; the message names the bodies that are left.
-    """
-    return Assembly(ground, links, points, guides, driver, modes).mechanism(name)
-
-
 def _split(words: str) -> tuple[str, bool]:
     """Return an assembly mode and whether it is continued through change points; a missing mode counts as left, or forward."""
     mode, _, last = words.rpartition(",")
     return (mode.strip() or EITHER, True) if last.strip() == CONTINUE else (words, False)
 
 
-def _list(names: Iterable[str]) -> str:
-    *first, last = names
+def _list(joints: Sequence[Joint]) -> str:
+    *first, last = (joint if isinstance(joint, str) else joint.name for joint in joints)
     return f"{', '.join(first)} and {last}" if first else last
 
 
+@dataclass
 class Assembly:
-    """State of the decomposition: the bodies placed and the groups identified so far."""
+    """Decomposition of a mechanism into dyads, in an order in which the bodies can be placed two at a time.
 
-    def __init__(
-        self,
-        ground: Mapping[str, Ground],
-        links: Sequence[Link],
-        points: Sequence[BodyPoint],
-        guides: Sequence[Guide],
-        driver: str,
-        modes: Mapping[str, str],
-    ) -> None:
-        self.ground, self.points, self.guides, self.modes = ground, tuple(points), tuple(guides), modes
-        self.links = {link.body: link for link in links}
-        self.rank = {link.body: k for k, link in enumerate(links)}
-        self.driver = driver
-        self.members: dict[str, list[str]] = {}  # point -> bodies that have it
-        for point in ground:
-            self.members[point] = [FRAME]
-        for link in links:
-            names = [p.name for p in points if p.body == link.body]
-            for point in (link.start, link.end, *names):
-                if point:
-                    self.members.setdefault(point, []).append(link.body)
-        self.placed = {FRAME, driver}
+    The start of the body `driver` is its pivot on the frame. `modes` are by the name of the inner joint: "left of B-D" or "right
+    of B-D" for RRR groups; "forward" or "backward" along the guide for RRP and RPR groups. With ", continue" appended the group
+    is continued smoothly through its singular positions.
+    """
+
+    ground: Mapping[str, Ground]
+    links: Sequence[Link]
+    points: Sequence[BodyPoint]
+    guides: Sequence[Guide]
+    driver: str
+    modes: Mapping[str, str]
+
+    def __post_init__(self) -> None:
+        self.bodies = {link.body: link for link in self.links}
+        self.rank = {body: k for k, body in enumerate(self.bodies)}
+        self.members = owners_of(self.ground, self.links, self.points)
+        self.placed = {FRAME, self.driver}
         self.groups: list[Dyad] = []
-        self.used: set[str] = set()
+        self.used: set[str] = set()  # joints whose assembly mode is that of a group
+        shared = {point: bodies for point, bodies in self.members.items() if len(bodies) > 1}
+        everything = (FRAME, *self.bodies)
+        self.pins = {body: [point for point, bodies in shared.items() if body in bodies] for body in everything}
+        self.rails = {body: [guide for guide in self.guides if body in guide.bodies] for body in everything}
 
     # --- joints of the bodies ------------------------------------------------------------------------------------
 
-    def pins(self, body: str) -> list[str]:
-        """Return the points of a body that another body shares."""
-        return self._pins.get(body, [])
-
-    @cached_property
-    def _pins(self) -> dict[str, list[str]]:
-        pins: dict[str, list[str]] = {}
-        for point, bodies in self.members.items():
-            for body in bodies if len(bodies) > 1 else ():
-                pins.setdefault(body, []).append(point)
-        return pins
-
-    def rails(self, body: str) -> list[Guide]:
-        """Return the guides in which a body slides, or which it carries."""
-        return self._rails.get(body, [])
-
-    @cached_property
-    def _rails(self) -> dict[str, list[Guide]]:
-        rails: dict[str, list[Guide]] = {}
-        for guide in self.guides:
-            for body in guide.bodies:
-                rails.setdefault(body, []).append(guide)
-        return rails
-
     def neighbours(self, body: str) -> list[str]:
         """Return the bodies, not yet placed, that share a joint with a body, in the order of the file."""
-        near = {other for point in self.pins(body) for other in self.members[point]}
-        near |= {guide.other(body) for guide in self.rails(body)}
+        near = {other for point in self.pins[body] for other in self.members[point]}
+        near |= {guide.other(body) for guide in self.rails[body]}
         return sorted(near - self.placed - {body}, key=self.rank.__getitem__)
 
-    def placed_joints(self, body: str) -> list[str | Guide]:
+    def placed_joints(self, body: str) -> list[Joint]:
         """Return the joints of a body with bodies that are already placed."""
-        pins = [point for point in self.pins(body) if self.placed.intersection(self.members[point])]
-        return [*pins, *(guide for guide in self.rails(body) if guide.other(body) in self.placed)]
+        pins = [point for point in self.pins[body] if self.placed.intersection(self.members[point])]
+        return [*pins, *(guide for guide in self.rails[body] if guide.other(body) in self.placed)]
 
-    def _shared(self, first: str, second: str) -> list[str | Guide]:
+    def _shared(self, first: str, second: str) -> list[Joint]:
         """Return the joints between two bodies that are not yet placed."""
-        pins = [p for p in self.pins(first) if second in self.members[p] and not self.placed.intersection(self.members[p])]
-        return [*pins, *(guide for guide in self.rails(first) if guide.other(first) == second)]
+        pins = [p for p in self.pins[first] if second in self.members[p] and not self.placed.intersection(self.members[p])]
+        return [*pins, *(guide for guide in self.rails[first] if guide.other(first) == second)]
 
     # --- the search ------------------------------------------------------------------------------------------------
 
@@ -155,14 +95,14 @@ class Assembly:
         Raises
         ------
         StructureError
-            If the bodies do not form dyads, or an assembly mode is that of no group.
+            If the bodies do not form a chain of dyads (the message names those that are left), or a mode is that of no group.
         """
         self.check_joints()
         connected = {body for start in (FRAME, self.driver) for body in self.neighbours(start)}
-        while len(self.placed) <= len(self.links):
+        while len(self.placed) <= len(self.bodies):
             group = self.next_group(sorted(connected, key=self.rank.__getitem__))
             if group is None:
-                raise self.refusal([body for body in self.links if body not in self.placed])
+                raise self.refusal([body for body in self.bodies if body not in self.placed])
             self.groups.append(group)
             self.placed.update(link.body for link in group.links)
             connected.update(body for link in group.links for body in self.neighbours(link.body))
@@ -174,7 +114,7 @@ class Assembly:
                 raise StructureError(
                     "no dyad has its inner joint there, or the dyad has only one assembly mode", remedy, f"assembly.{joint}"
                 )
-        return Mechanism(name, self.ground, self.links[self.driver], tuple(self.groups), self.points, self.guides)
+        return Mechanism(name, self.ground, self.bodies[self.driver], tuple(self.groups), tuple(self.points), tuple(self.guides))
 
     def next_group(self, connected: list[str]) -> Dyad | None:
         """Return the first dyad, in the order of the file, among bodies joined to placed ones."""
@@ -192,21 +132,21 @@ class Assembly:
         StructureError
             If there is one of them.
         """
-        crank = self.links[self.driver]
+        crank = self.bodies[self.driver]
         if FRAME not in self.members[crank.start]:
             message = f"the driven body turns about its first joint, and {crank.start} of {crank.body} is not on the frame"
             remedy, missing = "Give its first joint a place under [mechanism.ground]", ""
             if FRAME in self.members.get(crank.end, []):
                 remedy = "Exchange its two joints"
-            elif self.rails(self.driver):
+            elif self.rails[self.driver]:
                 missing, remedy = unsupported("linear drive")
             elif len(self.members[crank.start]) > 1:
-                pinned = [body for body in self.links if any(FRAME in self.members[point] for point in self.pins(body))]
+                pinned = [body for body in self.bodies if any(FRAME in self.members[point] for point in self.pins[body])]
                 missing, remedy = unsupported("drive on a moving link", bodies=", ".join(pinned))
             message = f"{message}: {missing}" if missing else message
             raise StructureError(message, remedy, f"links.{crank.body}.joints", crank.start)
-        for body in self.links:
-            if not self.pins(body) and not self.rails(body):
+        for body in self.bodies:
+            if not self.pins[body] and not self.rails[body]:
                 points = [point for point, bodies in self.members.items() if body in bodies]
                 raise StructureError(
                     f"the body has no joint: no other body has its {'points' if len(points) > 1 else 'point'} {_list(points)}, "
@@ -214,8 +154,8 @@ class Assembly:
                     "Give one of its joints the name of a joint of another body or of the ground, or remove it",
                     f"links.{body}",
                 )
-        fixed_at = [*(p for p in self.pins(self.driver) if FRAME in self.members[p] and p != crank.start)]
-        fixed_at += [guide.name for guide in self.rails(self.driver) if FRAME in guide.bodies]
+        fixed_at: list[Joint] = [p for p in self.pins[self.driver] if FRAME in self.members[p] and p != crank.start]
+        fixed_at += [guide for guide in self.rails[self.driver] if FRAME in guide.bodies]
         if fixed_at:
             raise StructureError(
                 f"{self.driver} cannot turn about its pivot {crank.start}: the frame also fixes it at {_list(fixed_at)}",
@@ -225,38 +165,26 @@ class Assembly:
 
     def _group(self, first: str, second: str) -> Dyad | None:
         """Return the dyad of two bodies, if each has one joint with the placed bodies and they share one inner joint."""
-        outer, inner = [self.placed_joints(body) for body in (first, second)], self._shared(first, second)
-        if len(outer[0]) != 1 or len(outer[1]) != 1 or len(inner) != 1:
+        joints = self.placed_joints(first), self._shared(first, second), self.placed_joints(second)
+        if any(len(some) != 1 for some in joints):
             return None
-        joint = inner[0]
-        a, b = outer[0][0], outer[1][0]
+        (a,), (joint,), (b,) = joints
         if a == b and isinstance(a, str):
-            raise self._one_body(first, second, [a, joint if isinstance(joint, str) else joint.name])
+            raise self._one_body(first, second, [a, joint])
         letters = "".join("R" if isinstance(each, str) else "P" for each in (a, joint, b))
         if letters in DYADS:
-            return DYADS[letters](self, self.links[first], self.links[second], a, joint, b)
+            return DYADS[letters](self, self.bodies[first], self.bodies[second], a, joint, b)
         if letters[::-1] in DYADS:
-            return DYADS[letters[::-1]](self, self.links[second], self.links[first], b, joint, a)
+            return DYADS[letters[::-1]](self, self.bodies[second], self.bodies[first], b, joint, a)
         return None  # three prismatic joints determine no position
 
-    def follows(self, joint: str) -> bool:
-        """Whether a group is continued through its singular positions."""
-        return _split(self.modes[joint])[1]
-
     def side(self, joint: str, *joints: Joint) -> int:
-        """Return the assembly mode of a group without a slider, or with one.
-
-        Parameters
-        ----------
-        joint : str
-            Name of the group.
-        *joints : Joint
-            Outer joint of its first body, inner joint, outer joint of its second body.
+        """Return the assembly mode of the group with the inner joint `joint`, from its outer, inner and other outer joint.
 
         Raises
         ------
         StructureError
-            If the file states no mode for the group, or another than these two.
+            If the file states no mode for the group, or one that it does not have.
         """
         guide = next((each for each in joints if isinstance(each, Guide)), None)
         p, _, q = joints
@@ -264,7 +192,14 @@ class Assembly:
             options = f'{joint} = "left of {p}-{q}" or "right of {p}-{q}"'
         else:
             options = f'{joint} = "forward" or "backward", along the guide {guide.name}'
-        words = self.mode(joint, options).strip()
+        if joint not in self.modes:
+            raise StructureError(
+                "the group with this joint can be assembled in two ways, and the file does not state which",
+                f"Add {options}",
+                f"assembly.{joint}",
+            )
+        self.used.add(joint)
+        words = _split(self.modes[joint])[0].strip()
         if words == EITHER:
             return 1
         if guide is not None and words in FORWARD:
@@ -274,31 +209,7 @@ class Assembly:
             raise StructureError("not an assembly mode of this group", f"Write {options}", f"assembly.{joint}", words)
         return (1 if match[1] == "left" else -1) * (1 if match[2] == p else -1)
 
-    def mode(self, joint: str, options: str) -> str:
-        """Return the assembly mode that the file states for a group.
-
-        Parameters
-        ----------
-        joint : str
-            Name of the group.
-        options : str
-            Assignments that the file can contain, for the error.
-
-        Raises
-        ------
-        StructureError
-            If the file states none.
-        """
-        self.used.add(joint)
-        if joint not in self.modes:
-            raise StructureError(
-                "the group with this joint can be assembled in two ways, and the file does not state which",
-                f"Add {options}",
-                f"assembly.{joint}",
-            )
-        return _split(self.modes[joint])[0]
-
-    def _one_body(self, first: str, second: str, both: list[str]) -> StructureError:
+    def _one_body(self, first: str, second: str, both: Sequence[Joint]) -> StructureError:
         """Return the error for two bodies that cannot move relative to each other."""
         return StructureError(
             f"{first} and {second} share the joints {_list(both)}, which makes them one body",
@@ -308,30 +219,25 @@ class Assembly:
 
     # --- structures that are not a chain of dyads --------------------------------------------------------------------
 
-    def mobility(self) -> int:
-        """Return the degrees of freedom by Gruebler's formula."""
-        joints = sum(len(bodies) - 1 for bodies in self.members.values()) + len(self.guides)
-        return 3 * len(self.links) - 2 * joints
-
     def refusal(self, left: list[str]) -> StructureError:
         """Return the error that explains why no further group can be formed."""
         for body in left:
-            for other in self.links:
-                both = [point for point in self.pins(body) if other != body and other in self.members[point]]
+            for other in self.bodies:
+                both = [point for point in self.pins[body] if other != body and other in self.members[point]]
                 if other in self.placed and len(both) > 1:
                     return self._one_body(other, body, both)
-            joints = [joint if isinstance(joint, str) else joint.name for joint in self.placed_joints(body)]
+            joints = self.placed_joints(body)
             if len(joints) > 1:
                 missing, remedy = unsupported("redundant body", body=body)
                 message = f"{body} moves only with special lengths, as {_list(joints)} already fix its position: {missing}"
                 return StructureError(message, remedy, f"links.{body}")
         for first, second in combinations(left, 2):
-            both = [joint if isinstance(joint, str) else joint.name for joint in self._shared(first, second)]
-            if len(both) > 1:
-                return self._one_body(first, second, both)
-        free = self.mobility()
+            if len(self._shared(first, second)) > 1:
+                return self._one_body(first, second, self._shared(first, second))
+        joint_count = sum(len(bodies) - 1 for bodies in self.members.values()) + len(self.guides)
+        free = 3 * len(self.bodies) - 2 * joint_count  # degrees of freedom, by Gruebler's formula
         if free > 1:
-            ends = (point for body in left for point in (self.links[body].start, self.links[body].end))
+            ends = (point for body in left for point in (self.bodies[body].start, self.bodies[body].end))
             unshared = [point for point in ends if point and len(self.members[point]) == 1]
             check = f" (check the names of {_list(unshared)}, joints of one body alone)" if len(unshared) > 1 else ""
             missing, remedy = unsupported("free links", them="them" if len(left) > 1 else "it", check=check)
@@ -344,10 +250,8 @@ class Assembly:
                 f"links.{left[-1]}",
             )
         for first, second in combinations(left, 2):
-            outer, inner = [self.placed_joints(body) for body in (first, second)], self._shared(first, second)
-            if len(outer[0]) == len(outer[1]) == len(inner) == 1 and not any(
-                isinstance(j, str) for j in (*outer[0], *outer[1], *inner)
-            ):
+            joint_lists = self.placed_joints(first), self._shared(first, second), self.placed_joints(second)
+            if all(len(some) == 1 and isinstance(some[0], Guide) for some in joint_lists):
                 return StructureError(
                     f"{first} and {second} are connected by three guides and no pin, which does not determine their positions",
                     "Replace one guide by a pin",
@@ -378,7 +282,7 @@ def _formed(
     if issubclass(kind, LineDyad):
         return kind(first, second, (p, q), inner)
     joint = inner if isinstance(inner, str) else inner.name
-    return kind(first, second, (p, q), inner, assembly.side(joint, p, inner, q), follow=assembly.follows(joint))
+    return kind(first, second, (p, q), inner, assembly.side(joint, p, inner, q), follow=_split(assembly.modes[joint])[1])
 
 
 for dyad in get_args(Transmitting):

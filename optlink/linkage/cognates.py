@@ -172,8 +172,8 @@ class CouplerLinkage:
         c = b[0] + self.coupler * coupler[0], b[1] + self.coupler * coupler[1]
         p = plus(b, turn((self.along, self.across), coupler))
         axes = math.cos(self.direction), math.sin(self.direction)
-        placed = [plus((self.x, self.y), turn(point, axes)) for point in (b, c, p)]
-        return CouplerPose(crank, coupler, rocker, placed[0], placed[1], placed[2], margin)
+        b, c, p = (plus((self.x, self.y), turn(point, axes)) for point in (b, c, p))
+        return CouplerPose(crank, coupler, rocker, b, c, p, margin)
 
 
 class _Drive(NamedTuple):
@@ -265,8 +265,7 @@ class Cognate:
         with np.errstate(all="ignore"):
             area = size.coupler * size.rocker * cross(directions[1], directions[2])
             diagonal = (size.frame - size.crank * directions[0][0], -(size.crank * directions[0][1]))
-            square = dot(diagonal, diagonal)
-            height = area / square
+            height = area / dot(diagonal, diagonal)
         return size._placed(directions[0], directions[1], directions[2], height * height)
 
     @cached_property

@@ -57,34 +57,28 @@ class _Crossing(NamedTuple):
     series: dict[int, Passage]
 
 
+@np.errstate(all="ignore")
 def continue_through_singularities(
     mechanism: Mechanism, sizes: Mapping[str, Value], start: float, *, every: bool = False
 ) -> Mechanism:
     """Return the mechanism with its groups continued smoothly through their singular positions.
 
-    Parameters
-    ----------
-    sizes : mapping of parameter name to float [m, rad]
-    start : float [rad]
-        Crank angle at which the assembly modes apply, unless a group sets its own (`holds_at`). If it is a singular position,
-        they apply just beyond it, counter-clockwise.
-    every : bool
-        Continue every group, not only those with `follow`.
-
-    Returns
-    -------
-    Mechanism
-        Its `cycle` is the crank rotation after which the motion repeats; a group without a smooth motion through a singular
-        position is left unchanged.
+    The assembly modes apply at the crank angle `start` [rad] unless a group sets its own (`holds_at`); if that is a singular
+    position, just beyond it, counter-clockwise. Groups without `follow` are continued if `every` is set; one without a smooth
+    motion through a singular position is left unchanged. The `cycle` of the result is the crank rotation after which the motion
+    repeats.
     """
-    if not any(isinstance(group, ModalDyad) and (every or group.follow) for group in mechanism.groups):
+    starts = [
+        (start if group.holds_at is None else group.holds_at)
+        if isinstance(group, ModalDyad) and (every or group.follow)
+        else None
+        for group in mechanism.groups
+    ]
+    if not any(at is not None for at in starts):
         return mechanism
     course = _Course(mechanism, sizes)
-    for group in mechanism.groups:
-        holds_at = None
-        if isinstance(group, ModalDyad) and (every or group.follow):
-            holds_at = start if group.holds_at is None else group.holds_at
-        course.add(group, holds_at)
+    for group, at in zip(mechanism.groups, starts, strict=True):
+        course.add(group, at)
     return course.mechanism
 
 
@@ -110,9 +104,8 @@ class _Course:
 
     def _grown(self, pose: Pose, count: int) -> Pose:
         """Return a pose with the groups that it lacks."""
-        with np.errstate(all="ignore"):
-            for group in self.mechanism.groups[count : self.count]:
-                pose.add(group)
+        for group in self.mechanism.groups[count : self.count]:
+            pose.add(group)
         return pose
 
     def add(self, group: Dyad, start: float | None) -> None:
@@ -121,8 +114,7 @@ class _Course:
         bodies = {link.body for g in groups[: k + 1] for link in g.links} | {self.mechanism.crank.body}
         points = tuple(point for point in self.mechanism.points if point.body in bodies)
         part = replace(self.mechanism, groups=groups[: k + 1], points=points)
-        with np.errstate(all="ignore"):
-            aligned = least_alignments(part, self.sizes, self.moving.with_group(group))
+        aligned = least_alignments(part, self.sizes, self.moving.with_group(group))
         if self.ranges.full and self._closes(part, aligned):
             self.ranges = Ranges(((0.0, part.cycle),), True)
         elif self.ranges.full or start is not None:
@@ -144,9 +136,8 @@ class _Course:
         if isinstance(group, PRP):  # its lines may become parallel
             return False
         lowest = np.array([p.crank_angle for p in aligned if not p.singular])
-        with np.errstate(all="ignore"):
-            poses = [self.still.with_group(group), *([part.at(self.sizes, lowest)] if lowest.size else [])]
-            return all(bool(np.all(alignment_margin(pose, [group]) >= 0.0)) for pose in poses)
+        poses = [self.still.with_group(group), *([part.at(self.sizes, lowest)] if lowest.size else [])]
+        return all(bool(np.all(alignment_margin(pose, [group]) >= 0.0)) for pose in poses)
 
     def _passages(self, group: ModalDyad, aligned: list[AlignedPosition], start: float) -> GroupPassages | None:
         """Sides and passages of the next group, from the crank angle at which its mode applies."""
@@ -154,18 +145,19 @@ class _Course:
         holding = (start, start + cycle) if ranges.full else ranges.holding(start)
         if not aligned or holding is None:
             return None
-        centres = [self._centre(p.crank_angle) for p in aligned]
-        known_crossings = []
-        for centre in centres:
+        origin = start if ranges.full else 0.5 * (holding[0] + holding[1]) - 0.5 * cycle
+        known = [at for at, _ in self.circles]  # centres of earlier groups
+        ahead = []
+        for position in aligned:
+            centre = next((at for at in known if abs(at - position.crank_angle) < SAME_CENTRE), position.crank_angle)
             crossing = self._crossing(group, centre)
             if crossing is None:
                 return None
-            known_crossings.append((centre, crossing))
-        origin = start if ranges.full else 0.5 * (holding[0] + holding[1]) - 0.5 * cycle
-        ahead = sorted(
-            ((_ahead(at, origin, cycle, closed=ranges.full), crossing) for at, crossing in known_crossings),
-            key=lambda pair: pair[0],
-        )
+            distance = (centre - origin) % cycle
+            if ranges.full and (distance < SAME_ANGLE or distance > cycle - SAME_ANGLE):
+                distance = cycle  # at the origin of a closed motion
+            ahead.append((distance, crossing))
+        ahead.sort(key=lambda pair: pair[0])
         turns = 2 if ranges.full and sum(crossing.flips for _, crossing in ahead) % 2 else 1
         if turns * cycle > MOST_TURNS * TURN:
             return None
@@ -178,10 +170,6 @@ class _Course:
             for at, (_, crossing), side in zip(breaks, ahead, sides[:-1], strict=True)
         )
         return GroupPassages(origin, turns * cycle, breaks, sides, passages)
-
-    def _centre(self, crank_angle: float) -> float:
-        """Return the centre of the circles about a singular position: that of an earlier group at the same position."""
-        return next((at for at, _ in self.circles if abs(at - crank_angle) < SAME_CENTRE), crank_angle)
 
     def _crossing(self, group: ModalDyad, at: float) -> _Crossing | None:
         """Continue a group through a singular position, on the largest circle on which its motion is a power series."""
@@ -210,12 +198,11 @@ class _Course:
         pose, count = self.circles.get((at, radius)) or (self._pose(at + radius * CIRCLE), self.count)
         pose = self._grown(pose, count)
         self.circles[at, radius] = pose, self.count
-        with np.errstate(all="ignore"):
-            pose = pose.with_group(group)
-            if isinstance(group, RPR):
-                coordinates = turn(pose.direction(group.first.body), pose.local_line(group.inner, group.first.body)[1])
-            else:
-                coordinates = pose.point(group.joint)
+        pose = pose.with_group(group)
+        if isinstance(group, RPR):
+            coordinates = turn(pose.direction(group.first.body), pose.local_line(group.inner, group.first.body)[1])
+        else:
+            coordinates = pose.point(group.joint)
         return np.array([np.broadcast_to(x, CIRCLE.shape) for x in coordinates], dtype=complex)
 
 
@@ -227,9 +214,3 @@ def _significant(terms: Array, size: float, radius: float) -> Array:
     powers = np.arange(terms.shape[1])
     count = 1 + int(np.max(np.flatnonzero(np.max(np.abs(terms), axis=0) * 0.5**powers > NEGLIGIBLE * size), initial=0))
     return terms[:, :count] / radius ** powers[:count].astype(float)
-
-
-def _ahead(at: float, origin: float, cycle: float, *, closed: bool) -> float:
-    """Return the distance [rad] of a crank angle ahead of the origin; one cycle, not zero, at the origin of a closed motion."""
-    distance = (at - origin) % cycle
-    return cycle if closed and (distance < SAME_ANGLE or distance > cycle - SAME_ANGLE) else distance

@@ -61,9 +61,7 @@ class ModalDyad(JointedDyad):
     def through(self, pose: Pose, formula: Callable[[Value], tuple[Vector, Value]]) -> tuple[Vector, Value]:
         """Return the result of the dyad formula and its assembly margin, near singular positions of its smooth continuation.
 
-        Parameters
-        ----------
-        formula : function of the assembly mode (+1 or -1) to the joint, or the unit vector of the guide, and the margin
+        The formula maps the assembly mode to the joint, or the unit vector of the guide, and the margin.
         """
         return formula(self.side) if self.passages is None else self.passages.through(pose.angle, formula)
 
@@ -170,7 +168,7 @@ class RPR(ModalDyad):
 
     def solve(self, pose: Pose) -> Value:
         """Add both bodies; return the assembly margin."""
-        q, p = (pose.point(name) for name in self.outer)
+        q, p = map(pose.point, self.outer)
         line, margin = self.through(pose, lambda side: rpr(p, q, self._offset(pose), side))
         for link, pin in zip(self.links, self.outer, strict=True):
             pose.place(link, turn_back(line, pose.local_line(self.inner, link.body)[1]), pin)
@@ -178,22 +176,23 @@ class RPR(ModalDyad):
 
     def gap(self, pose: Pose) -> Value:
         """Return the offset of the pins across the guide minus their distance [m]."""
-        between = minus(*(pose.point(name) for name in self.outer))
-        return np.abs(self._offset(pose)) - np.sqrt(dot(between, between))
+        return np.abs(self._offset(pose)) - np.sqrt(self._square(pose))
 
     def cosine(self, pose: Pose) -> Value:
         """Return the cosine of the angle from the line of the pins to the normal of the guide; beyond 1 where it cannot close."""
-        between = minus(*(pose.point(name) for name in self.outer))
-        return self._offset(pose) / np.sqrt(dot(between, between))
+        return self._offset(pose) / np.sqrt(self._square(pose))
 
     def alignment(self, pose: Pose) -> Value:
         """Return the squared distance of the pins along the guide over the squared crank length.
 
         At zero the guide force has no lever.
         """
-        between, offset = minus(*(pose.point(name) for name in self.outer)), self._offset(pose)
-        crank = pose.size(pose.mechanism.crank.length)
-        return (dot(between, between) - offset * offset) / (crank * crank)
+        offset, crank = self._offset(pose), pose.size(pose.mechanism.crank.length)
+        return (self._square(pose) - offset * offset) / (crank * crank)
+
+    def _square(self, pose: Pose) -> Value:
+        between = minus(*map(pose.point, self.outer))
+        return dot(between, between)
 
     def _offset(self, pose: Pose) -> Value:
         of_slider, of_other = (pose.offset(self.inner, link, pin) for link, pin in zip(self.links, self.outer, strict=True))

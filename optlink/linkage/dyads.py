@@ -9,7 +9,7 @@ A line is a point on it and its unit vector w; its left normal is n = (-w_y, w_x
 
 import numpy as np
 
-from optlink.linkage.vector2d import Value, Vector, cross, dot, root
+from optlink.linkage.vector2d import Value, Vector, cross, dot, minus, root
 
 
 def rrr(p: Vector, q: Vector, a: Value, b: Value, side: Value) -> tuple[Vector, Value]:
@@ -34,7 +34,7 @@ def rrr(p: Vector, q: Vector, a: Value, b: Value, side: Value) -> tuple[Vector, 
     -----
     Intersection of two circles (law of cosines in the triangle of p, q and the joint).
     """
-    dx, dy = q[0] - p[0], q[1] - p[1]
+    dx, dy = minus(q, p)
     square = dx * dx + dy * dy
     with np.errstate(all="ignore"):
         inverse = np.divide(1.0, square)
@@ -70,7 +70,7 @@ def rrp(p: Vector, g: Vector, w: Vector, a: Value, offset: Value, side: Value) -
     -----
     Intersection of a circle and a line.
     """
-    to_p = (p[0] - g[0], p[1] - g[1])
+    to_p = minus(p, g)
     height = cross(w, to_p) - offset
     with np.errstate(all="ignore"):
         ratio = height / a
@@ -101,7 +101,7 @@ def rpr(p: Vector, q: Vector, offset: Value, side: Value) -> tuple[Vector, Value
     -----
     p -> q is the sum of the slide along the line and the offset across it (right triangle).
     """
-    dx, dy = q[0] - p[0], q[1] - p[1]
+    dx, dy = minus(q, p)
     with np.errstate(all="ignore"):
         inverse = np.divide(1.0, np.sqrt(dx * dx + dy * dy))
         c, s = dx * inverse, dy * inverse
@@ -137,7 +137,7 @@ def rpp(p: Vector, y: Vector, w: Vector, u: Vector, offset: Value) -> tuple[Valu
     """
     sine = cross(u, w)
     with np.errstate(all="ignore"):
-        return (cross(u, (p[0] - y[0], p[1] - y[1])) - offset) / sine, sine * sine
+        return (cross(u, minus(p, y)) - offset) / sine, sine * sine
 
 
 def prp(g: Vector, w: Vector, h: Vector, u: Vector, first: Value, second: Value) -> tuple[Vector, Value]:
@@ -163,5 +163,5 @@ def prp(g: Vector, w: Vector, h: Vector, u: Vector, first: Value, second: Value)
     sine = cross(w, u)
     start = (g[0] - first * w[1], g[1] + first * w[0])
     with np.errstate(all="ignore"):
-        along = (second - cross(u, (start[0] - h[0], start[1] - h[1]))) / cross(u, w)
+        along = (second - cross(u, minus(start, h))) / cross(u, w)
         return (start[0] + along * w[0], start[1] + along * w[1]), sine * sine

@@ -45,67 +45,27 @@ def extremes(
     kinds: Sequence[Hashable] | None = None,
     *,
     periodic: bool = False,
+    signs: tuple[float, ...] = (1.0, -1.0),
 ) -> tuple[Array, Array]:
-    """Compute the least and the largest value of every function over the range of the grid.
+    """Compute angles and values (functions, 2) of the least and the largest value of every function over the range of the grid.
 
-    Parameters
-    ----------
-    function : callable, crank angles (n,) -> values (functions, n)
-        NaN where a function is undefined.
-    grid : array (n,) [rad], rising
-        Fine enough that each extremum lies beside the best grid point.
-    breaks : sequence of float [rad]
-        Crank angles where the functions may jump, to the value that they have there; no bracket reaches across one.
-    kinds : sequence of Hashable, optional
-        One for each function. Functions of one kind have the same unit: a function that is rounding error compared with the
-        others is not refined.
-    periodic : bool
-        Whether the grid covers one period: an extremum beside one of its ends is then refined on both sides of that end.
-
-    Returns
-    -------
-    angles, values : arrays (functions, 2), of the least and of the largest value; NaN where a function has none
+    Both are NaN where a function has none; it may be NaN in places. Each extremum must lie beside the best point of the rising
+    `grid`. At `breaks` the functions may jump to the value that they have there. Functions of one of the `kinds` have the same
+    unit: one that is rounding error compared with the others is not refined. On a `periodic` grid an extremum beside an end is
+    refined on both sides of it.
     """
-    return _refined_extremes(function, grid, breaks, kinds, periodic, (1.0, -1.0))
-
-
-def maxima(function: Function, grid: Array, breaks: Sequence[float] = (), *, periodic: bool = False) -> tuple[Array, Array]:
-    """Compute the largest value of every function as `extremes` does, without refining the least one.
-
-    Parameters
-    ----------
-    function, grid, breaks, periodic
-        See `extremes`.
-
-    Returns
-    -------
-    angles, values : arrays (functions,); NaN where a function has none
-    """
-    angles, values = _refined_extremes(function, grid, breaks, None, periodic, (-1.0,))
-    return angles[:, 0], values[:, 0]
-
-
-def _refined_extremes(
-    function: Function,
-    grid: Array,
-    breaks: Sequence[float],
-    kinds: Sequence[Hashable] | None,
-    periodic: bool,
-    signs: tuple[float, ...],
-) -> tuple[Array, Array]:
-    """Angles and values (functions, signs) of the least value of every function times each sign."""
     sampled = SampledFunctions(function, grid, breaks, kinds, periodic=periodic)
     return sampled.extremes(np.arange(len(sampled.values)), lambda angles, rows: function(angles)[rows], signs)
 
 
-class SampledFunctions:
-    """Functions sampled over the range of a grid; the extremes of some of them are refined at a time.
+def maxima(function: Function, grid: Array, breaks: Sequence[float] = (), *, periodic: bool = False) -> tuple[Array, Array]:
+    """Compute angles and values (functions,) of the largest value of every function, as `extremes` does."""
+    angles, values = extremes(function, grid, breaks, periodic=periodic, signs=(-1.0,))
+    return angles[:, 0], values[:, 0]
 
-    Parameters
-    ----------
-    function, grid, breaks, kinds, periodic
-        See `extremes`.
-    """
+
+class SampledFunctions:
+    """Functions sampled over the range of a grid, as for `extremes`; the extremes of some of them are refined at a time."""
 
     def __init__(
         self,
@@ -131,13 +91,9 @@ class SampledFunctions:
     def extremes(
         self, rows: Index, function: Callable[[Array, Index], Array], signs: tuple[float, ...] = (1.0, -1.0)
     ) -> tuple[Array, Array]:
-        """Return angles and values (rows, signs) of the least value of some functions times each sign.
+        """Return angles and values (rows, signs) of the least value of some functions, by their rising numbers, times each sign.
 
-        Parameters
-        ----------
-        rows : array (rows,) of int, rising
-            Numbers of the functions.
-        function : callable, crank angles (n,) and numbers of functions (k,) -> values (k, n)
+        `function` maps crank angles (n,) and numbers of functions (k,) to values (k, n).
         """
 
         def own(points: Array, which: Index) -> Array:
@@ -148,17 +104,9 @@ class SampledFunctions:
 
 
 def extremes_of_rows(function: Function, grid: Array) -> Array:
-    """Compute the least and the largest value of every row of a function, each row refined at its own crank angles.
+    """Compute the least and the largest value (rows, 2) of every row of a function, each row refined at its own crank angles.
 
-    Parameters
-    ----------
-    function : callable, crank angles (rows, n) [rad] -> values (rows, n), finite
-    grid : array (n,) [rad], rising
-        One period, fine enough that each extremum lies beside the best grid point.
-
-    Returns
-    -------
-    values : array (rows, 2)
+    `function` maps crank angles (rows, n) to finite values; the rising grid is one period, fine as for `extremes`.
     """
     grid = _continued(grid)
     values = function(grid[None, :])
@@ -272,19 +220,9 @@ def refined_minima(
 ) -> tuple[Array, Array]:
     """Refine minima that are bracketed by samples, each on an interpolant of its samples, or on more samples.
 
-    Parameters
-    ----------
-    values_at : callable, crank angles (m, k) [rad] and numbers of minima (m,) -> values (m, k)
-    best : (angle, value, low, high), arrays (n,)
-        Lowest sample of each minimum, and its bracket [rad].
-    some : array (m,) of int
-        Numbers of the minima to be refined; the others are returned as they are.
-    nodes, samples : arrays (m, points)
-        Crank angles [rad] of samples about each of these, and the values there; NaN for none.
-
-    Returns
-    -------
-    angle, value : arrays (n,)
+    `values_at` maps crank angles (m, k) and numbers of minima (m,) to values (m, k); `best` are angle, value and both ends of
+    the bracket [rad] of each (n,). Only the minima numbered `some` (m,) are refined; `nodes` and `samples` (m, points) are crank
+    angles about each of these and the values there, NaN for none. Angles and values (n,) of all are returned.
     """
     angle, value, low, high = (np.array(part) for part in best)
     for left in range(ROUNDS, -1, -1):
@@ -377,44 +315,22 @@ def _interpolants(nodes: Array, samples: Array) -> tuple[Function, Array]:
     return curves, np.where(smooth, EXACT * spread + rounding, np.nan)
 
 
-def in_portions(function: Function, angles: Array, rows: Index | None = None) -> Array:
-    """Evaluate a function in portions of the crank angles, to limit memory.
-
-    Parameters
-    ----------
-    function : callable, crank angles (n,) -> values (functions, n)
-    angles : array (n,) [rad]
-    rows : array (n,) of int, optional
-        Index of the function whose value is returned at each angle. Default: all functions.
-
-    Returns
-    -------
-    array (functions, n), or (n,) with `rows`
-    """
+def in_portions(function: Function, angles: Array) -> Array:
+    """Evaluate functions at crank angles (n,), in portions of these to limit memory; returns values (functions, n)."""
     parts: list[Array] = []
     done, size = 0, PORTION
     while done < len(angles) or not parts:
         values = function(angles[done : done + size])
-        parts.append(values if rows is None else values[rows[done : done + size], np.arange(values.shape[1])])
+        parts.append(values)
         done, size = done + size, max(PORTION, VALUES // max(1, len(values)))
     return np.concatenate(parts, axis=-1)
 
 
 def own_values(function: Callable[[Array, Index], Array], angles: Array, rows: Index, functions: int) -> Array:
-    """Evaluate at each crank angle one of many functions, in portions, each of the functions that it needs.
+    """Evaluate at each crank angle (n,) that of many functions whose number is in `rows` (n,), in portions to limit memory.
 
-    Parameters
-    ----------
-    function : callable, crank angles (n,) and numbers of functions (k,) -> values (k, n)
-    angles : array (n,) [rad]
-    rows : array (n,) of int
-        The number of the function at each crank angle.
-    functions : int
-        Number of all functions.
-
-    Returns
-    -------
-    array (n,)
+    `function` maps crank angles (n,) and the numbers of the functions needed (k,) to values (k, n); `functions` is the number of
+    all.
     """
     parts: list[Array] = [np.empty(0)]
     done, size = 0, PORTION

@@ -184,11 +184,10 @@ def classify(crank: float, coupler: float, rocker: float, frame: float, toleranc
     lengths = {"crank": crank, "coupler": coupler, "rocker": rocker, "frame": frame}
     if not all(map(math.isfinite, lengths.values())):  # a NaN would compare as any class
         return GrashofClass(Inversion.IMPOSSIBLE, math.nan)
-    ordered = sorted(lengths.values())
-    shortest, longest = ordered[0], ordered[-1]
-    slack = ordered[1] + ordered[2] - shortest - longest
+    shortest, short, long, longest = sorted(lengths.values())
+    slack = short + long - shortest - longest
     tiny = tolerance * longest
-    if longest > sum(ordered[:3]) + tiny:
+    if longest > shortest + short + long + tiny:
         return GrashofClass(Inversion.IMPOSSIBLE, slack)
     if slack < -tiny:
         return GrashofClass(Inversion.TRIPLE_ROCKER, slack)
@@ -346,8 +345,7 @@ def swing(crank: Value, coupler: Value, rocker: Value, frame: Value, side: int) 
     side : int
         Assembly mode: +1 or -1.
     """
-    outer = dead_centre(crank, coupler, rocker, frame, side, outer=True)
-    inner = dead_centre(crank, coupler, rocker, frame, side, outer=False)
+    outer, inner = (dead_centre(crank, coupler, rocker, frame, side, outer=which) for which in (True, False))
     return side * angle_from(outer.rocker, inner.rocker)
 
 
@@ -370,8 +368,7 @@ def time_ratio(
     sense : +1 or -1
         Sense of crank rotation, +1 counter-clockwise.
     """
-    outer = dead_centre(crank, coupler, rocker, frame, side, outer=True)
-    inner = dead_centre(crank, coupler, rocker, frame, side, outer=False)
+    outer, inner = (dead_centre(crank, coupler, rocker, frame, side, outer=which) for which in (True, False))
     theta = side * sense * angle_from(outer.crank, (-inner.crank[0], -inner.crank[1]))
     if stroke not in ("forward", "backward"):
         theta = magnitude(theta)

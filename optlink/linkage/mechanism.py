@@ -6,7 +6,7 @@ each a Value (float, batch, symbol or jet), and returns positions and assembly m
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import ClassVar
@@ -203,8 +203,8 @@ class Pose:
         """Return the coordinates of a point of the frame [m]."""
         if not isinstance(place, Arm):
             return self.size(place[0]), self.size(place[1])
-        length, axis = self.size(place.length), unit(self.size(place.direction))
-        return plus(self.fixed(self.mechanism.ground[place.origin]), (length * axis[0], length * axis[1]))
+        length, (c, s) = self.size(place.length), unit(self.size(place.direction))
+        return plus(self.fixed(self.mechanism.ground[place.origin]), (length * c, length * s))
 
     def point(self, name: str) -> Vector:
         """Return the position of a point [m]; points fixed on a placed body are computed on demand."""
@@ -222,8 +222,8 @@ class Pose:
         """Return the unit vector of a body's x axis."""
         if body not in self.directions:
             link = self.mechanism.bodies[body]
-            start, end, length = self.points[link.start], self.points[link.end], self.size(link.length)
-            self.directions[body] = (end[0] - start[0]) / length, (end[1] - start[1]) / length
+            (x, y), length = minus(self.points[link.end], self.points[link.start]), self.size(link.length)
+            self.directions[body] = x / length, y / length
         return self.directions[body]
 
     def line(self, guide: Guide, body: str) -> tuple[Vector, Vector]:
@@ -253,12 +253,9 @@ class Pose:
         if body == guide.slider:
             at = guide.at or self.mechanism.bodies[body].start
             return self.local(body, at), unit(-self.size(guide.tilt))
-        if isinstance(guide.through, str):
-            point = self.local(body, guide.through)
-        else:
-            point = self.size(guide.through[0]), self.size(guide.through[1])
-        direction, offset = unit(self.size(guide.direction)), self.size(guide.offset)
-        return (point[0] - offset * direction[1], point[1] + offset * direction[0]), direction
+        x, y = self.local(body, guide.through) if isinstance(guide.through, str) else map(self.size, guide.through)
+        (c, s), offset = unit(self.size(guide.direction)), self.size(guide.offset)
+        return (x - offset * s, y + offset * c), (c, s)
 
     def slide(self, guide: Guide) -> Value:
         """Return the displacement of the slider along its line [m]."""
@@ -276,8 +273,8 @@ class Pose:
         """
         if {p, q} == {link.start, link.end}:
             return self.size(link.length)
-        (px, py), (qx, qy) = self.local(link.body, p), self.local(link.body, q)
-        return np.sqrt((qx - px) * (qx - px) + (qy - py) * (qy - py))
+        lever = minus(self.local(link.body, q), self.local(link.body, p))
+        return np.sqrt(dot(lever, lever))
 
     def fit(self, link: Link, p: str, q: str) -> None:
         """Place a body by two of its points whose positions are known.
@@ -289,8 +286,7 @@ class Pose:
             Names of the two points.
         """
         if {p, q} != {link.start, link.end}:
-            (px, py), (qx, qy) = self.local(link.body, p), self.local(link.body, q)
-            lever = (qx - px, qy - py)
+            lever = minus(self.local(link.body, q), self.local(link.body, p))
             square = dot(lever, lever)
             x, y = turn_back(minus(self.points[q], self.points[p]), lever)
             self.place(link, (x / square, y / square), p)
@@ -376,12 +372,7 @@ class Mechanism:
     @cached_property
     def owners(self) -> dict[str, tuple[str, ...]]:
         """Every named point with the bodies that share it, the frame first; a point of more than one body is a pin."""
-        owners: dict[str, list[str]] = {name: [FRAME] for name in self.ground}
-        for link in self.links:
-            marks = [name for body, name in self.marks if body == link.body]
-            for name in (link.start, link.end, *marks):
-                if name:
-                    owners.setdefault(name, []).append(link.body)
+        owners = owners_of(self.ground, self.links, self.points)
         return {name: tuple(bodies) for name, bodies in owners.items()}
 
     @cached_property
@@ -461,6 +452,16 @@ class Mechanism:
             crank = turn(crank, unit(pose.size(self.datum)))
         pose.place(self.crank, crank, self.crank.start)
         return pose
+
+
+def owners_of(ground: Iterable[str], links: Iterable[Link], points: Iterable[BodyPoint]) -> dict[str, list[str]]:
+    """Return every named point with the bodies that share it, the frame first."""
+    owners = {name: [FRAME] for name in ground}
+    for link in links:
+        for name in (link.start, link.end, *(point.name for point in points if point.body == link.body)):
+            if name:
+                owners.setdefault(name, []).append(link.body)
+    return owners
 
 
 def _names(*sizes: Size) -> tuple[str, ...]:

@@ -26,14 +26,9 @@ class Passage:
     series: Array
 
     def place(self, angle: Value, delta: Value) -> Vector:
-        """Evaluate the two coordinates; jets where the crank angle is a jet.
+        """Evaluate the two coordinates at the distance `delta` [rad] from `crank_angle`.
 
-        Parameters
-        ----------
-        angle : Value [rad]
-            Crank angle; of a jet only the derivatives are used.
-        delta : Value [rad]
-            Crank angle minus `crank_angle`.
+        They are jets if `angle`, the crank angle, is one: of that only the derivatives are used.
         """
         if not isinstance(angle, Jet):
             x, y = _polynomials(self.series, delta)
@@ -66,16 +61,9 @@ def _polynomials(rows: Array, delta: Value) -> Iterator[Value]:
 
 @dataclass(frozen=True)
 class GroupPassages:
-    """Sides and passages of a group over the crank angle.
+    """Sides and passages of a group over the crank angle [rad], from `origin` to `origin + cycle`; they repeat with this period.
 
-    Parameters
-    ----------
-    origin, cycle : float [rad]
-        Sides and passages apply to the crank angles from `origin` to `origin + cycle` and repeat with this period.
-    breaks : array (n,) [rad]
-        Crank angles at which the side may change, rising.
-    sides : array (n + 1,)
-        Assembly mode before, between and after them: +1 or -1.
+    `sides` (n + 1,): assembly modes before, between and after the rising crank angles `breaks` (n,).
     """
 
     origin: float
@@ -95,15 +83,10 @@ class GroupPassages:
         return self.sides[0] + sum(float(change) * (within >= float(at)) for change, at in changes if change)
 
     def through(self, angle: Value, formula: Callable[[Value], tuple[Vector, Value]]) -> tuple[Vector, Value]:
-        """Return the result of a dyad formula, near singular positions replaced by its series.
+        """Return the result of a dyad formula at a crank angle [rad], near singular positions replaced by its series.
 
-        Margins that are rounding errors there become zero.
-
-        Parameters
-        ----------
-        angle : Value [rad]
-            Crank angle.
-        formula : function of the assembly mode to the joint [m], or the unit vector of the guide, and the assembly margin
+        The formula maps the assembly mode to the joint [m], or the unit vector of the guide, and the assembly margin. Margins
+        that are rounding errors near singular positions become zero.
         """
         value = as_jet(angle).value
         if not _numeric(value):

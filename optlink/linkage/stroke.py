@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -31,14 +31,7 @@ OTHER: dict[Direction, Direction] = {"forward": "backward", "backward": "forward
 
 
 def within_cycle(crank_angle: float, cycle: float = TURN) -> float:
-    """Reduce the crank angle [rad] of a periodic motion to one cycle, from 0; values within rounding of the cycle give 0.
-
-    Parameters
-    ----------
-    crank_angle : float [rad]
-    cycle : float [rad]
-        Crank rotation after which the motion repeats.
-    """
+    """Reduce the crank angle [rad] of a periodic motion to one cycle [rad], from 0; those within rounding of it give 0."""
     angle = float(crank_angle) % cycle
     return 0.0 if cycle - angle < SEAM else angle
 
@@ -62,15 +55,9 @@ class Failure:
 
 
 def range_end_reason(mechanism: Mechanism, sizes: Mapping[str, Value], end: float, way: float) -> str:
-    """Return the reason why the crank cannot turn beyond the end of a range, or an empty string if it is unknown.
+    """Return the reason why the crank cannot turn beyond the end of a range [rad], or an empty string if it is unknown.
 
-    Parameters
-    ----------
-    sizes : mapping of parameter name to float [m, rad]
-    end : float [rad]
-        Crank angle at the end of the range.
-    way : float
-        +1 at the upper end, -1 at the lower end.
+    `way` is +1 at the upper end of the range and -1 at the lower end.
     """
     if failed := failure(mechanism, sizes, end + way * math.radians(1.0)):
         return f"one degree further, {failed}"
@@ -126,6 +113,7 @@ def range_grid(cycle: float) -> Array:
     return np.linspace(0.0, cycle, GRID * round(cycle / TURN) + 1)
 
 
+@np.errstate(all="ignore")
 def reachable(mechanism: Mechanism, sizes: Mapping[str, Value]) -> Ranges:
     """Compute the ranges in which the crank can turn, to machine precision.
 
@@ -141,15 +129,13 @@ def reachable(mechanism: Mechanism, sizes: Mapping[str, Value]) -> Ranges:
     crossing = [group for group in mechanism.groups if isinstance(group, PRP)]  # its lines may become parallel within the motion
 
     def function(angles: Array) -> Array:
-        with np.errstate(all="ignore"):
-            pose = mechanism.at(sizes, angles)
+        pose = mechanism.at(sizes, angles)
         sines = [np.broadcast_to(np.asarray(group.sine(pose), dtype=float), angles.shape) for group in crossing]
         margins = (pose.margins[group.joint] - group.least for group in mechanism.groups)
         return np.array([least_margin(pose, margins), *sines])
 
     def closed(angles: Array) -> bool:
-        with np.errstate(all="ignore"):
-            return bool(np.all(alignment_margin(mechanism.at(sizes, angles)) >= 0.0))
+        return bool(np.all(alignment_margin(mechanism.at(sizes, angles)) >= 0.0))
 
     failing = not closed(grid)
     if not failing and not crossing:
@@ -166,7 +152,11 @@ def reachable(mechanism: Mechanism, sizes: Mapping[str, Value]) -> Ranges:
     if not sines:
         ranges = _joined(ranges, closed)
     result = Ranges(tuple(ranges), False)
-    return Ranges(result.ranges, False, tuple(p for p in aligned if _within(result, p.crank_angle)))
+    held = [(position, result.holding(position.crank_angle)) for position in aligned]
+    return replace(
+        result,
+        aligned=tuple(p for p, ends in held if ends and min(p.crank_angle - ends[0], ends[1] - p.crank_angle) > 1e-6),
+    )
 
 
 def _joined(ranges: list[tuple[float, float]], closed: Callable[[Array], bool]) -> list[tuple[float, float]]:
@@ -183,12 +173,6 @@ def _joined(ranges: list[tuple[float, float]], closed: Callable[[Array], bool]) 
     return joined
 
 
-def _within(ranges: Ranges, crank_angle: float) -> bool:
-    """Whether a crank angle lies in the interior of a range."""
-    holding = ranges.holding(crank_angle)
-    return holding is not None and min(crank_angle - holding[0], holding[1] - crank_angle) > 1e-6
-
-
 def _inside(function: Callable[[Array], Array], end: float, way: float) -> float:
     """The end of a range, on the side where the mechanism closes."""
     for step in (0.0, 1e-15, 1e-14, 1e-13, 1e-12, 1e-7, 1e-6):  # the last two for lines that are almost parallel
@@ -199,31 +183,20 @@ def _inside(function: Callable[[Array], Array], end: float, way: float) -> float
 
 
 def failure(mechanism: Mechanism, sizes: Mapping[str, Value], crank_angle: float) -> Failure | None:
-    """Return the first group that fails to close at a crank angle, or None.
-
-    Parameters
-    ----------
-    sizes : mapping of parameter name to float [m, rad]
-    crank_angle : float [rad]
-    """
+    """Return the first group that fails to close at a crank angle [rad], or None."""
     with np.errstate(all="ignore"):
         pose = mechanism.at(sizes, np.array([crank_angle]))
         for group in mechanism.groups:
-            margin = float(np.asarray(pose.margins[group.joint]).ravel()[0])
+            margin = np.asarray(pose.margins[group.joint]).item()
             if not margin >= group.least:
-                return Failure(crank_angle, group, float(np.asarray(group.gap(pose)).ravel()[0]))
+                return Failure(crank_angle, group, np.asarray(group.gap(pose)).item())
     return None
 
 
 def slow_stroke(forward: float, backward: float) -> Direction | None:
-    """Return which of the two strokes is the slow one at constant crank speed, None if they are equally long.
+    """Return which stroke, of crank rotations [rad], is the slow one at constant crank speed, None if both are equally long.
 
-    Strokes whose crank rotations differ by less than `LEAST_DIFFERENCE` count as equally long, so that rounding never decides.
-
-    Parameters
-    ----------
-    forward, backward : float [rad]
-        Crank rotation during each stroke.
+    Rotations that differ by less than `LEAST_DIFFERENCE` count as equally long, so that rounding never decides.
     """
     if not abs(forward - backward) >= LEAST_DIFFERENCE:
         return None
@@ -274,33 +247,21 @@ class Travel:
     def strokes(self, speed: float = 1.0) -> tuple[StrokeRange, ...]:
         """Return the forward and the backward stroke; empty unless there are two dead centres in a full revolution.
 
-        Parameters
-        ----------
-        speed : float [rad/s]
-            Speed of the crank; only its sign is used, negative clockwise.
+        Only the sign of the crank speed is used, negative clockwise.
         """
         if not math.isfinite(self.time_ratio):
             return ()
         sense = math.copysign(1.0, speed)
         forward = (sense * (self.high_at - self.low_at)) % TURN
-        slow = slow_stroke(forward, TURN - forward)
-        strokes = []
-        name: Direction
-        for name, at, rotation in (("forward", self.low_at, forward), ("backward", self.high_at, TURN - forward)):
-            begin = at % TURN
-            strokes.append(StrokeRange(name, begin, begin + sense * rotation, pace_of(name, slow)))
-        return tuple(strokes)
+        slow, low, high = slow_stroke(forward, TURN - forward), self.low_at % TURN, self.high_at % TURN
+        return (
+            StrokeRange("forward", low, low + sense * forward, pace_of("forward", slow)),
+            StrokeRange("backward", high, high + sense * (TURN - forward), pace_of("backward", slow)),
+        )
 
 
 def pace_of(stroke: Direction, slow: Direction | None) -> Pace:
-    """Return the pace of a stroke: "slow", "quick" or "equal".
-
-    Parameters
-    ----------
-    stroke : "forward" or "backward"
-    slow : "forward", "backward" or None
-        The slow stroke, None if both are equally long.
-    """
+    """Return the pace of a stroke; `slow` is the slow one, None if both are equally long."""
     return "equal" if slow is None else "slow" if stroke == slow else "quick"
 
 
@@ -338,7 +299,7 @@ def travels(
 
     motion = sweep(mechanism, sizes, grid)
     jets = {output: course(motion, *output) for output in outputs}
-    moving = [output for output, jet in jets.items() if _moves(jet, 1.0 if output[1] else _size(jet))]
+    moving = [output for output, jet in jets.items() if _moves(jet, angle=output[1])]
 
     def rates(angles: Array) -> Array:
         at = sweep(mechanism, sizes, angles)
@@ -369,21 +330,12 @@ def travels(
             forward = float(centres[1] - centres[0])
             ratio = max(forward, TURN - forward) / min(forward, TURN - forward)
         first, last = int(np.argmin(values)), int(np.argmax(values))
-        (swings if turning else strokes)[name] = Travel(
-            tuple(place(c) for c in centres),
-            float(values[first]),
-            float(values[last]),
-            place(ends[first]),
-            place(ends[last]),
-            ratio,
-        )
+        limits = float(values[first]), float(values[last]), place(ends[first]), place(ends[last])
+        (swings if turning else strokes)[name] = Travel(tuple(map(place, centres)), *limits, ratio)
     return swings, strokes
 
 
-def _size(jet: Jet) -> float:
-    return float(np.nanmax(np.abs(jet.value), initial=1e-12))
-
-
-def _moves(jet: Jet, scale: float) -> bool:
-    """Whether a motion is more than rounding."""
+def _moves(jet: Jet, *, angle: bool) -> bool:
+    """Whether the motion of a body's angle, or of a slider, is more than rounding."""
+    scale = 1.0 if angle else float(np.nanmax(np.abs(jet.value), initial=1e-12))
     return float(np.nanmax(np.abs(jet.rate), initial=0.0)) > 1e-9 * scale

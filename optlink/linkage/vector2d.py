@@ -56,24 +56,12 @@ def angle(v: Vector) -> Value:
 
 
 def turn(v: Vector, by: Vector) -> Vector:
-    """Rotate the direction v by an angle (complex product).
-
-    Parameters
-    ----------
-    by : pair of Value [-]
-        Unit vector at the angle of rotation.
-    """
+    """Rotate the direction v by the angle of a unit vector (complex product)."""
     return v[0] * by[0] - v[1] * by[1], v[0] * by[1] + v[1] * by[0]
 
 
 def turn_back(v: Vector, by: Vector) -> Vector:
-    """Rotate the direction v back by an angle: the inverse of `turn`.
-
-    Parameters
-    ----------
-    by : pair of Value [-]
-        Unit vector at the angle of rotation.
-    """
+    """Rotate the direction v back by the angle of a unit vector: the inverse of `turn`."""
     return v[0] * by[0] + v[1] * by[1], v[1] * by[0] - v[0] * by[1]
 
 
@@ -105,7 +93,7 @@ def angle_from(reference: Vector, v: Vector) -> Value:
 
     Two close directions are never separated by the branch cut.
     """
-    return angle((reference[0] * v[0] + reference[1] * v[1], reference[0] * v[1] - reference[1] * v[0]))
+    return angle((dot(reference, v), cross(reference, v)))
 
 
 def unit(phi: Value) -> Vector:

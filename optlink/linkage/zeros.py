@@ -12,49 +12,33 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.linkage.extrema import Function, Index, in_portions
+from optlink.linkage.extrema import Function, Index, in_portions, own_values
 from optlink.linkage.vector2d import Array
 
 STILL = 1e-11
 """Share of its largest value below which a rate is rounding."""
-
-
+ROUNDS = 60  # at most, of inverse quadratic interpolation or bisection
 NEWTON = 12  # steps
 NOISE = 1024  # units of the last place: shorter steps that no longer shrink are due to rounding of the function
 Slope = Callable[[int, float], tuple[float, float]]
+"""Index of a function and crank angle -> value, derivative."""
 
 
 def zeros(
     function: Function,
     grid: Array,
-    count: int = 60,
     *,
     still: bool = False,
     rising: bool = False,
     slope: Slope | None = None,
     samples: Array | None = None,
 ) -> list[Array]:
-    """Compute the crank angles [rad] at which each function changes sign, to machine precision.
+    """Compute the crank angles [rad] at which each function changes sign, rising, to machine precision.
 
-    Parameters
-    ----------
-    function : callable, crank angles (n,) -> values (functions, n)
-    grid : array (n,) [rad], rising
-    count : int
-        Maximum number of rounds of inverse quadratic interpolation or bisection.
-    still : bool
-        Whether the functions are rates that may be zero over a range: rounding errors then count as zero, not as reversals.
-    rising : bool
-        Whether only changes from negative to positive count: where the function is a rate, minima.
-    slope : callable, (index of a function, crank angle) -> (value, derivative), optional
-        Newton's method then replaces the rounds wherever it converges within the bracket.
-    samples : array (functions, n), optional
-        The values on the grid, where they are known.
-
-    Returns
-    -------
-    list of array [rad]
-        One per function, rising; sign changes across a gap (NaN) or a jump to NaN do not count.
+    Sign changes across a gap (NaN) or a jump to NaN do not count; with `rising`, only those from negative to positive: where the
+    function is a rate, minima. `still`: see `sign_changes`. `samples` are the values (functions, n) on the grid, where they are
+    known. With `slope` Newton's method replaces the rounds of inverse quadratic interpolation or bisection wherever it converges
+    within the bracket.
     """
     values = in_portions(function, grid) if samples is None else samples
     crossing, left, right = sign_changes(values, still=still)
@@ -62,28 +46,24 @@ def zeros(
         crossing &= left < 0.0
     which, where = np.nonzero(crossing)
 
-    def own(angles: Array, brackets: Index) -> Array:
-        return in_portions(function, angles, which[brackets])
-
     ends = grid[where], grid[where + 1], left[crossing], right[crossing]
     roots = np.full(len(which), np.nan)
     if slope is not None:
         roots[:] = [_newton(slope, int(k), *(float(end[i]) for end in ends)) for i, k in enumerate(which)]
     rest = np.flatnonzero(np.isnan(roots))
+
+    def own(angles: Array, brackets: Index) -> Array:
+        return own_values(lambda at, rows: function(at)[rows], angles, which[rest[brackets]], len(crossing))
+
     low, high, at_low, at_high = (end[rest] for end in ends)
-    roots[rest] = refined_roots(lambda angles, brackets: own(angles, rest[brackets]), low, high, at_low, at_high, count)
+    roots[rest] = refined_roots(own, low, high, at_low, at_high, ROUNDS)
     return [roots[which == k] for k in range(len(crossing))]
 
 
 def sign_changes(values: Array, *, still: bool = False) -> tuple[NDArray[np.bool_], Array, Array]:
-    """Return between which samples functions change sign (..., n - 1), and their values before and after each step.
+    """Return between which samples (..., n) functions change sign (..., n - 1), and their values before and after each step.
 
-    Parameters
-    ----------
-    values : array (..., n)
-        Samples of each function.
-    still : bool
-        Whether the functions are rates that may be zero over a range: rounding errors then count as zero.
+    With `still` they are rates that may be zero over a range: rounding errors then count as zero, not as reversals.
     """
     if still:
         size = np.max(np.where(np.isfinite(values), np.abs(values), 0.0), axis=-1, keepdims=True, initial=0.0)
@@ -110,17 +90,10 @@ def _newton(slope: Slope, k: int, low: float, high: float, at_low: float, at_hig
 def refined_roots(
     function: Callable[[Array, Index], Array], low: Array, high: Array, at_low: Array, at_high: Array, count: int
 ) -> Array:
-    """Return the upper ends (n,) of the brackets of sign changes, refined to rounding (Chandrupatla 1997).
+    """Return the upper ends (n,) of the brackets of sign changes, refined to rounding in `count` rounds at most.
 
-    Parameters
-    ----------
-    function : callable, crank angles (m,) [rad] and numbers of the brackets that they lie in (m,) -> values (m,)
-    low, high : array (n,) [rad]
-        Ends of the brackets.
-    at_low, at_high : array (n,)
-        Values at these.
-    count : int
-        Maximum number of rounds.
+    `function` maps crank angles (m,) and numbers of the brackets that they lie in (m,) to values (m,); `at_low` and `at_high`
+    (n,) are those at the ends of the brackets (Chandrupatla 1997).
     """
     # `new` and `old` bracket a zero, `last` is the end dropped before
     roots, active, sign = high.copy(), np.arange(len(low)), np.sign(at_low)

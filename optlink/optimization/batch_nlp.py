@@ -34,13 +34,7 @@ class BatchValues:
 
 
 class BatchNLP:
-    """Evaluates a programme without exchange points.
-
-    Parameters
-    ----------
-    law : Law
-        Its positions.
-    """
+    """Evaluates a programme without exchange points at the positions of its law."""
 
     def __init__(self, nlp: NLP, law: Law) -> None:
         self.nlp, self.size, self.offsets, self.tabulated = nlp, len(nlp.variables), law.offsets, law.tabulated
@@ -60,16 +54,9 @@ class BatchNLP:
         self._limits = NumpyEvaluator([x, p, multipliers], [rows, casadi.jacobian(rows, x).T, *second])
 
     def __call__(self, x: Array, p: Array, multipliers: Array) -> BatchValues:
-        """Evaluate the programme.
+        """Evaluate the programme at x (points, n).
 
-        Parameters
-        ----------
-        x : array (points, n)
-            Scaled points.
-        p : array (points, k)
-            Parameters.
-        multipliers : array (points, n + m)
-            Of the bounds of the variables and of the rows.
+        p (points, k) are its parameters, the multipliers (points, n + m) those of the bounds of the variables and of the rows.
         """
         n, count, scale = self.size, len(x), p[:, :1]
         of_rows = multipliers[:, n:]

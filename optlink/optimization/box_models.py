@@ -36,13 +36,8 @@ TRIALS = 6.0 * (np.outer((0.7548776662466927, 0.5698402909980532), np.arange(1, 
 class BoxModels:
     """Objective and limits over a batch of boxes.
 
-    Parameters
-    ----------
-    residuals : TaylorModel (boxes, positions, components)
-    slacks : TaylorModel (boxes, limits)
-        Not negative for a feasible design.
-    periodic : bool
-        Whether residuals are angles [rad] of which the nearest multiple of a full turn is subtracted.
+    `residuals` (boxes, positions, components); `slacks` (boxes, limits), not negative for a feasible design; `periodic`: the
+    residuals are angles [rad] of which the nearest multiple of a full turn is subtracted.
     """
 
     residuals: TaylorModel
@@ -52,19 +47,9 @@ class BoxModels:
 
 @dataclass
 class DesignBoxes:
-    """A motion law, function, timed path or transmission problem over boxes of its design variables [SI].
+    """A motion law, function, timed path or transmission problem (see `box_problem`) over boxes of its design variables [SI].
 
-    Parameters
-    ----------
-    problem : DesignProblem or PathProblem
-        See `box_problem`.
-
-    Attributes
-    ----------
-    low, high : array (n,)
-        Bounds of the design variables, in the order of `problem.free`.
-    limits : tuple of str
-        Limit of every slack, once evaluated.
+    `low` and `high` (n,) are the bounds of the design variables; `limits` names the limit of every slack, once evaluated.
     """
 
     problem: DesignProblem | PathProblem
@@ -82,13 +67,7 @@ class DesignBoxes:
         return self.problem.measure
 
     def over(self, low: Array, high: Array) -> BoxModels:
-        """Return the models over boxes.
-
-        Parameters
-        ----------
-        low, high : array (boxes, n)
-            Corners [SI].
-        """
+        """Return the models over boxes with corners (boxes, n) [SI]."""
         values: dict[str, Any] = {name: quantity.value for name, quantity in self.problem.quantities.items()}
         values |= dict(zip(self.problem.free, TaylorModel.unknowns(low, high), strict=True))
         with np.errstate(all="ignore"):
@@ -112,12 +91,7 @@ class DesignBoxes:
 
 
 def box_problem(problem: ProblemFile) -> DesignBoxes:
-    """Return a problem in the form in which it can be bounded over boxes.
-
-    Parameters
-    ----------
-    problem : ProblemFile
-        With definite assembly modes.
+    """Return a problem with definite assembly modes in the form in which it can be bounded over boxes.
 
     Raises
     ------
@@ -239,13 +213,7 @@ def _columns(model: TaylorModel) -> list[TaylorModel]:
 
 
 def _joined(models: list[TaylorModel], shape: tuple[int, ...], count: int) -> TaylorModel:
-    """Return models that broadcast to a shape as one, along a new last axis.
-
-    Parameters
-    ----------
-    count : int
-        Number of unknowns.
-    """
+    """Return models of `count` unknowns that broadcast to a shape as one, along a new last axis."""
     coefficients = np.zeros((1 + count + len(pairs(count)), *shape, len(models)))
     remainder = np.zeros((*shape, len(models)))
     for k, model in enumerate(models):

@@ -172,17 +172,7 @@ ALIGNED = "coupler and rocker not in line"
 
 
 def full_rotation_rows(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: float) -> Iterator[ConstraintRow]:
-    """Yield the conditions for full rotation of the crank (linear, including the length margin).
-
-    Parameters
-    ----------
-    values : mapping of str to float or symbol [m, rad]
-        Value of every quantity.
-    reach : Reach
-        Not used here.
-    size : float [m]
-        Reference length of the rows.
-    """
+    """Yield the conditions for full rotation of the crank (linear, including the length margin)."""
     if problem.limits.crank == "span":
         return
     full = problem.limits.crank == "full rotation"
@@ -203,15 +193,6 @@ def dead_centres(problem: AnyProblem, values: Mapping[str, Value], reach: Reach,
 
     At the inner dead centre, coupler and crank must differ in length: otherwise C coincides with A. For a crank with full
     rotation, Grashof's conditions imply both.
-
-    Parameters
-    ----------
-    values : mapping of str to float or symbol [m, rad]
-        Value of every quantity.
-    reach : Reach
-        Not used here.
-    size : float [m]
-        Reference length of the rows.
     """
     begin = getattr(problem.requirement, "start", None)
     if problem.limits.crank != "span" or begin not in DEAD_CENTRES or "phi0" in problem.quantities:
@@ -242,13 +223,7 @@ class CosineLimit:
         return self.key.startswith("limits.pressure_angle")
 
     def row(self, label: str, cosine: Value) -> ConstraintRow:
-        """Return the row of the limit for a cosine.
-
-        Parameters
-        ----------
-        label : str
-            Name of the joint or the position, empty for none.
-        """
+        """Return the row of the limit for a cosine at a joint or position, which the label names."""
         if self.pressure:
             return ConstraintRow(self.key, f"pressure angle{label}", cosine * cosine, -math.inf, self.high**2, SINE_SQUARED)
         return ConstraintRow(self.key, f"transmission angle{label}", cosine, self.low, self.high, COSINE)
@@ -265,15 +240,10 @@ def _chosen(condition: Value, one: Value, other: Value) -> Value:
 
 
 def transmission_sides(problem: AnyProblem, joint: str = COUPLER_JOINT) -> Iterator[CosineLimit]:
-    """Yield the limits of the cosine of the transmission angle at a joint, those of the alignment included.
+    """Yield the limits of the cosine of the transmission angle at an outer joint of a dyad, those of the alignment included.
 
     A side of the transmission limit that is looser than the alignment limit is left out (infinite). Beside one that is as tight
     or tighter the alignment limit is kept: it remains enforced when the other one is relaxed.
-
-    Parameters
-    ----------
-    joint : str
-        Outer joint of the dyad.
     """
     limits, required = problem.limits, "span" if problem.limits.crank == "span" else "revolution"
     most = _cosine(limits.alignment.value)
@@ -291,15 +261,6 @@ def transmission(problem: AnyProblem, values: Mapping[str, Value], reach: Reach,
     """Yield the limits of the transmission angle at its exact extremes, as cosines.
 
     The cosines are rational in the lengths and finite even where the linkage cannot be assembled.
-
-    Parameters
-    ----------
-    values : mapping of str to float or symbol [m, rad]
-        Value of every quantity.
-    reach : Reach
-        Crank angles over which the limits apply.
-    size : float [m]
-        Not used here.
     """
     lengths = lengths_of(values)
     for limit in transmission_sides(problem):
@@ -312,27 +273,15 @@ def transmission(problem: AnyProblem, values: Mapping[str, Value], reach: Reach,
             for cosine in (1.0, -1.0):
                 yield limit.row("", transmission_cosine(*lengths, cosine))
         else:
-            names = (ALIGNED, ALIGNED) if aligned else ("smallest transmission angle", "largest transmission angle")
-            if np.any(limit.high < math.inf):
-                cosine = transmission_cosine(*lengths, 1.0)
-                yield ConstraintRow(limit.key, names[0], cosine, -math.inf, limit.high, COSINE)
-            if np.any(limit.low > -math.inf):
-                cosine = transmission_cosine(*lengths, -1.0)
-                yield ConstraintRow(limit.key, names[1], cosine, limit.low, math.inf, COSINE)
+            sides = ("smallest", 1.0, -math.inf, limit.high), ("largest", -1.0, limit.low, math.inf)
+            for which, cos_phi, low, high in sides:
+                if np.any(low > -math.inf) or np.any(high < math.inf):
+                    label = ALIGNED if aligned else f"{which} transmission angle"
+                    yield ConstraintRow(limit.key, label, transmission_cosine(*lengths, cos_phi), low, high, COSINE)
 
 
 def registered(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: float) -> Iterator[ConstraintRow]:
-    """Yield the limits of `optlink.problem.limits` that the file states.
-
-    Parameters
-    ----------
-    values : mapping of str to float or symbol [m, rad]
-        Value of every quantity.
-    reach : Reach
-        Crank angles over which the limits apply.
-    size : float [m]
-        Reference length of the rows.
-    """
+    """Yield the limits of `optlink.problem.limits` that the file states."""
     for term, interval in limits_in_file(problem.limits):
         low, high = interval.bounds
         for label, value in term.values(problem, values, reach, interval):
@@ -343,17 +292,7 @@ def registered(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, s
 
 
 def pivot_region_rows(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: float) -> Iterator[ConstraintRow]:
-    """Yield the limits of a rectangular region for the fixed pivots.
-
-    Parameters
-    ----------
-    values : mapping of str to float or symbol [m, rad]
-        Value of every quantity.
-    reach : Reach
-        Not used here.
-    size : float [m]
-        Reference length of the rows.
-    """
+    """Yield the limits of a rectangular region for the fixed pivots."""
     region = getattr(problem.limits, "pivots", None)  # of path synthesis
     if region is None:
         return
@@ -373,29 +312,13 @@ GENERAL: tuple[Term, ...] = (registered, pivot_region_rows)
 
 
 def rows(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: float) -> list[ConstraintRow]:
-    """Return every row of the problem's limits, except those at single crank angles (`position_rows`).
-
-    Parameters
-    ----------
-    values : mapping of str to float or symbol [m, rad]
-        Value of every quantity.
-    reach : Reach
-        Crank angles over which the limits apply.
-    size : float [m]
-        Reference length of the rows.
-    """
+    """Return every row of the problem's limits, except those at single crank angles (`position_rows`); arguments: see `Term`."""
     terms = (*FOUR_BAR, *GENERAL) if isinstance(problem.mechanism, FourBarSection) else GENERAL
     return [row for term in terms for row in term(problem, values, reach, size)]
 
 
 def position_rows(problem: PathProblem, pose: Pose) -> list[ConstraintRow]:
-    """Return the limits at one crank angle of any mechanism: transmission angles, and alignment of every group.
-
-    Parameters
-    ----------
-    pose : Pose
-        The mechanism at the crank angle.
-    """
+    """Return the limits at one crank angle of any mechanism: transmission angles, and alignment of every group."""
     required = "span" if problem.limits.crank == "span" else "revolution"
     result = []
     for group in problem.linkage.groups:
@@ -412,12 +335,6 @@ def position_rows(problem: PathProblem, pose: Pose) -> list[ConstraintRow]:
 
 
 def alignment_row(limits: Alignment, group: Dyad, value: Value) -> ConstraintRow:
-    """Return the row that keeps a group away from the position where its assembly modes meet.
-
-    Parameters
-    ----------
-    value : float, array or symbol
-        Squared sine of the alignment angle of the group.
-    """
+    """Return the row that keeps a group away from the position where its assembly modes meet, from the squared sine there."""
     low = math.sin(limits.alignment.value) ** 2
     return ConstraintRow("limits.alignment", f"{group.joint} not aligned", value, low, math.inf, SINE_SQUARED)

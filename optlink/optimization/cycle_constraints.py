@@ -15,10 +15,9 @@ from optlink.linkage.vector2d import TURN, Array
 from optlink.optimization.constraints import DEGREES, PLAIN, ConstraintRow, Scale, SquareRootScale, alignment_row
 from optlink.optimization.cycle_signals import EventOrder, TracedCycle
 from optlink.optimization.mapped_terms import MappedTerms
-from optlink.optimization.nlp import Variable
-from optlink.problem.cycle.model import Bound, CycleProblem
+from optlink.optimization.nlp import Variable, scaled_variable
+from optlink.problem.cycle.model import Bound
 from optlink.problem.cycle.terms import Goal, Term
-from optlink.problem.fixed_design import quantity_key
 from optlink.problem.function import EPIGRAPH
 from optlink.units import KINDS, factor
 
@@ -61,22 +60,6 @@ class WatchedTerm:
         return casadi.sumsqr(casadi.vertcat(*components)) if self.width > 1 or self.peak else self.sign * components[0]
 
 
-def scaled_variable(problem: CycleProblem, name: str, size: float) -> Variable:
-    """Return the scaling of a quantity: lengths and coordinates by the size of the machine, angles by 1 rad.
-
-    Parameters
-    ----------
-    name : str
-        Name of the quantity.
-    size : float [m]
-        Size of the machine.
-    """
-    key = quantity_key(problem, name)
-    if problem.quantities[name].kind not in ("length", "coordinate"):
-        return Variable(name, 1.0, DEGREES, key=key, periodic=problem.quantities[name].kind == "angle")
-    return Variable(name, size, Scale("mm", 1e3 * size), key=key)
-
-
 def _keeps_slow(bound: Bound) -> bool:
     """Return whether a limit of a time ratio by itself keeps the slow stroke slower."""
     if bound.term.stroke == "quick":
@@ -87,18 +70,8 @@ def _keeps_slow(bound: Bound) -> bool:
 class CycleTerms:
     """The expressions of an NLP of cycle optimisation.
 
-    Parameters
-    ----------
-    structure : EventOrder
-        Events at `start`.
-    start : mapping of str to float [SI]
-        Design variables at the start.
-    nodes : int
-        Positions per revolution.
-    exchange : int
-        Roaming positions per stroke.
-    size : float [m], optional
-        Unit of length; default: the longest length of the file.
+    The `structure` has the events of the design `start` [SI]; `nodes` are positions per revolution, `exchange` exchange points
+    per stroke; `size` [m] is the unit of length, by default the longest length of the file.
     """
 
     def __init__(
@@ -120,10 +93,10 @@ class CycleTerms:
         events = len(structure.which)
         self.cuts = trace.cuts(structure)
         self.strokes = max(1, self.cuts) * trace.revolutions
-        self.variables = [scaled_variable(problem, name, self.size) for name in self.free]
+        self.variables = [self._scaled(name) for name in self.free]
         self.variables += [Variable(f"{EVENT} {k + 1}", 1.0, DEGREES) for k in range(events)]
         self.variables += [Variable(f"{goal.words} {k + 1}", 1.0, PLAIN) for k, goal in enumerate(self.epigraphs)]
-        self.constants = [scaled_variable(problem, name, self.size) for name in self.fixed]
+        self.constants = [self._scaled(name) for name in self.fixed]
         self.x = casadi.SX.sym("x", len(self.variables))
         self.exchange, self.slots = exchange, self.strokes * exchange
         self.p = casadi.SX.sym("p", 1 + len(self.fixed) + self.slots)
@@ -137,6 +110,9 @@ class CycleTerms:
         self.rows: list[ConstraintRow] = []
         self._cut(nodes)
         self._at_events()
+
+    def _scaled(self, name: str) -> Variable:
+        return scaled_variable(self.problem, name, self.size, periodic=self.problem.quantities[name].kind == "angle")
 
     # --- positions -------------------------------------------------------------------------------------------------------
 
@@ -172,13 +148,7 @@ class CycleTerms:
         return symbols
 
     def mapped(self, f: Any) -> MappedTerms:
-        """Return objective and rows as terms of the signals at every position.
-
-        Parameters
-        ----------
-        f : casadi expression
-            Objective as a function of x, p and the symbols for the signals.
-        """
+        """Return objective f, an expression of x, p and the symbols for the signals, and rows as terms of the signals."""
         angles, senses, z = (casadi.horzcat(*parts) for parts in zip(*self.places, strict=True))
         g = casadi.vertcat(*[row.value for row in self.rows])
         places = (casadi.SX(angles),), (senses,), (z,)
@@ -220,9 +190,13 @@ class CycleTerms:
         slow = self._forward_slow(which)
         return self.duration(which, slow) - self.duration(which, not slow)
 
+    def _reversals(self, which: int) -> list[int]:
+        """Return the indices of the events at which an output reverses."""
+        return [k for k, event in enumerate(self.structure.which) if event == which]
+
     def forward(self, which: int) -> list[bool]:
         """Return for every stroke whether an output, whose reversals separate strokes, moves forward."""
-        indices = [k for k in range(self.cuts) if self.structure.which[k] == which]
+        indices = [k for k in self._reversals(which) if k < self.cuts]
         if not indices:
             return [True] * self.strokes
         state, intervals = not self.structure.rising[indices[0]], []
@@ -232,14 +206,8 @@ class CycleTerms:
         return intervals * self.trace.revolutions
 
     def duration(self, which: int, forward: bool) -> Any:
-        """Return the crank rotation [rad] during which an output moves forward or backward.
-
-        Parameters
-        ----------
-        which : int
-            Index of the event at which the output reverses.
-        """
-        indices = [k for k, event in enumerate(self.structure.which) if event == which]
+        """Return the crank rotation [rad] during which an output, which reverses at an event, moves forward or backward."""
+        indices = self._reversals(which)
         total, angles = casadi.SX(0.0), [*(self.events[k] for k in indices), self.events[indices[0]] + TURN]
         for k, (begin, end) in zip(indices, itertools.pairwise(angles), strict=True):
             if self.structure.rising[k] is forward:
@@ -298,33 +266,24 @@ class CycleTerms:
                 total += weight * self.trace.direction * signals[last]
         return total / self.trace.revolutions
 
-    def _ends(self, term: Term) -> list[int]:
-        """Return the indices of the events at which the output of a term reverses."""
-        which = self.trace.event_of(term)
-        return [k for k, event in enumerate(self.structure.which) if event == which]
-
     def _stroke(self, term: Term) -> Any:
-        """Return the distance between the extreme positions of the output at its dead centres, or one of these positions.
+        """Return the distance between the outermost dead centres of an output, or for the term "end" one of these positions.
 
-        The dead centres are selected at the start.
+        Which dead centres are outermost is decided by their positions at the start.
         """
-        place = len(self.trace.events)
-        for other in self.trace.ended:
-            width = 2 if self.problem.kind(other) == "angle" else 1
-            if other is term:
-                break
-            place += width
-        ends = self._ends(term)
-        numbers = [
-            np.asarray(self.trace.at_event([*self.trace.inputs(self.start), self.structure.angles[k]])).ravel() for k in ends
-        ]
+        before = itertools.takewhile(lambda other: other is not term, self.trace.ended)
+        width, *widths = (2 if self.problem.kind(each) == "angle" else 1 for each in (term, *before))
+        place = len(self.trace.events) + sum(widths)
+        ends, inputs = self._reversals(self.trace.event_of(term)), self.trace.inputs(self.start)
+        numbers = np.array([np.ravel(self.trace.at_event([*inputs, self.structure.angles[k]])) for k in ends])
+        positions = numbers[:, place]
+        if width == 2:  # the direction of a body
+            positions = np.unwrap([math.atan2(y, x) for x, y in numbers[:, place : place + 2]])
+        low, high = ends[int(np.argmin(positions))], ends[int(np.argmax(positions))]
         if width == 1:
-            low, high = (ends[pick([row[place] for row in numbers])] for pick in (np.argmin, np.argmax))
             if term.quantity == "end":
                 return self.there[high if term.stroke == "forward" else low][place]
             return self.there[high][place] - self.there[low][place]
-        angles = np.unwrap([math.atan2(row[place + 1], row[place]) for row in numbers])
-        low, high = ends[int(np.argmin(angles))], ends[int(np.argmax(angles))]
         (a, b), (c, d) = ((self.there[k][place], self.there[k][place + 1]) for k in (low, high))
         return casadi.atan2(a * d - b * c, a * c + b * d)
 
@@ -369,19 +328,7 @@ class CycleTerms:
         return WatchedTerm(first, width, term.how == "peak", sign, size, None, limit, term.nature.general)
 
     def goal(self, goal: Goal, size: float, level: Any, index: int) -> WatchedTerm:
-        """Add the rows that make a variable the largest value of a term.
-
-        Parameters
-        ----------
-        goal : Goal
-            The term.
-        size : float [SI]
-            Scale of the term.
-        level : symbol
-            Variable that is the largest value, in units of `size`.
-        index : int
-            Index of that variable in x.
-        """
+        """Add the rows that make `level`, component `index` of x, the largest value of a term in units of `size` [SI]."""
         label = f"{goal.words} at another crank angle"
         for _, parts in self.components(goal):
             if len(parts) > 1 and not goal.nature.general:
@@ -396,13 +343,7 @@ class CycleTerms:
         return WatchedTerm(first, width, peak, sign, size, index, math.inf, goal.nature.general)
 
     def levelled(self, sizes: Sequence[float]) -> list[Variable]:
-        """Return the variables that are the largest values of terms, whose units [SI] are known only now.
-
-        Parameters
-        ----------
-        sizes : sequence of float [SI]
-            Of each term.
-        """
+        """Return the variables that are the largest values of terms, whose units [SI] are known only now."""
         found = []
         for variable, goal, size in zip(self.variables[len(self.variables) - len(sizes) :], self.epigraphs, sizes, strict=True):
             kind = self.problem.kind(goal)
@@ -410,15 +351,7 @@ class CycleTerms:
         return found
 
     def heights(self, goal: Goal, size: float) -> Any:
-        """Return the values at all positions whose largest is the level of a term, in units of `size`.
-
-        Parameters
-        ----------
-        goal : Goal
-            The term.
-        size : float [SI]
-            Scale of the term.
-        """
+        """Return the values at all positions whose largest is the level of a term, in units of `size` [SI]."""
         heights = []
         for _, parts in self.components(goal):
             if goal.nature.general:

@@ -62,7 +62,7 @@ class CycleNLP(NLP):
 
     @cached_property
     def _levels(self) -> CompiledFunction:
-        return CompiledFunction([self.x_symbol, self.p_symbol], list(self.level_symbols))
+        return self._compiled(*self.level_symbols)
 
     @property
     def traced(self) -> TracedCycle:
@@ -73,20 +73,13 @@ class CycleNLP(NLP):
     def design(self, x: Array) -> dict[str, float]:
         """Return the design variables of the problem [SI] at x."""
         count = len(self.free)
-        return {v.name: v.origin + float(y) * v.size for v, y in zip(self.variables[:count], x[:count], strict=True)}
+        return {v.name: v.value(float(y)) for v, y in zip(self.variables[:count], x[:count], strict=True)}
 
     def x_of(self, values: Mapping[str, float], *, bounded: bool = True) -> Array:
-        """Return x for values of the design variables [SI], with the corresponding events and largest values.
-
-        Parameters
-        ----------
-        values : mapping of str to float [SI]
-        bounded : bool
-            Whether values beyond a bound are moved to it.
-        """
+        """Return x for values of the design variables [SI], with the corresponding events and largest values; see `NLP.x_of`."""
         count = len(self.free)
         x = self.x_start.copy()
-        x[:count] = [(values[v.name] - v.origin) / v.size for v in self.variables[:count]]
+        x[:count] = [v.scaled(values[v.name]) for v in self.variables[:count]]
         return self.lifted(np.clip(x, self.x_low, self.x_high) if bounded else x)
 
     def lifted(self, x: Array) -> Array:
@@ -124,19 +117,10 @@ def build_cycle(
 ) -> CycleNLP:
     """Build the nonlinear programme of cycle optimisation.
 
-    Parameters
-    ----------
-    structure : EventOrder
-        The events at `start`; the NLP is valid for designs with the same events in the same order.
-    start : mapping of str to float [SI]
-        Design variables at the start; the objective there is its scale.
-    nodes : int
-        Positions per revolution; half as many if no term is an integral.
-    slots : int, optional
-        Roaming positions per stroke.
-    scales : (float [m], sequence of float [SI]), optional
-        Unit of length (default: the longest length of the file) and of each objective term (default: its value at the
-        start).
+    It is valid for designs with the events of `structure`, that of `start` [SI], in the same order; the objective at `start` is
+    its scale. `nodes` are positions per revolution, half as many if no term is an integral; `slots` exchange points per stroke.
+    `scales` are the unit of length [m], by default the longest length of the file, and of each objective term [SI], by default
+    its value at the start.
     """
     problem = trace.problem
     exchange = min(max(EXCHANGE_POINTS // max(1, trace.cuts(structure)), SLOTS[0]), SLOTS[1]) if slots is None else slots
@@ -157,6 +141,7 @@ def build_cycle(
             (abs(value) if abs(value) > ROUNDING * natural else natural) or scale or 1.0
             for scale, value, natural in zip(problem.scales, maxima, naturals, strict=True)
         ]
+        extremes = [each for each in zip(parts.goals, maxima, sizes, strict=True) if each[0].extreme]
         worths = [
             goal.weight * size / (scale or 1.0) for goal, scale, size in zip(parts.goals, problem.scales, sizes, strict=True)
         ]
@@ -170,18 +155,18 @@ def build_cycle(
                 k += 1
             else:
                 f += own / worth * (-1.0 if goal.sense == "maximise" else 1.0) * figure / size
-        heights = [parts.heights(goal, size) for goal, size in zip(parts.goals, sizes, strict=True) if goal.extreme]
+        heights = [parts.heights(goal, size) for goal, _, size in extremes]
         watched += [parts.limit(bound) for bound in problem.bounds]
         watched += parts.close()
         mapped = parts.mapped(f / p[0])
         scaled, residual, g, *others = mapped.expanded([mapped.f, f, mapped.g, *heights, *parts.exchanged])
-    at[count + events :] = [value / size for goal, value, size in zip(parts.goals, maxima, sizes, strict=True) if goal.extreme]
+    at[count + events :] = [value / size for _, value, size in extremes]
     box = [boxed(problem.quantities[v.name], v)[:2] for v in parts.variables[:count]]
     box += [(-2.0 * TURN, 2.0 * TURN)] * events
     box += [(0.0 if goal.how == "peak" else -math.inf, math.inf) for goal in parts.epigraphs]
     x_low, x_high = np.array(box).reshape(-1, 2).T.copy()
     helpers = {EPIGRAPH, EVENT, *(v.name for v in parts.variables[count:])}
-    levels = parts.levelled([size for goal, size in zip(parts.goals, sizes, strict=True) if goal.extreme])
+    levels = parts.levelled([size for *_, size in extremes])
     return CycleNLP(
         variables=(*parts.variables[: count + events], *levels),
         fixed=parts.fixed,

@@ -103,25 +103,21 @@ class Sample:
         return self.events is not None and all(count == other.which.count(k) for k, count in enumerate(self.counts))
 
 
-def _reversal(load: Load) -> Callable[[Moving], Value]:
+def _reversal(load: Load, moving: Moving) -> Value:
     """Return the velocity at whose reversal a load jumps."""
-    return lambda moving: (load.reversing(moving) or (0.0, 0.0))[0]
+    return (load.reversing(moving) or (0.0, 0.0))[0]
 
 
-def _corner(guide: str, at: float) -> Callable[[Moving], Value]:
+def _corner(guide: str, at: float, moving: Moving) -> Value:
     """Return the distance of a slider beyond a row of its load's table."""
-    return lambda moving: moving.slides[guide][0] - at
+    return moving.slides[guide][0] - at
 
 
 class TracedCycle:
     """The traced functions of one problem.
 
-    Parameters
-    ----------
-    values : mapping of str to float [SI], optional
-        Quantities that determine which stroke is the slow one.
-    slow : mapping of str to "forward" or "backward", optional
-        In place of `values`: the slow stroke of loads of the slow or quick stroke, for a crank that turns counter-clockwise.
+    Quantities `values` [SI] determine which stroke is the slow one; or `slow` states the slow stroke of loads of the slow or
+    quick stroke, for a crank that turns counter-clockwise.
 
     Raises
     ------
@@ -141,6 +137,7 @@ class TracedCycle:
         self.names = list(problem.quantities)
         self.terms: tuple[Term, ...] = (*problem.goals, *(bound.term for bound in problem.bounds))
         self.cyclic = [term for term in self.terms if term.nature.cyclic]
+        self.ended = [term for term in self.terms if term.quantity in ("stroke", "end")]  # computed at the ends of strokes
         self.works = any(term.quantity == "work" for term in self.terms)
         self.base, self.slow = self._relevant(problem.machine(values, slow)), slow
         self.revolutions = self.base.revolutions or 1
@@ -171,11 +168,6 @@ class TracedCycle:
         still = {name: Jet(size) for name, size in sizes.items()}  # casadi operators reject jets: use jets throughout
         pose = self.mechanism.pose(still, unit(Jet(phi, self.speed, 0.0)))
         return _MovingWithSenses(machine, Motion(self.mechanism, sizes, phi, self.speed, pose, 0.0), self.direction)
-
-    @cached_property
-    def ended(self) -> list[Term]:
-        """Terms computed from the output positions at the ends of strokes."""
-        return [term for term in self.terms if term.quantity in ("stroke", "end")]
 
     def _signals(self, moving: Moving) -> list[tuple[Value, ...]]:
         """Return the components of every cyclic term, followed by the driving torque if work is required."""
@@ -238,12 +230,8 @@ class TracedCycle:
     def edges(self, begins: Sequence[Any]) -> list[Any]:
         """Return the crank angles [rad] that divide a cycle, and its end, from those of the cuts of its first revolution.
 
-        Motions repeat in every revolution, so that the cuts of the others follow.
-
-        Parameters
-        ----------
-        begins : sequence of crank angles [rad]
-            Empty where no motion divides a revolution.
+        Motions repeat in every revolution, so that the cuts of the others follow. There are none where no motion divides a
+        revolution.
         """
         begins = list(begins) or [0.0]
         return [*(begin + k * TURN for k in range(self.revolutions) for begin in begins), begins[0] + self.revolutions * TURN]
@@ -294,23 +282,23 @@ class TracedCycle:
             slides = isinstance(load, Force) and isinstance(load.direction, str)
             guide = str(load.direction) if isinstance(load, Force) else ""
             if load.switching:
-                add(("guide", guide) if slides else ("load", load.name), _reversal(load))
+                add(("guide", guide) if slides else ("load", load.name), functools.partial(_reversal, load))
             if isinstance(load, Force) and isinstance(load.magnitude, LoadTable) and load.magnitude.over == "s":
                 for row, at in enumerate(load.magnitude.at):
-                    add((CORNER, load.name, str(row)), _corner(guide, at))
+                    add((CORNER, load.name, str(row)), functools.partial(_corner, guide, at))
         for term in self.terms:
             if term.ended:
-                add(self._key(term), self._rate(self._key(term), term), cuts=term.quantity == "work")
+                add(self._key(term), functools.partial(self._rate, term), cuts=term.quantity == "work")
         return list(events.values())
 
-    def _rate(self, key: tuple[str, ...], term: Term) -> Callable[[Moving], Value]:
-        kind, name = key[:2]
+    def _rate(self, term: Term, moving: Moving) -> Value:
+        """Return the velocity of an output."""
+        kind, name = self._key(term)[:2]
         if kind == "guide":
-            return lambda moving: moving.slides[name][1]
+            return moving.slides[name][1]
         if kind == "body":
-            return lambda moving: moving.state(name).omega
-        way = 0.0 if term.direction is None else term.direction.value
-        return lambda moving: dot(unit(way), moving.velocity(name))
+            return moving.state(name).omega
+        return dot(unit(0.0 if term.direction is None else term.direction.value), moving.velocity(name))
 
     # --- numbers ---------------------------------------------------------------------------------------------------------
 

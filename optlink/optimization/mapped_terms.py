@@ -64,16 +64,9 @@ class MappedTerms:
         return list(casadi.Function("expand", [self.x, self.p, *self.z], expressions).call([self.x, self.p, *values]))
 
     def substituted(self, x: Any, moved: tuple[list[Any], list[Any]], rows: Any) -> MappedTerms:
-        """Return the terms as functions of other variables, with further rows.
+        """Return the terms as functions of other variables `x`, the first ones unchanged, with further rows.
 
-        Parameters
-        ----------
-        x : casadi symbols
-            The variables, the first ones unchanged.
-        moved : (list of casadi symbols, list of casadi expressions)
-            What to replace by what.
-        rows : casadi expression
-            Further rows, as a function of `x`, p and z.
+        `moved`: what to replace by what. `rows` is an expression of `x`, p and z.
         """
         count = len(self.at)
         expressions = casadi.substitute([self.known, self.f, self.g, *self.angles, *self.senses], *moved)
@@ -83,13 +76,7 @@ class MappedTerms:
         return terms
 
     def of_rows(self, rows: Sequence[int]) -> MappedTerms:
-        """Return the terms with some of the rows, without positions on which they do not depend.
-
-        Parameters
-        ----------
-        rows : sequence of int
-            Indices of the rows.
-        """
+        """Return the terms with some of the rows, without positions on which they do not depend."""
         g, parts = self.g[rows], []
         for z, angles, senses in zip(self.z, self.angles, self.senses, strict=True):
             used = np.reshape(casadi.which_depends(casadi.vertcat(self.f, g), casadi.vec(z), 1, False), z.shape, order="F")
@@ -101,12 +88,7 @@ class MappedTerms:
     def with_slopes(self, heights: Sequence[Any], places: Sequence[Any]) -> tuple[MappedTerms, Any]:
         """Return the terms with the derivatives of the functions by the crank angle as further values, and slopes made of these.
 
-        Parameters
-        ----------
-        heights : sequence of casadi expressions
-            Of x, p and z.
-        places : sequence of casadi symbols
-            Components of p; each height is differentiated by its own.
+        Each height, an expression of x, p and z, is differentiated by its own one of the `places`, components of p.
         """
         at, values = [], []
         slopes = [casadi.jacobian(height, place) for height, place in zip(heights, places, strict=True)]
@@ -130,11 +112,8 @@ class MappedTerms:
         """Each function of one position at all of its positions; `substituted` terms use the same."""
         functions = []
         for at, angles, senses in zip(self.at, self.angles, self.senses, strict=True):
-            local_x, angle, sense = (
-                casadi.SX.sym("own", self.local),
-                casadi.SX.sym("angle"),
-                casadi.SX.sym("senses", senses.shape[0]),
-            )
+            local_x, angle = casadi.SX.sym("own", self.local), casadi.SX.sym("angle")
+            sense = casadi.SX.sym("senses", senses.shape[0])
             quantities = casadi.substitute(self.known, self.x[: self.local], local_x)
             values = casadi.densify(at(casadi.vertcat(quantities, angle), sense))
             functions.append(_MappedFunction([local_x, self.p, angle, sense], values, local_x, angle, angles.shape[1]))
@@ -280,12 +259,7 @@ class _MappedFunction:
     def other_derivatives(self, slopes: Any, rates: Any) -> Any:
         """Return the derivatives (values * positions, others) of the values by the other components of x.
 
-        Parameters
-        ----------
-        slopes : casadi expression (positions, values)
-            By the angle.
-        rates : casadi expression (positions, others)
-            Of the angles.
+        They are the product of those by the angle (positions, values) and the rates of the angles (positions, others).
         """
         count = self.outputs.shape[0]
         every = casadi.kron(rates.sparsity(), casadi.Sparsity.dense(count, 1))
@@ -307,13 +281,7 @@ class _MappedFunction:
     def bent(self, inputs: list[Any], prices: Any, rates: Any) -> tuple[Any, Any]:
         """Return the second derivatives by x of all values times their prices, and the derivatives of these by the angles.
 
-        Parameters
-        ----------
-        inputs : list of casadi expressions
-            Inputs of the function.
-        prices : casadi expression (positions, values)
-        rates : casadi expression (positions, others)
-            Of the angles, by the other components of x.
+        `prices` (positions, values); `rates` (positions, others) of the angles by the other components of x.
         """
         function, pattern = self._curvatures
         local_derivatives, by_both, by_angles, by_angle = function(*inputs, prices)

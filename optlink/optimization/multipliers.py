@@ -27,16 +27,8 @@ SAME_SUM = 1e-4  # relative change of a sum of multipliers that counts as none: 
 def active_sides(nlp: NLP, x: Array, point: NLPValues, within: float = ACTIVE) -> tuple[Array, NDArray[np.bool_]]:
     """Return the side at which each bound and row is active (1: upper, -1: lower, 0: neither), and which are equalities.
 
-    The bounds of an angle that may be any do not limit, nor does that of the largest error of a minimax problem.
-
-    Parameters
-    ----------
-    x : array (n,)
-        Scaled point.
-    point : NLPValues
-        The NLP there.
-    within : float
-        Distance at which a limit counts as active, scaled.
+    The bounds of an angle that may be any do not limit, nor does that of the largest error of a minimax problem. `within` is the
+    distance (scaled) at which a limit counts as active.
     """
     values, low, high = np.concatenate([x, point.g]), nlp.lower, nlp.upper
     sign = (high - values <= within) * 1.0 - (values - low <= within)
@@ -69,33 +61,14 @@ class MultiplierSet:
 
     @classmethod
     def of(cls, nlp: NLP, x: Array, point: NLPValues, multipliers: Array) -> MultiplierSet:
-        """Return all multipliers of an optimum of which some are known.
-
-        Parameters
-        ----------
-        x : array (n,)
-            Scaled optimum.
-        point : NLPValues
-            The NLP there.
-        multipliers : array (n + m,)
-            Of bounds, then rows.
-        """
+        """Return all multipliers of an optimum of which some (n + m,), of bounds, then rows, are known."""
         jacobian = np.concatenate([np.eye(len(x)), point.jacobian])
         sign, equal = active_sides(nlp, x, point)
         return cls.from_gradients(jacobian, multipliers, (sign != 0.0) | equal, np.where(equal, 0.0, sign))
 
     @classmethod
     def from_gradients(cls, gradients: Array, multipliers: Array, active: NDArray[np.bool_], sign: Array) -> MultiplierSet:
-        """Return all multipliers of an optimum from the gradients of its limits.
-
-        Parameters
-        ----------
-        gradients : array (limits, n)
-        multipliers : array (limits,)
-        active : array of bool (limits,)
-        sign : array (limits,)
-            See the class.
-        """
+        """Return all multipliers of an optimum from the gradients (limits, n) of its limits; for `sign` see the class."""
         norms = np.linalg.norm(gradients, axis=1)
         moving = norms > FLAT
         rows = np.flatnonzero(active & (moving | (sign == 0.0)))  # an equation without gradient can have any multiplier

@@ -22,6 +22,7 @@ from optlink.optimization.output_derivatives import ErrorDerivatives
 from optlink.problem.fixed_design import quantity_key
 from optlink.problem.function import EPIGRAPH, DesignProblem, StartPosition
 from optlink.problem.limits import Reach
+from optlink.problem.machine.model import Problem
 from optlink.problem.quantity import Quantity
 from optlink.problem.robust import EXPECTED, SMOOTHED, residuals
 from optlink.problem.targets.expression import Expression
@@ -43,6 +44,18 @@ class Variable:
     def scaled(self, value: float) -> float:
         """Return the component of the design vector for a value [SI]."""
         return (value - self.origin) / self.size
+
+    def value(self, component: Any) -> Any:
+        """Return the value [SI], a number or symbol, for a component of the design vector."""
+        return self.origin + self.size * component
+
+
+def scaled_variable(problem: Problem, name: str, size: float, *, periodic: bool, origin: float = 0.0) -> Variable:
+    """Return the scaling of a quantity: a length or coordinate, counted from an origin, by a size [m]; an angle by 1 rad."""
+    key = quantity_key(problem, name)
+    if problem.quantities[name].kind in ("length", "coordinate"):
+        return Variable(name, size, Scale("mm", 1e3 * size, offset=1e3 * origin), origin, key)
+    return Variable(name, 1.0, DEGREES, key=key, periodic=periodic)
 
 
 THREADED = 10_000  # elements from which BLAS shares a dot product among threads, which takes longer than any other test
@@ -150,9 +163,12 @@ class NLP:
         """Upper bounds of x, then of the rows."""
         return np.concatenate([self.x_high, self.high])
 
+    def _compiled(self, *outputs: Any) -> CompiledFunction:
+        return CompiledFunction([self.x_symbol, self.p_symbol], list(outputs))
+
     @cached_property
     def _values(self) -> CompiledFunction:
-        return CompiledFunction([self.x_symbol, self.p_symbol], [self.f_expression, self.g_expression])
+        return self._compiled(self.f_expression, self.g_expression)
 
     @property
     def programme(self) -> dict[str, Any]:
@@ -177,19 +193,16 @@ class NLP:
 
     @cached_property
     def _residuals(self) -> CompiledFunction:
-        return CompiledFunction([self.x_symbol, self.p_symbol], [self.residual_expression])
+        return self._compiled(self.residual_expression)
 
     @cached_property
     def _residual_slopes(self) -> CompiledFunction:
-        return CompiledFunction([self.x_symbol, self.p_symbol], [casadi.jacobian(self.residual_expression, self.x_symbol)])
+        return self._compiled(casadi.jacobian(self.residual_expression, self.x_symbol))
 
     def take_hessian(self, function: Any) -> None:
         """Use the Hessian of the Lagrangian that a back end has generated, unless there is one: generating it takes long.
 
-        Parameters
-        ----------
-        function : casadi.Function
-            (x, p, factor of the objective, multipliers) -> upper triangle.
+        `function`: (x, p, factor of the objective, multipliers) -> upper triangle.
         """
         if "_hessian" not in vars(self):
             vars(self)["_hessian"] = _symmetric(function)
@@ -203,43 +216,17 @@ class NLP:
         return _symmetric(known.factory("hessian", ["x", "p", "lam:f", "lam:g"], ["triu:hess:gamma:x:x"], lagrangian))
 
     def values(self, x: Array, p: Array) -> tuple[float, Array]:
-        """Return objective and rows.
-
-        Parameters
-        ----------
-        x : array (n,)
-            Scaled point.
-        p : array (parameters,)
-            Parameters.
-        """
+        """Return objective and rows."""
         f, g = self._values(x, p)
         return float(f[0]), g
 
     def at(self, x: Array, p: Array) -> NLPValues:
-        """Return objective, rows and their exact first derivatives.
-
-        Parameters
-        ----------
-        x : array (n,)
-            Scaled point.
-        p : array (parameters,)
-            Parameters.
-        """
+        """Return objective, rows and their exact first derivatives."""
         f, gradient, g, jacobian = self._all(x, p)
         return NLPValues(float(f[0]), gradient, g, jacobian.reshape((len(g), len(x)), order="F"))
 
     def hessian(self, x: Array, p: Array, multipliers: Array) -> Array:
-        """Return the exact Hessian (n, n) of the Lagrangian f + multipliers . g.
-
-        Parameters
-        ----------
-        x : array (n,)
-            Scaled point.
-        p : array (parameters,)
-            Parameters.
-        multipliers : array (m,)
-            Of the rows.
-        """
+        """Return the exact Hessian (n, n) of the Lagrangian f + multipliers . g."""
         return self._hessian(x, p, multipliers)[0].reshape(len(x), len(x))
 
     def residuals(self, x: Array) -> Array:
@@ -255,19 +242,14 @@ class NLP:
 
     def design(self, x: Array) -> dict[str, float]:
         """Return the design variables of the problem [SI] at x."""
-        names = ((v, value) for v, value in zip(self.variables, x, strict=True) if v.name != EPIGRAPH)
-        return {variable.name: variable.origin + float(value) * variable.size for variable, value in names}
+        return {v.name: v.value(float(y)) for v, y in zip(self.variables, x, strict=True) if v.name != EPIGRAPH}
 
     def x_of(self, values: Mapping[str, float], *, bounded: bool = True) -> Array:
         """Return x for values of the design variables [SI]; the epigraph variable takes its least value.
 
-        Parameters
-        ----------
-        values : mapping of str to float [SI]
-        bounded : bool
-            Whether values beyond a bound are moved to it.
+        `bounded`: values beyond a bound are moved to it.
         """
-        x = np.array([(values.get(v.name, 0.0) - v.origin) / v.size for v in self.variables])
+        x = np.array([v.scaled(values.get(v.name, 0.0)) for v in self.variables])
         return self.lifted(np.clip(x, self.x_low, self.x_high) if bounded else x)
 
     @property
@@ -280,25 +262,31 @@ class NLP:
         """Number of exchange points."""
         return len(self.p) - 1 - len(self.constants) - (self.smoothing > 0)
 
+    @property
+    def exchange_points(self) -> Array:
+        """The exchange points, see `set_exchange_points`."""
+        return self.p[len(self.p) - self.exchange_count :].copy()
+
     def set_exchange_points(self, offsets: Array) -> None:
         """Set the last exchange points (at most `exchange_count`): crank rotations [rad], or shares of the motion or stroke."""
         self.p[len(self.p) - len(offsets) :] = offsets
 
     def limit(self, entry: int, low: float | None, high: float | None) -> None:
-        """Move the bounds of a component of x or of a row in place; `rows` keep their original bounds.
-
-        Parameters
-        ----------
-        entry : int
-            Index of the component of x, or n plus the index of the row.
-        low, high : float or None
-            New bounds, scaled; None leaves a bound where it is.
-        """
+        """Move bounds (scaled; None: not) of a component of x, or from n on of a row, in place; `rows` keep the original."""
         ends = (low, self.lower, self.x_low, self.low), (high, self.upper, self.x_high, self.high)
         for bound, both, own, rows in ends:
             if bound is not None:
                 place, index = (own, entry) if entry < len(own) else (rows, entry - len(own))
                 both[entry] = place[index] = bound
+
+    def set_bounds(self, low: Array, high: Array) -> None:
+        """Move the bounds (scaled) of all components of x in place."""
+        self.lower[: len(low)] = self.x_low[:] = low
+        self.upper[: len(high)] = self.x_high[:] = high
+
+    def wrapped(self, x: Array) -> Array:
+        """Return x with every angle that may be any moved by a revolution towards its bounds."""
+        return x - TURN * self.around * ((x > self.x_high) * 1.0 - (x < self.x_low))
 
     def lifted(self, x: Array) -> Array:
         """Return the same design with the epigraph variable (if there is one) at the largest residual."""
@@ -323,9 +311,7 @@ EXCHANGE_POINTS = 12  # positions that are moved to the maxima of the error
 def _traced(problem: DesignProblem, values: dict[str, Any], counted: dict[str, Any], start: StartPosition) -> tuple[Any, Any]:
     """Trace the residuals at one position: those of `optlink.problem.robust.residuals`.
 
-    Returns
-    -------
-    Function of (known quantities and crank rotation from the start, tabulated output), and the known quantities
+    Returns a function of (known quantities and crank rotation from the start, tabulated output), and the known quantities.
     """
     names = [*values, *counted]
     inputs, tabulated = casadi.SX.sym("inputs", len(names) + 5), casadi.SX.sym("tabulated")
@@ -355,12 +341,7 @@ def build(problem: DesignProblem, *, movable: bool = False) -> NLP:
     """Build the nonlinear programme of a function synthesis problem.
 
     Lengths are scaled by the frame (its start, if it is a design variable), angles by 1 rad, the objective by its value at the
-    start.
-
-    Parameters
-    ----------
-    movable : bool
-        Make the crank rotation of a law that is an expression a parameter, `SPAN`.
+    start. `movable`: the crank rotation of a law that is an expression is a parameter, `SPAN`.
     """
     size = problem.quantities["frame"].value
     sizes = {name: size if name in LENGTHS else 1.0 for name in problem.quantities}
@@ -373,9 +354,7 @@ def build(problem: DesignProblem, *, movable: bool = False) -> NLP:
         measure = replace(measure, width=1 + len(problem.deviations))
 
     x = casadi.SX.sym("x", len(free) + minimax)
-    many = (
-        0 if not problem.everywhere else EXCHANGE_POINTS if robust is None else 2 * EXCHANGE_POINTS
-    )  # with scatter the error is flatter
+    many = EXCHANGE_POINTS * problem.everywhere * (1 if robust is None else 2)  # with scatter the error is flatter
     spanned = movable and isinstance(problem.requirement.law, Expression)
     constant = len(fixed) + len(counted) + spanned
     smoothing = 1 + constant if robust is not None and robust.text != EXPECTED else 0
@@ -411,11 +390,9 @@ def build(problem: DesignProblem, *, movable: bool = False) -> NLP:
         mapped = MappedTerms(x, p, (residual,), known, len(free), (angles,), (senses,), (z,), f / p[0], g)
         f, g, vector = mapped.expanded([mapped.f, g, casadi.vec(z)])
 
-    def scaled(name: str) -> Variable:
-        scale = Scale("mm", 1e3 * size) if name in LENGTHS else DEGREES
-        return Variable(name, sizes[name], scale, key=quantity_key(problem, name), periodic=problem.is_periodic(name))
-
-    variables, constants = [scaled(name) for name in free], [scaled(name) for name in fixed]
+    variables, constants = (
+        [scaled_variable(problem, name, size, periodic=problem.is_periodic(name)) for name in names] for names in (free, fixed)
+    )
     constants += [Variable(name, size, Scale("mm", 1e3 * size)) for name in counted]
     constants += [Variable(SPAN, 1.0, DEGREES)] if spanned else []
     box = [boxed(problem.quantities[v.name], v) for v in variables]

@@ -43,15 +43,7 @@ class ErrorMeasure:
 
 
 def error_measures(unit: str, width: int = 1) -> dict[str, ErrorMeasure]:
-    """Return every measure of residuals in a unit, by name.
-
-    Parameters
-    ----------
-    unit : str
-        Unit of the residuals.
-    width : int
-        Number of components per position.
-    """
+    """Return every measure of residuals in a unit, by name; `width` is the number of components per position."""
     units = {"sum of squares": f"{unit}^2", "rms": unit, "max": unit}
     return {name: ErrorMeasure(name, display_unit, width) for name, display_unit in units.items()}
 
@@ -64,16 +56,8 @@ def output_error(
 ) -> Value:
     """Return prescribed minus actual rocker angle [rad], in (-pi, pi], elementwise.
 
-    It is computed as the angle between two unit vectors, which avoids the branch cuts of both angles.
-
-    Parameters
-    ----------
-    values : mapping of str to float, array or symbol [m, rad]
-        Value of every quantity.
-    offset : float, array or symbol [rad]
-        Crank rotation from the start.
-    tabulated : float, array or symbol
-        `Law.tabulated` at that offset.
+    It is computed as the angle between two unit vectors, which avoids the branch cuts of both angles. `offset` [rad] is the crank
+    rotation from the start, `tabulated` is `Law.tabulated` there.
     """
     pose = problem.linkage.pose(values, turn(start.crank, unit(offset)))
     target = problem.law.target(offset, tabulated, start.phi0, start.psi0)

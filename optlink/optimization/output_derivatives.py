@@ -1,6 +1,7 @@
 """Exact derivatives of an output with respect to dimensions, and the error of a law with its scatter."""
 
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from typing import Any
 
 import casadi
@@ -19,18 +20,9 @@ from optlink.symbolic import NumpyEvaluator, symbols_in_numpy
 def output_derivatives(
     mechanism: Mechanism, sizes: Mapping[str, Any], crank: Vector, output: str, by: Sequence[str]
 ) -> tuple[Any, list[Any]]:
-    """Return an output and its derivatives with respect to dimensions, as symbols; call it within `symbolic.symbols_in_numpy`.
+    """Return an output and its derivatives by dimensions, as symbols; call it within `symbolic.symbols_in_numpy`.
 
-    Parameters
-    ----------
-    sizes : mapping of str to casadi symbol
-        Every dimension.
-    crank : pair of symbols
-        Direction of the crank.
-    output : str
-        Name of a body (its angle), or "P.x", "P.y" of a point.
-    by : sequence of str
-        Names of dimensions.
+    An output is the name of a body (its angle), or "P.x", "P.y" of a point.
     """
     pose = mechanism.pose(sizes, crank)
     if output in mechanism.bodies:
@@ -51,43 +43,28 @@ class ErrorDerivatives:
         self._names = [*problem.mechanism.quantities, *self._pivots]
         symbols = {name: casadi.SX.sym(name) for name in self._names}
         crank = casadi.SX.sym("crank direction", 2)
+        by = list(dict.fromkeys(d.size for d in self.deviations))
         with symbols_in_numpy():
-            _, slopes = output_derivatives(
-                mechanism, symbols, (crank[0], crank[1]), "rocker", list(dict.fromkeys(d.size for d in self.deviations))
-            )
+            _, slopes = output_derivatives(mechanism, symbols, (crank[0], crank[1]), "rocker", by)
         self._inputs, self._outputs = [*symbols.values(), crank[0], crank[1]], [-slope for slope in slopes]
-        self._place = [list(dict.fromkeys(d.size for d in self.deviations)).index(d.size) for d in self.deviations]
+        self._place = [by.index(d.size) for d in self.deviations]
 
     def _arguments(self, values: Mapping[str, Value], crank: Vector) -> list[Value]:
         return [*(values.get(name, self._pivots.get(name, 0.0)) for name in self._names), *crank]
 
     def symbolic(self, values: Mapping[str, Value], crank: Vector) -> list[Any]:
-        """Return the derivatives as symbols, one for each deviation [SI].
-
-        Parameters
-        ----------
-        values : mapping of str to symbol [m, rad]
-            Dimensions.
-        crank : pair of symbols
-            Direction of the crank.
-        """
+        """Return the derivatives as symbols, one for each deviation [SI]."""
         function = casadi.Function("slopes", [casadi.vertcat(*self._inputs)], [casadi.vertcat(*self._outputs)])
         outputs = function(casadi.vertcat(*self._arguments(values, crank)))
         return [outputs[i] for i in self._place]
 
-    def numeric(self, values: Mapping[str, Value], crank: Vector) -> list[Array]:
-        """Return the derivatives as arrays, one for each deviation [SI].
+    @cached_property
+    def _numeric(self) -> NumpyEvaluator:
+        return NumpyEvaluator(self._inputs, self._outputs)
 
-        Parameters
-        ----------
-        values : mapping of str to float or array [m, rad]
-            Dimensions.
-        crank : pair of float or array
-            Direction of the crank; broadcast with the dimensions.
-        """
-        if "tape" not in vars(self):
-            self.tape = NumpyEvaluator(self._inputs, self._outputs)
-        outputs = self.tape(*self._arguments(values, crank))
+    def numeric(self, values: Mapping[str, Value], crank: Vector) -> list[Array]:
+        """Return the derivatives as arrays, one for each deviation [SI]; dimensions broadcast with the direction of the crank."""
+        outputs = self._numeric(*self._arguments(values, crank))
         return [outputs[i] for i in self._place]
 
 
@@ -108,15 +85,7 @@ class ErrorResiduals:
         return np.asarray(np.sqrt(square / len(law.offsets)) if measure == "rms" else square, dtype=float)
 
     def band(self, values: Mapping[str, Value], offsets: Array) -> tuple[Array, Array]:
-        """Return the lower and upper end [rad] of the error along the span; for an expected square, one standard deviation.
-
-        Parameters
-        ----------
-        values : mapping of str to float or array [m, rad]
-            Value of every quantity.
-        offsets : array (n,) [rad]
-            Crank rotations from the start.
-        """
+        """Return the lower and upper end [rad] of the error at offsets (n,); for an expected square, one standard deviation."""
         source = self.problem.requirement.law
         tabulated = source.at(offsets) if isinstance(source, Table) else np.zeros(len(offsets))
         mean, *rest = parts = self.parts(values, offsets, tabulated)
@@ -126,17 +95,7 @@ class ErrorResiduals:
         return parts[-1], mean
 
     def parts(self, values: Mapping[str, Value], offsets: Array, tabulated: Array) -> list[Array]:
-        """Return the residuals at crank rotations from the start (`optlink.problem.robust.residuals`).
-
-        Parameters
-        ----------
-        values : mapping of str to float or array [m, rad]
-            Value of every quantity.
-        offsets : array (n,) [rad]
-            Crank rotations from the start.
-        tabulated : array (n,)
-            `Law.tabulated` at these offsets.
-        """
+        """Return the residuals at crank rotations [rad] from the start (`optlink.problem.robust.residuals`)."""
         problem = self.problem
         with np.errstate(all="ignore"):
             start = problem.start_position(values)

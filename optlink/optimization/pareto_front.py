@@ -16,13 +16,7 @@ def extent(costs: Array) -> Array:
 
 
 def undominated(costs: Array) -> NDArray[np.bool_]:
-    """Return which points are not dominated.
-
-    Parameters
-    ----------
-    costs : array (n, k)
-        Smaller is better in every column. Of points that are equal within rounding the first is kept.
-    """
+    """Return which points (n, k) are not dominated; smaller is better. Of points equal within rounding the first is kept."""
     if not len(costs):
         return np.zeros(0, dtype=bool)
     share = costs / extent(costs)

@@ -23,9 +23,8 @@ from optlink.optimization.constraints import (
     rows as limit_rows,
 )
 from optlink.optimization.mapped_terms import MappedTerms
-from optlink.optimization.nlp import NLP, Variable, boxed
+from optlink.optimization.nlp import NLP, Variable, boxed, scaled_variable
 from optlink.optimization.objectives import error_measures
-from optlink.problem.fixed_design import quantity_key
 from optlink.problem.function import EPIGRAPH
 from optlink.problem.limits import Reach
 from optlink.problem.mechanism import FourBarSection
@@ -43,20 +42,11 @@ def angle_name(index: int) -> str:
     return f"crank angle of point {index + 1}"
 
 
-def scaled_variable(problem: PathProblem, name: str) -> Variable:
-    """Return the scaling of a quantity: lengths by the size of the curve, coordinates on the frame from its centre.
-
-    Parameters
-    ----------
-    name : str
-        Name of the quantity.
-    """
-    quantity, key = problem.quantities[name], quantity_key(problem, name)
-    if quantity.kind not in ("length", "coordinate"):
-        return Variable(name, 1.0, DEGREES, key=key, periodic=problem.is_periodic(name))
-    axis = name.rpartition(".")[2] if quantity.kind == "coordinate" else ""
+def path_variable(problem: PathProblem, name: str) -> Variable:
+    """Return the scaling of a quantity: lengths by the size of the curve, coordinates on the frame from its centre."""
+    axis = name.rpartition(".")[2] if problem.quantities[name].kind == "coordinate" else ""
     origin = problem.centre["xy".index(axis)] if axis in ("x", "y") else 0.0
-    return Variable(name, problem.size, Scale("mm", 1e3 * problem.size, offset=1e3 * origin), origin, key)
+    return scaled_variable(problem, name, problem.size, periodic=problem.is_periodic(name), origin=origin)
 
 
 def has_position_limits(problem: PathProblem) -> bool:
@@ -70,50 +60,40 @@ def has_sampled_objective(problem: PathProblem) -> bool:
 
 
 def build_path_nlp(problem: PathProblem, direction: int = 1, *, movable: bool = False) -> NLP:
-    """Build the nonlinear programme of a path or motion synthesis problem.
+    """Build the nonlinear programme of a path or motion synthesis problem with definite assembly modes.
 
-    Parameters
-    ----------
-    problem : PathProblem
-        With definite assembly modes.
-    direction : int
-        Sense of crank rotation from point to point without prescribed timing: +1 counter-clockwise, -1 clockwise.
-    movable : bool
-        Make points and poses parameters, see `target_constants`.
-
-    Returns
-    -------
-    NLP; its exchange points are shares of the motion over which position limits apply, see `required_motion`
+    `direction` is the sense of crank rotation from point to point without prescribed timing: +1 counter-clockwise, -1 clockwise.
+    `movable`: points and poses are parameters, see `target_constants`. The exchange points of the NLP are shares of the motion
+    over which position limits apply, see `required_motion`.
     """
     size, share, free, data = problem.size, problem.whole, problem.free, problem.data
     fixed = tuple(name for name in problem.quantities if name not in free)
     free_timing = data.offsets is None
     count, measure = len(data.columns), error_measures(problem.unit, problem.width)[problem.measure]
     minimax = measure.name == "max"
-    variables = [scaled_variable(problem, name) for name in free]
+    variables = [path_variable(problem, name) for name in free]
     if free_timing:
         variables += [Variable(angle_name(i), 1.0, DEGREES) for i in range(count)]
     if minimax:
         variables.append(Variable(EPIGRAPH, share, Scale(problem.unit, share)))
-    constants = [scaled_variable(problem, name) for name in fixed]
+    constants = [path_variable(problem, name) for name in fixed]
     moving = target_constants(problem) if movable and problem.pointed else []
 
     x = casadi.SX.sym("x", len(variables))
     many = EXCHANGE_POINTS if has_position_limits(problem) else 0
     exchanged_from = 1 + len(fixed) + len(moving)
     p = casadi.SX.sym("p", exchanged_from + many)
-    values: dict[str, Any] = {v.name: v.origin + v.size * x[i] for i, v in enumerate(variables[: len(free)])}
-    values |= {v.name: v.origin + v.size * p[1 + i] for i, v in enumerate(constants)}
+    values: dict[str, Any] = {v.name: v.value(x[i]) for i, v in enumerate(variables[: len(free)])}
+    values |= {v.name: v.value(p[1 + i]) for i, v in enumerate(constants)}
     columns: Any = data.columns
     stretch: Any = 1.0
     if moving:
-        parts = [v.origin + v.size * p[1 + len(fixed) + i] for i, v in enumerate(moving)]
+        parts = [v.value(p[1 + len(fixed) + i]) for i, v in enumerate(moving)]
         width = data.columns.shape[1]
         columns = [parts[width * k : width * (k + 1)] for k in range(count)]
         stretch = casadi.vertcat(1.0, 1.0, parts[-1] / problem.radian) if problem.requirement.kind == "motion" else 1.0
-    origin = (
-        0.0 if free_timing or problem.timing != "from start" else 1.0
-    )  # factor of the start angle in the crank angles of the points
+    # factor of the start angle in the crank angles of the points
+    origin = 0.0 if free_timing or problem.timing != "from start" else 1.0
     if free_timing:
         angles: list[Any] = [x[len(free) + i] for i in range(count)]
     else:
@@ -221,21 +201,13 @@ def target_constants(problem: PathProblem) -> list[Variable]:
             constants.append(Variable(f"{TARGET}{k}.{axis}", size, Scale("mm", 1e3 * size, offset=1e3 * origin), origin))
         if problem.requirement.kind == "motion":
             constants += [Variable(f"{TARGET}{k}.{part}", 1.0, PLAIN) for part in ("cosine", "sine")]
-    return (
-        [*constants, Variable(f"{TARGET}radian", size, Scale("mm", 1e3 * size))]
-        if problem.requirement.kind == "motion"
-        else constants
-    )
+    if problem.requirement.kind == "motion":
+        constants.append(Variable(f"{TARGET}radian", size, Scale("mm", 1e3 * size)))
+    return constants
 
 
 def constant_values(problem: PathProblem, constants: Sequence[Variable]) -> list[float]:
-    """Return the scaled values of parameters: fixed quantities, then components of the targets.
-
-    Parameters
-    ----------
-    constants : sequence of Variable
-        See `NLP.constants`.
-    """
+    """Return the scaled values of `NLP.constants`: fixed quantities, then components of the targets."""
     quantities, numbers = problem.quantities, [*problem.data.columns.ravel().tolist(), problem.radian]
     first = next((i for i, v in enumerate(constants) if v.name.startswith(TARGET)), len(constants))
     values = [v.scaled(quantities[v.name].value) for v in constants[:first]]
@@ -243,15 +215,7 @@ def constant_values(problem: PathProblem, constants: Sequence[Variable]) -> list
 
 
 def solved_values(task: PathProblem, design: Mapping[str, float], x: Array) -> tuple[dict[str, float], Array]:
-    """Return all quantities [m, rad] of a solved programme, and its crank angles (points,) [rad].
-
-    Parameters
-    ----------
-    design : mapping of str to float [m, rad]
-        Values of the design variables.
-    x : array (n,)
-        Unknowns of the programme: the design variables, then the free crank angles.
-    """
+    """Return all quantities [m, rad] of a solved programme, and its crank angles (points,) [rad]; `design` has the free ones."""
     values = {name: quantity.value for name, quantity in task.quantities.items()}
     values |= {name: design[name] for name in task.free}
     free = len(task.free)
@@ -260,15 +224,7 @@ def solved_values(task: PathProblem, design: Mapping[str, float], x: Array) -> t
 
 
 def required_motion(problem: PathProblem, angles: Any, *, over_span: bool = False) -> tuple[Any, Any]:
-    """Return the crank angle [rad] at which the motion with position limits begins, and its rotation [rad].
-
-    Parameters
-    ----------
-    angles : sequence of float or symbol [rad]
-        Crank angle of every point.
-    over_span : bool
-        Whether the limits apply from the first point to the last, even if the crank must turn fully.
-    """
+    """Return the crank angle [rad] at which the motion with position limits begins, and its rotation; see `along_points`."""
     along = along_points(problem, over_span=over_span)
     return (angles[0], angles[-1] - angles[0]) if along else (0.0, TURN)
 
@@ -276,10 +232,7 @@ def required_motion(problem: PathProblem, angles: Any, *, over_span: bool = Fals
 def along_points(problem: PathProblem, *, over_span: bool) -> bool:
     """Return whether limits apply from the first point to the last instead of over the whole revolution.
 
-    Parameters
-    ----------
-    over_span : bool
-        Whether they apply there even if the crank must turn fully.
+    `over_span`: they apply there even if the crank must turn fully.
     """
     return over_span or problem.limits.crank == "span"
 
@@ -293,21 +246,11 @@ def _fixed_positions(problem: PathProblem, angles: list[Any], over_span: bool) -
 
 
 def limit_excesses(problem: PathProblem, values: Mapping[str, Value], angles: Any, shares: Array) -> Array:
-    """Return the excess over every position limit, in the units of the rows: negative if satisfied, -inf if undefined.
+    """Return the excess (rows, n) or (rows, designs, n) over every position limit, in the units of the rows.
 
-    Parameters
-    ----------
-    values : mapping of str to float or array (designs, 1) [m, rad]
-        Value of every quantity.
-    angles : sequence of float, or of array (designs, 1) [rad]
-        Crank angle of every point.
-    shares : array (n,)
-        Positions as shares of the motion over which each limit applies, see `required_motion`.
-
-    Returns
-    -------
-    array (rows, n) or (rows, designs, n)
-        Positions without assembly exceed the row of the assembly margin.
+    It is negative if satisfied, -inf if undefined; positions without assembly exceed the row of the assembly margin. `values` [m,
+    rad] and the crank angles [rad] of the points are numbers or arrays (designs, 1); `shares` (n,) are positions as shares of the
+    motion over which each limit applies, see `required_motion`.
     """
 
     def rows_over(over_span: bool) -> list[ConstraintRow]:
@@ -360,17 +303,7 @@ class _Positions:
 
 
 def objective_excess(problem: PathProblem, values: Mapping[str, Value], largest: float, shares: Array) -> Array:
-    """Return the excess (n,) of the cosines of the transmission angles over the objective; -inf where undefined.
-
-    Parameters
-    ----------
-    values : mapping of str to float [m, rad]
-        Value of every quantity.
-    largest : float
-        The objective.
-    shares : array (n,)
-        Positions as shares of the revolution.
-    """
+    """Return the excess (n,) of the transmission cosines over the objective at shares of the revolution; -inf where undefined."""
     with np.errstate(all="ignore"):
         cosines = problem.deviation(problem.linkage.pose(values, unit(TURN * shares)), values, ())
         size = np.sqrt(sum(cosine * cosine for cosine in cosines)) + 0.0 * shares

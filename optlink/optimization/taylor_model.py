@@ -26,11 +26,12 @@ from numpy.lib.mixins import NDArrayOperatorsMixin
 from numpy.typing import ArrayLike, NDArray
 
 from optlink.linkage.vector2d import Array
-from optlink.optimization.taylor_rules import DERIVATIVES, LIBRARY, UPWARD, Rule, power
 
 UNIT = 2.0**-53  # largest relative error of a rounded operation
 ROUNDING = 64.0 * UNIT  # bounds the rounding errors of all coefficients of one operation, relative to the sum of their sizes
 TINY = 1e-290  # makes up for underflow
+LIBRARY = 2.0**-48  # bounds the error of sin, cos, arctan (absolute) and exp, log, power (relative): at least 16 ulp
+UPWARD = 1.0 + 2.0**-44  # makes up for the rounding of a remainder, a sum and product of fewer than 100 positive numbers
 INTEGER_POWERS = 16  # largest integer exponent that is expanded into products
 
 
@@ -43,16 +44,9 @@ def pairs(count: int) -> tuple[tuple[int, int], ...]:
 class TaylorModel(NDArrayOperatorsMixin):
     """A quantity over boxes of `count` unknowns. Where it is undefined, or cannot be bounded, the remainder is infinite.
 
-    Parameters
-    ----------
-    coefficients : array (1 + n + n (n + 1) / 2, ...), or (1, ...) for a quantity that is the same in the whole box
-        Value at the centre, first-order coefficients, second-order coefficients in the order of `pairs`.
-    remainder : array (...), not negative
-        Largest deviation from the polynomial.
-    count : int
-        Number n of unknowns.
-    sizes : pair of array (...), optional
-        See the property, where they are known.
+    `coefficients` (1 + n + n (n + 1) / 2, ...) are the value at the centre, the first-order coefficients, and the second-order
+    ones in the order of `pairs`; or (1, ...) for a quantity that is the same in the whole box. `remainder` (...) is the largest
+    deviation from the polynomial; `sizes`: see the property, where they are known.
     """
 
     __slots__ = ("_sizes", "coefficients", "count", "remainder")
@@ -69,13 +63,7 @@ class TaylorModel(NDArrayOperatorsMixin):
 
     @staticmethod
     def constant(value: ArrayLike, count: int) -> TaylorModel:
-        """Return a quantity that is the same in every box.
-
-        Parameters
-        ----------
-        count : int
-            Number of unknowns.
-        """
+        """Return a quantity that is the same in every box."""
         value = np.asarray(value, dtype=float)
         return TaylorModel(value[None], np.zeros(value.shape), count)
 
@@ -273,12 +261,7 @@ def _multiply(a: Any, b: Any) -> TaylorModel:
 def _compose(x: TaylorModel, rule: Rule, error: float = 0.0) -> TaylorModel:
     """Return f(x) from f, f', f'' at the centre and a bound of f''' over the range of x.
 
-    Parameters
-    ----------
-    rule : function of (centre, low, high)
-        Returns the three derivatives and the bound; NaN where f is undefined somewhere between low and high.
-    error : float
-        Absolute error of f at the centre, on top of a relative one of `LIBRARY`.
+    `error` is the absolute error of f at the centre, on top of a relative one of `LIBRARY`.
     """
     a, n = x.coefficients, x.count
     linear, quadratic = x.sizes
@@ -389,6 +372,75 @@ def _root(x: TaylorModel) -> TaylorModel:
         return root
     whole = _hull(x, np.zeros_like(high), np.sqrt(np.maximum(high, 0.0)))
     return _select(whole, root, partly, root, ~partly)
+
+
+# --- derivatives of elementary functions ------------------------------------------------------------------------
+
+Derivatives = tuple[Array, Array, Array, Array]
+"""Value, first and second derivative at the centre, and a bound of the size of the third over the range; NaN if undefined."""
+Rule = Callable[[Array, Array, Array], Derivatives]
+"""(centre, low, high), arrays of one shape, to the derivatives of an elementary function."""
+
+
+def _sqrt(x: Array, low: Array, high: Array) -> Derivatives:
+    low = np.where(low > 0.0, low, np.nan)
+    root = np.sqrt(x)
+    return root, 0.5 / root, -0.25 / (root * x), 0.375 * UPWARD / (low * low * np.sqrt(low))
+
+
+def _reciprocal(x: Array, low: Array, high: Array) -> Derivatives:
+    inverse = 1.0 / x
+    least = np.where(low > 0.0, low, np.where(high < 0.0, -high, np.nan))
+    square = least * least
+    return inverse, -inverse * inverse, 2.0 * inverse * inverse * inverse, 6.0 * UPWARD / (square * square)
+
+
+def _sin(x: Array, low: Array, high: Array) -> Derivatives:
+    s, c = np.sin(x), np.cos(x)
+    return s, c, -s, np.ones_like(x)
+
+
+def _cos(x: Array, low: Array, high: Array) -> Derivatives:
+    s, c = np.sin(x), np.cos(x)
+    return c, -s, -c, np.ones_like(x)
+
+
+def _arctan(x: Array, low: Array, high: Array) -> Derivatives:
+    w = 1.0 / (1.0 + x * x)
+    return np.arctan(x), w, -2.0 * x * w * w, np.full_like(x, 2.0)
+
+
+def _exp(x: Array, low: Array, high: Array) -> Derivatives:
+    e = np.exp(x)
+    return e, e, e, np.exp(high) * (1.0 + LIBRARY) * UPWARD
+
+
+def _log(x: Array, low: Array, high: Array) -> Derivatives:
+    low, inverse = np.where(low > 0.0, low, np.nan), 1.0 / x
+    return np.log(x), inverse, -inverse * inverse, 2.0 * UPWARD / (low * low * low)
+
+
+def power(p: float) -> Rule:
+    """Return the rule of x**p."""
+
+    def rule(x: Array, low: Array, high: Array) -> Derivatives:
+        f, low = np.power(x, p), np.where(low > 0.0, low, np.nan)
+        third = abs(p * (p - 1.0) * (p - 2.0)) * np.maximum(np.power(low, p - 3.0), np.power(high, p - 3.0))
+        slope = p * f / x
+        return f, slope, (p - 1.0) * slope / x, third * (1.0 + LIBRARY) * UPWARD
+
+    return rule
+
+
+DERIVATIVES: dict[np.ufunc, Rule] = {
+    np.sqrt: _sqrt,
+    np.reciprocal: _reciprocal,
+    np.sin: _sin,
+    np.cos: _cos,
+    np.arctan: _arctan,
+    np.exp: _exp,
+    np.log: _log,
+}
 
 
 _RULES: dict[np.ufunc, Callable[..., TaylorModel]] = {

@@ -41,11 +41,11 @@ def typed(function: Callable[P, R]) -> Callable[P, R]:
 
     @functools.cache
     def model() -> type[pydantic.BaseModel]:
-        annotations = {
-            name: text for name, text in function.__annotations__.items() if name != "return"
-        }  # it may be unknown here
+        # the type of the result may be unknown here
+        annotations = {name: text for name, text in function.__annotations__.items() if name != "return"}
         hints = typing.get_type_hints(types.SimpleNamespace(__annotations__=annotations), function.__globals__)
-        fields: dict[str, Any] = {name: (_accepted(hint), pydantic.Field()) for name, hint in hints.items()}
+        given = {name: Annotated[hint, pydantic.Strict(False)] if hint == Path | None else hint for name, hint in hints.items()}
+        fields: dict[str, Any] = {name: (hint, pydantic.Field()) for name, hint in given.items()}  # a path may be a text
         return pydantic.create_model("Arguments", __config__={"arbitrary_types_allowed": True, "strict": True}, **fields)
 
     @functools.wraps(function)
@@ -92,11 +92,6 @@ def _faults_of_call(
         if name not in kwargs and parameters[name].default is inspect.Parameter.empty
     ]
     return [*unknown, *twice, *many] or missing
-
-
-def _accepted(hint: Any) -> Any:
-    """Return an annotation for the check: a path may be given as text."""
-    return Annotated[hint, pydantic.Strict(False)] if hint == Path | None else hint
 
 
 def _fault(item: Any) -> Fault:

@@ -20,19 +20,11 @@ EXPECTED = {
 
 
 def parse_assignments(texts: Sequence[str], option: str = "--set") -> dict[str, object]:
-    """Read assignments KEY=VALUE of different keys.
-
-    Parameters
-    ----------
-    texts : sequence of str
-        The assignments.
-    option : str
-        Command-line option, for errors.
+    """Read assignments KEY=VALUE of different keys; `option` is that of the command, for errors.
 
     Raises
     ------
     InputError
-        If one cannot be read, or two have the same key.
     """
     values: dict[str, object] = {}
     for key, value in (parse_assignment(text, option) for text in texts):
@@ -44,13 +36,6 @@ def parse_assignments(texts: Sequence[str], option: str = "--set") -> dict[str, 
 
 def parse_assignment(text: str, option: str = "--set") -> tuple[str, object]:
     """Split KEY=VALUE; the value is read as TOML, or as plain text if it is not TOML (quotes are optional).
-
-    Parameters
-    ----------
-    text : str
-        The assignment.
-    option : str
-        Command-line option, for errors.
 
     Raises
     ------

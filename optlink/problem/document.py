@@ -21,8 +21,8 @@ from pydantic import TypeAdapter, ValidationError
 
 from optlink.errors import InputError, UnknownName, nearest
 from optlink.io import SUM, Summary, checked, finite, head, with_check_sum
+from optlink.problem.enclosed import enclosing
 from optlink.problem.file import ProblemFile, read
-from optlink.problem.fixed_design import enclosing
 from optlink.version import VERSION
 
 VERSION_OF_SCHEMAS = 3
@@ -192,7 +192,8 @@ def _place(error: KeyError | ValidationError) -> str:
 
 def stored_problem(problem: ProblemFile) -> dict[str, Any]:
     """Return a problem as a document contains it: its text with all changes, and with the files to which it refers."""
-    return {"file": problem.file, "toml": "\n".join(_toml_lines(enclosing(problem))) + "\n"}
+    tables, _ = enclosing(problem.raw, problem.folder, problem.files)
+    return {"file": problem.file, "toml": "\n".join(_toml_lines(tables)) + "\n"}
 
 
 def _toml_lines(table: Mapping[str, Any], path: str = "") -> Iterator[str]:

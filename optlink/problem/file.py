@@ -21,6 +21,7 @@ from optlink.errors import OPTIONS_NAMED, InputError, shown
 from optlink.io import data_files, load_extensions, shown_name
 from optlink.problem.arguments import typed
 from optlink.problem.base_model import DEEPEST, SPELLED, SPELLINGS, with_ranges, with_spellings
+from optlink.problem.enclosed import enclosing
 from optlink.problem.file_errors import (
     SECTIONS,
     as_written,
@@ -59,7 +60,8 @@ class ProblemFile:
     """A problem with its origin.
 
     `name` and `file`: for display; `raw`: the tables as written, with overrides; `model`: the checked problem; `overrides`:
-    values by dotted key that replaced those of the file.
+    values by dotted key that replaced those of the file; `files`: contents of the CSV and SVG files that it names, as they were
+    when it was read.
     """
 
     name: str
@@ -68,6 +70,7 @@ class ProblemFile:
     raw: Mapping[str, Any]
     model: Problem
     overrides: Mapping[str, object] = field(default_factory=dict)
+    files: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: Any) -> Any:
@@ -192,7 +195,11 @@ class ProblemFile:
         changes = _with_units(raw, _without_arrays(changes))
         _change(raw, changes, self.file)
         earlier = {key: value for key, value in self.overrides.items() if key not in changes}
-        return replace(read(raw, self.name, self.file, self.folder), overrides={**earlier, **changes})
+        return replace(self.with_tables(raw), overrides={**earlier, **changes})
+
+    def with_tables(self, raw: Mapping[str, Any]) -> ProblemFile:
+        """Return the problem of other nested tables, with the same name and files."""
+        return read(raw, self.name, self.file, self.folder, self.files)
 
 
 WORDS = ("title", "source", "about", "report", "expected")
@@ -245,7 +252,13 @@ def load(problem: str | Path, overrides: Mapping[str, object] | None = None) -> 
 
 
 @typed
-def read(raw: Mapping[str, Any] | str, name: str = "problem", file: str = "problem", folder: Path | None = None) -> ProblemFile:
+def read(
+    raw: Mapping[str, Any] | str,
+    name: str = "problem",
+    file: str = "problem",
+    folder: Path | None = None,
+    files: Mapping[str, str] | None = None,
+) -> ProblemFile:
     """Read and check a problem from nested tables (the content of a TOML file), or from the text of such a file.
 
     Parameters
@@ -258,6 +271,8 @@ def read(raw: Mapping[str, Any] | str, name: str = "problem", file: str = "probl
         Name of the file, for errors.
     folder : Path, optional
         Folder to which names of other files are relative; default: the working folder.
+    files : mapping of str to str, optional
+        Contents of other files by the names in the problem, in place of those in the folder.
 
     Raises
     ------
@@ -274,14 +289,16 @@ def read(raw: Mapping[str, Any] | str, name: str = "problem", file: str = "probl
     raw = _typed(with_ranges(with_spellings(tables), skip=WORDS))
     model = _model(raw, file)
     try:
-        problem = model.model_validate({"title": name[:200], **raw}, context={"folder": where})
+        with input_of(file):
+            enclosed, contents = enclosing(raw, where, files or {})
+        problem = model.model_validate({"title": name[:200], **enclosed}, context={"folder": where})
         with input_of(file):
             problem = problem.assembled()
             problem.check()
     except (pydantic.ValidationError, InputError) as error:
         errors = error.faults if isinstance(error, InputError) else faults(error, model, raw, file)
         raise InputError([as_written(fault, raw) for fault in errors]) from None
-    return ProblemFile(name, file, where, raw, problem)
+    return ProblemFile(name, file, where, raw, problem, files=contents)
 
 
 def _model(raw: Mapping[str, Any], file: str) -> type[Problem]:

@@ -24,13 +24,7 @@ from optlink.unsupported import unsupported_key
 
 
 def as_written(fault: Fault, raw: object) -> Fault:
-    """Return a fault whose value is that of a quantity or a range with the value as it stands in the file.
-
-    Parameters
-    ----------
-    raw : mapping
-        Nested tables of the file.
-    """
+    """Return a fault whose value is that of a quantity or a range with the value as it stands in the tables of the file."""
     if isinstance(fault.value, Ends):
         return replace(fault, value=fault.value.text)
     if not isinstance(fault.value, str) or fault.key is None:
@@ -61,15 +55,7 @@ def of_dyads(raw: Mapping[str, Any]) -> bool:
 
 
 def known_keys(path: tuple[str | int, ...], *kinds: type[Problem]) -> list[str]:
-    """Return the keys that models of these kinds (default: any kind) have at a path of sections.
-
-    Parameters
-    ----------
-    path : tuple of str or int
-        Sections, the outermost first.
-    *kinds : type
-        Models of a file.
-    """
+    """Return the keys that models of these kinds (default: any kind) have at a path of sections, the outermost first."""
     from optlink.problem.cycle.model import CycleProblem, StrokeProblem
     from optlink.problem.path import PathProblem
 
@@ -86,14 +72,7 @@ def known_keys(path: tuple[str | int, ...], *kinds: type[Problem]) -> list[str]:
 def keys_ending(raw: Mapping[str, Any], end: str, above: str = "") -> list[str]:
     """Return the dotted keys of a file that end with the given steps, for example `mechanism.crank` for `crank`.
 
-    Parameters
-    ----------
-    raw : mapping
-        Nested tables of the file.
-    end : str
-        One or several steps.
-    above : str
-        Steps that lead to `raw`, each followed by a dot.
+    `above` are the steps that lead to `raw`, each followed by a dot.
     """
     keys = [f"{above}{name}" for name in raw if above and f".{above}{name}".endswith(f".{end}")]
     return keys + [
@@ -114,40 +93,33 @@ def _models(annotation: Any) -> Iterator[Any]:
         yield from _models(inner)
 
 
-def _fitting(path: tuple[str | int, ...], model: type[Problem], raw: Mapping[str, Any]) -> list[str]:
+def _known(path: tuple[str | int, ...], model: type[Problem], raw: Mapping[str, Any]) -> list[str]:
     """Return the keys at a path of sections that are valid for the task of the file."""
     from optlink.problem.path import PathProblem
     from optlink.problem.path_requirement import inapplicable_keys
 
-    keys = known_keys(path, model)
+    keys, dyads = known_keys(path, model), of_dyads(raw)
     if path == ("mechanism",):
-        other = FourBarSection if of_dyads(raw) else DyadsSection
-        section = DyadsSection if of_dyads(raw) else FourBarSection
-        keys = [key for key in keys if key in section.model_fields or key not in other.model_fields]
+        fields = (DyadsSection if dyads else FourBarSection).model_fields
+        keys = [key for key in keys if key in fields]
     if model is PathProblem and len(path) == 1:
-        others = inapplicable_keys(str(path[0]), raw["requirement"].get("kind", "function"), four_bar=not of_dyads(raw))
+        others = inapplicable_keys(str(path[0]), raw["requirement"].get("kind", "function"), four_bar=not dyads)
         keys = [key for key in keys if key not in others]
     return keys
 
 
-def _elsewhere(section: str, key: str, model: type[Problem]) -> list[str]:
-    """Return the full names of a key that belongs to other sections than the one where it stands."""
-    others = (name for name in ("mechanism", "requirement", "limits", "drive") if name != section and name in model.model_fields)
-    return [f"{name}.{key}" for name in others if key in known_keys((name,), model)]
+def _nearest_key(path: list[str | int], model: type[Problem], raw: Mapping[str, Any]) -> str:
+    """Return the remedy for an unknown key, which may belong to another section than the one where it stands."""
+    key = str(path[-1])
+    deeper = keys_ending(raw, key) if len(path) == 1 else []
+    if not deeper and len(path) < 3:
+        sections = (name for name in ("mechanism", "requirement", "limits", "drive") if name in model.model_fields)
+        deeper = [f"{name}.{key}" for name in sections if name != path[0] and key in known_keys((name,), model)]
+    return nearest(key, _known(tuple(path[:-1]), model, raw), deeper)
 
 
 def faults(error: pydantic.ValidationError, model: type[Problem], raw: Mapping[str, Any], file: str) -> Iterator[Fault]:
-    """Yield one fault per error of a model; a key that is missing because it is misspelt is not a separate fault.
-
-    Parameters
-    ----------
-    model : type
-        Model of the file.
-    raw : mapping
-        Nested tables of the file.
-    file : str
-        Name of the file.
-    """
+    """Yield one fault per error of a model; a key that is missing because it is misspelt is not a separate fault."""
     result = list(_faults(error, model, raw, file))
     misspelt = {
         (str(fault.key).rpartition(".")[0], guess)
@@ -163,54 +135,46 @@ def faults(error: pydantic.ValidationError, model: type[Problem], raw: Mapping[s
 
 
 def _faults(error: pydantic.ValidationError, model: type[Problem], raw: Mapping[str, Any], file: str) -> Iterator[Fault]:
+    of_types = ("str", "Quantity", "function-before[<lambda>(), Quantity]", "[key]")
     for item in error.errors(include_url=False):
-        path = [step for step in item["loc"] if step not in ("str", "Quantity", "function-before[<lambda>(), Quantity]")]
-        path = [step for step in path if step != "[key]"]
+        path = [step for step in item["loc"] if step not in of_types]
         if path[:1] == ["mechanism"] and path[1:2] in (["four-bar"], ["dyads"]):
             del path[1]  # the tag of the union type
-        key = ".".join(str(step) for step in path)
-        value, kind, context = item["input"], item["type"], item.get("ctx", {})
-        problem = context.get("error")
+        key = ".".join(map(str, path))
+        value, problem = _plain(item["input"]), item.get("ctx", {}).get("error")
         if isinstance(problem, Unusable):
             below = f".{problem.key}" if problem.key and not problem.key.startswith("[") else problem.key
-            yield Fault(problem.message, problem.remedy, file, key + below, problem.value if problem.key else _plain(value))
-        elif kind == "extra_forbidden":
-            fitting = _fitting(tuple(path[:-1]), model, raw)
-            deeper = _elsewhere(str(path[0]), str(path[-1]), model)
-            deeper = deeper if path[1:] else keys_ending(raw, key) or deeper
-            if asked := unsupported_key(key):
-                yield Fault(*asked, file, key)
-                continue
-            yield Fault(UNKNOWN, nearest(str(path[-1]), fitting, deeper if len(path) < 3 else []), file, key)
-        elif kind == "union_tag_invalid":
+            yield Fault(problem.message, problem.remedy, file, key + below, problem.value if problem.key else value)
+        elif item["type"] == "extra_forbidden":
+            yield Fault(*(unsupported_key(key) or (UNKNOWN, _nearest_key(path, model, raw))), file, key)
+        elif item["type"] == "union_tag_invalid":
             linkage_type = raw["mechanism"].get("type")
-            yield Fault(
-                "not a type of linkage",
-                nearest(str(linkage_type), ("four-bar", "dyads")) + " (slider-crank, six-bar and others: `optlink new --list`)",
-                file,
-                f"{key}.type",
-                _plain(linkage_type),
-            )
-        elif kind == "missing":
+            known = nearest(str(linkage_type), ("four-bar", "dyads"))
+            remedy = f"{known} (slider-crank, six-bar and others: `optlink new --list`)"
+            yield Fault("not a type of linkage", remedy, file, f"{key}.type", _plain(linkage_type))
+        elif item["type"] == "missing":
             yield Fault(MISSING, _example(key), file, key)
-        elif kind == "literal_error":
-            options = re.findall("'([^']*)'", str(context.get("expected", "")))
-            yield Fault("not one of the choices", nearest(str(value), options), file, key, _plain(value))
-        elif kind in ("model_type", "model_attributes_type") and path[:-1] == ["limits"]:
-            limit = f'{path[1]} = {{ quantity = "torque", max = "10 N*m" }}'
-            remedy = f"Leave it out, or limit a quantity of the cycle: {limit}"
-            yield Fault("not a limit of this kind of problem", remedy, file, key, _plain(value))
-        elif kind in ("model_type", "model_attributes_type"):
-            body = f'Write {path[-1]} = {{ mass = "1.2 kg" }}' if path[:-1] == ["bodies"] else ""
-            remedy = body or (f"Begin it with [{key}]" if key else "Write the sections")
-            yield Fault("expected a table", remedy, file, key, _plain(value))
-        elif kind == "string_type":
-            plain_text = isinstance(value, int | float) and len(path) == 1
-            remedy = f'Write it in quotes: "{value}"' if plain_text else _example(key)
-            yield Fault("this is not a text", remedy, file, key, _plain(value))
         else:
-            message = item["msg"][0].lower() + item["msg"][1:]
-            yield Fault(_WRONG[kind].format(**context) if kind in _WRONG else message, _example(key), file, key, _plain(value))
+            yield Fault(*_wrong(item, path, key), file, key, value)
+
+
+def _wrong(item: Any, path: list[str | int], key: str) -> tuple[str, str]:
+    """Return the message and the remedy for a value of the wrong type or out of range."""
+    value, kind, context = item["input"], item["type"], item.get("ctx", {})
+    if kind == "literal_error":
+        return "not one of the choices", nearest(str(value), re.findall("'([^']*)'", str(context.get("expected", ""))))
+    if kind in ("model_type", "model_attributes_type"):
+        if path[:-1] == ["limits"]:
+            limit = f'{path[1]} = {{ quantity = "torque", max = "10 N*m" }}'
+            return "not a limit of this kind of problem", f"Leave it out, or limit a quantity of the cycle: {limit}"
+        if path[:-1] == ["bodies"]:
+            return "expected a table", f'Write {path[-1]} = {{ mass = "1.2 kg" }}'
+        return "expected a table", f"Begin it with [{key}]" if key else "Write the sections"
+    if kind == "string_type":
+        plain_text = isinstance(value, int | float) and len(path) == 1
+        return "this is not a text", f'Write it in quotes: "{value}"' if plain_text else _example(key)
+    message = _WRONG[kind].format(**context) if kind in _WRONG else item["msg"][0].lower() + item["msg"][1:]
+    return message, _example(key)
 
 
 _WRONG = {
@@ -225,13 +189,7 @@ _WRONG = {
 
 
 def similar_name(text: str, names: Iterable[str]) -> str:
-    """Return the remedy for a name that is not a shipped problem: a file or a problem with a similar name.
-
-    Parameters
-    ----------
-    names : iterable of str
-        Those of the shipped problems.
-    """
+    """Return the remedy for a name that is not a shipped problem: a file or a problem with a similar name."""
     with contextlib.suppress(OSError, ValueError):
         files = sorted(path.name for path in Path().glob("*.toml"))
         if meant := [f"{text}.toml"] * (f"{text}.toml" in files) or difflib.get_close_matches(text, files, n=1, cutoff=0.8):
@@ -244,15 +202,7 @@ TOML_FILE = "Give the path of a problem file, a .toml text file"
 
 
 def text_fault(data: bytes, error: UnicodeDecodeError, file: str) -> Fault:
-    """Return the fault of a file that is not UTF-8 text.
-
-    Parameters
-    ----------
-    data : bytes
-        Content of the file.
-    file : str
-        Name of the file.
-    """
+    """Return the fault of a file that is not UTF-8 text."""
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
         return Fault(f"not UTF-8 text: byte {error.start} (it is UTF-16)", "Save the file as UTF-8", file)
     if (kind := file_kind(data)) or b"\0" in data:
@@ -262,17 +212,7 @@ def text_fault(data: bytes, error: UnicodeDecodeError, file: str) -> Fault:
 
 
 def toml_fault(message: str, file: str, text: str = "") -> Fault:
-    """Return the fault of a file that is not valid TOML.
-
-    Parameters
-    ----------
-    message : str
-        That of the parser, with line and column in brackets at its end.
-    file : str
-        Name of the file.
-    text : str
-        Content of the file.
-    """
+    """Return the fault of a file that is not valid TOML; the message of the parser ends with the place in brackets."""
     if text.lstrip().startswith("{"):
         remedy = "Give the problem; `optlink validate PROBLEM --design FILE` takes a result, `report` and `export` read it itself"
         return Fault("this is JSON, not a problem file in TOML", remedy, file)

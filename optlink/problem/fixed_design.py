@@ -1,19 +1,17 @@
 """The problem with all design variables fixed at a given design: a machine for `analyze`, `simulate` and pictures."""
 
-import codecs
 import copy
 import math
-import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.vector2d import TURN
-from optlink.problem.file import ProblemFile, read
+from optlink.problem.enclosed import name_of, references
+from optlink.problem.file import ProblemFile
 from optlink.problem.machine.model import Problem
-from optlink.problem.targets.target_points import read_file
 from optlink.problem.tolerances import read_tolerance
 
 REQUIREMENTS = ("requirement", "objective", "limits", "expected")
@@ -31,7 +29,7 @@ def fixed_design(file: ProblemFile, values: Mapping[str, float]) -> ProblemFile:
     raw: dict[str, Any] = copy.deepcopy({key: value for key, value in file.raw.items() if key not in REQUIREMENTS})
     for name, quantity in file.model.mechanism.quantities.items():
         write(raw["mechanism"], name, f"{values[name] / quantity.si_per_unit!r} {quantity.display[1]}")
-    return read(raw, file.name, file.file, file.folder)
+    return file.with_tables(raw)
 
 
 def started(machine: ProblemFile, begin: float, way: float) -> ProblemFile:
@@ -51,77 +49,19 @@ def started(machine: ProblemFile, begin: float, way: float) -> ProblemFile:
 
 
 def with_files_beside(file: ProblemFile) -> tuple[ProblemFile, dict[str, bytes]]:
-    """Return the problem with every CSV or SVG file renamed to one beside it, and the contents of these files by name.
-
-    Raises
-    ------
-    Unusable
-        when a file cannot be read.
-    """
+    """Return the problem with every CSV or SVG file renamed to one beside it, and the contents of these files by name."""
     raw: dict[str, Any] = copy.deepcopy(dict(file.raw))
     files: dict[str, bytes] = {}
     for table, key, suffix in [*references(raw)]:
-        path, data = _file_of(table, key, suffix, file.folder)
-        suffix = suffix or "csv"
-        stem = f"design-{Path(path).stem[:60].lower()}"
-        name, number = f"{stem}.{suffix}", 1
+        source = table[key] if suffix else read_tolerance(table[key], file.folder).text
+        data, path = file.files[name_of(source)].encode(), Path(name_of(source))
+        stem, suffix_ = f"design-{path.stem[:60].lower()}", suffix or "csv"
+        name, number = f"{stem}.{suffix_}", 1
         while files.get(name, data) != data:
             number += 1
-            name = f"{stem}-{number}.{suffix}"
+            name = f"{stem}-{number}.{suffix_}"
         files[name], table[key] = data, name
     return replace(file, raw=raw), files
-
-
-def enclosing(file: ProblemFile) -> dict[str, Any]:
-    """Return the tables of a problem with the content of every CSV or SVG file in place of its name, as `read_file` takes it.
-
-    Raises
-    ------
-    Unusable
-        when a file cannot be read.
-    """
-    raw: dict[str, Any] = copy.deepcopy(dict(file.raw))
-    for table, key, suffix in [*references(raw)]:
-        name, data = _file_of(table, key, suffix, file.folder)
-        table[key] = f"{name}\n{_text_of(data)}"
-    return raw
-
-
-def _file_of(table: Mapping[str, Any], key: str, suffix: str, folder: Path) -> tuple[str, bytes]:
-    """Return the name and the bytes of a file to which a table refers, see `references`."""
-    source = table[key] if suffix else read_tolerance(table[key], folder).source
-    return source.partition("\n")[0], read_file({suffix or "csv": source}, suffix or "csv", folder)[1]
-
-
-def _text_of(data: bytes) -> str:
-    """Return the text of a file; of one that is not UTF-8, with UTF-8 as the encoding that it declares."""
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        text = data.decode("utf-16" if data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) else "latin-1")
-        return re.sub(r"""(<\?xml[^>]*encoding=)["'][^"']*["']""", r'\1"UTF-8"', text, count=1)
-
-
-def references(raw: Any, within: str = "") -> Iterator[tuple[dict[str, Any], str, str]]:
-    """Yield tables and keys that name another file, with its suffix; "" for the value of a tolerance.
-
-    Parameters
-    ----------
-    raw : object
-        Tables and lists of a problem file.
-    within : str
-        Name of the section that holds them; empty for the whole file.
-    """
-    if isinstance(raw, list):
-        for value in raw:
-            yield from references(value, within)
-    for key, value in raw.items() if isinstance(raw, dict) else ():
-        if isinstance(value, str):
-            measured = within == "tolerances" and read_tolerance(value, Path()).measured
-            if measured or key in ("csv", "svg"):
-                yield raw, key, "" if measured else key
-        else:
-            yield from references(value, within or key)
 
 
 def write(mechanism: dict[str, Any], name: str, value: object) -> None:

@@ -14,7 +14,7 @@ from optlink.linkage.fourbar import dead_centre, lengths_of
 from optlink.linkage.vector2d import TURN, Value, Vector, angle, unit
 from optlink.problem.base_model import Section, in_folder
 from optlink.problem.limits import COUPLER_JOINT, MARGIN_KEYS, Limits, Reach, check_limits
-from optlink.problem.machine.model import Expected, Problem
+from optlink.problem.machine.model import Problem
 from optlink.problem.mechanism import FourBarSection, check_one_mode
 from optlink.problem.quantity import Angle, FixedAngle, Quantity, Unusable, nearest, read_quantity
 from optlink.problem.robust import Robustness, check_robust
@@ -82,29 +82,23 @@ class DesignProblem(Problem):
     """The law for the rocker."""
     limits: Limits = Limits()
     """Limits of the design."""
+    task: ClassVar[str] = "function"
     has_error: ClassVar[bool] = True
-    expected: Expected | None = None
-    """Reference values from a trusted source; the tests check them for every shipped problem."""
-
-    @property
-    def task(self) -> str:
-        """Kind of task: function synthesis."""
-        return "function"
 
     @cached_property
     def quantities(self) -> dict[str, Quantity]:
         """Fixed quantities and design variables by name: the four lengths, phi0 and psi0 where they are defined."""
-        quantities = dict(self.mechanism.quantities)
+        quantities, requirement, law = dict(self.mechanism.quantities), self.requirement, self.requirement.law
         anywhere = Quantity(0.0, "angle", "deg", -TURN, TURN)
-        if isinstance(self.requirement.start, Quantity):
-            quantities["phi0"] = self.requirement.start
-        elif isinstance(self.requirement.law, Function):
+        if isinstance(requirement.start, Quantity):
+            quantities["phi0"] = requirement.start
+        elif isinstance(law, Function):
             quantities["phi0"] = anywhere
-        elif isinstance(self.requirement.law, Table) and not self.requirement.law.from_start:
-            quantities["phi0"] = Quantity(self.requirement.law.phi[0], "angle", "deg")
-        if self.requirement.psi0 is not None:
-            quantities["psi0"] = self.requirement.psi0
-        elif isinstance(self.requirement.law, Function):
+        elif isinstance(law, Table) and not law.from_start:
+            quantities["phi0"] = Quantity(law.phi[0], "angle", "deg")
+        if requirement.psi0 is not None:
+            quantities["psi0"] = requirement.psi0
+        elif isinstance(law, Function):
             quantities["psi0"] = anywhere
         return quantities
 
@@ -124,13 +118,7 @@ class DesignProblem(Problem):
         return 1 if self.span > 0.0 else -1
 
     def is_periodic(self, name: str) -> bool:
-        """Return whether values of an angle that are a revolution apart are one design; not those that the law contains as such.
-
-        Parameters
-        ----------
-        name : str
-            Name of the quantity.
-        """
+        """Return whether values of an angle a revolution apart are one design; not those that the law contains as such."""
         return name in ("phi0", "psi0") and is_periodic(self.requirement.law, name)
 
     @property
@@ -156,7 +144,7 @@ class DesignProblem(Problem):
         begin = int(self.tied and self.requirement.robust is None and begins_at_psi0(source))  # the error at the start is zero
         first = source.phi[0] if isinstance(source, Table) and source.from_start else 0.0
         if isinstance(source, Table) and points is None:
-            return Law(source, (np.asarray(source.phi) - (0.0 if source.from_start else source.phi[0]))[begin:])
+            return Law(source, source.offsets[begin:])
         count = points or POSITIONS
         steps = np.arange(begin, count + 1) / count
         return Law(source, first + (self.span - first) * steps)
@@ -194,13 +182,12 @@ class DesignProblem(Problem):
 
     def start_position(self, values: Mapping[str, Value]) -> StartPosition:
         """Return the start of the requirement for given quantities; elementwise, NaN where it does not exist."""
-        lengths = lengths_of(values)
         if "phi0" in self.quantities:
             phi0 = values["phi0"]
             crank = unit(phi0)
             rocker = self.linkage.pose(values, crank).direction("rocker")
         else:
-            limit = dead_centre(*lengths, self.side, outer=self.requirement.start == DEAD_CENTRES[0])
+            limit = dead_centre(*lengths_of(values), self.side, outer=self.requirement.start == DEAD_CENTRES[0])
             crank, phi0, rocker = limit.crank, limit.phi, limit.rocker
         return StartPosition(crank, phi0, values["psi0"] if "psi0" in self.quantities else angle(rocker))
 
@@ -235,23 +222,21 @@ class DesignProblem(Problem):
         Unusable
             with the full key of the cause.
         """
-        requirement, limits = self.requirement, self.limits
-        function = requirement.law if isinstance(requirement.law, Function) else None
+        requirement, law, limits = self.requirement, self.requirement.law, self.limits
         check_one_mode(self.mechanism)
         if self.mechanism.placed:
-            raise Unusable(
-                "a motion law does not depend on the position of the linkage", "Leave pivot and direction out", "mechanism.pivot"
-            )
+            message = "a motion law does not depend on the position of the linkage"
+            raise Unusable(message, "Leave pivot and direction out", "mechanism.pivot")
         start = requirement.start if "start" in requirement.model_fields_set else None
-        check_rotation(requirement.law, requirement.span, "from", start)
-        if function is not None and start is not None and not isinstance(start, Quantity):
+        check_rotation(law, requirement.span, "from", start)
+        if isinstance(law, Function) and isinstance(start, str):
             raise Unusable(
                 "the start of a function must be a crank angle, fixed or free",
                 'Write from = { start = "50 deg", bounds = ["0 deg", "180 deg"] }, or leave it out: then it is a design variable',
                 "requirement.from",
-                requirement.start,
+                start,
             )
-        if isinstance(requirement.law, Table) and not requirement.law.from_start and requirement.psi0 is not None:
+        if isinstance(law, Table) and not law.from_start and requirement.psi0 is not None:
             message = "a table measured from the frame has no psi0"
             raise Unusable(message, "Leave psi0 out", "requirement.psi0", str(requirement.psi0))
         turns = self.quantities.get("phi0")
@@ -270,7 +255,7 @@ class DesignProblem(Problem):
 def _check_law(problem: DesignProblem) -> None:
     """Check that an expression has a plausible value over the span for some start angle."""
     law = problem.requirement.law
-    if not isinstance(law, Expression | Function):
+    if isinstance(law, Table):
         return
     nominal = problem.design({})
     start = (nominal["phi0"], nominal["psi0"])
@@ -288,8 +273,7 @@ def _defect(law: Expression | Function, span: float, phi0: float, psi0: float) -
     for _ in range(5):
         share = np.linspace(low, high, 721)
         values = {"phi": phi0 + span * share, "phi0": phi0, "psi0": psi0}
-        worry = law.hazards(values)
-        if worry:
+        if worry := law.hazards(values):
             return worry
         size = np.abs(np.asarray(law(values), dtype=float) + 0.0 * share)
         peak, step = float(share[int(np.argmax(size))]), (high - low) / 720.0

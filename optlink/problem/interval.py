@@ -3,9 +3,19 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any
 
-from optlink.problem.quantity import Unusable, below, check_keys, nearest, range_example, read_number, read_scalar, reader
+from optlink.problem.quantity import (
+    Unusable,
+    below,
+    check_keys,
+    check_name,
+    check_pair,
+    range_example,
+    read_number,
+    read_scalar,
+    reader,
+)
 from optlink.units import KINDS, mistyped_range, show
 
 SIDES = ("min", "max", "exactly")
@@ -72,16 +82,9 @@ class StrokeRatio(Interval):
 
 
 def check_time_ratio(stroke: str | None, value: float, key: str, low: float | None, high: float | None) -> None:
-    """Refuse a limit that no time ratio can satisfy, and suggest the part of its range that one can.
+    """Refuse a limit `value` that no time ratio can satisfy, and suggest the part of its range, `low` to `high`, that one can.
 
-    Parameters
-    ----------
-    stroke : "forward", "backward", "slow", "quick" or None
-        Stroke whose time is divided by the other's; None is the slow one.
-    value, low, high : float or None
-        The limit, and the whole range.
-    key : str
-        Key of the limit, for errors; empty if both sides have one key.
+    `stroke` is the one whose time is divided by the other's, None the slow one; `key` is empty if both sides have one key.
 
     Raises
     ------
@@ -99,23 +102,8 @@ def check_time_ratio(stroke: str | None, value: float, key: str, low: float | No
         raise Unusable("the ratio of two stroke times must be positive", "Give a ratio above 0", key, value)
 
 
-def read_figure(raw: object, kind: str | None, key: str) -> tuple[float, str]:
-    """Read a value of a physical kind, or a plain number; return its SI number and the unit as written.
-
-    Parameters
-    ----------
-    raw : object
-        Value as read from the file.
-    kind : str or None
-        Physical kind; none or empty for a plain number.
-    key : str
-        Key of the value, for errors.
-
-    Raises
-    ------
-    Unusable
-        when the value cannot be read.
-    """
+def read_figure(raw: object, kind: str | None, key: str = "") -> tuple[float, str]:
+    """Read a value of a physical kind, or a plain number if there is no kind; return its SI number and the unit as written."""
     return read_scalar(raw, kind, key) if kind else (read_number(raw, key), "")
 
 
@@ -128,17 +116,15 @@ def _read_interval(raw: object, kind: str | None) -> Interval:
         if not raw:
             raise Unusable("the table is empty", f"Give min, max or both, or write {example}", "", raw)
         if "exactly" in raw and len(raw) > 1:
-            raise Unusable(
-                "exactly and min or max are given together", "Give either exactly, or min and max", "exactly", raw["exactly"]
-            )
+            message = "exactly and min or max are given together"
+            raise Unusable(message, "Give either exactly, or min and max", "exactly", raw["exactly"])
         exactly = read_figure(raw["exactly"], kind, "exactly") if "exactly" in raw else None
         low, high = (read_figure(raw[key], kind, key) if key in raw else exactly for key in SIDES[:2])
     elif isinstance(raw, list):
-        if len(raw) != 2:
-            raise Unusable("a range is two values, lower and upper", f"Write {example}", "", raw)
-        low, high = (read_figure(end, kind, "") for end in raw)
+        ends = check_pair(raw, "a range is two values, lower and upper", f"Write {example}")
+        low, high = (read_figure(end, kind) for end in ends)
     else:
-        low = high = read_figure(raw, kind, "")
+        low = high = read_figure(raw, kind)
     if low and high and low[0] > high[0]:
         raise Unusable("the lower limit is above the upper", "Exchange them", "", raw)
     unit = (low or high or (0.0, ""))[1]
@@ -149,10 +135,10 @@ def _read_stroke_ratio(raw: object, kind: None) -> StrokeRatio:
     stroke, sides = None, raw
     if isinstance(raw, dict):
         stroke, sides = raw.get("stroke"), {key: value for key, value in raw.items() if key != "stroke"}
-        if stroke is not None and stroke not in list(STROKES):
-            raise Unusable("unknown stroke", nearest(str(stroke), STROKES), "stroke", stroke)
-        if stroke is not None and not sides:
-            raise Unusable("the time ratio has no limit", "Add min, max or exactly", "", raw)
+        if stroke is not None:
+            check_name(stroke, STROKES, "unknown stroke", "stroke")
+            if not sides:
+                raise Unusable("the time ratio has no limit", "Add min, max or exactly", "", raw)
     interval = _read_interval(sides, kind)
     for key, value in (("min", interval.low), ("max", interval.high)):
         if value is not None:
@@ -163,32 +149,36 @@ def _read_stroke_ratio(raw: object, kind: None) -> StrokeRatio:
 
 def _read_joint_ranges(raw: object, kind: str) -> JointRanges:
     """Read a range for every joint, or a table with the ranges of single joints beside it."""
-    return _joint_ranges(raw, kind, lambda one: _read_interval(one, kind))
+    return _joint_ranges(raw, kind, _read_interval)
 
 
 def _read_joint_maxima(raw: object, kind: str) -> JointRanges:
     """Read a largest value for every joint, or a table with those of single joints."""
 
-    def largest(one: object) -> Interval:
-        if not isinstance(one, dict):
-            value, unit = read_scalar(one, kind)
-            return Interval(None, value, kind, unit)
-        for key, value in one.items():
-            if key != "max":
-                raise Unusable("only its largest value is limited", f'Write max = "{KINDS[kind].example}"', key, value)
-        return _read_interval(one, kind)
-
-    return _joint_ranges(raw, kind, largest)
+    return _joint_ranges(raw, kind, _read_largest)
 
 
-def _joint_ranges(raw: object, kind: str, read: Callable[[object], Interval]) -> JointRanges:
-    by_joint = {key: value for key, value in raw.items() if key not in SIDES} if isinstance(raw, dict) else {}
-    sides = {key: raw[key] for key in raw if key in SIDES} if isinstance(raw, dict) else raw
+def _read_largest(raw: object, kind: str) -> Interval:
+    if not isinstance(raw, dict):
+        value, unit = read_scalar(raw, kind)
+        return Interval(None, value, kind, unit)
+    for key, value in raw.items():
+        if key != "max":
+            raise Unusable("only its largest value is limited", f'Write max = "{KINDS[kind].example}"', key, value)
+    return _read_interval(raw, kind)
+
+
+def _joint_ranges(raw: object, kind: str, read: Callable[[object, str], Interval]) -> JointRanges:
+    by_joint: dict[Any, Any] = {}
+    sides = raw
+    if isinstance(raw, dict):
+        by_joint = {key: value for key, value in raw.items() if key not in SIDES}
+        sides = {key: value for key, value in raw.items() if key in SIDES}
     entries = []
     for joint, value in by_joint.items():
         with below(str(joint)):
-            entries.append((str(joint), read(value)))
-    plain = read(sides) if sides or not by_joint else Interval(None, None, kind, entries[0][1].unit)
+            entries.append((str(joint), read(value, kind)))
+    plain = read(sides, kind) if sides or not by_joint else Interval(None, None, kind, entries[0][1].unit)
     return JointRanges(plain.low, plain.high, kind, plain.unit, tuple(entries))
 
 

@@ -5,7 +5,7 @@ measurement of the validator in motion (`measure`).
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Protocol
 
@@ -115,10 +115,10 @@ class Limits(Margins):
 
     def transmission_at(self, joint: str = COUPLER_JOINT) -> TransmissionLimit | None:
         """Return the limit of the transmission angle at a joint, see `transmission_limit`."""
-        cosine = self.transmission_cosine
-        low, high = (None, None) if cosine is None else (cosine.low, cosine.high)
-        angles = None if high is None else math.acos(high), None if low is None else math.acos(low)
-        general = () if cosine is None else (TransmissionLimit("limits.transmission_cosine", *angles),)
+        general = []
+        if (cosine := self.transmission_cosine) is not None:
+            angles = (None if end is None else math.acos(end) for end in (cosine.high, cosine.low))
+            general.append(TransmissionLimit("limits.transmission_cosine", *angles))
         return transmission_limit(self.transmission_angle, self.pressure_angle, joint, general)
 
 
@@ -127,14 +127,7 @@ def transmission_limit(
 ) -> TransmissionLimit | None:
     """Return the limit of the transmission angle at a joint, that with its name before a general one; None if there is none.
 
-    Parameters
-    ----------
-    angle : JointRanges, optional
-        Of the key `transmission_angle` [rad].
-    pressure : JointRanges, optional
-        Of the key `pressure_angle` [rad].
-    further : sequence of TransmissionLimit
-        Other general limits.
+    `angle` and `pressure` are those of the keys `transmission_angle` and `pressure_angle` [rad], `further` other general limits.
 
     Raises
     ------
@@ -168,9 +161,9 @@ TRANSMISSION_RANGES = (
 """Ranges that the limits of the transmission angle can have [rad], with remedies."""
 
 
-def _check_range(name: str, whole: Interval | None, possible: tuple[float, float], remedy: str) -> None:
-    intervals = [(f"{name}.{joint}", interval) for joint, interval in getattr(whole, "own", ())]
-    for key, interval in () if whole is None else ((name, whole), *intervals):
+def _check_range(name: str, whole: Interval, possible: tuple[float, float], remedy: str) -> None:
+    own = whole.own if isinstance(whole, JointRanges) else ()
+    for key, interval in ((name, whole), *((f"{name}.{joint}", one) for joint, one in own)):
         for bound in (interval.low, interval.high):
             if bound is not None and not possible[0] <= bound <= possible[1]:
                 low, high = map(interval.to_display, possible)
@@ -182,12 +175,7 @@ def _check_range(name: str, whole: Interval | None, possible: tuple[float, float
 def check_transmission(angle: JointRanges | None, pressure: JointRanges | None, joints: Sequence[str]) -> None:
     """Refuse limits of the transmission angle that are impossible, contradictory or of a joint that has none.
 
-    Parameters
-    ----------
-    angle, pressure : JointRanges, optional
-        Of the keys `transmission_angle` and `pressure_angle` [rad].
-    joints : sequence of str
-        Joints of the dyads that have a transmission angle.
+    `joints` are those of the dyads that have a transmission angle.
 
     Raises
     ------
@@ -195,10 +183,12 @@ def check_transmission(angle: JointRanges | None, pressure: JointRanges | None, 
         with the full key.
     """
     for whole, (name, possible, remedy) in zip((angle, pressure), TRANSMISSION_RANGES, strict=True):
+        if whole is None:
+            continue
         _check_range(name, whole, possible, remedy)
-        if whole is not None and not joints:
+        if not joints:
             raise Unusable("no dyad of this mechanism has a transmission angle", "Leave it out", f"limits.{name}")
-        for joint, _ in () if whole is None else whole.own:
+        for joint, _ in whole.own:
             if joint not in joints:
                 remedy = nearest(joint, [*joints, *SIDES[:2]])
                 raise Unusable("no dyad has its transmission angle there", remedy, f"limits.{name}.{joint}")
@@ -209,20 +199,18 @@ def check_transmission(angle: JointRanges | None, pressure: JointRanges | None, 
 def check_limits(limits: Limits, joints: Sequence[str]) -> None:
     """Refuse limits outside the physically possible range, and those that contradict the crank condition or each other.
 
-    Parameters
-    ----------
-    joints : sequence of str
-        Joints of the dyads that have a transmission angle.
+    `joints` are those of the dyads that have a transmission angle.
 
     Raises
     ------
     Unusable
         with the full key of the limit.
     """
-    ranges = (("transmission_cosine", (-1.0, 1.0), "Give a range such as [-0.7071, 0.7071]"),)
-    registered = ((term.name, term.possible, f"Give a range such as {term.example}") for term in LIMITS.values())
-    for name, possible, remedy in (*ranges, *registered):
-        _check_range(name, getattr(limits, name), possible, remedy)
+    if limits.transmission_cosine is not None:
+        remedy = "Give a range such as [-0.7071, 0.7071]"
+        _check_range("transmission_cosine", limits.transmission_cosine, (-1.0, 1.0), remedy)
+    for term, interval in limits_in_file(limits):
+        _check_range(term.name, interval, term.possible, f"Give a range such as {term.example}")
     check_transmission(limits.transmission_angle, limits.pressure_angle, joints)
     for joint in joints:
         limits.transmission_at(joint)
@@ -288,8 +276,8 @@ class LimitTerm:
 
     name: str
     form: Any
-    values: Callable[[Any, Mapping[str, Value], Reach, Any], Iterator[tuple[str, Value]]]
-    measure: Callable[[Moved, Any], Iterator[tuple[str, float]]]
+    values: Callable[[Any, Mapping[str, Value], Reach, Any], Iterable[tuple[str, Value]]]
+    measure: Callable[[Moved, Any], Iterable[tuple[str, float]]]
     about: str = ""
     possible: tuple[float, float] = (-math.inf, math.inf)
     example: str = ""
@@ -319,14 +307,9 @@ def four_bar_limits() -> tuple[str, ...]:
 
 
 def stroke_ratio(forward: float, backward: float, stroke: str | None) -> float:
-    """Return the time ratio of two strokes at constant crank speed; NaN if one of them takes no time.
+    """Return the time ratio of strokes of these crank rotations [rad] at constant speed; NaN if one of them takes no time.
 
-    Parameters
-    ----------
-    forward, backward : float [rad]
-        Crank rotation of the two strokes.
-    stroke : "forward", "backward", "slow", "quick" or None
-        Stroke in the numerator. None: the slow one.
+    `stroke` is the one in the numerator, None the slow one.
     """
     if not min(forward, backward) > 0.0:
         return math.nan
@@ -344,8 +327,8 @@ for built_in in (
     LimitTerm(
         "swing_angle",
         AngleInterval,
-        lambda problem, sizes, reach, _: iter([("swing angle of the rocker", swing(*lengths_of(sizes), problem.side))]),
-        lambda moved, _: iter([("swing angle", moved.strokes()[0])]),
+        lambda problem, sizes, reach, _: [("swing angle of the rocker", swing(*lengths_of(sizes), problem.side))],
+        lambda moved, _: [("swing angle", moved.strokes()[0])],
         possible=(0.0, math.pi),
         example='["30 deg", "60 deg"]',
         crank_rocker=True,
@@ -353,17 +336,17 @@ for built_in in (
     LimitTerm(
         "time_ratio",
         RatioOfStrokes,
-        lambda problem, sizes, reach, limit: iter(
-            [(_ratio_label(limit), time_ratio(*lengths_of(sizes), problem.side, limit.stroke, reach.sense))]
-        ),
-        lambda moved, limit: iter([(_ratio_label(limit), stroke_ratio(*moved.strokes()[1:], limit.stroke))]),
+        lambda problem, sizes, reach, limit: [
+            (_ratio_label(limit), time_ratio(*lengths_of(sizes), problem.side, limit.stroke, reach.sense))
+        ],
+        lambda moved, limit: [(_ratio_label(limit), stroke_ratio(*moved.strokes()[1:], limit.stroke))],
         crank_rocker=True,
     ),
     LimitTerm(
         "frame_length",
         LengthInterval,
-        lambda problem, sizes, reach, _: iter([("frame length", sizes["frame"])]),
-        lambda moved, _: iter([("frame length", moved.design["frame"])]),
+        lambda problem, sizes, reach, _: [("frame length", sizes["frame"])],
+        lambda moved, _: [("frame length", moved.design["frame"])],
     ),
     LimitTerm(
         "link_ratio",

@@ -7,20 +7,30 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, WrapValidator
 
-from optlink.linkage.assur import CONTINUE, EITHER, assemble
+from optlink.linkage.assur import CONTINUE, EITHER, Assembly
 from optlink.linkage.fourbar import LENGTHS, four_bar
 from optlink.linkage.mechanism import FRAME, BodyPoint, Guide, Link, Mechanism, Size
 from optlink.problem.base_model import RESERVED, Name, Section
 from optlink.problem.nearby import NearPlace, read_near
-from optlink.problem.quantity import Angle, Coordinate, Friction, Length, Quantity, Unusable, below, check_name, read_quantity
+from optlink.problem.quantity import (
+    Angle,
+    Coordinate,
+    Friction,
+    Length,
+    Quantity,
+    Unusable,
+    below,
+    check_name,
+    check_pair,
+    read_quantity,
+)
 from optlink.unsupported import unsupported
 
 
 def _read_place(raw: object) -> tuple[Quantity, Quantity]:
-    if not isinstance(raw, list | tuple) or len(raw) != 2:
-        raise Unusable("a place is a list of two coordinates", 'Write ["100 mm", "0 mm"]', "", raw)
+    pair = check_pair(raw, "a place is a list of two coordinates", 'Write ["100 mm", "0 mm"]')
     coordinates = []
-    for axis, coordinate in zip(("x", "y"), raw, strict=True):
+    for axis, coordinate in zip("xy", pair, strict=True):
         try:
             coordinates.append(read_quantity(coordinate, "coordinate"))
         except Unusable as error:
@@ -33,9 +43,9 @@ Place = Annotated[Any, BeforeValidator(_read_place)]
 
 def _read_mode(raw: object, read: Callable[[object], Any]) -> Any:
     """Read one of the assembly modes, or the place of the joint."""
-    if isinstance(raw, str) and read_near(raw) is None:
-        raw = ", ".join(part.strip() for part in raw.split(","))
-    return raw if read_near(raw) is not None else read(raw)
+    if read_near(raw) is not None:
+        return raw
+    return read(", ".join(part.strip() for part in raw.split(",")) if isinstance(raw, str) else raw)
 
 
 def _check_place(raw: str) -> str:
@@ -103,13 +113,7 @@ class FourBarSection(Section):
         return {} if place is None else {"C": place}
 
     def with_modes(self, modes: Mapping[str, str]) -> Self:
-        """Return the section with the assembly mode of C in place of its position.
-
-        Parameters
-        ----------
-        modes : mapping of str to str
-            Such as `left of B-D`, by joint.
-        """
+        """Return the section with the assembly mode of C in place of its position."""
         return self.model_copy(update={"assembly": modes["C"].replace(" of B-D", "")})
 
     def check_mode(self, sizes: Mapping[str, Any]) -> None:
@@ -145,14 +149,7 @@ class FourBarSection(Section):
         return quantities
 
     def linkage(self, name: str, driver: str | None) -> Mechanism:
-        """Return the kinematic model; an undetermined assembly mode counts as left.
-
-        Parameters
-        ----------
-        name : str
-            Title of the mechanism; not used for a four-bar.
-        driver : str or None
-            Driven body; None or "crank".
+        """Return the kinematic model, driven at the body `driver`; an undetermined assembly mode counts as left.
 
         Raises
         ------
@@ -177,9 +174,7 @@ class FourBarSection(Section):
 
     def variants(self, mechanism: Mechanism) -> list[dict[str, str]]:
         """Return changes of the file that determine the assembly modes left open, one per combination."""
-        if self.assembly != EITHER:
-            return [{}]
-        return [{"mechanism.assembly": "left"}, {"mechanism.assembly": "right"}]
+        return [{"mechanism.assembly": side} for side in ("left", "right")] if self.assembly == EITHER else [{}]
 
     @property
     def friction(self) -> dict[str, float]:
@@ -190,7 +185,7 @@ class FourBarSection(Section):
 def _read_joints(raw: object) -> tuple[str, ...]:
     if not isinstance(raw, list | tuple) or not 1 <= len(raw) <= 2 or not all(isinstance(name, str) for name in raw):
         remedy = 'Write joints = ["B", "C"] (more under points), or joints = ["E"] for a body that a guide carries'
-        raise Unusable("expected the names of one or two joints", remedy, "", raw)
+        raise Unusable("expected the names of one or two joints", remedy)
     return tuple(raw)
 
 
@@ -258,13 +253,7 @@ class DyadsSection(Section):
         return {joint: place for joint, place in places.items() if place is not None}
 
     def with_modes(self, modes: Mapping[str, str]) -> Self:
-        """Return the section with other assembly modes.
-
-        Parameters
-        ----------
-        modes : mapping of str to str
-            By joint.
-        """
+        """Return the section with other assembly modes."""
         return self.model_copy(update={"assembly": {**self.assembly, **modes}})
 
     def check_mode(self, sizes: Mapping[str, Any]) -> None:
@@ -309,14 +298,7 @@ class DyadsSection(Section):
         return variants
 
     def linkage(self, name: str, driver: str | None) -> Mechanism:
-        """Return the kinematic model; undetermined assembly modes count as left or forward.
-
-        Parameters
-        ----------
-        name : str
-            Title of the mechanism.
-        driver : str or None
-            Driven body; None: the body named "crank".
+        """Return the kinematic model, driven at the body `driver`; undetermined assembly modes count as left or forward.
 
         Raises
         ------
@@ -324,21 +306,23 @@ class DyadsSection(Section):
             when the bodies do not form a chain of dyads.
         """
         self._check_names()
-        links = [link for link, _ in self._links()]
+        links = list(self._links())
         body = driver or ("crank" if "crank" in self.links else None)
         if body is None:
             raise Unusable("no body is driven", f"Add [drive] body, one of: {', '.join(self.links)}", "drive.body")
         check_name(body, self.links, "no such body", "drive.body")
-        points = [point for _, marks in self._links() for point in marks]
+        points = [
+            BodyPoint(point, name_of, f"{name_of}.{point}.along", f"{name_of}.{point}.across")
+            for name_of, link in self.links.items()
+            for point in link.points
+        ]
         guides = list(self._guides())
+        ground: dict[str, tuple[Size, Size]] = {point: (f"{point}.x", f"{point}.y") for point in self.ground}
         modes = {**self.assembly, **dict.fromkeys(self.near, EITHER)}
         with below("mechanism"):
-            return assemble(name, self._ground(), links, points, guides, body, modes)
+            return Assembly(ground, links, points, guides, body, modes).mechanism(name)
 
-    def _ground(self) -> dict[str, tuple[Size, Size]]:
-        return {point: (f"{point}.x", f"{point}.y") for point in self.ground}
-
-    def _links(self) -> Iterator[tuple[Link, list[BodyPoint]]]:
+    def _links(self) -> Iterator[Link]:
         for name, link in self.links.items():
             key = f"mechanism.links.{name}"
             start, end = (*link.joints, "")[:2]
@@ -350,15 +334,13 @@ class DyadsSection(Section):
             for point in names:
                 if names.count(point) > 1:
                     raise Unusable("the point is given twice", "Remove one of the two, or rename it", key, point)
-            points = [BodyPoint(p, name, f"{name}.{p}.along", f"{name}.{p}.across") for p in link.points]
-            yield Link(name, start, end, f"{name}.length" if end else 0.0), points
+            yield Link(name, start, end, f"{name}.length" if end else 0.0)
 
     def _guides(self) -> Iterator[Guide]:
         for name, guide in self.guides.items():
             key = f"mechanism.guides.{name}"
-            for what in ("slider", "on"):
-                names = [*self.links, FRAME] if what == "on" else list(self.links)
-                check_name(getattr(guide, what), names, "no such body", f"{key}.{what}")
+            check_name(guide.slider, self.links, "no such body", f"{key}.slider")
+            check_name(guide.on, [*self.links, FRAME], "no such body", f"{key}.on")
             if guide.slider == guide.on:
                 raise Unusable("a body cannot slide on itself", "Name the body that carries the line", f"{key}.on", guide.on)
             through: str | tuple[Size, Size]
@@ -382,9 +364,7 @@ class DyadsSection(Section):
 
     def _check_names(self) -> None:
         seen: dict[str, str] = {}
-        points = dict.fromkeys(
-            [*self.ground, *(p for link in self.links.values() for p in (*link.joints, *link.points))], "point"
-        )
+        points = dict.fromkeys([*self.ground, *(p for link in self.links.values() for p in (*link.joints, *link.points))])
         for kind, names in (("body", self.links), ("point", points), ("guide", self.guides)):
             for name in names:
                 if name in RESERVED:
@@ -412,6 +392,11 @@ def check_one_mode(mechanism: FourBarSection | DyadsSection) -> None:
             raise Unusable(message, 'Write "left", "right" or "either"', "mechanism.assembly", mechanism.assembly)
         joint, mode = next((joint, mode) for joint, mode in mechanism.assembly.items() if CONTINUE in mode)
         raise Unusable(message, f'Take "{CONTINUE}" out', f"mechanism.assembly.{joint}", mode)
+
+
+def moving_points(mechanism: Mechanism) -> list[str]:
+    """Return the names of the points that move."""
+    return [point for point, bodies in mechanism.owners.items() if FRAME not in bodies]
 
 
 def sizes_of(quantities: Mapping[str, Quantity]) -> dict[str, float]:

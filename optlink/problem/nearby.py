@@ -33,7 +33,6 @@ def read_near(words: object) -> NearPlace | None:
     Raises
     ------
     Unusable
-        If the place cannot be read.
     """
     if not isinstance(words, str) or not words.strip().lower().startswith("near"):
         return None
@@ -48,17 +47,7 @@ def read_near(words: object) -> NearPlace | None:
 def nearest_modes(
     mechanism: Mechanism, sizes: Mapping[str, float], start: float, places: Mapping[str, NearPlace]
 ) -> dict[str, str]:
-    """Return the assembly modes, by joint, in which the joints lie nearest to their places.
-
-    Parameters
-    ----------
-    mechanism : Mechanism
-        The groups with a place may have any mode.
-    sizes : mapping of parameter name to float [m, rad]
-    start : float [rad]
-        Crank angle of the start of the drive.
-    places : mapping of str to NearPlace
-        By joint.
+    """Return the assembly modes, by joint, in which the joints lie nearest to their places where the drive starts [rad].
 
     Raises
     ------

@@ -41,13 +41,7 @@ def overview() -> list[Entry]:
 
 
 def linkage_type(raw: Mapping[str, Any]) -> str:
-    """Return the type of a linkage, also where the file leaves it out: dyads if it has links, ground or guides, else four-bar.
-
-    Parameters
-    ----------
-    raw : mapping
-        Tables of a problem file, with the table `mechanism`.
-    """
+    """Return the type of a linkage, also where the file leaves it out: dyads if it has links, ground or guides, else four-bar."""
     mechanism = raw["mechanism"]
     return str(mechanism.get("type", "dyads" if {"links", "ground", "guides"} & set(mechanism) else "four-bar"))
 

@@ -7,6 +7,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 from pydantic.fields import FieldInfo
@@ -63,10 +64,7 @@ class PathProblem(Problem):
     limits: PathLimits = PathLimits()
     """Limits of the design."""
 
-    @property
-    def task(self) -> str:
-        """Kind of task: path, motion or function synthesis, or transmission."""
-        return "path"
+    task: ClassVar[str] = "path"
 
     def check(self) -> None:
         """Check that the sections are consistent.
@@ -93,12 +91,11 @@ class PathProblem(Problem):
             check_points(task, self.target_points, self.timing, self.mechanism, self.linkage)
             shift = max(map(abs, self.centre))
             if shift > MAX_SHIFT * self.size:
-                raise Unusable(
+                message = (
                     f"the points lie {shift / self.size:.1e} times their own size away from the origin, "
-                    "so double precision does not resolve their shape",
-                    "Check the units, or move the origin near the points",
-                    "requirement.points",
+                    "so double precision does not resolve their shape"
                 )
+                raise Unusable(message, "Check the units, or move the origin near the points", "requirement.points")
         check_path_limits(limits, self.mechanism, self.linkage)
         super().check()
 
@@ -135,13 +132,7 @@ class PathProblem(Problem):
         return quantities
 
     def is_periodic(self, name: str) -> bool:
-        """Return whether values of an angle that are a revolution apart are one design; not those that a law contains as such.
-
-        Parameters
-        ----------
-        name : str
-            Name of the quantity.
-        """
+        """Return whether values of an angle that are a revolution apart are one design; not those that a law contains as such."""
         if self.quantities[name].kind != "angle":
             return False
         prescribed = self.requirement.kind == "function" and name in (START, ZERO)
@@ -158,7 +149,7 @@ class PathProblem(Problem):
         """The law of the output at its design positions."""
         source, count = self.requirement.law, self.requirement.points
         if isinstance(source, Table) and count is None:
-            return Law(source, np.asarray(source.phi) - (0.0 if source.from_start else source.phi[0]))
+            return Law(source, source.offsets)
         first = source.phi[0] if isinstance(source, Table) and source.from_start else 0.0
         return Law(source, first + (self.rotation_of_law - first) * np.linspace(0.0, 1.0, (count or POSITIONS) + 1))
 
@@ -175,16 +166,9 @@ class PathProblem(Problem):
         return float(np.ptp(self.law.curve(offsets, begin, 0.0)))
 
     def prescribed(self, values: Mapping[str, Value], offset: Value, tabulated: Value) -> Value:
-        """Return the prescribed output [rad or m]; elementwise.
+        """Return the prescribed output [rad or m] at a crank rotation from the start; elementwise.
 
-        Parameters
-        ----------
-        values : mapping of str to float, array or symbol [m, rad]
-            Value of every quantity.
-        offset : float, array or symbol [rad]
-            Crank rotation from the start.
-        tabulated : float, array or symbol
-            `Law.tabulated` at that offset.
+        `values`: every quantity [m, rad]; `tabulated`: `Law.tabulated` at that `offset`.
         """
         return self.law.target(offset, tabulated, values[START], values.get(ZERO, 0.0))
 
@@ -284,8 +268,7 @@ class PathProblem(Problem):
         """The targets as arrays."""
         target, task = self.target_points, self.requirement
         if task.kind == "function":
-            law = self.law
-            return _plain(np.column_stack([law.offsets, law.tabulated]), law.offsets)
+            return _plain(np.column_stack([self.law.offsets, self.law.tabulated]), self.law.offsets)
         if task.kind == "transmission":
             exact = isinstance(self.mechanism, FourBarSection)
             offsets = np.array([0.0, math.pi]) if exact else np.linspace(0.0, TURN, GRID, endpoint=False)
@@ -343,16 +326,7 @@ class PathProblem(Problem):
         """Return actual minus prescribed output at one position, elementwise.
 
         For a path, x and y [m]; for a pose also the angle times `radian`; for a function the slide [m] or angle [rad]; for
-        transmission the cosine of the angle of each dyad.
-
-        Parameters
-        ----------
-        pose : Pose
-            The mechanism at the position.
-        values : mapping of str to float, array or symbol [m, rad]
-            Value of every quantity.
-        target : tuple
-            A row of `Data.columns`.
+        transmission the cosine of the angle of each dyad. `target` is a row of `TargetArrays.columns`.
         """
         kind = self.requirement.kind
         if kind == "transmission":
@@ -374,15 +348,7 @@ class PathProblem(Problem):
         return float(values[START]) if START in values else super().start(values)
 
     def crank_angles(self, values: Mapping[str, float], angles: Array | None) -> Array:
-        """Return the crank angle [rad] at each point.
-
-        Parameters
-        ----------
-        values : mapping of str to float [m, rad]
-            Value of every quantity.
-        angles : array (points,) [rad] or None
-            Crank angles of the design; returned where the timing is free.
-        """
+        """Return the crank angle [rad] at each point; where the timing is free those of the design, `angles`."""
         offsets = self.data.offsets
         if offsets is None:
             assert angles is not None

@@ -8,12 +8,12 @@ import numpy as np
 from pydantic import BeforeValidator, ValidationInfo, ValidatorFunctionWrapHandler, field_validator
 
 from optlink.linkage.dyad_types import transmitting
-from optlink.linkage.mechanism import FRAME, Mechanism
+from optlink.linkage.mechanism import Mechanism
 from optlink.problem.base_model import Section, in_folder
 from optlink.problem.interval import CoordinateInterval
 from optlink.problem.limits import Limits, check_limits, four_bar_limits
-from optlink.problem.mechanism import DyadsSection, FourBarSection
-from optlink.problem.quantity import Angle, Coordinate, FixedAngle, FixedLength, Unusable, nearest
+from optlink.problem.mechanism import DyadsSection, FourBarSection, moving_points
+from optlink.problem.quantity import Angle, Coordinate, FixedAngle, FixedLength, Unusable, check_name, nearest
 from optlink.problem.targets.law import SLIDE, check_rotation, read_output_law
 from optlink.problem.targets.points import read_points
 from optlink.problem.targets.target_points import COINCIDENT, TargetPoints
@@ -23,10 +23,9 @@ MechanismSection = FourBarSection | DyadsSection
 SLIDES = 'law = { function = "sqrt(x)", x = [0.1, 1], input = "90 deg", output = "40 mm" }'
 
 
-def _read_crank(raw: object) -> object:
-    if isinstance(raw, str) and raw in ("free", "from start", "given"):
-        return raw
-    raise Unusable("not a kind of timing", nearest(str(raw), ("free", "from start", "given")), "", raw)
+def _read_timing(raw: object) -> object:
+    check_name(raw, ("free", "from start", "given"), "not a kind of timing")
+    return raw
 
 
 class PathRequirement(Section):
@@ -53,7 +52,7 @@ class PathRequirement(Section):
     """Slide at the start of a law (s0), or at the least y of a function, fixed or free; default: free."""
     psi0: Angle | None = None
     """Angle of the output body at the start of a law, or at the least y of a function, fixed or free; default: free."""
-    timing: Annotated[Literal["free", "from start", "given"] | None, BeforeValidator(_read_crank)] = None
+    timing: Annotated[Literal["free", "from start", "given"] | None, BeforeValidator(_read_timing)] = None
     """Crank angles at the points: `given`: prescribed; `from start`: prescribed except for a common offset; `free`: optimised, in
     the order of the points. Default: `given` if the points have crank angles, else `free`."""
     start: Angle | None = None
@@ -75,13 +74,12 @@ class PathRequirement(Section):
         kind = info.data.get("kind")
         if kind not in ("function", "transmission"):
             return read(raw)  # type: ignore[no-any-return]
-        if raw is not None and (
-            kind == "transmission" or isinstance(raw, bool) or not isinstance(raw, int) or not 2 <= raw <= 400
-        ):
-            remedy = "Leave points out" if kind == "transmission" else "Give a whole number from 2 to 400, or leave it out"
-            raise Unusable(
-                f"a {kind} requirement has no points" if kind == "transmission" else "not a number of positions", remedy
-            )
+        if raw is None:
+            return None
+        if kind == "transmission":
+            raise Unusable("a transmission requirement has no points", "Leave points out")
+        if isinstance(raw, bool) or not isinstance(raw, int) or not 2 <= raw <= 400:
+            raise Unusable("not a number of positions", "Give a whole number from 2 to 400, or leave it out")
         return raw
 
 
@@ -135,17 +133,7 @@ def check_keys(task: PathRequirement) -> None:
 
 
 def inapplicable_keys(section: str, kind: str, *, four_bar: bool) -> set[str]:
-    """Return the keys of a section that are not valid for a kind of task.
-
-    Parameters
-    ----------
-    section : str
-        "requirement" or "limits".
-    kind : str
-        Kind of the task.
-    four_bar : bool
-        Whether the mechanism is a four-bar.
-    """
+    """Return the keys of the section "requirement" or "limits" that are not valid for a kind of task."""
     if section == "requirement":
         return {key for key, kinds in BELONGS.items() if kind not in kinds}
     return set() if section != "limits" or four_bar else set(four_bar_limits())
@@ -154,34 +142,27 @@ def inapplicable_keys(section: str, kind: str, *, four_bar: bool) -> set[str]:
 def check_output(task: PathRequirement, linkage: Mechanism, *, slides: bool, based: bool) -> None:
     """Check that the output of a law exists and that its keys apply to it.
 
-    Parameters
-    ----------
-    slides : bool
-        Whether the output is a slider, not the angle of a body.
-    based : bool
-        Whether the law is relative to the output at the start.
+    `slides`: the output is a slider, not the angle of a body; `based`: the law is relative to the output at the start.
 
     Raises
     ------
     Unusable
         with the full key of the cause.
     """
-    guides, bodies = [guide.name for guide in linkage.guides], [link.body for link in linkage.links[1:]]
-    outputs = guides if slides else bodies
-    what = "guide" if slides else "body that turns"
+    outputs = [guide.name for guide in linkage.guides] if slides else [link.body for link in linkage.links[1:]]
     if task.output not in outputs:
         remedy = f"Write output = one of: {', '.join(outputs)}" if task.output is None else nearest(task.output, outputs)
+        what = "guide" if slides else "body that turns"
         raise Unusable(f"the output is the name of a {what}", remedy, "requirement.output", task.output)
     if task.zero is not None and not slides:
-        raise Unusable(
-            "this key applies to a slider only", "Write psi0 for the angle of a body", "requirement.zero", str(task.zero)
-        )
+        message = "this key applies to a slider only"
+        raise Unusable(message, "Write psi0 for the angle of a body", "requirement.zero", str(task.zero))
     if task.psi0 is not None and slides:
         raise Unusable("this key applies to a rotating body only", "Write zero for a slide", "requirement.psi0", str(task.psi0))
     for key in ("zero", "psi0"):
-        if getattr(task, key) is not None and not based:
+        if (value := getattr(task, key)) is not None and not based:
             remedy = f"Leave it out, or add {'s0' if key == 'zero' else 'psi0'} to the law"
-            raise Unusable("the law does not depend on it", remedy, f"requirement.{key}", str(getattr(task, key)))
+            raise Unusable("the law does not depend on it", remedy, f"requirement.{key}", str(value))
     check_rotation(task.law, task.span, "start", task.start)
 
 
@@ -190,18 +171,14 @@ def check_points(
 ) -> None:
     """Check that points or poses, their timing and the body that takes them fit each other.
 
-    Parameters
-    ----------
-    timing : "given", "from start" or "free"
-
     Raises
     ------
     Unusable
         with the full key of the cause.
     """
-    moving_points = [name for name, bodies in linkage.owners.items() if FRAME not in bodies]
-    if task.point not in moving_points:
-        remedy = nearest(task.point, moving_points)
+    moving = moving_points(linkage)
+    if task.point not in moving:
+        remedy = nearest(task.point, moving)
         if isinstance(mechanism, FourBarSection) and not mechanism.points:
             remedy = f'Give the coupler a point: mechanism.points = {{ {task.point} = ["60 mm", "20 mm"] }}. {remedy}'
         raise Unusable("no moving body has such a point", remedy, "requirement.point", task.point)
@@ -243,9 +220,10 @@ def _check_whole_revolution(points: TargetPoints, crank: tuple[float, ...]) -> N
 
 def _check_distinct_poses(points: TargetPoints, *, closed: bool) -> None:
     """Refuse a pose that occurs twice, unless it closes the motion: no revolution of a crank meets it twice."""
-    poses = [np.array([x, y]) for x, y in points.points]
-    pairs = set(itertools.combinations(range(len(poses)), 2)) - ({(0, len(poses) - 1)} if closed else set())
-    for j, i in sorted(pairs):
+    poses, count = np.array(points.points), len(points.points)
+    for j, i in itertools.combinations(range(count), 2):
+        if closed and (j, i) == (0, count - 1):
+            continue
         assert points.angles is not None
         turn = math.remainder(points.angles[i] - points.angles[j], math.tau)
         if np.linalg.norm(poses[i] - poses[j]) <= COINCIDENT * points.size and abs(turn) <= COINCIDENT:
@@ -261,12 +239,11 @@ def check_path_limits(limits: PathLimits, mechanism: MechanismSection, linkage: 
     Unusable
         with the full key of the limit.
     """
-    four_bar = isinstance(mechanism, FourBarSection)
-    for key in four_bar_limits():
-        if key in limits.model_fields_set and not four_bar:
-            raise Unusable(
-                "this limit applies to a four-bar only", "Leave it out, and bound the lengths themselves", f"limits.{key}"
-            )
-    if limits.crank == "double-crank" and not four_bar:
-        raise Unusable("only a four-bar can be a double-crank", 'Write crank = "full rotation"', "limits.crank", limits.crank)
+    if not isinstance(mechanism, FourBarSection):
+        for key in four_bar_limits():
+            if key in limits.model_fields_set:
+                remedy = "Leave it out, and bound the lengths themselves"
+                raise Unusable("this limit applies to a four-bar only", remedy, f"limits.{key}")
+        if limits.crank == "double-crank":
+            raise Unusable("only a four-bar can be a double-crank", 'Write crank = "full rotation"', "limits.crank", limits.crank)
     check_limits(limits, [group.joint for group in transmitting(linkage)])

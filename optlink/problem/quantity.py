@@ -10,12 +10,12 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeGuard
 
 from pydantic import AfterValidator, BeforeValidator
 
 from optlink.errors import InputError, InvalidValue, nearest as nearest
-from optlink.units import KINDS, display_unit, factor, parse, show
+from optlink.units import KINDS, display_unit, factor, parse, show, with_article
 
 SHORTEST, LONGEST = 1e-9, 1e6  # m; beyond them squares of ratios overflow
 LARGEST, LARGEST_ANGLE = 1e30, 1e6  # in SI: products of several larger ones overflow, and sines of larger angles lose digits
@@ -38,19 +38,11 @@ def below(key: str, value: object = None) -> Iterator[None]:
 
 @contextmanager
 def input_of(file: str | None, key: str | None = None, value: object = None) -> Iterator[None]:
-    """Raise an `Unusable` as the error of a file or an option.
-
-    Parameters
-    ----------
-    file : str or None
-        Name of the file.
-    key : str, optional
-        Key or option. Default: the key and value of the `Unusable`.
+    """Raise an `Unusable` as the error of a file or an option, whose key and value default to those of the `Unusable`.
 
     Raises
     ------
     InputError
-        in place of an `Unusable`.
     """
     try:
         yield
@@ -87,8 +79,7 @@ class Quantity:
     @property
     def si_per_unit(self) -> float:
         """The display unit [SI]."""
-        unit = KINDS[self.kind].display
-        return factor(unit, self.kind) if unit else 1.0
+        return factor(KINDS[self.kind].display, self.kind)
 
     def __str__(self) -> str:
         if not self.free:
@@ -100,15 +91,9 @@ class Quantity:
 def check_keys(raw: Iterable[object], allowed: Sequence[str]) -> None:
     """Refuse a table with an unknown key.
 
-    Parameters
-    ----------
-    allowed : sequence of str
-        Permitted keys.
-
     Raises
     ------
     Unusable
-        with the first unknown key.
     """
     for key in raw:
         if key not in allowed:
@@ -116,21 +101,11 @@ def check_keys(raw: Iterable[object], allowed: Sequence[str]) -> None:
 
 
 def check_name(name: object, allowed: Iterable[str], message: str, key: str = "", value: object = None) -> None:
-    """Check that a name is one of the known ones.
-
-    Parameters
-    ----------
-    message : str
-        What is wrong with any other name.
-    key : str
-        Key of the name, below the present one.
-    value : object, optional
-        Value in the error. Default: the name.
+    """Refuse a name that is not one of the known ones, with the nearest of them; the value in the error defaults to the name.
 
     Raises
     ------
     Unusable
-        If it is none of them; the remedy contains the nearest.
     """
     names = list(allowed)
     if name not in names:
@@ -138,40 +113,17 @@ def check_name(name: object, allowed: Iterable[str], message: str, key: str = ""
 
 
 def check_choice(key: str, name: str, choices: Iterable[str], message: str, file: str | None = None) -> None:
-    """Check that the value of an option or argument is one of the known ones.
-
-    Parameters
-    ----------
-    key : str
-        Option or argument.
-    name : str
-        Its value.
-    message : str
-        What is wrong with any other value.
-    file : str, optional
-        Name of the problem file.
-
-    Raises
-    ------
-    InputError
-        If it is none of them.
-    """
+    """Refuse the name that an option or argument `key` has if it is not one of the known ones."""
     with input_of(file, key, name):
         check_name(name, choices, message)
 
 
 def check_range(key: str, value: float, low: float, high: float) -> None:
-    """Check that an option lies within its range.
-
-    Parameters
-    ----------
-    key : str
-        Option, for the error.
+    """Refuse an option outside its range.
 
     Raises
     ------
     InputError
-        If it does not.
     """
     if not low <= value <= high:
         raise InputError("out of range", f"Give a number from {low:,} to {high:,}", key=key, value=value)
@@ -182,53 +134,48 @@ def largest(kind: str) -> float:
     return LARGEST_ANGLE if kind == "angle" else LARGEST
 
 
-def _possible(value: float, text: object, kind: str, key: str = "") -> float:
-    if kind == "length" and value <= 0.0:
-        raise Unusable("a length must be positive", f'Give one above zero, for example "{KINDS[kind].example}"', key, text)
-    if kind == "length" and not SHORTEST <= value <= LONGEST:
-        raise Unusable("no linkage has such a length", "Give one between 1e-9 m and 1000 km, and check its unit", key, text)
-    if abs(value) > largest(kind):
-        remedy = f'Give at most {largest(kind):.0e} {KINDS[kind].si}, for example "{KINDS[kind].example}", and check its unit'
-        raise Unusable("the value is too large", remedy, key, text)
-    return value
+def is_number(raw: object) -> TypeGuard[int | float]:
+    """Return whether a value of a file is a plain number, which a logical value is not."""
+    return isinstance(raw, int | float) and not isinstance(raw, bool)
+
+
+def check_pair(raw: object, message: str, remedy: str, key: str = "") -> Sequence[Any]:
+    """Return a list of two values; refuse any other.
+
+    Raises
+    ------
+    Unusable
+    """
+    if not isinstance(raw, list | tuple) or len(raw) != 2:
+        raise Unusable(message, remedy, key, raw)
+    return raw
 
 
 def read_scalar(text: object, kind: str, key: str = "") -> tuple[float, str]:
     """Read one value; return its SI number and the unit as written.
 
-    Parameters
-    ----------
-    text : object
-        Value as read from the file.
-    kind : str
-        Physical kind.
-    key : str
-        Key of the value, for errors.
-
     Raises
     ------
     Unusable
-        when the value cannot be read or is out of range.
     """
     with below(key, text):
         value, unit = parse(text, kind)
-    return _possible(value, text, kind, key), unit
+        if kind == "length" and value <= 0.0:
+            raise Unusable("a length must be positive", f'Give one above zero, for example "{KINDS[kind].example}"')
+        if kind == "length" and not SHORTEST <= value <= LONGEST:
+            raise Unusable("no linkage has such a length", "Give one between 1e-9 m and 1000 km, and check its unit")
+        if abs(value) > largest(kind):
+            remedy = f'Give at most {largest(kind):.0e} {KINDS[kind].si}, for example "{KINDS[kind].example}", and check its unit'
+            raise Unusable("the value is too large", remedy)
+    return value, unit
 
 
 def read_quantity(raw: object, kind: str) -> Quantity:
-    """Read a fixed quantity or a design variable.
-
-    Parameters
-    ----------
-    raw : object
-        Value as read from the file.
-    kind : str
-        Physical kind.
+    """Read a fixed quantity or a design variable; errors have the key below the present one.
 
     Raises
     ------
     Unusable
-        when the value cannot be read, with the key below the present one.
     """
     if isinstance(raw, Quantity):
         return raw
@@ -236,7 +183,7 @@ def read_quantity(raw: object, kind: str) -> Quantity:
         stated = isinstance(raw, list) and len(raw) == 2 and all(isinstance(end, str) for end in raw)
         ends = json.dumps(raw, ensure_ascii=False) if stated else range_example(kind)
         remedy = f'Write {{ bounds = {ends} }} for a design variable, or one value, for example "{KINDS[kind].example}"'
-        raise Unusable(f"this is not {'an' if kind[0] in 'aeiou' else 'a'} {kind}", remedy, "", raw)
+        raise Unusable(f"this is not {with_article(kind)}", remedy, "", raw)
     if not isinstance(raw, dict):
         value, unit = read_scalar(raw, kind)
         return Quantity(value, kind, unit)
@@ -245,8 +192,7 @@ def read_quantity(raw: object, kind: str) -> Quantity:
     bounds = raw.get("bounds")
     if bounds is None:
         raise Unusable("a free quantity needs bounds", f"Add {example}, or give one value to fix it", "bounds")
-    if not isinstance(bounds, list) or len(bounds) != 2:
-        raise Unusable("bounds are two values, lower and upper", f"Write {example}", "bounds", bounds)
+    check_pair(bounds, "bounds are two values, lower and upper", f"Write {example}", "bounds")
     (low, low_unit), (high, _) = (read_scalar(bound, kind, "bounds") for bound in bounds)
     if low == high:
         raise Unusable("both bounds are the same", f'Give one value to fix it: "{bounds[0]}"', "bounds", bounds)
@@ -271,21 +217,13 @@ def range_example(kind: str | None) -> str:
 def read_number(raw: object, key: str) -> float:
     """Read a plain number, or a share in percent.
 
-    Parameters
-    ----------
-    raw : object
-        Value as read from the file.
-    key : str
-        Key below the present one, for errors.
-
     Raises
     ------
     Unusable
-        when it is not a finite number.
     """
     if isinstance(raw, str) and (share := re.fullmatch(r"\s*([-+]?(?:\d+(?:\.\d*)?|\.\d+))\s*%\s*", raw, re.ASCII)):
         raw = float(share.group(1)) / 100.0
-    if isinstance(raw, bool) or not isinstance(raw, int | float):
+    if not is_number(raw):
         remedy = "Write a number without a unit, for example 1.2"
         if isinstance(raw, str) and re.fullmatch(r"\s*[-+]?\d+,\d+\s*", raw):
             remedy = f"Write a decimal point, without quotes: {raw.strip().replace(',', '.')}"
@@ -299,68 +237,38 @@ def read_number(raw: object, key: str) -> float:
 def read_fixed(raw: object, kind: str) -> Quantity:
     """Read a quantity that must be fixed.
 
-    Parameters
-    ----------
-    raw : object
-        Value as read from the file.
-    kind : str
-        Physical kind.
-
     Raises
     ------
     Unusable
-        when it is a table, or cannot be read.
     """
     if isinstance(raw, dict):
         raise Unusable("this quantity cannot be free", f'Give one value, for example "{KINDS[kind].example}"', "", raw)
-    if isinstance(raw, list | str):
-        value, unit = read_scalar(raw, kind)
-        return Quantity(value, kind, unit)
-    return read_quantity(raw, kind)
+    if isinstance(raw, Quantity):
+        return raw
+    value, unit = read_scalar(raw, kind)
+    return Quantity(value, kind, unit)
 
 
 def read_positive(raw: object, kind: str) -> Quantity:
     """Read a fixed quantity that must not be negative.
 
-    Parameters
-    ----------
-    raw : object
-        Value as read from the file.
-    kind : str
-        Physical kind.
-
     Raises
     ------
     Unusable
-        when it is negative, or cannot be read.
     """
     quantity = read_fixed(raw, kind)
     if quantity.value < 0.0:
-        raise Unusable(f"{'an' if kind[0] in 'aeiou' else 'a'} {kind} must not be negative", "Give zero or more", "", raw)
+        raise Unusable(f"{with_article(kind)} must not be negative", "Give zero or more", "", raw)
     return quantity
 
 
 def reader(function: Any, kind: str | None) -> BeforeValidator:
-    """Return a reading function of one physical kind as the annotation of a field.
-
-    Parameters
-    ----------
-    function : function of (raw value, kind)
-    kind : str, optional
-        Physical kind; none for plain numbers.
-    """
+    """Return a function of (raw value, kind) as the annotation of a field of one physical kind; None for plain numbers."""
     return BeforeValidator(functools.partial(function, kind=kind))  # the key reference reads function and kind
 
 
 def where(condition: Callable[[Any], bool], message: str, remedy: str) -> AfterValidator:
-    """Return a condition on the number of a field [SI], or on any other value of it, as an annotation of the field.
-
-    Parameters
-    ----------
-    condition : function of the number or value
-    message, remedy : str
-        For the error of a value that does not fulfil it.
-    """
+    """Return a condition on the number of a field [SI], or on any other value of it, as an annotation of the field."""
 
     def check(value: Any) -> Any:
         if not condition(value.value if isinstance(value, Quantity) else value):

@@ -57,7 +57,6 @@ def read_robust(raw: object) -> Robust | None:
     Raises
     ------
     Unusable
-        when the value is none of these.
     """
     if raw is None:
         return None
@@ -66,10 +65,10 @@ def read_robust(raw: object) -> Robust | None:
         return Robust(text)
     match = _SIGMAS.fullmatch(text)
     if match is None:
-        raise Unusable("this does not state how tolerances are taken into account", _REMEDY, "", raw)
+        raise Unusable("this does not state how tolerances are taken into account", _REMEDY)
     sigmas = float(match[1])
     if not 0.0 <= sigmas <= MAX_SIGMAS:
-        raise Unusable("out of range", f'Give 0 to {MAX_SIGMAS:g} standard deviations, such as "3 sigma"', "", raw)
+        raise Unusable("out of range", f'Give 0 to {MAX_SIGMAS:g} standard deviations, such as "3 sigma"')
     return Robust(f"{sigmas:g} sigma", sigmas)
 
 
@@ -118,14 +117,7 @@ def residuals(
 
 
 def check_robust(robust: Robust | None, measure: str, tolerance_count: int) -> None:
-    """Check that the robustness measure is compatible with the measure and that tolerances are defined.
-
-    Parameters
-    ----------
-    measure : str
-        Measure of the requirement.
-    tolerance_count : int
-        Number of tolerances of the file.
+    """Check that the robustness measure is compatible with that of the requirement and that tolerances are defined.
 
     Raises
     ------

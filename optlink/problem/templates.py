@@ -30,20 +30,7 @@ def templates() -> dict[str, Path]:
 
 
 def template(name: str, file: str | Path | None = None) -> Template:
-    """Read a template.
-
-    Parameters
-    ----------
-    name : str
-        Name of the template, for example "wiper".
-    file : str or Path, optional
-        Name of the file in the commands; default: the name of the template with the suffix .toml.
-
-    Raises
-    ------
-    InputError
-        If there is no such template.
-    """
+    """Read a template; `file` is the name of the file in its commands, by default that of the template with the suffix .toml."""
     from optlink.problem.quantity import check_choice
 
     available = templates()

@@ -13,7 +13,7 @@ from optlink.linkage.mechanism import FRAME, Mechanism
 from optlink.linkage.vector2d import Array
 from optlink.problem.base_model import in_folder
 from optlink.problem.mechanism import DyadsSection, FourBarSection
-from optlink.problem.quantity import Quantity, Unusable, below, check_keys, check_name, nearest
+from optlink.problem.quantity import Quantity, Unusable, below, check_keys, check_name, is_number, nearest
 from optlink.problem.targets.csv_table import read_columns
 from optlink.units import parse, plain
 
@@ -143,30 +143,23 @@ class ToleranceEntry:
 def read_tolerance(raw: object, folder: Path) -> ToleranceEntry:
     """Read "0.1 mm", "0.1 mm uniform", "parts.csv" or { tolerance, distribution, cost }; the unit is not checked.
 
-    Parameters
-    ----------
-    raw : object
-        Value as read from the file.
-    folder : Path
-        Folder to which the name of a CSV file is relative.
-
     Raises
     ------
     Unusable
-        when the value cannot be read, with the key below the present one.
     """
     if isinstance(raw, dict):
         check_keys(raw, KEYS)
         if "tolerance" not in raw:
             raise Unusable("this key is missing", 'Add tolerance = "0.1 mm"', "tolerance")
-        entry = read_tolerance(raw["tolerance"], folder) if isinstance(raw["tolerance"], str) else None
-        if entry is None:
+        if not isinstance(raw["tolerance"], str):
             raise Unusable("expected a tolerance with its unit", 'Write tolerance = "0.1 mm"', "tolerance", raw["tolerance"])
+        entry = read_tolerance(raw["tolerance"], folder)
         shape, cost = raw.get("distribution", entry.shape), raw.get("cost", 1.0)
-        if shape is not None and (shape not in CHOICES or entry.measured):
-            message = "measured deviations are a distribution themselves" if entry.measured else "unknown distribution"
-            raise Unusable(message, "Leave it out" if entry.measured else nearest(str(shape), CHOICES), "distribution", shape)
-        if isinstance(cost, bool) or not isinstance(cost, int | float) or not 0.0 < cost < math.inf:
+        if shape is not None and entry.measured:
+            raise Unusable("measured deviations are a distribution themselves", "Leave it out", "distribution", shape)
+        if shape is not None:
+            check_name(shape, CHOICES, "unknown distribution", "distribution")
+        if not is_number(cost) or not 0.0 < cost < math.inf:
             raise Unusable("a cost coefficient must be a number above zero", "Write cost = 2", "cost", cost)
         return replace(entry, shape=shape, cost=float(cost))
     if not isinstance(raw, str):
@@ -178,9 +171,7 @@ def read_tolerance(raw: object, folder: Path) -> ToleranceEntry:
         return ToleranceEntry(name, content=content)
     quantity, _, word = text.rpartition(" ")
     numbered = any(letter.isdigit() for letter in quantity)
-    if (
-        numbered and word.isalpha() and plain(quantity.strip())[-1:].isalpha()
-    ):  # two words after the number: a unit and a distribution
+    if numbered and word.isalpha() and plain(quantity.strip())[-1:].isalpha():  # a unit and a distribution after the number
         check_name(word, CHOICES, "unknown distribution")
         return ToleranceEntry(quantity.strip(), word)
     entry = ToleranceEntry(text)
@@ -213,16 +204,9 @@ Tolerances = Annotated[dict[str, Any], in_folder(_read_table)]
 
 
 def with_tolerance(table: dict[str, Any], name: str, value: object) -> None:
-    """Assign a tolerance in a [tolerances] table; distribution and cost are kept unless the new value specifies its own.
+    """Assign a tolerance in a [tolerances] table, in place; None removes it.
 
-    Parameters
-    ----------
-    table : dict
-        The [tolerances] table, modified in place.
-    name : str
-        Name of the dimension.
-    value : object
-        New tolerance; None removes it.
+    Distribution and cost are kept unless the new value specifies its own.
     """
     before: Any = None
     for other, entry in list(_flat(table)):
@@ -277,22 +261,10 @@ def deviations(
     shape: str = NORMAL,
     output: str = "",
 ) -> tuple[Deviation, ...]:
-    """Return the deviations of dimensions, pivots and clearances of a linkage.
+    """Return the deviations of dimensions, pivots and clearances of a linkage from `with_deviating_pivots`.
 
-    Parameters
-    ----------
-    entries : mapping of str to ToleranceEntry
-        Tolerances by name.
-    mechanism : Mechanism
-        From `with_deviating_pivots`.
-    quantities : mapping of str to Quantity
-        Quantities of the file.
-    sizes : mapping of str to float [m, rad]
-        Every dimension of the mechanism.
-    shape : str
-        Default distribution.
-    output : str
-        Body (its angle), or "P.x", "P.y" of a point, on which clearances have an effect.
+    `sizes`: every dimension of the mechanism [m, rad]; `shape`: the default distribution; `output`: the body (its angle), or
+    "P.x", "P.y" of a point, on which clearances have an effect.
 
     Raises
     ------

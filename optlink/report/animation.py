@@ -9,7 +9,7 @@ from matplotlib.lines import Line2D
 from PIL import Image
 
 from optlink.linkage.motion import Motion
-from optlink.linkage.vector2d import Array
+from optlink.linkage.vector2d import TURN, Array
 from optlink.report.chart_mpl import draw_into
 from optlink.report.chart_spec import ChartSpec
 from optlink.report.drawing import Sketch
@@ -29,25 +29,10 @@ def film(
     *,
     more: Callable[[Axes], object] | None = None,
 ) -> list[Image.Image]:
-    """Draw every position of a motion.
+    """Draw every position of a motion, one frame each with a common palette, beside a curve with a moving marker.
 
-    Parameters
-    ----------
-    steps : Motion
-        The positions, one frame each.
-    curve : ChartSpec or callable
-        The curve, or a function that draws it and its labels into axes.
-    marks : array (frames, 2)
-        Position of the marker in the axes of the curve; NaN for no marker.
-    titles : sequence of str
-        Lines of the title.
-    more : callable or None, optional
-        Draws further fixed parts into the axes of the mechanism.
-
-    Returns
-    -------
-    list of Image
-        Frames with a common palette.
+    `curve` is a chart, or draws itself into axes; `marks` (frames, 2) are the places of the marker there, NaN for none; `more`
+    draws further fixed parts into the axes of the mechanism.
     """
     flat = sketch.ratio < STACKED_RATIO
     if flat:
@@ -85,16 +70,6 @@ def film(
 
 
 def there_and_back(low: float, high: float, count: int) -> Array:
-    """Return crank angles that swing smoothly through a range and back.
-
-    Parameters
-    ----------
-    low : float [rad]
-        First angle.
-    high : float [rad]
-        Opposite end of the range.
-    count : int
-        Number of angles.
-    """
+    """Return crank angles [rad] that swing smoothly through a range and back."""
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
-    return np.asarray(middle - half * np.cos(np.linspace(0.0, 2.0 * np.pi, count, endpoint=False)))
+    return np.asarray(middle - half * np.cos(np.linspace(0.0, TURN, count, endpoint=False)))

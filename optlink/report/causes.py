@@ -5,9 +5,15 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from optlink.report.format import number
 from optlink.validation.check import Check
+
+if TYPE_CHECKING:
+    from optlink.tasks.function import FunctionResult
+    from optlink.tasks.results.cycle import CycleResult
+    from optlink.tasks.results.path import PathDesign
 
 KEY = r"(?:[\w.]+: )?"
 MEASURED = (
@@ -46,12 +52,8 @@ LIMIT = re.compile(r"(>=|<=|=|)\s*([-+]?\d\S*(?: \.\.\. \S+)?)")
 def causes(checks: Sequence[Check]) -> list[str]:
     """Return why a design is not valid, one text for each failed check that is no consequence of others.
 
-    Where the crank cannot turn, that is the cause; checks without a value follow from others that have one.
-
-    Parameters
-    ----------
-    checks : sequence of Check
-        All checks: two with the same limit prescribe a value.
+    Where the crank cannot turn, that is the cause; checks without a value follow from others that have one. Two checks with the
+    same limit prescribe a value.
     """
     failed = [check for check in checks if not check.passed]
     turns = [check for check in failed if re.fullmatch(TURNS, check.name)]
@@ -60,42 +62,20 @@ def causes(checks: Sequence[Check]) -> list[str]:
 
 
 def why_invalid(checks: Sequence[Check], otherwise: str) -> str:
-    """Return the first cause why a design is not valid, and the number of others.
-
-    Parameters
-    ----------
-    otherwise : str
-        Text if every check passed.
-    """
+    """Return the first cause why a design is not valid, and the number of others; `otherwise` if every check passed."""
     first, *others = causes(checks) or [otherwise]
     more = f"; {len(others)} more check{'s fail' if len(others) > 1 else ' fails'}" if others else ""
     return f"{first}{more}"
 
 
-def mark(checks: Sequence[Check], otherwise: str, refuted: str = "") -> str:
-    """Return the mark of a design that is not valid: which limits exclude each other, or the first cause.
+def marked(title: str, design: FunctionResult | PathDesign | CycleResult, refuted: str) -> list[str]:
+    """Return the lines of a picture's title; the second one says why a design is not valid.
 
-    Parameters
-    ----------
-    otherwise : str
-        Text if every check passed.
-    refuted : str, optional
-        Which limits exclude each other, if it is known.
+    That is which limits exclude each other (`refuted`), or the first cause.
     """
-    return refuted or f"NOT VALID: {why_invalid(checks, otherwise)}"
-
-
-def marked(title: str, valid: bool, checks: Sequence[Check], otherwise: str, refuted: str = "") -> list[str]:
-    """Return the lines of a picture's title, the second one the cause why the design is not valid, if it is not.
-
-    Parameters
-    ----------
-    otherwise : str
-        Text if every check passed.
-    refuted : str, optional
-        Which limits exclude each other, if it is known.
-    """
-    return [title] if valid else [title, mark(checks, otherwise, refuted)]
+    if design.valid:
+        return [title]
+    return [title, refuted or f"NOT VALID: {why_invalid(design.validation.checks, design.status.text)}"]
 
 
 def _cause(check: Check, checks: Sequence[Check]) -> str:

@@ -42,13 +42,7 @@ MAX_BARS = 40  # number of bars up to which they are drawn as bars
 
 
 def pictures(charts: Iterable[ChartSpec]) -> dict[str, Figure]:
-    """Draw charts; those of one file share a figure.
-
-    Returns
-    -------
-    dict of str to Figure
-        Figures by file name without ending, in the order of the charts.
-    """
+    """Draw charts; return the figures by file name without ending: charts of one file share a figure."""
     files: dict[str, list[ChartSpec]] = {}
     for chart in charts:
         if chart.file:
@@ -58,13 +52,7 @@ def pictures(charts: Iterable[ChartSpec]) -> dict[str, Figure]:
 
 @styled
 def draw(charts: Sequence[ChartSpec]) -> Figure:
-    """Draw charts into one figure: rows of charts side by side.
-
-    Parameters
-    ----------
-    charts : sequence of ChartSpec
-        In the order of their rows.
-    """
+    """Draw charts into one figure, in rows of charts side by side."""
     rows = [list(group) for _, group in itertools.groupby(charts, lambda chart: chart.row)]
     width = max(sum(chart.width for chart in row) for row in rows)
     heights = [max(_height(chart) for chart in row) for row in rows]
@@ -122,13 +110,7 @@ def _chart(place: Figure | SubFigure, chart: ChartSpec) -> list[Label]:
 
 
 def draw_into(axes: Axes, spec: ChartSpec, *, legend: bool = True) -> list[Label]:
-    """Draw the first panel of a chart into axes and return the labels still to place.
-
-    Parameters
-    ----------
-    legend : bool, optional
-        Draw a legend.
-    """
+    """Draw the first panel of a chart into axes and return the labels still to place."""
     labels = _panel(axes, spec, spec.panels[0], legend=legend)
     _x_axis(axes, spec)
     return labels
@@ -294,8 +276,8 @@ def _scaled(axes: Axes, direction: str, axis: Axis, limits: tuple[float, float] 
     if limits is not None and limits[1] > limits[0]:
         (axes.set_xlim if direction == "x" else axes.set_ylim)(*limits, auto=widened)
     if axis.reversed:
-        (axes.invert_xaxis if direction == "x" else axes.invert_yaxis)()
-    low, high = sorted(axes.get_xlim() if direction == "x" else axes.get_ylim())
+        side.set_inverted(True)
+    low, high = sorted(side.get_view_interval())
     if axis.step and high - low >= 4.0 * axis.step:
         side.set_major_locator(MultipleLocator(axis.step))
     if axis.ticks:

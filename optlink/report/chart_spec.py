@@ -60,14 +60,7 @@ class Axis:
 
 
 def crank_angle(*, clockwise: bool = False, limits: tuple[float, float] | None = None) -> Axis:
-    """Return the axis of the crank angle [deg], with time increasing to the right.
-
-    Parameters
-    ----------
-    clockwise : bool, optional
-        Whether the crank turns clockwise, so that its angle decreases to the right.
-    limits : (float, float) or None, optional [deg]
-    """
+    """Return the axis of the crank angle [deg]; time increases to the right, so the angle of a clockwise crank decreases."""
     return Axis(CRANK_ANGLE + (", clockwise to the right" if clockwise else ""), limits, reversed=clockwise, step=60.0)
 
 
@@ -99,28 +92,12 @@ class Curve:
 
     @classmethod
     def through(cls, places: Array, name: str = "", colour: str = INK, width: float = 1.6, **options: Any) -> Curve:
-        """Return a curve through places (n, 2); `options` are further attributes.
-
-        Parameters
-        ----------
-        places : array (n, 2)
-        name : str, optional
-            Entry in the legend.
-        width : float, optional
-            Line width [pt].
-        **options
-            Further attributes of the curve.
-        """
+        """Return a curve through places (n, 2); `options` are further attributes."""
         return cls(places[:, 0], places[:, 1], name, colour, width, **options)
 
     @classmethod
     def entry(cls, name: str, colour: str, **options: Any) -> Curve:
-        """Return an entry in the legend without a curve; `options` are further attributes.
-
-        Parameters
-        ----------
-        **options
-        """
+        """Return an entry in the legend without a curve; `options` are further attributes."""
         return cls(np.full(1, np.nan), np.full(1, np.nan), name, colour, **options)
 
 
@@ -349,15 +326,13 @@ def _ends(trace: Trace) -> list[float]:
     return [float(np.min(finite_values)), float(np.max(finite_values))] if finite_values.size else []
 
 
-def cells(places: Array, *, log: bool = False) -> Array:
-    """Return the cell borders (n + 1,) around rising places (n,) of a heat map.
+def max_abs(values: Array) -> float:
+    """Return the largest absolute value that is finite; 0 if there is none."""
+    return float(np.max(np.abs(values), initial=0.0, where=np.isfinite(values)))
 
-    Parameters
-    ----------
-    places : array (n,)
-    log : bool, optional
-        Whether the axis is logarithmic.
-    """
+
+def cells(places: Array, *, log: bool = False) -> Array:
+    """Return the cell borders (n + 1,) around rising places (n,) of a heat map, on a logarithmic axis if `log`."""
     centres = np.log(places) if log else np.asarray(places, dtype=float)
     if len(centres) == 1:
         centres = np.array([centres[0] - 0.5, centres[0] + 0.5])

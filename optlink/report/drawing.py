@@ -35,14 +35,8 @@ FACES = {"plate": (0.22, 2.2, 2.8, "round"), "slot": (0.13, 1.1, 2.6, "miter"), 
 class Sketch:
     """Drawing of a mechanism with one scale, symbol size and set of colours for all its positions.
 
-    Parameters
-    ----------
-    motion : Motion
-        The whole motion of a design; it determines extent, traces and slider strokes.
-    machine : Machine, optional
-        Its centroids and springs are drawn too.
-    share : float, optional
-        Height of a ground pivot, as a share of the extent of the mechanism.
+    Extent, traces and slider strokes are those of the whole motion; centroids and springs those of the machine; `share` is the
+    height of a ground pivot as a share of the extent.
     """
 
     def __init__(self, motion: Motion, machine: Machine | None = None, share: float = SYMBOL_SHARE) -> None:
@@ -50,7 +44,7 @@ class Sketch:
         self.names = list(self.mechanism.owners)
         self.points = np.array([motion.position(name) for name in self.names])  # m, (points, positions, 2)
         self.near = self._in_sight()
-        extent = max(float(np.max(spread(finite(self.points[:, self.near])))), 1e-30)
+        extent = max(np.max(spread(finite(self.points[:, self.near]))), 1e-30)
         self.scale: Scale = scale(extent, "m")
         self.size = share * extent * self.scale.factor
         bodies = [body for body in self.mechanism.bodies if body != self.mechanism.crank.body]
@@ -76,23 +70,11 @@ class Sketch:
         return near
 
     def position(self, motion: Motion, name: str) -> Array:
-        """Return the positions of a point in the display unit, shape (positions, 2).
-
-        Parameters
-        ----------
-        name : str
-            Joint name.
-        """
+        """Return the positions of a point in the display unit, shape (positions, 2)."""
         return motion.position(name) * self.scale.factor
 
     def placed(self, motion: Motion, body: str, outline: Array) -> Array:
-        """Return the positions of an outline that moves with a body, shape (positions, corners, 2).
-
-        Parameters
-        ----------
-        outline : array (corners, 2)
-            Coordinates along and across the body from its start point, in the display unit.
-        """
+        """Return the positions (positions, corners, 2) of an outline (corners, 2) in the axes of a body, in the display unit."""
         shape = motion.crank_angle.shape
         with np.errstate(all="ignore"):  # at a dead centre of a group its rates are infinite or NaN
             direction = motion.pose.direction(body)
@@ -149,11 +131,9 @@ class Sketch:
             elif (body == guide.slider) != rod:
                 parts.append(Part("block", rectangle(point, direction, -half[0], half[0], half[1])))
             else:
-                ends = np.array([point + (low - 1.25 * half[0]) * direction, point + (high + 1.25 * half[0]) * direction])
-                parts.append(
-                    Part("slot", rectangle(point, direction, low - 1.25 * half[0], high + 1.25 * half[0], 1.2 * half[1]))
-                )
-                arm = stem(points, ends)
+                low, high = low - 1.25 * half[0], high + 1.25 * half[0]
+                parts.append(Part("slot", rectangle(point, direction, low, high, 1.2 * half[1])))
+                arm = stem(points, np.array([point + low * direction, point + high * direction]))
                 if np.linalg.norm(arm[1] - arm[0]) > 0.5 * self.size:
                     parts.append(Part("bar", arm))
         if len(points) > 1:
@@ -174,13 +154,11 @@ class Sketch:
             if name in self.mechanism.pins or name in anchors:
                 lines.append((at + s * np.array([[0.0, 0.0], [-0.55, -1.0], [0.55, -1.0], [0.0, 0.0]]), 1.1, True))
                 lines.append((at + s * np.array([[-0.9, -1.0], [0.9, -1.0]]), 1.1, False))
-                lines.append(
-                    (hatching(at - s * np.array([0.9, 1.0]), np.array([1.0, 0.0]), 1.8 * s, -0.35 * s, 0.25 * s), 0.8, False)
-                )
+                strokes = hatching(at - s * np.array([0.9, 1.0]), np.array([1.0, 0.0]), 1.8 * s, -0.35 * s, 0.25 * s)
+                lines.append((strokes, 0.8, False))
             else:
-                lines.append(
-                    (at + 0.35 * s * np.array([[-1.0, 0.0], [1.0, 0.0], [np.nan, np.nan], [0.0, -1.0], [0.0, 1.0]]), 1.0, False)
-                )
+                cross = np.array([[-1.0, 0.0], [1.0, 0.0], [np.nan, np.nan], [0.0, -1.0], [0.0, 1.0]])
+                lines.append((at + 0.35 * s * cross, 1.0, False))
         for guide in self.mechanism.guides:
             if guide.on == FRAME:
                 point, direction = self._line(guide, FRAME)
@@ -197,10 +175,7 @@ class Sketch:
 
     def _extent(self) -> tuple[Array, Array]:
         """Return the least and largest coordinates of everything that is drawn."""
-        corners = [
-            finite(self.points[:, self.near] * self.scale.factor),
-            *(finite(line) for line, _, _ in self.ground),
-        ]
+        corners = [finite(self.points[:, self.near] * self.scale.factor), *(finite(line) for line, _, _ in self.ground)]
         for body, parts in self.parts.items():
             outlines = [part.outline for part in parts] + ([self.centroids[body]] if body in self.centroids else [])
             corners += [finite(self.placed(self.motion, body, outline)[self.near]) for outline in outlines]
@@ -217,8 +192,8 @@ class Sketch:
     def limits(self) -> tuple[tuple[float, float], tuple[float, float]]:
         """Limits of x and y with a margin; the aspect ratio is limited."""
         size = self.high - self.low
-        room = 0.07 * float(np.max(size))
-        widths = np.maximum(size + 2.0 * room, 0.22 * float(np.max(size)))
+        room = 0.07 * np.max(size)
+        widths = np.maximum(size + 2.0 * room, 0.22 * np.max(size))
         middle = 0.5 * (self.low + self.high)
         (x0, y0), (x1, y1) = middle - 0.5 * widths, middle + 0.5 * widths
         return (float(x0), float(x1)), (float(y0), float(y1))
@@ -230,14 +205,7 @@ class Sketch:
         return (y1 - y0) / (x1 - x0)
 
     def bare_figure(self, width: float, height: float, *, traces: bool = True) -> tuple[Figure, Axes]:
-        """Return a figure that the fixed parts of the drawing fill, without scales, and its axes.
-
-        Parameters
-        ----------
-        width, height : float [inch]
-        traces : bool, optional
-            Draw the traces.
-        """
+        """Return a figure [inch] that the fixed parts of the drawing fill, without scales, and its axes."""
         fig = figure(width, height, None)
         self.stage(axes := fig.add_axes((0.0, 0.0, 1.0, 1.0)), traces=traces)
         half = 0.5 * np.max(np.ptp(self.limits, axis=1) / (width, height)) * np.array([[width], [height]])
@@ -248,13 +216,7 @@ class Sketch:
     # --- drawing -----------------------------------------------------------------------------------------------------------
 
     def stage(self, axes: Axes, *, traces: bool = True) -> None:
-        """Draw the fixed parts: equal scales, ground with rails, traces of the moving points.
-
-        Parameters
-        ----------
-        traces : bool, optional
-            Draw the traces.
-        """
+        """Draw the fixed parts: equal scales, ground with rails, traces of the moving points."""
         for line, width, filled in self.ground:
             if filled:
                 axes.add_patch(Polygon(line, closed=True, facecolor="white", edgecolor=GROUND, linewidth=width, zorder=2))
@@ -272,13 +234,7 @@ class Sketch:
         axes.set_aspect("equal")
 
     def pose(self, axes: Axes, motion: Motion, k: int = 0) -> list[Artist]:
-        """Draw position `k` of a motion and return the artists; the gid of each is its body, point or spring.
-
-        Parameters
-        ----------
-        k : int, optional
-            Index of the position.
-        """
+        """Draw position `k` of a motion and return the artists; the gid of each is its body, point or spring."""
         artists: list[Artist] = []
         for body, parts in self.parts.items():
             color = self.colours[body]
@@ -314,7 +270,7 @@ class Sketch:
         for body, centroid in self.centroids.items():
             at = self.placed(motion, body, centroid)[k, 0]
             points = finite(np.array([self.position(motion, name)[k] for name in self.names]))
-            if np.all(np.isfinite(at)) and float(np.min(np.linalg.norm(points - at, axis=1))) > 0.4 * self.size:
+            if np.all(np.isfinite(at)) and np.min(np.linalg.norm(points - at, axis=1)) > 0.4 * self.size:
                 for artist in _centroid(self.colours[body]):
                     artist.set(xdata=[at[0]], ydata=[at[1]], zorder=3.6, gid=f"centroid {body}")
                     yield artist
@@ -328,86 +284,45 @@ class Sketch:
             pins[:, 0], pins[:, 1], linestyle="none", marker="o", markersize=5.5, mfc="white", mec=GROUND, zorder=4, gid="pins"
         )
 
-    def letters(self, axes: Axes, motion: Motion, k: int = 0) -> list[Label]:
-        """Return labels with the names of all points, for `labels.place_labels`.
-
-        Parameters
-        ----------
-        k : int, optional
-            Index of the position.
-        """
+    def letters(self, axes: Axes, motion: Motion) -> list[Label]:
+        """Return labels with the names of all points at the first position, for `labels.place_labels`."""
         return [
             Label(axes, (float(x), float(y)), short_name(name), GROUND, clear=2.5)
             for name in self.names
-            for x, y in self.position(motion, name)[k : k + 1]
+            for x, y in self.position(motion, name)[:1]
         ]
 
     def show(self, axes: Axes, motion: Motion, *, traces: bool = True) -> list[Label]:
-        """Draw the fixed parts and the first position of a motion, and return the labels of its points.
-
-        Parameters
-        ----------
-        traces : bool, optional
-            Draw the traces.
-        """
+        """Draw the fixed parts and the first position of a motion, and return the labels of its points."""
         self.stage(axes, traces=traces)
         self.pose(axes, motion)
         return self.letters(axes, motion)
 
     def add_legend(self, fig: Figure, columns: int = 9, **extra: Artist) -> None:
-        """Draw the legend below a figure: bodies by colour, and the centroid symbol.
-
-        Parameters
-        ----------
-        columns : int, optional
-            Largest number of columns.
-        **extra : Artist
-            Further entries; underscores in their names stand for spaces.
-        """
+        """Draw the legend below a figure: bodies by colour, the centroid symbol, and others (underscores stand for spaces)."""
         entries: dict[str, Any] = {body: Line2D([], [], color=self.colours[body], linewidth=3.0) for body in self.parts}
         entries |= {"centroid": tuple(_centroid(GROUND))} if self.centroids else {}
         entries |= {name.replace("_", " "): artist for name, artist in extra.items()}
-        fig.legend(
-            [*entries.values()],
-            [*entries],
-            loc="outside lower center",
-            ncols=min(len(entries), columns),
-            frameon=False,
-            fontsize=8.5,
-        )
+        style: dict[str, Any] = {"loc": "outside lower center", "frameon": False, "fontsize": 8.5}
+        fig.legend([*entries.values()], [*entries], ncols=min(len(entries), columns), **style)
 
-    def arrows(self, motion: Motion, k: int, names: Sequence[str], longest: float) -> dict[str, tuple[Array, Array]]:
-        """Return velocity arrows (begin, end) by point name; slow points are left out.
+    def arrows(self, motion: Motion, names: Sequence[str], longest: float) -> dict[str, tuple[Array, Array]]:
+        """Return velocity arrows (begin, end) of points by name at the first position; slow points are left out.
 
-        Parameters
-        ----------
-        k : int
-            Index of the position.
-        names : sequence of str
-            Points.
-        longest : float
-            Length of the arrow of the fastest point, in the display unit.
+        `longest` is the length of the arrow of the fastest point, in the display unit.
         """
-        speeds = {name: motion.velocity(name)[k] for name in names}
-        top = max((float(np.linalg.norm(v)) for v in speeds.values() if np.all(np.isfinite(v))), default=0.0)
+        speeds = {name: motion.velocity(name)[0] for name in names}
+        top = max((np.linalg.norm(v) for v in speeds.values() if np.all(np.isfinite(v))), default=0.0)
         arrows = {}
         for name, v in speeds.items():
-            if np.all(np.isfinite(v)) and float(np.linalg.norm(v)) > 0.01 * top:
-                at = self.position(motion, name)[k]
+            if np.all(np.isfinite(v)) and np.linalg.norm(v) > 0.01 * top:
+                at = self.position(motion, name)[0]
                 arrows[name] = (at, at + v * longest / top)
         return arrows
 
 
 def merged_positions(positions: Iterable[tuple[str, float]], *, periodic: bool = True) -> dict[str, float]:
-    """Return named crank angles, where equal angles share a name.
-
-    Parameters
-    ----------
-    positions : iterable of (str, float)
-        Names and crank angles [rad].
-    periodic : bool, optional
-        Whether angles that differ by whole turns are equal.
-    """
+    """Return named crank angles [rad], where equal angles share a name; `periodic` angles are equal a whole turn apart."""
     merged: dict[str, float] = {}
     for name, at in positions:
         same = next((k for k, v in merged.items() if abs(math.remainder(v - at, TURN) if periodic else v - at) < 1e-6), name)

@@ -69,13 +69,7 @@ def legible(figure: Figure) -> None:
 
 
 def lacking(text: str, names: Iterable[str]) -> list[str]:
-    """Return the letters of a text that none of the fonts has, each once.
-
-    Parameters
-    ----------
-    names : iterable of str
-        Families of fonts.
-    """
+    """Return the letters of a text that none of the families of fonts has, each once."""
     other = dict.fromkeys(letter for letter in text if not letter.isascii())
     return [letter for letter in other if not any(ord(letter) in _codes(name) for name in names)] if other else []
 

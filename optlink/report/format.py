@@ -13,13 +13,7 @@ _PRODUCT = re.compile(r"\b([kMGmµnpfa]?N|kg)[ *]m\b")
 
 
 def number(value: float, digits: int = 6) -> str:
-    """Format a number with significant digits; a dash if it is not finite.
-
-    Parameters
-    ----------
-    digits : int, optional
-        Significant digits; a number below 1e-5 has two.
-    """
+    """Format a number with significant digits (two below 1e-5); a dash if it is not finite."""
     if not math.isfinite(value):
         return "-"
     if abs(value) < 1e-300:
@@ -33,13 +27,7 @@ def precise(value: float, digits: int) -> str:
 
 
 def price_step(unit: str) -> tuple[float, str]:
-    """Return the step of a limit or parameter to which a price refers, with its text: 0.01 of a ratio, else one unit.
-
-    Parameters
-    ----------
-    unit : str
-        Unit of the limit; empty for a ratio.
-    """
+    """Return the step of a limit or parameter to which a price refers, with its text: 0.01 of a ratio, else one unit."""
     return (1.0, unit) if unit else (0.01, "0.01")
 
 
@@ -82,12 +70,7 @@ def change(share: float) -> str:
 def round_below(value: float, steps: Sequence[float] = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0), room: float = 0.0) -> float:
     """Return the largest round number up to a value; 0 if the value is not positive or not finite.
 
-    Parameters
-    ----------
-    steps : sequence of float
-        First digits of round numbers.
-    room : float
-        Share by which the number may exceed the value: rounding errors.
+    `steps` are the first digits of round numbers; by the share `room` the number may exceed the value: rounding errors.
     """
     if not 0.0 < value < math.inf:
         return 0.0
@@ -101,13 +84,7 @@ def points(count: int) -> str:
 
 
 def times(seconds: Mapping[str, float], decimals: int = 0) -> str:
-    """List the stages that took time, in milliseconds.
-
-    Parameters
-    ----------
-    seconds : mapping of str to float
-        Wall time per stage [s].
-    """
+    """List the stages that took time [s], in milliseconds."""
     return ", ".join(f"{name} {1e3 * value:z.{decimals}f} ms" for name, value in seconds.items() if value > 0.0)
 
 
@@ -163,15 +140,7 @@ def single_units() -> Iterator[None]:
 
 
 def scale(largest: float, unit: str) -> Scale:
-    """Return the display unit for quantities up to a value; angles are shown in degrees.
-
-    Parameters
-    ----------
-    largest : float [SI]
-        Largest absolute value; infinite or NaN counts as zero.
-    unit : str
-        SI unit, or "deg" for an angle in rad.
-    """
+    """Return the display unit for quantities up to a value [SI]; angles ("deg") are shown in degrees."""
     largest = abs(largest) if math.isfinite(largest) else 0.0
     if unit == "deg":
         return Scale(math.degrees(1.0), unit, 2)
@@ -195,13 +164,7 @@ def figure(value: float, unit: str = "") -> str:
 
 
 def si(value: float, unit: str) -> str:
-    """Format a value [SI] in its display unit.
-
-    Parameters
-    ----------
-    unit : str
-        "m", "N", "N m", "J", "W", or "rad".
-    """
+    """Format a value [SI] in its display unit."""
     shown = scale(abs(value), "deg" if unit == "rad" else unit)
     return figure(value * shown.factor, shown.unit)
 

@@ -11,10 +11,10 @@ from matplotlib.patches import FancyArrowPatch, Polygon
 from matplotlib.ticker import FixedLocator
 from numpy.typing import NDArray
 
-from optlink.linkage.vector2d import Array
+from optlink.linkage.vector2d import TURN, Array
 from optlink.report.style import HALO, TARGET
 
-DIRECTIONS = np.array([[np.cos(t), np.sin(t)] for t in np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)])
+DIRECTIONS = np.array([[np.cos(t), np.sin(t)] for t in np.linspace(0.0, TURN, 16, endpoint=False)])
 DISTANCES = np.array([2.0, 5.0, 9.0, 15.0, 24.0, 36.0])  # distances tried between point and label [pt]
 LEADER_DISTANCE = 14.0  # distance beyond which a leader line is drawn [pt]
 SAMPLING = 3.0  # sampling distance along lines [pixel]
@@ -55,13 +55,7 @@ def lay_out(figure: Figure) -> None:
 
 
 def place_labels(figure: Figure, labels: Iterable[Label]) -> None:
-    """Finish the layout of a figure and place every label where it hides least.
-
-    Parameters
-    ----------
-    labels : iterable of Label
-        Those outside their axes are left out.
-    """
+    """Finish the layout of a figure and place every label where it hides least; those outside their axes are left out."""
     lay_out(figure)
     by_axes: dict[Axes, list[Label]] = {}
     for label in labels:

@@ -61,21 +61,8 @@ def place_names(
 ) -> dict[str, NamePlaces]:
     """Return the places of the names of all points.
 
-    Parameters
-    ----------
-    points : mapping of str to array (positions, 2) [mm]
-        Positions of the points.
-    still : collection of str
-        Names of those that do not move; their names do not move either.
-    links : sequence of array (positions, corners, 2) [mm]
-        Lines that move.
-    ground : sequence of array (corners, 2) [mm]
-        Lines that do not, with gaps at NaN.
-    traces : collection of str
-        Names of the points whose paths are drawn.
-    box : x, y, width and height of the drawing [mm]
-    size : float [mm]
-        Height of a ground pivot.
+    Points (positions, 2), links that move (positions, corners, 2), ground lines (corners, 2) with gaps at NaN, the box of the
+    drawing and the height of a ground pivot are in mm. The names of `still` points do not move; of `traces` the paths are drawn.
     """
     letter = LETTER * size
     moving = np.concatenate(

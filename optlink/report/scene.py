@@ -105,16 +105,9 @@ class Scene:
 
 
 def scene(cycle: Analysis, steps: int = STEPS, at: float | None = None) -> Scene:
-    """Return the scene of an analysed machine over its motion, or at one position.
+    """Return the scene of an analysed machine over its motion, or at one crank angle [rad].
 
     Extent and outlines are those of the whole motion in either case.
-
-    Parameters
-    ----------
-    steps : int, optional
-        Number of positions per revolution.
-    at : float [rad] or None, optional
-        Crank angle of the position; None for the whole motion.
     """
     machine = cycle.machine
     direction = math.copysign(1.0, cycle.speed)
@@ -133,26 +126,16 @@ def scene(cycle: Analysis, steps: int = STEPS, at: float | None = None) -> Scene
 
 
 def scene_at(cycle: Analysis, angles: Array) -> Scene:
-    """Return the scene of an analysed machine at arbitrary crank angles, with the extent of its whole motion.
-
-    Parameters
-    ----------
-    angles : array (positions,) [rad]
-    """
+    """Return the scene of an analysed machine at crank angles (positions,) [rad], with the extent of its whole motion."""
     machine = cycle.machine
     full_motion = sweep(machine.mechanism, machine.sizes, np.radians(cycle["crank_angle_deg"]), cycle.speed)
     return scene_of(Sketch(full_motion, machine), sweep(machine.mechanism, machine.sizes, angles, cycle.speed), closed=False)
 
 
 def scene_of(sketch: Sketch, motion: Motion, *, closed: bool, up: bool = False) -> Scene:
-    """Return the scene of a sketch at the positions of a motion.
+    """Return the scene of a sketch at the positions of a motion; it is closed if the last one equals the first.
 
-    Parameters
-    ----------
-    closed : bool
-        Whether the last position equals the first.
-    up : bool, optional
-        Whether the y axis points up, and angles turn with it.
+    The y axis points down, and angles turn with it, unless `up`.
     """
     mechanism, k, signs = sketch.mechanism, 1e3 / sketch.scale.factor, np.abs(FLIP) if up else FLIP
     flip = k * signs

@@ -30,41 +30,13 @@ def spread(points: Array) -> Array:
 
 
 def rectangle(point: Array, direction: Array, low: float, high: float, half: float) -> Array:
-    """Return the corners of a rectangle along a line, shape (4, 2).
-
-    Parameters
-    ----------
-    point : array (2,)
-        Point on the line.
-    direction : array (2,)
-        Unit vector along the line.
-    low : float
-        Coordinate of the first end along the line.
-    high : float
-        Coordinate of the second end along the line.
-    half : float
-        Half width.
-    """
+    """Return the corners (4, 2) of a rectangle along a line, from `low` to `high` along its unit vector, `half` its width."""
     left = np.array([-direction[1], direction[0]])
     return np.array([point + a * direction + b * half * left for a, b in ((low, -1.0), (high, -1.0), (high, 1.0), (low, 1.0))])
 
 
 def hatching(begin: Array, direction: Array, length: float, depth: float, spacing: float) -> Array:
-    """Return slanted strokes beside a line, as one line with gaps.
-
-    Parameters
-    ----------
-    begin : array (2,)
-        Start of the line.
-    direction : array (2,)
-        Unit vector along the line.
-    length : float
-        Length of the line.
-    depth : float
-        Depth of the strokes, positive to the left of the line.
-    spacing : float
-        Distance between strokes.
-    """
+    """Return slanted strokes beside a line, as one line with gaps; they lie to its left if the depth is positive."""
     left, gap = np.array([-direction[1], direction[0]]), np.full(2, np.nan)
     slant = abs(depth) * 0.75
     count = max(2, math.floor((length - slant) / spacing) + 1)
@@ -73,15 +45,7 @@ def hatching(begin: Array, direction: Array, length: float, depth: float, spacin
 
 
 def stem(points: Array, ends: Array) -> Array:
-    """Return the shortest line from one of several points to a segment, shape (2, 2).
-
-    Parameters
-    ----------
-    points : array (n, 2)
-        Points.
-    ends : array (2, 2)
-        End points of the segment.
-    """
+    """Return the shortest line (2, 2) from one of several points (n, 2) to a segment (2, 2)."""
     along = ends[1] - ends[0]
     shares = np.clip((points - ends[0]) @ along / max(float(along @ along), 1e-30), 0.0, 1.0)
     feet = ends[0] + shares[:, None] * along
@@ -90,13 +54,7 @@ def stem(points: Array, ends: Array) -> Array:
 
 
 def in_line(points: Array, near: float) -> NDArray[np.intp] | None:
-    """Return the order of points along a line; None if one lies farther than `near` from the line of the two outer ones.
-
-    Parameters
-    ----------
-    points : array (n, 2)
-        Two different points at least.
-    """
+    """Return the order of points (n, 2) along a line; None if one is farther than `near` from the line of the outer two."""
     arms = points - points[0]
     lengths = np.linalg.norm(arms, axis=1)
     along = arms[np.argmax(lengths)] / np.max(lengths)

@@ -66,28 +66,14 @@ def styled(draw: Callable[P, T]) -> Callable[P, T]:
 
 
 def figure(width: float, height: float, layout: Literal["constrained"] | None = "constrained") -> Figure:
-    """Return an empty figure without a window.
-
-    Parameters
-    ----------
-    width : float [inch]
-    height : float [inch]
-    layout : "constrained" or None, optional
-        Layout engine of matplotlib; None for axes at given places.
-    """
+    """Return an empty figure [inch] without a window; without a layout, axes stand at given places."""
     fig = Figure(figsize=(width, height), layout=layout)
     FigureCanvasAgg(fig)
     return fig
 
 
 def panels(fig: Figure, count: int, columns: int) -> list[Axes]:
-    """Return axes in rows, the last of which may be shorter.
-
-    Parameters
-    ----------
-    columns : int
-        Number of axes in a row.
-    """
+    """Return axes in rows, the last of which may be shorter."""
     grid = fig.add_gridspec(-(-count // columns), columns)
     return [fig.add_subplot(grid[divmod(k, columns)]) for k in range(count)]
 
@@ -98,14 +84,7 @@ def charts_per_row(count: int) -> int:
 
 
 def heading(text: str, width: float, size: float = 11.0) -> str:
-    """Break a title into lines that fit a width.
-
-    Parameters
-    ----------
-    width : float [inch]
-    size : float [pt], optional
-        Font size.
-    """
+    """Break a title into lines that fit a width [inch] at a font size [pt]."""
     wide = any(unicodedata.east_asian_width(letter) in "WF" for letter in text)
     return textwrap.fill(text, max(16, int(72.0 * width / ((1.0 if wide else 0.58) * size))))
 
@@ -142,14 +121,7 @@ def save_film(pictures: Sequence[Image.Image], path: Path) -> None:
 
 
 def one_palette(pictures: Sequence[NDArray[np.uint8]], colours: int = 160) -> list[Image.Image]:
-    """Convert frames to a common palette, in which the most frequent colours are exact.
-
-    Parameters
-    ----------
-    pictures : sequence of array of uint8 (height, width, 3)
-    colours : int, optional
-        Size of the palette.
-    """
+    """Convert frames (height, width, 3) to a common palette, in which the most frequent colours are exact."""
     packed = [(p[..., 0].astype(np.int32) << 16) | (p[..., 1].astype(np.int32) << 8) | p[..., 2] for p in pictures]
     colours_used, counts = np.unique(np.concatenate([p.ravel() for p in packed[:: max(1, len(packed) // 6)]]), return_counts=True)
     order = np.argsort(-counts, kind="stable")

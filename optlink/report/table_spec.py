@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal, Self
 
 Role = Literal["", "good", "bad", "quiet", "strong"]
@@ -20,24 +21,10 @@ Row = Sequence[Inline]
 Line = Inline | Row
 
 
-def good(text: str) -> Span:
-    """Return a text that reports a success."""
-    return Span(text, "good")
-
-
-def bad(text: str) -> Span:
-    """Return a text that reports a failure."""
-    return Span(text, "bad")
-
-
-def quiet(text: str) -> Span:
-    """Return a remark."""
-    return Span(text, "quiet")
-
-
-def strong(text: str) -> Span:
-    """Return an emphasised text."""
-    return Span(text, "strong")
+good = partial(Span, role="good")  # a text that reports a success
+bad = partial(Span, role="bad")  # a text that reports a failure
+quiet = partial(Span, role="quiet")  # a remark
+strong = partial(Span, role="strong")  # an emphasised text
 
 
 def verdict(word: str, positive: bool) -> Inline:
@@ -78,24 +65,11 @@ class Column:
 
 @dataclass(frozen=True)
 class TableSpec:
-    """A table.
+    """A table of cells (`rows`) under `columns`, whose names are shown unless all are empty, with lines below it (`notes`).
 
-    Parameters
-    ----------
-    columns : tuple of Column
-        Their names are shown unless all are empty.
-    rows : tuple of tuple of Span
-        One cell per column.
-    notes : tuple of Span
-        Lines below the table.
-    sections : tuple of int
-        Rows that begin a further section.
-    leading : int
-        Columns repeated where a table that is too wide for a terminal is split; 0: the cells are wrapped instead.
-    appendix : bool
-        Whether a page shows the table in its appendix: checks and details of the solver.
-    exact : bool
-        Whether a page shows all digits: of bounds, which must not be rounded up.
+    `sections` are rows that begin a further section. `leading` columns are repeated where a table too wide for a terminal is
+    split; 0: its cells are wrapped instead. A page shows it in its appendix if `appendix` (checks and details of the solver), and
+    with all digits if `exact` (of bounds, which must not be rounded up).
     """
 
     title: str
@@ -137,12 +111,7 @@ class Summary:
 
 
 def summary(title: str, status: Iterable[Line], *parts: Part | None) -> Summary:
-    """Return a summary without the parts that are None.
-
-    Parameters
-    ----------
-    *parts : TableSpec, Paragraph or None
-    """
+    """Return a summary without the parts that are None."""
     return Summary(title, Paragraph(*status), tuple(part for part in parts if part is not None))
 
 
@@ -158,27 +127,10 @@ def table(
     appendix: bool = False,
     exact: bool = False,
 ) -> TableSpec:
-    """Return a table.
+    """Return a table with the attributes of `TableSpec`; with `unbroken`, no right-aligned cell is broken into lines.
 
-    Parameters
-    ----------
-    columns : iterable of str or Column
-        Names; one that begins with ">" is right-aligned, one that begins with "<" is left-aligned, which is the default. A string
-        such as "<><" describes columns without names.
-    rows : iterable of sequence of str or Span
-        One cell per column.
-    notes : iterable of str or Span, optional
-        Lines below the table.
-    sections : sequence of int, optional
-        Rows that begin a further section.
-    leading : int, optional
-        Columns repeated where a table that is too wide for a terminal is split.
-    unbroken : bool, optional
-        Never break a right-aligned cell into lines.
-    appendix : bool, optional
-        Show the table in the appendix of a page.
-    exact : bool, optional
-        Show all digits on a page.
+    The name of a right-aligned column begins with ">", that of a left-aligned one may begin with "<". A string such as "<><"
+    describes columns without names.
     """
     header_cells = tuple(
         column if isinstance(column, Column) else Column(column.lstrip("<>"), column[:1] == ">", unbroken and column[:1] == ">")

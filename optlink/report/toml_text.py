@@ -10,26 +10,15 @@ from optlink.problem.file import WORDS
 
 
 def tables(text: str) -> dict[str, Any]:
-    """Return the nested tables of a problem file in the standard spelling.
-
-    Raises
-    ------
-    ValueError
-        If the text is not valid TOML.
-    """
+    """Return the nested tables of a problem file in the standard spelling; ValueError if the text is not valid TOML."""
     result: dict[str, Any] = with_ranges(with_spellings(tomllib.loads(text)), skip=WORDS)
     return result
 
 
 def rewritten(text: str, old: Mapping[str, Any], new: Mapping[str, Any]) -> str:
-    """Return a text in which the values that differ are replaced, with its comments, its spellings and its layout.
+    """Return a text with changed values of its nested tables, and with its comments, its spellings and its layout.
 
     A section whose layout cannot be kept is written again.
-
-    Parameters
-    ----------
-    old, new : mapping
-        Nested tables of the text, and the target tables, in the standard spelling.
     """
     import tomli_w
     import tomlkit

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from optlink.problem.file import ProblemFile
     from optlink.report.chart_spec import ChartSpec
     from optlink.report.html.shell import StoredStudy
+    from optlink.report.report_model import ReportModel
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,7 @@ class View:
     tables: Callable[[Any], Mapping[str, Mapping[str, Iterable[float | str]]]] = lambda _: {}
     design: Callable[[Any], tuple[ProblemFile, str] | None] = lambda _: None
     frames: Callable[[Any], list[Image.Image]] = lambda _: []
-    page: Callable[[Any], StoredStudy] | None = None
+    page: Callable[[Any], StoredStudy | ReportModel] | None = None
     result: type[Document] | None = None
     no_page: str = ""
 

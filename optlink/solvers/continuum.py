@@ -32,14 +32,9 @@ class Continuum:
 
 
 def continuum(nlp: CycleNLP, solution: Solution, name: str) -> Continuum | None:
-    """Return the continuum of equally good designs through an optimum; None if there is none.
+    """Return the continuum of equally good designs through a refined optimum; None if there is none.
 
-    Parameters
-    ----------
-    solution : Solution
-        The optimum, refined by the exchange method.
-    name : str
-        Back end that searches from the shifted design.
+    `name`: the back end that searches from a shifted design.
     """
     if solution.status is not Status.OPTIMAL:
         return None
@@ -79,7 +74,7 @@ def _shifted(nlp: CycleNLP, solution: Solution, lead: int, name: str) -> Solutio
     at = float(solution.x[lead])
     step = SHIFT * (high - low)
     target = at + step if high - at >= at - low else at - step
-    places = nlp.p[len(nlp.p) - nlp.slots :].copy()
+    places = nlp.exchange_points
     nlp.set_exchange_points(solution.p[len(nlp.p) - nlp.slots :])
     try:
         nlp.limit(lead, target, target)

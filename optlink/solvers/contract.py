@@ -22,17 +22,7 @@ CLOSE = "ipopt, close"  # IPOPT with a small barrier parameter, for a start near
 
 @dataclass(frozen=True)
 class Solver:
-    """A back end.
-
-    Parameters
-    ----------
-    load : function
-        Imports and returns it.
-    compile : function of an NLP, optional
-        Builds what it needs for the NLP.
-    selectable : bool
-        Whether a user can select it.
-    """
+    """A back end: `load` imports and returns it, `compile` builds what it needs for an NLP; `selectable` by a user."""
 
     load: Callable[[], Backend]
     compile: Callable[[NLP], object] | None = None

@@ -35,13 +35,7 @@ NEIGHBOURS, CROSSINGS = 4, 12  # other orders searched from one such design; des
 
 
 def at_edge(solution: Solution) -> bool:
-    """Return whether the order of events, which no limit prescribes, keeps a design from a better one.
-
-    Parameters
-    ----------
-    solution : Solution
-        Of a `CycleNLP`.
-    """
+    """Return whether the order of events, which no limit prescribes, keeps a solution of a `CycleNLP` from a better one."""
     rows = solution.nlp.rows
     prices = np.abs(solution.conditions.multipliers[len(solution.x) :])
     return solution.usable and any(
@@ -51,13 +45,7 @@ def at_edge(solution: Solution) -> bool:
 
 
 def neighbours(nlp: CycleNLP, solution: Solution) -> list[StartGroup]:
-    """Return starting points beside a design, one for each other order of events, the nearest first.
-
-    Parameters
-    ----------
-    solution : Solution
-        One of its solutions.
-    """
+    """Return starting points beside a solution, one for each other order of events, the nearest first."""
     trace, here, designs = nlp.traced, solution.design, []
     for step, (name, way) in itertools.product(STEPS, itertools.product(trace.problem.free, (-1.0, 1.0))):
         low, high = trace.problem.quantities[name].bounds
@@ -100,7 +88,7 @@ class OrderSearch:
 
     def __post_init__(self) -> None:
         self.runs = {name: [] for name in self.names}
-        self._places = self.nlp.p[len(self.nlp.p) - self.nlp.slots :].copy()
+        self._places = self.nlp.exchange_points
         self._refined: dict[str, list[tuple[Array, Solution]]] = {name: [] for name in self.names}
 
     def local(self, k: int) -> list[Solution]:
@@ -112,13 +100,7 @@ class OrderSearch:
         return ends
 
     def advance(self, k: int, ends: Sequence[Solution] | None = None) -> None:
-        """Search from the k-th starting point with every back end.
-
-        Parameters
-        ----------
-        ends : sequence of Solution, optional
-            The local searches from there, if they are done already; see `local`.
-        """
+        """Search from the k-th starting point with every back end; `ends`: the local searches from there if already done."""
         for name, solution in zip(self.names, self.local(k) if ends is None else ends, strict=True):
             self.nlp.set_exchange_points(self._places)
             best = self.best(name)
@@ -178,9 +160,14 @@ class OrderSearch:
         """Return the best design of a back end so far."""
         return min(self.runs[name], key=rank, default=None)
 
+    @property
+    def top(self) -> Solution | None:
+        """The best design of all back ends so far."""
+        return min((best for name in self.names if (best := self.best(name)) is not None), key=rank, default=None)
+
     def rank(self) -> tuple[bool, bool, float]:
         """Return the sort key of the best design of all back ends; infeasible ones last."""
-        return min((rank(best) for name in self.names if (best := self.best(name)) is not None), default=(True, True, math.inf))
+        return (True, True, math.inf) if self.top is None else rank(self.top)
 
     @property
     def usable(self) -> bool:
@@ -247,25 +234,13 @@ def search_all(
 ) -> CycleSearchResult:
     """Search from every starting point with every back end, refine by the exchange method, reconcile the back ends.
 
-    Parameters
-    ----------
-    firsts : sequence of StartGroup
-        With the order of events of the initial design.
-    names : sequence of str
-        Names of back ends.
-    done : function of a number
-        Called after each starting point with the number of complete ones.
-    further : function that returns a sequence of StartGroup
-        Searched as well while no feasible design is found.
-    alike : function of an EventOrder that returns a sequence of StartGroup
-        Searched as well if the best design has that order.
-    runs : function, optional
-        From `optlink.execution.runner.pool`, for the local searches of the first orders. Default: the present process.
+    `firsts` have the order of events of the initial design. `done` receives the number of complete starting points. `further`
+    returns groups that are searched as well while no feasible design is found, `alike` those of the order of events of the best
+    design. `runs`, from `optlink.execution.runner.pool`, makes the local searches of the first orders in other processes.
     """
     backends = tuple(names)
     orders = [OrderSearch(build_programme(trace, begin), begin, backends, explored=True) for begin in firsts]
-    more: list[OrderSearch] | None = None
-    beside: list[OrderSearch] = []
+    begun, more, beside = orders, list[OrderSearch](), list[OrderSearch]()
     count, interrupted = 0, False
     searches = LocalSearches(tuple(orders))
     ahead = None if runs is None else ordered(searches, len(searches.turns()), runs)
@@ -273,22 +248,23 @@ def search_all(
         for k in range(max(len(begin.starts) for begin in firsts)):
             _round(orders, k, ahead)
             if not any(order.usable for order in orders):
-                if more is None:
+                if begun is orders:
                     more = [
                         OrderSearch(build_programme(trace, begin), begin, backends, False, explored=True) for begin in further()
                     ]
+                    begun = [*orders, *more]
                 _round(more, k)
-            _cross([*orders, *(more or ())], beside, backends)
-            _return([*orders, *(more or ())], beside, backends)
-            _explore([*orders, *(more or ())], beside, backends, alike)
+            _cross(begun, beside)
+            _return(begun, beside)
+            _explore(begun, beside, alike)
             count = k + 1
             done(count)
     except KeyboardInterrupt:
         interrupts.handled()
-        if not any(order.usable for order in (*orders, *(more or ()))):
+        if not any(order.usable for order in begun):
             raise
         interrupted = True
-    every = [order for order in (*orders, *(more or ()), *beside) if all(order.runs.values())]
+    every = [order for order in (*begun, *beside) if all(order.runs.values())]
     winner = min(every, key=OrderSearch.rank)
     best_by_backend = {name: best for name in backends if (best := winner.best(name)) is not None}
     if winner.usable:
@@ -303,32 +279,29 @@ def _round(orders: Sequence[OrderSearch], k: int, ahead: Iterator[list[dict[str,
             order.advance(k, None if ahead is None else [Solution(source=order.nlp, **parts) for parts in next(ahead)])
 
 
-def _cross(orders: Sequence[OrderSearch], beside: list[OrderSearch], names: tuple[str, ...]) -> None:
-    """Search the orders of events beside the best design while its own order keeps it from a better one.
+def _search_beside(
+    beside: list[OrderSearch], trace: TracedCycle, begin: StartGroup, names: tuple[str, ...], *, explored: bool = False
+) -> None:
+    """Search another order of events from all of its starting points, and add it to `beside`."""
+    beside.append(OrderSearch(build_programme(trace, begin), begin, names, insists=False, explored=explored))
+    for k in range(len(begin.starts)):
+        beside[-1].advance(k)
 
-    Parameters
-    ----------
-    beside : list of OrderSearch
-        Searches of other orders so far; those of this call are added.
-    names : tuple of str
-        Names of back ends.
-    """
+
+def _cross(orders: Sequence[OrderSearch], beside: list[OrderSearch]) -> None:
+    """Search the orders beside the best design while its own order keeps it from a better one, and add them to `beside`."""
     while len(beside) < CROSSINGS * NEIGHBOURS:
         winner = min((*orders, *beside), key=OrderSearch.rank)
-        best = min((solution for name in names if (solution := winner.best(name)) is not None), key=rank, default=None)
+        best = winner.top
         if best is None or best in winner.left or not at_edge(best):
             return
         winner.left.append(best)
         for begin in neighbours(winner.nlp, best):
-            beside.append(OrderSearch(build_programme(winner.nlp.traced, begin), begin, names, insists=False))
-            beside[-1].advance(0)
+            _search_beside(beside, winner.nlp.traced, begin, winner.names)
 
 
 def _explore(
-    orders: Sequence[OrderSearch],
-    beside: list[OrderSearch],
-    names: tuple[str, ...],
-    alike: Callable[[EventOrder], Sequence[StartGroup]],
+    orders: Sequence[OrderSearch], beside: list[OrderSearch], alike: Callable[[EventOrder], Sequence[StartGroup]]
 ) -> None:
     """Search the order of events of the best design from its own starting points, for all slow strokes, unless that was done."""
     winner = min((*orders, *beside), key=OrderSearch.rank)
@@ -337,21 +310,11 @@ def _explore(
         return
     winner.explored = True
     for begin in alike(structure):
-        beside.append(OrderSearch(build_programme(winner.nlp.traced, begin), begin, names, insists=False, explored=True))
-        for k in range(len(begin.starts)):
-            beside[-1].advance(k)
+        _search_beside(beside, winner.nlp.traced, begin, winner.names, explored=True)
 
 
-def _return(orders: Sequence[OrderSearch], beside: list[OrderSearch], names: tuple[str, ...]) -> None:
-    """Continue searches that ended at a design with other reversals or loads than the programme has, with those of that design.
-
-    Parameters
-    ----------
-    beside : list of OrderSearch
-        Searches beside these so far; those of this call are added.
-    names : tuple of str
-        Names of back ends.
-    """
+def _return(orders: Sequence[OrderSearch], beside: list[OrderSearch]) -> None:
+    """Continue searches that ended at a design with other reversals or loads than their programme, with those of that design."""
     while len(beside) < CROSSINGS * NEIGHBOURS:
         order = next((order for order in (*orders, *beside) if order.strayed), None)
         if order is None:
@@ -361,5 +324,4 @@ def _return(orders: Sequence[OrderSearch], beside: list[OrderSearch], names: tup
         structure = traced.structure(design)
         if structure is not None:
             begin = StartGroup(replace(structure, slow=order.nlp.structure.slow), (design,))
-            beside.append(OrderSearch(build_programme(traced, begin), begin, names, insists=False))
-            beside[-1].advance(0)
+            _search_beside(beside, traced, begin, order.names)

@@ -34,6 +34,7 @@ class StartSequence:
     def __init__(self, trace: TracedCycle, seed: int) -> None:
         self.trace, self._known = trace, list[Sample]()
         self.fault: tuple[str, Term, int] | None = None
+        self.choices = list(itertools.product((True, False), repeat=len(trace.paced)))  # of the slow strokes
         task = trace.problem
         initial = {name: task.quantities[name].value for name in task.free}
         low, high = np.array([task.quantities[name].bounds for name in task.free]).T
@@ -58,19 +59,9 @@ class StartSequence:
 def start_groups(samples: StartSequence, count: int, order: EventOrder | None = None) -> list[StartGroup]:
     """Return up to `count` starting points per choice of slow strokes that share one order of events.
 
-    Parameters
-    ----------
-    count : int
-        Greatest number of starting points of each group.
-    order : EventOrder, optional
-        Default: that of the first suitable starting point.
-
-    Returns
-    -------
-    list of StartGroup, that of the first starting point first; empty if none is suitable
+    That order is the one of the first suitable starting point unless given; the group of this point comes first.
     """
     groups: dict[tuple[bool, ...], StartGroup] = {}
-    choices = list(itertools.product((True, False), repeat=len(samples.trace.paced)))
     for k, sample in enumerate(samples.first(SAMPLES * count)):
         if order is not None and not sample.may_be_like(order):
             continue
@@ -79,8 +70,8 @@ def start_groups(samples: StartSequence, count: int, order: EventOrder | None = 
             continue
         order = structure if order is None else order
         if structure.like(order):
-            _sort_in(groups, choices, sample.values, structure)
-        if (k >= SAMPLES or len(choices) == 1) and any(len(group.starts) >= count for group in groups.values()):
+            _sort_in(groups, samples.choices, sample.values, structure)
+        if (k >= SAMPLES or len(samples.choices) == 1) and any(len(group.starts) >= count for group in groups.values()):
             break
     return [StartGroup(group.structure, group.starts[:count]) for group in groups.values()]
 
@@ -101,16 +92,10 @@ def _sort_in(
 def further_start_groups(samples: StartSequence, existing: Sequence[StartGroup], count: int) -> list[StartGroup]:
     """Return further groups for a search without a feasible design: missing slow strokes, the next most frequent orders.
 
-    Parameters
-    ----------
-    existing : sequence of StartGroup
-        Those searched already; the first one defines the order of events.
-    count : int
-        Greatest number of starting points of each group.
+    The first of the `existing` groups defines the order of events; a group has up to `count` starting points.
     """
-    trace, first = samples.trace, existing[0]
-    choices = list(itertools.product((True, False), repeat=len(trace.paced)))
-    missing = [slow for slow in choices if slow not in [group.structure.slow for group in existing]]
+    first = existing[0]
+    missing = [slow for slow in samples.choices if slow not in [group.structure.slow for group in existing]]
     result = [StartGroup(replace(first.structure, slow=slow), first.starts) for slow in missing]
     groups: dict[tuple[object, ...], dict[tuple[bool, ...], StartGroup]] = {}
     frequent: Counter[tuple[object, ...]] = Counter()
@@ -119,7 +104,7 @@ def further_start_groups(samples: StartSequence, existing: Sequence[StartGroup],
         if structure is not None and not structure.like(first.structure) and samples.fits(structure):
             key = (structure.which, structure.rising)
             frequent[key] += k <= SAMPLES * STARTS
-            _sort_in(groups.setdefault(key, {}), choices, sample.values, structure)
+            _sort_in(groups.setdefault(key, {}), samples.choices, sample.values, structure)
     for order, _ in frequent.most_common(ORDERS):
         result += [StartGroup(group.structure, group.starts[:count]) for group in groups[order].values()]
     return result

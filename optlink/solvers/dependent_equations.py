@@ -39,15 +39,7 @@ def independent(solver: Backend) -> Backend:
 
 
 def dependent_equations(nlp: NLP, x: Array, p: Array) -> NDArray[np.intp]:
-    """Return the rows of equations that hold at a point and whose gradients there depend on those of earlier ones.
-
-    Parameters
-    ----------
-    x : array (n,)
-        Scaled point.
-    p : array (parameters,)
-        Parameters of the NLP.
-    """
+    """Return the rows of equations that hold at a point and whose gradients there depend on those of earlier ones."""
     equations = np.flatnonzero(nlp.low == nlp.high)
     if not equations.size:
         return equations

@@ -42,17 +42,7 @@ class LimitSide:
         return min(max(moved, 0.0), 180.0) if self.scale.cosine else moved
 
     def relaxation(self, slack: float, approximate: bool = False, both_sides: bool = False) -> Relaxation:
-        """Return the relaxed side in display units.
-
-        Parameters
-        ----------
-        slack : float
-            In the units of the rows; infinite if relaxing the limit does not suffice.
-        approximate : bool
-            Whether the limit may be exceeded between the positions of the NLP.
-        both_sides : bool
-            Whether the other side is relaxed as well.
-        """
+        """Return the side relaxed by a slack, infinite if no slack suffices, in display units; for the flags see `Relaxation`."""
         bound = self.scale.to_display(self.bound)
         relaxed = self.scale.to_display(self.bound + (slack if self.upper else -slack)) if math.isfinite(slack) else math.nan
         amount = abs(relaxed - bound)
@@ -72,26 +62,13 @@ class Limit:
         return np.asarray(np.clip(shares, 0.1, 10.0))  # a root has no slope at zero
 
     def relaxations(self, slacks: Array, nlp: NLP, x: Array, p: Array, approximate: bool) -> list[Relaxation]:
-        """Return the relaxation of each side that a design needs.
-
-        Parameters
-        ----------
-        slacks : array
-            That of each side; infinite if relaxing the limit does not suffice.
-        x : array (n,)
-            The design that needs the slack.
-        p : array (parameters,)
-            Parameters of the NLP.
-        approximate : bool
-            Whether the limit may be exceeded between the positions of the NLP.
-        """
+        """Return the relaxation of each side that a design x needs, from the slack of each; infinite slacks do not suffice."""
         slacks_by_side = list(zip(self.sides, slacks.tolist(), strict=True))
         if len(slacks_by_side) > 1 and np.all(np.isfinite(slacks)):
             g = nlp.values(x, p)[1]
             over = [max((g[j] - side.bound) * (1.0 if side.upper else -1.0) for j in side.rows) for side in self.sides]
-            slacks_by_side = [
-                pair for pair, excess in zip(slacks_by_side, over, strict=True) if excess > FEASIBLE_SLACK
-            ] or slacks_by_side
+            needed = [pair for pair, excess in zip(slacks_by_side, over, strict=True) if excess > FEASIBLE_SLACK]
+            slacks_by_side = needed or slacks_by_side
         return [side.relaxation(slack, approximate, len(slacks_by_side) > 1) for side, slack in slacks_by_side]
 
 
@@ -137,12 +114,8 @@ def limits_of(sides: Sequence[LimitSide]) -> list[Limit]:
         if i in paired:
             continue
         values = {row for k in same_key for row in sides[k].rows}
-        if (
-            side.rows
-            and not side.equation
-            and len(values) > 1
-            and [sides[k].upper for k in same_key] in ([False, True], [True, False])
-        ):
+        two_sided = sorted(sides[k].upper for k in same_key) == [False, True]
+        if side.rows and not side.equation and len(values) > 1 and two_sided:
             paired.update(same_key)
             # in display units the lower side comes first
             result.append(Limit(tuple(sorted((sides[k] for k in same_key), key=lambda one: one.upper != one.scale.cosine))))
@@ -152,14 +125,9 @@ def limits_of(sides: Sequence[LimitSide]) -> list[Limit]:
 
 
 def elastic_programme(nlp: NLP, limits: Sequence[Limit]) -> NLP:
-    """Return the elastic programme: minimise weights . s over x and slacks s >= 0, each limit relaxed by its s.
+    """Return the elastic programme: minimise weights . s over x and slacks s >= 0, each of the k limits relaxed by its s.
 
     Its parameters are the weights (k,) and the shares of every side in the slack of its limit, followed by those of the NLP.
-
-    Parameters
-    ----------
-    limits : sequence of Limit
-        The k limits to relax.
     """
     sides = [(i, side) for i, limit in enumerate(limits) for side in limit.sides]
     shares = casadi.SX.sym("shares", len(sides))

@@ -16,21 +16,7 @@ LONGEST_STEP = 0.5
 
 
 def repair(nlp: NLP, x: Array, p: Array, inside: float = INSIDE) -> Array | None:
-    """Move x until every limit is satisfied and the objective is finite.
-
-    Parameters
-    ----------
-    x : array (n,)
-        Starting point, scaled.
-    p : array (parameters,)
-        Parameters of the NLP.
-    inside : float
-        Distance inside the limits to aim for, scaled.
-
-    Returns
-    -------
-    A nearby feasible x (x itself if it is feasible); None if the violation does not vanish
-    """
+    """Return a feasible x with a finite objective near a start, `inside` the limits if it moved; None if a violation remains."""
     low, high = nlp.low, nlp.high
     inset = np.minimum(inside, 0.25 * (high - low))
     low_inside, high_inside = low + inset, high - inset

@@ -14,7 +14,6 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
-import casadi
 import numpy as np
 
 from optlink.errors import Status
@@ -40,15 +39,7 @@ SHARP = (1e-4, 1e-7, 1e-9)  # scaled units: active-set distances of Newton's met
 
 
 def error_at(problem: DesignProblem, design: Mapping[str, float], offsets: Array) -> Array:
-    """Return prescribed minus generated rocker angle [rad], in (-pi, pi].
-
-    Parameters
-    ----------
-    design : mapping of str to float [m, rad]
-        Quantities by name, including `phi0` and `psi0`.
-    offsets : array (n,) [rad]
-        Crank rotations from the start.
-    """
+    """Return prescribed minus generated rocker angle [rad], in (-pi, pi], at crank rotations (n,) [rad] from the start."""
     target = problem.law.curve(offsets, design["phi0"], design["psi0"])
     motion = sweep(problem.linkage, problem.sizes(design), design["phi0"] + offsets)
     angle = np.asarray(motion.body_angle("rocker").value, dtype=float)
@@ -132,14 +123,13 @@ class _Exchange:
         start = self.placed(solution, chosen)
         moving = self._with_moving_peaks(tuple(peak.sign for peak in chosen))
         moving.p[:] = nlp.p
-        x = np.concatenate([start.x, [peak.at for peak in chosen]])
+        x = np.append(start.x, [peak.at for peak in chosen])
         p, reach = multistart.scaled_parameters(moving, x), REACH * abs(self.problem.span)
         low, high = x - radius, x + radius
         low[n:], high[n:] = np.maximum(x[n:] - reach, self.grid[0]), np.minimum(x[n:] + reach, self.grid[-1])
         low[:n], high[:n] = np.maximum(low[:n], nlp.x_low), np.minimum(high[:n], nlp.x_high)
         low[n - 1], high[n - 1] = 0.0, math.inf  # the largest error
-        for i, (least, most) in enumerate(zip(low, high, strict=True)):
-            moving.limit(i, least, most)
+        moving.set_bounds(low, high)
         begin = Attempt(x, 0, "peaks followed")
         tries = (polish(moving, begin, p, near) for near in SHARP)
         newton = next((end for end in tries if not np.array_equal(end.x, x)), begin)
@@ -159,19 +149,14 @@ class _Exchange:
         nlp, (first, each) = self.nlp, self.nlp.exchange_rows
         key = f"following peaks {signs}"
         if key not in nlp.cache:
-            from optlink.solvers.semi_infinite import with_places
+            from optlink.solvers.semi_infinite import with_moving_rows
 
-            assert nlp.mapped is not None
             limits = [j for j in range(first) if nlp.rows[j].limit != EPIGRAPH]
             fixed = [j for j in range(first) if nlp.rows[j].limit == EPIGRAPH]
             moved = range(first, first + each * len(signs))
             keep = [*limits, *fixed[:each], *fixed[-each:], *moved]
             slots = [first + each * k + (0 if sign > 0 else each - 1) for k, sign in enumerate(signs)]
-            reduced = replace(nlp, rows=tuple(nlp.rows[j] for j in keep), g_expression=nlp.g_expression[keep], cache={})
-            heights = dict(enumerate(casadi.vertsplit(nlp.g_expression[slots])))
-            places = casadi.vertsplit(nlp.p_symbol)[len(nlp.p) - nlp.exchange_count :]
-            terms = nlp.mapped.of_rows(keep).with_slopes(casadi.vertsplit(nlp.mapped.g[slots]), places[: len(signs)])
-            nlp.cache[key] = with_places(reduced, nlp.exchange_count, heights, terms)
+            nlp.cache[key] = with_moving_rows(nlp, keep, slots)
         moving: NLP = nlp.cache[key]
         return moving
 
@@ -179,14 +164,8 @@ class _Exchange:
 def add_peak_errors(problem: DesignProblem, nlp: NLP, solution: Solution, backend: str) -> Solution:
     """Level the largest errors between the design positions, until none exceeds those at the positions of the NLP.
 
-    A design whose peaks do not become level is returned as stalled, with its largest error over the range as objective.
-
-    Parameters
-    ----------
-    solution : Solution
-        Optimum at the design positions.
-    backend : str
-        Back end used if the minimax method does not end at an optimum.
+    `backend` is used where the minimax method does not end at an optimum. A design whose peaks do not become level is returned as
+    stalled, with its largest error over the range as objective.
     """
     if not solution.usable:
         return solution
@@ -203,10 +182,9 @@ def add_peak_errors(problem: DesignProblem, nlp: NLP, solution: Solution, backen
             slow = not there or _excess(moved, there) > PROGRESS * excess
             if there:
                 solution, peaks = moved, there
-                best = min(best, (moved, there), key=_largest)
+                best = min(best, (moved, there), key=lambda design: design[1][0].height)
             continue
         solution, peaks = exchange.placed(*best), best[1]
-        accepted = False
         for moved in exchange.followed(solution, peaks, radius):
             if not moved.usable:
                 continue
@@ -216,31 +194,20 @@ def add_peak_errors(problem: DesignProblem, nlp: NLP, solution: Solution, backen
             if there[0].height < peaks[0].height or (levelled and there[0].height <= peaks[0].height * (1.0 + LEVELLED)):
                 length = float(np.max(np.abs(moved.x - solution.x)[:-1], initial=0.0))
                 radius = min(GROWTH * radius, LARGEST) if length > ALL_BUT * radius else radius
-                solution, peaks, accepted = moved, there, True
-                best = solution, peaks
+                solution, peaks = best = moved, there
                 break
-        radius = radius if accepted else 0.25 * radius
+        else:
+            radius *= 0.25
     if solution.status is Status.OPTIMAL and _excess(solution, peaks) <= 0.0:
         return solution
     return replace(exchange.placed(*best), status=Status.STALLED, message="the largest errors did not become level")
 
 
 def place_at_peaks(problem: DesignProblem, nlp: NLP, x: Array) -> None:
-    """Move the exchange points, if there are any, to the peaks of the error of a design.
-
-    Parameters
-    ----------
-    x : array (n,)
-        Scaled point.
-    """
+    """Move the exchange points, if there are any, to the peaks of the error of a design."""
     if nlp.exchange_count:
         exchange, solution = _Exchange(problem, nlp, ""), multistart.solution_at(nlp, x, "")
         exchange.placed(solution, exchange.peaks(solution))
-
-
-def _largest(design: tuple[Solution, list[ErrorPeak]]) -> float:
-    """Return the largest error of a design over the range."""
-    return design[1][0].height
 
 
 def _excess(solution: Solution, peaks: list[ErrorPeak]) -> float:

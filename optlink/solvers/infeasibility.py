@@ -28,8 +28,8 @@ STARTS, LOOKED_AT = 6, 256  # starting points used, of those sampled: the first 
 FIRST_ORDER, EVEN, ROUNDS = 1e-4, 1e-4, 4
 """Amount [display unit] by which both sides of a range are relaxed first; relative difference of their amounts at which the
 corrections of their shares end; largest number of corrections."""
-ENOUGH = 3  # number of searches that end at the same least slack before it is accepted
-AGREEING = 2  # the same for the relaxation of one limit of a large NLP
+AGREEING = 3  # number of searches that end at the same least slack before it is accepted
+FEW_AGREEING = 2  # the same for the relaxation of one limit of a large NLP
 EQUAL_SLACKS = 1e-4  # relative difference of slacks that count as equal
 EXCHANGES, FOLLOWED = 5, 1e-4  # rounds of the exchange method, and the violation (scaled) at the peaks that ends them
 
@@ -54,6 +54,9 @@ class _Search:
 
     Both back ends are used, so that the result does not depend on the back end selected. `follow` returns the parameters of the
     NLP with its exchange points at the peaks of a point.
+
+    `agreeing`: number of searches that must end at the same least slack. `exact_amount`: whether a positive slack must be the
+    least one with the limits met at the peaks too. `feasible_slack`: total slack of a set of limits that counts as feasible.
     """
 
     def __init__(
@@ -64,30 +67,34 @@ class _Search:
         names: Sequence[str] = BACKENDS,
         follow: Follow | None = None,
     ) -> None:
-        self.follow, self.p = follow, nlp.p.copy()
+        self.nlp, self.follow, self.p = nlp, follow, nlp.p.copy()
         self.programme, self.n, self.k = elastic_programme(nlp, limits), len(nlp.variables), len(limits)
         self.limits, self.points = limits, points
         self.shares = [limit.shares(FIRST_ORDER) for limit in limits]
         self.last: list[Array] = []  # end of the previous search
         self.solvers = [backend(name) for name in reversed(names)]
-        self.enough, self.amount, self.exchange_converged = ENOUGH, False, True
-        self.tight, self.feasible, self.allowed = False, FEASIBLE_SLACK, FEASIBLE_SLACK
+        self.agreeing, self.exact_amount, self.exchange_converged = AGREEING, False, True
+        self.tight, self.feasible_slack, self.permitted_violation = False, FEASIBLE_SLACK, FEASIBLE_SLACK
 
-    def tighten(self, feasible: float) -> None:
-        """Search with the tightest tolerances, for limits that are missed by little: by more than `feasible`, the total slack."""
-        self.tight, self.feasible, self.allowed = True, feasible, 0.1 * feasible
+    def tighten(self, feasible_slack: float) -> None:
+        """Search with the tightest tolerances, for limits that are missed by little."""
+        self.tight, self.feasible_slack, self.permitted_violation = True, feasible_slack, 0.1 * feasible_slack
 
-    def least(self, weights: Array, most_slack: Array) -> tuple[float, Array]:
-        """Return the least weighted slack, and x with the slacks; `most_slack` (k,) are the upper bounds of the slacks.
+    def within_bounds(self, x: Array) -> Array:
+        """Return the design (n,) of an end of a search, within its bounds."""
+        return np.clip(x[: self.n], self.nlp.x_low, self.nlp.x_high)
+
+    def least(self, weights: Array, most_slack: Array | float = FREE) -> tuple[float, Array]:
+        """Return the least slack with weights (k,), and x with the slacks, of which `most_slack` (k,) are the upper bounds.
 
         The exchange points are moved to the peaks of the solution until all limits hold there too (exchange method): always if
-        the solution needs no slack, else if the `amount` is required. `exchange_converged` says whether the exchange converged.
+        the solution needs no slack, else if `exact_amount`. `exchange_converged` says whether the exchange converged.
         """
         self.programme.x_high[self.n :] = most_slack  # in place: the compiled functions of the NLP are kept
-        total, x = self._searched(weights, most_slack, self.enough)
+        total, x = self._searched(weights, most_slack, self.agreeing)
         self.exchange_converged = self.follow is None
         for _ in range(EXCHANGES):
-            if self.follow is None or not math.isfinite(total) or (total > self.feasible and not self.amount):
+            if self.follow is None or not math.isfinite(total) or (total > self.feasible_slack and not self.exact_amount):
                 break
             self.p = self.follow(x[: self.n]).copy()
             self.exchange_converged = self._violation(x, weights) <= FOLLOWED
@@ -107,8 +114,8 @@ class _Search:
             slack, x = self.least(weights, FREE * weights)
             return np.array([slack]), x
         ends = []
-        for unit_weights in np.eye(count):
-            self.shares[i] = unit_weights
+        for shares in np.eye(count):
+            self.shares[i] = shares
             ends.append(self.least(weights, FREE * weights))
         amounts = [side.relaxation(slack).amount for side, (slack, _) in zip(limit.sides, ends, strict=True)]
         best = int(np.argmin(np.nan_to_num(amounts, nan=np.inf)))
@@ -119,9 +126,7 @@ class _Search:
             self.shares[i] = limit.shares(amount)
             slack, x = self.least(weights, FREE * weights)
             slacks = slack * self.shares[i]
-            amounts = [
-                side.relaxation(unit_weights).amount for side, unit_weights in zip(limit.sides, slacks.tolist(), strict=True)
-            ]
+            amounts = [side.relaxation(each).amount for side, each in zip(limit.sides, slacks.tolist(), strict=True)]
             if not np.all(np.isfinite(amounts)) or np.ptp(amounts) <= EVEN * max(amounts):
                 break
             amount = float(np.mean(amounts))
@@ -136,8 +141,8 @@ class _Search:
         g = nlp.at(x, self._parameters(weights)).g
         return float(np.max([nlp.low - g, g - nlp.high, 0.0 * g])) if np.all(np.isfinite(g)) else math.inf
 
-    def _searched(self, weights: Array, most_slack: Array, enough: int) -> tuple[float, Array]:
-        """Return the least weighted slack for fixed exchange points; the search ends when `enough` runs agree."""
+    def _searched(self, weights: Array, most_slack: Array | float, agreeing: int) -> tuple[float, Array]:
+        """Return the least weighted slack for fixed exchange points; the search ends when `agreeing` runs have the same end."""
         nlp, p = self.programme, self._parameters(weights)
         best, best_x = math.inf, np.full(self.n + self.k, math.inf)
         ends: list[float] = []
@@ -148,18 +153,18 @@ class _Search:
             x = self._slackened(point, weights, most_slack)
             for run in (None, solver):  # the point itself may be feasible
                 end = x if run is None else run(nlp, x, p, tight=self.tight).x
-                total = float(weights @ end[self.n :]) if self._violation(end, weights) <= self.allowed else math.inf
+                total = float(weights @ end[self.n :]) if self._violation(end, weights) <= self.permitted_violation else math.inf
                 if total < best:
                     best, best_x, self.last = total, end, [end[: self.n]]
-                if best <= min(1e-9, self.feasible):
+                if best <= min(1e-9, self.feasible_slack):
                     return best, best_x
             ends.append(total)
-            repeated = sum(total <= best * (1.0 + EQUAL_SLACKS) for total in ends) >= enough
+            repeated = sum(total <= best * (1.0 + EQUAL_SLACKS) for total in ends) >= agreeing
             if repeated if math.isfinite(best) else len(ends) >= most:
                 break
         return best, best_x
 
-    def _slackened(self, point: Array, weights: Array, most_slack: Array) -> Array:
+    def _slackened(self, point: Array, weights: Array, most_slack: Array | float) -> Array:
         """Return a point with the slacks that it needs, up to their bounds."""
         nlp = self.programme
         x = np.concatenate([point, np.zeros(self.k)])
@@ -182,46 +187,38 @@ def explain(
 ) -> Explanation | Array:
     """Identify the conflicting limits of an infeasible NLP; return the x of a feasible design if one is found.
 
-    The analysis uses local searches from several starting points (`points`, or the start and Sobol points) by both back ends. It
-    proves infeasibility only in the sense that none of them found a feasible design.
+    Local searches by both back ends start at `points`, or at the start and Sobol points. They prove infeasibility only in the
+    sense that none of them found a feasible design.
 
-    Parameters
-    ----------
-    seed : int
-        Seed of the Sobol points.
-    points : list of arrays (n,), optional
-        Starting points.
-    quick : bool
-        For large NLPs: use the interior-point method alone, and after the first verdict one search per question, two per amount.
-    follow : function, optional
-        Function of a point x (n,) that returns the parameters of the NLP with its exchange points at the peaks there.
-    exactly : bool
-        Whether limits that are missed by no more than the tolerance of a feasible design count as missed.
+    `quick`, for large NLPs: the interior-point method alone, and after the first verdict one search per question, two per amount.
+    `follow` returns the parameters of the NLP with its exchange points at the peaks of a point. `exactly`: limits that are missed
+    by no more than the tolerance of a feasible design count as missed.
     """
     limits = limits_of(limit_sides(nlp))
-    k = len(limits)
+    every = np.ones(len(limits))
     search = _Search(nlp, limits, _begin(nlp, seed) if points is None else points, ("ipopt",) if quick else BACKENDS, follow)
-    free = np.full(k, FREE)
-    search.enough = AGREEING if quick else ENOUGH
+    search.agreeing = FEW_AGREEING if quick else AGREEING
     if exactly:
         search.tighten(EXACTLY_MET)
-    total, x = search.least(np.ones(k), free)
-    if total <= search.feasible and not exactly and not _feasible(nlp, x[: search.n], search.p):
-        search.tighten(0.5 * FEASIBLE)
-        total, x = search.least(np.ones(k), free)
-    search.enough = 1 if quick else ENOUGH
-    if total <= search.feasible:
-        return np.clip(x[: search.n], nlp.x_low, nlp.x_high)
+    total, x = search.least(every)
+    if total <= search.feasible_slack and not exactly:
+        inside = search.within_bounds(x)
+        if violation(nlp, inside, nlp.values(inside, search.p)[1]) > FEASIBLE:  # a solution is as accurate as that
+            search.tighten(0.5 * FEASIBLE)
+            total, x = search.least(every)
+    search.agreeing = 1 if quick else AGREEING
+    if total <= search.feasible_slack:
+        return search.within_bounds(x)
     if not math.isfinite(total):
         return Explanation(search.points[0], (), ())
     search.points, slacks = [x[: search.n], *search.points], x[search.n :]
     together: list[Relaxation] = []
     for limit, slack in zip(limits, slacks, strict=True):
-        if slack > search.feasible:
+        if slack > search.feasible_slack:
             together += limit.relaxations(slack * limit.shares(FIRST_ORDER), nlp, x[: search.n], search.p, follow is not None)
     conflict: list[Relaxation] = []
-    conflicting = _irreducible(search, free, slacks > search.feasible)
-    search.enough, search.amount = AGREEING if quick else ENOUGH, True
+    conflicting = _irreducible(search, slacks > search.feasible_slack)
+    search.agreeing, search.exact_amount = FEW_AGREEING if quick else AGREEING, True
     for i in conflicting:
         least, end = search.alone(i)
         conflict += limits[i].relaxations(least, nlp, end[: search.n], search.p, not search.exchange_converged)
@@ -229,37 +226,23 @@ def explain(
 
 
 def feasible_point(nlp: NLP, seed: int = 0, *, exactly: bool = False) -> Array | None:
-    """Return the x (n,) of a design that meets all limits, found by local searches from the start and Sobol points; else None.
+    """Return the x of a design that meets all limits, by local searches from the start and Sobol points; None if none is found.
 
-    Parameters
-    ----------
-    seed : int
-        Seed of the Sobol points.
-    exactly : bool
-        As in `explain`.
+    `exactly`: as in `explain`.
     """
     limits = limits_of(limit_sides(nlp))
     search = _Search(nlp, limits, _begin(nlp, seed), ("ipopt",))
     if exactly:
         search.tighten(EXACTLY_MET)
-    search.enough = AGREEING
-    total, x = search.least(np.ones(len(limits)), np.full(len(limits), FREE))
-    return np.clip(x[: search.n], nlp.x_low, nlp.x_high) if total <= search.feasible else None
+    search.agreeing = FEW_AGREEING
+    total, x = search.least(np.ones(len(limits)))
+    return search.within_bounds(x) if total <= search.feasible_slack else None
 
 
 def tightest(nlp: NLP, key: str, sense: str, point: Array) -> float:
-    """Return the tightest value [display unit] of a limit that a design meets with all other limits; NaN if none is found.
+    """Return the tightest value [display unit] of the limit with a key and sense that a design meets with all other limits.
 
-    Parameters
-    ----------
-    nlp : NLP
-        Infeasible by this limit.
-    key : str
-        Key of the limit.
-    sense : "<=" or ">="
-        Side of the limit.
-    point : array (n,)
-        A design that meets all other limits.
+    NaN if none is found. The NLP is infeasible by this limit; `point` is a design that meets all others.
     """
     sides = limit_sides(nlp)
     matching = [side for side in sides if (side.key, side.sense) == (key, sense)]
@@ -269,16 +252,10 @@ def tightest(nlp: NLP, key: str, sense: str, point: Array) -> float:
         for side in (replace(matching[0], rows=rows, variables=variables), *(s for s in sides if s not in matching))
     ]
     search = _Search(nlp, limits, [point, *_begin(nlp, 0)])
-    _, x = search.least(np.ones(len(limits)), np.full(len(limits), FREE))
+    _, x = search.least(np.ones(len(limits)))
     search.points += [x[: search.n]] if np.all(np.isfinite(x)) else []
-    search.enough = len(search.points) * len(search.solvers)  # from each by every back end: these ends can be local ones
+    search.agreeing = len(search.points) * len(search.solvers)  # from each by every back end: these ends can be local ones
     return limits[0].sides[0].relaxation(float(search.alone(0)[0][0])).relaxed
-
-
-def _feasible(nlp: NLP, x: Array, p: Array) -> bool:
-    """Return whether a point meets all limits as accurately as a solution must."""
-    inside = np.clip(x, nlp.x_low, nlp.x_high)
-    return violation(nlp, inside, nlp.values(inside, p)[1]) <= FEASIBLE
 
 
 def _begin(nlp: NLP, seed: int) -> list[Array]:
@@ -286,27 +263,30 @@ def _begin(nlp: NLP, seed: int) -> list[Array]:
     return sorted(points, key=lambda point: not np.all(np.isfinite(nlp.values(point, nlp.p)[1])))[:STARTS]
 
 
-def _irreducible(search: _Search, free: Array, giving: NDArray[np.bool_]) -> list[int]:
+def _irreducible(search: _Search, giving: NDArray[np.bool_]) -> list[int]:
     """Return indices of an irreducible infeasible set of limits; `giving` (k,): limits with positive slack at first."""
-    k = len(free)
+
+    def infeasible(limits: Array) -> bool:
+        return search.feasible_slack < search.least(limits)[0] < math.inf
+
     for i in np.argsort(~giving, kind="stable").tolist():  # a limit that is infeasible on its own is the simplest conflict
-        if search.feasible < search.least(np.eye(k)[i], free)[0] < math.inf:
+        if infeasible(np.eye(search.k)[i]):
             return [i]
-    conflict = _conflicting(search, free, giving)
-    for i in map(int, np.flatnonzero(conflict)):
+    conflict = _conflicting(search, giving)
+    for i in np.flatnonzero(conflict).tolist():
         conflict[i] = 0.0
-        if not search.feasible < search.least(conflict, free)[0] < math.inf:
+        if not infeasible(conflict):
             conflict[i] = 1.0
     return [int(i) for i in np.flatnonzero(conflict)]
 
 
-def _conflicting(search: _Search, free: Array, giving: NDArray[np.bool_]) -> Array:
+def _conflicting(search: _Search, giving: NDArray[np.bool_]) -> Array:
     """Return 1 for limits of an infeasible set, 0 for the others (elastic filter); 1 for all if a search fails."""
     conflicting = np.where(giving, 1.0, 0.0)
-    while search.least(conflicting, free)[0] <= search.feasible:
-        _, x = search.least(1.0 - conflicting, np.where(conflicting > 0.0, 0.0, free))
-        giving = (x[search.n :] > search.feasible) & (conflicting == 0.0)
+    while search.least(conflicting)[0] <= search.feasible_slack:
+        _, x = search.least(1.0 - conflicting, np.where(conflicting > 0.0, 0.0, FREE))
+        giving = (x[search.n :] > search.feasible_slack) & (conflicting == 0.0)
         if not np.all(np.isfinite(x)) or not np.any(giving):
-            return np.ones(len(free))
+            return np.ones(search.k)
         conflicting[giving] = 1.0
     return conflicting

@@ -70,49 +70,25 @@ class _Recorder(casadi.Callback):
         return [0]
 
 
-def _solver(nlp: NLP, extra: dict[str, Any]) -> Any:
+def _solver(nlp: NLP, tight: bool, close: bool, **further: Any) -> Any:
     options = (CYCLE if nlp.cycle else {}) | ({} if nlp.derivatives is None else nlp.derivatives.options)
-    return casadi.nlpsol("ipopt", "ipopt", nlp.programme, {**OPTIONS, **options, **extra})
+    options |= (TIGHT if tight else {}) | (CLOSE_START if close else {})
+    return casadi.nlpsol("ipopt", "ipopt", nlp.programme, OPTIONS | options | further)
 
 
 def compiled(nlp: NLP, tight: bool = False, close: bool = False, staying: bool = False) -> Any:
-    """Return the solver of an NLP, built once and cached in `nlp.cache`.
-
-    Parameters
-    ----------
-    tight : bool
-        Use convergence tolerances of 1e-11 instead of 1e-8.
-    close : bool
-        Start with a small barrier parameter, for a start near an optimum.
-    staying : bool
-        Begin at the start itself, see `STAYING`.
-    """
+    """Return the solver of an NLP, built once and cached in `nlp.cache`, with options `TIGHT`, `CLOSE_START` and `STAYING`."""
     key = f"ipopt, {tight}, {close}, {staying}"
     if key not in nlp.cache:
-        nlp.cache[key] = _solver(nlp, (TIGHT if tight else {}) | (CLOSE_START if close else {}) | (STAYING if staying else {}))
+        nlp.cache[key] = _solver(nlp, tight, close, **STAYING if staying else {})
         nlp.take_hessian(nlp.cache[key].get_function("nlp_hess_l"))
     return nlp.cache[key]
 
 
 def ipopt(nlp: NLP, x: Array, p: Array, *, track: bool = False, tight: bool = False, close: bool = False) -> Attempt:
-    """Minimise from x with IPOPT; the compiled solver is cached in the NLP.
-
-    Parameters
-    ----------
-    x : array (n,)
-        Starting point, scaled.
-    p : array (parameters,)
-        Parameters of the NLP.
-    track : bool
-        Record the iterates.
-    tight : bool
-        Use convergence tolerances of 1e-11 instead of 1e-8.
-    close : bool
-        Start with a small barrier parameter, for a start near an optimum.
-    """
+    """Minimise from x with IPOPT; `close`: with a small barrier parameter, for a start near an optimum."""
     recorder = _Recorder(nlp) if track else None
-    options = {"iteration_callback": recorder} | (TIGHT if tight else {}) | (CLOSE_START if close else {})
-    solver = compiled(nlp, tight, close) if recorder is None else _solver(nlp, options)
+    solver = compiled(nlp, tight, close) if recorder is None else _solver(nlp, tight, close, iteration_callback=recorder)
     before, limits = interrupted(), {"lbx": nlp.x_low, "ubx": nlp.x_high, "lbg": nlp.low, "ubg": nlp.high}
     with silent():
         result = solver(x0=x, p=p, **limits)

@@ -96,7 +96,7 @@ class _View:
 
     def violation(self, g: Array) -> float:
         """Return the largest violation of a limit."""
-        return float(np.max([self.low - g, g - self.high], initial=0.0)) if len(g) else 0.0
+        return float(np.max([self.low - g, g - self.high], initial=0.0))
 
     def bend(self, y: Array, step: _Step) -> Array:
         """Return the positive semidefinite part (n, n) of the Hessian of deviations and limits, weighted with multipliers."""
@@ -109,21 +109,7 @@ class _View:
 
 
 def minimax(nlp: NLP, x: Array, p: Array, *, track: bool = False, tight: bool = False) -> Attempt:
-    """Minimise the largest deviation from x, whose last component is that deviation.
-
-    Parameters
-    ----------
-    nlp : NLP
-        NLP with the measure "max".
-    x : array (n,)
-        Starting point, scaled.
-    p : array (parameters,)
-        Parameters of the NLP.
-    track : bool
-        Record the iterates.
-    tight : bool
-        Not used: the tolerance is always tight.
-    """
+    """Minimise the largest deviation, the last component of x, of an NLP with the measure "max"; always to tight tolerances."""
     view, y, path = _View(nlp, p), x[:-1], [x]
     here = view.at(y)
     if not math.isfinite(here.violation):

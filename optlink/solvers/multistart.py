@@ -32,13 +32,7 @@ RESCALE = 1e-3  # if the objective fell below this share of its start, the searc
 
 
 def prepare(nlp: NLP, name: str) -> None:
-    """Import and compile what a back end needs, so that timings cover the search alone.
-
-    Parameters
-    ----------
-    name : str
-        Back end.
-    """
+    """Import and compile what a back end needs, so that timings cover the search alone."""
     backend(name)
     compile_ = SOLVERS[name].compile
     if compile_ is not None:
@@ -49,65 +43,31 @@ def prepare(nlp: NLP, name: str) -> None:
 
 
 def scaled_parameters(nlp: NLP, x: Array) -> Array:
-    """Return the parameters of the NLP with the objective scaled to 1 at x.
-
-    Parameters
-    ----------
-    x : array (n,)
-        Scaled point.
-    """
+    """Return the parameters of the NLP with the objective scaled to 1 at x."""
     f = nlp.values(x, nlp.p)[0] * nlp.p[0]
     return np.array([max(abs(f), SMALLEST_SCALE) if math.isfinite(f) else 1.0, *nlp.p[1:]])
 
 
 def solution_at(nlp: NLP, x: Array, message: str) -> Solution:
-    """Wrap a given design as a Solution without optimising.
-
-    Parameters
-    ----------
-    x : array (n,)
-        Scaled point.
-    message : str
-        Message of the Solution.
-    """
+    """Wrap a given design as a Solution without optimising."""
     x = nlp.lifted(x)
     return verified_solution(nlp, Attempt(x, 0, message), scaled_parameters(nlp, x))
 
 
 def infeasible_at(nlp: NLP, x: Array, message: str) -> Solution:
-    """Wrap a design that satisfies no limits as a Solution.
-
-    Parameters
-    ----------
-    x : array (n,)
-        Scaled point.
-    message : str
-        Message of the Solution.
-    """
+    """Wrap a design that satisfies no limits as a Solution."""
     return replace(solution_at(nlp, x, message), status=Status.INFEASIBLE)
 
 
 def solve_from(
     nlp: NLP, x: Array, name: str, *, track: bool = False, persistent: bool = True, continuations: int = CONTINUATIONS
 ) -> Solution:
-    """Run one local search from x.
+    """Run one local search from x; restart it up to `continuations` times from an end that is not optimal.
 
     The scatter of a robust error has kinks where a derivative of the error vanishes. From a start that is not close to an
-    optimum, they are smoothed first, then less and less.
-
-    Parameters
-    ----------
-    x : array (n,)
-        Starting point, scaled.
-    name : str
-        Back end.
-    track : bool
-        Record the iterates.
-    persistent : bool
-        Whether to restart also where little is to be expected: at a violation of the limits that is no matter of tolerances, and
-        after a search that ran out of steps though it hardly decreased the objective.
-    continuations : int
-        Largest number of restarts from an end that is not optimal.
+    optimum, they are smoothed first, then less and less. `persistent`: restart also where little is to be expected, at a
+    violation of the limits that is no matter of tolerances, and after a search that ran out of steps though it hardly decreased
+    the objective.
     """
     start = repair(nlp, x, nlp.p)
     if start is None and not math.isfinite(nlp.values(x, nlp.p)[0]):
@@ -174,13 +134,7 @@ def _smoothed(nlp: NLP, x: Array, name: str, track: bool) -> Attempt:
 
 
 def conclude(nlp: NLP, attempt: Attempt, p: Array) -> Solution:
-    """Return the result of a back end as a Solution, after repair of a small violation and Newton refinement.
-
-    Parameters
-    ----------
-    p : array (parameters,)
-        Parameters of the NLP.
-    """
+    """Return the result of a back end as a Solution, after repair of a small violation and Newton refinement."""
     x = nlp.lifted(attempt.x)
     point = nlp.at(x, p)
     if FEASIBLE < violation(nlp, x, point.g) <= NEARLY:
@@ -192,15 +146,7 @@ def conclude(nlp: NLP, attempt: Attempt, p: Array) -> Solution:
 
 
 def starts(nlp: NLP, count: int, seed: int) -> list[Array]:
-    """Return the start of the NLP, followed by count - 1 Sobol points over the bounds.
-
-    Parameters
-    ----------
-    count : int
-        Number of starting points.
-    seed : int
-        Seed of the scrambling.
-    """
+    """Return the start of the NLP, followed by count - 1 Sobol points over the bounds."""
     return [
         nlp.lifted(x)
         for x in (np.clip(nlp.x_start, nlp.x_low, nlp.x_high), *itertools.islice(sobol(nlp.x_low, nlp.x_high, seed), count - 1))
@@ -208,15 +154,7 @@ def starts(nlp: NLP, count: int, seed: int) -> list[Array]:
 
 
 def sobol(low: Array, high: Array, seed: int) -> Iterator[Array]:
-    """Generate scrambled Sobol points within bounds, without end.
-
-    Parameters
-    ----------
-    low, high : array (n,)
-        An infinite upper bound counts as 1.
-    seed : int
-        Seed of the scrambling.
-    """
+    """Generate scrambled Sobol points within bounds, without end; an infinite upper bound counts as 1."""
     from scipy.stats import qmc
 
     points = qmc.Sobol(len(low), rng=np.random.default_rng(seed))
@@ -229,12 +167,6 @@ def latin_hypercubes(low: Array, high: Array, seed: int) -> Iterator[Array]:
     """Generate points within bounds, without end: one Latin hypercube sample after the other.
 
     They need no import of `scipy.stats`, which takes longer than many a search.
-
-    Parameters
-    ----------
-    low, high : array (n,)
-    seed : int
-        Seed of the permutations and of the positions within the strata.
 
     References
     ----------
@@ -286,11 +218,6 @@ def reconcile(nlp: NLP, found: dict[str, Solution]) -> dict[str, Solution]:
     """Restart the worse back end from the better one's design if they ended at different optima.
 
     At a true local optimum it stays there; otherwise the two still disagree and the validation reports it.
-
-    Parameters
-    ----------
-    found : dict of str to Solution
-        Solution for each back end.
     """
     winner = best(list(found.values()))
     return {

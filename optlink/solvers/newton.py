@@ -33,32 +33,12 @@ class Refined(NamedTuple):
 
 
 def polish(nlp: NLP, attempt: Attempt, p: Array, near: float = NEAR) -> Attempt:
-    """Refine an attempt by Newton's method; see `refined`.
-
-    Parameters
-    ----------
-    p : array (parameters,)
-        Parameters of the NLP.
-    near : float
-        Distance at which a limit counts as active, scaled.
-    """
+    """Refine an attempt by Newton's method; see `refined`."""
     return replace(attempt, x=refined(nlp, attempt.x, p, nlp.at(attempt.x, p), near).x)
 
 
 def refined(nlp: NLP, x: Array, p: Array, begin: NLPValues, near: float = NEAR) -> Refined:
-    """Refine a point by Newton's method; return it unchanged if it does not improve.
-
-    Parameters
-    ----------
-    x : array (n,)
-        Scaled point.
-    p : array (parameters,)
-        Parameters of the NLP.
-    begin : NLPValues
-        The NLP at x.
-    near : float
-        Distance at which a limit counts as active, scaled.
-    """
+    """Refine a point by Newton's method, with limits within `near` (scaled) active; return it unchanged without improvement."""
     same = Refined(x, begin)
     if not begin.finite:
         return same
@@ -126,23 +106,11 @@ def _converged(
 
 
 def newton(hessian: Array, jacobian: Array, residual: Array) -> Array | None:
-    """Return the Newton step of the KKT system; None if the system is not finite.
+    """Return the Newton step of variables and multipliers (n + k,) of the KKT system; None if the system is not finite.
 
-    A least-squares solution is used where limits are linearly dependent or the objective is flat.
-
-    Parameters
-    ----------
-    hessian : array (n, n)
-        Of the Lagrangian.
-    jacobian : array (k, n)
-        Of the active limits.
-    residual : array (n + k,)
-        Gradient of the Lagrangian, then the active limits minus their bounds.
-
-    Returns
-    -------
-    array (n + k,) or None
-        Step of the variables, then of the multipliers.
+    `hessian` is that of the Lagrangian, `jacobian` (k, n) that of the active limits; `residual` (n + k,) is the gradient of the
+    Lagrangian, then the active limits minus their bounds. A least-squares solution is used where limits are linearly dependent or
+    the objective is flat.
     """
     n = len(hessian)
     system = np.zeros((len(residual), len(residual)))

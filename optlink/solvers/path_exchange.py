@@ -8,19 +8,18 @@ R. Hettich, K. O. Kortanek, Semi-infinite programming: theory, methods, and appl
 import math
 from dataclasses import dataclass, replace
 
-import casadi
 import numpy as np
 
 from optlink.errors import Status
 from optlink.linkage.extrema import Function, maxima
 from optlink.linkage.fourbar import lengths_of, time_ratio
-from optlink.linkage.vector2d import TURN, Array
+from optlink.linkage.vector2d import Array
 from optlink.optimization.nlp import NLP
 from optlink.optimization.path_nlp import build_path_nlp, has_sampled_objective, limit_excesses, objective_excess, solved_values
 from optlink.problem.path import PathProblem
 from optlink.solvers import contract, multistart as local
 from optlink.solvers.newton import polish
-from optlink.solvers.semi_infinite import with_places
+from optlink.solvers.semi_infinite import with_moving_rows
 from optlink.solvers.solution import Solution
 
 POSITIONS = 1441  # positions along the required motion at which limits are sampled
@@ -54,15 +53,7 @@ def solve_semi_infinite(task: PathProblem, start: Solution, backend: str, *, nea
     In every round the exchange points move to where limits are exceeded or nearly so, and the NLP is solved within a radius, in
     which these positions hardly move; a step is accepted only if the merit over all positions decreases. The penalty of the merit
     is raised where it would reject a step that restores feasibility: near an exact design the objective alone is a poor measure.
-
-    Parameters
-    ----------
-    start : Solution
-        Start; its `nlp` is solved.
-    backend : str
-        Back end.
-    near : bool
-        Whether the start satisfies its limits everywhere, so that the first search stays within the radius too.
+    `near`: the start satisfies its limits everywhere, so that the first search stays within the radius too.
     """
     nlp = start.nlp
     if not nlp.exchange_count:
@@ -100,13 +91,7 @@ def solve_semi_infinite(task: PathProblem, start: Solution, backend: str, *, nea
 
 
 def place_at_peaks(task: PathProblem, nlp: NLP, x: Array) -> None:
-    """Move the exchange points, if there are any, to the peaks of the limits of a design.
-
-    Parameters
-    ----------
-    x : array (n,)
-        Scaled point.
-    """
+    """Move the exchange points, if there are any, to the peaks of the limits of a design."""
     if nlp.exchange_count:
         nlp.set_exchange_points(_places(_tops(task, local.solution_at(nlp, x, "")), nlp.exchange_count))
 
@@ -116,11 +101,6 @@ def best_slow_stroke(task: PathProblem, solution: Solution, backend: str) -> Sol
 
     A time ratio that does not name its stroke divides the four-bars into two families. Near a ratio of 1 they almost meet, and
     searches that penalise the limit end between them.
-
-    Parameters
-    ----------
-    backend : str
-        Back end.
     """
     ratio, nlp = task.limits.time_ratio, solution.nlp
     if ratio is None or ratio.stroke is not None or not (ratio.low or 0.0) > 1.0 or not math.isfinite(solution.objective):
@@ -148,13 +128,12 @@ def _followed(
     each = nlp.exchange_rows[1]
     chosen = [top for top in tops if top.height > -MOVING_PEAK and EDGE < top.at < 1.0 - EDGE]
     positions = [[top.at for top in chosen if top.row == row] for row in range(each)]
-    slots = PER_ROW
-    while slots < max(map(len, positions)) and 2 * slots * each <= nlp.exchange_count:
-        slots *= 2
-    many = min(slots * each, nlp.exchange_count)
-    used = {
-        i * each + row: at for row, places in enumerate(positions) for i, at in enumerate(places[:slots]) if i * each + row < many
-    }
+    per_row = PER_ROW
+    while per_row < max(map(len, positions)) and 2 * per_row * each <= nlp.exchange_count:
+        per_row *= 2
+    many = min(per_row * each, nlp.exchange_count)
+    placed = ((i * each + row, at) for row, places in enumerate(positions) for i, at in enumerate(places[:per_row]))
+    used = {slot: at for slot, at in placed if slot < many}
     others = iter(at for at in _places([*tops, *violated], nlp.exchange_count) if at not in used.values())
     places = np.array([used[slot] if slot in used else next(others, 0.0) for slot in range(nlp.exchange_count)])
     nlp.set_exchange_points(places)
@@ -166,36 +145,27 @@ def _followed(
     for k, j in enumerate(_moving_rows(nlp)):
         moving.limit(len(moving.variables) + k, nlp.low[j], nlp.high[j])
     n, fixed = len(start.x), np.array([slot not in used for slot in range(many)])
-    x, reach = np.concatenate([start.x, places[:many]]), min(REACH * max(1.0, radius / RADIUS), FARTHEST)
+    x, reach = np.append(start.x, places[:many]), min(REACH * max(1.0, radius / RADIUS), FARTHEST)
     room = np.where(fixed, 0.0, reach)
-    low, high = np.concatenate([nlp.x_low, x[n:] - room]), np.concatenate([nlp.x_high, x[n:] + room])
+    low, high = np.append(nlp.x_low, x[n:] - room), np.append(nlp.x_high, x[n:] + room)
     around = np.flatnonzero(nlp.around[:count])
     low[around], high[around] = -math.inf, math.inf  # a step may pass where such an angle jumps by a revolution
     low[:count], high[:count] = np.maximum(low[:count], x[:count] - radius), np.minimum(high[:count], x[:count] + radius)
     first = len(moving.rows) - many
-    for i, (least, most) in enumerate(zip(low, high, strict=True)):
-        moving.limit(i, least, most)
+    moving.set_bounds(low, high)
     for k, free in enumerate(fixed):
         moving.limit(len(x) + first + k, -math.inf if free else 0.0, math.inf if free else 0.0)
     p = local.scaled_parameters(moving, x)
     end = polish(moving, contract.backend(backend)(moving, x, p), p)
     step = np.abs(end.x - x)
     limited = bool(np.any(step[:count] > ALL_BUT * radius) or np.any(step[n:] > ALL_BUT * reach))
-    there = end.x[:n].copy()
-    there[around] -= TURN * ((there[around] > nlp.x_high[around]) * 1.0 - (there[around] < nlp.x_low[around]))
-    return local.solution_at(nlp, there, end.message), limited
+    return local.solution_at(nlp, nlp.wrapped(end.x[:n]), end.message), limited
 
 
 def _with_moving_peaks(nlp: NLP, many: int) -> NLP:
     """Return the NLP with the positions of peaks as unknowns, one row after the other, and without its fixed positions."""
-    keep, (first, each) = _moving_rows(nlp), nlp.exchange_rows
-    rows, slots = tuple(nlp.rows[j] for j in keep), [first + slot * each + slot % each for slot in range(many)]
-    reduced = replace(nlp, rows=rows, g_expression=nlp.g_expression[keep], cache={})
-    heights = dict(enumerate(casadi.vertsplit(nlp.g_expression[slots])))
-    assert nlp.mapped is not None
-    places = casadi.vertsplit(nlp.p_symbol)[len(nlp.p) - nlp.exchange_count :]
-    terms = nlp.mapped.of_rows(keep).with_slopes(casadi.vertsplit(nlp.mapped.g[slots]), places[:many])
-    return with_places(reduced, nlp.exchange_count, heights, terms)
+    first, each = nlp.exchange_rows
+    return with_moving_rows(nlp, _moving_rows(nlp), [first + slot * each + slot % each for slot in range(many)])
 
 
 def _moving_rows(nlp: NLP) -> list[int]:
@@ -240,13 +210,7 @@ def _places(tops: list[RowPeak], count: int) -> Array:
 
 
 def excess_over(task: PathProblem, solution: Solution) -> Function:
-    """Return the excess over limits and sampled objective, minus the permitted one, as a function of shares (n,) of the motion.
-
-    Parameters
-    ----------
-    solution : Solution
-        The design.
-    """
+    """Return the excess over limits and sampled objective, minus the permitted one, as a function of shares of the motion."""
     values, angles = solved_values(task, solution.design, solution.x)
 
     def excess(shares: Array) -> Array:
@@ -259,16 +223,7 @@ def excess_over(task: PathProblem, solution: Solution) -> Function:
 
 
 def peaks(heights: Function, grid: Array, near: float = 0.0) -> list[RowPeak]:
-    """Return the local maxima of all rows above -near, largest first.
-
-    Parameters
-    ----------
-    heights : function of positions (n,) that returns values (rows, n)
-    grid : array (n,)
-        Positions, increasing.
-    near : float
-        Depth below zero down to which maxima are returned, in the unit of the rows.
-    """
+    """Return the local maxima above -near of all rows of a function of positions (n,), largest first; `grid` brackets them."""
     values = heights(grid)
     padded = np.pad(values, ((0, 0), (1, 1)), constant_values=-np.inf)
     top = (values >= padded[:, :-2]) & (values > padded[:, 2:]) & (values > -2.0 * near)

@@ -1,7 +1,7 @@
 """Exchange method for semi-infinite constraints: maxima over the cycle between the positions of the NLP."""
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -32,7 +32,6 @@ RADIUS, SMALLEST = 0.1, 1e-7  # scaled units: trust-region radius of the first r
 VIOLATION_PENALTY = 100.0  # penalty of a limit violated by its own size, in multiples of the objective
 PEAK_SEPARATION = 1e-9  # share of a stroke: closer peaks count as one
 EXACTLY = 1e-9  # scaled units: distance at which a row counts as active in the optimality conditions
-SHARP = (1e-4, 1e-7, 1e-9)  # scaled units: active-set distances of the final Newton steps
 ALLOWED = 1e2 * FEASIBLE  # permitted violation of the NLP with moving peaks, whose equations are steep
 BESIDE = 0.02  # share of a stroke: distance of other positions from peaks, so that they do not count as active too
 TRACKED_PEAK = 0.3  # share of its level by which a local peak may be lower and still be tracked
@@ -59,11 +58,6 @@ def exchange(nlp: CycleNLP, solution: Solution) -> Solution:
     With fixed positions the NLP does not account for the shift of a peak with the design: where the limits alone do not determine
     the design, steps overshoot alternately. Therefore the positions of the peaks are unknowns too, the design variables move
     within a radius, and a step is accepted only if the merit at the peaks decreases. These steps do not depend on the back end.
-
-    Parameters
-    ----------
-    solution : Solution
-        Optimum at the positions of the NLP.
 
     References
     ----------
@@ -98,15 +92,7 @@ def exchange(nlp: CycleNLP, solution: Solution) -> Solution:
 
 
 def restart_from(nlp: CycleNLP, solution: Solution, name: str) -> Solution:
-    """Restart a back end from a levelled design; a true optimum does not move.
-
-    Parameters
-    ----------
-    solution : Solution
-        The levelled design.
-    name : str
-        Back end.
-    """
+    """Restart a back end from a levelled design; a true optimum does not move."""
     cycle_peaks = peaks(nlp, solution.x)
     nlp.set_exchange_points(cycle_peaks.shares)
     near = _followed(nlp, nlp.lifted(solution.x), cycle_peaks, RADIUS, name)
@@ -114,15 +100,7 @@ def restart_from(nlp: CycleNLP, solution: Solution, name: str) -> Solution:
 
 
 def reconcile_backends(nlp: CycleNLP, solutions: dict[str, Solution]) -> dict[str, Solution]:
-    """Restart the worse back end from the better one's design if they ended at different optima.
-
-    At a true local optimum it stays there; otherwise the two still disagree and the validation reports it.
-
-    Parameters
-    ----------
-    solutions : dict of str to Solution
-        Best solution for each back end.
-    """
+    """As `multistart.reconcile`, with the largest values over the cycle."""
     winner = min(solutions.values(), key=rank)
     return {
         name: solution
@@ -189,36 +167,24 @@ def _followed(nlp: CycleNLP, x: Array, cycle_peaks: Peaks, radius: float, name: 
     name = name or (CLOSE if nlp.mapped is not None else "slsqp")
     n, count = len(nlp.variables), len(nlp.free)
     moving, start = _moving(nlp, x, cycle_peaks)
-    around = nlp.around  # a step may pass where such an angle jumps by a revolution
-    low, high = np.where(around, -math.inf, nlp.x_low), np.where(around, math.inf, nlp.x_high)
-    low, high = np.maximum(low, x - radius), np.minimum(high, x + radius)
-    for i in range(len(start)):
-        if i < count or i >= n:
-            moving.limit(i, low[i] if i < n else max(start[i] - REACH, 0.0), high[i] if i < n else min(start[i] + REACH, 1.0))
+    reach = np.concatenate([np.full(count, radius), np.full(n - count, math.inf), np.full(len(start) - n, REACH)])
+    around = moving.around  # a step may pass where such an angle jumps by a revolution
+    low, high = np.where(around, -math.inf, moving.x_low), np.where(around, math.inf, moving.x_high)
+    moving.set_bounds(np.maximum(low, start - reach), np.minimum(high, start + reach))
     p = multistart.scaled_parameters(moving, start)
     end = backend(name)(moving, start, p, tight=True)
     for attempt in (polish(moving, end, p), end):
         if violation(moving, attempt.x, moving.values(attempt.x, p)[1]) > ALLOWED:
             continue
-        shares = cycle_peaks.shares.copy()
-        shares[[slot for slot, _ in cycle_peaks.inner]] = attempt.x[n:]
-        nlp.set_exchange_points(shares)
-        there = attempt.x[:n].copy()
-        there[around] -= TURN * ((there > nlp.x_high) * 1.0 - (there < nlp.x_low))[around]
-        near = _examined(nlp, Attempt(nlp.lifted(there), attempt.iterations, attempt.message))
+        _place_inner(nlp, cycle_peaks, attempt.x[n:])
+        near = _examined(nlp, replace(attempt, x=nlp.lifted(nlp.wrapped(attempt.x[:n]))))
         if near.status is Status.OPTIMAL or attempt is end:
             return near
     return None
 
 
 def refine_peaks(nlp: CycleNLP, solution: Solution) -> Solution:
-    """Refine an optimum by Newton's method with the positions of the peaks as unknowns.
-
-    Parameters
-    ----------
-    solution : Solution
-        The optimum; it is returned unchanged if the refined point is not optimal.
-    """
+    """Refine an optimum by Newton's method with the positions of the peaks as unknowns; unchanged if the end is not optimal."""
     cycle_peaks = peaks(nlp, solution.x)
     nlp.set_exchange_points(cycle_peaks.shares)
     near = _newton(nlp, Attempt(nlp.lifted(solution.x), solution.iterations, solution.message), cycle_peaks)
@@ -229,13 +195,16 @@ def _newton(nlp: CycleNLP, attempt: Attempt, cycle_peaks: Peaks) -> Solution:
     """Return a point refined by Newton's method with the positions of the peaks as unknowns."""
     n = len(nlp.variables)
     moving, start = _moving(nlp, attempt.x, cycle_peaks)
-    begin, p = replace(attempt, x=start), multistart.scaled_parameters(moving, start)
-    tries = (polish(moving, begin, p, near) for near in SHARP)
-    end = next((cycle_peaks for cycle_peaks in tries if cycle_peaks is not begin), begin)
-    shares = cycle_peaks.shares.copy()
-    shares[[slot for slot, _ in cycle_peaks.inner]] = end.x[n:]
-    nlp.set_exchange_points(shares)
+    end = polish(moving, replace(attempt, x=start), multistart.scaled_parameters(moving, start))
+    _place_inner(nlp, cycle_peaks, end.x[n:])
     return _examined(nlp, replace(end, x=nlp.lifted(end.x[:n])))
+
+
+def _place_inner(nlp: CycleNLP, cycle_peaks: Peaks, places: Array) -> None:
+    """Set the exchange points to the peaks, the inner ones at new places."""
+    shares = cycle_peaks.shares.copy()
+    shares[[slot for slot, _ in cycle_peaks.inner]] = places
+    nlp.set_exchange_points(shares)
 
 
 def _moving(nlp: CycleNLP, x: Array, cycle_peaks: Peaks) -> tuple[NLP, Array]:
@@ -245,36 +214,32 @@ def _moving(nlp: CycleNLP, x: Array, cycle_peaks: Peaks) -> tuple[NLP, Array]:
         nlp.cache[key] = with_following_peaks(nlp, cycle_peaks.inner)
     moving: NLP = nlp.cache[key]
     count = len(cycle_peaks.inner)
-    for i, (low, high) in enumerate(zip((*nlp.x_low, *[0.0] * count), (*nlp.x_high, *[1.0] * count), strict=True)):
-        moving.limit(i, low, high)
+    moving.set_bounds(np.append(nlp.x_low, np.zeros(count)), np.append(nlp.x_high, np.ones(count)))
     return moving, np.concatenate([x, [cycle_peaks.shares[slot] for slot, _ in cycle_peaks.inner]])
 
 
 def with_following_peaks(nlp: CycleNLP, inner: tuple[tuple[int, int], ...]) -> NLP:
-    """Return the NLP with the positions of inner peaks as unknowns: each where the derivative of its watched term vanishes.
-
-    Parameters
-    ----------
-    inner : tuple of (int, int)
-        Slot and index of the watched term for each inner peak.
-    """
+    """Return the NLP with the positions of inner peaks as unknowns; `inner`: see `Peaks`."""
     return with_places(nlp, nlp.slots, {slot: nlp.watched[index].height(nlp.exchanged[slot]) for slot, index in inner})
+
+
+def with_moving_rows(nlp: NLP, keep: Sequence[int], slots: Sequence[int]) -> NLP:
+    """Return some rows of an NLP; the first exchange points are unknowns, each where a row of `slots` has a maximum."""
+    assert nlp.mapped is not None
+    count = nlp.exchange_count
+    reduced = replace(nlp, rows=tuple(nlp.rows[j] for j in keep), g_expression=nlp.g_expression[keep], cache={})
+    heights = dict(enumerate(casadi.vertsplit(nlp.g_expression[slots])))
+    places = casadi.vertsplit(nlp.p_symbol)[len(nlp.p) - count :][: len(slots)]
+    terms = nlp.mapped.of_rows(keep).with_slopes(casadi.vertsplit(nlp.mapped.g[slots]), places)
+    return with_places(reduced, count, heights, terms)
 
 
 def with_places(nlp: NLP, slots: int, heights: Mapping[int, Any], terms: tuple[MappedTerms, Any] | None = None) -> NLP:
     """Return an NLP with some exchange points as additional unknowns: each where the derivative of a height vanishes.
 
-    Parameters
-    ----------
-    nlp : NLP
-        Its last `slots` parameters are the exchange points.
-    slots : int
-        Number of exchange points.
-    heights : mapping of int to casadi expression
-        For the number of a exchange point, the height as a function of x and p of the NLP.
-    terms : (MappedTerms, casadi expression), optional
-        The NLP by vectors of positions, and the derivatives of the heights by the exchange points in its terms. Default: those of
-        the NLP, and derivatives in terms of x and p.
+    The last `slots` parameters of the NLP are the exchange points; `heights` has expressions of its x and p by the number of an
+    exchange point. `terms`: the NLP by vectors of positions, and the derivatives of the heights by the exchange points in its
+    terms; by default those of the NLP, and derivatives in terms of x and p.
     """
     n, first, count = len(nlp.variables), len(nlp.p) - slots, len(heights)
     x = casadi.SX.sym("x", n + count)
@@ -312,17 +277,11 @@ def with_places(nlp: NLP, slots: int, heights: Mapping[int, Any], terms: tuple[M
 
 
 def peaks(nlp: CycleNLP, x: Array) -> Peaks:
-    """Return the maxima of the watched terms along every stroke.
-
-    Parameters
-    ----------
-    x : array (n,)
-        Scaled point.
-    """
+    """Return the maxima of the watched terms along every stroke."""
     trace, edges, slots = nlp.traced, nlp.edges(x), nlp.slots // nlp.strokes
     inputs = trace.inputs(nlp.design(x))
     grid = np.linspace(0.0, 1.0, POSITIONS_PER_STROKE)
-    shares = nlp.p[len(nlp.p) - nlp.slots :].copy()  # earlier peaks are kept as far as there is room
+    shares = nlp.exchange_points  # earlier peaks are kept as far as there is room
     worst, tops, inner = -math.inf, [-math.inf] * len(nlp.watched), []
     for j in range(nlp.strokes):
         begin, span = edges[j], edges[j + 1] - edges[j]

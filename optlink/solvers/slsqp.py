@@ -84,19 +84,7 @@ def _defined(point: NLPValues) -> NLPValues:
 
 
 def slsqp(nlp: NLP, x: Array, p: Array, *, track: bool = False, tight: bool = False) -> Attempt:
-    """Minimise from x with SLSQP until the objective changes only in its last digits.
-
-    Parameters
-    ----------
-    x : array (n,)
-        Starting point, scaled.
-    p : array (parameters,)
-        Parameters of the NLP.
-    track : bool
-        Record the iterates.
-    tight : bool
-        Use an objective tolerance of 1e-16 instead of 1e-11.
-    """
+    """Minimise from x with SLSQP until the objective changes only in its last digits: by 1e-11, if `tight` by 1e-16."""
     view = _View(nlp, x, p)
     path = [x.copy()]
     low, high = nlp.x_low / view.size, nlp.x_high / view.size

@@ -22,7 +22,7 @@ from optlink.optimization.constraints import ConstraintRow
 from optlink.optimization.cycle_nlp import CycleNLP, build_cycle
 from optlink.optimization.cycle_signals import TracedCycle
 from optlink.optimization.nlp import NLP
-from optlink.problem.file import ProblemFile, read
+from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import place_of
 from optlink.solvers import multistart
 from optlink.solvers.cycle_search import at_edge
@@ -256,4 +256,4 @@ def with_starting_values(problem: ProblemFile, values: Mapping[str, float]) -> P
         if quantity.free:
             table, key = place_of(mechanism, name)
             table[key] = {**table[key], "start": start}
-    return read({**problem.raw, "mechanism": mechanism}, problem.name, problem.file, problem.folder)
+    return problem.with_tables({**problem.raw, "mechanism": mechanism})

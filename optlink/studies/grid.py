@@ -6,13 +6,13 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Annotated
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from optlink.errors import InputError
-from optlink.problem.base_model import Record
+from optlink.problem.document import Source
 from optlink.problem.file import WORDS, ProblemFile, si_unit
 from optlink.studies.toml_keys import Raw, exact_text
 from optlink.units import plain
@@ -45,6 +45,14 @@ def column(name: str, unit: str) -> str:
 class Axis:
     """One parameter of a sweep and its values, in `unit` as written (empty for a plain number)."""
 
+    shown: ClassVar[Mapping[str, Source]] = {
+        "key": "key",
+        "unit": "unit",
+        "first": lambda axis: axis.values[0],
+        "last": lambda axis: axis.values[-1],
+        "values": lambda axis: len(axis.values),
+    }
+
     key: str
     unit: str
     values: tuple[float, ...]
@@ -62,16 +70,6 @@ class Axis:
     def raw(self, index: int) -> Raw:
         """Return a value as written in a problem file."""
         return exact_text(self.values[index], self.unit)
-
-
-class AxisRecord(Record):
-    """A varied parameter with the number of its values, in the unit as written."""
-
-    key: str
-    unit: str
-    first: Annotated[float, lambda axis: axis.values[0]]
-    last: Annotated[float, lambda axis: axis.values[-1]]
-    values: Annotated[int, lambda axis: len(axis.values)]
 
 
 def read_axis(assignment: str) -> Axis:

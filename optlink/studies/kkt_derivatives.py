@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from optlink.linkage.vector2d import TURN, Array
 from optlink.optimization.multipliers import MultiplierSet
 from optlink.optimization.nlp import NLP
+from optlink.problem.base_model import Number
 from optlink.problem.function import EPIGRAPH
 from optlink.solvers.solution import STATIONARY, Solution, Stationarity, stationarity
 from optlink.studies.parameters import Parameter
@@ -42,7 +43,7 @@ PEAK_EVENTS = "no longer determines the objective", "determines the objective"
 class ValidityEnd:
     """End of the first-order validity: at `value` of the parameter, because of `event`; infinite if unlimited."""
 
-    value: float
+    value: Number
     event: str
 
 

@@ -5,31 +5,20 @@ Linear tolerance analysis sums these derivatives. They are exact: casadi differe
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from functools import cached_property
+from typing import Any, ClassVar, Self
 
 import casadi
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import Field
 
 from optlink.linkage.mechanism import FRAME, Mechanism
 from optlink.linkage.vector2d import Array, unit
 from optlink.optimization.output_derivatives import output_derivatives
-from optlink.problem.base_model import Column, Columns, ResultRecord
+from optlink.problem.document import Document, Source
+from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import check_choice
 from optlink.symbolic import NumpyEvaluator, symbols_in_numpy
-
-
-class OutputSensitivityRecord(ResultRecord):
-    """Document of the derivatives of an output by dimensions (SI)."""
-
-    format: Literal["optlink/output-sensitivity/2"] = Field(alias="schema")
-    output: Annotated[str, "name"]
-    unit: Literal["rad", "m"]
-    sizes_SI: dict[str, float]
-    crank_angles_deg: Column
-    value: Column
-    per_size_SI: Annotated[Columns, "by"]
 
 
 @dataclass(frozen=True)
@@ -44,6 +33,38 @@ class OutputSensitivity:
     crank_angles: Array
     value: Array
     by: Mapping[str, Array]
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class OutputStudy(Document):
+    """The derivatives of an output of a linkage with the dimensions `sizes` [SI], at crank angles [rad]."""
+
+    kind = "output sensitivity"
+    stored = ("output", "sizes", "crank_angles")
+    status = "done"
+    shown: ClassVar[Mapping[str, Source]] = {
+        "output": "output",
+        "unit": "derivatives.unit",
+        "sizes_SI": "sizes",
+        "crank_angles_deg": lambda result: np.degrees(result.crank_angles),
+        "value": "derivatives.value",
+        "per_size_SI": "derivatives.by",
+    }
+
+    problem: ProblemFile
+    output: str
+    sizes: Mapping[str, float]
+    crank_angles: Array
+
+    @classmethod
+    def restored(cls, problem: ProblemFile, values: Mapping[str, Any]) -> Self:
+        """Return the study for the values in a document."""
+        return cls(problem, values["output"], values["sizes"], np.array(values["crank_angles"]))
+
+    @cached_property
+    def derivatives(self) -> OutputSensitivity:
+        """The output and its derivatives."""
+        return output_sensitivity(self.problem.model.linkage, self.sizes, self.crank_angles, self.output)
 
 
 def output_names(mechanism: Mechanism) -> list[str]:

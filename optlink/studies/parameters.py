@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from optlink.optimization.constraints import Scale, SIScale
 from optlink.optimization.nlp import NLP
+from optlink.problem.base_model import Number
 from optlink.problem.limits import MARGIN_KEYS
 from optlink.units import in_si
 
@@ -34,9 +36,9 @@ class Parameter:
 
     key: str
     name: str
-    value: float
+    value: Number
     unit: str
-    scale: Scale
+    scale: Annotated[Scale, Field(exclude=True)] = field(default=Scale(""), compare=False)  # of the programme
     constant: int = -1
     entries: tuple[int, ...] = ()
     upper: bool = False

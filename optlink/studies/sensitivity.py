@@ -8,14 +8,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Annotated, Literal
+from functools import cached_property
+from typing import Annotated, ClassVar
 
 import numpy as np
-from pydantic import Field
+from pydantic import AfterValidator
 
 from optlink.errors import InputError, Status
 from optlink.problem.arguments import typed
-from optlink.problem.base_model import Number, Record, Recorded, ResultRecord, absent, itself
+from optlink.problem.base_model import Number
+from optlink.problem.document import Document, Source
 from optlink.problem.file import ProblemFile
 from optlink.solvers.solution import Solution
 from optlink.studies.cycle_parameters import CycleParameters
@@ -36,10 +38,10 @@ NEGLIGIBLE = 1e-10  # of the objective, or of a scaled design variable: smaller 
 class DifferenceCheck:
     """Derivatives by central differences of `step` [unit of the parameter] between re-optimised designs."""
 
-    step: float
-    objective: float
-    design: Mapping[str, float]
-    gap: float  # largest difference from the exact derivatives, relative to the largest of the kind
+    step: Number
+    objective: Number
+    design: dict[str, Number]
+    gap: Number  # largest difference from the exact derivatives, relative to the largest of the kind
 
     def in_si(self, size: float, sizes: Mapping[str, float]) -> DifferenceCheck:
         """Return the derivatives in SI.
@@ -63,11 +65,23 @@ class Sensitivity:
     `Sensitivities.units`] per `parameter.unit`; `below`, `above`: range of validity.
     """
 
+    shown: ClassVar[Mapping[str, Source]] = {
+        **{name: f"parameter.{name}" for name in ("key", "name", "kind", "value", "unit", "step")},
+        "effect_of_step": "effect",
+        "objective_per_unit": "objective",
+        "design_per_unit": "design",
+        "valid_from": "below.value",
+        "valid_from_because": "below.event",
+        "valid_to": "above.value",
+        "valid_to_because": "above.event",
+        "searched_again?": "check",
+    }
+
     parameter: Parameter
-    objective: float
-    design: Mapping[str, float]
-    below: ValidityEnd
-    above: ValidityEnd
+    objective: Number
+    design: dict[str, Number]
+    below: Annotated[ValidityEnd, AfterValidator(lambda end: end if math.isfinite(end.value) else replace(end, value=-math.inf))]
+    above: Annotated[ValidityEnd, AfterValidator(lambda end: end if math.isfinite(end.value) else replace(end, value=math.inf))]
     check: DifferenceCheck | None = None
 
     @property
@@ -95,77 +109,13 @@ class Sensitivity:
         return Sensitivity(parameter, self.objective / size, design, below, above, check)
 
 
-class SensitivityRecord(Record):
-    """Sensitivity of an optimum to one parameter."""
+@dataclass(frozen=True)
+class Derivatives:
+    """Derivatives of an optimum in one system of units: `rows` by decreasing effect; `values` and `units` of the variables."""
 
-    key: Annotated[str, "parameter.key"]
-    name: Annotated[str, "parameter.name"]
-    kind: Annotated[str, "parameter.kind"]
-    value: Annotated[Number, "parameter.value"]
-    unit: Annotated[str, "parameter.unit"]
-    step: Annotated[Number, "parameter.step"]
-    effect_of_step: Annotated[Number, "effect"]
-    objective_per_unit: Annotated[Number, "objective"]
-    design_per_unit: Annotated[dict[str, Number], "design"]
-    valid_from: Annotated[Number, "below.value"]
-    valid_from_because: Annotated[str, "below.event"]
-    valid_to: Annotated[Number, "above.value"]
-    valid_to_because: Annotated[str, "above.event"]
-    searched_again: Annotated[DifferenceCheck | None, "check"] = absent()
-
-
-class OptimumValueRecord(Record):
-    """Objective of the optimum [SI]."""
-
-    value: Annotated[float, "solution.objective"]
-    unit: str
-
-
-class SensitivitiesRecord(ResultRecord):
-    """Document of sensitivities: the objective in SI, everything else in the unit stated beside it."""
-
-    format: Literal["optlink/sensitivity/2"] = Field(alias="schema")
-    notes: tuple[str, ...]
-    objective: Annotated[OptimumValueRecord, itself]
-    design: Annotated[dict[str, float], "displayed.values"]
-    design_units: Annotated[dict[str, str], "displayed.units"]
-    largest_gap: Annotated[float | None, "gap"]
-    parameters: Annotated[tuple[SensitivityRecord, ...], "displayed.rows"]
-
-
-@dataclass(frozen=True, repr=False)
-class Sensitivities(Recorded):
-    """All sensitivities of an optimum [SI]: `rows` by decreasing effect; `units` of the design variables.
-
-    `shown`: the same in display units, for tables and documents.
-    """
-
-    record = SensitivitiesRecord
-
-    problem: ProblemFile
-    solution: Solution
-    unit: str
     rows: tuple[Sensitivity, ...]
-    units: Mapping[str, str]
-    notes: tuple[str, ...]
-    shown: Sensitivities | None = None
-
-    @property
-    def displayed(self) -> Sensitivities:
-        """The same in display units."""
-        return self.shown or self
-
-    @property
-    def in_si(self) -> Sensitivities:
-        """The same in SI."""
-        if self.shown is not None:
-            return self
-        sizes = {name: in_si(unit)[0] for name, unit in self.units.items()}
-        units = {name: in_si(unit)[1] for name, unit in self.units.items()}
-        return replace(self, rows=tuple(row.in_si(sizes) for row in self.rows), units=units, shown=self)
-
-    def __getitem__(self, key: str) -> Sensitivity:
-        return next(row for row in self.rows if key in (row.parameter.key, row.parameter.name))
+    values: dict[str, Number]
+    units: dict[str, str]
 
     @property
     def moving(self) -> tuple[Sensitivity, ...]:
@@ -173,18 +123,66 @@ class Sensitivities(Recorded):
         return tuple(row for row in self.rows if row.moves)
 
     @property
+    def in_si(self) -> Derivatives:
+        """The same in SI."""
+        si = {name: in_si(unit) for name, unit in self.units.items()}
+        sizes = {name: size for name, (size, _) in si.items()}
+        values = {name: value * sizes[name] for name, value in self.values.items()}
+        return Derivatives(tuple(row.in_si(sizes) for row in self.rows), values, {name: unit for name, (_, unit) in si.items()})
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class Sensitivities(Document):
+    """All sensitivities of an optimum, in SI; `displayed`: the same in display units, for tables and documents."""
+
+    kind = "sensitivity"
+    shown: ClassVar[Mapping[str, Source]] = {
+        "objective": lambda result: {"value": result.solution.objective, "unit": result.unit},
+        "design": "displayed.values",
+        "design_units": "displayed.units",
+        "largest_gap": "gap",
+        "parameters": "displayed.rows",
+    }
+
+    problem: ProblemFile
+    solution: Solution
+    unit: str
+    displayed: Derivatives
+    notes: tuple[str, ...]
+
+    @cached_property
+    def in_si(self) -> Derivatives:
+        """The sensitivities in SI."""
+        return self.displayed.in_si
+
+    @property
+    def rows(self) -> tuple[Sensitivity, ...]:
+        """Sensitivities to all parameters by decreasing effect [SI]."""
+        return self.in_si.rows
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """SI units of the design variables."""
+        return self.in_si.units
+
+    @property
+    def values(self) -> Mapping[str, float]:
+        """Design variables of the optimum [SI]."""
+        return self.in_si.values
+
+    @property
+    def moving(self) -> tuple[Sensitivity, ...]:
+        """Sensitivities to parameters with an effect [SI]."""
+        return self.in_si.moving
+
+    def __getitem__(self, key: str) -> Sensitivity:
+        return next(row for row in self.rows if key in (row.parameter.key, row.parameter.name))
+
+    @property
     def gap(self) -> float | None:
         """Largest difference from the derivatives of re-optimised designs; None without this check."""
         gaps = [row.check.gap for row in self.rows if row.check is not None]
         return max(gaps) if gaps else None
-
-    @property
-    def values(self) -> dict[str, float]:
-        """Design variables of the optimum, in their `units`."""
-        values = displayed(self.solution.nlp, self.solution.x)
-        return (
-            values if self.shown is None else {name: value * in_si(self.shown.units[name])[0] for name, value in values.items()}
-        )
 
     @property
     def status(self) -> str:
@@ -244,7 +242,7 @@ def sensitivities(
     if solution is None or solution.status is not Status.OPTIMAL:
         how = "infeasible" if solution is None else solution.status.value
         raise InputError(f"there is no optimum to analyse: {how}", "`optlink solve` gives the reason", problem.file)
-    return of_solution(file, solution, backend, check=check, progress=progress).in_si
+    return of_solution(file, solution, backend, check=check, progress=progress)
 
 
 def of_solution(
@@ -255,7 +253,7 @@ def of_solution(
     check: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> Sensitivities:
-    """Return the sensitivities of a known optimum to all parameters, in display units.
+    """Return the sensitivities of a known optimum to all parameters.
 
     Parameters
     ----------
@@ -326,8 +324,11 @@ def of_solution(
         problem=problem,
         solution=solution,
         unit=nlp.measure.unit.replace("**", "^"),
-        rows=tuple(rows),
-        units={v.name: v.scale.unit for v, _ in design_variables(nlp, solution.x)},
+        displayed=Derivatives(
+            tuple(rows),
+            displayed(nlp, solution.x),
+            {v.name: v.scale.unit for v, _ in design_variables(nlp, solution.x)},
+        ),
         notes=tuple(notes),
     )
 

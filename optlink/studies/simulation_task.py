@@ -92,8 +92,8 @@ def simulate_machine(
     if "points" in settings:
         settings["rows"] = settings.pop("points")
     ideal = simulate(problem, design=design, **settings)
-    reason = "" if ideal.finished else f"{ideal.run.ending.text} (at {ideal.run.stopped:.9g} s)"
-    return MachineFigures(ideal.figures, ideal.run.ending.value, reason)
+    reason = "" if ideal.finished else f"{ideal.ending.text} (at {ideal.stopped:.9g} s)"
+    return MachineFigures(ideal.figures, ideal.ending.value, reason)
 
 
 def simulation_task(

@@ -10,34 +10,101 @@ import tempfile
 import time
 import weakref
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
-from annotated_types import MinLen
 from numpy.typing import ArrayLike, NDArray
-from pydantic import AfterValidator, Field
+from pydantic import PlainSerializer, PlainValidator, WithJsonSchema
 
 from optlink.errors import InputError, Status
 from optlink.execution.runner import run
-from optlink.execution.store import Progress, Store
+from optlink.execution.store import TABLE, Progress, Store
 from optlink.problem.arguments import typed
-from optlink.problem.base_model import Recorded, ResultRecord, absent
+from optlink.problem.document import AGAIN, Document, Source
 from optlink.problem.file import ProblemFile
 from optlink.studies.analysis_task import MAX_ANGLES, analysis_task
 from optlink.studies.cycle_task import optimum_task
-from optlink.studies.grid import AxisRecord, Grid, axes_of_arrays, read_grid
+from optlink.studies.grid import Grid, axes_of_arrays, read_grid
 from optlink.studies.reoptimise_task import SEARCHED, check_backend, chunk_of
 from optlink.studies.simulation_task import simulation_task
 from optlink.studies.sweep_task import OPTIMISE, SweepTask
 
 CHANGED = "active_set_changed"
+MAX_ROWS = 200_000  # rows up to which a document contains the table, and a page shows all of it
 BLOCK_ROWS = 10_000  # rows of a table that are read at a time
 LISTED_CHANGES = 200  # active-set changes listed in a result; the table marks all
 TEXT = ("status", "failed", "active", "method", "reason")
+
+
+def _column(values: Sequence[Any]) -> NDArray[Any]:
+    """Return a column as an array: of texts, of booleans, or of numbers, with NaN for a missing one."""
+    return np.array(values, dtype=None if isinstance(values[0], str | bool) else float)
+
+
+def _read_column(name: str, texts: Sequence[str]) -> NDArray[Any]:
+    if name in TEXT:
+        return _column(texts)
+    return _column([text == "true" if name in ("valid", CHANGED) else float(text or "nan") for text in texts])
+
+
+TableColumn = Annotated[NDArray[Any], PlainValidator(_column), WithJsonSchema({"type": "array"})]
+
+
+class TemporaryFolder:
+    """A temporary folder that is removed with its owner."""
+
+    def __init__(self) -> None:
+        self.path = Path(tempfile.mkdtemp(prefix="optlink-sweep-"))
+        weakref.finalize(self, shutil.rmtree, self.path, ignore_errors=True)
+
+
+@dataclass(frozen=True)
+class TableFile:
+    """The table of a study in its file, in a `temporary` folder if no other is given."""
+
+    path: Path
+    temporary: TemporaryFolder | None = None
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the columns."""
+        return tuple(next(self._rows(), ()))
+
+    @cached_property
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """The columns by name.
+
+        Raises
+        ------
+        InputError
+            If the file cannot be read.
+        """
+        try:
+            rows, parts = self._rows(), []
+            names = next(rows)
+            while portion := list(itertools.islice(rows, BLOCK_ROWS)):
+                parts.append(list(map(_read_column, names, zip(*portion, strict=True))))
+        except (OSError, ValueError, StopIteration, csv.Error) as error:
+            reason = getattr(error, "strerror", None) or "it is damaged"
+            raise InputError(f"cannot read the table of the sweep: {reason}", AGAIN, str(self.path)) from None
+        return dict(zip(names, map(np.concatenate, zip(*parts, strict=True)), strict=True))
+
+    def _rows(self) -> Iterator[list[str]]:
+        with self.path.open(encoding="utf-8", newline="") as file:
+            yield from csv.reader(file)
+
+
+StoredTable = Annotated[
+    TableFile | None,
+    PlainValidator(lambda path: path and TableFile(Path(path))),
+    PlainSerializer(lambda table: None if table is None or table.temporary else str(table.path)),
+    WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "null"}]}),
+]
+"""The table of a study, in a document the name of its file; None if that was temporary."""
 
 
 @dataclass(frozen=True)
@@ -61,97 +128,95 @@ class _Summary:
     changes: tuple[ActiveSetChange, ...] = ()
 
 
-def _numbers(best: dict[str, str] | None) -> dict[str, str] | None:
-    for name, value in (best or {}).items():
-        if name not in (*TEXT, "valid", CHANGED):
-            try:
-                float(value)
-            except ValueError:
-                raise ValueError(f"its {name} is not a number") from None
-    return best
-
-
-def _of_optima(name: str) -> Callable[[Sweep], Any]:
+def _of_optima(name: str) -> Source:
     """Return the source of a figure of optima, which other sweeps do not have."""
     return lambda result: None if result.evaluated else getattr(result, name)
 
 
-class SweepRecord(ResultRecord):
-    """Document of a sweep; the last five keys only where designs were optimised."""
-
-    format: Literal["optlink/sweep/2"] = Field(alias="schema")
-    mode: Literal["analyse", "simulate", "optimise"]
-    axes: Annotated[tuple[AxisRecord, ...], "grid.axes", MinLen(1)]
-    points: Annotated[int, "grid.count"]
-    table: str | None
-    columns: Annotated[tuple[str, ...], "names"]
-    engine: str
-    workers: int | None
-    valid_points: Annotated[int, "valid"]
-    statuses: dict[str, int]
-    points_done_now: Annotated[int, "done"]
-    seconds: float
-    processor_seconds: Annotated[float, "cpu"]
-    infeasible_points: Annotated[int | None, _of_optima("infeasible")] = absent()
-    searched_points: Annotated[int | None, _of_optima("searched")] = absent()
-    active_set_changes: Annotated[int | None, _of_optima("changed")] = absent()
-    changes: Annotated[tuple[ActiveSetChange, ...] | None, _of_optima("changes")] = absent()
-    best: Annotated[dict[str, str] | None, _of_optima("best"), AfterValidator(_numbers)] = absent()
-
-
 @dataclass(frozen=True, repr=False, kw_only=True)
-class GridStudy(Recorded):
-    """Result of a study of all points of a grid, whose table is the file `path`.
+class GridStudy(Document):
+    """Result of a study of all points of a grid.
 
     `valid`: number of points with a validated optimum (or a complete analysis); `cpu` [s]: processor time of all processes for
     the `done` points of this run.
     """
 
+    shown: ClassVar[Mapping[str, Source]] = {
+        "valid_points": "valid",
+        "points_done_now": "done",
+        "processor_seconds": "cpu",
+    }
+
     problem: ProblemFile
     grid: Grid
-    path: Path
+    table: StoredTable
     valid: int
     done: int
     seconds: float
     cpu: float
     engine: str
     workers: int | None
-    keep: Any = None  # keeps a temporary folder during the lifetime of the result
-
-    @property
-    def table(self) -> str | None:
-        """Path of the table of all points; None if it is temporary."""
-        return None if self.keep is not None else str(self.path)
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
 class Sweep(GridStudy):
-    """Result of a sweep; the table is read from its file on demand.
+    """Result of a sweep; its table is read from its file on demand, and contained in its document up to `MAX_ROWS` rows.
 
     `searched`: number of points that were solved by a new search instead of continuation from a neighbour; `changed`: number of
-    points whose active set differs from that of the preceding point; `statuses`: number of points by status.
+    points whose active set differs from that of the preceding point; `statuses`: number of points by status; `data`: the table
+    that was read from a document.
     """
 
-    record = SweepRecord
+    kind = "sweep"
+    shown: ClassVar[Mapping[str, Source]] = {
+        **GridStudy.shown,
+        "axes": "grid.axes",
+        "points": "grid.count",
+        "columns": "names",
+        "infeasible_points?": _of_optima("infeasible"),
+        "searched_points?": _of_optima("searched"),
+        "active_set_changes?": _of_optima("changed"),
+    }
 
     mode: str
-    names: tuple[str, ...]
     statuses: Mapping[str, int]
     searched: int
     changed: int
     best: Mapping[str, str] | None
     changes: tuple[ActiveSetChange, ...]
+    data: dict[str, TableColumn] | None = None
 
-    @cached_property
-    def columns(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
+        """Return the sweep as a JSON document, with its table unless that is too large."""
+        if self.data is None and self.grid.count <= MAX_ROWS:
+            return replace(self, data=self.columns).to_dict()
+        return super().to_dict()
+
+    @classmethod
+    def from_dict(cls, document: Mapping[str, Any], path: Path) -> Self:
+        """Return the sweep that a document holds; a large table is read from its file, which lies beside the document."""
+        result = super().from_dict(document, path)
+        if result.data is not None:
+            return result
+        places = [TableFile(path.parent / TABLE), *([result.table] if result.table else [])]
+        table = next((place for place in places if place.path.is_file()), None)
+        if table is None or list(table.names) != document["columns"]:
+            remedy = f"Keep {TABLE} and result.json of a large sweep in one folder"
+            raise InputError(f"the table of this sweep is missing: {TABLE}", remedy, str(path))
+        return replace(result, table=table)
+
+    @property
+    def columns(self) -> dict[str, NDArray[Any]]:
         """The table: arrays by name, of texts for columns of words."""
-        with self.path.open(encoding="utf-8", newline="") as file:
-            rows = csv.reader(file)
-            names, parts = next(rows), []
-            while portion := list(itertools.islice(rows, BLOCK_ROWS)):
-                columns = zip(names, zip(*portion, strict=True), strict=True)
-                parts.append([_column(name, values) for name, values in columns])
-        return {name: np.concatenate(column) for name, column in zip(names, zip(*parts, strict=True), strict=True)}
+        if self.data is not None:
+            return self.data
+        assert self.table is not None
+        return self.table.columns
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the columns."""
+        return tuple(self.data) if self.data is not None or self.table is None else self.table.names
 
     @property
     def evaluated(self) -> bool:
@@ -177,22 +242,6 @@ class Sweep(GridStudy):
     def status(self) -> str:
         """Whether every point is valid, in words."""
         return "complete" if self.complete else "not valid everywhere" if self.valid else "not valid anywhere"
-
-
-def _column(name: str, values: Sequence[str]) -> NDArray[Any]:
-    if name in TEXT:
-        return np.array(values)
-    if name in ("valid", CHANGED):
-        return np.array([value == "true" for value in values])
-    return np.array([float(value) if value else np.nan for value in values])
-
-
-class TemporaryFolder:
-    """A temporary folder that is removed with its owner."""
-
-    def __init__(self) -> None:
-        self.path = Path(tempfile.mkdtemp(prefix="optlink-sweep-"))
-        weakref.finalize(self, shutil.rmtree, self.path, ignore_errors=True)
 
 
 @typed
@@ -291,15 +340,13 @@ def sweep(
             problem=problem,
             grid=grid,
             mode=task.mode,
-            path=store.table,
-            names=tuple(names),
+            table=TableFile(store.table, holder),
             **vars(summary),
             done=mine,
             seconds=time.perf_counter() - begin,
             cpu=cpu,
             engine=engine,
             workers=workers,
-            keep=holder,
         )
 
 

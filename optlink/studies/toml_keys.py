@@ -37,31 +37,19 @@ def read_figure(raw: Any) -> tuple[float, str]:
 
 @dataclass(frozen=True)
 class Knob:
-    """A number of the problem file: its name, and its value and range in a unit.
-
-    `key`: of the file, empty for a design variable; `size`: the unit [SI].
-    """
+    """A number at a key of the problem file: its name, and its value and range in a unit."""
 
     name: str
     value: float
     low: float
     high: float
     unit: str
-    key: str = ""
-    size: float = 1.0
+    key: str
 
 
 def knobs(problem: ProblemFile) -> tuple[Knob, ...]:
-    """Return the adjustable numbers of a problem: design variables, fixed dimensions and limits."""
-    return (*_variables(problem), *_dimensions(problem), *_limits(problem))
-
-
-def _variables(problem: ProblemFile) -> Iterator[Knob]:
-    """Yield the design variables within their bounds."""
-    for name in problem.model.free:
-        quantity = problem.model.quantities[name]
-        low, high = (bound / quantity.si_per_unit for bound in quantity.bounds)
-        yield Knob(name, quantity.value / quantity.si_per_unit, low, high, quantity.display[1], size=quantity.si_per_unit)
+    """Return the adjustable numbers of a problem file that are not design variables: fixed dimensions and limits."""
+    return (*_dimensions(problem), *_limits(problem))
 
 
 def _dimensions(problem: ProblemFile) -> Iterator[Knob]:

@@ -2,49 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from optlink.errors import InputError
 from optlink.problem.arguments import typed
-from optlink.problem.file import ProblemFile, dump, load
+from optlink.problem.file import ProblemFile, dump
 
 if TYPE_CHECKING:
-    from optlink.report.html.notebook import Explorer
     from optlink.studio.widget import Canvas
 
 
 @typed
-def explore(
-    problem: ProblemFile | str | Path, design: Mapping[str, float] | None = None, *, sliders: bool = False
-) -> Canvas | Explorer:
+def explore(problem: ProblemFile | str | Path) -> Canvas:
     """Show a problem in a notebook: the canvas of the studio, on which you drag the linkage and the optimum follows.
 
     Parameters
     ----------
     problem : ProblemFile, str or Path
         Problem, name of a shipped problem, or path of a problem file.
-    design : mapping of str to float [m, rad], optional
-        Initial design of the sliders.
-    sliders : bool
-        Show a slider for every dimension and limit instead of the canvas; a slider of a design variable validates the design
-        that it makes (see `optlink.report.html.notebook.Explorer`). A given `design` implies it.
 
     Returns
     -------
-    Canvas or Explorer
+    Canvas
         Shown by a notebook; `problem` and `result` are the current ones.
 
     Raises
     ------
     InputError
-        If a package of the notebook is not installed, or the problem cannot be used.
+        If the package anywidget is not installed, or the problem cannot be used.
     """
-    if sliders or design is not None:
-        from optlink.report.html.notebook import Explorer
-
-        return Explorer(problem if isinstance(problem, ProblemFile) else load(problem), design)
     try:
         from optlink.studio.widget import Canvas
     except ImportError:

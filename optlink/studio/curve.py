@@ -11,7 +11,7 @@ from optlink.errors import InputError, Status
 from optlink.io import finite
 from optlink.linkage.vector2d import Array
 from optlink.problem.file import ProblemFile
-from optlink.studio.design import Design
+from optlink.studio.design import UNVERIFIED, Design
 from optlink.studio.document import Document, from_text
 from optlink.studio.picture import Picture
 from optlink.synthesis.batch_search import Candidate, Searcher
@@ -30,13 +30,7 @@ ROUNDS = 12
 
 
 def curve_problem(points: Any, *, closed: bool) -> Document:
-    """Return a path problem for a curve.
-
-    Parameters
-    ----------
-    points : list of [x, y] in mm
-    closed : bool
-        Whether the curve leads back to its first point.
+    """Return a path problem for points [x, y] in mm; a closed curve leads back to its first point.
 
     Raises
     ------
@@ -103,15 +97,7 @@ class _TimeExceeded(Exception):
 
 
 class _TimedPolisher(Polisher):
-    """A polisher that starts only refinements that will probably finish in time.
-
-    Parameters
-    ----------
-    left : function
-        Returns the remaining time [s].
-    valid : function of a design
-        Called for every valid one.
-    """
+    """A polisher that starts only refinements that will probably finish in the time `left` [s], and passes valid ones on."""
 
     def __init__(self, files: list[ProblemFile], left: Callable[[], float], valid: Callable[[PathDesign], None]) -> None:
         super().__init__(files, "ipopt")
@@ -129,15 +115,7 @@ class _TimedPolisher(Polisher):
 
 
 class CurveSearch:
-    """A search of four-bars for a drawn curve: first coarse candidates, then refined ones, until its time is over.
-
-    Parameters
-    ----------
-    document : Document
-        From `drawn`.
-    seconds : float
-        Longest time of the search.
-    """
+    """A search of four-bars for a drawn curve: first coarse candidates, then refined ones, until its time [s] is over."""
 
     def __init__(self, document: Document, seconds: float = TIME_LIMIT) -> None:
         self.document, self.begun, self._limit = document, time.perf_counter(), seconds
@@ -150,13 +128,7 @@ class CurveSearch:
         self._show: Callable[[bool], None] = lambda done: None
 
     def run(self, show: Callable[[bool], None]) -> None:
-        """Search.
-
-        Parameters
-        ----------
-        show : function
-            Called with whether the search is over, whenever there are better designs.
-        """
+        """Search; call `show` with whether the search is over, whenever there are better designs."""
         self._show = show
         coarse = self._searcher.coarse()
         self._add_coarse(coarse, 1)
@@ -216,18 +188,9 @@ class CurveSearch:
             self._show(done)
 
     def message(self, ident: int, *, done: bool) -> dict[str, Any]:
-        """Return the designs as a message.
-
-        Parameters
-        ----------
-        ident : int
-            Number of the request.
-        done : bool
-            Whether the search has ended.
-        """
+        """Return the designs as a message that answers a request."""
         items = [_item(design) for design in self.designs]
-        seconds = round(self._seconds, 3)
-        return {"type": "candidates", "id": ident, "done": done, "seconds": seconds, "items": items}
+        return {"type": "candidates", "id": ident, "done": done, "seconds": round(self._seconds, 3), "items": items}
 
     def design(self, index: Any) -> Design:
         """Return one of the designs.
@@ -239,18 +202,12 @@ class CurveSearch:
         """
         if isinstance(index, bool) or not isinstance(index, int) or not 0 <= index < len(self.designs):
             raise InputError("no such candidate", "Draw the curve again", key="candidate", value=index)
-        found_design = self.designs[index]
-        candidate = next((candidate for design, candidate in self._coarse if design is found_design), None)
+        found = self.designs[index]
+        candidate = next((candidate for design, candidate in self._coarse if design is found), None)
         if candidate is not None:
             refined = Polisher.polish(self._polisher, candidate, near=True)
-            found_design = refined if refined.valid else found_design
-        return Design(
-            found_design.problem,
-            found_design.values,
-            objective=found_design.objective,
-            solution=found_design.solution,
-            crank_angles=found_design.crank_angles,
-        )
+            found = refined if refined.valid else found
+        return Design(found.problem, found.values, UNVERIFIED, found.objective, found.solution, found.crank_angles)
 
 
 def _largest_error(design: PathDesign) -> float:
@@ -260,9 +217,8 @@ def _largest_error(design: PathDesign) -> float:
 
 def _item(design: PathDesign) -> dict[str, Any]:
     displayed = Design(design.problem, design.values, crank_angles=design.crank_angles)
-    picture = Picture(displayed.machine, displayed.start, displayed.speed)
-    scene = picture.document()
-    units = {name: math.degrees(1.0) if quantity.kind == "angle" else 1e3 for name, quantity in design.task.quantities.items()}
-    sizes = {name: design.values[name] * size for name, size in units.items()}
+    scene = Picture(displayed.machine, displayed.start, displayed.speed).document()
+    quantities = design.task.quantities.items()
+    sizes = {name: design.values[name] * (math.degrees(1.0) if q.kind == "angle" else 1e3) for name, q in quantities}
     item = {"error": 1e3 * _largest_error(design), "unit": "mm", "valid": design.valid, "design": sizes}
     return {**finite(item), "curve": scene["points"][design.task.requirement.point], "scene": scene}

@@ -84,13 +84,7 @@ def started(problem: ProblemFile) -> Design:
 
 
 def from_solution(problem: ProblemFile, solution: Solution) -> Design:
-    """Return the design of a local optimum, not yet validated.
-
-    Parameters
-    ----------
-    problem : ProblemFile
-        With definite assembly modes.
-    """
+    """Return the design of a local optimum, not yet validated."""
     values, angles = kind_of(problem).values(problem.model, solution)
     return Design(problem, values, UNVERIFIED, solution.objective, solution, angles, limits=solution.displayed_limits)
 
@@ -104,13 +98,7 @@ def in_modes(problem: ProblemFile, design: Design) -> ProblemFile:
 
 
 def carried_design(problem: ProblemFile, last: Design) -> Design:
-    """Return the last design in a changed problem, without optimisation: fixed sizes have their new values.
-
-    Parameters
-    ----------
-    problem : ProblemFile
-        With definite assembly modes.
-    """
+    """Return the last design in a changed problem, without optimisation: fixed sizes have their new values."""
     quantities = problem.model.quantities
     values = {name: last.values.get(name, q.value) if q.free else q.value for name, q in quantities.items()}
     words = MOVING_TEXT if problem.model.free else MACHINE_TEXT
@@ -118,13 +106,7 @@ def carried_design(problem: ProblemFile, last: Design) -> Design:
 
 
 def moved_machine(design: Design, full: bool | None) -> Design:
-    """Return a machine without design variables that is not analysed yet, with a status from its positions.
-
-    Parameters
-    ----------
-    full : bool or None
-        Whether it can be assembled at every crank angle; None at none.
-    """
+    """Return a machine that is not analysed yet, with a status from whether it assembles at every crank angle; None: at none."""
     if design.status != UNVERIFIED or full:
         return design
     if full is None:
@@ -175,12 +157,7 @@ def _machine(result: Analysis | Balance) -> Design:
 
 
 def solved_design(problem: ProblemFile, progress: Callable[[float], None] | None = None) -> Design:
-    """Return the design that the command line finds for a problem: the same search, the same validation.
-
-    Parameters
-    ----------
-    progress : function of the completed fraction, optional
-    """
+    """Return the design that the command line finds for a problem: the same search, the same validation."""
     return design_of(kind_of(problem).result(problem, progress))
 
 
@@ -190,29 +167,16 @@ def validated_design(design: Design) -> Design:
 
     model = design.problem.model
     result = design_of(validate(design.problem, {name: design.values[name] for name in model.free}))
-    return replace(
-        result, solution=design.solution, limits=design.limits, objective=design.objective, conclusion=result.conclusion
-    )
+    return replace(result, solution=design.solution, limits=design.limits, objective=design.objective)
 
 
 def verdict(design: Design) -> dict[str, Any]:
     """Return the verdict of an infeasible design, for the last feasible one that stays drawn without its objective and prices."""
-    return {
-        **NO_RESULT,
-        "status": design.status,
-        "conclusion": design.conclusion,
-        "conflicts": design.conflicts,
-    }
+    return {**NO_RESULT, "status": design.status, "conclusion": design.conclusion, "conflicts": design.conflicts}
 
 
 def failure(error: OptlinkError, status: str = "failed") -> dict[str, Any]:
-    """Return the verdict of a problem that cannot be stated or solved.
-
-    Parameters
-    ----------
-    status : str
-        Status of the design.
-    """
+    """Return the verdict of a problem that cannot be stated or solved."""
     why = fault_text(error)
     return {**NO_RESULT, "status": status, "conclusion": why, "conflicts": (why,)}
 

@@ -13,8 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from optlink.errors import InputError
+from optlink.problem.enclosed import references
 from optlink.problem.file import MAX_BYTES, ProblemFile, load, read, shipped
-from optlink.problem.fixed_design import file_key, references
+from optlink.problem.fixed_design import file_key
 from optlink.problem.quantity import check_choice
 from optlink.problem.templates import template, templates
 from optlink.report import toml_text
@@ -39,19 +40,13 @@ class Document:
 
     @cached_property
     def problem(self) -> ProblemFile:
-        """The checked problem.
-
-        Raises
-        ------
-        InputError
-            If the text is not a usable problem.
-        """
+        """The checked problem; InputError if the text is not a usable one."""
         return read(tables(self.text, self.file), self.name, self.file, self.folder)
 
     @property
     def files(self) -> list[str]:
         """Other files that the problem file names."""
-        return [table[key] for table, key, _ in references(dict(self.problem.raw))]
+        return [name_of(table[key]) for table, key, _ in references(dict(self.problem.raw))]
 
     def message(self) -> dict[str, Any]:
         """Return the document as plain data, for `of`."""
@@ -73,28 +68,14 @@ class Document:
         return os.path.exists(file) and _file_text(file) not in known
 
     def with_changes(self, changes: Mapping[str, object]) -> Document:
-        """Return the document with other values at dotted keys; comments and layout are kept.
-
-        Parameters
-        ----------
-        changes : mapping of str to object
-            See `ProblemFile.override`.
-        """
+        """Return the document with other values at dotted keys (see `ProblemFile.override`); comments and layout are kept."""
         if not changes:
             return self
         problem = self.problem.override(changes)
         return replace(self, text=toml_text.rewritten(self.text, self.problem.raw, problem.raw))
 
     def locked(self, size: str, value: float | None) -> Document:
-        """Return the document with a design variable fixed.
-
-        Parameters
-        ----------
-        size : str
-            Name of the design variable.
-        value : float [SI] or None
-            None for the starting value of the file.
-        """
+        """Return the document with a design variable fixed at a value [SI]; None for the starting value of the file."""
         quantity, key = self._quantity(size)
         if not quantity.free:
             return self
@@ -103,13 +84,7 @@ class Document:
         return replace(document, freed={**self.freed, size: self.problem.at(key)})
 
     def released(self, size: str) -> Document:
-        """Return the document with a fixed size as a design variable, within its former bounds.
-
-        Parameters
-        ----------
-        size : str
-            Name of the size.
-        """
+        """Return the document with a fixed size as a design variable, within its former bounds."""
         quantity, key = self._quantity(size)
         if quantity.free:
             return self
@@ -162,37 +137,18 @@ def _without_waiting(path: str, flags: int) -> int:
 
 
 def shipped_problem(name: str) -> Document:
-    """Open a shipped problem: a page may name no other file of this machine.
-
-    Raises
-    ------
-    InputError
-        If there is none with this name.
-    """
+    """Open a shipped problem: a page may name no other file of this machine."""
     check_choice("name", name, shipped(), "no such shipped problem")
     return named(name)
 
 
 def from_template(name: str) -> Document:
-    """Open a template as a new problem.
-
-    Raises
-    ------
-    InputError
-        If there is no such template.
-    """
+    """Open a template as a new problem."""
     return Document(name, template(name).text, NO_FOLDER)
 
 
 def from_text(text: str, title: str) -> Document:
     """Open a text of unknown origin: it must not name other files.
-
-    Parameters
-    ----------
-    text : str
-        A problem file.
-    title : str
-        Name of the document.
 
     Raises
     ------
@@ -204,7 +160,7 @@ def from_text(text: str, title: str) -> Document:
     if len(text.encode(errors="replace")) > MAX_BYTES:
         raise InputError(f"the text is longer than {MAX_BYTES:,} bytes", "Open a shorter file", file)
     raw = tables(text, file)
-    file_reference = next((table[key] for table, key, _ in references(raw)), None)
+    file_reference = next((name_of(table[key]) for table, key, _ in references(raw)), None)
     if file_reference is not None:
         remedy = f"Open it from its folder: optlink studio {file}"
         raise InputError("a problem that is opened in the page cannot read other files", remedy, file, value=file_reference)
@@ -214,13 +170,7 @@ def from_text(text: str, title: str) -> Document:
 
 
 def hello(opened: str | None) -> dict[str, Any]:
-    """Return the first message to a page: what it can open, and what is opened for it.
-
-    Parameters
-    ----------
-    opened : str or None
-        Problem that is opened without a request of the page.
-    """
+    """Return the first message to a page: what it can open, and the problem that is opened without its request."""
     problems = []
     for name, path in shipped().items():
         raw = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -231,12 +181,7 @@ def hello(opened: str | None) -> dict[str, Any]:
 
 
 def tables(text: str, file: str) -> dict[str, Any]:
-    """Return the nested tables of a text in the standard spelling.
-
-    Parameters
-    ----------
-    file : str
-        Name of the file, for errors.
+    """Return the nested tables of a text in the standard spelling; errors name the file.
 
     Raises
     ------

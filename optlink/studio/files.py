@@ -17,15 +17,6 @@ MEDIA = {"dxf": "image/vnd.dxf", "svg": "image/svg+xml", "html": "text/html", "c
 def exported(design: Design, name: str, format: str) -> dict[str, Any]:
     """Return a file of a design: its name, media type and text.
 
-    Parameters
-    ----------
-    design : Design
-        With the result of a task.
-    name : str
-        Name of the document.
-    format : str
-        "dxf", "svg", "html" or "csv".
-
     Raises
     ------
     InputError

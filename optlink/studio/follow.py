@@ -16,7 +16,7 @@ from optlink.optimization.cycle_nlp import CycleNLP
 from optlink.optimization.cycle_signals import TracedCycle
 from optlink.optimization.nlp import NLP
 from optlink.optimization.path_nlp import build_path_nlp, constant_values, has_position_limits
-from optlink.problem.cycle.model import Bound, CycleProblem
+from optlink.problem.cycle.model import CycleProblem
 from optlink.problem.file import ProblemFile
 from optlink.problem.limits import Reach
 from optlink.problem.machine.model import Problem
@@ -41,15 +41,7 @@ class Follower(Protocol):
     """Follows the optimum of problems with one structure."""
 
     def follow(self, problem: ProblemFile, near: Solution | None) -> Solution | None:
-        """Return the optimum of a problem near the last one, usable or not; None if it cannot be followed.
-
-        Parameters
-        ----------
-        problem : ProblemFile
-            With definite assembly modes.
-        near : Solution, optional
-            Last optimum.
-        """
+        """Return the optimum, usable or not, of a problem with definite assembly modes near the last one; None if it has none."""
         ...
 
 
@@ -61,15 +53,7 @@ class FunctionFollower:
         multistart.prepare(self.programme.nlp, BACKEND)
 
     def follow(self, problem: ProblemFile, near: Solution | None) -> Solution:
-        """Return the optimum of a problem near the last one.
-
-        Parameters
-        ----------
-        problem : ProblemFile
-            With definite assembly modes.
-        near : Solution, optional
-            Last optimum.
-        """
+        """Return the optimum of a problem near the last one."""
         task, programme = problem.spec, self.programme
         nlp = programme.nlp
         programme.bind(task)
@@ -87,12 +71,7 @@ class FunctionFollower:
 class PathFollower:
     """Follower of paths, motions, laws and transmission of any linkage; its programme has the targets as parameters.
 
-    Parameters
-    ----------
-    problem : ProblemFile
-        With definite assembly modes.
-    way : int
-        Sense of crank rotation from point to point, +1 or -1.
+    `direction` is the sense of crank rotation from point to point, +1 or -1.
     """
 
     def __init__(self, problem: ProblemFile, direction: int) -> None:
@@ -105,15 +84,7 @@ class PathFollower:
         multistart.prepare(self.nlp, BACKEND)
 
     def follow(self, problem: ProblemFile, near: Solution | None) -> Solution:
-        """Return the optimum of a problem near the last one.
-
-        Parameters
-        ----------
-        problem : ProblemFile
-            With definite assembly modes.
-        near : Solution, optional
-            Last optimum.
-        """
+        """Return the optimum of a problem near the last one."""
         task = path_model(problem)
         if not self._bind(task):
             self._build(task)
@@ -150,13 +121,7 @@ class PathFollower:
 
 
 def start_of(nlp: NLP, near: Solution | None) -> Array:
-    """Return the design of the last optimum as a starting point of a programme; without one the start of the programme.
-
-    Parameters
-    ----------
-    near : Solution, optional
-        Of this programme, or of another one with other variables or another scaling.
-    """
+    """Return the last optimum as a starting point of a programme with other variables or scaling; without one, its own start."""
     x = nlp.x_start.copy()
     if near is not None and near.nlp is nlp:
         x = near.x
@@ -171,12 +136,8 @@ def start_of(nlp: NLP, near: Solution | None) -> Array:
 class CycleFollower:
     """Follower of designs for quantities of the cycle; limits, bounds and fixed sizes are parameters of its programme.
 
-    Newton's method runs at fixed positions of the peaks, which hardly move.
-
-    Parameters
-    ----------
-    values : mapping of str to float [SI]
-        The last optimum; its order of events is that of the programme.
+    Newton's method runs at fixed positions of the peaks, which hardly move. `values` [SI] are the last optimum, whose order of
+    events is that of the programme.
     """
 
     def __init__(self, problem: ProblemFile, values: Mapping[str, float]) -> None:
@@ -197,13 +158,7 @@ class CycleFollower:
         )
 
     def follow(self, problem: ProblemFile, near: Solution | None) -> Solution | None:
-        """Return the optimum of a problem near the last one; None if its events have another order.
-
-        Parameters
-        ----------
-        near : Solution, optional
-            Not used: the follower keeps its last optimum.
-        """
+        """Return the optimum of a problem near the last one, which the follower keeps; None if its events have another order."""
         last = self._near
         if last is None:
             return None
@@ -237,7 +192,7 @@ class CycleFollower:
         vars(trace).update(vars(self.programme.trace) | {"problem": task})
         programme_nlp = self.programme.nlp
         movable = {"x_low": programme_nlp.x_low.copy(), "x_high": programme_nlp.x_high.copy()}
-        nlp = with_bounds(programme_nlp, dict(_moved(self.task, task)), trace=trace, **movable)
+        nlp = with_bounds(programme_nlp, _moved(self.task, task), trace=trace, **movable)
         nlp.p[:] = last.p
         nlp.p[1 : 1 + len(nlp.constants)] = [v.scaled(task.quantities[v.name].value) for v in nlp.constants]
         _set_bounds(nlp, task)
@@ -252,19 +207,15 @@ def _set_bounds(nlp: NLP, task: Problem) -> None:
             nlp.limit(i, v.scaled(low), v.scaled(high))
 
 
-def _moved(old: CycleProblem, new: CycleProblem) -> list[tuple[str, float]]:
-    """Return the limits that differ, as key with side and value in the unit of the file."""
-    moves: list[tuple[str, float]] = []
-    for before, now in zip(old.bounds, new.bounds, strict=True):
-        for side, before_value, value in zip(("min", "max"), _ends(before), _ends(now), strict=True):
-            if before_value != value and value is not None:
-                size = factor(now.interval.unit, now.interval.kind) if now.interval.kind else 1.0
-                moves.append((f"{now.key}.{side}", value / size))
-    return moves
-
-
-def _ends(bound: Bound) -> tuple[float | None, float | None]:
-    return bound.interval.low, bound.interval.high
+def _moved(old: CycleProblem, new: CycleProblem) -> dict[str, float]:
+    """Return the limits that differ, in the unit of the file, by key with side."""
+    moved: dict[str, float] = {}
+    for bound, now in zip(old.bounds, new.bounds, strict=True):
+        before, interval = bound.interval, now.interval
+        for side, was, value in (("min", before.low, interval.low), ("max", before.high, interval.high)):
+            if was != value and value is not None:
+                moved[f"{now.key}.{side}"] = value / (factor(interval.unit, interval.kind) if interval.kind else 1.0)
+    return moved
 
 
 def _with_active_rows(solution: Solution) -> Solution:

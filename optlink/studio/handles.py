@@ -76,20 +76,7 @@ class Handle:
         return {} if self.kind == "range" else {"feasible": sorted([self.value, place[0]])}
 
     def changes(self, problem: ProblemFile, message: Mapping[str, Any]) -> dict[str, object]:
-        """Return the changes of the file for a place or a value of the handle.
-
-        Parameters
-        ----------
-        problem : ProblemFile
-            The problem before the change.
-        message : mapping
-            With `at` for a point, else with `value`.
-
-        Raises
-        ------
-        InputError
-            If the message has no usable number.
-        """
+        """Return the changes of the file for a message with a place (`at`) of a point, or the `value` of another handle."""
         if self.kind == "point":
             x, y = _numbers(message.get("at"), 2)
             origin_x, origin_y, turn = self.axes
@@ -144,15 +131,8 @@ def same_kind(first: Handle | None, second: Handle) -> TypeGuard[Handle]:
 
 
 def handles(problem: ProblemFile, picture: Picture | None) -> dict[str, Handle]:
-    """Return the handles of a problem at a design, by their names.
-
-    Parameters
-    ----------
-    picture : Picture or None
-        The design in motion; None if it cannot be assembled: then no handle lies on the drawing but those of the targets.
-    """
-    result = _Handles(problem, picture)
-    return {handle.id: handle for handle in result.all()}
+    """Return the handles of a problem by name; without a picture, only those of the targets lie on the drawing."""
+    return {handle.id: handle for handle in _Handles(problem, picture).all()}
 
 
 class _Handles:
@@ -172,18 +152,15 @@ class _Handles:
         """Yield the handles: targets, requirement, dimensions, limits, bounds."""
         yield from self._targets()
         yield from self._requirement()
-        by_key = {knob.key: knob for knob in knobs(self.problem) if knob.key}
-        dimensions = {key: knob for key, knob in by_key.items() if not key.startswith("limits.")}
-        yield from self._geometry(dimensions)
-        for key, knob in by_key.items():
-            drawn = self._transmission(key, knob) if key in TRANSMISSION else None
-            if key in dimensions or key.startswith("limits."):
-                yield drawn or self._slider(key, knob.name, knob.value, knob.unit, (knob.low, knob.high))
+        remaining = {knob.key: knob for knob in knobs(self.problem)}
+        yield from self._geometry(remaining)
+        for knob in remaining.values():
+            yield self._transmission(knob) or self._slider(knob)
         yield from self._bounds()
 
-    def _slider(self, key: str, label: str, value: float, unit: str, ends: tuple[float, float]) -> Handle:
-        low, high = ends
-        return Handle(key, label, "scalar", unit, (key,), value, {"lower": low, "upper": high, **self._lock(key)})
+    def _slider(self, knob: Knob) -> Handle:
+        shown = {"lower": knob.low, "upper": knob.high, **self._lock(knob.key)}
+        return Handle(knob.key, knob.name, "scalar", knob.unit, (knob.key,), knob.value, shown)
 
     def _lock(self, key: str) -> dict[str, Any]:
         """Return the size that a key fixes."""
@@ -233,8 +210,8 @@ class _Handles:
             for side, text in sides.items() if isinstance(sides, Mapping) else [("", sides)]:
                 value, unit = read_figure(text)
                 if value and side in ("", "exactly", *SIDES):
-                    key = f"requirement.{name}.{side}".rstrip(".")
-                    yield self._slider(key, f"{name} {side}".replace("_", " ").strip(), value, unit, (0.5 * value, 1.5 * value))
+                    words, key = f"{name} {side}".replace("_", " ").strip(), f"requirement.{name}.{side}".rstrip(".")
+                    yield self._slider(Knob(words, value, 0.5 * value, 1.5 * value, unit, key))
         law = raw.get("law")
         if isinstance(law, Mapping) and "function" in law:
             for key, joint in (("input", "A"), ("output", "D")):
@@ -242,20 +219,19 @@ class _Handles:
                 if unit == "deg":
                     yield self._turned(f"requirement.law.{key}", f"{key} range", value, joint, begin if joint == "A" else 0.0)
                 elif value:
-                    yield self._slider(f"requirement.law.{key}", f"{key} range", value, unit, (0.5 * value, 1.5 * value))
+                    yield self._slider(Knob(f"{key} range", value, 0.5 * value, 1.5 * value, unit, f"requirement.law.{key}"))
             ends = law.get("x")
             if isinstance(ends, list) and len(ends) == 2 and all(type(x) in (int, float) for x in ends):
                 room = 0.5 * abs(ends[1] - ends[0])
                 low, high = min(ends) - room, max(ends) + room
                 low = min(ends) if low <= 0.0 < min(ends) else low
-                yield Handle(
-                    "requirement.law.x", "interval of x", "range", "", ("requirement.law.x",), ends, {"lower": low, "upper": high}
-                )
+                key = "requirement.law.x"
+                yield Handle(key, "interval of x", "range", "", (key,), ends, {"lower": low, "upper": high})
 
     def _turned(self, key: str, label: str, value: float, joint: str, begin: float) -> Handle:
         """Return an angle handle at a pivot, or a slider if there is no such joint."""
         if self.picture is None or joint not in self.picture.mechanism.ground:
-            return self._slider(key, label, value, "deg", (value - 180.0, value + 180.0))
+            return self._slider(Knob(label, value, value - 180.0, value + 180.0, "deg", key))
         return self._angle(key, label, value, (self.picture.at(joint), begin, (2.0 if joint == "A" else 1.6) * self.radius))
 
     # --- dimensions ---------------------------------------------------------------------------------------------------------
@@ -288,7 +264,7 @@ class _Handles:
         first, second = self.picture.at(start), self.picture.at(end)
         length = math.dist(first, second)
         if not 0.0 < length < math.inf:
-            yield self._slider(key, knob.name, knob.value, knob.unit, (knob.low, knob.high))
+            yield self._slider(knob)
             return
         direction = [(b - a) / length for a, b in zip(first, second, strict=True)]
         reach = 1e3 * self.quantities[name].value  # that of the problem: what is drawn can be the last design before it
@@ -318,13 +294,8 @@ class _Handles:
             return
         for key, knob, turn in zip(keys, quantities, (axes[2], axes[2] + 0.5 * math.pi), strict=True):
             if knob is not None:
-                data = {
-                    "at": list(at),
-                    "along": [math.cos(turn), math.sin(turn)],
-                    "lower": None,
-                    "upper": None,
-                    **self._lock(key),
-                }
+                direction = [math.cos(turn), math.sin(turn)]
+                data = {"at": list(at), "along": direction, "lower": None, "upper": None, **self._lock(key)}
                 yield Handle(key, knob.name, "scalar", knob.unit, (key,), knob.value, data)
 
     def _stated(self, at: tuple[float, float], names: list[Any], axes: tuple[float, float, float]) -> tuple[float, float]:
@@ -342,17 +313,19 @@ class _Handles:
 
     # --- limits and bounds --------------------------------------------------------------------------------------------------
 
-    def _transmission(self, key: str, knob: Knob) -> Handle | None:
-        """Return a limit of the transmission angle of a four-bar as an angle at its joint."""
-        if self.picture is None or not isinstance(self.problem.model.mechanism, FourBarSection) or knob.unit != "deg":
+    def _transmission(self, knob: Knob) -> Handle | None:
+        """Return a limit of the transmission angle of a four-bar as an angle at its joint; None for anything else."""
+        if knob.key not in TRANSMISSION or knob.unit != "deg":
+            return None
+        if self.picture is None or not isinstance(self.problem.model.mechanism, FourBarSection):
             return None
         joint, coupler_end, rocker_end = (self.picture.at(name) for name in "CBD")
         first, second = (math.atan2(end[1] - joint[1], end[0] - joint[0]) for end in (coupler_end, rocker_end))
         begin = first if math.remainder(second - first, 2.0 * math.pi) >= 0.0 else second
         if not math.isfinite(begin):
             return None
-        radius = (1.0 if key.endswith("min") else 1.35) * self.radius
-        return self._angle(key, knob.name, knob.value, (joint, begin, radius), lower=0.0, upper=180.0)
+        radius = (1.0 if knob.key.endswith("min") else 1.35) * self.radius
+        return self._angle(knob.key, knob.name, knob.value, (joint, begin, radius), lower=0.0, upper=180.0)
 
     def _bounds(self) -> Iterator[Handle]:
         """Yield the bounds of the design variables that the file states."""

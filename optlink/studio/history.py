@@ -9,15 +9,9 @@ MAX_STEPS = 200
 
 
 class History(Generic[Step]):
-    """Documents in the order of their changes, and the present one.
+    """Documents in the order of their changes, and the index of the present one."""
 
-    Parameters
-    ----------
-    at : int
-        Index of the present one.
-    """
-
-    def __init__(self, steps: Sequence[Step], at: int = 0) -> None:
+    def __init__(self, steps: Sequence[Step], at: int) -> None:
         self.steps, self.at = list(steps), at
 
     @property

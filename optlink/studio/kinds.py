@@ -47,12 +47,7 @@ class Kind:
         return "analysis"
 
     def result(self, problem: ProblemFile, progress: Callable[[float], None] | None) -> Any:
-        """Return the result that the command line finds: the same search, the same validation.
-
-        Parameters
-        ----------
-        progress : function of the completed fraction, optional
-        """
+        """Return the result that the command line finds: the same search, the same validation."""
         from optlink.tasks.analyze import analyze
 
         return analyze(problem)
@@ -62,50 +57,22 @@ class Kind:
         return model.design({name: solution.design[name] for name in model.free}), None
 
     def objective(self, model: Any, value: float) -> ShownObjective:
-        """Return an objective as it is shown, with its name; no name if there is none.
-
-        Parameters
-        ----------
-        value : float [SI]
-        """
+        """Return an objective [SI] as it is shown, with its name; no name if there is none."""
         return ShownObjective(value, 1.0, "", "")
 
     def error_curves(self, model: Any, values: Mapping[str, float], start: float, angles: Array | None) -> Iterator[ErrorCurve]:
-        """Yield the error of a design, if the kind has one.
+        """Yield the error of a design [SI] from its first crank angle [rad] on, if the kind has one.
 
-        Parameters
-        ----------
-        values : mapping of str to float [SI]
-            All quantities of the design.
-        start : float [rad]
-            Crank angle of its first position.
-        angles : array (points,) [rad], optional
-            Crank angles of the target points, where the values do not determine them.
+        `angles` (points,) [rad] are those of the target points, where the values do not determine them.
         """
         yield from ()
 
     def follower(self, problem: ProblemFile, values: Mapping[str, float], direction: int) -> Follower | None:
-        """Return a follower of a problem; None if designs are not optimised during a drag.
-
-        Parameters
-        ----------
-        problem : ProblemFile
-            With definite assembly modes.
-        values : mapping of str to float [SI]
-            The last design.
-        direction : int
-            Sense of its crank rotation, +1 or -1.
-        """
+        """Return a follower from the last design [SI] and its sense of crank rotation; None if a drag does not optimise."""
         return None
 
     def fixed_parts(self, model: Any, requirement: Mapping[str, Any]) -> list[Any]:
-        """Return the parts of the requirement that a programme does not have as parameters.
-
-        Parameters
-        ----------
-        requirement : mapping
-            Section of the file.
-        """
+        """Return the parts of the requirement section that a programme does not have as parameters."""
         return []
 
 
@@ -228,21 +195,6 @@ def structure(problem: ProblemFile) -> Any:
     parts += [{key: value for key, value in raw.items() if key not in ("mechanism", "limits", "requirement", *PROSE)}]
     parts += kind_of(problem).fixed_parts(model, dict(raw.get("requirement") or {}))
     return tuple(map(repr, parts))
-
-
-def follower(problem: ProblemFile, values: Mapping[str, float], direction: int) -> Follower | None:
-    """Return a follower of a problem, see `Kind.follower`; None without design variables.
-
-    Parameters
-    ----------
-    problem : ProblemFile
-        With definite assembly modes.
-    values : mapping of str to float [SI]
-        The last design.
-    direction : int
-        Sense of its crank rotation, +1 or -1.
-    """
-    return kind_of(problem).follower(problem, values, direction) if problem.model.free else None
 
 
 def _without_numbers(value: Any) -> Any:

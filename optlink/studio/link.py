@@ -66,13 +66,7 @@ class Worker:
             self.process.stdin.write(frame(message))
 
     async def receive(self) -> bytes:
-        """Return the next message of the process as JSON.
-
-        Raises
-        ------
-        EOFError
-            If the process has ended.
-        """
+        """Return the next message of the process as JSON; EOFError if the process has ended."""
         assert self.process.stdout is not None
         head = await self.process.stdout.readexactly(4)
         self.ready = True
@@ -94,12 +88,8 @@ class Worker:
 class Link:
     """Requests of one page in their order, one computed at a time; of moves only the newest.
 
-    Parameters
-    ----------
-    send : function of a text
-        Sends a message to the page; raises ConnectionError if the page is gone.
-    another : function, optional
-        Returns a worker in place of one that has ended.
+    `send` sends a text to the page, and raises ConnectionError if it is gone; `another` returns a worker in place of one that
+    ended.
     """
 
     def __init__(self, worker: Worker, send: Send, another: Callable[[], Awaitable[Worker]] | None = None) -> None:

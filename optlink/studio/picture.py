@@ -20,12 +20,8 @@ DIGITS = 6  # significant digits of a coordinate, relative to the extent
 class Picture:
     """A design in motion: its positions, and the data that the page draws.
 
-    Parameters
-    ----------
-    start : float [rad]
-        Crank angle of the first position; of a crank that cannot turn fully, one in the reachable range.
-    speed : float
-        Only its sign matters: the sense of rotation.
+    `start` [rad] is the first crank angle, in the reachable range if the crank cannot turn fully; `speed` gives the sense of
+    rotation.
     """
 
     def __init__(self, machine: Machine, start: float, speed: float = 1.0) -> None:
@@ -57,15 +53,9 @@ class Picture:
 
     # --- what is sent -------------------------------------------------------------------------------------------------------
 
-    def at(self, name: str, k: int = 0) -> tuple[float, float]:
-        """Return the place of a point [mm].
-
-        Parameters
-        ----------
-        k : int
-            Index of the position.
-        """
-        x, y = 1e3 * self.motion.position(name)[k]
+    def at(self, name: str) -> tuple[float, float]:
+        """Return the place of a point [mm] at the first position."""
+        x, y = 1e3 * self.motion.position(name)[0]
         return float(x), float(y)
 
     def document(self) -> dict[str, Any]:

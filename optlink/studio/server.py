@@ -44,15 +44,7 @@ FULL = f"{MAX_PAGES} pages of the studio are open. Close one, and reconnect."
 
 
 class Studio:
-    """Application, token and pages of one server.
-
-    Parameters
-    ----------
-    port : int
-        Port on which it listens.
-    opened : str, optional
-        Problem that a new page opens.
-    """
+    """Application, token and pages of one server; a new page opens the initial problem."""
 
     def __init__(self, port: int, initial: str | None = None) -> None:
         self.port, self.opened, self.token = port, initial, secrets.token_urlsafe(32)
@@ -163,13 +155,7 @@ class Studio:
             await link.close()
 
     async def _worker(self) -> Worker:
-        """Return the process that waits, and start the next one.
-
-        Raises
-        ------
-        OSError
-            If it could not be started.
-        """
+        """Return the process that waits, and start the next one; OSError if it could not be started."""
         assert self._spare is not None
         spare, self._spare = self._spare, asyncio.create_task(_started())
         worker = await spare
@@ -236,17 +222,8 @@ class _Guard:
         await self.app(scope, receive, sent)
 
 
-def serve(initial: str | None = None, port: int = 0, ready: Callable[[str], None] = print) -> None:
-    """Serve the studio on this machine until it is interrupted.
-
-    Parameters
-    ----------
-    initial : str, optional
-        Shipped problem or file that a new page opens.
-    port : int
-        Port; 0 for any free one.
-    ready : function of the address
-        Called when the server listens.
+def serve(initial: str | None, port: int, ready: Callable[[str], None]) -> None:
+    """Serve the studio on this machine until it is interrupted; port 0 is any free one, `ready` takes the address.
 
     Raises
     ------

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 from optlink.errors import InputError, OptlinkError
 from optlink.problem.assignment import parse_assignment
+from optlink.problem.enclosed import references
 from optlink.problem.file import ProblemFile, load
-from optlink.problem.fixed_design import references
 from optlink.report.format import pretty
 from optlink.studio import state
 from optlink.studio.design import (
@@ -29,7 +29,7 @@ from optlink.studio.files import deflated, exported, inflated
 from optlink.studio.follow import Follower
 from optlink.studio.handles import Handle, handles, same_kind
 from optlink.studio.history import MAX_STEPS, History
-from optlink.studio.kinds import follower, kind_of, structure
+from optlink.studio.kinds import kind_of, structure
 from optlink.studio.picture import Picture
 
 if TYPE_CHECKING:
@@ -47,12 +47,7 @@ FIRST_TEXT = "Validated; the full search for a better design runs."
 class Session:
     """The requests of one page.
 
-    Parameters
-    ----------
-    send : function of a message
-        Sends a message to the page.
-    interruptible : function of a function
-        Runs a function that the page may stop; raises KeyboardInterrupt then.
+    `send` sends a message to the page; `interruptible` runs a function that the page may stop, which raises KeyboardInterrupt.
     """
 
     def __init__(self, send: Send, interruptible: Callable[[Callable[[], Any]], Any] = lambda work: work()) -> None:
@@ -223,13 +218,10 @@ class Session:
     def _followed(self, problem: ProblemFile) -> Design:
         """Return the optimum of a problem near the last design."""
         last = self._design or started(problem)
-        structure_of_problem = structure(problem)
-        if self._follower[0] != structure_of_problem:
-            if kind_of(problem).slow_programme:  # it is prepared after a release
-                return carried_design(problem, last)
-            self._follower = (structure_of_problem, follower(problem, last.values, -1 if last.speed < 0.0 else 1))
-        current = self._follower[1]
-        solution = None if current is None else current.follow(problem, last.solution)
+        if kind_of(problem).slow_programme and self._follower[0] != structure(problem):  # it is prepared after a release
+            return carried_design(problem, last)
+        follower = self._follower_of(problem, last)
+        solution = None if follower is None else follower.follow(problem, last.solution)
         if solution is None:
             return carried_design(problem, last)
         if solution.usable:
@@ -239,6 +231,14 @@ class Session:
         violated, at_bound = conflicting(solution)
         words = f"No design near the last one meets all limits: {'; '.join((*violated, *at_bound)) or 'no design was found'}."
         return replace(carried_design(problem, last), status="infeasible", conclusion=words, conflicts=(words,))
+
+    def _follower_of(self, problem: ProblemFile, last: Design) -> Follower | None:
+        """Return the present follower, or a new one if the problem has another structure; None without design variables."""
+        own = structure(problem)
+        if self._follower[0] != own:
+            direction, kind = -1 if last.speed < 0.0 else 1, kind_of(problem)
+            self._follower = own, kind.follower(problem, last.values, direction) if problem.model.free else None
+        return self._follower[1]
 
     def _bisect(self, handle: Handle, base: ProblemFile, request: Mapping[str, Any]) -> None:
         """Find how far a handle could be dragged, and show it."""
@@ -313,13 +313,7 @@ class Session:
         self._interruptible(self._prepare)
 
     def _show_near(self, problem: ProblemFile) -> tuple[str, ...]:
-        """Show the optimum near the last design; if there is none, that design: never the verdict of another problem.
-
-        Returns
-        -------
-        tuple of str
-            The conflicts near the last design.
-        """
+        """Show the optimum near the last design, else that design; never the verdict of another problem. Return the conflicts."""
         last = self._design
         if last is None:
             self._show(replace(started(problem), conclusion=SEARCHING_TEXT), problem, moving=False, searching=True)
@@ -354,12 +348,8 @@ class Session:
     def _prepare(self) -> None:
         """Build the programme of the present problem, so that the next drag finds it."""
         last = self._design
-        if last is None or last.solution is None or not last.solution.usable:
-            return
-        problem = self._definite(self._document.problem)
-        structure_of_problem = structure(problem)
-        if self._follower[0] != structure_of_problem:
-            self._follower = (structure_of_problem, follower(problem, last.values, -1 if last.speed < 0.0 else 1))
+        if last is not None and last.solution is not None and last.solution.usable:
+            self._follower_of(self._definite(self._document.problem), last)
 
     # --- the state ----------------------------------------------------------------------------------------------------------
 
@@ -409,7 +399,7 @@ class Session:
             "unchecked": design.unchecked,
             "conflicts": [pretty(words) for words in design.conflicts],
             "scene": None if picture is None else picture.document(),
-            "charts": [] if picture is None else state.charts(design, picture, problem, moving=moving),
+            "charts": [] if picture is None else state.charts(design, picture, problem),
         }
         total = time.perf_counter()
         message["seconds"] = {"solve": done - self._begun, "total": total - self._begun}

@@ -14,6 +14,7 @@ from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import quantity_key
 from optlink.problem.limits import Limits
 from optlink.problem.path import PathProblem
+from optlink.report.chart_spec import max_abs
 from optlink.report.format import price_step
 from optlink.report.style import scale
 from optlink.studio.design import Design
@@ -26,13 +27,7 @@ DIGITS = 6
 
 
 def targets(problem: ProblemFile, design: Design) -> dict[str, Any]:
-    """Return the target points, poses or curve of a design [mm, deg].
-
-    Parameters
-    ----------
-    design : Design
-        Determines the deviations.
-    """
+    """Return the target points, poses or curve [mm, deg], with the deviations of a design."""
     model = problem.model
     if not isinstance(model, PathProblem) or not model.pointed:
         return {"points": [], "poses": [], "curve": []}
@@ -50,13 +45,7 @@ def targets(problem: ProblemFile, design: Design) -> dict[str, Any]:
 
 
 def variables(problem: ProblemFile, design: Design, lockable: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return the design variables, and the sizes that are locked or fixed, in display units.
-
-    Parameters
-    ----------
-    lockable : mapping
-        Sizes that were locked on the page.
-    """
+    """Return the design variables, and the sizes that are fixed or were locked on the page, in display units."""
     rows = []
     for name, quantity in problem.model.quantities.items():
         if not quantity.free and name not in lockable:
@@ -81,12 +70,7 @@ def variables(problem: ProblemFile, design: Design, lockable: Mapping[str, Any])
 
 
 def objective(problem: ProblemFile, value: float) -> dict[str, Any] | None:
-    """Return the objective with its label, in a display unit; None if the problem has none.
-
-    Parameters
-    ----------
-    value : float [SI]
-    """
+    """Return an objective [SI] with its label, in a display unit; None if the problem has none."""
     shown = kind_of(problem).objective(problem.model, value)
     return {"label": shown.name, "value": finite(shown.value), "unit": shown.unit} if shown.name else None
 
@@ -116,16 +100,8 @@ def checks(design: Design) -> list[dict[str, Any]] | None:
 # --- charts -----------------------------------------------------------------------------------------------------------------
 
 
-def charts(design: Design, picture: Picture, problem: ProblemFile, *, moving: bool) -> list[dict[str, Any]]:
-    """Return the curves of a design over the crank angle.
-
-    Parameters
-    ----------
-    problem : ProblemFile
-        The present problem with its limits; the design can be the last one before it.
-    moving : bool
-        Leave out what takes longer than a few milliseconds.
-    """
+def charts(design: Design, picture: Picture, problem: ProblemFile) -> list[dict[str, Any]]:
+    """Return the curves of a design over the crank angle, with the limits of the present problem."""
     kind, model = kind_of(design.problem), design.problem.model
     curves = kind.error_curves(model, design.values, design.start, design.crank_angles)
     specs = [_chart(*curve[:2], [curve[2:]]) for curve in curves]
@@ -194,5 +170,5 @@ def _forces(design: Design, picture: Picture) -> Iterator[dict[str, Any]]:
 
 def _rounded(values: Array) -> Any:
     """Return numbers as lists, with as many digits as a drawing can show."""
-    largest = float(np.max(np.abs(values), initial=0.0, where=np.isfinite(values)))
+    largest = max_abs(values)
     return np.round(values, max(0, DIGITS - 1 - math.floor(math.log10(largest))) if largest > 0.0 else 0).tolist()

@@ -45,15 +45,7 @@ def _data(match: re.Match[str]) -> str:
 
 
 def scripts(name: str, seen: dict[str, str] | None = None) -> str:
-    """Return a module and those that it imports as one script: each is a function that returns what it exports.
-
-    Parameters
-    ----------
-    name : str
-        Name of the module, without `.js`.
-    seen : dict, optional
-        Modules that stand before it; it is added to them.
-    """
+    """Return a module and those that it imports as one script: each is a function that returns what it exports."""
     parts: dict[str, str] = {} if seen is None else seen
 
     def imported(match: re.Match[str]) -> str:
@@ -77,13 +69,7 @@ def _loop() -> asyncio.AbstractEventLoop:
 
 
 class Canvas(anywidget.AnyWidget):
-    """The studio in a notebook, with one open problem.
-
-    Parameters
-    ----------
-    document : Document
-        Problem that is open at first.
-    """
+    """The studio in a notebook, with one open problem."""
 
     _esm = (ASSETS / "widget.mjs").read_text(encoding="utf-8").replace('"PAGE"', json.dumps(page()), 1)
     height = traitlets.Int(CANVAS_HEIGHT, help="Height of the canvas [px].").tag(sync=True)

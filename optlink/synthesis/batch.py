@@ -16,7 +16,7 @@ from optlink.linkage.dyad_types import ModalDyad
 from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.vector2d import TURN, Array, unit
 from optlink.optimization.constraints import position_rows, rows as limit_rows
-from optlink.optimization.path_nlp import scaled_variable
+from optlink.optimization.path_nlp import path_variable
 from optlink.problem.limits import MARGIN_KEYS, Reach
 from optlink.problem.mechanism import FourBarSection
 from optlink.problem.path import START, PathProblem
@@ -31,25 +31,18 @@ WEIGHT = 10.0  # of a limit violation relative to the residuals; the NLP that re
 
 
 class Batch:
-    """Residuals of many designs of one problem with definite assembly modes.
+    """Residuals of many designs of one problem with definite assembly modes, and of `others` that differ in these alone.
 
     `x` (designs, n) are the scaled design variables, `t` (designs, points) the crank angles [rad] of the points. With prescribed
     timing the crank angles follow from x, and `free_timing` is False. The designs may differ in their assembly modes: `variant`
     (designs,) is the index of each in `problems`.
-
-    Parameters
-    ----------
-    problem : PathProblem
-        With definite assembly modes.
-    others : sequence of PathProblem
-        The same problem with other assembly modes.
     """
 
     def __init__(self, problem: PathProblem, others: Sequence[PathProblem] = ()) -> None:
         self.problem, self.data = problem, problem.data
         self.problems = (problem, *others)
         self.names = problem.free
-        self.variables = [scaled_variable(problem, name) for name in self.names]
+        self.variables = [path_variable(problem, name) for name in self.names]
         self.free_timing = self.data.offsets is None
         self.start = self.names.index(START) if START in self.names else -1
         bounds = np.array([problem.quantities[name].bounds for name in self.names]).reshape(-1, 2)
@@ -72,13 +65,7 @@ class Batch:
         return replace(linkage, groups=tuple(groups)) if symbols else linkage
 
     def side_columns(self, variant: Variant) -> list[Array]:
-        """Return the assembly modes of designs that differ in them, one array per symbol.
-
-        Parameters
-        ----------
-        variant : int or array (designs,) of int
-            Index of their problem.
-        """
+        """Return the assembly modes of designs that differ in them, one array per symbol."""
         if not self.side_symbols:
             return []
         return list(self.sides[variant].T[..., None] if np.ndim(variant) else self.sides[variant])
@@ -112,15 +99,15 @@ class Batch:
         problem, n, width = self.problem, len(self.names), self.data.columns.shape[1]
         x, t, more = casadi.SX.sym("x", n), casadi.SX.sym("t"), casadi.SX.sym("more", width + 1)
         values: dict[str, Any] = {name: quantity.value for name, quantity in problem.quantities.items()}
-        values |= {v.name: v.origin + v.size * x[i] for i, v in enumerate(self.variables)}
-        target = tuple(more[k] for k in range(width))
-        inputs, sides = [x[i] for i in range(n)], list(self.side_symbols.values())
+        values |= {v.name: v.value(x[i]) for i, v in enumerate(self.variables)}
+        inputs, sides = casadi.vertsplit(x), list(self.side_symbols.values())
+        *target, weight = casadi.vertsplit(more)
         with symbols_in_numpy():
             pose = self.linkage().pose(values, unit(t))
-            residual = casadi.vertcat(*problem.deviation(pose, values, target)) * (more[width] / problem.whole)
+            residual = casadi.vertcat(*problem.deviation(pose, values, tuple(target))) * (weight / problem.whole)
             self.width = int(residual.numel())
             slopes = casadi.jacobian(residual, casadi.vertcat(x, t))
-            arguments = [*inputs, t, *(more[k] for k in range(width + 1)), *sides]
+            arguments = [*inputs, t, *target, weight, *sides]
             self._residual, self._value = (NumpyEvaluator(arguments, outputs) for outputs in ([residual, slopes], [residual]))
             span = casadi.SX.sym("span")
             reach = Reach(t, span, casadi.sign(span))
@@ -145,35 +132,18 @@ class Batch:
         return values | {name: real[:, i : i + 1] for i, name in enumerate(self.names)}
 
     def crank_angles(self, x: Array, t: Array) -> Array:
-        """Return the crank angles of the points (designs, points) [rad]: `t` itself where the timing is free.
-
-        Parameters
-        ----------
-        x : array (designs, n)
-            Scaled design variables.
-        t : array (designs, points) [rad]
-            Free crank angles of the points; ignored with prescribed timing.
-        """
+        """Return the crank angles of the points (designs, points) [rad]: `t` itself where the timing is free."""
         if self.free_timing:
             return t
         start = self.problem.quantities[START].value if START in self.problem.quantities else 0.0
         begin = x[:, self.start : self.start + 1] if self.start >= 0 else np.full((len(x), 1), start)
         assert self.data.offsets is not None
-        return np.asarray(begin + self.data.offsets, dtype=float)
+        return begin + self.data.offsets
 
     def residuals(self, x: Array, t: Array, variant: Variant = 0) -> tuple[Array, Array, Array]:
         """Return residuals (designs, points, k) and their derivatives by x (..., k, n) and by the crank angle (..., k).
 
         Residuals are relative to the size of the curve.
-
-        Parameters
-        ----------
-        x : array (designs, n)
-            Scaled design variables.
-        t : array (designs, points) [rad]
-            Crank angles of the points.
-        variant : int or array (designs,) of int
-            Index of the assembly modes of each design in `problems`.
         """
         n, k = x.shape[1], self.width
         out = self._residual(*self._columns(x, t, variant))
@@ -186,46 +156,23 @@ class Batch:
         return r, by_x, by_t
 
     def residual_values(self, x: Array, t: Array, variant: Variant = 0) -> Array:
-        """Return the residuals (designs, points, k) without their derivatives; see `residuals`.
-
-        Parameters
-        ----------
-        x, t, variant
-            As in `residuals`.
-        """
+        """Return the residuals (designs, points, k) without their derivatives; see `residuals`."""
         return np.moveaxis(self._value(*self._columns(x, t, variant)), 0, -1)
 
     def _columns(self, x: Array, t: Array, variant: Variant) -> list[Array]:
         """Return the inputs of the residuals."""
-        columns = (x[:, i : i + 1] for i in range(x.shape[1]))
-        return [*columns, t, *self.data.columns.T, self.data.roots, *self.side_columns(variant)]
+        return [*x.T[..., None], t, *self.data.columns.T, self.data.roots, *self.side_columns(variant)]
 
     def violations(self, x: Array, t: Array, variant: Variant = 0) -> tuple[Array, Array]:
-        """Return weighted limit violations (designs, rows), zero where satisfied, and their derivatives (designs, rows, n).
-
-        Parameters
-        ----------
-        x : array (designs, n)
-            Scaled design variables.
-        t : array (designs, points) [rad]
-            Crank angles of the points.
-        variant : int or array (designs,) of int
-            Index of the assembly modes of each design in `problems`.
-        """
+        """Return weighted limit violations (designs, rows), zero where satisfied, and their derivatives (designs, rows, n)."""
         n = x.shape[1]
         parts = []
         if self._limits:
             parts.append((self._limit_values(x, t, variant), self.bounds))
         if self._grid is not None:
-            out = self._grid(*(x[:, i : i + 1] for i in range(n)), self.angles[None, :], *self.side_columns(variant))
-            m = len(self.grid_bounds)
-            joined = np.concatenate(
-                [
-                    out[:m].transpose(0, 2, 1).reshape(-1, len(x)),
-                    out[m:].reshape(n, m, len(x), -1).transpose(0, 1, 3, 2).reshape(-1, len(x)),
-                ]
-            )
-            parts.append((joined, np.repeat(self.grid_bounds, len(self.angles), axis=0)))
+            out = self._grid(*x.T[..., None], self.angles[None, :], *self.side_columns(variant))
+            rows = out.transpose(0, 2, 1).reshape(-1, len(x))
+            parts.append((rows, np.repeat(self.grid_bounds, len(self.angles), axis=0)))
         if not parts:
             return np.zeros((len(x), 0)), np.zeros((len(x), 0, n))
         excesses = [self._excess(out, bounds, n) for out, bounds in parts]
@@ -234,16 +181,11 @@ class Batch:
     def _limit_values(self, x: Array, t: Array, variant: Variant) -> Array:
         """Return the limits and their derivatives (rows, designs)."""
         first, span = t[:, :1], t[:, -1:] - t[:, :1]
-        if not np.ndim(variant) or len(self._limits) == 1:
-            evaluate = self._limits[int(np.max(variant))]
-            return evaluate(*(x[:, i : i + 1] for i in range(x.shape[1])), first, span)[..., 0]
         out = np.empty((self._limits[0].outputs, len(x)))
         for k, evaluate in enumerate(self._limits):
-            indices = np.flatnonzero(variant == k)
-            if len(indices):
-                out[:, indices] = evaluate(*(x[indices, i : i + 1] for i in range(x.shape[1])), first[indices], span[indices])[
-                    ..., 0
-                ]
+            chosen = np.flatnonzero(np.broadcast_to(variant, len(x)) == k)
+            if chosen.size:
+                out[:, chosen] = evaluate(*x[chosen].T[..., None], first[chosen], span[chosen])[..., 0]
         return out
 
     @staticmethod

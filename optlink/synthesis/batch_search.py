@@ -104,11 +104,8 @@ class Searcher:
     def advance(self, ahead: int = 1) -> Exploration:
         """Run one round of starting points, and return all candidates so far.
 
-        Parameters
-        ----------
-        ahead : int
-            Number of rounds to compute at a time if none is ready: larger arrays take less time per design. The result of a
-            round does not depend on it.
+        If no round is ready, `ahead` rounds are computed at a time: larger arrays take less time per design. The result of a
+        round does not depend on it.
         """
         exploration = self.exploration
         if not self._ready:
@@ -152,6 +149,7 @@ class Searcher:
         return rounds
 
     def _sample(self, variant: int, count: int, number: int) -> tuple[Array, Array]:
+        """Return starting points: of `POOL` times as many random designs, half are the best by least squares, half others."""
         batch, rng = self.thin.of_variant(variant), np.random.default_rng([self.seed, number, variant])
         fit = self.fit.of(batch)
         many = POOL * count
@@ -254,27 +252,12 @@ class Searcher:
 
 
 def alike(x: Array, other: Array) -> Any:
-    """Return whether designs (..., n) are practically the same as another one.
-
-    Parameters
-    ----------
-    x : array (..., n)
-        Scaled design variables.
-    other : array (n,)
-    """
+    """Return whether designs (..., n) are practically the same as another one (n,)."""
     return np.all(np.abs(x - other) <= DISTINCT * np.maximum(1.0, np.abs(other)), axis=-1)
 
 
 def distinct(ends: FinalDesigns, most: int) -> tuple[NDArray[np.intp], NDArray[np.int_]]:
-    """Return the indices of the first designs that differ, and the number of designs like each.
-
-    Parameters
-    ----------
-    ends : FinalDesigns
-        Best first.
-    most : int
-        Largest number of designs.
-    """
+    """Return the indices of at most `most` first designs that differ, and the number of designs like each; `ends`: best first."""
     left = np.arange(len(ends.x))
     first: list[int] = []
     counts: list[int] = []
@@ -289,16 +272,7 @@ def distinct(ends: FinalDesigns, most: int) -> tuple[NDArray[np.intp], NDArray[n
 def acceptable(batch: Batch, ends: FinalDesigns) -> tuple[NDArray[np.bool_], NDArray[np.int_]]:
     """Return whether designs pass the points in order within one revolution and nearly meet all limits, and their direction.
 
-    Parameters
-    ----------
-    ends : FinalDesigns
-        Designs and their crank angles.
-
-    Returns
-    -------
-    acceptable : array (designs,) of bool
-    direction : array (designs,) of int
-        Of the crank, +1 or -1.
+    The direction of the crank is +1 or -1.
     """
     angles = batch.crank_angles(ends.x, ends.t)
     steps = np.diff(angles, axis=1)
@@ -315,11 +289,6 @@ def nearest_in_order(problem: PathProblem, t: Array) -> Array:
     """Return the crank angles (points,) [rad] nearest to `t` that pass the points in order within one revolution.
 
     Where the problem leaves the direction of the crank free, the direction with the smaller change is used.
-
-    Parameters
-    ----------
-    t : array (points,) [rad]
-        Crank angles of the points.
     """
     from scipy.optimize import isotonic_regression
 

@@ -15,11 +15,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from optlink.linkage.vector2d import Array
 from optlink.synthesis.freudenstein_convex import PROVEN_GAP, Refinement
-from optlink.synthesis.freudenstein_fit import Cells, FitProblem, Keep, distinct_cells, fit, scan, step_of, zoom
-from optlink.synthesis.loop_equations import EXACT, LoopEquation, linear_form
+from optlink.synthesis.freudenstein_fit import Cells, FitProblem, distinct_cells, fit, scan, step_of, zoom
+from optlink.synthesis.loop_equations import EXACT, linear_form
 
-UNLIMITED = (1e-3, 1e3)  # ratios beyond a thousand are not practical
 START_SEPARATION = 3.0  # least distance of two distinct start positions, in grid steps
 SPARE = 2  # `SPARE * count` start positions are refined, as some coincide afterwards
 
@@ -59,49 +59,14 @@ def _wrapped(angle: float) -> float:
     return math.pi - (math.pi - angle) % (2.0 * math.pi)
 
 
-def first_steps(
-    phi: ArrayLike,
-    psi: ArrayLike,
-    phi0: ArrayLike,
-    psi0: ArrayLike,
-    measure: str = "max",
-    ratios: tuple[float, float] = UNLIMITED,
-    count: int = 5,
-    *,
-    shift: bool = True,
-    keep: Keep | None = None,
-) -> list[FirstStep]:
-    """Return four-bars whose rocker turns by psi while the crank turns by phi, as closely as possible: starting points of an NLP.
+def first_steps(task: FitProblem, phi0: ArrayLike, psi0: ArrayLike, count: int = 5) -> list[FirstStep]:
+    """Return at most `count` four-bars that fit a task as closely as possible, by increasing error: starting points of an NLP.
 
-    Parameters
-    ----------
-    phi, psi : array (n,) [rad]
-        Target rotations of crank and rocker from their starts: three different ones of the crank at least, and the rocker moves.
-    phi0, psi0 : float or array (p,), (q,) [rad]
-        Start angles to scan; several values form a grid, which is refined around its best points.
-    measure : "max", "rms" or "sum of squares"
-        Measure of the output error.
-    ratios : (low, high) [-]
-        Limits of crank, coupler and rocker over the frame.
-    count : int
-        Largest number of linkages; their starts are at least `START_SEPARATION` grid steps apart or have different assembly
-        modes.
-    shift : bool
-        True: a fit with a negative crank or rocker is replaced by the linkage that starts half a turn further; grids over half a
-        turn then cover all starts. False: start angles stay within the range of their grid.
-    keep : function (crank, coupler, rocker, phi0, psi0, side), all (m,), to (m,) of bool, optional
-        Selects the admissible linkages, lengths over the frame. Relax a limit slightly that may be active at the optimum (28 deg
-        for a transmission angle of 30 deg): the fit at the nearest start may just violate it.
-
-    Returns
-    -------
-    list of FirstStep
-        By increasing error; empty if no start gives a linkage that keeps its assembly mode over the whole range.
-
+    Several start angles phi0 (p,) and psi0 (q,) [rad] form a grid, which is refined around its best points. The starts of the
+    four-bars are at least `START_SEPARATION` grid steps apart, or they differ in assembly mode. There is none if no start gives a
+    four-bar that keeps its assembly mode over the whole range.
     """
-    x, y = np.asarray(phi, dtype=float), np.asarray(psi, dtype=float)
-    grids = np.unique(np.asarray(phi0, dtype=float)), np.unique(np.asarray(psi0, dtype=float))
-    task = FitProblem(LoopEquation(ratios), x, y, measure == "max", shift, keep)
+    grids = np.unique(phi0), np.unique(psi0)
     cells = scan(task, *grids)
     steps = max(step_of(grids[0]), EXACT), max(step_of(grids[1]), EXACT)
     apart = START_SEPARATION * steps[0], START_SEPARATION * steps[1]
@@ -118,31 +83,9 @@ def first_steps(
     return [step for *_, step in sorted(designs, key=lambda one: one[:2])]
 
 
-def fit_pairs(
-    phi: ArrayLike,
-    psi: ArrayLike,
-    phi0: ArrayLike,
-    psi0: ArrayLike,
-    measure: str = "max",
-    ratios: tuple[float, float] = UNLIMITED,
-    *,
-    shift: bool = True,
-    keep: Keep | None = None,
-) -> list[FirstStep]:
-    """Return the fit at each pair of start angles that gives an admissible linkage, in the order of the pairs and without bounds.
-
-    Parameters
-    ----------
-    phi, psi : array (n,) [rad]
-        Target rotations of crank and rocker from their starts; n >= 3.
-    phi0, psi0 : array (m,) [rad]
-        Pairs of start angles.
-    measure, ratios, shift, keep
-        As in `first_steps`.
-    """
-    x, y = np.asarray(phi, dtype=float), np.asarray(psi, dtype=float)
-    task = FitProblem(LoopEquation(ratios), x, y, measure == "max", shift, keep)
-    cells = fit(task, np.asarray(phi0, dtype=float), np.asarray(psi0, dtype=float))
+def fit_pairs(task: FitProblem, phi0: Array, psi0: Array) -> list[FirstStep]:
+    """Return the fit at each pair of start angles (m,) [rad] that gives an admissible linkage, in order and without bounds."""
+    cells = fit(task, phi0, psi0)
     cells = cells[np.isfinite(cells.error)]
     return [_step(task, cells[i], math.nan, 0.0, False, "fit") for i in range(len(cells.error))]
 

@@ -60,19 +60,7 @@ class ConvexFit:
         self.problem = self.cvxpy.Problem(self.cvxpy.Minimize(goal), self.constraints)
 
     def __call__(self, matrix: Array, vector: Array, limit_matrix: Array, limit_vector: Array) -> ConvexStep | None:
-        """Solve the programme; return None on failure. The caller must verify the optimality of the answer.
-
-        Parameters
-        ----------
-        matrix : array (rows, 3)
-            M.
-        vector : array (rows,)
-            m.
-        limit_matrix : array (limits, 3)
-            L.
-        limit_vector : array (limits,)
-            h.
-        """
+        """Solve the programme of (M, m, L, h); None on failure. The caller must verify the optimality of the answer."""
         self.matrix.value, self.vector.value = matrix, vector
         self.limit_matrix.value, self.limit_vector.value = limit_matrix, limit_vector
         with warnings.catch_warnings():
@@ -195,21 +183,8 @@ class Refinement:
 def lower_bound(matrix: Array, vector: Array, rows: Array, room: Array, box: tuple[Array, Array], *multipliers: Array) -> float:
     """Return a lower bound of max(matrix @ d + vector) subject to rows @ d <= room and box[0] <= d <= box[1], by weak duality.
 
-    Any non-negative multipliers give a bound; those of the solver are first shifted, in proportion to themselves, to satisfy
-    stationarity.
-
-    Parameters
-    ----------
-    matrix : array (m, 3)
-    vector : array (m,)
-    rows : array (r, 3)
-        Coefficients of the limits.
-    room : array (r,)
-        Slack of the limits.
-    box : tuple of arrays (3,), (3,)
-        Lower and upper bounds of d.
-    *multipliers : array
-        Solver multipliers of the m rows and the r limits, in this order.
+    Any non-negative multipliers of the m rows and the r limits give a bound; those of the solver are first shifted, in proportion
+    to themselves, to satisfy stationarity.
     """
     both = np.concatenate([matrix, rows])
     p = np.maximum(np.concatenate(multipliers), 0.0)

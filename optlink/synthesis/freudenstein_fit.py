@@ -25,7 +25,13 @@ FINE = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
 
 @dataclass(frozen=True)
 class FitProblem:
-    """Target rotations `x` and outputs `y` (n,) from the start, the error measure and the admissible linkages."""
+    """Target rotations [rad] of crank `x` and rocker `y` (n,) from their starts, and the linkages that may produce them.
+
+    At least three rotations of the crank differ, and the rocker moves. `largest`: the largest output error counts, not its root
+    mean square. `shift`: a fit with a negative crank or rocker is replaced by the linkage that starts half a turn further, so
+    that grids over half a turn cover all starts; otherwise start angles stay within the range of their grid. A limit of `keep`
+    that may be active at the optimum should be relaxed slightly: the fit at the nearest start may just violate it.
+    """
 
     chain: LoopEquation
     x: Array
@@ -89,13 +95,7 @@ def _on_edges(normal: Array, right: Array, corners: Array) -> Array:
 
 
 def fit(task: FitProblem, x0: Array, y0: Array) -> Cells:
-    """Fit a linkage at every start position by weighted least squares that approximates the output error.
-
-    Parameters
-    ----------
-    x0, y0 : array (m,)
-        Start positions of input and output [rad].
-    """
+    """Fit a linkage at every start position (m,) [rad] by weighted least squares that approximates the output error."""
     chain = task.chain
     x, y = x0[:, None] + task.x, y0[:, None] + task.y
     u, v, w = chain.terms(x, y)
@@ -109,15 +109,7 @@ def fit(task: FitProblem, x0: Array, y0: Array) -> Cells:
 
 
 def fit_error(task: FitProblem, x0: Array, y0: Array, k: Array) -> Cells:
-    """Compute assembly mode, output error and transmission margin of linkages; inadmissible ones get an infinite error.
-
-    Parameters
-    ----------
-    x0, y0 : array (m,)
-        Start positions of input and output [rad].
-    k : array (m, 3)
-        Constants of the loop equation.
-    """
+    """Compute assembly mode, output error and transmission margin of linkages; inadmissible ones get an infinite error."""
     chain = task.chain
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         good = np.all(np.isfinite(k), axis=-1)
@@ -139,15 +131,7 @@ def fit_error(task: FitProblem, x0: Array, y0: Array, k: Array) -> Cells:
 
 
 def scan(task: FitProblem, x0: Array, y0: Array) -> Cells:
-    """Return the admissible fits of all pairs of start positions.
-
-    Parameters
-    ----------
-    x0 : array (p,) [rad]
-        Start positions of the input.
-    y0 : array (q,) [rad]
-        Start positions of the output.
-    """
+    """Return the admissible fits of all pairs of start positions x0 (p,) and y0 (q,) [rad]."""
     first, second = (a.ravel() for a in np.meshgrid(x0, y0, indexing="ij"))
     blocks = min(first.size, math.ceil(first.size * task.x.size / BLOCK))
     fits = []
@@ -165,19 +149,15 @@ def step_of(grid: Array) -> float:
 def distinct_cells(task: FitProblem, cells: Cells, room: tuple[float, float], count: int) -> list[int]:
     """Return the indices of at most `count` best cells that differ by more than `room` in start position, or in assembly mode.
 
-    Ordered by increasing error; cells of negligible error by decreasing transmission margin.
-
-    Parameters
-    ----------
-    room : tuple of two floats [rad]
-        Distances in x0 and y0 within which two cells of one mode are the same.
+    Ordered by increasing error; cells of negligible error by decreasing transmission margin. `room`: distances in x0 and y0
+    [rad].
     """
     chosen: list[int] = []
     for i in np.lexsort((-cells.margin, np.maximum(cells.error, EXACT))):
         if len(chosen) == count:
             break
         others = cells[chosen]
-        dx = np.abs(np.remainder(others.x0 - cells.x0[i] + np.pi, 2.0 * np.pi) - np.pi)
+        dx = np.abs(task.chain.difference(others.x0, cells.x0[i]))
         dy = np.abs(task.chain.difference(others.y0, cells.y0[i]))
         near = (dx <= room[0]) & (dy <= room[1]) & (others.side == cells.side[i])
         if not np.any(near):
@@ -188,10 +168,7 @@ def distinct_cells(task: FitProblem, cells: Cells, room: tuple[float, float], co
 def zoom(task: FitProblem, cells: Cells, grids: tuple[Array, Array]) -> Cells:
     """Refine the start positions of cells on successively finer local grids; without `shift` they stay within their grid.
 
-    Parameters
-    ----------
-    grids : tuple of arrays (p,), (q,)
-        Grids of x0 and y0 from which the cells come; their steps are the first search radii.
+    The steps of the grids of x0 (p,) and y0 (q,) from which the cells come are the first search radii.
     """
     reach = [step_of(grid) for grid in grids]
     if len(cells.error) == 0 or not any(reach):

@@ -1,8 +1,7 @@
 """Starting points of function synthesis: Freudenstein fits and convex first designs (`optlink.synthesis.freudenstein`)."""
 
 import math
-from collections.abc import Callable, Iterator
-from typing import Any
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +11,11 @@ from optlink.linkage.vector2d import TURN, Array, unit
 from optlink.problem.function import DesignProblem
 from optlink.problem.quantity import Quantity
 from optlink.problem.targets.function import Function
-from optlink.synthesis.freudenstein import UNLIMITED, FirstStep, first_steps, fit_pairs
+from optlink.synthesis.freudenstein import FirstStep, first_steps, fit_pairs
+from optlink.synthesis.freudenstein_fit import FitProblem, Keep
+from optlink.synthesis.loop_equations import LoopEquation
 
+UNLIMITED = (1e-3, 1e3)  # ratios beyond a thousand are not practical
 BLOCK, BLOCKS = 1024, 8  # random start angles per block, and number of blocks
 GRID = 36  # start angles of crank and rocker that are scanned, each over half a turn
 WIDER = 2.0 * math.pi / 180.0  # relaxation of the transmission-angle limits: the nearest start may just violate them
@@ -37,39 +39,34 @@ def steps(problem: DesignProblem) -> list[FirstStep]:
     """Return the best first designs with the assembly mode of the problem, by increasing error."""
     free, ranges = _ranges(problem)
     phi0, psi0 = (_grid(low, high, free) for low, high in ranges)
-    return first_steps(*_rotations(problem), phi0, psi0, **_options(problem, free))
+    return first_steps(_fit_problem(problem, free), phi0, psi0)
 
 
 def fits(problem: DesignProblem, seed: int) -> Iterator[dict[str, float]]:
     """Yield fitted linkages at random start angles (scrambled Sobol points) as quantities of the problem.
 
     Only linkages that keep the assembly mode of the problem are yielded; at most `BLOCK` times `BLOCKS` points are tried.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of the scrambling.
     """
     from scipy.stats import qmc
 
     free, ranges = _ranges(problem)
     if all(low == high for low, high in ranges):
         return
-    points = qmc.Sobol(2, rng=np.random.default_rng(seed))
+    task, points = _fit_problem(problem, free), qmc.Sobol(2, rng=np.random.default_rng(seed))
     low = np.array([start[0] for start in ranges])
     size = np.array([math.pi if free else start[1] - start[0] for start in ranges])
     for _ in range(BLOCKS):
         phi0, psi0 = (low + size * points.random(BLOCK)).T
-        for step in fit_pairs(*_rotations(problem), phi0, psi0, **_options(problem, free)):
+        for step in fit_pairs(task, phi0, psi0):
             yield values(problem, step)
 
 
-def _rotations(problem: DesignProblem) -> tuple[Array, Array]:
-    """Return the rotations of crank and rocker [rad] from their starts."""
-    law = problem.requirement.law
+def _fit_problem(problem: DesignProblem, free: bool) -> FitProblem:
+    """Return the fit of a function; `free`: of start angles that are free over at least half a turn."""
+    law, offsets = problem.requirement.law, problem.law.offsets
     assert isinstance(law, Function)
-    offsets = problem.law.offsets
-    return offsets, np.asarray(law.rise(offsets), dtype=float)
+    rise = np.asarray(law.rise(offsets), dtype=float)
+    return FitProblem(LoopEquation(_ratios(problem)), offsets, rise, problem.measure == "max", free, _keep(problem, offsets))
 
 
 def _ranges(problem: DesignProblem) -> tuple[bool, list[tuple[float, float]]]:
@@ -78,20 +75,8 @@ def _ranges(problem: DesignProblem) -> tuple[bool, list[tuple[float, float]]]:
     return all(start.free and start.bounds[1] - start.bounds[0] >= math.pi for start in starts), [s.bounds for s in starts]
 
 
-def _options(problem: DesignProblem, free: bool) -> dict[str, Any]:
-    """Return the options of `first_steps`."""
-    keep = _keep(problem, problem.law.offsets)
-    return {"measure": problem.measure, "ratios": _ratios(problem), "shift": free, "keep": keep}
-
-
 def values(problem: DesignProblem, step: FirstStep) -> dict[str, float]:
-    """Return a first design as quantities [m, rad] of the problem.
-
-    Parameters
-    ----------
-    step : FirstStep
-        Lengths relative to the frame.
-    """
+    """Return a first design as quantities [m, rad] of the problem."""
     frame = problem.quantities["frame"].value
     lengths = {name: getattr(step, name) * frame for name in LENGTHS[:3]}
     angles = {name: _into(problem.quantities[name], getattr(step, name)) for name in ("phi0", "psi0")}
@@ -113,7 +98,7 @@ def _into(start: Quantity, angle: float) -> float:
     return min(turned, key=lambda a: (not low <= a <= high, abs(a)))
 
 
-def _keep(problem: DesignProblem, offsets: Array) -> Callable[..., Any]:
+def _keep(problem: DesignProblem, offsets: Array) -> Keep:
     """Return a filter for linkages with the assembly mode of the problem that nearly satisfy its transmission-angle limits."""
     interval = problem.limits.transmission_at()
     low = 0.0 if interval is None or interval.low is None else interval.low - WIDER

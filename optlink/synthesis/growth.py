@@ -24,7 +24,7 @@ from optlink.linkage.mechanism import FRAME, Link, Mechanism, Pose
 from optlink.linkage.vector2d import Array, unit
 from optlink.optimization.constraints import rows as limit_rows
 from optlink.optimization.path_nlp import limit_excesses
-from optlink.problem.file import ProblemFile, read
+from optlink.problem.file import ProblemFile
 from optlink.problem.limits import Reach
 from optlink.problem.path import PathProblem
 from optlink.synthesis import random_starts
@@ -58,13 +58,7 @@ class ContainedFourBar:
 
 
 def contained_four_bar(problem: ProblemFile) -> ContainedFourBar | None:
-    """Return the four-bar whose coupler curves the point of a linkage can trace, or None.
-
-    Parameters
-    ----------
-    problem : ProblemFile
-        A path problem of a linkage of dyads.
-    """
+    """Return the four-bar whose coupler curve the point of a path problem of a linkage of dyads can trace, or None."""
     task = problem.model
     if not isinstance(task, PathProblem) or task.requirement.kind != "path" or "links" not in problem.raw["mechanism"]:
         return None
@@ -150,33 +144,17 @@ def _part(problem: ProblemFile, loop: InnerFourBar, point: str, reach: float | N
         "links": links,
         "assembly": {loop.joint: whole["assembly"][loop.joint]},
     }
-    return read(raw, problem.name, problem.file, problem.folder)
+    return problem.with_tables(raw)
 
 
 def grow_from_four_bar(
     part: ContainedFourBar, batch: Batch, values: Mapping[str, float], t: Array, count: int, rng: np.random.Generator
 ) -> tuple[Array, Array]:
-    """Return designs of the linkage whose point repeats the curve of a four-bar design, within all bounds and limits.
+    """Return designs x and crank angles t of the linkage whose point repeats the curve of a four-bar design, within all limits.
 
-    Parameters
-    ----------
-    part : ContainedFourBar
-        Its file has the definite assembly mode of the four-bar design.
-    batch : Batch
-        Linkage with definite assembly modes.
-    values : mapping of str to float [m, rad]
-        All quantities of the four-bar.
-    t : array (points,) [rad]
-        Crank angles of the four-bar at the points.
-    count : int
-        Largest number of designs; designs with the largest slack of their limits come first.
-
-    Returns
-    -------
-    x : array (designs, n)
-        Scaled design variables.
-    t : array (designs, points) [rad]
-        Crank angles of the points.
+    `part.file` has the definite assembly mode of the four-bar design, of which `values` [m, rad] are all quantities and `t`
+    (points,) [rad] the crank angles; `batch` is the linkage with definite assembly modes. There are at most `count` designs,
+    those with the largest slack of their limits first.
     """
     x = random_starts.random_designs(batch, SAMPLES, rng)
     for i, name in enumerate(batch.names):  # relative to the size of the curve, independent of the bounds
@@ -282,7 +260,7 @@ def _enlarge(
     sizes[str(leg.length)], sizes[str(arm.length)] = np.abs(side), np.abs(f - j)
     v = s * (traced / ratio - joint) * np.abs(side) / side  # in axes along F-G
     _place(mechanism, sizes, leg.body, point, v if leg.start == f_name else np.abs(side) - v)
-    return np.asarray(turned)
+    return turned
 
 
 def _place(mechanism: Mechanism, sizes: dict[str, Array], body: str, point: str, at: NDArray[np.complex128]) -> None:

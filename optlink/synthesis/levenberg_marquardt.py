@@ -239,15 +239,7 @@ def _bounded_step(system: Array, right: Array, least: Array, most: Array) -> tup
     """Return steps (designs, n) within bounds, the variables that bounds determine, and the systems of the others.
 
     Variables at a bound that they would leave stay there; those that would pass a bound end at it, and the others follow.
-
-    Parameters
-    ----------
-    system : array (designs, n, n)
-        Damped normal equations.
-    right : array (designs, n)
-        Their right-hand side.
-    least, most : array (designs, n)
-        Bounds of the step, not positive and not negative.
+    `system` and `right` are the damped normal equations; `least` is not positive, `most` not negative.
     """
     diagonal = np.arange(system.shape[1])
     active = ((least >= 0.0) & (right < 0.0)) | ((most <= 0.0) & (right > 0.0))

@@ -39,13 +39,9 @@ def _opposite(angle: Array, where: NDArray[np.bool_]) -> Array:
 class LoopEquation:
     """Loop equation of a four-bar: F = K1 u + K2 v + K3 - w for crank angle x and rocker angle y [rad], both (..., n).
 
-    Constants k (..., 3). `limits`: rows (r, 3) and bounds (r,) with rows @ k <= bounds, exactly; `corners`: those (4, 2) of the
-    admissible region of K1, K2, in order; `box`: least and largest k (3,) of any linkage within the limits.
-
-    Parameters
-    ----------
-    ratios : (low, high) [-]
-        Limits of crank, coupler and rocker over the frame.
+    `ratios` limits crank, coupler and rocker over the frame. Constants k (..., 3). `limits`: rows (r, 3) and bounds (r,) with
+    rows @ k <= bounds, exactly; `corners`: those (4, 2) of the admissible region of K1, K2, in order; `box`: least and largest k
+    (3,) of any linkage within the limits.
     """
 
     def __init__(self, ratios: tuple[float, float]) -> None:
@@ -57,67 +53,27 @@ class LoopEquation:
         self.box = (np.array([least, least, -reach]), np.array([largest, largest, reach]))
 
     def terms(self, x: Array, y: Array) -> tuple[Array, Array, Array]:
-        """Return the terms u, v, w of F.
-
-        Parameters
-        ----------
-        x, y : array (..., n)
-            Input and output.
-        """
+        """Return the terms u, v, w of F."""
         return np.cos(y), -np.cos(x), np.cos(x - y)
 
     def slope(self, x: Array, y: Array, k: Array) -> Array:
-        """Return dF/dy.
-
-        Parameters
-        ----------
-        x, y : array (..., n)
-            Input and output.
-        k : array (..., 3)
-            Constants.
-        """
+        """Return dF/dy."""
         return -_parts(k)[0] * np.sin(y) - np.sin(x - y)
 
     def follow(self, x: Array, k: Array, side: Array) -> Array:
-        """Return the output y (..., n) of the linkage; NaN where it cannot be assembled.
-
-        Parameters
-        ----------
-        x : array (..., n)
-            Input.
-        k : array (..., 3)
-            Constants.
-        side : array (...)
-            Assembly mode, +1 or -1.
-        """
+        """Return the output y (..., n) of the linkage; NaN where it cannot be assembled."""
         k1, k2, k3 = _parts(k)
         c, s = np.cos(x), np.sin(x)
         with np.errstate(invalid="ignore", divide="ignore"):
             inner = np.arccos((k2 * c - k3) / np.hypot(k1 - c, s))
-        return np.asarray(np.arctan2(-s, k1 - c) + side[..., None] * inner)
+        return np.arctan2(-s, k1 - c) + side[..., None] * inner
 
     def difference(self, y: Array, target: Array) -> Array:
-        """Return the output error, angles wrapped to [-pi, pi).
-
-        Parameters
-        ----------
-        y : array (..., n)
-            Actual output.
-        target : array (..., n)
-            Target output.
-        """
-        return np.asarray(np.remainder(y - target + np.pi, 2.0 * np.pi) - np.pi)
+        """Return the output error, angles wrapped to [-pi, pi)."""
+        return np.remainder(y - target + np.pi, 2.0 * np.pi) - np.pi
 
     def upright(self, x0: Array, y0: Array, k: Array) -> tuple[Array, Array, Array]:
-        """Return x0, y0, k of the equivalent linkages with positive lengths.
-
-        Parameters
-        ----------
-        x0, y0 : array (...)
-            Start positions of input and output.
-        k : array (..., 3)
-            Constants.
-        """
+        """Return x0, y0, k of the equivalent linkages with positive lengths."""
         first, second = k[..., 0] < 0.0, k[..., 1] < 0.0
         k3 = np.where(first != second, -k[..., 2], k[..., 2])
         return _opposite(x0, first), _opposite(y0, second), np.stack([np.abs(k[..., 0]), np.abs(k[..., 1]), k3], axis=-1)
@@ -133,30 +89,19 @@ class LoopEquation:
         return np.asarray(np.all([(size >= least) & (size <= most) for size in sizes], axis=0))
 
     def margin(self, sizes: tuple[Array, Array, Array], low: Array, high: Array) -> Array:
-        """Return the least squared sine of the transmission angle over low ... high; not positive if a dead position is reached.
+        """Return the least squared sine of the transmission angle over low ... high.
 
-        Parameters
-        ----------
-        sizes : tuple of three arrays (m,)
-            As returned by `sizes`.
-        low, high : array (m,) [rad]
-            Range of the input.
+        It is not positive if a dead position is reached.
         """
         crank, coupler, rocker = sizes
         spread = [
             (coupler**2 + rocker**2 - crank**2 - 1.0 + 2.0 * crank * cosine) / (2.0 * coupler * rocker)
             for cosine in _cosine_range(low, high)
         ]
-        return np.asarray(1.0 - np.maximum(spread[0] ** 2, spread[1] ** 2))
+        return 1.0 - np.maximum(spread[0] ** 2, spread[1] ** 2)
 
 
 def linear_form(chain: LoopEquation, x: Array, y: Array) -> tuple[Array, Array]:
-    """Return F in the form A @ k - w: A (n, 3) and w (n,).
-
-    Parameters
-    ----------
-    x, y : array (n,)
-        Input and output.
-    """
+    """Return F in the form A @ k - w: A (n, 3) and w (n,)."""
     u, v, w = chain.terms(x, y)
     return np.stack([u, v, np.ones_like(w)], axis=-1), w

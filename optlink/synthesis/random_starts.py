@@ -23,9 +23,8 @@ def random_designs(batch: Batch, count: int, rng: np.random.Generator) -> Array:
         quantity = problem.quantities[name]
         low, high = batch.low[i], batch.high[i]
         if name in (START, MARK) or quantity.kind == "angle":
-            x[:, i] = (
-                rng.uniform(max(low, -math.pi), min(high, math.pi), count) if max(low, -math.pi) < min(high, math.pi) else low
-            )
+            least, most = max(low, -math.pi), min(high, math.pi)
+            x[:, i] = rng.uniform(least, most, count) if least < most else low
         elif batch.four_bar:
             x[:, i] = rng.standard_normal(count) * 1.5
         else:
@@ -83,7 +82,7 @@ def random_proportions(batch: Batch, count: int, rng: np.random.Generator) -> Ar
         lengths = np.stack([a, a + v + w, a + u + w, a + u + v], axis=1)
         if crank == "double-crank":
             lengths = lengths[:, [3, 1, 2, 0]]
-    return np.asarray(lengths / lengths[:, 3:], dtype=float)
+    return lengths / lengths[:, 3:]
 
 
 def random_crank_angles(batch: Batch, count: int, rng: np.random.Generator) -> Array:
@@ -113,15 +112,7 @@ def random_crank_angles(batch: Batch, count: int, rng: np.random.Generator) -> A
 
 
 def within_reach(batch: Batch, x: Array, t: Array, rng: np.random.Generator) -> Array:
-    """Shift and shorten crank angles of four-bars without full rotation to the range where they can be assembled.
-
-    Parameters
-    ----------
-    x : array (count, n)
-        Scaled design variables.
-    t : array (count, points) [rad]
-        Crank angles of the points.
-    """
+    """Shift and shorten crank angles of four-bars without full rotation to the range where they can be assembled."""
     if batch.crank_turns or not batch.four_bar or not batch.free_timing:
         return t
     values = batch.values(x)
@@ -139,19 +130,11 @@ def within_reach(batch: Batch, x: Array, t: Array, rng: np.random.Generator) -> 
     least = np.minimum(t[:, 0], t[:, -1])
     limited = (near > 0.0) | (far < math.pi)
     moved = begin[:, None] + (t - least[:, None]) * share[:, None]
-    return np.asarray(np.where(limited[:, None], moved, t), dtype=float)
+    return np.where(limited[:, None], moved, t)
 
 
 def assembles_everywhere(batch: Batch, x: Array, t: Array) -> NDArray[np.bool_]:
-    """Return which designs (count,) can be assembled at all points, and over the whole revolution if the crank must turn.
-
-    Parameters
-    ----------
-    x : array (count, n)
-        Scaled design variables.
-    t : array (count, points) [rad]
-        Crank angles of the points.
-    """
+    """Return which designs can be assembled at all points, and over the whole revolution if the crank must turn."""
     mechanism, values = batch.problem.linkage, batch.values(x)
     angles = batch.crank_angles(x, t)
     with np.errstate(all="ignore"):

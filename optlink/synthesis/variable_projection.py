@@ -13,6 +13,7 @@ separate, SIAM J. Numer. Anal. 10 (1973).
 from __future__ import annotations
 
 import copy
+from collections.abc import Iterable
 from typing import Any
 
 import casadi
@@ -20,8 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.linkage.mechanism import FRAME
-from optlink.linkage.vector2d import Array, minus, unit
-from optlink.problem.mechanism import FourBarSection
+from optlink.linkage.vector2d import TURN, Array, minus, unit
 from optlink.problem.path import START
 from optlink.symbolic import NumpyEvaluator, symbols_in_numpy
 from optlink.synthesis.batch import Batch, Variant
@@ -36,31 +36,30 @@ class SimilarityFit:
         self.batch = batch
         problem = batch.problem
         names = list(batch.names)
+
+        def indices(wanted: Iterable[str]) -> list[int]:
+            return [names.index(name) for name in wanted if name in names]
+
         quantities = problem.mechanism.quantities
-        point, body = problem.requirement.point, problem.body
-        point_names = (f"{point}.along", f"{point}.across")
-        marks = point_names if isinstance(problem.mechanism, FourBarSection) else tuple(f"{body}.{name}" for name in point_names)
-        self.point = [names.index(name) for name in marks] if all(name in names for name in marks) else []
+        point = problem.requirement.point if batch.four_bar else f"{problem.body}.{problem.requirement.point}"
+        marks = (f"{point}.along", f"{point}.across")
+        self.point = indices(marks) if set(marks) <= set(names) else []
         ground = {name: q for name, q in quantities.items() if q.kind == "coordinate" and name.rpartition(".")[2] in ("x", "y")}
         angles = [name for name, q in quantities.items() if q.kind == "angle"]
         sizes = [
             name for name in quantities if name not in ground and name not in angles and (name not in marks or not self.point)
         ]
         turning = [name for name in angles if self._on_frame(name)]
-        self.lengths = [names.index(name) for name in sizes if name in names]
-        self.turning = [names.index(name) for name in turning if name in names]
+        self.lengths, self.turning = indices(sizes), indices(turning)
         bases = sorted({name.rpartition(".")[0] for name in ground})
-        self.ground = [
-            (names.index(f"{base}.x"), names.index(f"{base}.y"))
-            for base in bases
-            if f"{base}.x" in names and f"{base}.y" in names
-        ]
-        placed = problem.mechanism.placed if isinstance(problem.mechanism, FourBarSection) else True
+        pivots = (indices((f"{base}.x", f"{base}.y")) for base in bases)
+        self.ground = [(pivot[0], pivot[1]) for pivot in pivots if len(pivot) == 2]
+        placed = getattr(problem.mechanism, "placed", True)
         free = [name for name in (*sizes, *ground, *turning) if name not in names and quantities[name].value != 0.0]
         bound = [name for name in (*ground, *turning) if name not in names]
-        timed = not batch.free_timing and batch.start < 0 and not isinstance(problem.mechanism, FourBarSection)
+        self.counted_from_x = not batch.four_bar
+        timed = not batch.free_timing and batch.start < 0 and self.counted_from_x
         self.applies = problem.requirement.kind == "path" and placed and not free and not bound and not timed
-        self.counted_from_x = not isinstance(problem.mechanism, FourBarSection)
         if self.applies:
             self._trace()
 
@@ -79,11 +78,10 @@ class SimilarityFit:
         return key == "direction" and any(guide.name == base and guide.on == FRAME for guide in mechanism.guides)
 
     def _trace(self) -> None:
-        batch = self.batch
-        problem, n = batch.problem, len(batch.names)
-        x, t = casadi.SX.sym("x", n), casadi.SX.sym("t")
+        batch, problem = self.batch, self.batch.problem
+        x, t = casadi.SX.sym("x", len(batch.names)), casadi.SX.sym("t")
         values: dict[str, Any] = {name: quantity.value for name, quantity in problem.quantities.items()}
-        values |= {v.name: v.origin + v.size * x[i] for i, v in enumerate(batch.variables)}
+        values |= {v.name: v.value(x[i]) for i, v in enumerate(batch.variables)}
         mechanism = batch.linkage()
         with symbols_in_numpy():
             pose = mechanism.pose(values, unit(t))
@@ -92,24 +90,13 @@ class SimilarityFit:
             at = pose.point(link.start if self.point else problem.requirement.point)
             arm, axis = minus(at, pivot), pose.direction(problem.body)
             outputs = [arm[0] / problem.size, arm[1] / problem.size, axis[0] + 0.0 * t, axis[1] + 0.0 * t]
-            self._tape = NumpyEvaluator([*(x[i] for i in range(n)), t, *batch.side_symbols.values()], outputs)
+            self._tape = NumpyEvaluator([*casadi.vertsplit(x), t, *batch.side_symbols.values()], outputs)
         self._pivot = [batch.names.index(f"{mechanism.crank.start}.{axis}") for axis in "xy"]
 
     def fit(self, x: Array, t: Array, variant: Variant = 0) -> tuple[Array, Array]:
-        """Return designs with optimal linear variables, and their crank angles; designs without a finite fit stay unchanged.
-
-        Parameters
-        ----------
-        x : array (designs, n)
-            Scaled design variables.
-        t : array (designs, points) [rad]
-            Crank angles of the points.
-        variant : int or array (designs,) of int
-            Index of the assembly modes of each design in `Batch.problems`.
-        """
+        """Return designs with optimal linear variables, and their crank angles; designs without a finite fit stay unchanged."""
         batch = self.batch
-        n = x.shape[1]
-        arm_x, arm_y, axis_x, axis_y = self._tape(*(x[:, i : i + 1] for i in range(n)), t, *batch.side_columns(variant))
+        arm_x, arm_y, axis_x, axis_y = self._tape(*x.T[..., None], t, *batch.side_columns(variant))
         centre = np.array(batch.problem.centre)
         targets = ((batch.data.columns[:, 0] - centre[0]) + 1j * (batch.data.columns[:, 1] - centre[1])) / batch.problem.size
         arm, axis = arm_x + 1j * arm_y, axis_x + 1j * axis_y
@@ -135,18 +122,15 @@ class SimilarityFit:
             for i, j in self.ground:
                 place = a[:, 0] + w[:, 0] * (x[:, i] + 1j * x[:, j] - pivot)
                 y[:, i], y[:, j] = place.real, place.imag
-            y[:, self.lengths] = x[:, self.lengths] * size
+            y[:, self.lengths] *= size
             if self.point:
                 local = (b / turned)[:, 0]
                 y[:, self.point[0]], y[:, self.point[1]] = local.real, local.imag
             by = np.angle(turned)
-            for i in self.turning:
-                y[:, i] = np.remainder(x[:, i] + by[:, 0] + np.pi, 2.0 * np.pi) - np.pi
-            moved = t
-            if self.counted_from_x:
-                moved = t + by if batch.free_timing else t
-                if batch.start >= 0:
-                    y[:, batch.start] = np.remainder(x[:, batch.start] + by[:, 0] + np.pi, 2.0 * np.pi) - np.pi
+            started = [batch.start] if self.counted_from_x and batch.start >= 0 else []
+            turning = [*self.turning, *started]
+            y[:, turning] = np.remainder(x[:, turning] + by + np.pi, TURN) - np.pi
+            moved = t + by if self.counted_from_x and batch.free_timing else t
         good = np.all(np.isfinite(y), axis=1) & np.all(np.isfinite(moved), axis=1)
         return np.where(good[:, None], y, x), np.where(good[:, None], moved, t)
 

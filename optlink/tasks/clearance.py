@@ -308,7 +308,8 @@ def simulate_clearance(
     figures = account.figures() | ({} if measured is None else measured.figures)
     return ClearanceSimulation(
         problem,
-        setting.machine,
+        dict(design or {}),
+        flywheel,
         setting.gaps,
         setting.output,
         setting.control,

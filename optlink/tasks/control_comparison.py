@@ -157,7 +157,7 @@ def compare(
     order = [(kind, k) for k in range(starts) for kind in kinds]
     runs: dict[tuple[str, int], RunResult] = {key: kept[key] for key in order if key in kept and key[1] > 0}
     todo = [key for key in order if key not in runs]
-    jobs = [RunJob(problem, control=kind, start=float(angles[k]), whole=k == 0, **common) for kind, k in todo]
+    jobs = [RunJob(problem, control=kind, start=float(angles[k]), example=k == 0, **common) for kind, k in todo]
     if progress is not None:
         progress(len(runs) / len(order))
     with pool(engine, workers or (1 if engine == "local" else None), scheduler) as work:
@@ -169,7 +169,7 @@ def compare(
             if progress is not None:
                 progress(len(runs) / len(order))
     every = {kind: _trials([runs[kind, k] for k in range(starts)]) for kind in kinds}
-    examples = {kind: runs[kind, 0].simulation(problem, design) for kind in kinds}
+    examples = {kind: run for kind in kinds if (run := runs[kind, 0].simulation) is not None}
     return Comparison(problem, every, angles, seed, revolutions, examples, runs[kinds[0], 0].unit)
 
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,6 @@ from optlink.execution.worker import Runs
 from optlink.linkage.vector2d import Array
 from optlink.problem.file import ProblemFile
 from optlink.tasks.clearance import revolutions_counted, simulate_clearance
-from optlink.tasks.machine import machine_of
 from optlink.tasks.results.clearance import ClearanceSimulation
 
 
@@ -33,8 +32,8 @@ class RunJob:
         "cvodes" or "compiled".
     limit : float [m, rad]
         Rms error above which the run stops.
-    whole : bool
-        Whether to return the whole simulation, not only its figures.
+    example : bool
+        Whether to return the simulation for charts, not only its figures.
     """
 
     problem: ProblemFile
@@ -47,31 +46,18 @@ class RunJob:
     design: Mapping[str, float] | None = None
     integrator: str = "cvodes"
     limit: float = math.inf
-    whole: bool = False
+    example: bool = False
 
 
 @dataclass(frozen=True)
 class RunResult:
-    """Outcome of a run: figures, whether it finished or exceeded the error limit; optionally the whole simulation."""
+    """Outcome of a run: figures, whether it finished or exceeded the error limit; optionally the simulation."""
 
     figures: Mapping[str, float]
     unit: str
     finished: bool
     hopeless: bool = False
-    parts: Mapping[str, Any] | None = None
-
-    def simulation(self, problem: ProblemFile, design: Mapping[str, float] | None) -> ClearanceSimulation:
-        """Return the whole simulation.
-
-        Parameters
-        ----------
-        problem : ProblemFile
-            Problem of the run.
-        design : mapping of str to float [SI], optional
-            Design of the run.
-        """
-        assert self.parts is not None
-        return ClearanceSimulation(problem=problem, machine=machine_of(problem, design), **self.parts)
+    simulation: ClearanceSimulation | None = None
 
 
 def run_job(job: RunJob) -> RunResult:
@@ -99,8 +85,8 @@ def run_job(job: RunJob) -> RunResult:
         "design": job.design,
         "tolerance": job.tolerance,
         "check_predictability": False,
+        "integrator": job.integrator,
     }
-    options["integrator"] = job.integrator
     try:
         run = simulate_clearance(
             job.problem,
@@ -115,8 +101,15 @@ def run_job(job: RunJob) -> RunResult:
         return RunResult({}, "", finished=False, hopeless=True)
     if run.ending is Ending.INTERRUPTED:
         raise KeyboardInterrupt
-    parts = {item.name: getattr(run, item.name) for item in fields(run) if item.name not in ("problem", "machine")}
-    return RunResult(dict(run.figures), run.output.unit, run.finished, parts=parts if job.whole else None)
+    return RunResult(dict(run.figures), run.output.unit, run.finished, simulation=_charted(run) if job.example else None)
+
+
+def _charted(run: ClearanceSimulation) -> ClearanceSimulation:
+    """Return a simulation with the columns that the charts of a comparison show."""
+    output = run.output
+    names = ("time_s", "crank_angle_deg", output.column, f"{output.name}.error_{output.unit}", "command.correction_rad")
+    kept = [name for name in names if name in run.columns]
+    return replace(run, columns={name: run.columns[name] for name in kept}, meanings={name: run.meanings[name] for name in kept})
 
 
 @dataclass(frozen=True)

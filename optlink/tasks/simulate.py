@@ -3,10 +3,10 @@
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Literal, Self
+from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
-from pydantic import Field, model_validator
 
 from optlink.dynamics.columns import tabulated
 from optlink.dynamics.ending import Ending
@@ -18,7 +18,8 @@ from optlink.execution import interrupts
 from optlink.linkage.continuation import continue_through_singularities
 from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.arguments import typed
-from optlink.problem.base_model import Columns, Contradiction, Number, ResultRecord, Tabled
+from optlink.problem.base_model import Columns, Number
+from optlink.problem.document import Source, Tabled
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import check_range
 from optlink.tasks.machine import (
@@ -33,83 +34,51 @@ from optlink.tasks.machine import (
     starting_speed,
     with_flywheel,
 )
-from optlink.tasks.results.common import check_entries
 
 MAX_ROWS = 1_000_000
 AHEAD = 0.02  # rad beyond the end of a simulation, which may have stopped before a pole
 
 
-class SimulationRecord(ResultRecord):
-    """Document of a simulation in time: SI, or the unit that ends the key."""
-
-    format: Literal["optlink/simulation/2"] = Field(alias="schema")
-    status: Annotated[Ending, "ending"]
-    message: Annotated[str, "ending.text"]
-    finished: bool
-    driven: str
-    notes: tuple[str, ...]
-    sizes_SI: Annotated[dict[str, float], "sizes"]
-    figures: dict[str, Number]
-    mean_speed_over: Literal["time"]
-    stopped_s: Annotated[Number, "run.stopped"]
-    steps: Annotated[int, "run.steps"]
-    evaluations: Annotated[int, "run.evaluations"]
-    meanings: dict[str, str]
-    columns: Columns
-
-    @model_validator(mode="after")
-    def _check_keys(self) -> Self:
-        ends = ("end.time_s", "end.crank_angle_rad", "end.speed_rad_s")
-        check_entries("figures", self.figures, (*ends, "imbalance_J", "turnover_J", "drift_m", "drift_rad"))
-        check_entries("columns", self.columns, ("time_s", "crank_angle_deg", "energy.gained_J"))
-        time, crank = self.columns["time_s"], self.columns["crank_angle_deg"]
-        if not len(time) or not np.all(np.diff(time) > 0.0) or not np.all(np.isfinite(crank)):
-            raise Contradiction("columns", "its times do not rise, or its crank angles are not known")
-        return self
-
-
 @dataclass(frozen=True, repr=False, eq=False)
 class Simulation(Tabled):
-    """Simulation in time: `run` as integrated, `columns` by name over the output times, and their meanings."""
+    """Simulation in time: `columns` by name over the output times, `meanings` describe them, `figures` summarise them [SI].
 
-    record = SimulationRecord
+    `driven`: "torque" or "constant speed"; `stopped`: time [s] up to which was simulated; `steps` of the integrator, and
+    `evaluations` of the accelerations; `design`: the given values [SI]; `flywheel`: the added moment of inertia [kg m^2].
+    """
+
+    kind = "simulation"
+    shown: ClassVar[Mapping[str, Source]] = {
+        "status": "ending",
+        "message": "ending.text",
+        "finished": "finished",
+        "sizes_SI": "sizes",
+        "mean_speed_over": lambda _: "time",
+        "stopped_s": "stopped",
+    }
 
     problem: ProblemFile
-    machine: Machine
-    run: Run
-    columns: Mapping[str, Array]
-    meanings: Mapping[str, str]
+    design: dict[str, float]
+    flywheel: float
     driven: str
+    ending: Ending
     notes: tuple[str, ...]
-
-    @property
-    def ending(self) -> Ending:
-        """How the simulation ended."""
-        return self.run.ending
+    figures: dict[str, Number]
+    stopped: float
+    steps: int
+    evaluations: int
+    meanings: dict[str, str]
+    columns: Columns
 
     @property
     def finished(self) -> bool:
         """Whether the whole duration was simulated, or the machine came to rest."""
         return self.ending in (Ending.FINISHED, Ending.AT_REST)
 
-    @property
-    def figures(self) -> dict[str, float]:
-        """Summary figures by name (SI)."""
-        figures = {
-            "end.time_s": float(self.run.time[-1]),
-            "end.crank_angle_rad": float(self.run.crank_angle[-1]),
-            "end.speed_rad_s": float(self.run.speed[-1]),
-            **{f"{name}.work_J": float(work[-1]) for name, work in self.run.works.items()},
-            "drift_m": self.run.drift,
-            "drift_rad": self.run.drift_angle,
-            "imbalance_J": self.run.imbalance,
-            "turnover_J": self.run.turnover,
-        }
-        if self.run.last_turn is not None:
-            figures["last_turn.mean_speed_rad_s"], figures["last_turn.fluctuation"] = self.run.last_turn
-            if (revolutions := round(self.machine.cycle / TURN)) > 1:
-                figures["last_turn.revolutions"] = float(revolutions)
-        return figures
+    @cached_property
+    def machine(self) -> Machine:
+        """The machine."""
+        return with_flywheel(machine_of(self.problem, self.design or None), self.flywheel)
 
     @property
     def sizes(self) -> dict[str, float]:
@@ -194,41 +163,72 @@ def simulate(
         )
         singular = [at + k * cycle for at in singular for k in range(round(mechanism.cycle / cycle))]
         machine = machine.with_(mechanism=mechanism)
-    run_result = run(
+    result = run(
         machine, np.linspace(0.0, duration, rows + 1), start, speed, torque, limits, progress, singular, interrupts.handled
     )
-    if run_result.ending is not Ending.FINISHED:
-        last, cycle = float(run_result.crank_angle[-1]), machine.mechanism.cycle
-        if run_result.ending is Ending.SINGULAR:
+    if result.ending is not Ending.FINISHED:
+        last, cycle = float(result.crank_angle[-1]), machine.mechanism.cycle
+        if result.ending is Ending.SINGULAR:
             last = min((at + cycle * round((last - at) / cycle) for at in singular), key=lambda at: abs(at - last))
-        notes.append(f"{run_result.ending.text} (at {run_result.stopped:.9g} s, crank angle {math.degrees(last):.6g} deg)")
-    low, high = float(np.min(run_result.crank_angle)), float(np.max(run_result.crank_angle))
+        notes.append(f"{result.ending.text} (at {result.stopped:.9g} s, crank angle {math.degrees(last):.6g} deg)")
+    low, high = float(np.min(result.crank_angle)), float(np.max(result.crank_angle))
     way = speed if torque is None else 1.0  # a torque may swing the crank to and fro
-    revolutions = (high - low + (0.0 if run_result.ending is Ending.FINISHED else AHEAD)) / TURN
+    revolutions = (high - low + (0.0 if result.ending is Ending.FINISHED else AHEAD)) / TURN
     notes += pole_notes(machine, low if way > 0.0 else high, revolutions, way, torque is None)
-    columns, meanings = _columns(machine, run_result)
-    driven = "torque" if torque is not None else "constant speed"
-    return Simulation(problem, machine, run_result, columns, meanings, driven, tuple(notes))
+    columns, meanings = _columns(machine, result)
+    return Simulation(
+        problem,
+        dict(design or {}),
+        flywheel,
+        "torque" if torque is not None else "constant speed",
+        result.ending,
+        tuple(notes),
+        _figures(machine, result),
+        result.stopped,
+        result.steps,
+        result.evaluations,
+        meanings,
+        columns,
+    )
 
 
-def _columns(machine: Machine, run_result: Run) -> tuple[dict[str, Array], dict[str, str]]:
-    """Return the table: the columns of `analyze` over time."""
+def _figures(machine: Machine, result: Run) -> dict[str, float]:
+    """Return the summary figures by name [SI]."""
+    figures = {
+        "end.time_s": float(result.time[-1]),
+        "end.crank_angle_rad": float(result.crank_angle[-1]),
+        "end.speed_rad_s": float(result.speed[-1]),
+        **{f"{name}.work_J": float(work[-1]) for name, work in result.works.items()},
+        "drift_m": result.drift,
+        "drift_rad": result.drift_angle,
+        "imbalance_J": result.imbalance,
+        "turnover_J": result.turnover,
+    }
+    if result.last_turn is not None:
+        figures["last_turn.mean_speed_rad_s"], figures["last_turn.fluctuation"] = result.last_turn
+        if (revolutions := round(machine.cycle / TURN)) > 1:
+            figures["last_turn.revolutions"] = float(revolutions)
+    return figures
+
+
+def _columns(machine: Machine, result: Run) -> tuple[dict[str, Array], dict[str, str]]:
+    """Return the table, the columns of `analyze` over time, with NaN where there is no finite value."""
 
     def moving(rows: slice) -> Moving:
-        angles, speeds, accelerations = run_result.crank_angle[rows], run_result.speed[rows], run_result.acceleration[rows]
-        return machine.moving(angles, speeds, accelerations, direction=run_result.direction[rows])
+        angles, speeds, accelerations = result.crank_angle[rows], result.speed[rows], result.acceleration[rows]
+        return machine.moving(angles, speeds, accelerations, direction=result.direction[rows])
 
     crank = machine.mechanism.crank.body
-    columns = {"time_s": run_result.time, "crank_angle_deg": np.degrees(run_result.crank_angle)}
+    columns = {"time_s": result.time, "crank_angle_deg": np.degrees(result.crank_angle)}
     meanings = {"time_s": "time", "crank_angle_deg": "crank angle"}
-    for name, column in tabulated(moving, len(run_result.time)).columns.items():
-        columns[name], meanings[name] = column.values, column.meaning
+    for name, column in tabulated(moving, len(result.time)).columns.items():
+        columns[name], meanings[name] = np.where(np.isfinite(column.values), column.values, np.nan), column.meaning
         if name == "input.power_W":
-            columns["input.work_J"], meanings["input.work_J"] = run_result.works["input"], "work of the drive, integrated"
-    for name, work in run_result.works.items():
+            columns["input.work_J"], meanings["input.work_J"] = result.works["input"], "work of the drive, integrated"
+    for name, work in result.works.items():
         if name != "input":
             columns[f"{name}.work_J"], meanings[f"{name}.work_J"] = work, f"work of {name}, integrated"
-    columns["energy.gained_J"] = run_result.energy - run_result.energy[0]
+    columns["energy.gained_J"] = result.energy - result.energy[0]
     meanings["energy.gained_J"] = "kinetic energy and potential energy of gravity, gained since the start"
-    columns[f"{crank}.angle_rad"] = run_result.crank_angle
+    columns[f"{crank}.angle_rad"] = result.crank_angle
     return columns, meanings

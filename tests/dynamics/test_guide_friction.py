@@ -74,7 +74,7 @@ def test_acceleration_is_the_only_one_that_satisfies_the_equations_of_motion(fri
 
 def test_machine_that_starts_backwards_has_the_friction_of_that_sense_in_its_first_row():
     result = optlink.simulate(slider_crank(0.3, "-2 N*m", start="70 deg", duration="0.1 s"))
-    assert result.run.ending is Ending.FINISHED
+    assert result.ending is Ending.FINISHED
     expected = by_hand(0.3, np.radians(70.0), 0.0, -2.0, -1.0)
     assert result["crank.alpha_rad_s2"][0] == pytest.approx(expected[0], rel=1e-9)
     assert result["crank.alpha_rad_s2"][1] == pytest.approx(expected[0], rel=1e-2)
@@ -95,7 +95,7 @@ def test_resting_machine_starts_only_if_nothing_else_satisfies_coulombs_law(fric
             result = optlink.simulate(
                 slider_crank(friction, f"{torque} N*m", start=f"{degrees} deg", duration="1 ms", initial_speed="0 rad/s")
             )
-            assert result.run.ending is expected, (torque, degrees)
+            assert result.ending is expected, (torque, degrees)
             assert result.finished is (expected is not Ending.UNDETERMINED)
             seen.add(expected)
     few = {Ending.FINISHED} if friction < 1.0 else {Ending.FINISHED, Ending.AT_REST}
@@ -112,7 +112,7 @@ def test_machines_with_no_or_several_accelerations_are_reported(speed, torque):
         result = optlink.simulate(
             slider_crank(1.9, f"{torque} N*m", start=f"{degrees} deg", duration="1 ms", initial_speed=f"{speed} rad/s")
         )
-        assert result.run.ending is (Ending.UNDETERMINED if expected else Ending.JAMMED)
+        assert result.ending is (Ending.UNDETERMINED if expected else Ending.JAMMED)
         assert any(("more than one motion" if expected else "no motion") in note for note in result.notes)
-        seen.add(result.run.ending)
+        seen.add(result.ending)
     assert seen

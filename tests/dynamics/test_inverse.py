@@ -21,7 +21,7 @@ from optlink.dynamics.inertia import Inertia, Parameters, Wrench
 from optlink.dynamics.inverse import Reactions, acting_on, reactions, regressor, reported_on, shaking, torque_parts
 from optlink.dynamics.loads import Force, SlideDamper, Spring, Torque, TorsionSpring
 from optlink.dynamics.machine import Load, Machine, Moving
-from optlink.linkage.assur import assemble
+from optlink.linkage.assur import Assembly
 from optlink.linkage.jet import Jet
 from optlink.linkage.mechanism import FRAME, BodyPoint, Guide, Link, Mechanism
 from optlink.linkage.motion import Motion
@@ -56,7 +56,7 @@ class Example:
     @property
     def mechanism(self) -> Mechanism:
         links = [Link(body, start, end, body if end else 0.0) for body, (start, end, _) in self.lengths.items()]
-        return assemble(self.name, self.ground, links, self.points, self.guides, "crank", self.modes)
+        return Assembly(self.ground, links, self.points, self.guides, "crank", self.modes).mechanism(self.name)
 
     @property
     def sizes(self) -> dict[str, float]:
@@ -879,7 +879,7 @@ def test_a_wedge_jams_beyond_the_angle_of_friction_by_hand():
     Across: N = R sin(beta), along: R cos(beta) = sense (F + mu |N|), so N = F sense tan(beta) / (1 - mu |tan(beta)|).
     """
     links = [Link("crank", "A", "B", 0.1), Link("rod", "B", "C", 0.3), Link("slider", "C")]
-    mechanism = assemble("wedge", {"A": (0.0, 0.15)}, links, (), [Guide("way", "slider")], "crank", {"C": "forward"})
+    mechanism = Assembly({"A": (0.0, 0.15)}, links, (), [Guide("way", "slider")], "crank", {"C": "forward"}).mechanism("wedge")
     push = Force("push", "slider", "C", lambda v: 10.0, "way", opposing=True)
     phi = np.linspace(0.05, 6.2, 40)
     for mu, jams in ((0.05, False), (0.5, False), (0.9, True), (1.5, True)):
@@ -905,7 +905,7 @@ def test_a_wedge_jams_beyond_the_angle_of_friction_by_hand():
 def centric() -> Machine:
     """A slider-crank whose slider reverses at 0 and pi exactly, against a load and friction, and lifted in one stroke only."""
     links = [Link("crank", "A", "B", 0.1), Link("rod", "B", "C", 0.3), Link("slider", "C")]
-    mechanism = assemble("centric", {"A": (0.0, 0.0)}, links, (), [Guide("way", "slider")], "crank", {"C": "forward"})
+    mechanism = Assembly({"A": (0.0, 0.0)}, links, (), [Guide("way", "slider")], "crank", {"C": "forward"}).mechanism("centric")
     inertias = {"rod": Inertia(1.0, 0.14, 0.02, 0.01), "slider": Inertia(2.0, 0.01, 0.03, 0.002)}
     loads = (
         Force("cut", "slider", "C", lambda v: 80.0, "way", opposing=True),
@@ -1093,7 +1093,9 @@ def test_the_slope_of_the_torque_is_that_of_differences_and_of_the_complex_step(
 def test_a_dead_position_is_detected_by_its_sine_without_a_warning():
     """A parallelogram stretched along its frame: the pins and the joint lie on one line."""
     links = [Link("crank", "A", "B", 0.2), Link("coupler", "B", "C", 0.5), Link("rocker", "D", "C", 0.2)]
-    mechanism = assemble("parallelogram", {"A": (0.0, 0.0), "D": (0.5, 0.0)}, links, (), (), "crank", {"C": "left of B-D"})
+    mechanism = Assembly({"A": (0.0, 0.0), "D": (0.5, 0.0)}, links, (), (), "crank", {"C": "left of B-D"}).mechanism(
+        "parallelogram"
+    )
     machine = Machine(mechanism, {}, {"coupler": Inertia(1.0, 0.2, 0.1, 0.02)}, GRAVITY)
     phi = np.array([0.0, 1e-6, 0.5, 1.0])
     result = reactions(machine.moving(phi, 2.0))

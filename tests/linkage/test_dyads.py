@@ -12,7 +12,7 @@ import pytest
 from hypothesis import assume, given, settings, strategies as st
 
 from optlink.linkage import dyad_types as groups_module
-from optlink.linkage.assur import StructureError, assemble
+from optlink.linkage.assur import Assembly, StructureError
 from optlink.linkage.mechanism import FRAME, BodyPoint, Guide, Link, Mechanism
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.vector2d import unit
@@ -37,7 +37,7 @@ sides = st.sampled_from([1, -1])
 
 @dataclass(frozen=True)
 class Parts:
-    """What `assemble` is given."""
+    """What `Assembly` is given."""
 
     ground: dict[str, tuple[float, float]]
     links: tuple[Link, ...]
@@ -47,7 +47,7 @@ class Parts:
 
     @property
     def mechanism(self) -> Mechanism:
-        return assemble("test", self.ground, self.links, self.points, self.guides, "crank", self.modes)
+        return Assembly(self.ground, self.links, self.points, self.guides, "crank", self.modes).mechanism("test")
 
     def pose(self, phi: float):
         return self.mechanism.pose({}, unit(phi))
@@ -602,15 +602,14 @@ def test_the_order_of_the_file_does_not_matter(example):
     motion = sweep(mechanism, example.sizes, example.phi, 3.0, 2.0)
     links = [Link(body, start, end, body if end else 0.0) for body, (start, end, _) in example.lengths.items()]
     for _ in range(6):
-        shuffled = assemble(
-            example.name,
+        shuffled = Assembly(
             dict(reversed(example.ground.items())),
             [links[k] for k in rng.permutation(len(links))],
             [example.points[k] for k in rng.permutation(len(example.points))],
             [example.guides[k] for k in rng.permutation(len(example.guides))],
             "crank",
             example.modes,
-        )
+        ).mechanism(example.name)
         assert {frozenset(link.body for link in group.links) for group in shuffled.groups} == {
             frozenset(link.body for link in group.links) for group in mechanism.groups
         }
@@ -649,7 +648,7 @@ def pinned(body: str, *points: str) -> tuple[Link, list[BodyPoint]]:
 def structure(ground, *bodies, guides=(), modes=None, driver=CRANK) -> Mechanism:
     links = [driver, *(link for link, _ in bodies)]
     points = [point for _, own in bodies for point in own]
-    return assemble("test", ground, links, points, list(guides), driver.body, modes or {})
+    return Assembly(ground, links, points, list(guides), driver.body, modes or {}).mechanism("test")
 
 
 @dataclass(frozen=True)

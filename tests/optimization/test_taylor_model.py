@@ -20,7 +20,7 @@ from numpy.lib.mixins import NDArrayOperatorsMixin
 from optlink.linkage.dyads import rrr
 from optlink.linkage.fourbar import dead_centre, transmission_cosine
 from optlink.linkage.vector2d import angle_from
-from optlink.optimization import taylor_model, taylor_rules
+from optlink.optimization import taylor_model
 from optlink.optimization.taylor_model import TaylorModel, pairs
 
 BITS = 200
@@ -269,7 +269,7 @@ def _wrong_derivative(monkeypatch: pytest.MonkeyPatch) -> None:
         s, c = np.sin(x), np.cos(x)
         return s, c, s, np.ones_like(x)  # the sign of the second
 
-    monkeypatch.setitem(taylor_rules.DERIVATIVES, np.sin, wrong)
+    monkeypatch.setitem(taylor_model.DERIVATIVES, np.sin, wrong)
 
 
 def _product_without_third_order(monkeypatch: pytest.MonkeyPatch) -> None:

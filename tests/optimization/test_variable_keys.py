@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from optlink.optimization.cycle_constraints import scaled_variable as cycle_variable
-from optlink.optimization.path_nlp import scaled_variable as path_variable
+from optlink.optimization.nlp import scaled_variable
+from optlink.optimization.path_nlp import path_variable
 from optlink.problem.file import load
 
 EXPECTED = {
@@ -29,7 +29,7 @@ def test_variables_have_the_keys_of_the_file(name):
 def test_every_key_of_a_cycle_problem_can_be_changed(name):
     file = load(name)
     for quantity in file.model.mechanism.quantities:
-        key = cycle_variable(file.model, quantity, 1.0).key
+        key = scaled_variable(file.model, quantity, 1.0, periodic=False).key
         value = file.model.quantities[quantity]
         changed = file.override({key: f"{value.value / value.si_per_unit!r} {value.display[1]}"})
         assert quantity not in changed.model.free

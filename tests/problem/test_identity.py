@@ -395,7 +395,7 @@ def test_the_identity_is_that_of_the_numbers_in_the_file(name, tmp_path):
         )
         assert optlink.load(tmp_path / "mine.toml").hash == first.hash
     (tmp_path / case.file).write_text(case.after)
-    assert optlink.load(tmp_path / "mine.toml").hash == first.override({}).hash != first.hash
+    assert optlink.load(tmp_path / "mine.toml").hash != first.hash == first.override({}).hash  # a problem keeps what was read
 
 
 WALK = [(name, command) for name, case in CASES.items() for command in case.commands]

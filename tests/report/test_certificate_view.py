@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import json
 import math
 from dataclasses import replace
@@ -20,7 +19,7 @@ from optlink.report.registry import table_of, view_of
 from optlink.report.stored import read_result
 from optlink.report.views import certificate_view, conclusions
 from optlink.tasks.certify import certify
-from optlink.tasks.results.certificate import Certificate, certificate_document
+from optlink.tasks.results.certificate import Certificate
 from optlink.tasks.results.common import Optimum
 from tests.report.test_function_tables import words
 
@@ -157,10 +156,7 @@ def test_no_charts_without_a_cover(solved, unfinished):
     assert "boxes" not in charts(unfinished)
     assert "bounds" not in charts(unfinished)
     [cover] = solved.certificate.covers
-    many = {
-        name: np.repeat(getattr(cover, name), MOST_DRAWN // len(cover.test) + 1, axis=0)
-        for name in ("low", "high", "test")
-    }
+    many = {name: np.repeat(getattr(cover, name), MOST_DRAWN // len(cover.test) + 1, axis=0) for name in ("low", "high", "test")}
     large = replace(solved, certificate=replace(solved.certificate, covers=(replace(cover, **many),)))
     assert "boxes" not in charts(large)
     assert not {"boxes", "bounds"} & set(charts(replace(solved, certificate=None)))

@@ -23,13 +23,13 @@ import optlink
 from optlink.dynamics.machine import slider_names
 from optlink.problem.fixed_design import fixed_design
 from optlink.problem.mechanism import sizes_of
-from optlink.tasks import cycle, function, path
 from optlink.report.export import dxf
 from optlink.report.export.dimensions import dimensioned
 from optlink.report.export.export import FORMATS, Options, export, geometry
 from optlink.report.export.svg import svg
 from optlink.report.report_model import ReportModel, report_model_of, solve_or_validate
 from optlink.report.scene import scene
+from optlink.tasks import cycle, function, path
 from optlink.tasks.analyze import analyze
 from tests.cli.test_cli import run
 from tests.tiers import mostly_slow

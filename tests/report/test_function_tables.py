@@ -22,8 +22,7 @@ from optlink.report.registry import table_of
 from optlink.report.table_spec import Part, Summary
 from optlink.report.views import conclusions, path as path_view, problem_tables
 from optlink.report.views.function import function_values
-from optlink.report.views.function_tables import active
-from optlink.report.views.relaxations import conflict
+from optlink.report.views.function_tables import active, conflict
 from optlink.solvers.solution import LimitState, Relaxation
 from optlink.tasks.function import validate
 from optlink.tasks.path import validate as validate_path

@@ -20,9 +20,9 @@ import plotly.graph_objects as go
 import pytest
 
 import optlink
+from optlink.io import with_check_sum
 from optlink.report.export.dimensions import dimensioned
 from optlink.report.format import pretty
-from optlink.io import with_check_sum
 from optlink.report.html import chart_plotly, theme
 from optlink.report.html.page import charts, page, sensitivities_of, write_page
 from optlink.report.html.shell import MAX_BYTES, four_digits

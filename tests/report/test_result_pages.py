@@ -15,14 +15,14 @@ from typing import get_args
 
 import numpy as np
 import pytest
+from optlink.report.stored.loader import WITH_PAGE, load_stored
 
 import optlink
 from optlink.errors import InputError
 from optlink.problem.base_model import LARGEST as LARGEST_NUMBER
 from optlink.report.html.shell import MAX_BYTES, PageContent, StoredStudy
-from optlink.report.registry import records
-from optlink.report.stored.loader import WITH_PAGE, load_stored
 from optlink.report.html.study_page import _page, study_page
+from optlink.report.registry import records
 from tests.browser import colours, console, faults, opened as shown, requests
 from tests.cli.test_cli import run
 from tests.report.test_report_page import Reader, checked_by_plotly, poses, slide_to

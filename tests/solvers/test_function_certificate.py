@@ -21,6 +21,8 @@ from optlink.solvers.global_search.function_rows import (
 )
 from optlink.solvers.global_search.interior_point import least_violation
 from optlink.synthesis.freudenstein import first_steps
+from optlink.synthesis.freudenstein_fit import FitProblem
+from optlink.synthesis.loop_equations import LoopEquation
 from optlink.tasks.certify import certify
 
 X = np.linspace(0.0, 1.2, 9)
@@ -216,7 +218,8 @@ def test_the_shipped_designs_are_global_optima(name):
     assert (1.0 - 1.001e-3) * best <= result.lower < best
     x = problem.span * 0.5 * (1.0 - np.cos(np.linspace(0.0, np.pi, 121)))
     grid = np.arange(0.0, 2.0 * np.pi, 0.35)
-    steps = first_steps(x, problem.requirement.law.rise(x), grid, grid, ratios=(0.05, 20.0), count=12)
+    task = FitProblem(LoopEquation((0.05, 20.0)), x, problem.requirement.law.rise(x), largest=True, shift=True, keep=None)
+    steps = first_steps(task, grid, grid, count=12)
     assert min(step.bound for step in steps if step.proven) >= result.lower  # convex programmes, with bounds of their own
 
 

@@ -8,12 +8,12 @@ import math
 import numpy as np
 import pytest
 import tomli_w
+from optlink.report.stored.loader import load_stored
 from typer.testing import CliRunner
 
 import optlink
 from optlink.cli.app import app
 from optlink.errors import InputError
-from optlink.report.stored.loader import load_stored
 from optlink.studies import sensitivity as sensitivity_module
 from optlink.studies.sensitivity import sensitivities as sensitivities_in_si
 from optlink.tasks.cycle import solve

@@ -14,8 +14,10 @@ import optlink
 from optlink.linkage.fourbar import four_bar
 from optlink.linkage.motion import sweep
 from optlink.optimization.nlp import build
-from optlink.synthesis import freudenstein_convex
-from optlink.synthesis.freudenstein import FirstStep, first_steps
+from optlink.synthesis import freudenstein, freudenstein_convex
+from optlink.synthesis.freudenstein import FirstStep
+from optlink.synthesis.freudenstein_fit import FitProblem, Keep
+from optlink.synthesis.function_starts import UNLIMITED
 from optlink.synthesis.loop_equations import LoopEquation
 from optlink.tasks.function_search import start_sequence
 from tests.tiers import mostly_slow
@@ -36,6 +38,22 @@ LAWS = {
 def positions(name: str, share: np.ndarray = SHARE) -> tuple[np.ndarray, np.ndarray]:
     span, rise, law, _ = LAWS[name]
     return np.radians(span * share), np.radians(rise * law(share))
+
+
+def first_steps(
+    phi: np.ndarray,
+    psi: np.ndarray,
+    phi0: np.ndarray | float,
+    psi0: np.ndarray | float,
+    measure: str = "max",
+    ratios: tuple[float, float] = UNLIMITED,
+    count: int = 5,
+    *,
+    shift: bool = True,
+    keep: Keep | None = None,
+) -> list[FirstStep]:
+    task = FitProblem(LoopEquation(ratios), phi, psi, measure == "max", shift, keep)
+    return freudenstein.first_steps(task, phi0, psi0, count)
 
 
 # --- the two linkages, written again ---------------------------------------------------------------------------------

@@ -517,7 +517,7 @@ def test_friction_without_normal_force_does_not_jam():
     assert np.all(np.isfinite(result["input.work_J"]))
     np.testing.assert_allclose(np.abs(result["F.friction_N"]), 0.1 * np.abs(result["F.normal_N"]), rtol=1e-9, atol=1e-9)
     still = optlink.simulate(optlink.load("slider-crank").override({"mechanism.guides.F.friction": 0.1}), duration=0.2)
-    assert still.run.ending.value == "finished"
+    assert still.ending.value == "finished"
 
 
 def test_friction_that_jams_between_the_rows_is_reported_and_has_no_extremes_of_forces():
@@ -690,7 +690,7 @@ def test_lines_that_become_parallel_between_two_positions_end_the_range(turned):
     assert all(min(abs(end - turned), abs(end - turned - 180.0)) < 1e-3 for end in ends)
     if not turned:
         np.testing.assert_allclose(result["C.x_m"], 0.2 / np.tan(np.radians(result["crank_angle_deg"])), rtol=1e-12)
-    assert optlink.simulate(optlink.read(raw), duration=4.0, rows=10).run.ending.value == "dead position"
+    assert optlink.simulate(optlink.read(raw), duration=4.0, rows=10).ending.value == "dead position"
 
 
 def test_a_singular_start_ends_the_simulation():
@@ -701,7 +701,7 @@ def test_a_singular_start_ends_the_simulation():
         "drive": {"torque": "1 N*m", "duration": "1 s"},
     }
     result = optlink.simulate(optlink.read(raw), rows=5)
-    assert result.run.ending.value == "singular position"
+    assert result.ending.value == "singular position"
     assert not result.finished
 
 

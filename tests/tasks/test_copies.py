@@ -19,10 +19,10 @@ import optlink
 from optlink import load
 from optlink.errors import Fault
 from optlink.problem.document import Document
-from optlink.report.stored import read_result
 from optlink.report.html.page import page
 from optlink.report.registry import view_of
 from optlink.report.report_model import report_model_of
+from optlink.report.stored import read_result
 from optlink.studies.motion_sensitivity import output_sensitivity
 from optlink.studies.pareto.epsilon_constraint import pareto
 from optlink.studies.sensitivity import of_solution, sensitivities

@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from pydantic import ConfigDict, Field
 
@@ -12,13 +12,13 @@ from optlink.dynamics.inertia import Inertia
 from optlink.linkage.dyad_types import transmitting
 from optlink.linkage.vector2d import Value
 from optlink.problem.base_model import Name, Section
-from optlink.problem.cycle.quantities import guide_of, moving_points
+from optlink.problem.cycle.quantities import guide_of
 from optlink.problem.cycle.terms import Goal, Limit, Objective, Term, check_term, output_of
 from optlink.problem.interval import SIDES, AnglesOfJoints, Interval, LargestAnglesOfJoints, RatioOfStrokes, read_figure
 from optlink.problem.limits import Alignment, check_transmission, transmission_limit
 from optlink.problem.machine.model import Problem
-from optlink.problem.mechanism import FourBarSection, check_one_mode, sizes_of
-from optlink.problem.quantity import FixedAngle, Unusable, below, check_keys, nearest
+from optlink.problem.mechanism import FourBarSection, check_one_mode, moving_points, sizes_of
+from optlink.problem.quantity import FixedAngle, Unusable, below, check_keys, check_pair, nearest
 from optlink.units import KINDS, display_unit
 
 
@@ -43,26 +43,23 @@ class CycleLimits(Alignment):
     """Largest pressure angle of every dyad over the cycle; a table states those of single dyads by their joints."""
 
     def transmission_bounds(self, joints: Sequence[str]) -> Iterator[Bound]:
-        """Yield the limits of the transmission angle of every dyad.
-
-        Parameters
-        ----------
-        joints : sequence of str
-            Joints of the dyads.
-        """
+        """Yield the limits of the transmission angle of the dyads with these joints."""
         for joint in joints:
             limit = transmission_limit(self.transmission_angle, self.pressure_angle, joint)
-            if limit is not None and limit.pressure and limit.high is not None:
+            if limit is None:
+                continue
+            if limit.pressure and limit.high is not None:
                 most = limit.high - 0.5 * math.pi
                 term = Limit(quantity="pressure angle", of=joint, max=_degrees(most))
                 yield Bound(f"pressure_angle.{joint}", term, Interval(None, most, "angle", "deg"), limit.key)
                 continue
-            sides = () if limit is None else (("least", "min", limit.low), ("largest", "max", limit.high))
-            for measure, side, bound in sides:
-                if limit is not None and bound is not None:
-                    raw = {"quantity": "transmission angle", "of": joint, "measure": measure, side: _degrees(bound)}
-                    interval = Interval(bound if side == "min" else None, bound if side == "max" else None, "angle", "deg")
-                    yield Bound(f"transmission_angle.{joint}.{side}", Limit.model_validate(raw), interval, limit.key)
+            transmission: dict[str, Any] = {"quantity": "transmission angle", "of": joint}
+            if limit.low is not None:
+                term = Limit(**transmission, measure="least", min=_degrees(limit.low))
+                yield Bound(f"transmission_angle.{joint}.min", term, Interval(limit.low, None, "angle", "deg"), limit.key)
+            if limit.high is not None:
+                term = Limit(**transmission, measure="largest", max=_degrees(limit.high))
+                yield Bound(f"transmission_angle.{joint}.max", term, Interval(None, limit.high, "angle", "deg"), limit.key)
 
     @property
     def named(self) -> dict[str, Limit]:
@@ -79,10 +76,7 @@ class CycleProblem(Problem):
     """Limits on quantities of the cycle, each under a name of your choice, and the least distance from positions where the
     mechanism locks."""
 
-    @property
-    def task(self) -> str:
-        """Kind of task: cycle optimisation."""
-        return "cycle"
+    task: ClassVar[str] = "cycle"
 
     @cached_property
     def goals(self) -> tuple[Goal, ...]:
@@ -96,8 +90,12 @@ class CycleProblem(Problem):
         for name, limit in self.limits.named.items():
             with below(f"limits.{name}"):
                 bounds.append(Bound(name, limit, limit.interval(self.linkage, self.quantities), f"limits.{name}"))
-        joints = [group.joint for group in transmitting(self.linkage)]
-        return (*bounds, *self.limits.transmission_bounds(joints))
+        return (*bounds, *self.limits.transmission_bounds(self._joints))
+
+    @property
+    def _joints(self) -> list[str]:
+        """Joints of the dyads that have a transmission angle."""
+        return [group.joint for group in transmitting(self.linkage)]
 
     @cached_property
     def lengths(self) -> tuple[str, ...]:
@@ -155,12 +153,10 @@ class CycleProblem(Problem):
         check_one_mode(self.mechanism)
         mechanism = self.linkage
         if self.drive.speed.value == 0.0:
-            raise Unusable(
-                "the crank speed is zero", "Give the constant speed of the cycle", "drive.speed", str(self.drive.speed)
-            )
+            remedy = "Give the constant speed of the cycle"
+            raise Unusable("the crank speed is zero", remedy, "drive.speed", str(self.drive.speed))
         for k, goal in enumerate(self.goals):
-            place = "objective" if self.single else f"objective.terms.{k}"
-            with below(place):
+            with below("objective" if self.single else f"objective.terms.{k}"):
                 check_term(goal, mechanism, self.quantities)
                 if goal.scale is not None and read_figure(goal.scale, self.kind(goal), "scale")[0] <= 0.0:
                     raise Unusable("a scale must be positive", "Give one above zero", "scale", goal.scale)
@@ -168,8 +164,7 @@ class CycleProblem(Problem):
             with below(f"limits.{name}"):
                 check_term(limit, mechanism, self.quantities)
         self.check_output()
-        joints = [group.joint for group in transmitting(mechanism)]
-        check_transmission(self.limits.transmission_angle, self.limits.pressure_angle, joints)
+        check_transmission(self.limits.transmission_angle, self.limits.pressure_angle, self._joints)
         _ = self.bounds
         if self.mechanism.friction and any(_forced(term) for term in (*self.goals, *self.limits.named.values())):
             guide = next(iter(self.mechanism.friction))
@@ -245,17 +240,12 @@ class StrokeProblem(CycleProblem):
             with the full key of the cause.
         """
         mechanism = self.linkage
-        names = [
-            *(guide.name for guide in mechanism.guides),
-            *(link.body for link in mechanism.links[1:]),
-            *moving_points(mechanism),
-        ]
-        name = self.output
+        guides, bodies = (guide.name for guide in mechanism.guides), (link.body for link in mechanism.links[1:])
+        name, names = self.output, [*guides, *bodies, *moving_points(mechanism)]
         if name not in names and guide_of(name, mechanism) is None:
             remedy = nearest(name, names) if name else f"Write output = one of: {', '.join(names)}"
-            raise Unusable(
-                "the output is the name of a slider, a body that swings, or a point", remedy, "requirement.output", name or None
-            )
+            message = "the output is the name of a slider, a body that swings, or a point"
+            raise Unusable(message, remedy, "requirement.output", name or None)
         try:
             output_of(Term(quantity="stroke", of=name, direction=self.requirement.direction), mechanism)
         except Unusable as error:
@@ -271,8 +261,7 @@ def _sides(raw: object) -> dict[str, object]:
         check_keys(raw, SIDES)
         return raw
     if isinstance(raw, list):
-        if len(raw) != 2:
-            raise Unusable("a range is a list of two values, lower and upper", 'Write ["55 deg", "60 deg"]', "", raw)
+        check_pair(raw, "a range is a list of two values, lower and upper", 'Write ["55 deg", "60 deg"]')
         return {"exactly": raw[0]} if raw[0] == raw[1] else dict(zip(SIDES, raw, strict=False))
     return {"exactly": raw}
 

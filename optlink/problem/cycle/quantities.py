@@ -16,8 +16,9 @@ from optlink.dynamics.inverse import Reactions, shaking
 from optlink.dynamics.machine import Moving, slider_names
 from optlink.io import Registry
 from optlink.linkage.dyad_types import RPR, RRP, RRR, Transmitting, transmitting
-from optlink.linkage.mechanism import FRAME, Mechanism
+from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.vector2d import Array, Value, cross, dot, magnitude
+from optlink.problem.mechanism import moving_points
 
 
 class ElementTerm(Protocol):
@@ -46,19 +47,8 @@ class Element:
     missing: str
 
 
-def moving_points(mechanism: Mechanism) -> list[str]:
-    """Return the names of the points that move."""
-    return [point for point, bodies in mechanism.owners.items() if FRAME not in bodies]
-
-
 def guide_of(name: str, mechanism: Mechanism) -> str | None:
-    """Return the guide of that name, or the only guide of a slider of that name; None if there is none.
-
-    Parameters
-    ----------
-    name : str
-        Name of a guide or slider.
-    """
+    """Return the guide of that name, or the only guide of a slider of that name; None if there is none."""
     if any(guide.name == name for guide in mechanism.guides):
         return name
     guides = [guide.name for guide in mechanism.guides if guide.slider == name]
@@ -146,14 +136,14 @@ def _pin(record: MotionColumns, term: ElementTerm) -> Array:
     return np.asarray(np.hypot(*(record.full(part) for part in force)))
 
 
-def _dyad_of(mechanism: Mechanism, joint: str | None) -> Transmitting:
-    return next(group for group in transmitting(mechanism) if group.joint == joint)
+def _groups(moving: Moving, term: ElementTerm) -> list[Transmitting]:
+    """Return the dyad with the joint of a term, or all that have a transmission angle."""
+    return [group for group in transmitting(moving.machine.mechanism) if term.of in (None, group.joint)]
 
 
 def _pressure(moving: Moving, reactions: Reactions, term: ElementTerm) -> tuple[Value, ...]:
     """Return 90 deg less the transmission angle [rad], of one dyad or of all."""
-    groups = [group for group in transmitting(moving.machine.mechanism) if term.of in (None, group.joint)]
-    return tuple(0.5 * np.pi - _transmission_angle(moving, group) for group in groups)
+    return tuple(0.5 * np.pi - _transmission_angle(moving, group) for group in _groups(moving, term))
 
 
 def _transmission_angle(moving: Moving, group: Transmitting) -> Value:
@@ -163,8 +153,8 @@ def _transmission_angle(moving: Moving, group: Transmitting) -> Value:
 
 
 def _pressure_measured(record: MotionColumns, term: ElementTerm) -> Array:
-    groups = [group for group in transmitting(record.moving.machine.mechanism) if term.of in (None, group.joint)]
-    return np.asarray(np.max([np.abs(0.5 * np.pi - _measured(record, group)) for group in groups], axis=0))
+    angles = [_measured(record, group) for group in _groups(record.moving, term)]
+    return np.asarray(np.max([np.abs(0.5 * np.pi - angle) for angle in angles], axis=0))
 
 
 def _measured(record: MotionColumns, group: Transmitting) -> Array:
@@ -260,8 +250,8 @@ QUANTITIES |= {
         _EXTREMES,
         "joint of a dyad",
         JOINT,
-        lambda moving, reactions, term: (_transmission_angle(moving, _dyad_of(moving.machine.mechanism, term.of)),),
-        lambda record, term: _measured(record, _dyad_of(record.moving.machine.mechanism, term.of)),
+        lambda moving, reactions, term: (_transmission_angle(moving, _groups(moving, term)[0]),),
+        lambda record, term: _measured(record, _groups(record.moving, term)[0]),
         at="at",
     ),
     "pressure angle": QuantityType(

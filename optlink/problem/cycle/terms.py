@@ -8,9 +8,11 @@ from pydantic import BeforeValidator, model_validator
 
 from optlink.linkage.mechanism import FRAME, Mechanism
 from optlink.problem.base_model import Section
-from optlink.problem.cycle.quantities import GUIDE, QUANTITIES, QuantityType, guide_of, moving_points
-from optlink.problem.interval import STROKES, Interval, check_time_ratio, read_figure
+from optlink.problem.cycle.quantities import GUIDE, QUANTITIES, QuantityType, guide_of
+from optlink.problem.interval import SIDES, STROKES, Interval, check_time_ratio, read_figure
+from optlink.problem.mechanism import moving_points
 from optlink.problem.quantity import FixedAngle, Number, Quantity, Unusable, check_name, nearest, where
+from optlink.units import KINDS, with_article
 
 Measure = Literal["peak", "rms", "mean", "largest", "least"]
 
@@ -52,10 +54,41 @@ class Term(TermSection):
     quantity: What
     """Quantity of the cycle."""
 
-    @model_validator(mode="after")
-    def _fits(self) -> Self:
-        check_shape(self)
+    def check_keys(self) -> Self:
+        """Check that the keys are consistent.
+
+        Raises
+        ------
+        Unusable
+            with the key below the term.
+        """
+        nature, what, a_what = self.nature, self.quantity, with_article(self.quantity)
+        if self.measure is not None and not nature.cyclic:
+            raise Unusable(f"{a_what} is one figure, it has no measure", "Leave it out", "measure", self.measure)
+        if self.measure is None and nature.cyclic and len(nature.measures) > 1 and nature.measures[0] != "peak":
+            remedy = f'Add measure = "{nature.measures[0]}" or "{nature.measures[1]}"'
+            raise Unusable(f"the measure of {a_what} is missing", remedy, "measure")
+        if self.measure is not None:
+            check_name(self.measure, nature.measures, f"not a measure of {a_what}", "measure")
+        if nature.of and self.of is None and what != "work" and not nature.general:
+            raise Unusable(f"the {nature.of} is missing", 'Add of = "..."', "of")
+        if not nature.of and self.of is not None:
+            raise Unusable(f"the {what} is that of the whole machine", "Leave it out", "of", self.of)
+        if self.on is not None and what != "reaction":
+            raise Unusable("only a reaction acts on a body", "Leave it out", "on", self.on)
+        if self.static and not nature.forces:
+            static = ", ".join(name for name, quantity in QUANTITIES.items() if quantity.forces)
+            raise Unusable(f"{a_what} has no static part", f"Leave it out; only {static} have one", "static")
+        if self.stroke is not None and what not in ("end", "time ratio") and (what != "work" or self.of is None):
+            message = "only an end, a time ratio, and the work during a stroke of a slider refer to a stroke"
+            raise Unusable(message, 'Write quantity = "work" and of', "stroke")
+        if self.stroke in ("slow", "quick") and what != "time ratio":
+            raise Unusable(f"{a_what} has its stroke by direction", 'Write "forward" or "backward"', "stroke", self.stroke)
+        if (what == "end" or (what == "work" and self.of is not None)) and self.stroke is None:
+            raise Unusable("the stroke is missing", 'Add stroke = "forward" or "backward"', "stroke")
         return self
+
+    _checked = model_validator(mode="after")(check_keys)
 
     @property
     def nature(self) -> QuantityType:
@@ -113,41 +146,6 @@ class Term(TermSection):
         return self.nature.kind
 
 
-def check_shape(term: Term) -> None:
-    """Check that the keys of a term are consistent.
-
-    Raises
-    ------
-    Unusable
-        with the key below the term.
-    """
-    nature, what = term.nature, term.quantity
-    if term.measure is not None and not nature.cyclic:
-        raise Unusable(f"{_a(what)} is one figure, it has no measure", "Leave it out", "measure", term.measure)
-    if term.measure is None and nature.cyclic and len(nature.measures) > 1 and nature.measures[0] != "peak":
-        raise Unusable(
-            f"the measure of {_a(what)} is missing", f'Add measure = "{nature.measures[0]}" or "{nature.measures[1]}"', "measure"
-        )
-    if term.measure is not None:
-        check_name(term.measure, nature.measures, f"not a measure of {_a(what)}", "measure")
-    if nature.of and term.of is None and what != "work" and not nature.general:
-        raise Unusable(f"the {nature.of} is missing", 'Add of = "..."', "of")
-    if not nature.of and term.of is not None:
-        raise Unusable(f"the {what} is that of the whole machine", "Leave it out", "of", term.of)
-    if term.on is not None and what != "reaction":
-        raise Unusable("only a reaction acts on a body", "Leave it out", "on", term.on)
-    if term.static and not nature.forces:
-        static = ", ".join(name for name, quantity in QUANTITIES.items() if quantity.forces)
-        raise Unusable(f"{_a(what)} has no static part", f"Leave it out; only {static} have one", "static")
-    if term.stroke is not None and what not in ("end", "time ratio") and (what != "work" or term.of is None):
-        message = "only an end, a time ratio, and the work during a stroke of a slider refer to a stroke"
-        raise Unusable(message, 'Write quantity = "work" and of', "stroke")
-    if term.stroke in ("slow", "quick") and what != "time ratio":
-        raise Unusable(f"{_a(what)} has its stroke by direction", 'Write "forward" or "backward"', "stroke", term.stroke)
-    if (what == "end" or (what == "work" and term.of is not None)) and term.stroke is None:
-        raise Unusable("the stroke is missing", 'Add stroke = "forward" or "backward"', "stroke")
-
-
 class Goal(Term):
     """A term of the objective: weight * value / scale."""
 
@@ -161,10 +159,20 @@ class Goal(Term):
     sense: Literal["minimise", "maximise"] = "minimise"
     """Whether the value is minimised or maximised."""
 
-    @model_validator(mode="after")
-    def _one_sided(self) -> Self:
-        check_sense(self)
+    def check_sense(self) -> Self:
+        """Check that a largest value is minimised and a least value maximised: raising one peak does not bound the others.
+
+        Raises
+        ------
+        Unusable
+        """
+        possible = {"peak": "minimise", "largest": "minimise", "least": "maximise"}.get(self.how)
+        if possible is not None and self.sense != possible:
+            message = f"the {self.how} value over the cycle can only be {possible}d"
+            raise Unusable(message, f'Write sense = "{possible}"', "sense", self.sense)
         return self
+
+    _minimised = model_validator(mode="after")(check_sense)
 
 
 class Objective(TermSection):
@@ -197,25 +205,7 @@ class Objective(TermSection):
         if self.terms:
             return self.terms
         values = {key: getattr(self, key) for key in type(self).model_fields if key != "terms"}
-        goal = Goal.model_construct(weight=1.0, scale=None, **values)
-        check_shape(goal)
-        check_sense(goal)
-        return (goal,)
-
-
-def check_sense(goal: Goal) -> None:
-    """Check that a largest value is minimised and a least value maximised.
-
-    Raises
-    ------
-    Unusable
-        for the opposite sense: raising a peak at one position does not bound the others.
-    """
-    possible = {"peak": "minimise", "largest": "minimise", "least": "maximise"}.get(goal.how)
-    if possible is not None and goal.sense != possible:
-        raise Unusable(
-            f"the {goal.how} value over the cycle can only be {possible}d", f'Write sense = "{possible}"', "sense", goal.sense
-        )
+        return (Goal.model_construct(weight=1.0, scale=None, **values).check_keys().check_sense(),)
 
 
 class Limit(Term):
@@ -231,33 +221,21 @@ class Limit(Term):
     @model_validator(mode="after")
     def _bounded(self) -> Self:
         if self.min is None and self.max is None and self.exactly is None:
-            raise Unusable("the limit has no value", f"Add max = {self._example}, min or exactly", "max")
+            example = f'"{KINDS[self.nature.kind].example}"' if self.nature.kind else "1.8"
+            raise Unusable("the limit has no value", f"Add max = {example}, min or exactly", "max")
         if self.exactly is not None and (self.min is not None or self.max is not None):
-            raise Unusable(
-                "exactly and min or max are given together", "Give either exactly, or min and max", "exactly", self.exactly
-            )
+            message = "exactly and min or max are given together"
+            raise Unusable(message, "Give either exactly, or min and max", "exactly", self.exactly)
         if self.extreme:
-            wrong = {"least": "max"}.get(self.how, "min")
+            wrong, right = ("max", "min") if self.how == "least" else ("min", "max")
             for key in (wrong, "exactly"):
                 if getattr(self, key) is not None:
-                    right = "min" if wrong == "max" else "max"
                     message = f"the {self.how} value over the cycle can only be limited by {right}"
                     raise Unusable(message, f"Write {right}", key, getattr(self, key))
         return self
 
-    @property
-    def _example(self) -> str:
-        from optlink.units import KINDS
-
-        return f'"{KINDS[self.nature.kind].example}"' if self.nature.kind else "1.8"
-
     def interval(self, mechanism: Mechanism, quantities: Mapping[str, Quantity]) -> Interval:
-        """Return the bounds [SI].
-
-        Parameters
-        ----------
-        quantities : mapping of str to Quantity
-            Quantities of the file.
+        """Return the bounds [SI]; `quantities` are those of the file.
 
         Raises
         ------
@@ -266,35 +244,27 @@ class Limit(Term):
         """
         quantity = quantities.get(str(self.of)) if self.quantity == "length" else None
         kind = self.kind(mechanism) if quantity is None else quantity.kind
-        sides: dict[str, tuple[float, str]] = {}
-        for key in ("min", "max", "exactly"):
-            if getattr(self, key) is not None:
-                sides[key] = read_figure(getattr(self, key), kind, key)
+        stated = {key: getattr(self, key) for key in SIDES}
+        sides = {key: read_figure(value, kind, key) for key, value in stated.items() if value is not None}
         low, high = (sides.get(key, sides.get("exactly")) for key in ("min", "max"))
         if low and high and low[0] > high[0]:
             raise Unusable("min is above max", "Exchange them", "min", self.min)
         for key, (value, _) in sides.items():
             if self.how == "peak" and value <= 0.0:
-                raise Unusable(
-                    "a limit of the largest magnitude must be positive", "Give a limit above zero", key, getattr(self, key)
-                )
+                raise Unusable("a limit of the largest magnitude must be positive", "Give a limit above zero", key, stated[key])
             if self.quantity == "time ratio":
                 check_time_ratio(self.stroke, value, key, low and low[0], high and high[0])
             if self.quantity == "stroke":
-                self._check_stroke(key, value, mechanism)
+                if value < 0.0 or (value == 0.0 and key != "min"):
+                    raise Unusable("a stroke must be positive", "Give one above zero", key, stated[key])
+                if key != "max" and value >= math.pi and self.of in rockers(mechanism):
+                    message = "a rocker between crank and frame swings by less than 180 deg"
+                    raise Unusable(message, 'Give less, for example "60 deg"', key, stated[key])
             most = {"transmission angle": 180.0, "pressure angle": 90.0}.get(self.quantity)
             if most is not None and not 0.0 < value < math.radians(most):
                 raise Unusable("out of range", f'Give an angle between 0 and {most:g} deg, for example "45 deg"', key, str(value))
         first = next(iter(sides.values()))
         return Interval(low[0] if low else None, high[0] if high else None, kind or None, first[1])
-
-    def _check_stroke(self, key: str, value: float, mechanism: Mechanism) -> None:
-        """Refuse a stroke that no linkage has, or that its bound `key` does not limit."""
-        if value < 0.0 or (value == 0.0 and key != "min"):
-            raise Unusable("a stroke must be positive", "Give one above zero", key, getattr(self, key))
-        if key != "max" and value >= math.pi and self.of in rockers(mechanism):
-            message = "a rocker between crank and frame swings by less than 180 deg"
-            raise Unusable(message, 'Give less, for example "60 deg"', key, getattr(self, key))
 
 
 def rockers(mechanism: Mechanism) -> list[str]:
@@ -306,10 +276,6 @@ def rockers(mechanism: Mechanism) -> list[str]:
             if any(mechanism.crank.body in owners for owners in bodies.values()):
                 names += [body for body, owners in bodies.items() if FRAME in owners]
     return names
-
-
-def _a(words: str) -> str:
-    return f"{'an' if words[0] in 'aeiou' else 'a'} {words}"
 
 
 # --- elements named by `of` --------------------------------------------------------------------------------------------
@@ -336,17 +302,12 @@ def output_of(term: Term, mechanism: Mechanism) -> tuple[str, str]:
         return "guide", guide
     if name in mechanism.bodies:
         return "body", name
-    names = [*mechanism.bodies, *(g.name for g in mechanism.guides), *points]
+    names = [*mechanism.bodies, *(guide.name for guide in mechanism.guides), *points]
     raise Unusable("no such slider, body or point", nearest(name, names), "of", term.of)
 
 
 def check_term(term: Term, mechanism: Mechanism, quantities: Mapping[str, Quantity]) -> None:
-    """Check that the elements named by a term exist.
-
-    Parameters
-    ----------
-    quantities : mapping of str to Quantity
-        Quantities of the file.
+    """Check that the elements named by a term exist; `quantities` are those of the file.
 
     Raises
     ------
@@ -357,10 +318,8 @@ def check_term(term: Term, mechanism: Mechanism, quantities: Mapping[str, Quanti
     if what in ("stroke", "end", "time ratio"):
         kind, body = output_of(term, mechanism)
         if kind == "body" and (what == "end" or body == mechanism.crank.body):
-            message = (
-                f"{body} rotates, so it has no end of a stroke" if what == "end" else f"{body} turns fully, so it has no stroke"
-            )
-            raise Unusable(message, "Name a slider or a point", "of", term.of)
+            why = "rotates, so it has no end of a stroke" if what == "end" else "turns fully, so it has no stroke"
+            raise Unusable(f"{body} {why}", "Name a slider or a point", "of", term.of)
     elif term.direction is not None:
         raise Unusable("only the stroke of a point has a direction", "Leave it out", "direction", str(term.direction))
     element = None if term.of is None else term.nature.element

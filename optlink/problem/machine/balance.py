@@ -14,7 +14,19 @@ from optlink.linkage.mechanism import FRAME, Pose
 from optlink.problem.base_model import RESERVED, Name, Section
 from optlink.problem.interval import Interval, LengthInterval, MassInterval, StiffnessInterval
 from optlink.problem.machine.loads import spring_ends
-from optlink.problem.quantity import Density, FixedForce, FixedLength, Unusable, below, check_name, read_fixed, read_scalar, where
+from optlink.problem.quantity import (
+    Density,
+    FixedForce,
+    FixedLength,
+    Unusable,
+    below,
+    check_name,
+    check_pair,
+    is_number,
+    read_fixed,
+    read_scalar,
+    where,
+)
 from optlink.units import read_number
 
 if TYPE_CHECKING:
@@ -36,7 +48,6 @@ def read_measure(text: object) -> BalanceMeasure:
     Raises
     ------
     Unusable
-        when the text is not a measure.
     """
     from optlink.dynamics.counterweights import KINDS, BalanceMeasure
 
@@ -91,7 +102,7 @@ def _read_goal(raw: object) -> tuple[tuple[BalanceMeasure, float], ...]:
     goal = []
     for text, weight in raw.items():
         measure = read_measure(text)
-        if isinstance(weight, bool) or not isinstance(weight, int | float) or not math.isfinite(weight):
+        if not is_number(weight) or not math.isfinite(weight):
             raise Unusable("expected the weight of the measure", f'Write {{ "{text}" = 1.0 }}', "", weight)
         if weight <= 0.0:
             raise Unusable("a weight must be positive", "Give a positive one, or remove the measure", "", f"{text} = {weight}")
@@ -116,17 +127,9 @@ class MeasureLimit:
 def read_measure_limit(name: str, raw: object) -> MeasureLimit:
     """Read the limit of a measure: "50 N", "5 N*m", or "80 %" of its value in the original machine.
 
-    Parameters
-    ----------
-    name : str
-        The measure.
-    raw : object
-        The limit as read from the file.
-
     Raises
     ------
     Unusable
-        when measure or limit cannot be read.
     """
     measure = read_measure(name)
     text = str(raw).strip()
@@ -145,9 +148,8 @@ def _read_place(raw: object) -> Any:
     """Read a point by name, or two coordinates."""
     if raw is None or isinstance(raw, str):
         return raw
-    if not isinstance(raw, list) or len(raw) != 2:
-        raise Unusable("expected a point or two coordinates", 'Write its name, or ["100 mm", "0 mm"]', "", raw)
-    return tuple(read_fixed(part, "coordinate").value for part in raw)
+    parts = check_pair(raw, "expected a point or two coordinates", 'Write its name, or ["100 mm", "0 mm"]')
+    return tuple(read_fixed(part, "coordinate").value for part in parts)
 
 
 Place = Annotated[Any, BeforeValidator(_read_place)]
@@ -204,13 +206,12 @@ class CounterweightSection(Section):
         low, most = _ends(self.mass)
         thickness, density = (None if part is None else part.value for part in (self.thickness, self.density))
         radius: float | None = None
-        if self.kind == "free":
-            for key in ("thickness", "radius", "density"):
-                if getattr(self, key) is not None:
-                    remedy = 'Remove it, or write kind = "disc"'
-                    raise Unusable("a free counterweight has any shape", remedy, key, str(getattr(self, key)))
-        else:
+        if self.kind == "disc":
             low, most, radius = self._disc(low, most, thickness, density)
+        else:
+            for key in ("thickness", "radius", "density"):
+                if (value := getattr(self, key)) is not None:
+                    raise Unusable("a free counterweight has any shape", 'Remove it, or write kind = "disc"', key, str(value))
         if low > most:
             message = f"no mass is admissible: at least {low:.6g} kg, at most {most:.6g} kg"
             raise Unusable(message, "Widen mass, radius or thickness", "mass", str(self.mass))
@@ -282,8 +283,20 @@ class CounterweightSection(Section):
             raise Unusable("the place is given, so it has no reach", "Remove one of the two", "reach", str(self.reach))
         if isinstance(self.at, str):
             return self._local(machine, self.at, "at")
-        along, across = self.at
-        return along, across
+        place: tuple[float, float] = self.at
+        return place
+
+
+def _read_free_length(raw: object) -> tuple[float, float] | None:
+    if raw is None:
+        return None
+    texts = raw if isinstance(raw, list) else [raw, raw]
+    check_pair(texts, "a range is a list of two lengths", 'Write ["50 mm", "200 mm"], or one length')
+    low, high = (read_scalar(text, "coordinate")[0] for text in texts)
+    if not 0.0 <= low <= high:
+        remedy = 'Write ["0 mm", "200 mm"], or one length'
+        raise Unusable("the range of a free length must rise, from zero or more", remedy, "", raw)
+    return low, high
 
 
 class SpringSection(Section):
@@ -295,25 +308,10 @@ class SpringSection(Section):
     """The two points that the spring connects."""
     stiffness: StiffnessInterval | None = None
     """Stiffness: one value or a range; default: from zero."""
-    free_length: Annotated[Any, BeforeValidator(lambda raw: raw)] = None
+    free_length: Annotated[Any, BeforeValidator(_read_free_length)] = None
     """Free length: fixed, or optimised within a range of two values; default: 0."""
     force: FixedForce | None = None
     """Largest permitted spring force; default: unlimited."""
-
-    @field_validator("free_length", mode="before")
-    @classmethod
-    def _lengths(cls, raw: object) -> object:
-        if raw is None:
-            return raw
-        texts = raw if isinstance(raw, list) else [raw, raw]
-        if len(texts) != 2:
-            raise Unusable("a range is a list of two lengths", 'Write ["50 mm", "200 mm"], or one length', "", raw)
-        low, high = (read_scalar(text, "coordinate")[0] for text in texts)
-        if not 0.0 <= low <= high:
-            raise Unusable(
-                "the range of a free length must rise, from zero or more", 'Write ["0 mm", "200 mm"], or one length', "", raw
-            )
-        return low, high
 
     def spring(self, machine: Machine) -> FreeSpring:
         """Return the spring for a machine.
@@ -409,25 +407,20 @@ class BalanceSection(Section):
         for k, spring in enumerate(self.springs):
             with below(f"springs.{k}"):
                 springs.append(spring.spring(machine))
-        for key, measures in (("minimise", [m for m, _ in self.goal]), ("limits", [c.measure for c in self.limits.values()])):
-            for measure in measures:
-                with below(key):
-                    check_measure(measure, machine)
+        with below("minimise"):
+            for measure, _ in self.goal:
+                check_measure(measure, machine)
+        with below("limits"):
+            for limit in self.limits.values():
+                check_measure(limit.measure, machine)
         self.place(machine)
         return tuple(weights), tuple(springs)
 
     def place(self, machine: Machine) -> tuple[float, float]:
-        """Return the reference point of shaking moments [m]; default: the crank pivot.
-
-        Raises
-        ------
-        Unusable
-            If it is not a point of the frame.
-        """
+        """Return the reference point of shaking moments [m]; default: the crank pivot."""
         mechanism = machine.mechanism
         if isinstance(self.about, tuple):
-            x, y = self.about
-            return x, y
+            return self.about
         point = mechanism.crank.start if self.about is None else self.about
         check_name(point, mechanism.ground, "not a point of the frame", "about")
         x, y = machine.moving([0.0]).position(point)

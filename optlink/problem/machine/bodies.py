@@ -22,6 +22,7 @@ from optlink.problem.quantity import (
     Speed,
     Unusable,
     check_name,
+    check_pair,
     read_fixed,
     read_positive,
     where,
@@ -35,9 +36,8 @@ from optlink.unsupported import unsupported
 def _read_centroid(raw: object) -> Any:
     if isinstance(raw, str):
         return raw
-    if not isinstance(raw, list) or len(raw) != 2:
-        raise Unusable("a centroid is a point of the body", 'Write "middle", a point, or ["100 mm", "0 mm"]', "", raw)
-    return tuple(read_fixed(part, "coordinate") for part in raw)
+    parts = check_pair(raw, "a centroid is a point of the body", 'Write "middle", a point, or ["100 mm", "0 mm"]')
+    return tuple(read_fixed(part, "coordinate") for part in parts)
 
 
 def _read_moment(raw: object) -> Any:
@@ -55,14 +55,7 @@ class BodySection(Section):
     """Moment of inertia about the centroid, or `uniform bar`; required for a link with a mass."""
 
     def inertia_of(self, body: str, mechanism: Mechanism, sizes: Mapping[str, Value]) -> Inertia:
-        """Return the mass properties for given dimensions.
-
-        Parameters
-        ----------
-        body : str
-            Name of the body.
-        sizes : mapping of str to float, array or symbol [m, rad]
-            Dimensions of the mechanism.
+        """Return the mass properties of a body for given dimensions of the mechanism [m, rad].
 
         Raises
         ------
@@ -151,19 +144,12 @@ class DriveSection(Section):
         return self
 
 
-def read_gravity(raw: object) -> Any:
-    """Read gravity: a value along -y, or two components.
-
-    Raises
-    ------
-    Unusable
-        If it is neither, or has no unit of an acceleration.
-    """
+def _read_gravity(raw: object) -> Any:
+    """Read gravity: a value along -y, or two components."""
     if isinstance(raw, list):
-        if len(raw) != 2:
-            raise Unusable("gravity has two components", 'Write "9.81 m/s^2" (downwards) or ["0 m/s^2", "-9.81 m/s^2"]', "", raw)
+        check_pair(raw, "gravity has two components", 'Write "9.81 m/s^2" (downwards) or ["0 m/s^2", "-9.81 m/s^2"]')
         return tuple(read_fixed(part, "acceleration").value for part in raw)
     return 0.0, -read_fixed(raw, "acceleration").value
 
 
-Gravity = Annotated[Any, BeforeValidator(read_gravity)]
+Gravity = Annotated[Any, BeforeValidator(_read_gravity)]

@@ -24,7 +24,7 @@ class ServoSection(Section):
 
 def _read_joints(raw: object) -> Any:
     if not isinstance(raw, list | tuple) or not all(isinstance(name, str) for name in raw):
-        raise Unusable("expected a list of joints", 'Write known = ["C"]', "", raw)
+        raise Unusable("expected a list of joints", 'Write known = ["C"]')
     return tuple(raw)
 
 
@@ -75,12 +75,7 @@ class ControlSection(Section):
     """Largest crank angle correction of the PID."""
 
     def check(self, machine: Machine, gaps: Sequence[Gap]) -> None:
-        """Check that the controller fits the machine.
-
-        Parameters
-        ----------
-        gaps : sequence of Gap
-            Joints with clearance.
+        """Check that the controller fits the machine and its joints with clearance.
 
         Raises
         ------
@@ -94,11 +89,9 @@ class ControlSection(Section):
             check_name(self.output, available, "no such slider or body", "output")
         for point in self.known or ():
             check_name(point, points, "the joint has no clearance", "known")
-        output, regularisation = (
-            available[self.output] if self.output is not None else default_output(machine),
-            self.regularisation,
-        )
+        regularisation = self.regularisation
         if regularisation is not None:
+            output = default_output(machine) if self.output is None else available[self.output]
             needed, example = ("a length", '"5 mm"') if output.guide else ("an angle", '"5 deg"')
             if (regularisation.kind == "length") != bool(output.guide):
                 message = f"{output.name} moves by {needed} per radian"

@@ -20,6 +20,8 @@ from optlink.problem.quantity import (
     Unusable,
     Velocity,
     check_name,
+    check_pair,
+    is_number,
     read_positive,
     read_scalar,
     where,
@@ -36,19 +38,17 @@ def _read_clearance(raw: object) -> Quantity:
     value, unit = read_scalar(raw, "coordinate")
     if value <= 0.0:
         message = "a clearance is positive: the radius of the bearing minus that of the journal"
-        raise Unusable(message, 'Give one such as "0.5 mm", or remove the key for an ideal joint', "", raw)
+        raise Unusable(message, 'Give one such as "0.5 mm", or remove the key for an ideal joint')
     if value < SHORTEST:
-        raise Unusable("no joint has such a clearance", "Give 1e-9 m or more, and check its unit", "", raw)
+        raise Unusable("no joint has such a clearance", "Give 1e-9 m or more, and check its unit")
     return Quantity(value, "length", unit)
 
 
 def _read_pair(raw: object, kind: str) -> tuple[float, float]:
     """Read one value for both parts, or the values of the journal and of the bearing."""
     if isinstance(raw, list):
-        if len(raw) != 2:
-            raise Unusable("one value, or two: of the journal and of the bearing", "Give one or two", "", raw)
-        first, second = (_one(part, kind) for part in raw)
-        return first, second
+        check_pair(raw, "one value, or two: of the journal and of the bearing", "Give one or two")
+        return _one(raw[0], kind), _one(raw[1], kind)
     value = _one(raw, kind)
     return value, value
 
@@ -57,12 +57,12 @@ def _one(raw: object, kind: str) -> float:
     if kind:
         value = read_positive(raw, kind).value
         if value == 0.0:
-            raise Unusable(f"a {kind} of the contact must be positive", 'Give for example "207 GPa"', "", raw)
+            raise Unusable(f"a {kind} of the contact must be positive", 'Give for example "207 GPa"')
         return value
-    if isinstance(raw, bool) or not isinstance(raw, int | float):
-        raise Unusable("expected a plain number", "Write a number without a unit, for example 0.3", "", raw)
+    if not is_number(raw):
+        raise Unusable("expected a plain number", "Write a number without a unit, for example 0.3")
     if not -1.0 < raw <= 0.5:
-        raise Unusable("Poisson's ratio lies above -1 and not above 0.5", "Give for example 0.3, that of steel", "", raw)
+        raise Unusable("Poisson's ratio lies above -1 and not above 0.5", "Give for example 0.3, that of steel")
     return float(raw)
 
 
@@ -114,12 +114,7 @@ class JointSection(Section):
         return self.clearance is not None or both
 
     def gap(self, point: str, mechanism: Mechanism) -> Gap:
-        """Return the joint with clearance.
-
-        Parameters
-        ----------
-        point : str
-            Name of the pin.
+        """Return the pin `point` as a joint with clearance.
 
         Raises
         ------
@@ -185,14 +180,7 @@ class JointSection(Section):
         return float(stiffness(radius + clearance, radius, first, second))
 
     def check_unused(self, point: str, bodies: Sequence[str]) -> None:
-        """Refuse keys without effect in a joint without clearance.
-
-        Parameters
-        ----------
-        point : str
-            Name of the pin.
-        bodies : sequence of str
-            The bodies that it joins.
+        """Refuse keys without effect in a pin without clearance that joins these bodies.
 
         Raises
         ------

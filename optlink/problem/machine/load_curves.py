@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from optlink.problem.quantity import Unusable, below, check_keys, read_scalar
 from optlink.problem.targets.csv_table import read_columns
 from optlink.problem.targets.expression import Expression, parse
 from optlink.problem.targets.repetition import MOST_REVOLUTIONS, revolutions_of
-from optlink.units import factor, show
+from optlink.units import KINDS, factor, show
 from optlink.unsupported import unsupported
 
 OVER = {"phi": "angle", "s": "coordinate", "omega": "angular velocity"}
@@ -120,26 +120,15 @@ Size = Constant | Formula | LoadTable
 def read_size(raw: object, folder: Path, kind: str, names: Iterable[str]) -> Size:
     """Read a force or torque: a quantity, an expression with its unit, or a table over phi, s or omega.
 
-    Parameters
-    ----------
-    raw : object
-        Value as read from the file.
-    folder : Path
-        Folder to which the name of a CSV file is relative.
-    kind : str
-        "force" or "torque".
-    names : iterable of str
-        Variables of an expression; a table may run over those of them in `OVER`.
+    `names` are the variables of an expression; a table may run over those of them in `OVER`.
 
     Raises
     ------
     Unusable
-        when the value cannot be read, with the key below the present one.
     """
     if not isinstance(raw, dict):
         value, own_unit = read_scalar(raw, kind)
         return Constant(value, show(value, kind, own_unit, digits=12))
-    variables = [name for name in names if name in OVER]
     if "expression" in raw:
         check_keys(raw, ("expression", "unit"))
         if not isinstance(raw["expression"], str):
@@ -150,24 +139,23 @@ def read_size(raw: object, folder: Path, kind: str, names: Iterable[str]) -> Siz
                 raise Unusable("it has no finite value", "Correct the division by zero, or the root or logarithm of a constant")
         unit = raw.get("unit")
         if not isinstance(unit, str):
-            raise Unusable(
-                "an expression gives a plain number", f'Add its unit: unit = "{"N" if kind == "force" else "N*m"}"', "unit", unit
-            )
+            raise Unusable("an expression gives a plain number", f'Add its unit: unit = "{KINDS[kind].display}"', "unit", unit)
         with below("unit", unit):
             return Formula(expression, unit, factor(unit, kind))
-    over = raw.get("over")
+    over: Any = raw.get("over")
+    variables = [name for name in names if name in OVER]
+    if over in ("t", "time"):
+        raise Unusable(*unsupported("load over time"), "over", over)
     if over not in variables:
-        if isinstance(over, str) and over in ("t", "time"):
-            raise Unusable(*unsupported("load over time"), "over", over)
         raise Unusable("the table has no independent variable", f"Write over = one of: {', '.join(variables)}", "over", over)
     check_keys(raw, ("over", "at", "values", "csv"))
     if "csv" in raw and ("at" in raw or "values" in raw):
         raise Unusable("the table is given twice", "Give csv, or at and values, not both", "csv", raw["csv"])
     if "csv" in raw:
-        at, values = read_columns(raw, folder, {str(over): OVER[str(over)], kind: kind}, ordered="rising")
+        at, values = read_columns(raw, folder, {over: OVER[over], kind: kind}, ordered="rising")
     else:
         columns = []
-        for key, of in (("at", OVER[str(over)]), ("values", kind)):
+        for key, of in (("at", OVER[over]), ("values", kind)):
             if not isinstance(raw.get(key), list):
                 raise Unusable("the table needs a list here", f"Write {key} = [...], with units", key, raw.get(key))
             columns.append([read_scalar(cell, of, f"{key}[{row}]")[0] for row, cell in enumerate(raw[key])])
@@ -177,7 +165,7 @@ def read_size(raw: object, folder: Path, kind: str, names: Iterable[str]) -> Siz
     falls = next((row for row, (a, b) in enumerate(itertools.pairwise(at), start=2) if b <= a), None)
     if falls:
         raise Unusable(f"the rows must rise, and row {falls} does not", "Sort them and remove repeated ones", "at")
-    table = LoadTable(str(over), tuple(at), tuple(values))
+    table = LoadTable(over, tuple(at), tuple(values))
     if table.revolutions > MOST_REVOLUTIONS:
         message = f"the table is longer than {MOST_REVOLUTIONS} revolutions: {math.degrees(at[-1] - at[0]):.8g} deg"
         remedy = "A table is one cycle of the machine: give the rows after which the load repeats"

@@ -15,6 +15,7 @@ from optlink.problem.quantity import (
     Damping,
     FixedAngle,
     FixedLength,
+    Quantity,
     Stiffness,
     TorsionalDamping,
     TorsionalStiffness,
@@ -24,12 +25,7 @@ from optlink.problem.quantity import (
 
 
 def spring_ends(mechanism: Mechanism, between: tuple[str, str]) -> list[tuple[str, str]]:
-    """Return body and point of both ends of a spring or damper.
-
-    Parameters
-    ----------
-    between : tuple of two str
-        Names of the points.
+    """Return body and point of both ends of a spring or damper between two points.
 
     Raises
     ------
@@ -42,6 +38,10 @@ def spring_ends(mechanism: Mechanism, between: tuple[str, str]) -> list[tuple[st
     if set(one) & set(other):
         raise Unusable("both ends are on one body", "Name two points of different bodies", "between", list(between))
     return [(one[0], between[0]), (other[0], between[1])]
+
+
+def _value(quantity: Quantity | None) -> float:
+    return 0.0 if quantity is None else quantity.value
 
 
 class LoadSection(Section):
@@ -79,14 +79,7 @@ class LoadSection(Section):
     """Viscous damping of the rotation of `on` relative to `against`."""
 
     def build(self, name: str, mechanism: Mechanism, motion: RevolutionSamples) -> Load:
-        """Return the load of a machine.
-
-        Parameters
-        ----------
-        name : str
-            Name of the load.
-        motion : RevolutionSamples
-            Samples of the motion over a revolution.
+        """Return the load of a machine, whose motion over a revolution decides on strokes and angles.
 
         Raises
         ------
@@ -94,58 +87,43 @@ class LoadSection(Section):
             with the key below the load.
         """
         self._check_keys()
+        opposing, against = self.acts == "opposing", self.against or FRAME
         if self.force is not None:
             body, point, guide = self._target(mechanism)
-            direction: float | str | None = None if self.direction is None else self.direction.value
-            if direction is None:
-                if not guide:
-                    raise Unusable("the force has no direction", 'Add direction = "90 deg" (from +x)', "direction")
-                direction = guide
-            if isinstance(self.force, Formula) and self.force.expression.names & {"s", "v"} and not isinstance(direction, str):
+            along_guide = self.direction is None
+            if along_guide and not guide:
+                raise Unusable("the force has no direction", 'Add direction = "90 deg" (from +x)', "direction")
+            if isinstance(self.force, Formula) and self.force.expression.names & {"s", "v"} and not along_guide:
                 raise Unusable("s and v are those of a slider along its guide", "Leave direction out, or use phi", "force")
-            if isinstance(self.force, LoadTable) and self.force.over == "s" and not isinstance(direction, str):
+            if isinstance(self.force, LoadTable) and self.force.over == "s" and not along_guide:
                 raise Unusable("s is the position of a slider along its guide", "Leave direction out, or use phi", "force")
             self._check_against(mechanism)
-            load = Force(
-                name, body, point, self.force, direction, opposing=self.acts == "opposing", against=self.against or FRAME
-            )
-            return replace(load, **self._stroke(load, motion))
+            direction = guide if self.direction is None else self.direction.value
+            force = Force(name, body, point, self.force, direction, opposing=opposing, against=against)
+            return replace(force, **self._stroke(force, motion))
         if self.torque is not None:
             body = self._body(mechanism, self.on, "on")
             self._check_against(mechanism)
             angular = isinstance(self.torque, Formula) and "theta" in self.torque.expression.names
-            twist = Torque(
-                name,
-                body,
-                self.torque,
-                motion.branch(body) if angular else 0.0,
-                opposing=self.acts == "opposing",
-                against=self.against or FRAME,
-            )
-            return replace(twist, **self._stroke(twist, motion))
+            branch = motion.branch(body) if angular else 0.0
+            torque = Torque(name, body, self.torque, branch, opposing=opposing, against=against)
+            return replace(torque, **self._stroke(torque, motion))
         if self.between is not None:
-            ends = spring_ends(mechanism, self.between)
-            stiffness, damping = (0.0 if x is None else x.value for x in (self.stiffness, self.damping))
-            return Spring(name, (ends[0], ends[1]), stiffness, self.free_length.value if self.free_length else 0.0, damping)
+            one, other = spring_ends(mechanism, self.between)
+            return Spring(name, (one, other), _value(self.stiffness), _value(self.free_length), _value(self.damping))
         if self.torsional_stiffness is not None or self.torsional_damping is not None:
             body = self._body(mechanism, self.on, "on")
             self._check_against(mechanism)
-            against = self.against or FRAME
-            stiffness, free, damping = (
-                0.0 if x is None else x.value for x in (self.torsional_stiffness, self.free_angle, self.torsional_damping)
-            )
+            stiffness, free = _value(self.torsional_stiffness), _value(self.free_angle)
             middle = motion.middle(body, against, free) if stiffness else 0.0
-            return TorsionSpring(name, body, against, stiffness, free, damping, middle)
-        if not any(guide.slider == self.on for guide in mechanism.guides):
+            return TorsionSpring(name, body, against, stiffness, free, _value(self.torsional_damping), middle)
+        slot = next((guide for guide in mechanism.guides if guide.slider == self.on), None)
+        if slot is None:
             self._body(mechanism, self.on, "on")
             message = "damping without two points applies to a body in a guide only"
             raise Unusable(message, "Name a slider, or two points: between = [...]", "on", self.on)
-        _, _, guide = self._target(mechanism)
-        joint = next(g for g in mechanism.guides if g.name == guide)
-        assert self.damping is not None
-        return SlideDamper(
-            name, guide, joint.slider, joint.on, joint.at or mechanism.bodies[joint.slider].start, self.damping.value
-        )
+        at = slot.at or mechanism.bodies[slot.slider].start
+        return SlideDamper(name, slot.name, slot.slider, slot.on, at, _value(self.damping))
 
     @property
     def by_pace(self) -> bool:
@@ -165,10 +143,8 @@ class LoadSection(Section):
         }
         kind = next((kind for kind in kinds if kind in keys), None)
         if kind is None:
-            raise Unusable(
-                "the load has no magnitude",
-                'Give force = "1000 N", torque = "5 N*m", between = [...] with stiffness, or damping',
-            )
+            remedy = 'Give force = "1000 N", torque = "5 N*m", between = [...] with stiffness, or damping'
+            raise Unusable("the load has no magnitude", remedy)
         wrong = sorted(keys - kinds[kind] - {kind})
         if wrong:
             raise Unusable(f"a load with {kind} has no {wrong[0]}", f"Possible:  {', '.join(sorted(kinds[kind]))}", wrong[0])
@@ -186,15 +162,12 @@ class LoadSection(Section):
         body = self._body(mechanism, self.on, "on")
         guide = next((g for g in mechanism.guides if g.slider == body), None)
         link = mechanism.bodies[body]
-        if self.at is None:
-            if link.end and guide is None:
-                raise Unusable("the force has no point", f"Add at, one of: {link.start}, {link.end} or another", "at")
-            point = (guide.at if guide else "") or link.start
-        else:
+        if self.at is not None:
             points = [point for point, bodies in mechanism.owners.items() if body in bodies]
             check_name(self.at, points, "the body has no such point", "at")
-            point = self.at
-        return body, point, guide.name if guide else ""
+        elif link.end and guide is None:
+            raise Unusable("the force has no point", f"Add at, one of: {link.start}, {link.end} or another", "at")
+        return body, self.at or (guide and guide.at) or link.start, guide.name if guide else ""
 
     def _check_against(self, mechanism: Mechanism) -> None:
         if self.against not in (None, FRAME):

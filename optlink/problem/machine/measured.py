@@ -1,6 +1,6 @@
 """A measured series of the output: a CSV file over time or crank angle, of displacements or of the voltages of a sensor."""
 
-import math
+import contextlib
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -28,12 +28,7 @@ class MeasuredSeries:
     name: str = field(compare=False)
 
     def check(self, output: "Output", *, steady: bool) -> None:
-        """Check that the series is one of the output of a machine.
-
-        Parameters
-        ----------
-        steady : bool
-            Whether the crank turns at a given speed.
+        """Check that the series is one of the output of a machine, and that its crank turns at a given speed (`steady`).
 
         Raises
         ------
@@ -49,26 +44,12 @@ class MeasuredSeries:
             raise Unusable(message, f"Give a column {title}, or another control.output", "csv", self.name)
 
     def times(self, start: float, speed: float) -> list[float]:
-        """Return the times since the start [s] of a crank that turns at constant speed.
-
-        Parameters
-        ----------
-        start : float [rad]
-            Crank angle at the time 0.
-        speed : float [rad/s]
-        """
+        """Return the times since the start [s] of a crank with a constant speed [rad/s] and this angle at the start [rad]."""
         return list(self.at) if self.over == "time" else [(angle - start) / speed for angle in self.at]
 
 
 def read_measured(raw: object, folder: Path) -> MeasuredSeries:
     """Read a measured series: `{ csv = "slide.csv" }`, of voltages with their linear calibration.
-
-    Parameters
-    ----------
-    raw : object
-        Value as read from the file.
-    folder : Path
-        Folder to which the name of the file is relative.
 
     Raises
     ------
@@ -109,7 +90,7 @@ def read_measured(raw: object, folder: Path) -> MeasuredSeries:
 
 def _is_angle(raw: object) -> bool:
     """Return whether a calibration is one of angles."""
-    try:
-        return math.isfinite(read_scalar(raw, "angle")[0])
-    except Unusable:
-        return False
+    with contextlib.suppress(Unusable):
+        read_scalar(raw, "angle")
+        return True
+    return False

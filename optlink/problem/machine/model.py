@@ -11,7 +11,7 @@ from pydantic import AfterValidator, BeforeValidator, Field
 from optlink.clearance.joint import Gap
 from optlink.dynamics.machine import Machine
 from optlink.linkage.continuation import continue_through_singularities
-from optlink.linkage.mechanism import FRAME, Mechanism
+from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.stroke import Direction
 from optlink.linkage.vector2d import Array, Value
 from optlink.problem.base_model import RESERVED, Name, Section, in_folder
@@ -64,11 +64,6 @@ class Expected(Section):
     """Relative tolerance of the figures."""
 
 
-def _dated(value: object) -> object:
-    """Read a date of TOML as text."""
-    return value.isoformat() if isinstance(value, datetime.date) else value
-
-
 Fact = Annotated[str, Field(max_length=200)]
 
 
@@ -85,7 +80,7 @@ class ReportSection(Section):
     """Name or number of the part."""
     revision: Fact = ""
     """Revision."""
-    date: Annotated[Fact, BeforeValidator(_dated)] = ""
+    date: Annotated[Fact, BeforeValidator(lambda raw: raw.isoformat() if isinstance(raw, datetime.date) else raw)] = ""
     """Date; default: the day on which the page is written."""
 
 
@@ -161,13 +156,7 @@ class Problem(Section):
         return 1.0, self.objective_unit
 
     def shown_objective(self, objective: float) -> ShownObjective:
-        """Return an objective, and how changes of it are shown.
-
-        Parameters
-        ----------
-        objective : float [SI]
-            Minimised value.
-        """
+        """Return an objective, the minimised value [SI], and how changes of it are shown."""
         factor, unit = self.objective_display
         return ShownObjective(factor * objective, factor, unit)
 
@@ -242,20 +231,17 @@ class Problem(Section):
                 key = "mechanism.pivot"
                 if isinstance(self.mechanism, DyadsSection):
                     key = f"mechanism.guides.{place}.through" if place in self.mechanism.guides else f"mechanism.ground.{place}"
-                raise Unusable(
+                message = (
                     f"{place} lies {abs(quantity.value) / size:.1e} times the longest link away from the origin, "
-                    "so double precision does not resolve the motion",
-                    "Check the units, or move the origin near the mechanism",
-                    key,
-                    str(quantity),
+                    "so double precision does not resolve the motion"
                 )
+                raise Unusable(message, "Check the units, or move the origin near the mechanism", key, str(quantity))
 
     @cached_property
     def longest(self) -> float:
         """Largest length or coordinate of the file [m], at the start of design variables."""
-        lengths = [q.value for q in self.mechanism.quantities.values() if q.kind == "length"]
-        coordinates = [abs(q.value) for q in self.mechanism.quantities.values() if q.kind == "coordinate"]
-        return max([*lengths, *coordinates, 1e-9])
+        sizes = [abs(q.value) for q in self.mechanism.quantities.values() if q.kind in ("length", "coordinate")]
+        return max([*sizes, 1e-9])
 
     def assembled(self) -> Self:
         """Return the problem with the assembly modes that follow from places of joints, at the start of the design variables.
@@ -265,14 +251,13 @@ class Problem(Section):
         Unusable
             with the full key of the place.
         """
-        places, key = self.mechanism.near, "mechanism.assembly"
-        if not places:
+        if not (places := self.mechanism.near):
             return self
-        mechanism, sizes = self.mechanism.linkage(self.title, self.drive.body), sizes_of(self.mechanism.quantities)
         try:
-            modes = nearest_modes(mechanism, sizes, self.drive.start.value, places)
+            mechanism = self.mechanism.linkage(self.title, self.drive.body)  # not cached: the copy has another
+            modes = nearest_modes(mechanism, sizes_of(self.mechanism.quantities), self.drive.start.value, places)
         except Unusable as error:
-            error.key = key if isinstance(self.mechanism, FourBarSection) else f"{key}.{error.key}"
+            error.key = "mechanism.assembly" + ("" if isinstance(self.mechanism, FourBarSection) else f".{error.key}")
             raise
         return self.model_copy(update={"mechanism": self.mechanism.with_modes(modes)})
 
@@ -297,15 +282,10 @@ class Problem(Section):
         return deviations(self.tolerances, mechanism, quantities, largest | pivots, output=output)
 
     def machine(self, design: Mapping[str, Value] | None = None, slow: Mapping[str, Direction] | None = None) -> Machine:
-        """Return the machine for given quantities; values and starts of the file are the defaults.
+        """Return the machine for given quantities [m, rad]; values and starts of the file are the defaults.
 
-        Parameters
-        ----------
-        design : mapping of str to float, array or symbol [m, rad], optional
-            Values of quantities.
-        slow : mapping of str to "forward" or "backward", optional
-            The slow stroke of loads of the slow or quick stroke, for a crank that turns counter-clockwise; default: that of the
-            machine of this design.
+        `slow`: the slow stroke of loads of the slow or quick stroke, for a crank that turns counter-clockwise; default: that
+        of the machine of this design.
 
         Raises
         ------
@@ -313,13 +293,15 @@ class Problem(Section):
             with the full key of the cause.
         """
         mechanism, sizes = self.linkage, {**sizes_of(self.mechanism.quantities), **(design or {})}
-        for section, names in (("bodies", mechanism.bodies), ("joints", mechanism.pins)):
-            for name in getattr(self, section):
-                if name not in names:
-                    what = "no such body" if section == "bodies" else "no such pin joint"
-                    if section == "joints" and name in [guide.name for guide in mechanism.guides]:
-                        what = "a guide is a sliding joint; clearance is supported in pin joints"
-                    raise Unusable(what, nearest(name, names), f"{section}.{name}")
+        guides = [guide.name for guide in mechanism.guides]
+        for name in self.bodies:
+            if name not in mechanism.bodies:
+                raise Unusable("no such body", nearest(name, mechanism.bodies), f"bodies.{name}")
+        for name in self.joints:
+            if name not in mechanism.pins:
+                sliding = "a guide is a sliding joint; clearance is supported in pin joints"
+                what = sliding if name in guides else "no such pin joint"
+                raise Unusable(what, nearest(name, mechanism.pins), f"joints.{name}")
         for name, joint in self.joints.items():
             with below(f"joints.{name}"):
                 if joint.on is not None:
@@ -334,13 +316,13 @@ class Problem(Section):
             mechanism = continue_through_singularities(mechanism, sizes, self.drive.start.value)
         motion = RevolutionSamples(Machine(mechanism, sizes), slow or {})
         loads = []
-        for name, section_ in self.loads.items():
+        for name, load in self.loads.items():
             if name in RESERVED:
                 raise Unusable(f"{name} is a reserved name", "Choose another", f"loads.{name}")
-            if name in (*mechanism.bodies, *mechanism.owners, *(guide.name for guide in mechanism.guides), FRAME):
+            if name in (*mechanism.bodies, *mechanism.owners, *guides):
                 raise Unusable("the name of a body, point or guide", "Choose another for the load", f"loads.{name}")
             with below(f"loads.{name}"):
-                loads.append(section_.build(name, mechanism, motion))
+                loads.append(load.build(name, mechanism, motion))
         return Machine(
             mechanism,
             sizes,
@@ -352,12 +334,7 @@ class Problem(Section):
         )
 
     def check_repeats(self, machine: Machine) -> None:
-        """Refuse loads that do not repeat after whole revolutions of the crank, so that the machine has no cycle.
-
-        Parameters
-        ----------
-        machine : Machine
-            Its crank turns fully.
+        """Refuse loads that do not repeat after whole revolutions of a crank that turns fully, so that the machine has no cycle.
 
         Raises
         ------
@@ -390,10 +367,7 @@ class Problem(Section):
     def slow_senses(self, design: Mapping[str, Value]) -> Array:
         """Return the slow strokes of the loads that act by pace (loads, designs): 1 forward, -1 backward, 0 for equal strokes.
 
-        Parameters
-        ----------
-        design : mapping of str to array (designs, 1) [m, rad]
-            Values of quantities.
+        Each quantity of `design` is an array (designs, 1) [m, rad].
         """
         machine = self.machine(design, dict.fromkeys(self.loads, "forward"))
         motion = RevolutionSamples(Machine(machine.mechanism, machine.sizes))
@@ -405,13 +379,7 @@ class Problem(Section):
         return any(joint.has_clearance for joint in self.joints.values())
 
     def gaps(self, machine: Machine) -> tuple[Gap, ...]:
-        """Return the joints with clearance.
-
-        Raises
-        ------
-        Unusable
-            with the full key of the cause.
-        """
+        """Return the joints with clearance."""
         gaps = []
         for name, joint in self.joints.items():
             if joint.has_clearance:

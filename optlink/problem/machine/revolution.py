@@ -58,11 +58,10 @@ class RevolutionSamples:
                 )
                 raise Unusable(message, "Give a smaller clearance, or other lengths", f"joints.{in_group[0].point}.clearance")
 
-    def _rates(self, load: Load) -> Array:
+    def _rate(self, load: Load) -> Array:
+        """Return the rate of the motion that reverses a load, at every position."""
         velocity = load.reversing(self.moving)
-        shape = np.shape(self.moving.motion.assembled)
-        rate = np.broadcast_to(np.asarray(velocity[0] if velocity else 0.0, dtype=float), shape)
-        return np.asarray(rate[np.isfinite(rate)])
+        return np.broadcast_to(np.asarray(velocity[0] if velocity else 0.0, dtype=float), self.moving.motion.assembled.shape)
 
     def check_moves(self, load: Load) -> None:
         """Refuse a load that opposes a motion that does not exist.
@@ -70,9 +69,9 @@ class RevolutionSamples:
         Raises
         ------
         Unusable
-            If the load is one.
         """
-        rates = self._rates(load)
+        rates = self._rate(load)
+        rates = rates[np.isfinite(rates)]
         size = float(np.max(self.machine.size)) if isinstance(load, Force) else 1.0
         moves = np.count_nonzero(np.abs(rates) > 1e-12 * size)
         if rates.size and moves < 0.5 * rates.size:  # near singular positions rounding errors are larger
@@ -91,15 +90,16 @@ class RevolutionSamples:
         if load.name in self._slow:
             return self._slow[load.name]
         sense = self.slow_senses(load)  # many designs share one machine only if they have the same slow stroke
-        slow: Direction | None = "forward" if np.all(sense > 0.0) else "backward" if np.all(sense < 0.0) else None
-        if not np.all(self.moving.motion.assembled) and slow is None:
+        if np.all(sense > 0.0):
+            return "forward"
+        if np.all(sense < 0.0):
+            return "backward"
+        if not np.all(self.moving.motion.assembled):
             message = "the crank does not turn fully, and in the range that it reaches no stroke is the slow one"
             raise Unusable(message, 'Change the dimensions, or write stroke = "forward" or "backward"', "stroke")
-        if slow is None:
-            least = f"{math.degrees(LEAST_DIFFERENCE):g} deg"
-            message = f"both strokes take equally long (to {least} of crank rotation), so neither stroke is the slow one"
-            raise Unusable(message, 'Write stroke = "forward" or "backward", or change the dimensions', "stroke")
-        return slow
+        least = f"{math.degrees(LEAST_DIFFERENCE):g} deg"
+        message = f"both strokes take equally long (to {least} of crank rotation), so neither stroke is the slow one"
+        raise Unusable(message, 'Write stroke = "forward" or "backward", or change the dimensions', "stroke")
 
     def slow_senses(self, load: Load) -> Array:
         """Return the slow stroke of a load's motion for one or many designs: 1 forward, -1 backward, 0 for equal strokes.
@@ -107,14 +107,12 @@ class RevolutionSamples:
         For one design with full crank rotation the exact crank angles of the reversals are used, else the sampled positions that
         can be reached, with interpolated reversals.
         """
-        from optlink.dynamics.strokes import slow_stroke_of
+        from optlink.dynamics.strokes import load_strokes, slower
 
         assembled = self.moving.motion.assembled
         if np.ndim(assembled) == 1 and np.all(assembled):
-            return np.array([_SENSE[slow_stroke_of(self.machine, load)]])
-        velocity = load.reversing(self.moving)
-        rate = np.asarray(velocity[0] if velocity else 0.0, dtype=float)
-        rate = np.broadcast_to(rate, np.shape(assembled)) + np.zeros(STROKES)
+            return np.array([_SENSE[slower(load_strokes(self.machine, load))]])
+        rate = self._rate(load) + np.zeros(STROKES)
         rate = np.concatenate([rate, rate[..., :1]], axis=-1)
         size = np.abs(rate[..., 1:]) + np.abs(rate[..., :-1])
         with np.errstate(all="ignore"):  # 0 / 0 for a design that can be assembled nowhere
@@ -124,16 +122,9 @@ class RevolutionSamples:
         return np.asarray(sense, dtype=float).reshape(-1)
 
     def middle(self, body: str, against: str, free: float) -> Value:
-        """Return the middle of the swing of a body relative to another [rad], within half a revolution of `free`.
+        """Return the middle of the swing of a body relative to another [rad], within half a revolution of `free` [rad].
 
         A number, or an array (designs, 1) if the swing differs from design to design.
-
-        Parameters
-        ----------
-        against : str
-            The other body.
-        free : float [rad]
-            Reference angle.
 
         Raises
         ------

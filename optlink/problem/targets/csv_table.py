@@ -32,19 +32,11 @@ class CsvTable:
     rows: Iterator[tuple[int, list[str]]]
 
     def number(self, row: int, cells: Sequence[str], index: int, remedy: str = f"Correct or remove the row; {DECIMALS}") -> float:
-        """Return the number in a cell.
-
-        Parameters
-        ----------
-        row : int
-            Number of the row in the file.
-        index : int
-            Of the column.
+        """Return the number in a cell, by the number of its row in the file and the index of its column.
 
         Raises
         ------
         Unusable
-            If the cell is missing or contains no finite number.
         """
         cell = cells[index] if index < len(cells) else ""
         value = read_number(plain(cell))
@@ -57,16 +49,9 @@ class CsvTable:
     def check_unit(self, index: int, least: float, largest: float) -> None:
         """Refuse angles in degrees that run through one revolution in radians.
 
-        Parameters
-        ----------
-        index : int
-            Of the column.
-        least, largest : float [deg]
-
         Raises
         ------
         Unusable
-            If the column does so.
         """
         title = self.titles[index]
         if title.endswith("_deg") and REVOLUTION[0] < largest - least < REVOLUTION[1]:
@@ -93,16 +78,7 @@ def read_csv(raw: Mapping[str, Any], folder: Path, most: int) -> CsvTable:
     """Read a CSV file with a title row; its delimiter is a comma, or a semicolon or tab of the title row.
 
     Lines that begin with # or % are comments. Text is UTF-8, UTF-16 with its byte order mark, or an 8-bit code, in which numbers
-    and the titles of optlink are the same.
-
-    Parameters
-    ----------
-    raw : mapping
-        Its key csv names the file. Devices, pipes and files that are too large are refused.
-    folder : Path
-        Folder to which the name is relative.
-    most : int
-        Largest number of rows below the title row.
+    and the titles of optlink are the same. Devices, pipes and files that are too large are refused.
 
     Raises
     ------
@@ -122,9 +98,8 @@ def read_csv(raw: Mapping[str, Any], folder: Path, most: int) -> CsvTable:
     while titles and not titles[-1]:
         titles.pop()
     if len(titles) == 1 and re.search(r"_\w+[\s|:]+\w", titles[0]):
-        raise Unusable(
-            f"{name} has a single column", "Separate its columns by commas, semicolons or tabs", "csv", shortened(titles[0])
-        )
+        remedy = "Separate its columns by commas, semicolons or tabs"
+        raise Unusable(f"{name} has a single column", remedy, "csv", shortened(titles[0]))
     return CsvTable(name, titles, _checked(rows, name, len(titles), most))
 
 
@@ -160,15 +135,15 @@ def _checked(rows: Iterator[tuple[int, list[str]]], name: str, width: int, most:
 
 
 COLUMN_UNITS = {
-    "angle": {"deg": "deg", "rad": "rad"},
-    "coordinate": {"mm": "mm", "m": "m", "cm": "cm", "in": "in"},
-    "force": {"N": "N", "kN": "kN"},
-    "torque": {"Nm": "N*m"},
-    "angular velocity": {"rpm": "rpm", "rad_s": "rad/s"},
-    "time": {"s": "s", "ms": "ms"},
-    "voltage": {"V": ""},
+    "angle": ("deg", "rad"),
+    "coordinate": ("mm", "m", "cm", "in"),
+    "force": ("N", "kN"),
+    "torque": ("Nm",),
+    "angular velocity": ("rpm", "rad_s"),
+    "time": ("s", "ms"),
+    "voltage": ("V",),
 }
-"""Units by the suffix of a column name, for each kind; "" for a plain number."""
+"""Units that a column name ends in, for each kind; volts are plain numbers."""
 
 
 def read_columns(
@@ -179,29 +154,14 @@ def read_columns(
     ordered: Literal["", "rising", "either way"] = "",
     most: int = MAX_ROWS,
 ) -> list[list[float]]:
-    """Read columns of a CSV file whose header names them with their units: phi_deg, s_mm, force_N.
+    """Return columns [SI] of a CSV file whose header names them with their units: phi_deg, s_mm, force_N.
 
-    Parameters
-    ----------
-    raw : mapping
-        Its key csv names the file. Devices, pipes and files that are too large are refused.
-    folder : Path
-        Folder to which the name is relative.
-    kinds : mapping of str to str
-        Physical kind for each column name.
-    ordered : "", "rising" or "either way"
-        Whether the first of them must rise from row to row, or rise or fall.
-    most : int
-        Largest number of rows.
-
-    Returns
-    -------
-    lists in the order of `kinds` [SI]
+    `kinds` has the physical kind for each column name; `ordered` is whether the first of them must rise from row to row, or rise
+    or fall.
 
     Raises
     ------
     Unusable
-        with the file, and the row of the error.
     """
     table = read_csv(raw, folder, most)
     columns = [(*_column(table, name, kind), kind) for name, kind in kinds.items()]
@@ -236,7 +196,7 @@ def _check_order(title: str, name: str, numbers: Sequence[int], values: Sequence
 
 def _column(table: CsvTable, name: str, kind: str) -> tuple[int, float]:
     """Return the index of a column and its unit [SI]."""
-    units = {f"{name}_{ending}": unit for ending, unit in COLUMN_UNITS[kind].items()}
+    units = {f"{name}_{unit}": unit for unit in COLUMN_UNITS[kind]}
     indices = [index for index, title in enumerate(table.titles) if title in units]
     if not indices:
         message = f"{table.name} has no column {' or '.join(units)}"
@@ -244,5 +204,5 @@ def _column(table: CsvTable, name: str, kind: str) -> tuple[int, float]:
         raise Unusable(message, remedy, "csv", shortened(", ".join(table.titles)) or None)
     if len(indices) > 1:
         raise Unusable(f"{table.name} has two columns of {name}", "Keep one of them", "csv")
-    unit = units[table.titles[indices[0]]]
-    return indices[0], factor(unit, kind) if unit else 1.0
+    unit = units[table.titles[indices[0]]].replace("_", "/")
+    return indices[0], 1.0 if unit == "V" else factor(unit, kind)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from optlink.linkage.vector2d import Array
-from optlink.problem.quantity import LONGEST, SHORTEST, Unusable, below
+from optlink.problem.quantity import LONGEST, SHORTEST, Unusable, below, check_pair, is_number
 from optlink.problem.targets.expression import Expression, LawError, parse
 from optlink.problem.targets.point_table import PointRows, check_apart
 from optlink.problem.targets.target_points import COINCIDENT, HEAVIEST, TargetPoints, metres, pairs, read_count, shortened
@@ -25,18 +25,9 @@ class CurvePiece:
 
 
 def resample(pieces: Sequence[CurvePiece], count: int) -> tuple[Array, bool, float]:
-    """Sample a curve evenly by arc length.
+    """Return points (count, 2) [m] exactly on a curve, evenly by arc length, whether it is closed, and its length [m].
 
-    Parameters
-    ----------
-    pieces : sequence of CurvePiece
-        Consecutive pieces of the curve.
-    count : int
-        Number of points.
-
-    Returns
-    -------
-    points (count, 2) [m], exactly on the curve; whether it is closed: then the first is not repeated; its length [m]
+    The first point of a closed curve is not repeated.
 
     Raises
     ------
@@ -64,24 +55,8 @@ def resample(pieces: Sequence[CurvePiece], count: int) -> tuple[Array, bool, flo
 
 
 def sampled_targets(points: Array, unit: str, loop: bool, note: str) -> TargetPoints:
-    """Return points sampled from a curve as targets.
-
-    Parameters
-    ----------
-    points : array (n, 2) [m]
-    unit : str
-        Display unit.
-    loop : bool
-        Whether the curve is closed.
-    note : str
-        Description of the sampling, for display.
-
-    Raises
-    ------
-    Unusable
-        when neighbouring points coincide.
-    """
-    check_apart(PointRows({"x": points[:, 0], "y": points[:, 1]}, unit, key="points"))
+    """Return points (n, 2) [m] sampled from a curve as targets; `loop`: the curve is closed."""
+    check_apart(PointRows(dict(zip("xy", points.T, strict=True)), unit, key="points"))
     return TargetPoints(pairs(points), unit=unit, note=f"{note}; closed, the first is not repeated" if loop else note, loop=loop)
 
 
@@ -103,8 +78,7 @@ def expression_curve(raw: Mapping[str, Any]) -> TargetPoints:
         raise Unusable("unknown spacing of the points", 'Write "t" or "arc length"', "spacing", spacing)
     x, y = (_expression(raw[key], ("t",), key) for key in ("x", "y"))
     bounds = raw["t"]
-    if not isinstance(bounds, list | tuple) or len(bounds) != 2:
-        raise Unusable("t needs two values, first and last", 'Write t = [0, "2*pi"]', "t", bounds)
+    check_pair(bounds, "t needs two values, first and last", 'Write t = [0, "2*pi"]', "t")
     begin, end = (_bound(bound, f"t[{number}]") for number, bound in enumerate(bounds))
     if begin == end:
         raise Unusable("t starts where it ends", 'Write t = [0, "2*pi"], for example', "t[1]", bounds[1])
@@ -114,9 +88,8 @@ def expression_curve(raw: Mapping[str, Any]) -> TargetPoints:
         if not worry and np.max(np.abs(np.asarray(law({"t": fine}), dtype=float))) * size > LONGEST:
             worry = f"exceeds {LONGEST / 1e3:g} km"
         if worry:
-            raise Unusable(
-                f"{key} {worry} between t = {begin:.6g} and t = {end:.6g}", "Choose another range of t", key, shortened(raw[key])
-            )
+            message = f"{key} {worry} between t = {begin:.6g} and t = {end:.6g}"
+            raise Unusable(message, "Choose another range of t", key, shortened(raw[key]))
 
     def at(u: Array) -> Array:
         variables = {"t": begin + (end - begin) * u}
@@ -138,15 +111,14 @@ def _expression(raw: object, names: Iterable[str], key: str) -> Expression:
 
 def _bound(raw: object, key: str) -> float:
     remedy = 'Write a plain number or a constant expression, for example 0 or "2*pi"'
-    if isinstance(raw, bool) or not isinstance(raw, int | float | str):
-        raise Unusable("expected a bound of t", remedy, key, raw)
-    if not isinstance(raw, str):
-        value: Any = raw
-    else:
+    value: Any = raw
+    if isinstance(raw, str):
         try:
             value = parse(raw, ())({})
         except LawError as error:
             raise Unusable(error.message, remedy, key, shortened(raw)) from None
+    elif not is_number(raw):
+        raise Unusable("expected a bound of t", remedy, key, raw)
     if not abs(value) <= HEAVIEST:  # NaN too
         raise Unusable("the bound of t is not finite, or too large", remedy, key, shortened(raw))
     return float(value)

@@ -178,33 +178,19 @@ class Expression:
 
 
 def operation(kind: str, what: str, constants: Iterable[float]) -> float:
-    """Return the result of a step of a program on constants.
-
-    Parameters
-    ----------
-    kind, what : str
-        The step.
-    constants : iterable of float
-        Its operands in order.
-    """
+    """Return the result of a step of a program on constants, its operands in order."""
     program = (*(("number", constant) for constant in constants), (kind, what))
     return float(Expression("", frozenset(), program)({}))
 
 
 def parse(text: str, names: Iterable[str]) -> Expression:
-    """Parse a law.
+    """Parse a law with these variables beside pi and the functions.
 
-    Parameters
-    ----------
-    text : str
-        At most `MAX_CHARACTERS` characters, brackets nested at most `MAX_DEPTH` deep.
-    names : iterable of str
-        Variables allowed beside pi and the functions.
+    It has at most `MAX_CHARACTERS` characters, and brackets nested at most `MAX_DEPTH` deep.
 
     Raises
     ------
     LawError
-        when the text is not such an expression.
     """
     if len(text) > MAX_CHARACTERS:
         raise LawError(f"the law has {len(text):,} characters, more than {MAX_CHARACTERS:,}", "Shorten it, or give it as a table")

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from optlink.linkage.vector2d import Value
-from optlink.problem.quantity import Unusable, below, check_keys, read_scalar
+from optlink.problem.quantity import Unusable, below, check_keys, check_pair, is_number, read_scalar
 from optlink.problem.targets.expression import Expression, LawError, parse
 
 KEYS = ("function", "x", "input", "output")
@@ -66,14 +66,7 @@ class Function:
 
 
 def read_function(raw: Mapping[str, Any], kind: str = "angle") -> Function:
-    """Read a function from a problem file.
-
-    Parameters
-    ----------
-    raw : mapping
-        Table of the file.
-    kind : str
-        Kind of the output: "angle" or "coordinate".
+    """Read a function from its table; the kind of the output is "angle" or "coordinate".
 
     Raises
     ------
@@ -89,8 +82,7 @@ def read_function(raw: Mapping[str, Any], kind: str = "angle") -> Function:
     with below("function", raw["function"]):
         expression = parse(raw["function"], ("x",))
     bounds = raw["x"]
-    if not isinstance(bounds, list) or len(bounds) != 2:
-        raise Unusable("the range of x is a list of two numbers", 'Write x = [1, 2], or x = ["0 deg", "90 deg"]', "x", bounds)
+    check_pair(bounds, "the range of x is a list of two numbers", 'Write x = [1, 2], or x = ["0 deg", "90 deg"]', "x")
     low, high = (_bound(bound, k) for k, bound in enumerate(bounds))
     if not low < high:
         raise Unusable("the range of x must rise", "Exchange its ends; a negative input turns the crank clockwise", "x", bounds)
@@ -120,6 +112,6 @@ def _bound(raw: object, index: int) -> float:
             return float(parse(raw, ())({}))
         except LawError:
             return read_scalar(raw, "angle", f"x[{index}]")[0]
-    if isinstance(raw, bool) or not isinstance(raw, int | float) or not math.isfinite(raw):
+    if not is_number(raw) or not math.isfinite(raw):
         raise Unusable("expected a plain number", "Write x = [1, 2]", f"x[{index}]", raw)
     return float(raw)

@@ -43,22 +43,26 @@ class Table:
         if len(self.phi) < 2:
             raise Unusable("a table needs at least two rows", "Add rows, or give the law as an expression", "phi")
         steps = np.diff(self.phi)
-        bad = np.flatnonzero(steps <= 0.0) if self.phi[-1] > self.phi[0] else np.flatnonzero(steps >= 0.0)
+        bad = np.flatnonzero((steps if self.phi[-1] > self.phi[0] else -steps) <= 0.0)
         if bad.size:
             row = int(bad[0]) + 2
             message = f"phi must rise (or fall) from row to row; row {row} does not"
-            remedy = "Sort the rows by phi and remove repeated ones"
-            raise Unusable(message, remedy, "phi", f"{math.degrees(self.phi[row - 1]):.6g} deg")
+            value = f"{math.degrees(self.phi[row - 1]):.6g} deg"
+            raise Unusable(message, "Sort the rows by phi and remove repeated ones", "phi", value)
 
     @property
     def span(self) -> float:
         """Crank rotation [rad] from the start to the last row."""
         return self.phi[-1] if self.from_start else self.phi[-1] - self.phi[0]
 
+    @property
+    def offsets(self) -> Array:
+        """Crank rotations of the rows from the start [rad]."""
+        return np.asarray(self.phi) - (0.0 if self.from_start else self.phi[0])
+
     def at(self, offsets: Array) -> Array:
         """Return the prescribed output at crank rotations [rad] from the start, by monotone cubic interpolation."""
-        rows = np.asarray(self.phi) - (0.0 if self.from_start else self.phi[0])
-        psi = np.asarray(self.psi)
+        rows, psi = self.offsets, np.asarray(self.psi)
         if len(offsets) == len(rows) and np.array_equal(offsets, rows):
             return psi
         from scipy.interpolate import PchipInterpolator
@@ -111,12 +115,7 @@ def begins_at_psi0(law: Source) -> bool:
 
 
 def is_periodic(law: Source, name: str) -> bool:
-    """Return whether values of the start angle phi0 or of psi0 that are a revolution apart prescribe the same output.
-
-    Parameters
-    ----------
-    name : "phi0" or "psi0"
-    """
+    """Return whether values of the start angle phi0 or of psi0 that are a revolution apart prescribe the same output."""
     if not isinstance(law, Expression | SlideExpression):
         return True
     phi0, psi0 = STARTS
@@ -130,9 +129,10 @@ def is_periodic(law: Source, name: str) -> bool:
 
 def rotation(law: Source, span: Quantity | None) -> float:
     """Return the crank rotation of a law [rad], negative clockwise: that of a table or function, else the span of the file."""
-    law_rotation = law.span if isinstance(law, Table) else law.input if isinstance(law, Function) else None
-    if law_rotation is not None:
-        return law_rotation
+    if isinstance(law, Table):
+        return law.span
+    if isinstance(law, Function):
+        return law.input
     assert span is not None
     return span.value
 
@@ -140,14 +140,7 @@ def rotation(law: Source, span: Quantity | None) -> float:
 def check_rotation(law: Source, span: Quantity | None, key: str, start: object) -> None:
     """Refuse a span or a start that a law brings itself, and a span that is missing or out of range.
 
-    Parameters
-    ----------
-    span : Quantity, optional
-        Span that the file states.
-    key : str
-        Key of the start in the requirement.
-    start : object, optional
-        Start that the file states.
+    `span` and `start` are those that the file states, `key` is that of the start in the requirement.
 
     Raises
     ------
@@ -167,11 +160,9 @@ def check_rotation(law: Source, span: Quantity | None, key: str, start: object) 
         raise Unusable("a law given as an expression needs a span", 'Add span = "90 deg"', "requirement.span")
     turned = rotation(law, span)
     if not 1e-6 <= abs(turned) <= TURN * (1.0 + 1e-9):
-        message, remedy = (
-            "the span must not be zero, nor exceed one revolution",
-            'Give one such as "90 deg" (negative: clockwise)',
-        )
-        raise Unusable(message, remedy, "requirement.span", f"{math.degrees(turned):.6g} deg")
+        remedy = 'Give one such as "90 deg" (negative: clockwise)'
+        value = f"{math.degrees(turned):.6g} deg"
+        raise Unusable("the span must not be zero, nor exceed one revolution", remedy, "requirement.span", value)
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,34 +181,18 @@ class Law:
         return self.source.at(self.offsets) if isinstance(self.source, Table) else np.zeros(len(self.offsets))
 
     def target(self, offset: Value, tabulated: Value, phi0: Value, psi0: Value) -> Value:
-        """Return the prescribed output [rad or m]; elementwise.
+        """Return the prescribed output [rad or m] at a crank rotation `offset` from the start [rad]; elementwise.
 
-        Parameters
-        ----------
-        offset : float, array or symbol [rad]
-            Crank rotation from the start.
-        tabulated : float, array or symbol [rad or m]
-            `Law.tabulated` at that offset.
-        phi0 : float, array or symbol [rad]
-            Crank angle at the start.
-        psi0 : float, array or symbol [rad or m]
-            Output at the start.
+        `tabulated`: `Law.tabulated` there; `phi0`, `psi0`: crank angle and output at the start.
         """
         if not isinstance(self.source, Table):
             return self.source({"phi": phi0 + offset, "phi0": phi0, "psi0": psi0})
         return tabulated + psi0 if self.source.from_start else tabulated
 
     def curve(self, offsets: Array, phi0: Value, psi0: Value) -> Array:
-        """Return the prescribed output [rad or m] for one design, or for several.
+        """Return the prescribed output [rad or m] at crank rotations (n,) from the start [rad].
 
-        Parameters
-        ----------
-        offsets : array (n,) [rad]
-            Crank rotations from the start.
-        phi0 : float or array (designs, 1) [rad]
-            Crank angle at the start.
-        psi0 : float or array (designs, 1) [rad or m]
-            Output at the start.
+        `phi0` and `psi0`, crank angle and output at the start, are numbers, or arrays (designs, 1) for several designs.
         """
         tabulated = self.source.at(offsets) if isinstance(self.source, Table) else 0.0
         return np.asarray(self.target(offsets, tabulated, phi0, psi0) + 0.0 * offsets, dtype=float)
@@ -225,13 +200,6 @@ class Law:
 
 def read_law(raw: object, folder: Path) -> Expression | Function | Table:
     """Read a law from a problem file: an expression, a function, a table, or the CSV file of a table.
-
-    Parameters
-    ----------
-    raw : object
-        Value as read from the file.
-    folder : Path
-        Folder to which the name of a CSV file is relative.
 
     Raises
     ------
@@ -256,41 +224,23 @@ def read_output_law(raw: object, folder: Path) -> Source:
 
     In addition to the forms of `read_law`: { slide = "s0 + 40*(1 - cos(phi))", unit = "mm" }, a table of phi and s, or a function
     with the output of a slide.
-
-    Parameters
-    ----------
-    raw : object
-        Value as read from the file.
-    folder : Path
-        Folder to which the name of a CSV file is relative.
-
-    Raises
-    ------
-    Unusable
-        with the key below `law`.
     """
-    if not isinstance(raw, dict) or not ({"slide", "s", "function"} & raw.keys() or _has_slide(raw, folder)):
-        return read_law(raw, folder)
-    if "function" in raw:
-        try:
-            return read_function(raw, "coordinate")
-        except Unusable as error:
-            if error.key != "output":
-                raise
-        return read_function(raw, "angle")
-    if "slide" in raw:
-        return _read_slide(raw)
-    return _read_table(raw, folder, "s")
+    if isinstance(raw, dict):
+        if "function" in raw:
+            try:
+                return read_function(raw, "coordinate")
+            except Unusable as error:
+                if error.key != "output":
+                    raise
+        elif "slide" in raw:
+            return _read_slide(raw)
+        elif "s" in raw or _has_slide(raw, folder):
+            return _read_table(raw, folder, "s")
+    return read_law(raw, folder)
 
 
 def _has_slide(raw: Mapping[str, Any], folder: Path) -> bool:
-    """Return whether the CSV file of a table has a column of a slide.
-
-    Raises
-    ------
-    Unusable
-        If it has one of an angle, too.
-    """
+    """Return whether the CSV file of a table has a column of a slide; refuse one that has a column of an angle, too."""
     if "csv" not in raw:
         return False
     table = read_csv(raw, folder, MAX_ROWS)
@@ -316,9 +266,8 @@ def _read_slide(raw: Mapping[str, Any]) -> SlideExpression:
 
 
 def _read_table(raw: Mapping[str, Any], folder: Path, output: str = "psi") -> Table:
-    keys = ("phi", output, "csv", "measured_from")
     kind = "angle" if output == "psi" else "coordinate"
-    check_keys(raw, keys)
+    check_keys(raw, ("phi", output, "csv", "measured_from"))
     origin = raw.get("measured_from", "start")
     if origin not in ("start", "frame"):
         raise Unusable("unknown origin of the angles", 'Write "start" or "frame"', "measured_from", origin)
@@ -333,9 +282,8 @@ def _read_table(raw: Mapping[str, Any], folder: Path, output: str = "psi") -> Ta
 
 def _read_cells(column: object, name: str, kind: str) -> list[float]:
     if not isinstance(column, list) or not column:
-        example = f'Write {name} = ["0 deg", "15 deg", ...]' if kind == "angle" else f'Write {name} = ["0 mm", "12 mm", ...]'
-        what = "angles" if kind == "angle" else "lengths"
-        raise Unusable(f"the table of a law needs a list of {what} here", example, name, column)
+        what, example = ("angles", '"0 deg", "15 deg"') if kind == "angle" else ("lengths", '"0 mm", "12 mm"')
+        raise Unusable(f"the table of a law needs a list of {what} here", f"Write {name} = [{example}, ...]", name, column)
     if len(column) > MAX_ROWS:
         raise Unusable(f"the table has {len(column):,} rows, more than {MAX_ROWS:,}", "Reduce their number", name)
     return [read_scalar(cell, kind, f"{name}[{row}]")[0] for row, cell in enumerate(column)]

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.linkage.vector2d import Array
-from optlink.problem.quantity import LONGEST, SHORTEST, Unusable, nearest, read_scalar
-from optlink.problem.targets.csv_table import CsvTable, read_csv
+from optlink.problem.quantity import LONGEST, SHORTEST, Unusable, below, check_keys, is_number, nearest, read_scalar
+from optlink.problem.targets.csv_table import COLUMN_UNITS, CsvTable, read_csv
 from optlink.problem.targets.target_points import COINCIDENT, HEAVIEST, MAX_POINTS, TargetPoints, diagonal, pairs, shortened
 from optlink.units import factor, read_number, show
 
@@ -46,30 +46,17 @@ class PointRows:
         return f"{what} {' and '.join(map(str, numbers))}{f' of {self.file}' if self.file else ''}"
 
     def refuse(self, bad: NDArray[np.bool_], column: str, message: str, remedy: str) -> None:
-        """Raise an error for the first bad row, if there is one.
-
-        Parameters
-        ----------
-        bad : array (n,) of bool
-        column : str
-            Column of the error.
-        message : str
-            Message, in which {} stands for the name of the row.
+        """Raise an error for the first bad row (n,), if there is one; in the message {} stands for the name of the row.
 
         Raises
         ------
         Unusable
-            when any row is bad.
         """
         if bad.any():
             row = int(np.argmax(bad))
             key = f"[{row}].{column}" if self.key is None else self.key
-            raise Unusable(message.format(self.named(row)), remedy, key, _people(column, float(self.columns[column][row])))
-
-
-def _people(column: str, value: float) -> str:
-    kind = _COLUMNS[column]
-    return show(value, kind) if kind else f"{value:.6g}"
+            kind, value = _COLUMNS[column], float(self.columns[column][row])
+            raise Unusable(message.format(self.named(row)), remedy, key, show(value, kind) if kind else f"{value:.6g}")
 
 
 _COLUMNS = {"x": "coordinate", "y": "coordinate", "crank": "angle", "angle": "angle", "weight": "", "tolerance": "length"}
@@ -97,9 +84,8 @@ def read_rows(raw: Sequence[object]) -> PointRows:
             row = dict(zip("xy", row, strict=True))
         if not isinstance(row, dict):
             raise Unusable(f"point {number + 1} is neither a list nor a table", example, f"[{number}]", row)
-        for key in row:
-            if key not in _COLUMNS:
-                raise Unusable("unknown key", nearest(str(key), _COLUMNS), f"[{number}].{key}")
+        with below(f"[{number}]"):
+            check_keys(row, list(_COLUMNS))
         for name, kind in _COLUMNS.items():
             key = f"[{number}].{name}"
             if name not in row and name in ("x", "y"):
@@ -125,38 +111,23 @@ def read_rows(raw: Sequence[object]) -> PointRows:
 
 
 def _number(raw: object, key: str) -> float:
-    if isinstance(raw, bool) or not isinstance(raw, int | float) or not abs(raw) <= HEAVIEST:
+    if not is_number(raw) or not abs(raw) <= HEAVIEST:
         raise Unusable(f"expected a plain number above zero, at most {HEAVIEST:g}", "Write weight = 2.0, for example", key, raw)
     return float(raw)
 
 
-_ENDINGS = {
-    "coordinate": ("mm", "m", "cm", "in"),
-    "length": ("mm", "m", "cm", "in"),
-    "angle": ("deg", "rad"),
-}  # suffixes of column names
-_TITLES = {
-    (f"{name}_{unit}" if unit else name): (name, unit) for name, kind in _COLUMNS.items() for unit in _ENDINGS.get(kind, ("",))
-}
+_ENDINGS = {"length": COLUMN_UNITS["coordinate"], "": ("",)} | COLUMN_UNITS
+_TITLES = {f"{name}_{unit}".rstrip("_"): (name, unit) for name, kind in _COLUMNS.items() for unit in _ENDINGS[kind]}
 
 
 def read_csv_rows(raw: Mapping[str, Any], folder: Path) -> PointRows:
-    """Read rows of a CSV file; unlike `law.read_columns` it allows only known columns, and empty cells.
-
-    Parameters
-    ----------
-    raw : mapping
-        Its key csv names the file.
-    folder : Path
-        Folder to which the name is relative.
+    """Read rows of a CSV file; unlike `csv_table.read_columns` it allows only known columns, and empty cells.
 
     Raises
     ------
     Unusable
-        with the file, and the row of the error.
     """
     table = read_csv(raw, folder, MAX_ROWS)
-    name = table.name
     if table.titles:
         _check_titles(table)
     read: list[tuple[str, str, int, array[float]]] = [
@@ -175,13 +146,14 @@ def read_csv_rows(raw: Mapping[str, Any], folder: Path) -> PointRows:
             else:
                 values.append(_LEFT_OUT[column])
     if not numbers:
-        raise Unusable(f"{name} has no rows", "Give the columns x_mm and y_mm, and at least one row below them", "csv", name)
+        remedy = "Give the columns x_mm and y_mm, and at least one row below them"
+        raise Unusable(f"{table.name} has no rows", remedy, "csv", table.name)
     for column, _, index, values in read:
         if column == "crank":
             table.check_unit(index, min(values), max(values))
     columns = {column: np.array(values) * (factor(unit, _COLUMNS[column]) if unit else 1.0) for column, unit, _, values in read}
     unit = next(unit for column, unit, *_ in read if column == "x")
-    return PointRows(columns, unit, name, numbers, "csv")
+    return PointRows(columns, unit, table.name, numbers, "csv")
 
 
 def _check_titles(table: CsvTable) -> None:
@@ -190,9 +162,8 @@ def _check_titles(table: CsvTable) -> None:
     for title in titles:
         if not title:
             message = f"column {titles.index(title) + 1} of {name} has no title"
-            raise Unusable(
-                message, "Name it, or remove it, such as the index that pandas writes without index=False", "csv", name
-            )
+            remedy = "Name it, or remove it, such as the index that pandas writes without index=False"
+            raise Unusable(message, remedy, "csv", name)
         if title not in _TITLES:
             examples = [allowed for allowed in _TITLES if not allowed.endswith(("_cm", "_in"))]
             with_unit = [allowed for allowed in examples if allowed.startswith(f"{title.lower()}_")]
@@ -203,27 +174,15 @@ def _check_titles(table: CsvTable) -> None:
     columns = [_TITLES[title][0] for title in titles]
     for column in ("x", "y"):
         if column not in columns:
-            raise Unusable(
-                f"{name} has no column {column}_mm", f"Name the columns in the first row, one of them {column}_mm", "csv", name
-            )
+            remedy = f"Name the columns in the first row, one of them {column}_mm"
+            raise Unusable(f"{name} has no column {column}_mm", remedy, "csv", name)
     for column in columns:
         if columns.count(column) > 1:
             raise Unusable(f"{name} has two columns of {column}", "Keep one of them", "csv", name)
 
 
 def check_and_reduce(rows: PointRows, requested_count: int | None) -> TargetPoints:
-    """Check the rows, and reduce them to the requested number or to `MAX_POINTS`.
-
-    Parameters
-    ----------
-    requested_count : int or None
-        Requested number of points; None: as many as there are, up to `MAX_POINTS`.
-
-    Raises
-    ------
-    Unusable
-        when a value is out of range or neighbouring points coincide.
-    """
+    """Check the rows, and reduce them to the requested number, by default as many as there are, up to `MAX_POINTS`."""
     _check_ranges(rows)
     points, of_each = rows.points, set(rows.columns) - {"x", "y"}
     most, number = requested_count or MAX_POINTS, len(points)
@@ -233,12 +192,12 @@ def check_and_reduce(rows: PointRows, requested_count: int | None) -> TargetPoin
         _check_size(rows)
         loop = bool(np.hypot(*(points[-1] - points[0])) <= COINCIDENT * size)
         at, here = np.linspace(0.0, length, most, endpoint=not loop), np.concatenate([[0.0], np.cumsum(chords)])
-        even = np.stack([np.interp(at, here, points[:, 0]), np.interp(at, here, points[:, 1])], axis=1)
-        check_apart(PointRows({"x": even[:, 0], "y": even[:, 1]}, rows.unit, key="points" if requested_count else rows.key or ""))
-        return TargetPoints(pairs(even), unit=rows.unit, note=_reduced(rows, most, "arc length"), loop=loop)
+        even = {name: np.interp(at, here, rows.columns[name]) for name in "xy"}
+        reduced = PointRows(even, rows.unit, key="points" if requested_count else rows.key or "")
+        check_apart(reduced)
+        return TargetPoints(pairs(reduced.points), unit=rows.unit, note=_reduced(rows, most, "arc length"), loop=loop)
     check_apart(rows)
-    note = ""
-    columns = dict(rows.columns)
+    note, columns = "", dict(rows.columns)
     if number > most:
         # values of a row apply to its point alone, so rows are selected and not interpolated
         picked = np.round(np.linspace(0, number - 1, most)).astype(int)
@@ -274,9 +233,9 @@ def _check_ranges(rows: PointRows) -> None:
         tolerances = columns["tolerance"]
         bad = np.isfinite(tolerances) & ((tolerances < SHORTEST) | (tolerances > LONGEST))
         rows.refuse(bad, "tolerance", "the tolerance of {} is out of range", f"Give one above zero, at least {SHORTEST:g} m")
-    if "crank" not in columns or len(columns["crank"]) < 2:
+    crank = columns.get("crank")
+    if crank is None or len(crank) < 2:
         return
-    crank = columns["crank"]
     steps = np.diff(crank)
     way = 1.0 if 2 * np.count_nonzero(steps > 0.0) >= len(steps) else -1.0  # the sense of the majority
     rows.refuse(
@@ -303,7 +262,6 @@ def check_apart(rows: PointRows) -> None:
     Raises
     ------
     Unusable
-        If two points coincide, or all of them.
     """
     points, columns = rows.points, rows.columns
     if "crank" not in columns:

@@ -28,13 +28,6 @@ def read_points(raw: object, folder: Path) -> TargetPoints:
     evenly by rows. A closed curve that is sampled or reduced by arc length does not repeat its first point at the end. The y axis
     of SVG points down, that of optlink up, so y changes its sign; the origin remains that of the drawing.
 
-    Parameters
-    ----------
-    raw : object
-        Value as read from the file.
-    folder : Path
-        Folder to which names of other files are relative.
-
     Raises
     ------
     Unusable
@@ -43,11 +36,11 @@ def read_points(raw: object, folder: Path) -> TargetPoints:
     if isinstance(raw, list | tuple):
         return check_and_reduce(read_rows(raw), None)
     if not isinstance(raw, dict):
-        raise Unusable("points are a list or a table", _FORMS, "", raw)
+        raise Unusable("points are a list or a table", _FORMS)
     forms = [form for form, keys in (("csv", ("csv",)), ("svg", ("svg",)), ("x", ("x", "y"))) if any(key in raw for key in keys)]
     if not forms:
         check_keys(raw, sorted({name for form in _KEYS.values() for name in form}))
-        raise Unusable("the points are missing", _FORMS, "", raw)
+        raise Unusable("the points are missing", _FORMS)
     if len(forms) > 1:
         raise Unusable(f"the points are given twice, by {' and by '.join(forms)}", "Keep one of them", forms[1], raw[forms[1]])
     check_keys(raw, _KEYS[forms[0]])

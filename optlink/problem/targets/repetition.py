@@ -33,14 +33,10 @@ class _Part:
 
 
 def revolutions_of(expression: Expression) -> int | None:
-    """Return the revolutions after which an expression repeats, its other variables unchanged; None if it does not.
+    """Return the revolutions of the crank after which an expression repeats, its other variables unchanged; None if it does not.
 
-    It may repeat after a part of them already: parts that cancel one another are not recognised.
-
-    Parameters
-    ----------
-    expression : Expression
-        Its variable phi is the crank angle [rad].
+    Its variable phi is the crank angle [rad]. It may repeat after a part of them already: parts that cancel one another are not
+    recognised.
     """
     stack: list[_Part | None] = []
     for kind, what in expression.program:

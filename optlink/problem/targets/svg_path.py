@@ -66,11 +66,9 @@ class _Element:
 
     def chain(self) -> list[_Element]:
         """Return the elements from the root to this one."""
-        elements: list[_Element] = []
-        here: _Element | None = self
-        while here is not None:
-            elements.append(here)
-            here = here.parent
+        elements = [self]
+        while (parent := elements[-1].parent) is not None:
+            elements.append(parent)
         return elements[::-1]
 
 
@@ -85,11 +83,12 @@ def _elements(data: bytes, name: str) -> tuple[_Element, list[_Element], str]:
     roots: list[_Element] = []
     shapes: list[_Element] = []
     sheets: list[str] = []
-    seen = {"elements": 0, "doctype": 0}
+    count, declared = 0, False
 
     def start(spelled: str, attributes: dict[str, str]) -> None:
-        seen["elements"] += 1
-        if seen["elements"] > MAX_ELEMENTS:
+        nonlocal count
+        count += 1
+        if count > MAX_ELEMENTS:
             raise Unusable(f"{name} has more than {MAX_ELEMENTS:,} elements", "Save the curve alone", "svg", name)
         space, _, tag = spelled.rpartition(" ")
         above = open_now[-1] if open_now else None
@@ -108,7 +107,8 @@ def _elements(data: bytes, name: str) -> tuple[_Element, list[_Element], str]:
             sheets.append(words)
 
     def doctype(_name: str, _system: str | None, _public: str | None, internal: bool) -> None:
-        seen["doctype"] = 1
+        nonlocal declared
+        declared = True
         if internal:
             raise Unusable(f"{name} declares entities of its own", "Save it without (Inkscape: Plain SVG)", "svg", name)
 
@@ -123,7 +123,7 @@ def _elements(data: bytes, name: str) -> tuple[_Element, list[_Element], str]:
     except (expat.ExpatError, LookupError, ValueError) as error:
         raise Unusable(f"{name} is not an SVG file: {error}", "Save the drawing as SVG", "svg", name) from None
     # with a DOCTYPE, expat silently skips unknown entities, and part of a path could be lost
-    if seen["doctype"] and re.search(rb"&(?!#|amp;|lt;|gt;|quot;|apos;)", data.replace(b"\0", b"")):
+    if declared and re.search(rb"&(?!#|amp;|lt;|gt;|quot;|apos;)", data.replace(b"\0", b"")):
         raise Unusable(f"{name} uses entities", "Save it without (Inkscape: Plain SVG)", "svg", name)
     if roots[0].tag != "svg":
         raise Unusable(
@@ -153,7 +153,7 @@ def _chosen(shapes: Sequence[_Element], raw: Mapping[str, Any], name: str) -> _E
     remedy = f"It has, by number: {listing}{', ...' if len(numbered) > 8 else ''}"
     if "path" not in raw and len(numbered) != 1:
         raise Unusable(f"{name} has {len(numbered)} paths; name one of them", remedy, "path")
-    number = requested if isinstance(requested, int) else int(requested) if re.fullmatch("[0-9]{1,7}", requested) else 0
+    number = int(requested) if re.fullmatch("[0-9]{1,7}", str(requested)) else 0
     if not 1 <= number <= len(numbered):
         raise Unusable(f"{name} has no such path", remedy, "path", shortened(requested))
     return numbered[number - 1]
@@ -184,7 +184,7 @@ def _transform(element: _Element, name: str) -> Array:
     matrix, end = np.eye(3), 0
     while end < len(text):
         match = _FUNCTION.match(text, end)
-        step = _step(match.group(1), match.group(2)) if match else None
+        step = match and _step(*match.groups())
         if match is None or step is None:
             raise Unusable(f"the transform of {element} of {name} cannot be read", _FLATTEN, "path", shortened(text[end:]))
         matrix, end = matrix @ step, match.end()
@@ -228,8 +228,8 @@ def _scale(root: _Element, name: str, forgive: bool) -> float | None:
     sides = []
     for side in ("width", "height"):
         match = re.fullmatch(rf"({_N})\s*([a-zA-Z]+)", root.attributes.get(side, "").strip())
-        unit = match.group(2).lower() if match else ""
-        sides.append(float(match.group(1)) * _MILLIMETRES[unit] if match and unit in _MILLIMETRES else None)
+        unit = _MILLIMETRES.get(match[2].lower()) if match else None
+        sides.append(float(match[1]) * unit if match and unit else None)
     if sides == [None, None]:
         return None
     if "viewBox" not in root.attributes:
@@ -250,19 +250,11 @@ def _scale(root: _Element, name: str, forgive: bool) -> float | None:
 
 
 def svg_points(raw: Mapping[str, Any], folder: Path) -> TargetPoints:
-    """Return points of a shape of an SVG file.
-
-    Parameters
-    ----------
-    raw : mapping
-        Table of the file: svg, and optionally path, unit and points.
-    folder : Path
-        Folder to which the name of the SVG file is relative.
+    """Return points of a shape of an SVG file, from a table with svg, and optionally path, unit and points.
 
     Raises
     ------
     Unusable
-        when the file or the shape cannot be read.
     """
     count = read_count(raw)
     millimetres_per_unit = metres(raw) * 1e3 if "unit" in raw else None
@@ -283,7 +275,7 @@ def svg_points(raw: Mapping[str, Any], folder: Path) -> TargetPoints:
         raise Unusable(f"{shape} of {name}: {error.message}", error.remedy, key, error.value) from None
     unit = raw.get("unit", "mm")
     origin = "as stated" if millimetres_per_unit else "as stated in the file" if file_scale else "not stated in the file"
-    if millimetres_per_unit and file_scale and not math.isclose(millimetres_per_unit, file_scale, rel_tol=1e-6):
+    if file_scale and not math.isclose(scale, file_scale, rel_tol=1e-6):
         origin = f"as stated, though the file states {file_scale:.6g} mm"
     note = f"{shape} of {name}, {show(length, 'length', unit)} long, sampled at {count} points evenly by arc length"
     return sampled_targets(points, unit, loop, f"{note}; one user unit is {scale:.6g} mm, {origin}")
@@ -294,11 +286,8 @@ _Curve = Callable[[Array], Drawn]  # x + iy in user units at u from 0 to 1
 
 def _onto(curve: _Curve, matrix: Array) -> Callable[[Array], Array]:
     def at(u: Array) -> Array:
-        z = curve(u)
-        x, y = z.real, z.imag
-        return np.stack(
-            [matrix[0, 0] * x + matrix[0, 1] * y + matrix[0, 2], matrix[1, 0] * x + matrix[1, 1] * y + matrix[1, 2]], 1
-        )
+        z = curve(u)[:, None]
+        return matrix[:2, 0] * z.real + matrix[:2, 1] * z.imag + matrix[:2, 2]
 
     return at
 
@@ -376,10 +365,10 @@ def _arc(segment: Any) -> tuple[_Curve, bool] | None:
     start, end = segment.start, segment.end
     if start == end:
         return None
-    if segment.radius.real == 0.0 or segment.radius.imag == 0.0:
+    if 0.0 in (segment.radius.real, segment.radius.imag):
         return (lambda u: start + (end - start) * u), True
     radii = (segment.radius.real * segment.radius_scale, segment.radius.imag * segment.radius_scale)
-    turn = complex(math.cos(math.radians(segment.rotation)), math.sin(math.radians(segment.rotation)))
+    turn = cmath.rect(1.0, math.radians(segment.rotation))
 
     def angle(point: complex) -> float:
         # svg.path takes an arc cosine, which loses half the digits of a half turn

@@ -67,7 +67,6 @@ def read_count(raw: Mapping[str, Any]) -> int:
     Raises
     ------
     Unusable
-        If it is not a whole number, or out of range.
     """
     count = raw.get("points", DEFAULT_POINTS)
     if isinstance(count, bool) or not isinstance(count, int) or not 2 <= count <= MAX_POINTS:
@@ -81,7 +80,6 @@ def metres(raw: Mapping[str, Any]) -> float:
     Raises
     ------
     Unusable
-        If the unit is not a unit of length.
     """
     if not isinstance(raw["unit"], str):
         raise Unusable("expected a unit of length", 'Write unit = "mm"', "unit", raw["unit"])

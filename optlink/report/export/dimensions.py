@@ -47,20 +47,13 @@ class _Length:
 
 
 def dimensioned(cycle: Analysis, title: str) -> Drawing:
-    """Draw a mechanism with its dimensions in its clearest position.
-
-    Parameters
-    ----------
-    title : str
-        Begin of the description.
-    """
+    """Draw a mechanism with its dimensions in its clearest position; the description begins with the title."""
     at = clearest(cycle)
     drawn = scene(cycle, at=at)
     sheet = _Sheet(drawn)
-    words: list[str] = []
-    words += list(dict.fromkeys(f"{dimension.text}" for dimension in _links(cycle, drawn, named=True)))
+    words = list(dict.fromkeys(dimension.text for dimension in _links(cycle, drawn, named=True)))
     for name, low, high, centre, start in _swings(cycle, drawn):
-        text = "360°" if high - low >= TURN - 1e-9 else f"{_deg(high - low)}"
+        text = "360°" if high - low >= TURN - 1e-9 else _deg(high - low)
         words.append(f"{name} turns fully" if text == "360°" else f"{name} swings {text}")
         sheet.angle(centre, start, low, high, text, _colour(drawn, name))
     guides = list(_guides(cycle, at, drawn))
@@ -71,10 +64,7 @@ def dimensioned(cycle: Analysis, title: str) -> Drawing:
         place = f"{name} ({_mm(x)}, {_mm(y)})"
         words.append(f"pivot {place}" if name in drawn.pins else place)
         sheet.label(drawn.points[name][0], place)
-    words += [
-        f"{dimension.text.partition(' ')[0]} of {dimension.text.partition(' ')[2]}"
-        for dimension in _strokes(cycle, at, drawn, named=True)
-    ]
+    words += [dimension.text.replace(" ", " of ", 1) for dimension in _strokes(cycle, at, drawn, named=True)]
     words += [text for text, _ in guides]
     described = f"{title}, drawn at a crank angle of {_deg(at)}. Dimensions in mm: {'; '.join(words)}."
     for name in drawn.moving:
@@ -279,12 +269,8 @@ class _Sheet:
             self._arrow(a, -along if span > 1.6 * self.size else along, dimension.colour)
             self._arrow(b, along if span > 1.6 * self.size else -along, dimension.colour)
             angle = math.degrees(math.atan2(along[1], along[0]))
-            self._text(
-                place,
-                dimension.text,
-                dimension.colour,
-                angle - 180.0 if angle > 90.0 else angle + 180.0 if angle <= -90.0 else angle,
-            )
+            upright = angle - 180.0 if angle > 90.0 else angle + 180.0 if angle <= -90.0 else angle
+            self._text(place, dimension.text, dimension.colour, upright)
 
         self.items.append((places, drawn))
 
@@ -303,11 +289,8 @@ class _Sheet:
             inside = min(half / max(abs(ray[0]), 1e-9), 0.4 * self.font / max(abs(ray[1]), 1e-9))  # of the text, along the ray
             middle = centre + (radius * self.size + inside + 0.4 * self.font) * ray
             arc = centre + radius * self.size * rays
-            sides = (
-                ()
-                if full
-                else tuple(centre + np.outer((0.5 * self.size, (radius + 0.6) * self.size), rays[at]) for at in (0, -1))
-            )
+            reach = np.array([0.5, radius + 0.6]) * self.size
+            sides = () if full else tuple(centre + np.outer(reach, rays[at]) for at in (0, -1))
             places.append(Place(middle, LEVEL, half, (arc, *sides), 0.25 * radius + 0.3 * abs(share - 0.5)))
 
         def drawn(place: Place) -> None:

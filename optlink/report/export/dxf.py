@@ -18,7 +18,7 @@ from optlink.dynamics.machine import slider_names
 from optlink.errors import InputError
 from optlink.linkage.mechanism import FRAME, Guide, Mechanism
 from optlink.linkage.motion import Motion, sweep
-from optlink.linkage.vector2d import Array
+from optlink.linkage.vector2d import TURN, Array
 from optlink.report.format import round_below
 from optlink.report.scene import scene
 from optlink.report.shapes import hull, in_line
@@ -58,18 +58,7 @@ class Plate:
 
 
 def document(cycle: Analysis, at: float, title: str, hole: float | None = None, width: float | None = None) -> Drawing:
-    """Return the DXF document.
-
-    Parameters
-    ----------
-    at : float [rad]
-        Crank angle of the assembly, within the reachable range.
-    title : str
-        Stored in the properties of the file.
-    hole : float [m] or None, optional
-        Diameter of the holes; default: according to the extent.
-    width : float [m] or None, optional
-        Width of the links; default: according to the hole diameter.
+    """Return the DXF document of the assembly at a reachable crank angle [rad], with hole diameter and link width [m].
 
     Raises
     ------
@@ -126,15 +115,7 @@ def usual_hole(extent: float) -> float:
 
 
 def plates(cycle: Analysis, motion: Motion, radius: float) -> Iterator[Plate]:
-    """Yield every link as a plate, and finally the frame, which has no outline.
-
-    Parameters
-    ----------
-    motion : Motion
-        Position of the assembly.
-    radius : float [mm]
-        Distance of the outline from the hole centres.
-    """
+    """Yield every link as a plate, its outline a radius [mm] from the hole centres, and finally the frame without an outline."""
     mechanism, pose = cycle.machine.mechanism, motion.pose
     travel = {guide.name: travelled(cycle, guide) for guide in mechanism.guides}
     for body in (*mechanism.bodies, FRAME):
@@ -169,14 +150,9 @@ def _slot(motion: Motion, guide: Guide, travel: tuple[float, float]) -> tuple[Ar
 
 
 def rounded(points: Array, radius: float) -> tuple[Vertex, ...]:
-    """Return the outline at a distance from the convex hull of points, counter-clockwise.
+    """Return the outline at a distance from the convex hull of points (n, 2), counter-clockwise.
 
     It consists of straight edges and arcs: two vertices per corner, with the arc between them as a bulge.
-
-    Parameters
-    ----------
-    points : array (n, 2) [mm]
-    radius : float [mm]
     """
     extent = float(np.max(np.ptp(points, axis=0)))
     corners = _distinct(points, COINCIDENT * max(extent, radius))
@@ -190,7 +166,7 @@ def rounded(points: Array, radius: float) -> tuple[Vertex, ...]:
     vertices: list[Vertex] = []
     for k, corner in enumerate(corners):
         before, after = corner - corners[k - 1], corners[(k + 1) % len(corners)] - corner
-        turned = math.atan2(before[0] * after[1] - before[1] * after[0], float(before @ after)) % (2.0 * math.pi)
+        turned = math.atan2(before[0] * after[1] - before[1] * after[0], float(before @ after)) % TURN
         normals = [np.array([edge[1], -edge[0]]) / np.linalg.norm(edge) for edge in (before, after)]
         first, second = (corner + radius * normal for normal in normals)
         vertices += [(float(first[0]), float(first[1]), math.tan(turned / 4.0)), (float(second[0]), float(second[1]), 0.0)]

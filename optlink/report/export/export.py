@@ -78,12 +78,7 @@ def export(model: ReportModel, path: Path, options: Options | None = None) -> No
 
 
 def place_of(model: ReportModel, cycle: Analysis, at: float | None) -> float:
-    """Return a crank angle [rad] at which the mechanism can be assembled.
-
-    Parameters
-    ----------
-    at : float [rad] or None
-        Requested angle; None for the start of the motion.
+    """Return a crank angle [rad] at which the mechanism can be assembled; None stands for the start of the motion.
 
     Raises
     ------
@@ -134,13 +129,7 @@ def _json(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> 
 
 
 def geometry(model: ReportModel, cycle: Analysis, at: float) -> dict[str, Any]:
-    """Return the linkage as a JSON document [SI]: points of the bodies in their own axes, and all positions at a crank angle.
-
-    Parameters
-    ----------
-    at : float [rad]
-        Crank angle.
-    """
+    """Return the linkage as a JSON document [SI]: points of the bodies in their own axes, and all positions at a crank angle."""
     from optlink.report.export.dxf import travelled
 
     machine = cycle.machine

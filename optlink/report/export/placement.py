@@ -36,15 +36,7 @@ class Place:
     cost: float = 0.0
 
     def text(self, font: float, room: float = 0.0) -> Array:
-        """Return points (n, 2) of the box of the text.
-
-        Parameters
-        ----------
-        font : float
-            Font size, in the unit of the drawing.
-        room : float, optional
-            Space around the text.
-        """
+        """Return points (n, 2) of the box of the text, with room around it, in the unit of the drawing."""
         wide, high = self.half + room, HIGH * font + room
         across = np.array([-self.along[1], self.along[0]])
         u, v = (np.linspace(-end, end, 2 + int(2.0 * end / (0.8 * CELL * font))) for end in (wide, high))
@@ -52,29 +44,14 @@ class Place:
 
 
 def sampled(line: Array, step: float) -> Array:
-    """Return points (n, 2) along a line, at most a step apart along it.
-
-    Parameters
-    ----------
-    line : array (m, 2)
-    """
+    """Return points (n, 2) along a line (m, 2), at most a step apart along it."""
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
     at = np.linspace(0.0, along[-1], 1 + max(1, int(np.ceil(along[-1] / step))))
     return np.stack([np.interp(at, along, line[:, k]) for k in (0, 1)], axis=1)
 
 
 def arrange(items: Sequence[Sequence[Place]], links: Sequence[Array], font: float) -> list[Place]:
-    """Return the place of every text.
-
-    Parameters
-    ----------
-    items : sequence of sequence of Place
-        The possible places of every text.
-    links : sequence of array (n, 2)
-        Lines that are already drawn.
-    font : float
-        Font size, in the unit of the drawing.
-    """
+    """Return the place of every text from its possible ones, clear of links (n, 2) that are already drawn."""
     cell = CELL * font
     drawn = [sampled(line, cell) for line in links]
     boxes = [[place.text(font, ROOM * font) for place in places] for places in items]

@@ -18,21 +18,10 @@ LAYERS = ("slot", "plate", "bar", "block", "crank")
 
 
 def svg(scene: Scene, title: str, motion: Scene | None = None, k: int = 0, *, traces: bool = True, names: bool = True) -> str:
-    """Draw position `k` of a scene.
+    """Draw position `k` of a scene, to fill its place in a page.
 
-    Parameters
-    ----------
-    title : str
-        Accessible name of the drawing.
-    motion : Scene or None, optional
-        Whole motion, if `scene` is one position of it: the drawing becomes a file in true size; None for a drawing that
-        fills its place in a page.
-    k : int, optional
-        Index of the position.
-    traces : bool, optional
-        Draw the paths of the points.
-    names : bool, optional
-        Draw the names of the points.
+    With the whole `motion`, of which the scene is one position, the drawing becomes a file in true size. The title is its
+    accessible name.
     """
     x, y, width, height = (_number(value, scene) for value in scene.box)
     true_size = f' xmlns="http://www.w3.org/2000/svg" width="{width}mm" height="{height}mm"' if motion is not None else ""
@@ -100,15 +89,7 @@ def _traces(scene: Scene) -> Iterator[str]:
 
 
 def placed(pose: Array, scene: Scene) -> str:
-    """Return the SVG transformation that places a body.
-
-    Parameters
-    ----------
-    pose : array (3,) [mm, mm, deg]
-        Coordinates of the start point and angle.
-    scene : Scene
-        Determines the number of decimals.
-    """
+    """Return the SVG transformation that places a body: x, y [mm] and angle [deg]."""
     x, y, angle = (float(value) for value in pose)
     return f"translate({_number(x, scene)} {_number(y, scene)}) rotate({round(angle, 5) + 0.0:g})"
 
@@ -185,17 +166,7 @@ def _names(scene: Scene, k: int) -> Iterator[str]:
 
 
 def rimmed(place: str, text: str, colour: str, rim: str, tooltip: str = "") -> str:
-    """Return a centred text over its own white rim, as two texts: not every program draws the rim of a letter below it.
-
-    Parameters
-    ----------
-    place : str
-        Attributes that place the text.
-    rim : str
-        Width of the rim.
-    tooltip : str
-        Element that is shown on hovering.
-    """
+    """Return a centred text over its own white rim, as two texts: not every program draws the rim of a letter below it."""
     begin, letters = f'<text {place} text-anchor="middle"', escape(text)
     white = f'fill="none" stroke="#ffffff" stroke-width="{rim}" stroke-linejoin="round" aria-hidden="true"'
     return f'{begin} {white}>{letters}</text>{begin} fill="{colour}">{tooltip}{letters}</text>'

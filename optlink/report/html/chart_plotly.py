@@ -11,7 +11,21 @@ from typing import Any
 import numpy as np
 
 from optlink.io import finite
-from optlink.report.chart_spec import SYMBOLS, Array, Axis, Band, Bars, Boxes, ChartSpec, Curve, HeatMap, Mark, Panel, Picks
+from optlink.report.chart_spec import (
+    SYMBOLS,
+    Array,
+    Axis,
+    Band,
+    Bars,
+    Boxes,
+    ChartSpec,
+    Curve,
+    HeatMap,
+    Mark,
+    Panel,
+    Picks,
+    max_abs,
+)
 from optlink.report.export.dimensions import Drawing
 from optlink.report.format import pretty
 from optlink.report.html.theme import readable
@@ -166,7 +180,7 @@ def short(values: Array) -> list[float | None]:
 
 def _decimals(values: Array) -> int:
     """Return the decimals that give the largest value the digits of a chart."""
-    size = float(np.max(np.abs(values), initial=0.0, where=np.isfinite(values)))
+    size = max_abs(values)
     return DIGITS - math.floor(math.log10(size)) if size > 0.0 else DIGITS
 
 
@@ -174,11 +188,6 @@ def thinned(x: Array, y: Array, most: int = THIN_ABOVE) -> tuple[Array, Array]:
     """Reduce a long curve to at most about `most` points, keeping the extremes of each portion and all gaps.
 
     A curve that runs back in x, such as an orbit, keeps the extremes in x too.
-
-    Parameters
-    ----------
-    x : array (n,)
-    y : array (n,)
     """
     if len(x) <= most:
         return x, y

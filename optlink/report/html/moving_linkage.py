@@ -11,6 +11,7 @@ from optlink.dynamics.columns import MotionColumns
 from optlink.dynamics.machine import slider_names
 from optlink.io import finite
 from optlink.linkage.vector2d import Array
+from optlink.report.chart_spec import max_abs
 from optlink.report.export.svg import svg
 from optlink.report.format import pretty
 from optlink.report.scene import Scene, scene
@@ -40,9 +41,9 @@ class Readout:
         largest = max((abs(value) for value in self.values if value is not None), default=0.0)
         return 3 if largest < 10.0 else 2 if largest < 1000.0 else 1
 
-    def text(self, k: int = 0) -> str:
-        """Format value `k`."""
-        value = self.values[k]
+    def text(self) -> str:
+        """Format the first value."""
+        value = self.values[0]
         return "–" if value is None else f"{value:z.{self.decimals}f}".replace("-", "−")
 
 
@@ -56,9 +57,9 @@ class Stops:
     decimals: int
     turn: float | None = None
 
-    def text(self, k: int = 0) -> str:
-        """Format position `k`."""
-        return f"{self.values[k]:z.{self.decimals}f}{self.unit}".replace("-", "−")
+    def text(self) -> str:
+        """Format the first position."""
+        return f"{self.values[0]:z.{self.decimals}f}{self.unit}".replace("-", "−")
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,14 +91,7 @@ class Moving:
 
 
 def in_time(cycle: Analysis, scene: Scene, time: Array, shown: Iterable[tuple[str, Scale, Array]]) -> Moving:
-    """Return the animation of a scene whose positions are reached at times, with quantities that follow it.
-
-    Parameters
-    ----------
-    time : array (positions,) [s]
-    shown : iterable of (name, Scale, array (positions,))
-        Name, display unit and values [SI] of the quantities.
-    """
+    """Return the animation of a scene whose positions are reached at times [s], with quantities [SI] that follow it."""
     listed = [
         Readout(name, unit.unit, [round(float(v) * unit.factor, 5) if math.isfinite(v) else None for v in values])
         for name, unit, values in shown
@@ -112,25 +106,13 @@ def decimals_of(values: Array) -> int:
 
 
 def turning(cycle: Analysis, steps: int) -> Moving:
-    """Return the animation of a machine over its crank angle.
-
-    Parameters
-    ----------
-    steps : int
-        Number of positions per revolution.
-    """
+    """Return the animation of a machine over its crank angle, with `steps` positions per revolution."""
     drawn = scene(cycle, steps)
     return Moving(cycle, drawn, Stops("crank angle", "°", drawn.angles, 1, 360.0), readouts(cycle, drawn.angles))
 
 
 def readouts(cycle: Analysis, angles: Array) -> list[Readout]:
-    """Return the quantities shown beside the moving linkage: slides, transmission angles; with masses or loads, driving torque.
-
-    Parameters
-    ----------
-    angles : array (positions,) [deg]
-        Crank angles.
-    """
+    """Return the quantities beside the moving linkage: slides, transmission angles; with masses or loads, driving torque."""
     machine = cycle.machine
     record = MotionColumns(machine.moving(np.radians(angles), cycle.speed))
     sliders = [f"{name}.s_m" for name in slider_names(machine).values()]
@@ -146,6 +128,6 @@ def readouts(cycle: Analysis, angles: Array) -> list[Readout]:
     result = []
     for column, label, unit in columns:
         values = record[column]
-        shown = scale(float(np.max(np.abs(values), initial=0.0, where=np.isfinite(values))), unit)
+        shown = scale(max_abs(values), unit)
         result.append(Readout(label, shown.unit, finite(np.round(values * shown.factor, 4))))
     return result

@@ -174,11 +174,7 @@ def four_digits(text: str) -> str:
 def templates() -> Environment:
     """Return the templates of pages and notebooks."""
     environment = Environment(
-        loader=PackageLoader("optlink.report"),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=StrictUndefined,
+        loader=PackageLoader("optlink.report"), autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined
     )
     kinds = {
         "paragraph": Paragraph,

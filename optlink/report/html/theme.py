@@ -19,27 +19,13 @@ def luminance(colour: str) -> float:
 
 
 def contrast(colour: str, background: str) -> float:
-    """Return the contrast ratio of two colours (WCAG 2.1), 1 to 21.
-
-    Parameters
-    ----------
-    colour, background : str
-        Colours "#rrggbb".
-    """
+    """Return the contrast ratio of two colours "#rrggbb" (WCAG 2.1), 1 to 21."""
     low, high = sorted((luminance(colour), luminance(background)))
     return (high + 0.05) / (low + 0.05)
 
 
 def readable(colour: str, paper: str = LIGHT) -> str:
-    """Return a colour, if necessary darker or lighter, that can be read on a background.
-
-    Parameters
-    ----------
-    colour : str
-        Colour "#rrggbb".
-    paper : str, optional
-        Background.
-    """
+    """Return a colour "#rrggbb", if necessary darker or lighter, that can be read on a background."""
     hue, light, saturation = _hls(colour)
     step = -0.01 if luminance(paper) > 0.5 else 0.01
     while contrast(colour, paper) < MIN_CONTRAST and 0.0 <= light <= 1.0:

@@ -70,14 +70,14 @@ def mechanism(cycle: CycleCurves) -> Figure:
     angles = positions(cycle)
     motions = {name: sweep(machine.mechanism, machine.sizes, np.array([at]), result.speed) for name, at in angles.items()}
     moving = [point for point, bodies in machine.mechanism.owners.items() if FRAME not in bodies]
-    speeds = {name: max(float(np.linalg.norm(motion.velocity(point)[0])) for point in moving) for name, motion in motions.items()}
+    speeds = {name: max(np.linalg.norm(motion.velocity(point)[0]) for point in moving) for name, motion in motions.items()}
     # show velocities at the largest torque or, if some are unbounded, where they are smallest
     slow = {name: speed for name, speed in speeds.items() if math.isfinite(speed)}
     chosen = next((name for name in angles if "largest torque" in name), next(iter(angles)))
     if slow and not cycle.steady:
         chosen = min(slow, key=lambda name: slow[name])
-    longest = 0.2 * float(np.max(sketch.high - sketch.low))
-    drawn_arrows = sketch.arrows(motions[chosen], 0, moving, longest)
+    longest = 0.2 * np.max(sketch.high - sketch.low)
+    drawn_arrows = sketch.arrows(motions[chosen], moving, longest)
     sketch.widen(np.array([end for _, end in drawn_arrows.values()]).reshape(-1, 2))
     count = len(angles) + bool(drawn_arrows)
     tall = sketch.ratio > 1.15
@@ -117,7 +117,7 @@ def _scale_arrow(axes: Axes, top: float, longest: float) -> None:
     x, y = axes.transData.inverted().transform((right, low - 27.0 / 72.0 * drawn.dpi))
     length = longest * shown / (top * unit.factor)
     _arrow(axes, np.array([x - length, y]), np.array([x, y]), gid="scale").set_clip_on(False)
-    room = 0.015 * float(np.ptp(axes.get_xlim()))
+    room = 0.015 * np.ptp(axes.get_xlim())
     axes.text(x - length - room, y, f"{shown:g} {unit.unit}", ha="right", va="center", fontsize=8.5, in_layout=False)
 
 
@@ -133,10 +133,7 @@ def _arrow(axes: Axes, begin: NDArray[np.float64], end: NDArray[np.float64], gid
 def _state(cycle: CycleCurves, at: float) -> str:
     """Format crank angle, output position and driving torque at a position."""
     out = output(cycle)
-    parts = [
-        f"φ {degrees(at)}",
-        f"{'s' if out.slides else 'θ'} {out.scales(cycle)[0].text(cycle.at(at, out.columns[0]))}",
-    ]
+    parts = [f"φ {degrees(at)}", f"{'s' if out.slides else 'θ'} {out.scales(cycle)[0].text(cycle.at(at, out.columns[0]))}"]
     torque = cycle.at(at, "input.torque_Nm")
     if cycle.has("input.torque_Nm") and math.isfinite(torque) and not np.any(np.abs(cycle.result.jumps - at) < 1e-6):
         parts.append(f"M {scale(cycle.peak('input.torque_Nm'), 'N m').text(torque)}")
@@ -151,11 +148,6 @@ def frames(cycle: CycleCurves, count: int = FRAMES) -> list[Image.Image]:
     """Draw the frames of the animation: one revolution, or back and forth over a limited crank range.
 
     Beside the mechanism, the driving torque or the output motion is drawn.
-
-    Parameters
-    ----------
-    count : int, optional
-        Number of frames.
     """
     result = cycle.result
     machine = result.machine

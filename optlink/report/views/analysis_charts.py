@@ -13,7 +13,7 @@ from optlink.dynamics.strokes import last_output
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.stroke import Travel
 from optlink.linkage.vector2d import TURN, Array
-from optlink.report.chart_spec import Axis, ChartSpec, Curve, Dash, Line, Mark, Panel, Span, crank_angle
+from optlink.report.chart_spec import Axis, ChartSpec, Curve, Dash, Line, Mark, Panel, Span, crank_angle, max_abs
 from optlink.report.style import BODIES, CRANK, LIMIT, MUTED, RESULT, TARGET, Scale, degrees, scale
 from optlink.report.views.analysis_curves import ROUNDING, CycleCurves
 from optlink.tasks.results.extremes import Extreme
@@ -44,13 +44,7 @@ class OutputMotion(NamedTuple):
         return size, size * turning, size * turning * turning
 
     def scales(self, cycle: CycleCurves, others: Sequence[OutputMotion] = ()) -> tuple[Scale, Scale, Scale]:
-        """Return the display units of position, velocity and acceleration, common to all outputs of the same kind.
-
-        Parameters
-        ----------
-        others : sequence of OutputMotion, optional
-            Other outputs in the same picture.
-        """
+        """Return the display units of position, velocity and acceleration, common to all outputs of one kind in a picture."""
         units = ("m", "m/s", "m/s²") if self.slides else ("deg", "rad/s", "rad/s²")
         similar = [out for out in (self, *others) if out.slides == self.slides]
         s, v, a = (
@@ -97,20 +91,7 @@ def curves(
     *,
     initial: CycleCurves | None = None,
 ) -> list[Curve]:
-    """Return a column as a curve, with dotted lines at its jumps; that of the initial machine in grey comes first.
-
-    Parameters
-    ----------
-    column : str
-        Column name; also the `gid` of the curve.
-    shown : Scale
-        Display unit.
-    name : str
-        Entry in the legend; empty for none.
-    width : float [pt], optional
-    initial : CycleCurves or None, optional
-        Initial machine.
-    """
+    """Return a column as a curve, with dotted lines at its jumps; that of the initial machine in grey comes first."""
     traces = []
     if initial is not None and column in initial.columns:
         words = f"{name}, initial machine" if name else "initial machine"
@@ -123,13 +104,7 @@ def curves(
 
 
 def axis(cycle: CycleCurves, name: str, traces: Iterable[Curve], *, least: float = 0.0) -> Axis:
-    """Return a y axis; values that grow without bound are cut off, and rounding errors are not enlarged.
-
-    Parameters
-    ----------
-    least : float, optional
-        Smallest range, in the unit of the axis.
-    """
+    """Return a y axis with a least range; values that grow without bound are cut off, and rounding errors are not enlarged."""
     values = np.concatenate([trace.y for trace in traces])
     low, high = cycle.window(values)
     complete = bool(np.all((values >= low) & (values <= high) | np.isnan(values)))
@@ -152,17 +127,7 @@ def panel(
     *,
     least: float = 0.0,
 ) -> Panel:
-    """Return a panel; marks beyond its limits are moved to them and point outwards.
-
-    Parameters
-    ----------
-    name : str
-        Label of the y axis.
-    height : float, optional
-        Relative height.
-    least : float, optional
-        Least range of the y axis, in its unit.
-    """
+    """Return a panel; marks beyond its limits are moved to them and point outwards."""
     y = axis(cycle, name, traces, least=least)
     moved = [_held(mark, *y.limits) if y.limits else mark for mark in marks]
     return Panel(y, traces, height, lines, moved)
@@ -177,17 +142,7 @@ def _held(mark: Mark, low: float, high: float) -> Mark:
 
 
 def extremes(cycle: CycleCurves, name: str, shown: Scale, colour: str = TARGET, extreme: Extreme | None = None) -> list[Mark]:
-    """Return marks at the least and largest value of a column at their exact crank angles.
-
-    Parameters
-    ----------
-    name : str
-        Column name.
-    shown : Scale
-        Display unit of the axis.
-    extreme : Extreme or None, optional
-        Values to mark [SI]; default: the extremes of the column in the analysis.
-    """
+    """Return marks at the least and largest value of a column, or at a given extreme [SI], at their exact crank angles."""
     extreme = cycle.result.extremes.get(name) if extreme is None else extreme
     if extreme is None or not math.isfinite(extreme.least) or extreme.largest - extreme.least <= ROUNDING * cycle.peak(name):
         return []
@@ -201,17 +156,7 @@ def extremes(cycle: CycleCurves, name: str, shown: Scale, colour: str = TARGET, 
 def chart(
     cycle: CycleCurves, file: str, title: str, panels: Sequence[Panel], *, lines: Sequence[Line] = (), **options: Any
 ) -> ChartSpec:
-    """Return a chart over the crank angle with its singular positions.
-
-    Parameters
-    ----------
-    file : str
-        Name of the picture.
-    lines : sequence of Line, optional
-        Further vertical lines.
-    **options
-        Further attributes of `ChartSpec`; the default heading is the title of the machine with that of the chart.
-    """
+    """Return a chart over the crank angle with its singular positions; `options` are further attributes of `ChartSpec`."""
     ends = sorted((math.degrees(cycle.start), math.degrees(cycle.end)))
     x = crank_angle(clockwise=cycle.direction < 0.0, limits=(ends[0], ends[1]))
     places = [math.degrees(cycle.inside(position.crank_angle)) for position in cycle.result.ranges.singular]
@@ -222,13 +167,7 @@ def chart(
 
 
 def machine_title(cycle: CycleCurves, words: str) -> str:
-    """Return the title of the problem with the title of a chart.
-
-    Parameters
-    ----------
-    words : str
-        Title of the chart.
-    """
+    """Return the title of the problem with the title of a chart."""
     return f"{cycle.result.problem.model.title}: {words[:1].lower()}{words[1:]}"
 
 
@@ -236,13 +175,7 @@ def machine_title(cycle: CycleCurves, words: str) -> str:
 
 
 def motion(cycle: CycleCurves, initial: CycleCurves | None = None) -> list[ChartSpec]:
-    """Return displacement, velocity and acceleration of every slider, or of the last oscillating body.
-
-    Parameters
-    ----------
-    initial : CycleCurves, optional
-        Initial machine, drawn in grey.
-    """
+    """Return displacement, velocity and acceleration of every slider, or of the last oscillating body."""
     shown = outputs(cycle)
     charts = []
     for out in shown:
@@ -291,31 +224,16 @@ def bodies(cycle: CycleCurves) -> list[ChartSpec]:
 
 
 def look(k: int, count: int) -> tuple[float, Dash]:
-    """Return width [pt] and dash of a curve: overlapping curves stay visible, and distinct without colours.
-
-    Parameters
-    ----------
-    k : int
-        Number of the curve, from 0.
-    count : int
-        Number of curves in the panel.
-    """
+    """Return width [pt] and dash of curve `k` of `count`: overlapping curves stay visible, and distinct without colours."""
     return 2.5 - 1.3 * k / max(1, count - 1), DASHES[(k + k // (len(BODIES) + 1)) % len(DASHES)]
 
 
 def together(columns: Mapping[str, Array], names: Mapping[str, str]) -> dict[str, str]:
-    """Merge columns with identical values under one combined label.
-
-    Parameters
-    ----------
-    columns : mapping of str to array (n,)
-    names : mapping of str to str
-        Columns to draw by label.
-    """
+    """Merge columns with identical values under one combined label; `names` are columns by label."""
     merged: dict[str, str] = {}
     for label, name in names.items():
         values = columns[name]
-        least = ROUNDING * float(np.max(np.abs(values), initial=0.0, where=np.isfinite(values)))
+        least = ROUNDING * max_abs(values)
         same = next((k for k, v in merged.items() if np.allclose(columns[v], values, ROUNDING, least, equal_nan=True)), None)
         if same is None:
             merged[label] = name

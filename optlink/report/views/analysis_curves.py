@@ -18,7 +18,7 @@ ROUNDING = 1e-9  # share of the largest value below which a value is rounding er
 class CycleCurves:
     """Time history of a machine over the crank angle, in the order of the motion.
 
-    It contains every row of the analysis table (unless there are more than `TABLE`), points between them, the crank angles of all
+    It contains every row of the analysis table (if there are not too many), points between them, the crank angles of all
     extremes, and two points at each jump of a load: the values just before and just after it.
     """
 
@@ -81,15 +81,7 @@ class CycleCurves:
         return low, high
 
     def has(self, name: str, among: Sequence[str] = ()) -> bool:
-        """Return whether a column exists and exceeds the rounding error of the other columns.
-
-        Parameters
-        ----------
-        name : str
-            Column name.
-        among : sequence of str, optional
-            Columns that set the level of rounding.
-        """
+        """Return whether a column exists and exceeds the rounding error of the others, whose level those in `among` set."""
         return self.peak(name) > ROUNDING * self.peak(name, *among) and self.peak(name) > 0.0
 
     def breaks(self, *names: str) -> list[int]:
@@ -104,15 +96,7 @@ class CycleCurves:
         return jumps
 
     def line(self, name: str, factor: float = 1.0) -> tuple[Array, Array]:
-        """Return crank angles [deg] and scaled values, with NaN inserted at jumps.
-
-        Parameters
-        ----------
-        name : str
-            Column name.
-        factor : float, optional
-            Factor from SI to the display unit.
-        """
+        """Return crank angles [deg] and scaled values, with NaN inserted at jumps."""
         at = [k + 1 for k in self.breaks(name)]
         return np.insert(self.degrees, at, np.nan), np.insert(self.columns[name] * factor, at, np.nan)
 
@@ -127,14 +111,6 @@ class CycleCurves:
         return sorted((self.inside(at) for at in crank_angles), key=lambda at: self.direction * at)
 
     def at(self, crank_angle: float, name: str) -> float:
-        """Interpolate a column at a crank angle.
-
-        Parameters
-        ----------
-        crank_angle : float [rad]
-            Within the range of the motion.
-        name : str
-            Column name.
-        """
+        """Interpolate a column at a crank angle [rad] within the range of the motion."""
         rising = slice(None) if self.direction > 0.0 else slice(None, None, -1)
         return float(np.interp(crank_angle, self.angles[rising], self.columns[name][rising]))

@@ -18,24 +18,12 @@ SHAKING = ("frame.shaking_fx_N", "frame.shaking_fy_N", "frame.shaking_moment_Nm"
 
 
 def forces(cycle: CycleCurves, initial: CycleCurves | None = None) -> list[ChartSpec]:
-    """Return the charts of torque, joint reactions, guide forces, work and shaking that the machine has.
-
-    Parameters
-    ----------
-    initial : CycleCurves or None, optional
-        Initial machine, drawn in grey.
-    """
+    """Return the charts of torque, joint reactions, guide forces, work and shaking that the machine has."""
     return [*torque(cycle, initial), *reactions(cycle), *guides(cycle), *work(cycle, initial), *shaking(cycle, initial)]
 
 
 def torque(cycle: CycleCurves, initial: CycleCurves | None = None) -> list[ChartSpec]:
-    """Return the driving torque, its inertia, gravity and load parts, and its mean, with extremes marked.
-
-    Parameters
-    ----------
-    initial : CycleCurves, optional
-        Initial machine, drawn in grey.
-    """
+    """Return the driving torque, its inertia, gravity and load parts, and its mean, with extremes marked."""
     if not cycle.has(TORQUE):
         return []
     result = cycle.result
@@ -89,7 +77,7 @@ def reactions(cycle: CycleCurves) -> list[ChartSpec]:
         amount = "without bound" if name in cycle.result.unbounded else amount
         traces += curves(cycle, name, unit, f"{label}:  {amount}" if amount else label, colour, *look(k, len(shown)))
     y_axis = axis(cycle, f"amount of force [{unit.unit}]", traces)
-    high = y_axis.limits[1] if y_axis.limits else 1.06 * max(float(np.nanmax(trace.y)) for trace in traces)
+    high = y_axis.limits[1] if y_axis.limits else 1.06 * max(np.nanmax(trace.y) for trace in traces)
     every = Panel(Axis(y_axis.name, (0.0, high)), traces, 1.7)
     return [
         pivot_chart,
@@ -103,20 +91,7 @@ def hodograph(
 ) -> ChartSpec:
     """Return the hodograph of a force on equal scales: the origin, the direction of motion and round crank angles are marked.
 
-    Parameters
-    ----------
-    x : str
-        Column of the x component [N].
-    y : str
-        Column of the y component [N].
-    unit : Scale
-        Display unit of both axes.
-    file : str
-        Name of the picture.
-    more : sequence of Mark, optional
-        Further marks.
-    heading : str, optional
-        Title of the picture; default: that of the chart.
+    `x` and `y` are columns [N], `unit` that of both axes.
     """
     breaks = [k + 1 for k in cycle.breaks(x, y)]
     xs, ys = (np.insert(cycle[name] * unit.factor, breaks, np.nan) for name in (x, y))
@@ -134,9 +109,7 @@ def hodograph(
         if np.all(np.isfinite(at)):
             outward = (at - middle) / max(float(np.linalg.norm(at - middle)), 1e-30)
             prefer = (float(outward[0]), float(outward[1]))
-            marks.append(
-                Mark(float(at[0]), float(at[1]), f"{turned % 360.0:z.0f}°", RESULT, size=4.0, prefer=prefer, written=True)
-            )
+            marks.append(Mark(at[0], at[1], f"{turned % 360.0:z.0f}°", RESULT, size=4.0, prefer=prefer, written=True))
     marks += _sense(xs, ys, [(mark.x, mark.y) for mark in marks])
     across, up = _window(cycle, xs[finite_points], ys[finite_points])
     shown = Panel(Axis(f"force in y [{unit.unit}]", up), traces, marks=marks)
@@ -161,10 +134,10 @@ def _sense(xs: Array, ys: Array, occupied: Sequence[tuple[float, float]]) -> lis
     if lengths[k][-1] <= 0.0:
         return []
     places = np.searchsorted(lengths[k], np.linspace(0.2, 0.8, 13) * lengths[k][-1])
-    free = [float(np.min(np.linalg.norm(np.array(occupied) - paths[k][place], axis=1))) for place in places]
+    free = [np.min(np.linalg.norm(np.array(occupied) - paths[k][place], axis=1)) for place in places]
     p, q = (paths[k][places[int(np.argmax(free))] + i] for i in (0, 1))
     angle = math.degrees(math.atan2(q[1] - p[1], q[0] - p[0])) - 90.0
-    return [Mark(float(p[0]), float(p[1]), "", RESULT, "triangle", 8.0, angle=angle)]
+    return [Mark(p[0], p[1], "", RESULT, "triangle", 8.0, angle=angle)]
 
 
 def guides(cycle: CycleCurves) -> list[ChartSpec]:
@@ -204,13 +177,7 @@ def _extent(cycle: CycleCurves) -> float:
 
 
 def work(cycle: CycleCurves, initial: CycleCurves | None = None) -> list[ChartSpec]:
-    """Return the work of the drive since the start with its extremes, and below it the kinetic and potential energy.
-
-    Parameters
-    ----------
-    initial : CycleCurves, optional
-        Initial machine, drawn in grey.
-    """
+    """Return the work of the drive since the start with its extremes, and below it the kinetic and potential energy."""
     name, energies = "input.work_J", ("energy.kinetic_J", "energy.potential_J")
     if not cycle.has(name):
         return []
@@ -232,13 +199,7 @@ def work(cycle: CycleCurves, initial: CycleCurves | None = None) -> list[ChartSp
 
 
 def shaking(cycle: CycleCurves, initial: CycleCurves | None = None) -> list[ChartSpec]:
-    """Return the hodograph of the shaking force, and over the crank angle its components and the moment about the pivot.
-
-    Parameters
-    ----------
-    initial : CycleCurves, optional
-        Initial machine, drawn in grey.
-    """
+    """Return the hodograph of the shaking force, and over the crank angle its components and the moment about the pivot."""
     x, y, moment = SHAKING
     forced = any(cycle.has(name, [x, y, *joints(cycle).values()]) for name in (x, y))
     if not forced and not cycle.has(moment):

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from optlink.dynamics.machine import Machine
 from optlink.dynamics.strokes import StrokeLoad, acting_loads, named_travels, travels_by_use, use_of, working_stroke
 from optlink.linkage.stroke import Travel
-from optlink.linkage.vector2d import Array
+from optlink.linkage.vector2d import TURN
 from optlink.problem.file import ProblemFile
 from optlink.problem.mechanism import DyadsSection
 from optlink.report.format import dimension, fixed, number
@@ -131,27 +131,14 @@ def _travels(outcome: Analysis) -> Iterator[Part | None]:
 
 
 def machine_strokes(machine: Machine, speed: float) -> TableSpec | None:
-    """Tabulate the forward and return strokes of the outputs of a machine whose crank turns fully; None if there are none.
-
-    Parameters
-    ----------
-    speed : float [rad/s]
-        Crank speed; only its sign matters.
-    """
+    """Tabulate the forward and return strokes of the outputs of a machine whose crank turns fully; None if there are none."""
     return stroke_table(named_travels(machine)[0], speed, acting_loads(machine, speed))
 
 
 def stroke_table(travels: Mapping[str, Travel], speed: float, acting: tuple[StrokeLoad, ...]) -> TableSpec | None:
     """Tabulate the forward and return strokes of outputs with their crank ranges; None if no output has two dead centres.
 
-    Parameters
-    ----------
-    travels : mapping of str to Travel
-        Strokes or swings by name of the output.
-    speed : float [rad/s]
-        Crank speed; only its sign matters.
-    acting : tuple of StrokeLoad
-        Loads that act in one stroke only.
+    The sign of the crank speed gives the direction; `acting` are loads that act in one stroke only.
     """
     rows: list[tuple[str, ...]] = []
     for name, travel in travels.items():
@@ -240,24 +227,8 @@ def _work(outcome: Analysis) -> TableSpec:
 
 def simulation(outcome: Simulation) -> Summary:
     """Summarise a simulation in time: final state, energy balance, drift and speed fluctuation."""
-    run = outcome.run
-    reason = "" if any(note.startswith(run.ending.text) for note in outcome.notes) else f"; {run.ending.text}"
-    ended = verdict(run.ending.value, outcome.finished), f", driven by {outcome.driven}{reason}"
-    parts = simulation_parts(outcome.figures, outcome.columns, run.steps, run.evaluations)
-    return summary(outcome.problem.model.title, [ended, *noted(outcome.notes)], *parts)
-
-
-def simulation_parts(figures: Mapping[str, float], columns: Mapping[str, Array], steps: int, evaluations: int) -> list[Part]:
-    """Return the tables of a simulation in time, as computed or as stored.
-
-    Parameters
-    ----------
-    figures : mapping of str to float [SI]
-    columns : mapping of str to array (n,) [SI]
-    steps, evaluations : int
-        Steps of the integrator and evaluations of the accelerations.
-    """
-    speed, turns = figures["end.speed_rad_s"], figures["end.crank_angle_rad"] / (2.0 * math.pi)
+    figures = outcome.figures
+    speed, turns = figures["end.speed_rad_s"], figures["end.crank_angle_rad"] / TURN
     end = [
         ("time", number(figures["end.time_s"]), "s"),
         ("crank angle", number(figures["end.crank_angle_rad"]), f"rad ({turns:z.4f} turns)"),
@@ -271,12 +242,21 @@ def simulation_parts(figures: Mapping[str, float], columns: Mapping[str, Array],
     account = [("work of the drive" if name == "input" else f"work of {name}", number(work), "J") for name, work in works.items()]
     share = figures["imbalance_J"] / figures["turnover_J"] if figures["turnover_J"] > 0.0 else 0.0
     account += [
-        ("gain of kinetic and potential energy", number(float(columns["energy.gained_J"][-1])), "J"),
+        ("gain of kinetic and potential energy", number(float(outcome["energy.gained_J"][-1])), "J"),
         ("largest imbalance during the run", f"{figures['imbalance_J']:.1e}", f"J, {share:.1e} of the largest amount"),
     ]
     drift = f"{figures['drift_m']:.1e} m, {figures['drift_rad']:.1e} rad"
     tail = Paragraph(
         quiet(f"Drift of the twice integrated positions from the closed loops: at most {drift}"),
-        quiet(f"{steps} steps, {evaluations} evaluations"),
+        quiet(f"{outcome.steps} steps, {outcome.evaluations} evaluations"),
     )
-    return [table("At the end", "<><", end), table("Energy account", "<><", account), tail]
+    ended = verdict(outcome.ending.value, outcome.finished), f", driven by {outcome.driven}{unnoted(outcome)}"
+    status = [ended, *noted(outcome.notes)]
+    tables = table("At the end", "<><", end), table("Energy account", "<><", account)
+    return summary(outcome.problem.model.title, status, *tables, tail)
+
+
+def unnoted(outcome: Simulation) -> str:
+    """Return why a simulation ended, where no note says so."""
+    text = outcome.ending.text
+    return "" if any(note.startswith(text) for note in outcome.notes) else f"; {text}"

@@ -11,7 +11,7 @@ from optlink.errors import Status
 from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import fixed_design
 from optlink.problem.mechanism import sizes_of
-from optlink.report.chart_spec import Array, Axis, Band, ChartSpec, Curve, Line, Mark, Panel, Picks, crank_angle
+from optlink.report.chart_spec import Array, Axis, Band, ChartSpec, Curve, Line, Mark, Panel, Picks, crank_angle, max_abs
 from optlink.report.files import verdict
 from optlink.report.format import change, number
 from optlink.report.html import chart_plotly
@@ -29,13 +29,7 @@ MAX_PANELS = 4  # largest number of stacked panels in a chart of the page
 
 
 def charts(result: Balance) -> list[ChartSpec]:
-    """Return the charts of a balancing result.
-
-    Parameters
-    ----------
-    result : Balance
-        As computed or as stored.
-    """
+    """Return the charts of a balancing result, as computed or as stored."""
     return [*trade_off(result), *cycle_charts(result)]
 
 
@@ -78,7 +72,7 @@ def before_after(result: Balance) -> list[ChartSpec]:
     if abs(abs(x[-1] - x[0]) + abs(x[1] - x[0]) - 360.0) < 1e-6:  # a whole revolution is closed
         closing = [x[0] + math.copysign(360.0, x[1] - x[0])]
     angles = np.append(x, closing)
-    axis = crank_angle(limits=(float(np.min(angles)), float(np.max(angles))))
+    axis = crank_angle(limits=(np.min(angles), np.max(angles)))
     heading = f"{result.problem.model.title}: least {result.measure}"
     specs = []
     for row, (title, group, file) in enumerate(groups):
@@ -89,7 +83,7 @@ def before_after(result: Balance) -> list[ChartSpec]:
 
 def _panel(result: Balance, measure: BalanceMeasure, angles: Array, default: str) -> Panel:
     old, new = (_amounts(result, measure, when) for when in ("before", "after"))
-    unit = scale(float(np.max(np.abs([old, new]))), measure.unit)
+    unit = scale(max_abs(np.array([old, new])), measure.unit)
     old_rms, new_rms = (float(np.sqrt(np.mean(values * values))) for values in (old, new))
     share = f" ({change(new_rms / old_rms - 1.0)})" if old_rms > 0.0 else ""
     shown = unit.text(new_rms) if new_rms > 1e-12 * old_rms else "0"
@@ -102,8 +96,8 @@ def _panel(result: Balance, measure: BalanceMeasure, angles: Array, default: str
     bounds = [limit.bound for limit in result.limits if limit.name == f"largest {name}"]
     signs = (1.0,) if measure.unit == "N" else (1.0, -1.0)
     lines = [Line(sign * bound * unit.factor, "", LIMIT, gid="limit") for bound in bounds for sign in signs]
-    positive = measure.unit == "N" and float(np.min([old, new])) >= 0.0
-    top = max(float(np.max([before, after])), *(line.at for line in lines), 0.0)
+    positive = measure.unit == "N" and np.min([old, new]) >= 0.0
+    top = max(np.max([before, after]), *(line.at for line in lines), 0.0)
     return Panel(Axis(f"{name}\n[{unit.unit}]", (0.0, 1.06 * top) if positive and top > 0.0 else None), curves, lines=lines)
 
 
@@ -118,17 +112,17 @@ def hodograph(result: Balance) -> ChartSpec:
     """Plot the hodograph of the shaking force over the motion before and after balancing, with equal scales."""
     names = (("before", INITIAL, 1.4, "initial"), ("after", RESULT, 2.1, "balanced"))
     paths = [np.stack([result.columns[f"{when}.shaking_force_{axis}_N"] for axis in "xy"], axis=-1) for when, *_ in names]
-    largest = float(np.max(np.abs(paths[0])))
+    largest = max_abs(paths[0])
     unit = scale(largest, "N")
     centre = Curve(np.zeros(1), np.zeros(1), "", TARGET, mode="markers", symbol="plus", size=10.0, legend=False, hover=False)
     curves, marks = [centre], []
     for (_, colour, width, name), path in zip(names, paths, strict=True):
-        most, drawn = float(np.max(np.linalg.norm(path, axis=1))), path * unit.factor
+        most, drawn = np.max(np.linalg.norm(path, axis=1)), path * unit.factor
         closed, middle = np.concatenate([drawn, drawn[:1]]), np.mean(drawn, axis=0)
         recorded = f"{name}: at most {unit.text(most) if most > 1e-12 * largest else '0'}"
         curves.append(Curve(closed[:, 0], closed[:, 1], recorded, colour, width, gid=f"hodograph {name}"))
         if most < 0.02 * largest:  # degenerates to a point: no crank angles to mark
-            marks.append(Mark(float(middle[0]), float(middle[1]), "", colour, size=6.0))
+            marks.append(Mark(middle[0], middle[1], "", colour, size=6.0))
             continue
         for turned in range(0, 360, 60):
             k = int(np.argmin(np.abs(np.mod(result.columns["crank_angle_deg"] - turned + 180.0, 360.0) - 180.0)))
@@ -165,11 +159,11 @@ def trade_off(result: Balance) -> list[ChartSpec]:
     names = {0: f"least {trade.first.quantity}", len(trade.points) - 1: f"least {trade.second.quantity}"}
     if trade.knee is not None:
         names[trade.knee] = "knee"
-    marks = [Mark(float(initial[0]), float(initial[1]), "initial machine", TARGET, "square", 6.5, font=9.0)]
+    marks = [Mark(initial[0], initial[1], "initial machine", TARGET, "square", 6.5, font=9.0)]
     for k, name in names.items():
         shares = (change(value / before - 1.0) for value, before in zip(trade.points[k].realised, trade.before, strict=True))
         text = f"{name}\n{', '.join(f'{_short(m)} {share}' for m, share in zip(objectives, shares, strict=True))}"
-        marks.append(Mark(float(real[k, 0]), float(real[k, 1]), text, LIMIT, size=7.0, prefer=(0.7, 0.7), gid=name))
+        marks.append(Mark(real[k, 0], real[k, 1], text, LIMIT, size=7.0, prefer=(0.7, 0.7), gid=name))
     panels = [Panel(Axis(f"{trade.second} [{units[1].unit}]"), curves, 2.0, marks=marks)]
     crank = result.original.mechanism.crank.body
     bodies = [body for body in result.original.mechanism.bodies if body != crank]

@@ -8,8 +8,8 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from optlink.linkage.motion import sweep
-from optlink.linkage.vector2d import Array
+from optlink.linkage.motion import Motion, sweep
+from optlink.linkage.vector2d import TURN, Array
 from optlink.report.drawing import Sketch
 from optlink.report.labels import Label, in_points, lay_out, place_labels
 from optlink.report.style import figure, heading, scale, styled
@@ -24,12 +24,10 @@ def mechanism(result: Balance) -> Figure | None:
     machine = result.heavier
     sketch = Sketch(sweep(machine.mechanism, machine.sizes, result.angles, result.speed), machine)
     for counterweight in result.added:
-        size = _size(counterweight, sketch)
-        path = sketch.placed(sketch.motion, counterweight.body, _centre(counterweight, sketch))[:, 0]
-        corners = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]]) * size
-        sketch.widen((path[:, None, :] + corners).reshape(-1, 2))
+        corners = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]]) * _size(counterweight, sketch)
+        sketch.widen((_centres(counterweight, sketch, sketch.motion)[:, None, :] + corners).reshape(-1, 2))
     start = result.problem.model.drive.start.value
-    turn = math.copysign(2.0 * math.pi, result.speed)
+    turn = math.copysign(TURN, result.speed)
     full = len(result.angles) == (result.problem.model.balance.positions if result.problem.model.balance else 0)
     places = [start, start + 0.5 * turn] if full else [float(result.angles[0]), float(result.angles[-1])]
     panel = 5.2
@@ -40,17 +38,11 @@ def mechanism(result: Balance) -> Figure | None:
         position = sweep(machine.mechanism, machine.sizes, np.array([at]), result.speed)
         labels += sketch.show(axes, position)
         for counterweight in result.added:
-            shown.append((axes, counterweight, sketch.placed(position, counterweight.body, _centre(counterweight, sketch))[0, 0]))
-            _disc(axes, sketch, counterweight, shown[-1][2])
-            path = sketch.placed(sketch.motion, counterweight.body, _centre(counterweight, sketch))[:, 0]
-            axes.plot(
-                *path.T,
-                color=sketch.colours[counterweight.body],
-                linewidth=0.8,
-                linestyle=":",
-                zorder=1,
-                gid=f"track {counterweight.body}",
-            )
+            centre, body = _centres(counterweight, sketch, position)[0], counterweight.body
+            shown.append((axes, counterweight, centre))
+            _disc(axes, sketch, counterweight, centre)
+            x, y = _centres(counterweight, sketch, sketch.motion).T
+            axes.plot(x, y, color=sketch.colours[body], linewidth=0.8, linestyle=":", zorder=1, gid=f"track {body}")
         axes.set_title(f"φ {math.degrees(at) % 360.0:.4g}°", fontsize=9.5)
     sketch.add_legend(fig)
     fig.suptitle(heading(f"{result.problem.model.title}: counterweights to scale", 2.0 * panel), fontsize=11)
@@ -60,8 +52,9 @@ def mechanism(result: Balance) -> Figure | None:
     return fig
 
 
-def _centre(counterweight: AddedCounterweight, sketch: Sketch) -> Array:
-    return np.array([counterweight.place]) * sketch.scale.factor
+def _centres(counterweight: AddedCounterweight, sketch: Sketch, motion: Motion) -> Array:
+    """Return the centres of a counterweight in a motion (positions, 2), in the display unit."""
+    return sketch.placed(motion, counterweight.body, np.array([counterweight.place]) * sketch.scale.factor)[:, 0]
 
 
 def _size(counterweight: AddedCounterweight, sketch: Sketch) -> float:
@@ -85,4 +78,4 @@ def _mass_label(axes: Axes, sketch: Sketch, counterweight: AddedCounterweight, c
     size = f"{'gyration' if radius is None else '∅'} {scale(shown, 'm').text(shown)}"
     text = f"{counterweight.body}: {counterweight.mass:.4g} kg\n{size}"
     clear = in_points(axes, _size(counterweight, sketch))
-    return Label(axes, (float(centre[0]), float(centre[1])), text, sketch.colours[counterweight.body], 8.5, clear)
+    return Label(axes, (centre[0], centre[1]), text, sketch.colours[counterweight.body], 8.5, clear)

@@ -21,7 +21,7 @@ from optlink.report.table_spec import (
     summary,
     table,
 )
-from optlink.report.views.short_text import first_rows, objective_line, short_text
+from optlink.report.views.short_text import objective_line, short_text
 from optlink.tasks.results.balance import Balance, TradeOff
 from optlink.units import percent
 
@@ -42,7 +42,7 @@ def balance(outcome: Balance) -> Summary:
         if outcome.trade is not None:
             parts.append(_trade(outcome.trade))
         measured = objective_line(replace(objective, rows=objective.rows[:2]))
-        short = short_text(title, [*status, measured], _in_words(added), first_rows(limits))
+        short = short_text(title, [*status, measured], _in_words(added), limits)
     effort = f"{outcome.solver}, {outcome.iterations} iterations, {len(outcome.angles)} positions; {times(outcome.seconds)}"
     return replace(summary(title, status, *parts, Paragraph(quiet(effort), appendix=True)), short=short)
 
@@ -65,23 +65,17 @@ def _objective(outcome: Balance) -> TableSpec:
 
 def _added(outcome: Balance) -> TableSpec:
     rows: list[Row] = []
-    for counterweight in outcome.added:
-        x, y = counterweight.place
-        size, what = (
-            (counterweight.radius, "disc") if counterweight.radius is not None else (counterweight.gyration, "of gyration")
-        )
-        thickness = (
-            counterweight.specification.thickness_of(counterweight.mass) if counterweight.specification.kind == "disc" else None
-        )
+    for weight in outcome.added:
+        x, y = weight.place
+        size, what = (weight.gyration, "of gyration") if weight.radius is None else (weight.radius, "disc")
+        thickness = weight.specification.thickness_of(weight.mass) if weight.specification.kind == "disc" else None
         if thickness is not None:
             what += f" x {number(thickness * 1e3, 4)} mm"
-        along, across = (
-            float(counterweight.parameters.along),
-            _tiny(float(counterweight.parameters.across), float(counterweight.parameters.along)),
-        )
+        along = float(weight.parameters.along)
+        across = _tiny(float(weight.parameters.across), along)
         moment = number(math.hypot(along, across)), fixed(math.degrees(math.atan2(across, along)), 2)
         place = f"({number(x * 1e3, 5)}, {number(y * 1e3 if abs(y) > 1e-9 * abs(x) else 0.0, 5)})"
-        rows.append((counterweight.body, number(counterweight.mass), place, *moment, number(size * 1e3, 5), quiet(what)))
+        rows.append((weight.body, number(weight.mass), place, *moment, number(size * 1e3, 5), quiet(what)))
     for spring in outcome.springs:
         ends = "-".join(point for _, point in spring.specification.ends)
         made = f"spring {ends}: {number(spring.stiffness)} N/m, free length {number(spring.free * 1e3)} mm"
@@ -129,9 +123,8 @@ def _limits(outcome: Balance) -> Part:
             together.setdefault(frozenset(names), f"limits that gain less alone than together: {joined(names)}")
         rows.append((limit.name, f"{limit.sense} {limit.bound:.6g} {limit.unit}", price))
     if not rows:
-        return Paragraph(
-            strong("Active constraints"), "none: only the permitted counterweights and springs determine this optimum"
-        )
+        none = "none: only the permitted counterweights and springs determine this optimum"
+        return Paragraph(strong("Active constraints"), none)
     return table("Active constraints and their shadow prices", "<<<", rows, notes=[*map(quiet, together.values())])
 
 

@@ -23,19 +23,13 @@ CONTINUE = "to continue the proof: --certify with a longer --time-limit or a lar
 def certificate_table(certificate: Certificate, shown: Shown, seconds: Mapping[str, float]) -> TableSpec:
     """Tabulate a certificate: best design and lower bound, gap, effort, finding, and how to continue a proof that is not closed.
 
-    Parameters
-    ----------
-    shown : function of an objective [SI]
-        Returns it in its display unit.
-    seconds : mapping of str to float [s]
-        Wall time per stage.
+    `shown` returns an objective [SI] in its display unit; `seconds` is the wall time per stage.
     """
     rows: list[Row] = []
     objective, bound = certificate.objective, certificate.lower_bound
-    digits = 6
+    digits = min(14, max(6, 2 - math.floor(math.log10(certificate.gap)))) if 0.0 < certificate.gap < 1.0 else 6
     value, unit, name = shown(objective).value, *shown(objective if math.isfinite(objective) else bound)[2:]
     if math.isfinite(objective):
-        digits = min(14, max(6, 2 - math.floor(math.log10(certificate.gap)))) if 0.0 < certificate.gap < 1.0 else 6
         rows.append(("best design", strong(f"{value:.{digits}g}"), unit, quiet(name * (name != "objective"))))
     if math.isfinite(bound):
         rows.append(("lower bound", strong(rounded_down(shown(bound).value, digits)), unit, quiet(ROUNDING_NOTE)))
@@ -101,18 +95,8 @@ def certificate_charts(
 ) -> list[ChartSpec]:
     """Return the boxes of two design variables, and the bounds of the objective against the number of boxes.
 
-    Parameters
-    ----------
-    title : str
-        Of the problem.
-    shown : function of an objective [SI]
-        Returns it in its display unit.
-    design : mapping of str to float [SI]
-        Of the best design; empty if there is none.
-    assembly : object
-        Its assembly mode, in the words of the problem file.
-    display : function of a name
-        Returns factor and display unit of a design variable.
+    `design` [SI] and `assembly`, its mode in the words of the file, are those of the best design, empty if there is none; `shown`
+    returns an objective [SI] in its display unit, `display` factor and unit of a design variable.
     """
     if certificate is None:
         return []
@@ -161,6 +145,6 @@ def _bounds(certificate: Certificate, title: str, shown: Shown) -> ChartSpec:
     ]
     unit = pretty(shown(certificate.objective).unit)
     axis = Axis(f"objective [{unit}]" if unit else "objective")
-    x = Axis("boxes examined", (float(boxes[0]), float(boxes[-1])), "log")
+    x = Axis("boxes examined", (boxes[0], boxes[-1]), "log")
     name, heading = "Global search: bounds of the objective", f"{title}: bounds of the objective"
     return ChartSpec("bounds", name, [Panel(axis, curves, 1.4)], x, heading, certificate.text, cursor=False)

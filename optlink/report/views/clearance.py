@@ -1,21 +1,15 @@
-"""Charts of a simulation with joint clearance, and the HTML sections of a stored one and of a control comparison."""
+"""Charts and page of a simulation with joint clearance."""
 
 import math
-from collections.abc import Mapping
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from optlink.clearance.controller import Control
-from optlink.clearance.integration import Impact
-from optlink.clearance.output import outputs
-from optlink.clearance.statistics import Prediction
 from optlink.dynamics.columns import MotionColumns
-from optlink.problem.base_model import Contradiction
-from optlink.problem.file import ProblemFile
-from optlink.report.chart_spec import TIME, Array, Axis, ChartSpec, Curve, Dash, Panel, Span
+from optlink.linkage.vector2d import TURN
+from optlink.report.chart_spec import TIME, Array, Axis, ChartSpec, Curve, Dash, Panel, Span, max_abs
 from optlink.report.html import chart_plotly
 from optlink.report.html.moving_linkage import Moving, in_time
 from optlink.report.html.shell import PageSection, StoredStudy
@@ -36,21 +30,14 @@ from optlink.report.views.revolutions import (
     rough,
 )
 from optlink.report.views.simulation import largest
-from optlink.tasks.machine import machine_of
-from optlink.tasks.results.clearance import ClearanceRecord, ClearanceSimulation
+from optlink.tasks.results.clearance import ClearanceSimulation
 
 MAX_MARKERS = 60  # number of revolutions up to which each has a marker
 ENLARGE_RATIO = 4.0  # ratio to the ideal torque beyond which a second panel enlarges the latter
 
 
 def charts(result: ClearanceSimulation) -> list[ChartSpec]:
-    """Return the charts of a simulation with clearance; none if it was interrupted in its first revolution.
-
-    Parameters
-    ----------
-    result : ClearanceSimulation
-        As computed or as stored.
-    """
+    """Return the charts of a simulation with clearance, as computed or as stored; none if it ended in its first revolution."""
     turns = RevolutionCurves(result)
     if not turns:
         return []
@@ -64,8 +51,8 @@ def charts(result: ClearanceSimulation) -> list[ChartSpec]:
 def displacement(turns: RevolutionCurves) -> list[ChartSpec]:
     """Plot the output with and without clearance and its deviation over the last revolutions, over time and crank angle."""
     out, value, deviation, rows, advance = turns.result.output, turns.output, turns.error, turns.rows(WINDOW), turns.advance
-    unit = turns.shares(float(np.max(np.abs(value))))
-    small = turns.shares(float(np.max(np.abs(deviation[turns.rows(turns.shown)]))))
+    unit = turns.shares(max_abs(value))
+    small = turns.shares(max_abs(deviation[turns.rows(turns.shown)]))
     time, ideal = turns.time[rows], value - deviation
     motions = [
         Curve(time, value[rows] * unit.factor, "with clearance", ROCKER, 1.7, gid="output"),
@@ -73,8 +60,8 @@ def displacement(turns: RevolutionCurves) -> list[ChartSpec]:
     ]
     deviation_curve = Curve(time, deviation[rows] * small.factor, f"deviation of {out.name}", LIMIT, 1.3, gid="error")
     if advance:  # over the crank angle, a fully rotating output is shown within one turn
-        lowest = float(np.nanmin(turns.fold(value, turns.rows(1), advance)[1]))
-        value, ideal = (part - 2.0 * math.pi * math.floor(lowest / (2.0 * math.pi) + 1e-6) for part in (value, ideal))
+        lowest = np.nanmin(turns.fold(value, turns.rows(1), advance)[1])
+        value, ideal = (part - TURN * math.floor(lowest / TURN + 1e-6) for part in (value, ideal))
     x, y = turns.fold(ideal * unit.factor, turns.rows(1), advance * unit.factor)
     folded = turns.overlay(value, unit, "with clearance", ROCKER, advance)
     folded.append(Curve(x, y, "ideal machine", TARGET, 1.1, "dash", gid="ideal"))
@@ -102,15 +89,14 @@ def measured(turns: RevolutionCurves) -> list[ChartSpec]:
         rows[name][last]
         for name in ("time_s", f"measured_{out.unit}", f"simulated_{out.unit}", f"ideal_{out.unit}", f"difference_{out.unit}")
     )
-    unit, without = turns.shares(float(np.max(np.abs(simulated)))), np.asarray(out.difference(values, ideal))
-    small = turns.shares(max(float(np.max(np.abs(part))) for part in (lost, without)))
+    unit, without = turns.shares(max_abs(simulated)), np.asarray(out.difference(values, ideal))
+    small = turns.shares(max(max_abs(part) for part in (lost, without)))
     sparse = len(time) <= MAX_MARKERS * WINDOW
     points = partial(Curve, time, mode="lines+markers" if sparse else "lines", size=3.0)
+    look: dict[str, Any] = {"mode": "markers", "size": 3.5} if sparse else {"width": 1.1, "dash": "dash"}
     motions = [
         Curve(time, simulated * unit.factor, "simulated", ROCKER, 1.7, gid="simulated"),
-        Curve(time, values * unit.factor, "measured", TARGET, size=3.5, mode="markers", gid="measured")
-        if sparse
-        else Curve(time, values * unit.factor, "measured", TARGET, 1.1, "dash", gid="measured"),
+        Curve(time, values * unit.factor, "measured", TARGET, gid="measured", **look),
     ]
     differences = [
         points(without * small.factor, "measured minus ideal machine", MUTED, 1.1, gid="from ideal"),
@@ -122,11 +108,8 @@ def measured(turns: RevolutionCurves) -> list[ChartSpec]:
     ]
     rms = turns.result.figures[f"measured.rms_{out.unit}"]
     caption = f"RMS of measured minus simulated {rms * small.factor:.4g} {small.unit}"
-    return [
-        ChartSpec(
-            "measured", f"Measured and simulated {out.name}", panels, Axis(TIME), turns.title("measured and simulated"), caption
-        )
-    ]
+    title, heading = f"Measured and simulated {out.name}", turns.title("measured and simulated")
+    return [ChartSpec("measured", title, panels, Axis(TIME), heading, caption)]
 
 
 def _forces_over_time(turns: RevolutionCurves, rows: slice) -> ChartSpec:
@@ -151,7 +134,7 @@ def error(turns: RevolutionCurves) -> list[ChartSpec]:
     if numbers is None or not len(numbers):
         return []
     rms, peak = result.per_revolution[f"rms_{unit}"], result.per_revolution[f"peak_{unit}"]
-    shown = turns.shares(float(np.max(peak)))
+    shown = turns.shares(np.max(peak))
     plotted = partial(Curve, numbers, mode="lines+markers" if len(numbers) <= MAX_MARKERS else "lines", size=3.5)
     low, high = float(numbers[0]) - 0.5, float(numbers[-1]) + 0.5
     ends = np.array([max(turns.begin - 0.5, low), high])
@@ -161,21 +144,21 @@ def error(turns: RevolutionCurves) -> list[ChartSpec]:
         Curve(ends, np.full(2, turns.rms * shown.factor), f"RMS over {turns.counted}", TARGET, 1.1, "dash", gid="whole"),
     ]
     largest = [result.per_revolution[f"{gap.point}.normal_max_N"] for gap in result.gaps]
-    force = scale(float(np.max(largest)), "N")
+    force = scale(np.max(largest), "N")
     forces = [
         plotted(values * force.factor, f"force at {gap.point}", BODIES[k % len(BODIES)], 1.3)
         for k, (gap, values) in enumerate(zip(result.gaps, largest, strict=True))
     ]
-    top = from_zero(float(np.max(peak)) * shown.factor), from_zero(float(np.max(largest)) * force.factor)
+    top = from_zero(np.max(peak) * shown.factor), from_zero(np.max(largest) * force.factor)
     panels = [
         Panel(Axis(f"deviation of {out.name} [{shown.unit}]", top[0]), deviations, 1.5),
         Panel(Axis(f"largest contact force [{force.unit}]", top[1]), forces),
     ]
     spans = [Span(low, turns.begin - 0.5, "running-in, left out", SHADE)] if turns.begin - 0.5 > low else []
     counted, si = numbers >= turns.begin, "m" if unit == "m" else "deg"
-    caption = f"RMS {rough(turns.rms, si)}, peak {rough(float(np.max(peak[counted])), si)}"
+    caption = f"RMS {rough(turns.rms, si)}, peak {rough(np.max(peak[counted]), si)}"
     if int(np.sum(counted)) > 1:
-        caption += f", RMS of single revolutions ±{float(np.std(rms[counted], ddof=1)) * shown.factor:.2g}"
+        caption += f", RMS of single revolutions ±{np.std(rms[counted], ddof=1) * shown.factor:.2g}"
         caption += "°" if si == "deg" else f" {shown.unit}"
     heading = turns.title(f"deviation of {out.name}", turns.counted)
     x = revolution_axis(numbers)
@@ -198,8 +181,8 @@ def torque(turns: RevolutionCurves) -> list[ChartSpec]:
     """Plot the driving torque of the last revolution with and without clearance; a small ideal torque is enlarged below."""
     values, ideal = turns.result[TORQUE], _ideal_torque(turns)
     last, largest = values[turns.rows(1)], turns.peak(TORQUE, 1)
-    rms = math.sqrt(float(np.mean(last[-turns.points :] ** 2)))
-    near = 0.0 if ideal is None else float(np.nanmax(np.abs(ideal[1]), initial=0.0))
+    rms = math.sqrt(np.mean(last[-turns.points :] ** 2))
+    near = 0.0 if ideal is None else np.nanmax(np.abs(ideal[1]), initial=0.0)
     crank = turns.result.machine.mechanism.crank.body
     panels, views = [], (False, True) if 0.0 < ENLARGE_RATIO * near < largest else (False,)
     for close in views:
@@ -208,11 +191,11 @@ def torque(turns: RevolutionCurves) -> list[ChartSpec]:
         name = f"with clearance: RMS {rough(rms, 'N m')}, largest {rough(largest, 'N m')}"
         curves = [Curve(x, y, name, CRANK, 1.4, legend=not close, gid="last revolution")]
         if ideal is not None:
-            even = math.sqrt(float(np.mean(ideal[1] ** 2)))
+            even = math.sqrt(np.mean(ideal[1] ** 2))
             name = f"ideal machine: RMS {rough(even, 'N m')}, largest {rough(near, 'N m')}"
             curves.append(Curve(ideal[0], ideal[1] * unit.factor, name, TARGET, 1.4, "dash", legend=not close, gid="ideal"))
         limits = (-1.6 * near * unit.factor, 1.6 * near * unit.factor) if close else None
-        if float(np.ptp(last)) < 1e-6 * largest:  # constant torque: start at zero instead of showing rounding errors
+        if np.ptp(last) < 1e-6 * largest:  # constant torque: start at zero instead of showing rounding errors
             ends = sorted((0.0, 1.15 * float(last[0]) * unit.factor))
             limits = ends[0], ends[1]
         note = "near the ideal machine's torque, cut off" if close else ""
@@ -247,19 +230,19 @@ def energy(turns: RevolutionCurves) -> list[ChartSpec]:
     stored = result["energy.kinetic_J"] + result["energy.potential_J"] + result["energy.contact_J"]
     gained = stored - stored[0]
     supplied, lost = _works(turns)
-    unit = scale(max(float(np.max(np.abs(work))) for work in (*supplied.values(), gained)), "J")
+    unit = scale(max(max_abs(work) for work in (*supplied.values(), gained)), "J")
     above = []
     for k, (name, work) in enumerate(supplied.items()):
         words, colour = ("drive", CRANK) if name == "drive" else (name, BODIES[(k + 1) % len(BODIES)])
         above.append(Curve(time, work * unit.factor, f"work of {words}", colour, 1.3, gid=f"work {name}"))
     above.append(Curve(time, gained * unit.factor, "energy gained", TARGET, 1.0, "dash", gid="gained"))
     total = sum(supplied.values()) - gained
-    most = max([float(np.max(np.abs(total))), *(float(np.max(np.abs(work))) for work in lost.values())])
+    most = max([max_abs(total), *(max_abs(work) for work in lost.values())])
     small, below = scale(most, "J"), []
     points = [gap.point for gap in result.gaps]
     for name, work in lost.items():
         point, _, kind = name.rpartition(".")
-        if float(np.max(np.abs(work))) > 1e-9 * most or kind == "impact":
+        if max_abs(work) > 1e-9 * most or kind == "impact":
             words = "by friction" if kind == "friction" else "in contact"
             dash: Dash = "solid" if kind == "friction" else "dashdot"
             colour = BODIES[points.index(point) % len(BODIES)]
@@ -268,7 +251,7 @@ def energy(turns: RevolutionCurves) -> list[ChartSpec]:
     missing = np.abs(total - sum(lost.values())) / largest
     low = 10.0 ** math.floor(math.log10(max(float(np.percentile(missing[1:], 5.0)), 1e-16)) - 1.0)
     share = Curve(time, np.maximum(missing, 1e-17), "imbalance", MUTED, 1.0, legend=False, gid="imbalance")
-    limits = low, max(1e-8, 10.0 * float(np.max(missing)))
+    limits = low, max(1e-8, 10.0 * np.max(missing))
     panels = [
         Panel(Axis(f"energy [{unit.unit}]"), above, 1.5),
         Panel(Axis(f"losses [{small.unit}]"), below, 1.3),
@@ -279,84 +262,16 @@ def energy(turns: RevolutionCurves) -> list[ChartSpec]:
     return [ChartSpec("energy", "Energy account", panels, Axis(TIME), heading, caption)]
 
 
-class _Table(dict[str, Any]):
-    """Table of a record whose missing entries are reported."""
-
-    def __init__(self, name: str, entries: Mapping[str, Any]) -> None:
-        super().__init__({key: value for key, value in entries.items() if isinstance(value, np.ndarray) or math.isfinite(value)})
-        self.name = name
-
-    def __missing__(self, key: str) -> Any:
-        raise Contradiction(f"{self.name}.{key}", "this is missing")
-
-
-# --- reading -----------------------------------------------------------------------------------------------------------------
-
-
-def read(record: ClearanceRecord, file: ProblemFile) -> ClearanceSimulation:
-    """Return a stored simulation with clearance.
-
-    Parameters
-    ----------
-    file : ProblemFile
-        The problem that was simulated.
-
-    Raises
-    ------
-    Contradiction
-        If the record is not that of the problem, or lacks what the report needs.
-    """
-    machine = machine_of(file)
-    available, names = outputs(machine), [gap.point for gap in record.gaps]
-    if record.output not in available:
-        raise Contradiction("output", "the problem has no such output", record.output)
-    for k, impact in enumerate(record.impacts):
-        if impact.gap not in names:
-            raise Contradiction(f"impacts[{k}].gap", "no joint of that name has a clearance", impact.gap)
-    impacts = [Impact(**dict(impact) | {"gap": names.index(impact.gap)}) for impact in record.impacts]
-    caption = record.prediction
-    predicted = None if caption is None else Prediction(caption.parted_revolutions, caption.watched, math.nan)
-    output = available[record.output]
-    tables = {name: _Table(name, getattr(record, name)) for name in ("columns", "per_revolution", "poincare_map", "figures")}
-    result = record.build(
-        ClearanceSimulation, problem=file, machine=machine, output=output, impacts=tuple(impacts), prediction=predicted, **tables
-    )
-    _check_keys(result)
-    return result
-
-
-def _check_keys(result: ClearanceSimulation) -> None:
-    """Check that the simulation can be divided into revolutions."""
-    if result.figures["settled_revolutions"] > result.revolutions:
-        raise Contradiction("figures.settled_revolutions", "these are more than all revolutions")
-    if not result.revolutions:
-        return
-    if len(result.columns["time_s"]) < 2 or not np.all(np.diff(result.columns["time_s"]) > 0.0):
-        raise Contradiction("columns.time_s", "its times do not rise")
-
-
 # --- the page ----------------------------------------------------------------------------------------------------------------
 
 
-def stored_study(record: ClearanceRecord, file: ProblemFile, _: Path) -> StoredStudy:
-    """Build the report of a stored simulation with clearance.
-
-    Parameters
-    ----------
-    file : ProblemFile
-        The problem that was simulated.
-
-    Raises
-    ------
-    InputError
-        If the record is damaged.
-    """
-    result = read(record, file)
+def page(result: ClearanceSimulation) -> StoredStudy:
+    """Return the page of a simulation with clearance."""
     shown = clearance_tables.simulation(result)
     curves = chart_plotly.charts(charts(result)) if result.revolutions else ()
     control = "" if result.control is Control.NONE else f"; control: {result.control}"
     return StoredStudy(
-        problem=file,
+        problem=result.problem,
         kind="simulation with clearance",
         verdict="Finished" if result.finished else f"Not finished: {result.ending.value}",
         valid=result.finished,
@@ -371,7 +286,7 @@ def stored_study(record: ClearanceRecord, file: ProblemFile, _: Path) -> StoredS
 
 def _moving(result: ClearanceSimulation, steps: int) -> Moving | None:
     """Animate the machine without clearance over the last revolutions."""
-    cycle = cycle_of(result.problem, {}) if result.revolutions else None
+    cycle = cycle_of(result.problem, result.machine.sizes) if result.revolutions else None
     if cycle is None:
         return None
     turns = RevolutionCurves(result)
@@ -392,5 +307,6 @@ VIEW = View(
     charts=charts,
     drawings={"mechanism": magnified_joints.mechanism},
     tables=lambda result: {"play": result.columns} if result.columns else {},
-    page=stored_study,
+    page=page,
+    result=ClearanceSimulation,
 )

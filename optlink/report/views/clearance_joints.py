@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from optlink.clearance.integration import Impact
 from optlink.clearance.joint import Gap
-from optlink.report.chart_spec import CRANK_ANGLE, Array, Axis, ChartSpec, Curve, Panel
+from optlink.report.chart_spec import Array, Axis, ChartSpec, Curve, Panel, crank_angle, max_abs
 from optlink.report.format import round_below
 from optlink.report.style import BODIES, GROUND, LIMIT, MUTED, RESULT, TARGET, Scale, charts_per_row, scale
 from optlink.report.views.revolutions import (
@@ -42,15 +42,7 @@ def charts(turns: RevolutionCurves) -> list[ChartSpec]:
 
 
 def magnification(gap: Gap, deepest: float) -> float:
-    """Return the factor by which penetrations are magnified: a round number, 1 if they are visible to scale.
-
-    Parameters
-    ----------
-    gap : Gap
-        Joint with clearance.
-    deepest : float [m]
-        Largest penetration.
-    """
+    """Return the factor by which penetrations [m] are magnified: a round number, 1 if they are visible to scale."""
     return max(1.0, min(round_below(MAX_PENETRATION * gap.clearance / deepest), MAX_MAGNIFICATION)) if deepest > 0.0 else 1.0
 
 
@@ -109,7 +101,7 @@ def _eccentricity_chart(
 ) -> ChartSpec:
     """Return a chart of an eccentricity with equal scales around the clearance circle."""
     gap, count = turns.result.gaps[k], len(turns.result.gaps)
-    furthest = max(float(np.nanmax(np.hypot(curve.x, curve.y), initial=0.0)) for curve in curves)
+    furthest = max(np.nanmax(np.hypot(curve.x, curve.y), initial=0.0) for curve in curves)
     reach = 1.08 * max(gap.clearance * unit.factor, furthest)
     x, y = (Axis(f"e in {axis} [{unit.unit}]", (-reach, reach)) for axis in "xy")
     panel = Panel(y, [*_circle(gap, unit), *curves])
@@ -161,7 +153,7 @@ def force(turns: RevolutionCurves) -> list[ChartSpec]:
     for k, gap in enumerate(result.gaps):
         normal, rub, depth = (result[f"{gap.point}.{name}"] for name in ("normal_N", "rub_N", "penetration_m"))
         strongest = turns.peak(f"{gap.point}.normal_N", turns.shown)
-        unit, small = scale(strongest, "N"), scale(float(np.max(depth[rows])), "m")
+        unit, small = scale(strongest, "N"), scale(np.max(depth[rows]), "m")
         forces = turns.overlay(normal, unit, "normal force")
         if gap.friction or gap.damping:
             x, y = turns.fold(rub * unit.factor, last)
@@ -173,7 +165,7 @@ def force(turns: RevolutionCurves) -> list[ChartSpec]:
             at = np.degrees([impact.crank_angle for impact in joint_impacts]) % FULL
             peaks = np.array([impact.penetration for impact in joint_impacts]) * small.factor
             depths.append(ring(at, peaks, "deepest of an impact, where it begins", TARGET, size=3.5, gid="impact"))
-        limits, cut = clipped_limits(turns, normal * unit.factor, min(0.0, float(np.min(rub[last])) * unit.factor), 0.0)
+        limits, cut = clipped_limits(turns, normal * unit.factor, min(0.0, np.min(rub[last]) * unit.factor), 0.0)
         limits_below, cut_below = clipped_limits(turns, depth * small.factor, 0.0, deepest * small.factor)
         share = float(np.mean(result[f"{gap.point}.contact"][last][-turns.points :]))
         above = Panel(Axis(f"force [{unit.unit}]{cut}", limits), forces, 1.5)
@@ -219,11 +211,8 @@ def impacts(turns: RevolutionCurves) -> list[ChartSpec]:
         caption += f"; still in contact at the end: {', '.join(lasting)}"
     x = Axis("revolutions since the start", (float(begin), float(max(math.ceil(max(times)), begin + 1))))
     speeds = Axis(f"approach speed [{unit.unit}]", from_zero(fastest * unit.factor))
-    panels = [
-        Panel(speeds, above),
-        Panel(Axis(f"largest penetration [{small.unit}]", from_zero(deepest * small.factor)), below),
-    ]
-    where = Axis(CRANK_ANGLE, (0.0, FULL), step=60.0)
+    panels = [Panel(speeds, above), Panel(Axis(f"largest penetration [{small.unit}]", from_zero(deepest * small.factor)), below)]
+    where = crank_angle(limits=(0.0, FULL))
     return [
         ChartSpec("impacts", "Impacts over the revolutions", panels, x, turns.title("impacts"), caption, cursor=False),
         ChartSpec(
@@ -249,7 +238,7 @@ def repetition(turns: RevolutionCurves) -> tuple[int | None, float] | None:
         [result.poincare_map[f"{gap.point}.e{axis}_m"] / gap.clearance for gap in result.gaps for axis in "xy"], axis=1
     )
     late = places[-min(200, -(-count // 2)) :]
-    differences = {p: float(np.max(np.abs(late[p:] - late[:-p]))) for p in range(1, min(MAX_PERIOD, len(late) // 2) + 1)}
+    differences = {p: max_abs(late[p:] - late[:-p]) for p in range(1, min(MAX_PERIOD, len(late) // 2) + 1)}
     period = next((p for p, most in differences.items() if most < REPETITION_TOLERANCE), None)
     return period, differences[period or 1]
 
@@ -280,7 +269,7 @@ def poincare_map(turns: RevolutionCurves) -> list[ChartSpec]:
     if not result.poincare_map:
         return []
     numbers, values = result.poincare_map["revolution"], result.poincare_map[f"{out.name}.error_{out.unit}"]
-    unit, size = turns.shares(float(np.max(np.abs(values)))), 4.5 if len(numbers) < 300 else 2.0
+    unit, size = turns.shares(max_abs(values)), 4.5 if len(numbers) < 300 else 2.0
 
     def points(x: Array, y: Array, *, legend: bool = False) -> list[Curve]:
         early = numbers < turns.begin

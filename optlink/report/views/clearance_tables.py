@@ -51,7 +51,7 @@ def _error(outcome: ClearanceSimulation) -> TableSpec:
     ]
     rms = outcome.per_revolution[f"rms_{unit}"][-counted:]
     if len(rms) > 1:
-        rows.append(("scatter between revolutions", f"{float(np.std(rms)) * factor:.2g}", displayed))
+        rows.append(("scatter between revolutions", f"{np.std(rms) * factor:.2g}", displayed))
     return table(f"Deviation of {outcome.output.name} from the machine without clearance, {span}", "<><", rows)
 
 
@@ -108,8 +108,8 @@ def comparison(outcome: Comparison) -> Summary:
     rows: list[Row] = []
     for kind, trials in outcome.trials.items():
         gain = math.nan if kind == "none" or "none" not in outcome.trials else outcome.gain(kind)
-        effort, torque = math.degrees(float(np.mean(trials.correction))), float(np.mean(trials.torque))
-        sizes = [fixed(value * factor, 4) for value in (trials.mean, trials.scatter, float(np.max(trials.peak)))]
+        effort, torque = math.degrees(np.mean(trials.correction)), float(np.mean(trials.torque))
+        sizes = [fixed(value * factor, 4) for value in (trials.mean, trials.scatter, np.max(trials.peak))]
         row = [kind, *sizes, percent(gain) if math.isfinite(gain) else "", fixed(effort, 3), fixed(torque, 3)]
         rows.append([*row] if trials.finished else [bad(cell) for cell in row])
         if trials.stalled:
@@ -125,17 +125,11 @@ def tuning(outcome: Tuning) -> Summary:
     starts = "one crank angle" if outcome.starts == 1 else f"{outcome.starts} crank angles"
     runs = f"{outcome.revolutions} revolutions from each of {starts} at the start (seed {outcome.seed})"
     stopped = int(np.sum(~np.isfinite(outcome.costs)))
-    tried = f"{len(outcome.costs)} parameter sets tried" + (
-        f", {stopped} of them stalled or stopped early as worse" if stopped else ""
-    )
-    rows, words = (
-        [("parameters of the problem", fixed(outcome.before * factor, 4))],
-        Paragraph(
-            "No parameter set is better than that of the problem, which is kept"
-            if outcome.finished
-            else bad("No result: with every parameter set, that of the problem too, a run stalled")
-        ),
-    )
+    tried = f"{len(outcome.costs)} parameter sets tried"
+    tried += f", {stopped} of them stalled or stopped early as worse" if stopped else ""
+    rows = [("parameters of the problem", fixed(outcome.before * factor, 4))]
+    failed = bad("No result: with every parameter set, that of the problem too, a run stalled")
+    lines = ["No parameter set is better than that of the problem, which is kept" if outcome.finished else failed]
     if outcome.best:
         rows.append(("best parameters", fixed(outcome.cost * factor, 4)))
         rows.append(("scatter between starts", fixed(outcome.scatter * factor, 4)))
@@ -149,6 +143,5 @@ def tuning(outcome: Tuning) -> Summary:
                 lines = [bad("The best parameters are not better from other starts: the gain is an accident of these starts")]
             elif before.mean - best.mean < 2.0 * best.scatter:
                 lines.append(bad("Note: the gain from other starts is less than twice the scatter; check it with more starts"))
-        words = Paragraph(*lines)
     costs = table("Mean root mean square of the deviation", ["", f">{displayed}"], rows)
-    return summary(outcome.problem.model.title, [f"{outcome.control}: {runs}", tried], costs, words)
+    return summary(outcome.problem.model.title, [f"{outcome.control}: {runs}", tried], costs, Paragraph(*lines))

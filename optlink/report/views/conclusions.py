@@ -2,10 +2,11 @@
 
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 
 import numpy as np
 
+from optlink.linkage.vector2d import TURN
 from optlink.optimization.objectives import MEASURES
 from optlink.problem.cycle.model import REQUIRED, StrokeProblem
 from optlink.report.causes import why_invalid
@@ -16,7 +17,7 @@ from optlink.solvers.solution import LimitState
 from optlink.studies.pareto.epsilon_constraint import Pareto
 from optlink.studies.sensitivity import Sensitivities
 from optlink.studies.sweep import Sweep
-from optlink.studies.tolerance.analysis import ToleranceRecord
+from optlink.studies.tolerance.analysis import Tolerance
 from optlink.tasks.function import FunctionResult
 from optlink.tasks.results.analysis import Analysis
 from optlink.tasks.results.balance import Balance
@@ -25,6 +26,7 @@ from optlink.tasks.results.control_comparison import Comparison
 from optlink.tasks.results.cycle import CycleResult
 from optlink.tasks.results.fit import PathFit
 from optlink.tasks.results.path import PathDesign, PathResult
+from optlink.tasks.simulate import Simulation
 from optlink.units import percent
 
 NO_BREAK = "\N{NO-BREAK SPACE}"
@@ -35,13 +37,7 @@ ROUNDING = 1e-9  # share of the initial value below which the remainder is round
 
 
 def design(outcome: FunctionResult | PathResult | CycleResult, limits: Iterable[LimitState]) -> str:
-    """Return the conclusion of a synthesis or of the validation of a given design.
-
-    Parameters
-    ----------
-    limits : iterable of LimitState
-        Constraints with their shadow prices.
-    """
+    """Return the conclusion of a synthesis or of the validation of a given design; `limits` have the shadow prices."""
     best, certified = outcome.best, clause(outcome.certificate)
     if best is None or outcome.conflict:
         return _sentences(shown(outcome.refuted) or "No design was found.", certified)
@@ -71,7 +67,6 @@ def _function(outcome: FunctionResult) -> str:
 
 
 def _path(best: PathDesign) -> str:
-
     task, measured = best.task, best.measured
     unit = task.unit or ""
     least = math.degrees(best.least_transmission)
@@ -84,18 +79,17 @@ def _path(best: PathDesign) -> str:
         text = "The linkage meets every prescribed position exactly"
     elif unit == "m":
         text = f"The linkage passes the {len(measured.distances)} prescribed points within {si(most, 'm')}"
-        text += f" (root mean square {si(math.sqrt(float(np.mean(measured.distances**2))), 'm')})"
+        text += f" (root mean square {si(math.sqrt(np.mean(measured.distances**2)), 'm')})"
     else:
         text = f"The output follows the prescribed function within {si(most, unit)}"
     if measured.turned is not None and not exact:
-        text += f" and {si(float(np.max(np.abs(measured.turned))), 'rad')}"
+        text += f" and {si(np.max(np.abs(measured.turned)), 'rad')}"
     if isinstance(best.fit, PathFit) and best.fit.grade != best.fit.at_points:
         text += f", but deviates by {si(best.fit.excursion, 'm')} between {best.fit.segment}"
     return f"{text}; {grip}." if grip else f"{text}."
 
 
 def _cycle(outcome: CycleResult) -> str:
-
     stroke = isinstance(outcome.task, StrokeProblem)
     goals = [goal for goal in outcome.figures if goal.limit in ("minimised", "maximised")] or outcome.figures[:1]
     words = []
@@ -125,7 +119,7 @@ def _limiting(limits: Iterable[LimitState]) -> str:
 
 def sensitivities(result: Sensitivities) -> str:
     """Return the conclusion of a sensitivity analysis."""
-    if not result.moving:
+    if not result.displayed.moving:
         return "No prescribed value has an effect on this optimum, to first order."
     first = result.displayed.moving[0]
     base, factor, *_ = result.problem.model.shown_objective(result.solution.objective)
@@ -151,12 +145,8 @@ def analysis(outcome: Analysis) -> str:
         pin = max(forces, key=lambda name: forces[name])
         words.append(f"the largest joint reaction is {si(forces[pin], 'N')} at {pin.replace('.', ' on ')}")
     if not words:
-        words = [
-            f"the stroke of {name} is {si(travel.high - travel.low, 'm')}" for name, travel in list(outcome.strokes.items())[:2]
-        ]
-        words = words or [
-            f"the swing of {name} is {si(travel.high - travel.low, 'rad')}" for name, travel in list(outcome.swings.items())[:2]
-        ]
+        word, unit, travels = ("stroke", "m", outcome.strokes) if outcome.strokes else ("swing", "rad", outcome.swings)
+        words = [f"the {word} of {name} is {si(travel.span, unit)}" for name, travel in list(travels.items())[:2]]
     text = joined(words) if words else "the motion was computed"
     if not outcome.sound:
         text = f"not every position has finite reactions ({outcome.status}); {text}"
@@ -164,26 +154,19 @@ def analysis(outcome: Analysis) -> str:
     return f"{text[:1].upper()}{text[1:]}.{turn}"
 
 
-def simulation(figures: Mapping[str, float], finished: bool, message: str) -> str:
-    """Return the conclusion of a simulation in time.
-
-    Parameters
-    ----------
-    figures : mapping of str to float [SI]
-    message : str
-        Why it ended.
-    """
+def simulation(result: Simulation) -> str:
+    """Return the conclusion of a simulation in time."""
+    figures = result.figures
     speed, time = figures["end.speed_rad_s"] * 30.0 / math.pi, figures["end.time_s"]
-    turns = figures["end.crank_angle_rad"] / (2.0 * math.pi)
-    text = (
-        f"After {figure(time, 's')} the crank turns at {figure(speed, 'rpm')}, {figure(turns)} revolutions from its zero position"
-    )
+    turns = figures["end.crank_angle_rad"] / TURN
+    text = f"After {figure(time, 's')} the crank turns at {figure(speed, 'rpm')}, "
+    text += f"{figure(turns)} revolutions from its zero position"
     if "last_turn.fluctuation" in figures:
         last = "cycle" if "last_turn.revolutions" in figures else "revolution"
         text += f"; its speed fluctuates by {100.0 * figures['last_turn.fluctuation']:z.2f} % in the last {last}"
     if "input.work_J" in figures:
         text += f"; the drive has done {si(figures['input.work_J'], 'J')} of work"
-    return f"{text}." if finished else f"Not finished: {message}. {text}."
+    return f"{text}." if result.finished else f"Not finished: {result.ending.text}. {text}."
 
 
 def clearance(result: ClearanceSimulation) -> str:
@@ -194,7 +177,7 @@ def clearance(result: ClearanceSimulation) -> str:
     text = f"Joint clearance makes the {result.output.name} deviate by {si(figures[f'rms_{unit}'], unit)} (root mean square), "
     text += f"at most {si(figures[f'peak_{unit}'], unit)}"
     counted = int(figures["settled_revolutions"])
-    last = {gap.point: float(np.max(result.per_revolution[f"{gap.point}.normal_max_N"][-counted:])) for gap in result.gaps}
+    last = {gap.point: np.max(result.per_revolution[f"{gap.point}.normal_max_N"][-counted:]) for gap in result.gaps}
     point = max(last, key=lambda name: last[name])
     first = max(figures[f"{gap.point}.normal_max_N"] for gap in result.gaps)
     text += f"; the contact force reaches {si(last[point], 'N')} at {point}"
@@ -212,12 +195,10 @@ def comparison(result: Comparison) -> str:
     if best == "none":
         rms = si(finished[best].mean, result.unit)
         return f"Best without control: root mean square deviation {rms}; every controller that completed increases it.{tail}"
-    less = (
-        f", {100.0 * (1.0 - finished[best].mean / finished['none'].mean):z.1f} % less than without control"
-        if "none" in finished
-        else ""
-    )
-    rms, peak = (si(value, result.unit) for value in (finished[best].mean, float(np.max(finished[best].peak))))
+    less = ""
+    if "none" in finished:
+        less = f", {100.0 * (1.0 - finished[best].mean / finished['none'].mean):z.1f} % less than without control"
+    rms, peak = (si(value, result.unit) for value in (finished[best].mean, np.max(finished[best].peak)))
     return f"The best control is {best}: root mean square deviation {rms}{less}; peak {peak}.{tail}"
 
 
@@ -251,11 +232,10 @@ def sweep(result: Sweep) -> str:
     where = [f"{axis.key} = {figure(float(result.best[axis.column]), axis.unit)}" for axis in result.grid.axes]
     value = figure(float(result.best[name]), unit.replace("2", "²"))
     extreme = "largest" if result.problem.model.objective_display[0] < 0.0 else "least"
-    text = (
-        f"The objective is {extreme}, {value}, at {joined(where)}; {result.valid:,} of {total:,} points have a verified design."
-    )
+    verified = f"{result.valid:,} of {total:,} points have a verified design"
     active = str(result.best.get("active", ""))
-    return text + (f" Active limits of the best: {active}." if active else "")
+    limits = f" Active limits of the best: {active}." if active else ""
+    return f"The objective is {extreme}, {value}, at {joined(where)}; {verified}.{limits}"
 
 
 def pareto(result: Pareto) -> str:
@@ -278,18 +258,23 @@ def pareto(result: Pareto) -> str:
     return text if result.complete else f"{text} Not every point is verified."
 
 
-def tolerance(record: ToleranceRecord) -> str:
+def tolerance(result: Tolerance) -> str:
     """Return the conclusion of a tolerance analysis: yield or worst case, and the tolerance with the largest share."""
-    k, unit, sampled = record.scale, record.display_unit, record.monte_carlo
-    worst = float(np.max(np.maximum(-record.linear.worst_low, record.linear.worst_high)))
-    part = max(record.tolerances, key=lambda part_tolerance: float(part_tolerance.contribution_percent[record.where]))
-    most = f"{part.name} contributes {float(part.contribution_percent[record.where]):.3g} % of the variance"
-    if sampled is not None and math.isfinite(sampled.share):
+    k, unit, sampled, shares = (
+        result.scale,
+        result.display_unit,
+        result.monte_carlo,
+        100.0 * result.contributions[:, result.where],
+    )
+    part = int(np.argmax(shares))
+    most = f"{result.deviations[part].name} contributes {shares[part]:.3g} % of the variance"
+    if sampled is not None and result.limit is not None:
         low, high = sampled.interval
-        text = f"{100.0 * sampled.share:.4g} % of the linkages stay within the limit of ±{figure(k * record.limit, unit)} "
+        text = f"{100.0 * sampled.share:.4g} % of the linkages stay within the limit of ±{figure(k * result.limit, unit)} "
         text += f"(95 % confidence: {100.0 * low:.4g} ... {100.0 * high:.4g} %)"
     else:
-        text = f"The tolerances change {record.output} by at most ±{figure(k * worst, unit)} in the worst case"
-    if record.allocation is not None and not record.allocation.achieved:
-        text = f"The allocated tolerances do not keep the yield of {100.0 * record.allocation.target_yield:.4g} %. {text}"
+        worst = float(np.max(np.abs(result.worst)))
+        text = f"The tolerances change {result.nominal.name} by at most ±{figure(k * worst, unit)} in the worst case"
+    if result.allocation is not None and not result.allocation.achieved:
+        text = f"The allocated tolerances do not keep the yield of {100.0 * result.allocation.target_yield:.4g} %. {text}"
     return f"{text}; {most}."

@@ -1,15 +1,13 @@
-"""Charts of a control comparison, and the HTML sections of a stored one: deviation under each control, several starts."""
+"""Charts and page of a control comparison: deviation under each control, several starts."""
 
 import math
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 
-from optlink.problem.file import ProblemFile
-from optlink.report.chart_spec import Array, Axis, Band, ChartSpec, Curve, Line, Panel
+from optlink.report.chart_spec import Array, Axis, Band, ChartSpec, Curve, Line, Panel, max_abs
 from optlink.report.html import chart_plotly
 from optlink.report.html.shell import PageSection, StoredStudy
 from optlink.report.html.study_page import no_animation
@@ -18,7 +16,7 @@ from optlink.report.view import View
 from optlink.report.views import clearance_tables, conclusions
 from optlink.report.views.revolutions import FULL, RevolutionCurves, fold
 from optlink.tasks.results.clearance import ClearanceSimulation
-from optlink.tasks.results.control_comparison import Comparison, ComparisonRecord, Trials
+from optlink.tasks.results.control_comparison import Comparison
 from optlink.units import percent
 
 
@@ -60,7 +58,7 @@ def compensation(results: Mapping[str, ClearanceSimulation]) -> list[ChartSpec]:
         return []
     first = next(iter(every.values()))
     means = {name: _mean_revolution(turns, turns.error) for name, turns in every.items()}
-    shown = first.shares(max(float(np.max(np.abs(mean[1:]))) for mean in means.values()))
+    shown = first.shares(max(max_abs(np.array(mean[1:])) for mean in means.values()))
     colours = dict(zip(every, (MUTED, COUPLER, BODIES[2], ROCKER, *BODIES[3:]), strict=False)) | {"none": TARGET}
     before = every["none"].rms if "none" in every else None
     deviations: list[Curve | Band] = []
@@ -111,7 +109,7 @@ def trials(comparison: Comparison) -> ChartSpec:
         ends = np.array([k - 0.34, k + 0.1])
         curves.append(Curve(np.full(2, runs.mean * shown.factor), ends, "mean", TARGET, legend=k == 1, gid="mean"))
     y = Axis("", (0.4, len(kinds) + 0.6), reversed=True, ticks=[(float(k), _kind(name)) for k, name in enumerate(kinds, 1)])
-    furthest = max(float(np.max(curve.x)) for curve in curves)
+    furthest = max(np.max(curve.x) for curve in curves)
     x = Axis(f"deviation [{shown.unit}]", (0.0, 1.05 * furthest))
     count = f"{comparison.revolutions} revolutions from each of {len(comparison.starts)} starts"
     heading = f"{comparison.problem.model.title}: kinds of control\n{count}"
@@ -122,24 +120,11 @@ def trials(comparison: Comparison) -> ChartSpec:
 # --- the page ---------------------------------------------------------------------------------------------------------------
 
 
-def stored_study(record: ComparisonRecord, file: ProblemFile, _: Path) -> StoredStudy:
-    """Build the report of a stored control comparison.
-
-    Parameters
-    ----------
-    file : ProblemFile
-        The problem that was simulated.
-
-    Raises
-    ------
-    InputError
-        If the record is damaged.
-    """
-    trials = {name: trial_record.build(Trials) for name, trial_record in record.trials.items()}
-    comparison = record.build(Comparison, problem=file, trials=trials, examples={})
+def page(comparison: Comparison) -> StoredStudy:
+    """Return the page of a control comparison."""
     shown = clearance_tables.comparison(comparison)
     return StoredStudy(
-        problem=file,
+        problem=comparison.problem,
         kind="comparison of control",
         verdict="Finished" if comparison.finished else "Not every run was finished",
         valid=comparison.finished,
@@ -151,4 +136,4 @@ def stored_study(record: ComparisonRecord, file: ProblemFile, _: Path) -> Stored
     )
 
 
-VIEW = View(charts=charts, page=stored_study)
+VIEW = View(charts=charts, page=page, result=Comparison)

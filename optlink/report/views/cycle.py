@@ -89,13 +89,13 @@ def charts(result: CycleResult) -> list[ChartSpec]:
 
 def _panel(result: CycleResult, term: Term, cycles: dict[str, Cycle], limits: tuple[float | None, float | None]) -> Panel:
     lines = {name: _line(cycle, term) for name, cycle in cycles.items()}
-    shown = scale(max(float(np.nanmax(np.abs(line.values))) for line in lines.values()), _unit(result.task.kind(term)))
+    shown = scale(max(np.nanmax(np.abs(line.values)) for line in lines.values()), _unit(result.task.kind(term)))
     styles = {"initial": (INITIAL, 1.3), "result": (RESULT, 1.8)}
     curves = [
         Curve(line.angles, line.values * shown.factor, f"{name}: {term.how} {shown.text(line.figure)}", *styles[name], gid=name)
         for name, line in lines.items()
     ]
-    low = min(float(np.nanmin(line.values)) for line in lines.values())
+    low = min(np.nanmin(line.values) for line in lines.values())
     return Panel(Axis(f"{_named(term)} [{shown.unit}]"), curves, lines=list(_limits(term, limits, shown, low)))
 
 
@@ -125,7 +125,7 @@ def mechanisms(result: CycleResult) -> Figure | None:
     initial, optimal = result.initial_analysis, result.analysis
     if optimal is None:
         return None
-    at = np.array([_largest_torque_angle(result, optimal)])
+    at = np.array([_largest_torque_angle(optimal)])
     sketches = [(a, Sketch(_revolution(a), a.machine)) for a in (initial, optimal) if a is not None]
     main = sketches[-1][1]
     for _, sketch in sketches[:-1]:
@@ -140,13 +140,13 @@ def mechanisms(result: CycleResult) -> Figure | None:
     grey = {} if initial is None else {"initial_machine": Line2D([], [], color=INITIAL, linewidth=3.0)}
     main.add_legend(fig, 5, **grey)
     title = f"{result.task.title}: at crank angle {math.degrees(float(at[0])):z.1f}°"
-    titles = marked(title, result.valid, result.validation.checks, result.status.text, result.refuted)
+    titles = marked(title, result, result.refuted)
     fig.suptitle("\n".join(heading(line, width) for line in titles), color=None if result.valid else LIMIT)
     place_labels(fig, names)
     return fig
 
 
-def _largest_torque_angle(result: CycleResult, optimal: Analysis) -> float:
+def _largest_torque_angle(optimal: Analysis) -> float:
     """Return the crank angle [rad] at which the absolute driving torque of the optimal machine is largest."""
     extreme = optimal.extremes.get("input.torque_Nm")
     if extreme is None or not math.isfinite(extreme.largest):

@@ -37,15 +37,8 @@ def _sizes(outcome: CycleResult) -> TableSpec:
         quantity = outcome.task.quantities[name]
         size, unit = quantity.display
         low, high = (bound * size for bound in quantity.bounds)
-        rows.append(
-            (
-                name,
-                strong(dimension(value * size)),
-                unit,
-                dimension(quantity.value * size),
-                quiet(f"{low:g} ... {high:g}" if quantity.free else "fixed"),
-            )
-        )
+        bounds = quiet(f"{low:g} ... {high:g}" if quantity.free else "fixed")
+        rows.append((name, strong(dimension(value * size)), unit, dimension(quantity.value * size), bounds))
     title = "Design" if outcome.status is not Status.INFEASIBLE else NEAREST_DESIGN
     return table(title, ["", ">result", "", ">initial", ""], rows)
 

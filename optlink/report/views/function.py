@@ -22,7 +22,7 @@ from optlink.report.chart_spec import Array, Axis, Band, ChartSpec, Curve, Line,
 from optlink.report.drawing import Sketch, merged_positions
 from optlink.report.format import dimension
 from optlink.report.labels import place_labels
-from optlink.report.style import LIMIT, MUTED, RESULT, ROCKER, TARGET, figure, figure as new_figure, heading, panels, styled
+from optlink.report.style import LIMIT, MUTED, RESULT, ROCKER, TARGET, figure, heading, panels, styled
 from optlink.report.view import View
 from optlink.report.views.certificate_view import certificate_charts
 from optlink.report.views.path_view import with_verdict
@@ -49,10 +49,10 @@ def _range(result: FunctionResult) -> Array:
     """Return rising crank angles [rad] of a revolution from the starting angle, or of the reachable range that contains it."""
     start = _start(result)
     for low, high in reachable(*lengths_of(result.sizes)):
-        if high - low > 2.0 * np.pi - 1e-9:
+        if high - low > TURN - 1e-9:
             begin = (start if math.isfinite(start) else 0.0) - (TURN if _clockwise(result) else 0.0)
             return np.linspace(begin, begin + TURN, 721)
-        for turn in (-2.0 * np.pi, 0.0, 2.0 * np.pi):
+        for turn in (-TURN, 0.0, TURN):
             if math.isfinite(start) and low + turn - 1e-9 <= start <= high + turn + 1e-9:
                 return np.linspace(low + turn + 1e-6, high + turn - 1e-6, 721)
     return np.array([])
@@ -69,7 +69,7 @@ def positions(result: FunctionResult) -> dict[str, float]:
     """Return the characteristic crank angles [rad] by name: start and end of the span, dead centres, transmission extremes."""
     problem, sizes = result.problem.spec, result.sizes
     angles: dict[str, float] = {"start": result.design["phi0"], "end of the span": result.design["phi0"] + problem.span}
-    whole_turn = [(low, high) for low, high in reachable(*lengths_of(sizes)) if high - low > 2.0 * np.pi - 1e-9]
+    whole_turn = [(low, high) for low, high in reachable(*lengths_of(sizes)) if high - low > TURN - 1e-9]
     if whole_turn:
         for name, outer in (("outer dead centre", True), ("inner dead centre", False)):
             limit = dead_centre(*lengths_of(sizes), problem.side, outer=outer)
@@ -98,7 +98,7 @@ def mechanism(result: FunctionResult) -> Figure | None:
         psi = math.degrees(float(position.body_angle("rocker").value[0]))
         axes.set_title(f"{name}\nφ {math.degrees(phi) % 360.0:z.2f}°   ψ {psi:z.2f}°   γ {gamma:z.2f}°", fontsize=9.5)
     lengths = "   ".join(f"{name} {value * sketch.scale.factor:z.3f}" for name, value in result.sizes.items())
-    titles = marked(result.problem.spec.title, result.valid, result.validation.checks, result.status.text, result.refuted)
+    titles = marked(result.problem.spec.title, result, result.refuted)
     lines = [heading(line, 3.9 * columns) for line in (*titles, f"{lengths} {sketch.scale.unit}")]
     fig.suptitle("\n".join(lines), fontsize=11, color=None if result.valid else LIMIT)
     place_labels(fig, letters)
@@ -160,7 +160,7 @@ def law(result: FunctionResult) -> list[ChartSpec]:
         top, words = float(built[int(error[worst] > 0.0), worst]), f"{words} nominal"
     below.append(Curve(crank, error, "" if robust is None else "nominal", LIMIT, 1.5, gid="error"))
     below.append(Curve(marked, at_marks, "", LIMIT, mode="markers", size=3.0))
-    mark = Mark(float(crank[worst]), top, words, size=1.0, prefer=(0.0, 1.0 if error[worst] > 0.0 else -1.0))
+    mark = Mark(crank[worst], top, words, size=1.0, prefer=(0.0, 1.0 if error[worst] > 0.0 else -1.0))
     panels = [Panel(Axis("rocker angle ψ [deg]"), above, 1.7), Panel(Axis("target minus generated [deg]"), below, marks=[mark])]
     shown = problem.shown_objective(result.objective)
     objective = f"{shown.value:.4g}°" if shown.unit == "deg" else f"{shown.value:.6g} {unit_of(result)}"
@@ -185,26 +185,23 @@ def transmission(result: FunctionResult) -> list[ChartSpec]:
             spans.append(Span(low, high, "" if spans else "span of the requirement", RESULT, 0.08))
     traces = [Curve(crank, gamma, "transmission angle γ", RESULT, 1.9, gid="transmission")]
     lines = []
-    for bound, low in transmission_limits(result):
-        name = f"{'at least' if low else 'at most'} {bound:.5g}°"
+    limit = problem.limits.transmission_at()
+    for words, end in () if limit is None else (("at least", limit.low), ("at most", limit.high)):
+        if end is None:
+            continue
+        bound = math.degrees(end)
+        name = f"{words} {bound:.5g}°"
         if problem.limits.transmission_range == "revolution":
             lines.append(Line(bound, name, LIMIT, 1.3))
         else:
             traces.append(Curve(np.sort([start, start + span]), np.full(2, bound), name, LIMIT, 1.3, "dash"))
     marks = [
-        Mark(float(crank[k]), float(gamma[k]), f"{word} {gamma[k]:z.2f}°", RESULT, prefer=(0.0, direction))
+        Mark(crank[k], gamma[k], f"{word} {gamma[k]:z.2f}°", RESULT, prefer=(0.0, direction))
         for k, word, direction in ((int(np.argmin(gamma)), "least", -1.0), (int(np.argmax(gamma)), "largest", 1.0))
     ]
-    x = crank_angle(clockwise=_clockwise(result), limits=(float(crank[0]), float(crank[-1])))
+    x = crank_angle(clockwise=_clockwise(result), limits=(crank[0], crank[-1]))
     shown = Panel(Axis("γ [deg]"), traces, 1.4, lines, marks)
     return [ChartSpec("transmission", "Transmission angle", [shown], x, f"{problem.title}: transmission angle", spans=spans)]
-
-
-def transmission_limits(result: FunctionResult) -> list[tuple[float, bool]]:
-    """Return the limits of the transmission angle [deg], each with whether it is the lower one."""
-    limit = result.problem.spec.limits.transmission_at()
-    bounds = () if limit is None else (limit.low, limit.high)
-    return [(math.degrees(bound), k == 0) for k, bound in enumerate(bounds) if bound is not None]
 
 
 # --- animation -------------------------------------------------------------------------------------------------------
@@ -215,27 +212,22 @@ def frames(result: FunctionResult, count: int = 90) -> list[Image.Image]:
     """Draw the frames of the animation: one revolution, or back and forth over the reachable range.
 
     Beside the mechanism, the rocker angle is drawn.
-
-    Parameters
-    ----------
-    count : int, optional
-        Number of frames.
     """
     angles = _range(result)
     if angles.size == 0:
         return []
-    full = angles[-1] - angles[0] > 2.0 * np.pi - 1e-6
+    full = angles[-1] - angles[0] > TURN - 1e-6
     motion = _moved(result, angles)
     sketch = Sketch(motion)
     begin, span = result.design["phi0"], result.problem.spec.span
     known = math.isfinite(begin)  # no start: a linkage without the dead centre at which the law begins
-    once = (begin if known else 0.0) + np.linspace(0.0, 2.0 * np.pi, count, endpoint=False)
+    once = (begin if known else 0.0) + np.linspace(0.0, TURN, count, endpoint=False)
     steps = once if full else there_and_back(float(angles[0]), float(angles[-1]), count)
     psi, crank = np.degrees(np.asarray(motion.body_angle("rocker").value)), np.degrees(angles)
     at = (np.degrees(steps) - crank[0]) % 360.0 + crank[0] if full else np.degrees(steps)
 
     traces = [Curve(crank, psi, "", ROCKER)]
-    x = Axis("crank angle φ [deg]", (float(crank[0]), float(crank[-1])), step=60.0)
+    x = crank_angle(limits=(crank[0], crank[-1]))
     strip = ChartSpec("", "", [Panel(Axis("rocker angle ψ [deg]"), traces)], x)
 
     def required(axes: Axes) -> None:
@@ -246,21 +238,15 @@ def frames(result: FunctionResult, count: int = 90) -> list[Image.Image]:
         axes.add_patch(Arc((0.0, 0.0), size, size, color=MUTED, linewidth=1.3, **ends))
 
     marks = np.stack([at, np.interp(at, crank, psi)], axis=-1)
-    titles = marked(result.problem.spec.title, result.valid, result.validation.checks, result.status.text, result.refuted)
+    titles = marked(result.problem.spec.title, result, result.refuted)
     return film(sketch, _moved(result, steps), strip, marks, titles, more=required)
 
 
 def function_chart(function: Function, offsets: Array, error: Array, title: str, *, warning: bool = False) -> ChartSpec:
     """Return the prescribed and the generated y(x) with the error in y.
 
-    Parameters
-    ----------
-    offsets : array (positions,) [rad]
-        Crank rotations from the start.
-    error : array (positions,) [rad or m]
-        Prescribed minus generated output; finite at one position at least.
-    warning : bool, optional
-        Whether the title is that of a design that is not valid.
+    `offsets` (positions,) [rad] are crank rotations from the start; `error` [rad or m] is prescribed minus generated output,
+    finite at one of them at least; `warning` says that the design is not valid.
     """
     least, largest = function.ends
     x = function.low + (function.high - function.low) * offsets / function.input
@@ -271,13 +257,9 @@ def function_chart(function: Function, offsets: Array, error: Array, title: str,
         Curve(x, target, "target", TARGET, 1.4, "dash", gid="target y"),
         Curve(x, target - deviation, "generated", RESULT, 1.8, gid="generated y"),
     ]
-    mark = Mark(
-        float(x[worst]),
-        float(deviation[worst]),
-        f"largest {deviation[worst]:+.3g}".replace("-", "−"),
-        size=1.0,
-        prefer=(0.0, np.sign(deviation[worst])),
-    )
+    most = float(deviation[worst])
+    words = f"largest {most:+.3g}".replace("-", "−")
+    mark = Mark(x[worst], most, words, size=1.0, prefer=(0.0, np.sign(most)))
     below = Panel(Axis("target minus generated"), [Curve(x, deviation, "", LIMIT, 1.5, gid="error in y")], marks=[mark])
     panels = [Panel(Axis("y"), above, 1.7), below]
     return ChartSpec("function", "Function y(x)", panels, Axis("x"), title, cursor=False, warning=warning)
@@ -310,8 +292,8 @@ def objective_map(result: FunctionResult) -> Figure | None:
             value = np.broadcast_to(np.asarray(row.value, dtype=float), x.shape)
             slacks.append(np.fmin(value - row.low, row.high - value))
         least = np.min(slacks or [np.ones_like(x)], axis=0)
-    figure = new_figure(7.0, 5.8)
-    axes = figure.subplots()
+    fig = figure(7.0, 5.8)
+    axes = fig.subplots()
     scale_x, scale_y = (1e3 if name in LENGTHS else math.degrees(1.0) for name in problem.free)
     shown = np.where(np.isfinite(objective) & (objective > 0.0), objective, np.nan)
     furthest = math.pi if result.unit == "rad" else len(problem.law.offsets) * math.pi**2
@@ -319,7 +301,7 @@ def objective_map(result: FunctionResult) -> Figure | None:
     shown = np.minimum(shown, furthest) * problem.objective_display[0]
     if not np.any(np.isfinite(shown)):
         return None
-    low, high = max(float(np.nanmin(shown)), 1e-12), float(np.nanmax(shown))
+    low, high = max(np.nanmin(shown), 1e-12), np.nanmax(shown)
     levels, height = np.log10(np.geomspace(low * 1.0001, high, 22)), np.log10(shown)
     x, y = x * scale_x, y * scale_y
     filled = axes.contourf(x, y, height, levels=levels, cmap="Blues_r", alpha=0.9)
@@ -337,18 +319,14 @@ def objective_map(result: FunctionResult) -> Figure | None:
     axes.set(**dict(zip(("xlabel", "ylabel"), names, strict=True)))
     axes.grid(False)
     axes.legend(frameon=True, framealpha=0.9, fontsize=8.5, loc="upper right")
-    bar = figure.colorbar(filled, ax=axes, pad=0.02)
+    bar = fig.colorbar(filled, ax=axes, pad=0.02)
     ticks = [t for t in range(math.floor(np.log10(low)), math.ceil(np.log10(high)) + 1) if np.log10(low) <= t <= np.log10(high)]
     bar.set_ticks(ticks, labels=[f"10{str(t).translate(SUPERSCRIPTS)}" for t in ticks])
     bar.set_label(f"{result.measure} [{unit_of(result)}]")
-    place = ", ".join(
-        f"{name} {dimension(value)} {problem.display(name)[1]}" for name, value in zip(problem.free, at, strict=True)
-    )
-    words = (
-        f"{problem.title}: {result.measure} {problem.shown_objective(result.objective).value:.6g} {unit_of(result)} at {place}"
-    )
-    axes.set_title(heading(words, 6.8, 10.5), fontsize=10.5)
-    return figure
+    place = (f"{name} {dimension(value)} {problem.display(name)[1]}" for name, value in zip(problem.free, at, strict=True))
+    reached = f"{result.measure} {problem.shown_objective(result.objective).value:.6g} {unit_of(result)}"
+    axes.set_title(heading(f"{problem.title}: {reached} at {', '.join(place)}", 6.8, 10.5), fontsize=10.5)
+    return fig
 
 
 def _iterations(axes: Axes, result: FunctionResult, scale_x: float, scale_y: float) -> None:

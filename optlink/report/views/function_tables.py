@@ -28,13 +28,13 @@ from optlink.report.table_spec import (
     verdict,
 )
 from optlink.report.views.certificate_view import certificate_lines, certificate_table, certified
-from optlink.report.views.relaxations import conflict
-from optlink.report.views.short_text import dimensions, first_rows, objective_line, short_text, verdict_lines
+from optlink.report.views.short_text import dimensions, objective_line, short_text, verdict_lines
 from optlink.solvers.contract import FOUND, LEAST_SQUARES
-from optlink.solvers.solution import LimitState
+from optlink.solvers.solution import LimitState, Relaxation
 from optlink.tasks.function import FunctionResult
 from optlink.tasks.machine import turning_machine
 from optlink.tasks.results.certificate import Certificate
+from optlink.tasks.results.conflict import OpposedLimit, opposed_limits, outward
 from optlink.tasks.results.fit import Fit
 from optlink.units import percent
 from optlink.validation import Check
@@ -80,18 +80,8 @@ def search_summary(
 ) -> Summary:
     """Summarise the search of one design: its own tables, then those that every such search has.
 
-    Parameters
-    ----------
-    tables : iterable of Part
-        Strokes and objective.
-    measured : sequence of Line, optional
-        Objective in the short text.
-    hits : str, optional
-        Statistics of the starting points.
-    tail : str, optional
-        Addition to the verdict.
-    over : str, optional
-        Addition to the title of the distinct optima.
+    `measured` is the objective in the short text, `hits` the statistics of the starting points; `tail` is added to the verdict,
+    `over` to the title of the distinct optima.
     """
     proof, solution, model = outcome.certificate, outcome.solution, outcome.problem.model
     priced = None
@@ -121,15 +111,12 @@ def search_summary(
     )
     unproven = [] if certified(proof) else certificate_lines(proof)
     status = [*verdict_lines(verdict), *notes, *measured, *evidence, *unproven]
-    return replace(
-        full,
-        short=short_text(model.title, status, dimensions(design), opposed or first_rows(priced), None if opposed else checked),
-    )
+    return replace(full, short=short_text(model.title, status, dimensions(design), priced, checked, opposed))
 
 
 def _verdict(outcome: SearchedResult, tail: str) -> Iterator[Line]:
     yield from refuted_first(outcome)
-    line = search_verdict(outcome.status, "valid" if outcome.valid else "not valid", outcome.valid, outcome.certificate)
+    line = search_verdict(outcome.status, outcome.valid, outcome.certificate)
     yield from graded_status(line, outcome.fit if outcome.valid else None, tail)
 
 
@@ -145,32 +132,21 @@ def _message(outcome: SearchedResult) -> str:
     return text + " (use --starts N for a multistart search)" * single
 
 
-def search_verdict(status: Status, word: str, positive: bool, certificate: Certificate | None = None) -> list[Inline]:
+def search_verdict(status: Status, valid: bool, certificate: Certificate | None) -> list[Inline]:
     """Return how a search ended, and its verdict; an infeasible problem has one phrase for both.
 
-    Parameters
-    ----------
-    word : str
-        The verdict.
-    certificate : Certificate, optional
-        Without a closed one an optimum is a local one.
+    Without a closed certificate an optimum is a local one.
     """
     if status is Status.INFEASIBLE:
         return [bad("no feasible design" if certificate is not None and certificate.closed else "no feasible design found")]
     ended = "given design" if status is Status.NOT_SEARCHED else status.value
     if status is Status.OPTIMAL and (certificate is None or not certificate.proven):
         ended = "locally optimal"
-    return [f"{ended}, ", verdict(word, positive)]
+    return [f"{ended}, ", verdict("valid" if valid else "not valid", valid)]
 
 
-def graded_status(line: Sequence[Inline], fit: Fit | None, tail: str = "") -> Iterator[Line]:
-    """Yield a line with the grade of a fit and a tail, then the likely reasons of a poor fit with remedies.
-
-    Parameters
-    ----------
-    fit : Fit or None
-        None appends the tail only.
-    """
+def graded_status(line: Sequence[Inline], fit: Fit | None, tail: str) -> Iterator[Line]:
+    """Yield a line with the grade of a fit, if there is one, and a tail, then the likely reasons of a poor fit with remedies."""
     if fit is None:
         yield [*line, tail]
         return
@@ -191,16 +167,7 @@ def _design(outcome: FunctionResult) -> TableSpec:
 def dimension_rows(
     model: Problem, values: Mapping[str, float], derived: Mapping[str, str], shown: Callable[[float], str] = dimension
 ) -> list[Row]:
-    """Return the rows of a design: name, value, unit, and whether it is free.
-
-    Parameters
-    ----------
-    values : mapping of str to float [SI]
-    derived : mapping of str to str
-        Remarks on values that are not quantities of the problem.
-    shown : function of float to str, optional
-        Format of a value.
-    """
+    """Return the rows of a design [SI]: name, value, unit, and whether it is free, or the remark on a derived value."""
     rows: list[Row] = []
     for name, value in values.items():
         (factor, unit), quantity = model.display(name), model.quantities.get(name)
@@ -236,20 +203,11 @@ def _objective(outcome: FunctionResult) -> TableSpec:
 
 
 def active(model: Problem, objective: float, limits: Iterable[LimitState]) -> Part:
-    """Tabulate the active constraints with their shadow prices.
+    """Tabulate the active constraints with their shadow prices, in the unit in which the model shows its objective.
 
     The price of an inequality is the improvement of the objective per step by which its bound alone is relaxed; that of an
-    equality is the change of the objective, with its sign, per step by which its value is raised. A step is one unit, or 0.01
-    of a ratio.
-
-    Parameters
-    ----------
-    model : Problem
-        Its display unit of the objective is that of the prices.
-    objective : float [SI]
-        Minimised value, for relative prices.
-    limits : iterable of LimitState
-        All constraints; inactive ones are left out.
+    equality is the change of the objective, with its sign, per step by which its value is raised. A step is one unit, or 0.01 of
+    a ratio.
     """
     (base, factor, unit, _), rows, raised = model.shown_objective(objective), [], False
     joint: dict[frozenset[str], tuple[float, set[str]]] = {}
@@ -273,28 +231,18 @@ def active(model: Problem, objective: float, limits: Iterable[LimitState]) -> Pa
         rows.append((limit.name, f"{limit.sense} {limit.bound:g} {limit.unit}".rstrip(), effect))
     if not rows:
         return Paragraph(strong("Active constraints"), "none: only the requirement determines this design")
-    notes = (
-        [quiet(f"=: change of the objective if the value is raised by that much{RELAXED_NOTE * (len(rows) > 1)}")]
-        if raised
-        else []
-    )
+    note = f"=: change of the objective if the value is raised by that much{RELAXED_NOTE * (len(rows) > 1)}"
+    notes = [quiet(note)] if raised else []
     for names, (gain, units) in joint.items():
         words = joined([name for name, *_ in rows if name in names])
         size, step = price_step("") if units == {""} else (1.0, "one unit")
         effect = f"the objective improves by {size * gain:.4g} {unit}{share(size * gain)} if each is relaxed by {step}"
-        text = f"{words} hold together: {effect}"
-        notes.append(quiet(text))
+        notes.append(quiet(f"{words} hold together: {effect}"))
     return table("Active constraints and their shadow prices", "<<<", rows, notes=notes)
 
 
 def checks(selected: Sequence[Check], gathered: Sequence[Check] = ()) -> TableSpec:
-    """Tabulate the checks of a validation.
-
-    Parameters
-    ----------
-    gathered : sequence of Check, optional
-        Passed bounds of dimensions that share one row.
-    """
+    """Tabulate the checks of a validation; passed bounds of dimensions (`gathered`) share one row."""
     rows: list[Row] = [
         (verdict("ok" if item.passed else "FAIL", item.passed), item.name, number(item.value), quiet(item.unit), item.limit)
         for item in selected
@@ -323,11 +271,8 @@ def _optima(outcome: SearchedResult, over: str) -> TableSpec:
         ">starts" if left >= 0 else ">searches",
     ]
     others = f"; {left} of them ended at worse optima that are not listed, or at none" if left > 0 else ""
-    notes = (
-        [quiet(f"starts: of all {outcome.starts} starting points, random and given{others}")]
-        if outcome.starts > 1 and left >= 0
-        else []
-    )
+    note = f"starts: of all {outcome.starts} starting points, random and given{others}"
+    notes = [quiet(note)] if outcome.starts > 1 and left >= 0 else []
     return table(f"Distinct optima{over}", columns, rows, appendix=True, notes=notes)
 
 
@@ -346,3 +291,56 @@ def backends(outcome: SearchedResult | PathResult) -> TableSpec:
     rows.append(("steps", *(str(solution.iterations) for solution in solutions), ""))
     rows.append(("KKT residual", *(f"{solution.kkt:.1e}" for solution in solutions), ""))
     return table("Back ends", ["", *(f">{name}" for name in outcome.backends), ""], rows, appendix=True)
+
+
+# --- conflicting limits -------------------------------------------------------------------------------------------------------
+
+
+def conflict(limits: Sequence[Relaxation], together: Sequence[Relaxation]) -> TableSpec:
+    """Tabulate conflicting limits with the relaxation that each would need alone, infinite where that does not suffice.
+
+    Limits relaxed together are shown in that case.
+    """
+    opposed = opposed_limits(limits)
+    rows = [(limit.name, _limit(limit), _relaxed(limit) or "not by this limit alone") for limit in opposed]
+    single = len(rows)
+    if not all(limit.satisfiable for limit in opposed):
+        shared = opposed_limits(together)
+        rows += [(limit.name, _limit(limit), f"together: {_relaxed(limit) or 'dropped'}") for limit in shared]
+    columns = ["limit", "limit value", "feasible if relaxed alone"]
+    return table("Conflicting limits", columns, rows, sections=[single], notes=_exact_values(opposed))
+
+
+def _exact_values(limits: Sequence[OpposedLimit]) -> list[str]:
+    """Return how to state a least or a greatest value, for each limit whose two sides are the same."""
+    values = [(limit.name, _value(limit.sides[0])) for limit in limits if limit.exact]
+    return [f'A single value is exact: write ">= {x}" for the smallest or "<= {x}" for the largest {name}.' for name, x in values]
+
+
+def _value(side: Relaxation) -> str:
+    return f"{side.bound:g} {side.unit}".rstrip()
+
+
+def _limit(limit: OpposedLimit) -> str:
+    if "<=" in limit.name:
+        return "must hold"
+    if limit.exact:
+        return f"exactly {_value(limit.sides[0])}"
+    return _stated(limit.sides, lambda side: f"{side.bound:g}")
+
+
+def _relaxed(limit: OpposedLimit) -> str:
+    if not limit.satisfiable:
+        return ""
+    sides = limit.sides
+    amounts = dict.fromkeys(f"{side.amount:.4g} {side.unit}".rstrip() for side in sides)
+    amount = f"{' and '.join(amounts)}{' each' * (len(amounts) < len(sides))}"
+    if "<=" in limit.name:
+        return f"missed by {amount}"
+    return f"{_stated(sides, lambda side: f'{outward(side, 6):.6g}', 'about ' * sides[0].approximate)} ({amount})"
+
+
+def _stated(sides: tuple[Relaxation, ...], value: Callable[[Relaxation], str], before: str = "") -> str:
+    """Return a limit as sense and value, or a range as its two values, with the unit."""
+    sense = f"{sides[0].sense} " if len(sides) == 1 else ""
+    return f"{sense}{before}{' ... '.join(value(side) for side in sides)} {sides[0].unit}".rstrip()

@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 from optlink.clearance.joint import Gap
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.motion import Motion, sweep
-from optlink.linkage.vector2d import Array
+from optlink.linkage.vector2d import TURN, Array
 from optlink.report.animation import STACKED_RATIO
 from optlink.report.chart_mpl import FONT, TITLE
+from optlink.report.chart_spec import max_abs
 from optlink.report.drawing import Sketch
 from optlink.report.format import round_below
 from optlink.report.labels import Label, in_points, lay_out, place_labels
@@ -39,20 +40,15 @@ MIN_FORCE_SHARE = 0.02  # share of the largest force above which a force is draw
 
 
 class MagnifiedMachine(Sketch):
-    """Sketch of a mechanism with clearance, with deviations from the ideal machine magnified by `factor`.
+    """Sketch of a mechanism with clearance at rows of its simulation, deviations from the ideal machine magnified.
 
-    Parameters
-    ----------
-    turns : RevolutionCurves
-        The simulated revolutions.
-    rows : array of int (positions,)
-        Rows of the simulation to draw; `steps` is the motion of the ideal machine at these rows.
+    `steps` is the motion of the ideal machine at these rows.
     """
 
     def __init__(self, turns: RevolutionCurves, rows: NDArray[np.intp]) -> None:
         result = turns.result
         machine, speed = result.machine, result.speed
-        turn = np.radians(turns.angle[rows[-1]]) + np.linspace(0.0, 2.0 * math.pi, TRACE_POSITIONS)
+        turn = np.radians(turns.angle[rows[-1]]) + np.linspace(0.0, TURN, TRACE_POSITIONS)
         super().__init__(sweep(machine.mechanism, machine.sizes, turn, speed), machine)
         self.turns, self.rows, self.gaps = turns, rows, {gap.point: gap for gap in result.gaps}
         self.steps = sweep(machine.mechanism, machine.sizes, np.radians(turns.angle[rows]), speed)
@@ -60,15 +56,15 @@ class MagnifiedMachine(Sketch):
         self.middles: dict[str, Array] = {}
         ideal = {body: self.steps.body_angle(body).value for body in self.mechanism.bodies}
         bends = {
-            body: np.remainder(self.columns(f"{body}.angle_rad") - ideal_angle + math.pi, 2.0 * math.pi) - math.pi
+            body: np.remainder(self.columns(f"{body}.angle_rad") - ideal_angle + math.pi, TURN) - math.pi
             for body, ideal_angle in ideal.items()
         }
         play = max(gap.clearance for gap in self.gaps.values()) * self.scale.factor
-        bent = max(float(np.nanmax(np.abs(bend), initial=0.0)) for bend in bends.values())
+        bent = max(max_abs(bend) for bend in bends.values())
         self.factor = max(1.0, round_below(min(MAX_OFFSET * self.size / play, MAX_ROTATION / max(bent, 1e-9))))
         self.angles = {body: ideal[body] + self.factor * bends[body] for body in ideal}
         self.radius = JOURNAL_RADIUS * self.size
-        self.strongest = max(float(np.max(self.force(gap))) for gap in self.gaps.values())
+        self.strongest = max(np.max(self.force(gap)) for gap in self.gaps.values())
         reach = self.radius + self.factor * play
         self.low, self.high = self.low - reach, self.high + reach
 
@@ -87,15 +83,7 @@ class MagnifiedMachine(Sketch):
     # --- positions -------------------------------------------------------------------------------------------------------
 
     def at(self, point: str, body: str) -> Array:
-        """Return the drawn positions of a point of a body at the rows, shape (positions, 2).
-
-        Parameters
-        ----------
-        point : str
-            Joint name.
-        body : str
-            Body to which the point belongs; matters at a joint with clearance.
-        """
+        """Return the drawn positions (positions, 2) of a point at the rows; at a joint with clearance its bodies differ."""
         ideal, columns = super().position(self.steps, point), self.turns.result.columns
         name = f"{point}.{body}" if f"{point}.{body}.x_m" in columns else point
         if name == point and point in self.gaps:  # a third body shares the bearing
@@ -108,27 +96,14 @@ class MagnifiedMachine(Sketch):
     def position(self, motion: Motion, name: str) -> Array:
         """Return the positions of a point in the display unit; at a joint with clearance, those of the bearing centre.
 
-        Parameters
-        ----------
-        motion : Motion
-            `self.motion` for the ideal machine, otherwise the rows are used.
-        name : str
-            Joint name.
+        They are those of the ideal machine for `self.motion`, otherwise those of the rows; the same holds for `placed`.
         """
         if motion is self.motion:
             return super().position(motion, name)
         return self.at(name, self.gaps[name].bearing if name in self.gaps else self.mechanism.owners[name][0])
 
     def placed(self, motion: Motion, body: str, outline: Array) -> Array:
-        """Return the positions of an outline that moves with a body, shape (positions, corners, 2).
-
-        Parameters
-        ----------
-        motion : Motion
-            `self.motion` for the ideal machine, otherwise the rows are used.
-        outline : array (corners, 2)
-            Coordinates along and across the body from its start point, in the display unit.
-        """
+        """Return the positions (positions, corners, 2) of an outline (corners, 2) in the axes of a body, see `position`."""
         if motion is self.motion:
             return super().placed(motion, body, outline)
         x, y = np.cos(self.angles[body])[:, None], np.sin(self.angles[body])[:, None]
@@ -139,15 +114,7 @@ class MagnifiedMachine(Sketch):
     # --- drawing -----------------------------------------------------------------------------------------------------------
 
     def pose(self, axes: Axes, motion: Motion, k: int = 0) -> list[Artist]:
-        """Draw the mechanism at row `k`, with joints with clearance as journals in bearings; also draw the close-ups, if any.
-
-        Parameters
-        ----------
-        motion : Motion
-            `self.steps`.
-        k : int, optional
-            Index of the row.
-        """
+        """Draw the mechanism at row `k`, with joints with clearance as journals in bearings; also draw the close-ups, if any."""
         artists = super().pose(axes, motion, k)
         ideal = [name for name in self.mechanism.pins if name not in self.gaps]
         for artist in artists:
@@ -180,40 +147,24 @@ class MagnifiedMachine(Sketch):
             artists.append(Line2D(*np.array([journal, end]).T, color=self._colour(gap.journal), linewidth=line, zorder=4.2))
         return artists
 
-    def letters(self, axes: Axes, motion: Motion, k: int = 0) -> list[Label]:
-        """Return the labels of all points, clear of the bearing rings; the axes must have their final size.
-
-        Parameters
-        ----------
-        motion : Motion
-            `self.steps`.
-        k : int, optional
-            Index of the row.
-        """
+    def letters(self, axes: Axes, motion: Motion) -> list[Label]:
+        """Return the labels of all points, clear of the bearing rings; the axes must have their final size."""
         play = max(gap.clearance for gap in self.gaps.values()) * self.scale.factor
         ring = in_points(axes, self.radius + self.factor * play)
-        return [replace(label, clear=ring) if label.text in self.gaps else label for label in super().letters(axes, motion, k)]
+        return [replace(label, clear=ring) if label.text in self.gaps else label for label in super().letters(axes, motion)]
 
     # --- close-ups ---------------------------------------------------------------------------------------------------------
 
     def lay(self, axes: Axes, columns: int, at_row: int) -> None:
-        """Draw the fixed parts of the close-ups: the bearings and the paths of the journal centres.
+        """Draw the fixed parts of the close-ups, `columns` of joints: the bearings and the paths of the journal centres.
 
-        Parameters
-        ----------
-        axes : Axes
-            Axes of the close-ups, also used by `pose`.
-        columns : int
-            Number of joints side by side.
-        at_row : int
-            Row whose contact state is written below each joint.
+        The contact state at one row is written below each joint; `pose` draws into the same axes.
         """
         self.close_up = axes
         for i, gap in enumerate(self.gaps.values()):
-            self.middles[gap.point] = middle = np.array(
-                [CLOSE_UP_WIDTH * (i % columns), -(CLOSE_UP_WIDTH + CAPTION_HEIGHT) * (i // columns)]
-            )
-            share = self._share(gap)
+            row, column = divmod(i, columns)
+            middle, share = np.array([CLOSE_UP_WIDTH * column, -(CLOSE_UP_WIDTH + CAPTION_HEIGHT) * row]), self._share(gap)
+            self.middles[gap.point] = middle
             axes.add_patch(_circle(middle, 1.0, "white", self._colour(gap.bearing), 3.0, 2.0, f"bearing {gap.point}"))
             last = self.turns.rows(1)
             x, y = (self.turns.result[f"{gap.point}.e{axis}_m"][last] / gap.clearance * share for axis in "xy")

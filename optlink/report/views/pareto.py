@@ -1,15 +1,12 @@
 """Charts and page of a Pareto front: end points, knee and the design of every point."""
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from optlink.problem.base_model import Contradiction
-from optlink.problem.file import ProblemFile
 from optlink.report.chart_spec import Array, Axis, ChartSpec, Curve, Mark, Panel, Picks
 from optlink.report.format import number
 from optlink.report.html import chart_plotly
@@ -18,108 +15,18 @@ from optlink.report.html.study_page import named_si, no_animation, turning_linka
 from optlink.report.style import LIMIT, MUTED, RESULT, TARGET
 from optlink.report.view import View
 from optlink.report.views import conclusions, study_tables
-from optlink.studies import grid
-from optlink.studies.pareto.epsilon_constraint import Pareto, ParetoPoint, ParetoRecord
+from optlink.studies.pareto.epsilon_constraint import Pareto, ParetoPoint
 from optlink.studies.pareto.objective import ParetoObjective
 
 REFERENCE_NAMES = {"initial machine": "the initial machine", "limits of the file": "the optimum for the limits of the file"}
-SENSES = {"minimise": 1, "maximise": -1}
-
-
-def read(record: ParetoRecord, file: ProblemFile, path: Path) -> Pareto:
-    """Return a stored Pareto front.
-
-    Parameters
-    ----------
-    file : ProblemFile
-        The problem of the study.
-    path : Path
-        File of the record.
-
-    Raises
-    ------
-    Contradiction
-        If its parts do not belong together.
-    """
-    objectives = tuple(
-        ParetoObjective(objective_record.name, objective_record.name, objective_record.unit, SENSES[objective_record.sense])
-        for objective_record in record.objectives
-    )
-    columns = [objective.column for objective in objectives]
-    for k, (objective, objective_record) in enumerate(zip(objectives, record.objectives, strict=True)):
-        if objective.column != objective_record.column:
-            message = f"this is not the column of {objective.name} [{objective.unit}]"
-            raise Contradiction(f"objectives[{k}].column", message, objective_record.column)
-    if record.minimised not in columns:
-        raise Contradiction("minimised", "this is none of the objectives", record.minimised)
-    if len({tuple(point.design) for point in record.front}) > 1:
-        raise Contradiction("front", "its designs have different design variables")
-    places: dict[str, Mapping[str, object]] = {"ends": record.ends if record.front else dict.fromkeys(columns, 0)}
-    places |= {f"front[{k}].objectives": point.objectives for k, point in enumerate(record.front)}
-    places |= {} if record.reference is None else {"reference": record.reference}
-    for where, texts in places.items():
-        for name in columns:
-            if not isinstance(texts.get(name), int | float):
-                raise Contradiction(f"{where}.{name}", "this is missing or not a number")
-    ends = tuple(record.ends[name] for name in columns) if record.front else ()
-    knee = None if record.knee is None else (record.knee.point, record.knee.distance)
-    if any(not 0 <= k < len(record.front) for k in (*ends, *([knee[0]] if knee else []))):
-        raise Contradiction("ends", "an end or the knee is not a point of the front")
-    for k, axis_ in enumerate(record.constrained):
-        if not 0 < axis_.values <= grid.MAX_POINTS:
-            raise Contradiction(f"constrained[{k}].values", "there are too many", axis_.values)
-    spans = [
-        (
-            objective_record.key,
-            objective_record.unit,
-            np.linspace(objective_record.first, objective_record.last, objective_record.values),
-        )
-        for objective_record in record.constrained
-    ]
-    points = [
-        ParetoPoint(
-            tuple(objective_record.objectives[name] for name in columns),
-            objective_record.design,
-            "; ".join(objective_record.active),
-            objective_record.mark or "",
-        )
-        for objective_record in record.front
-    ]
-    reference = record.reference or {}
-    return record.build(
-        Pareto,
-        problem=file,
-        objectives=objectives,
-        minimised=columns.index(record.minimised),
-        points=tuple(points),
-        ends=ends,
-        knee=knee,
-        reference=tuple(float(reference[name]) for name in columns) if reference else None,
-        reference_label=str(reference.get("what", "")),
-        grid=grid.Grid(tuple(grid.Axis(key, unit, tuple(values.tolist())) for key, unit, values in spans)),
-        path=path,
-    )
 
 
 # --- the page ----------------------------------------------------------------------------------------------------------------
 
 
-def stored_study(record: ParetoRecord, file: ProblemFile, path: Path) -> StoredStudy:
-    """Build the report of a stored Pareto front.
-
-    Parameters
-    ----------
-    file : ProblemFile
-        The problem of the study.
-    path : Path
-        File of the record.
-
-    Raises
-    ------
-    InputError
-        If the record is damaged.
-    """
-    front = read(record, file, path)
+def page(front: Pareto) -> StoredStudy:
+    """Return the page of a Pareto front."""
+    file = front.problem
     shown = study_tables.pareto_front(front)
     chosen = _initial_point(front)
     words = f"The design of point {chosen + 1}: {front.points[chosen].mark or 'the first'}." if chosen is not None else ""
@@ -180,7 +87,7 @@ def _front(result: Pareto, values: Array, x: int, y: int) -> ChartSpec:
     style: dict[str, Any] = {"symbol": "circle" if two else "open circle", "size": 7.0, "prefer": outward}
     style |= {"font": 8.5 if two else 7.5, "written": True}
     marks = [
-        Mark(float(across[k]), float(up[k]), _point_label(result, point), LIMIT, gid=point.mark, **style)
+        Mark(across[k], up[k], _point_label(result, point), LIMIT, gid=point.mark, **style)
         for k, point in enumerate(result.points)
         if point.mark
     ]
@@ -206,9 +113,7 @@ def _point_label(result: Pareto, point: ParetoPoint) -> str:
     """Return the label of a marked point with its change from the reference design."""
     words = point.mark.replace(", ", ",\n")
     if len(result.objectives) == 2 and result.reference is not None:
-        changes = [
-            study_tables.relative_change(value, before) for value, before in zip(point.values, result.reference, strict=True)
-        ]
+        changes = map(study_tables.relative_change, point.values, result.reference)
         words += f"\n{', '.join(filter(None, changes))}"
     return words
 
@@ -222,11 +127,8 @@ def _picks(front: Pareto, x: Array, y: Array) -> Picks:
     """Tabulate the design of every point."""
     names: list[str] = []
     for objective in front.objectives:
-        names += (
-            [_objective_label(objective), f"{objective.name}: change"]
-            if front.reference is not None
-            else [_objective_label(objective)]
-        )
+        names.append(_objective_label(objective))
+        names += [f"{objective.name}: change"] if front.reference is not None else []
     names += ["{} [{}]".format(*name.rpartition("_")[::2]) for name in front.points[0].design]
     rows = []
     for point in front.points:
@@ -242,4 +144,4 @@ def _picks(front: Pareto, x: Array, y: Array) -> Picks:
     return Picks(what, (*names, "active constraints", "mark"), tuple(rows), x, y, _initial_point(front) or 0, range(len(rows)))
 
 
-VIEW = View(charts=charts, tables=lambda result: {"front": result.columns}, page=stored_study)
+VIEW = View(charts=charts, tables=lambda result: {"front": result.columns}, page=page, result=Pareto)

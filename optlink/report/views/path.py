@@ -86,10 +86,7 @@ def columns(design: PathDesign) -> dict[str, Array]:
 def drawing(result: PathResult, *, pointed: bool) -> Figure | None:
     """Draw the mechanism at its first point or position; of a path or motion beside it a close-up of the curve.
 
-    Parameters
-    ----------
-    pointed : bool
-        Whether to draw a path or a motion, or else a function or a transmission; None if it is not of that kind.
+    None if the result is not of the wanted kind: `pointed`, a path or a motion, or else a function or a transmission.
     """
     view = best(result)
     if view is None or view.task.pointed != pointed:
@@ -136,13 +133,7 @@ class Passing(Sketch):
         self.close.draw(axes, None)
 
     def pose(self, axes: Axes, motion: Motion, k: int = 0) -> list[Artist]:
-        """Draw position `k`, the points passed so far and the pose of the guided body.
-
-        Parameters
-        ----------
-        k : int, optional
-            Index of the position.
-        """
+        """Draw position `k`, the points passed so far and the pose of the guided body."""
         artists = super().pose(axes, motion, k)
         view = self.track
         assert self.strip is not None
@@ -169,16 +160,11 @@ def frames(result: PathResult, count: int = FRAMES) -> list[Image.Image]:
     """Draw the frames of the best design moving along its curve, or its output.
 
     The crank turns once, or back and forth between the first and the last point.
-
-    Parameters
-    ----------
-    count : int, optional
-        Number of frames.
     """
     view = best(result)
     if view is None:
         return []
-    titles = marked(view.task.title, view.design.valid, view.design.validation.checks, view.design.status.text, view.refuted)
+    titles = marked(view.task.title, view.design, view.refuted)
     steps = view.begin + view.direction * np.linspace(0.0, TURN, count, endpoint=False)
     if view.task.requirement.kind == "function" or (view.task.pointed and not view.design.crank_turns):
         steps = there_and_back(view.begin, view.end, count)

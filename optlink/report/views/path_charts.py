@@ -6,8 +6,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
+from optlink.linkage.vector2d import TURN
 from optlink.report.chart_mpl import draw_into
-from optlink.report.chart_spec import Array, Axis, Bars, ChartSpec, Curve, Line, Mark, Panel, Trace
+from optlink.report.chart_spec import Array, Axis, Bars, ChartSpec, Curve, Line, Mark, Panel, Trace, max_abs
 from optlink.report.labels import Label
 from optlink.report.shapes import even, finite
 from optlink.report.style import BODIES, LIMIT, MUTED, RESULT, TARGET, scale
@@ -21,7 +22,7 @@ MAX_FRAMES = 40  # largest number of poses drawn as frames
 CURVE_DISTANCE = 0.25  # distance up to which the curve is included, as a share of the extent of the points
 FRAME_SIZE = 0.13  # size of a pose frame, as a share of the extent of the points
 TOLERANCE_COLOUR = BODIES[2]
-CIRCLE = np.array([(math.cos(t), math.sin(t)) for t in np.linspace(0.0, 2.0 * math.pi, 73)] + [(math.nan, math.nan)])
+CIRCLE = np.array([(math.cos(t), math.sin(t)) for t in np.linspace(0.0, TURN, 73)] + [(math.nan, math.nan)])
 
 
 def dots(count: int) -> float:
@@ -30,15 +31,7 @@ def dots(count: int) -> float:
 
 
 def points_on(axes: Axes, places: Array, size: float = 1.0) -> None:
-    """Draw the precision points.
-
-    Parameters
-    ----------
-    places : array (n, 2)
-        In the unit of the axes.
-    size : float, optional
-        Factor on the marker size.
-    """
+    """Draw the precision points (n, 2); `size` is a factor on the marker size."""
     size *= dots(len(places))
     axes.plot(*places.T, linestyle="none", marker="o", markersize=size, color=TARGET, mew=0.0, zorder=5, gid="target")
 
@@ -46,13 +39,7 @@ def points_on(axes: Axes, places: Array, size: float = 1.0) -> None:
 def small_frames(places: Array, angles: Array, length: float) -> Array:
     """Return small coordinate frames, an arrow along x and a short line along y, as one line with gaps, shape (10 n, 2).
 
-    Parameters
-    ----------
-    places : array (n, 2)
-        Origins, in the unit of the axes.
-    angles : array (n,) [rad]
-    length : float
-        Length of the arrow, in the unit of the axes.
+    `places` (n, 2) are the origins, `angles` (n,) in rad; the arrow has the given length.
     """
     x, y = np.stack([np.cos(angles), np.sin(angles)], axis=-1), np.stack([-np.sin(angles), np.cos(angles)], axis=-1)
     gap = (math.nan, math.nan)
@@ -76,7 +63,7 @@ class CloseUp:
 
     def __init__(self, view: PathView) -> None:
         self.track = view
-        self.unit = scale(float(np.nanmax(np.abs(np.concatenate([view.targets, view.generated])))), "m")
+        self.unit = scale(max_abs(np.concatenate([view.targets, view.generated])), "m")
         self.length = FRAME_SIZE * view.size * self.unit.factor
         self.motion = view.task.requirement.kind == "motion"
         self.shown = even(len(view.targets), MAX_FRAMES)
@@ -104,11 +91,11 @@ class CloseUp:
         must = finite(np.concatenate([*(part * factor for part in visible), *(self._poses() if self.motion else ())]))
         low, high = must.min(axis=0), must.max(axis=0)
         size = high - low
-        room = CURVE_DISTANCE * float(np.max(size))
+        room = CURVE_DISTANCE * np.max(size)
         run = np.clip(finite(view.position(view.run) * factor), low - room, high + room)
         low, high = np.minimum(low, run.min(axis=0)), np.maximum(high, run.max(axis=0))
         size = high - low
-        half = 0.5 * np.maximum(1.16 * size, 0.5 * 1.16 * float(np.max(size)))
+        half = 0.5 * np.maximum(1.16 * size, 0.5 * 1.16 * np.max(size))
         return 0.5 * (low + high) - half, 0.5 * (low + high) + half
 
     @property
@@ -124,14 +111,9 @@ class CloseUp:
         return bool(np.ptp(view.run.crank_angle) >= np.ptp(view.motion.crank_angle) - 1e-9)
 
     def chart(self, magnified: float | None = 1.0, *, points: bool = True) -> ChartSpec:
-        """Return the close-up as a chart: the curve, points, tolerances, deviations and poses.
+        """Return the close-up as a chart: the curve, points, and poses; tolerances and deviations if they are magnified.
 
-        Parameters
-        ----------
-        magnified : float or None, optional
-            Magnification of tolerances and deviations; None leaves them out.
-        points : bool, optional
-            Draw the generated points and the whole curve instead of the surroundings of the points.
+        `points` draws the generated points and the whole curve instead of the surroundings of the points.
         """
         view, factor, unit = self.track, self.unit.factor, self.unit.unit
         full_curve, run = (view.position(motion) * factor for motion in (view.motion, view.run))
@@ -158,13 +140,7 @@ class CloseUp:
         return ChartSpec("", "Path", [Panel(y, traces, marks=self._numbers(size))], x, equal=True, cursor=False)
 
     def draw(self, axes: Axes, magnified: float | None) -> list[Label]:
-        """Draw the close-up without a legend and return the labels of the points.
-
-        Parameters
-        ----------
-        magnified : float or None
-            See `chart`.
-        """
+        """Draw the close-up without a legend and return the labels of the points."""
         labels = draw_into(axes, self.chart(magnified, points=False), legend=False)
         axes.set_aspect("equal", adjustable="box")
         return labels
@@ -202,7 +178,7 @@ class CloseUp:
         if not self.track.task.closed:
             following[0], following[-1] = places[1] - places[0], places[-1] - places[-2]
         names: dict[int, list[int]] = {}
-        same = COINCIDENT * float(np.max(np.ptp(places, axis=0)))
+        same = COINCIDENT * np.max(np.ptp(places, axis=0))
         for k in chosen:  # coincident points share a label
             first = next((i for i in names if np.linalg.norm(places[i] - places[k]) <= same), k)
             names.setdefault(first, []).append(k + 1)
@@ -260,7 +236,7 @@ def _bulk(view: PathView) -> NDArray[np.bool_]:
     distances, limited = view.design.measured.distances, np.isfinite(view.tolerances)
     if not np.any(limited) or np.all(limited):
         return np.ones(len(limited), dtype=bool)
-    near = max(float(np.nanmax(distances[limited])), float(np.max(view.tolerances[limited])))
+    near = max(np.nanmax(distances[limited]), np.max(view.tolerances[limited]))
     return limited if float(np.nanmax(distances[~limited])) > CUT_RATIO * near else np.ones(len(limited), dtype=bool)
 
 
@@ -269,21 +245,21 @@ def _distances(view: PathView) -> Panel:
     if view.exact:
         unit = view.sketch.scale
         return _rounding("distance", distances * unit.factor, LEVEL * view.task.size * unit.factor, unit.unit)
-    largest = float(np.nanmax(distances))
+    largest = np.nanmax(distances)
     unit = fitting(largest, view.sketch.scale)
     limited, bulk = np.isfinite(tolerances), _bulk(view)
     beyond = [LIMIT if far else RESULT for far in distances > tolerances * (1.0 + 1e-6)]
     traces: list[Trace] = [_bars(distances * unit.factor, beyond if len(beyond) <= MAX_COLOURED_BARS else RESULT, "distances")]
-    top = float(np.nanmax(distances[bulk]))
+    top = np.nanmax(distances[bulk])
     if np.any(limited):
         visible = limited & (tolerances <= 4.0 * largest)
-        top = max(top, float(np.max(tolerances[visible], initial=0.0)))
+        top = max(top, np.max(tolerances[visible], initial=0.0))
         numbers = np.arange(1.0, len(distances) + 1.0)[visible]
         edges = np.stack([numbers - 0.5, numbers + 0.5, np.full_like(numbers, np.nan)], axis=1).ravel()
         heights = np.repeat(tolerances[visible] * unit.factor, 3)
         traces.append(Curve(edges, heights, "tolerance" if np.any(visible) else "", TOLERANCE_COLOUR, 1.8, gid="tolerance"))
         if not np.all(visible[limited]):
-            least = length(float(np.min(tolerances[limited & ~visible])), view.sketch.scale)
+            least = length(np.min(tolerances[limited & ~visible]), view.sketch.scale)
             exceeding = f"tolerances from {least} on lie above" if np.any(visible) else f"tolerance, {least}, lies above"
             traces.append(Curve.entry(exceeding, TOLERANCE_COLOUR))
     return Panel(Axis(f"distance [{unit.unit}]", (0.0, 1.1 * top * unit.factor)), traces)
@@ -294,16 +270,16 @@ def _directions(view: PathView) -> Panel:
     miss = view.generated - view.targets
     speed = view.direction * view.at.velocity(view.task.requirement.point)
     fast = np.linalg.norm(speed, axis=1)
-    largest = float(np.nanmax(np.linalg.norm(miss, axis=1)))
+    largest = np.nanmax(np.linalg.norm(miss, axis=1))
     unit = fitting(largest, view.sketch.scale)
     parts = {"in x": miss[:, 0], "in y": miss[:, 1]}
-    if np.all(np.isfinite(fast)) and float(np.min(fast)) > 1e-9 * view.task.size:
+    if np.all(np.isfinite(fast)) and np.min(fast) > 1e-9 * view.task.size:
         (tx, ty), (x, y) = (speed / fast[:, None]).T, miss.T
         parts = {"along the curve": tx * x + ty * y, "across, to the left": tx * y - ty * x}
         along, across = parts.values()
-        if float(np.max(np.abs(along))) < MIN_COMPONENT * largest:
+        if max_abs(along) < MIN_COMPONENT * largest:
             parts = {"across the curve, to the left; along it none": across}
-        elif float(np.max(np.abs(across))) < MIN_COMPONENT * largest:
+        elif max_abs(across) < MIN_COMPONENT * largest:
             parts = {"along the curve; across it none": along}
     two, bulk = len(parts) > 1, _bulk(view)
     traces = []
@@ -311,7 +287,7 @@ def _directions(view: PathView) -> Panel:
         place, wide = ((k - 0.5) * 0.36, 0.34) if two else (0.0, 0.6)
         traces.append(_bars(values * unit.factor, MUTED if two and k == 0 else RESULT, name, name, place, wide))
     every = np.array([values[bulk] for values in parts.values()]) * unit.factor
-    low, high = min(0.0, float(np.nanmin(every))), max(0.0, float(np.nanmax(every)))
+    low, high = min(0.0, np.nanmin(every)), max(0.0, np.nanmax(every))
     room = 0.06 * (high - low)
     return Panel(Axis(f"generated minus target [{unit.unit}]", (low - room, high + room)), traces)
 

@@ -64,13 +64,7 @@ def _draw_poses(axes: Axes, view: PathView) -> None:
 
 
 def trim(fig: Figure, rows: int = 1) -> None:
-    """Reduce the height of a figure by the empty space above and below its panels.
-
-    Parameters
-    ----------
-    rows : int, optional
-        Number of rows of panels.
-    """
+    """Reduce the height of a figure by the empty space above and below its rows of panels."""
     fig.draw_without_rendering()
     empty = math.inf
     for axes in fig.axes:
@@ -108,7 +102,7 @@ def designs(result: PathResult) -> Figure | None:
     tracks = [PathView(design) for design in result.designs[:MAX_DESIGNS]]
     sizes = np.array([np.ptp(view.sketch.limits, axis=1) / view.sketch.scale.factor for view in tracks])
     reach = sizes.max(axis=1)
-    common = sizes[reach <= SCALE_RATIO * float(np.min(reach))].max(axis=0)
+    common = sizes[reach <= SCALE_RATIO * np.min(reach)].max(axis=0)
     columns = charts_per_row(len(tracks))
     rows = -(-len(tracks) // columns)
     panel = 3.9 if columns > 2 else 4.6
@@ -117,7 +111,7 @@ def designs(result: PathResult) -> Figure | None:
     labels: list[Label] = []
     for number, (axes, view) in enumerate(zip(panels(fig, len(tracks), columns), tracks, strict=True)):
         labels += initial_pose(axes, view)
-        smaller = max(1.0, float(np.max(sizes[number] / common)))
+        smaller = max(1.0, np.max(sizes[number] / common))
         half = 0.5 * common * smaller * view.sketch.scale.factor
         middle = np.mean(view.sketch.limits, axis=1)
         axes.set(xlim=(middle[0] - half[0], middle[0] + half[0]), ylim=(middle[1] - half[1], middle[1] + half[1]))
@@ -140,7 +134,7 @@ OUTPUT_POSITIONS = 360  # number of positions of the output curve
 
 
 class OutputCurves(NamedTuple):
-    """OutputCurves over crank angles (n,) [deg]: `generated` (n, curves) in the unit of `name`, `target` (n,) if prescribed.
+    """An output over crank angles (n,) [deg]: `generated` (n, curves) in the unit of `name`, `target` (n,) if prescribed.
 
     `factor`: from SI to that unit.
     """
@@ -215,22 +209,14 @@ def _outputs(shown: OutputCurves) -> Panel:
     for k, name in enumerate(shown.curves):
         texts = name
         if shown.target is None:
-            least, largest = float(np.nanmin(shown.generated[:, k])), float(np.nanmax(shown.generated[:, k]))
+            least, largest = np.nanmin(shown.generated[:, k]), np.nanmax(shown.generated[:, k])
             texts = f"at {name}: {least:z.2f}° to {largest:z.2f}°"
         traces.append(Curve(shown.crank, shown.generated[:, k], texts, BODIES[k % len(BODIES)], 1.9, gid=f"generated {name}"))
     return Panel(Axis(shown.name), traces, 1.6)
 
 
 def output_film(view: PathView, steps: Array, titles: Sequence[str]) -> list[Image.Image]:
-    """Draw the frames of the mechanism beside its output or its transmission angles.
-
-    Parameters
-    ----------
-    steps : array (frames,) [rad]
-        Crank angles.
-    titles : sequence of str
-        Lines of the title.
-    """
+    """Draw the frames of the mechanism at crank angles [rad] beside its output or its transmission angles."""
     shown = output(view)
     order = np.argsort(shown.crank)
     height = np.interp(np.degrees(steps), shown.crank[order], shown.generated[order, 0])

@@ -17,13 +17,13 @@ from optlink.report.views.function_tables import (
     active,
     backends,
     checks,
+    conflict,
     dimension_rows,
     graded_status,
     refuted_first,
     search_verdict,
 )
-from optlink.report.views.relaxations import conflict
-from optlink.report.views.short_text import dimensions, first_rows, objective_line, short_text, verdict_lines
+from optlink.report.views.short_text import dimensions, objective_line, short_text, verdict_lines
 from optlink.solvers.contract import LEAST_SQUARES
 from optlink.tasks.machine import turning_machine
 from optlink.tasks.results.path import LEVEL, PathDesign, PathResult
@@ -74,19 +74,14 @@ def path_result(outcome: PathResult) -> Summary:
     )
     evidence = [quiet(reached)] if reached else []
     status = [*verdict_lines(verdict), *notes, objective_line(objective), *proof, *evidence]
-    return replace(
-        full,
-        short=short_text(
-            model.title, status, dimensions(design), impossible or first_rows(limits), None if impossible else checked
-        ),
-    )
+    return replace(full, short=short_text(model.title, status, dimensions(design), limits, checked, impossible))
 
 
 def _verdict(outcome: PathResult, best: PathDesign) -> Iterator[Line]:
     count = len(outcome.designs)
     suffix = f"; {count} distinct design{'s' * (count != 1)} verified" if best.valid else "; the nearest design is shown"
     yield from refuted_first(outcome)
-    line = search_verdict(best.status, "valid" if best.valid else "not valid", best.valid, outcome.certificate)
+    line = search_verdict(best.status, best.valid, outcome.certificate)
     yield from graded_status(line, best.fit if best.valid else None, "" if outcome.starts == 0 else suffix)
 
 
@@ -115,7 +110,7 @@ def _objective(design: PathDesign) -> TableSpec:
     what = {"m": "distance", "rad": "error", "": "cosine"}[task.unit]
     remark = f"{what}: rms {number(factor * rms, 4)}, largest {number(factor * largest, 4)} {unit}".rstrip()
     if design.between is not None and np.nanmax(design.between, initial=0.0) > MIN_LENGTH:
-        remark += f"; between the points up to {number(1e3 * float(np.nanmax(design.between)), 3)} mm"
+        remark += f"; between the points up to {number(1e3 * np.nanmax(design.between), 3)} mm"
     if measured.turned is not None:
         remark += f"; angle: largest {number(math.degrees(float(abs(measured.turned).max())), 4)} deg"
     scale, square = task.objective_display
@@ -147,7 +142,7 @@ def _points(design: PathDesign) -> TableSpec:
         row.append(fixed(math.degrees(design.crank_angles[i]), 2))
         if between is not None:
             after = between[i : i + step]
-            row.append(number(1e3 * float(np.nanmax(after)), 3) if np.any(np.isfinite(after)) else "")
+            row.append(number(1e3 * np.nanmax(after), 3) if np.any(np.isfinite(after)) else "")
         if measured.turned is not None:
             row.append(number(math.degrees(measured.turned[i]), 3))
         rows.append(row)
@@ -156,9 +151,8 @@ def _points(design: PathDesign) -> TableSpec:
     columns += [">turned by"] if measured.turned is not None else []
     notes = [quiet(f"{len(rows)} of {len(targets)} points; all of them with --out or --json")] if step > 1 else []
     if between is not None:
-        notes.append(
-            quiet("between: distance of the curve from the line to the next point, beyond the arc that the points suggest")
-        )
+        note = "between: distance of the curve from the line to the next point, beyond the arc that the points suggest"
+        notes.append(quiet(note))
     return table("Points [mm, deg]", columns, rows, notes=notes, unbroken=True)
 
 

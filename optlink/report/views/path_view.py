@@ -10,7 +10,7 @@ from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.file import ProblemFile
 from optlink.problem.path import MARK
-from optlink.report.causes import mark, why_invalid
+from optlink.report.causes import marked, why_invalid
 from optlink.report.drawing import Sketch
 from optlink.report.files import verdict
 from optlink.report.format import round_below
@@ -116,18 +116,18 @@ class PathView:
     @cached_property
     def size(self) -> float:
         """Extent of the points [m]."""
-        extent = float(np.max(spread(finite(np.concatenate([self.targets, self.generated])))))
+        extent = np.max(spread(finite(np.concatenate([self.targets, self.generated]))))
         return extent if extent > 0.0 else self.task.size
 
     @cached_property
     def factor(self) -> float:
         """Magnification of deviations and tolerances in the figures."""
-        largest = 0.0 if self.exact else float(np.nanmax(self.design.measured.distances))
+        largest = 0.0 if self.exact else np.nanmax(self.design.measured.distances)
         limit = DEVIATION_LENGTH * self.size / largest if largest > 0.0 else math.inf
         tolerances = self.tolerances[np.isfinite(self.tolerances)]
         if tolerances.size:
             distances = np.linalg.norm(np.diff(self.targets, axis=0), axis=1)
-            limit = min(limit, 0.45 * float(np.median(distances)) / float(np.max(tolerances)))
+            limit = min(limit, 0.45 * np.median(distances) / float(np.max(tolerances)))
         return max(1.0, round_below(limit))
 
 
@@ -147,39 +147,18 @@ LINE = 0.17  # line height of a figure title [inch]
 
 
 def fitting(value: float, unit: Scale) -> Scale:
-    """Return the unit of the figure, or a smaller unit for values that are small in it.
-
-    Parameters
-    ----------
-    value : float [m]
-    unit : Scale
-        Unit of the figure.
-    """
+    """Return the unit of the figure, or a smaller unit for values [m] that are small in it."""
     return unit if value == 0.0 or not math.isfinite(value) or value * unit.factor >= 0.01 else scale(value, "m")
 
 
 def length(value: float, unit: Scale) -> str:
-    """Format a deviation with its unit.
-
-    Parameters
-    ----------
-    value : float [m]
-    unit : Scale
-        Unit of the figure.
-    """
+    """Format a deviation [m] with its unit, from the unit of the figure."""
     shown = fitting(value, unit)
     return f"{_digits(value * shown.factor, 4)} {shown.unit}"
 
 
 def squares(value: float, unit: Scale) -> str:
-    """Format a sum of squares in the square of the figure's unit, or of a smaller one that avoids an exponent.
-
-    Parameters
-    ----------
-    value : float [m²]
-    unit : Scale
-        Unit of the figure.
-    """
+    """Format a sum of squares [m²] in the square of the figure's unit, or of a smaller one that avoids an exponent."""
     small = Scale(1e3, "mm"), Scale(1e6, "µm"), Scale(1e9, "nm")
     units = [unit, *(smaller for smaller in small if smaller.factor > unit.factor)]
     shown = next((item for item in units if value * item.factor**2 >= 1e-4), units[-1])
@@ -200,13 +179,7 @@ def _digits(value: float, count: int) -> str:
 def with_verdict(
     machine: ProblemFile | None, design: PathDesign | FunctionResult | CycleResult | None, refuted: str = ""
 ) -> tuple[ProblemFile, str] | None:
-    """Return the machine of a design with its verdict; None if there is none.
-
-    Parameters
-    ----------
-    refuted : str, optional
-        Which limits exclude each other, if it is known.
-    """
+    """Return the machine of a design with its verdict; None if there is none."""
     if machine is None or design is None:
         return None
     why = refuted or why_invalid(design.validation.checks, design.status.text)
@@ -254,15 +227,15 @@ def figures(view: PathView) -> list[str]:
         texts.append(f"{many} {'points' if turned is None else 'poses'} met exactly, to rounding")
     else:
         plain = turned is None and task.target_points.weights is None
-        rms, largest = math.sqrt(float(np.nanmean(distances**2))), float(np.nanmax(distances))
+        rms, largest = math.sqrt(np.nanmean(distances**2)), np.nanmax(distances)
         if not (plain and task.measure in ("rms", "max")):
             texts.append(objective(view))
         shown = fitting(rms, unit)
         texts.append(f"distances: rms {length(rms, shown)}, largest {length(largest, shown)}")
         if turned is not None:
-            texts.append(f"angles: largest {_digits(math.degrees(float(np.nanmax(np.abs(turned)))), 4)}°")
+            texts.append(f"angles: largest {_digits(math.degrees(np.nanmax(np.abs(turned))), 4)}°")
         if np.any(np.isfinite(view.tolerances)):
-            used = float(np.nanmax(distances / view.tolerances))
+            used = np.nanmax(distances / view.tolerances)
             texts.append(f"at most {f'{100.0 * used:.3g} % of' if used < 10.0 else f'{used:.3g} times'} the tolerance")
     return [*texts, *filter(None, [transmission(design)])]
 
@@ -272,7 +245,7 @@ def _error(view: PathView) -> list[str]:
     task, errors = view.task, view.design.measured.distances
     if not task.unit or view.exact:
         return []
-    rms, largest = math.sqrt(float(np.nanmean(errors**2))), float(np.nanmax(errors))
+    rms, largest = math.sqrt(np.nanmean(errors**2)), np.nanmax(errors)
     unit = fitting(rms, view.sketch.scale) if task.slides else Scale(math.degrees(1.0), "deg")
     shown = (f"{_digits(value * unit.factor, 4)} {unit.unit}" for value in (rms, largest))
     return ["error: rms {}, largest {}".format(*shown)]
@@ -297,16 +270,7 @@ def sizes(view: PathView) -> list[str]:
 
 
 def wrapped(items: Sequence[str], width: float, gap: str, size: float = TITLE) -> str:
-    """Join items to lines of similar length that fit a width; items are not broken.
-
-    Parameters
-    ----------
-    width : float [inch]
-    gap : str
-        Separator between items.
-    size : float [pt], optional
-        Font size.
-    """
+    """Join items to lines of similar length that fit a width [inch] at a font size [pt]; items are not broken."""
     most = max(16, int(72.0 * width / (0.56 * size)))
 
     def lines(limit: int) -> list[str]:
@@ -325,28 +289,14 @@ def wrapped(items: Sequence[str], width: float, gap: str, size: float = TITLE) -
 
 
 def title_of(view: PathView, width: float, title: str, *more: str) -> str:
-    """Compose a title with further lines below it; an invalid design is marked as not valid.
-
-    Parameters
-    ----------
-    width : float [inch]
-    *more : str
-        Further lines; empty ones are left out.
-    """
-    text = [heading(title, width, TITLE)]
-    if not view.design.valid:
-        text.append(heading(mark(view.design.validation.checks, view.design.status.text, view.refuted), width, TITLE))
-    elif view.design.fit is not None and view.design.fit.grade == "poor":
-        text.append(heading(view.design.fit.text.capitalize(), width, TITLE))
-    return "\n".join([*text, *filter(None, more)])
+    """Compose a title with further lines below it, without empty ones; an invalid design is marked as not valid."""
+    lines, fit = marked(title, view.design, view.refuted), view.design.fit
+    if view.design.valid and fit is not None and fit.grade == "poor":
+        lines.append(fit.text.capitalize())
+    return "\n".join([*(heading(line, width, TITLE) for line in lines), *filter(None, more)])
 
 
 def mechanism_title(view: PathView, width: float) -> str:
-    """Compose the title of a mechanism with its deviations and dimensions.
-
-    Parameters
-    ----------
-    width : float [inch]
-    """
+    """Compose the title of a mechanism with its deviations and dimensions."""
     texts = wrapped(figures(view), width, "; "), wrapped(sizes(view), width, "   ")
     return title_of(view, width, view.task.title, *texts)

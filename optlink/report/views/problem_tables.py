@@ -30,13 +30,10 @@ def problem(file: ProblemFile) -> Summary:
         parts.append(_section("mechanism", model.mechanism, {"assembly": file.mode()}))
     if isinstance(model, DesignProblem | PathProblem):
         over = {"transmission_over": model.limits.transmission_range}
-        task, hidden = (
-            (effective_values(model), _inapplicable(model)) if isinstance(model, PathProblem) else (_effective(model), ((), ()))
-        )
-        parts += [
-            _section("requirement", model.requirement, task, leave_out=hidden[0]),
-            _section("limits", model.limits, over, leave_out=hidden[1]),
-        ]
+        task = effective_values(model) if isinstance(model, PathProblem) else _effective(model)
+        hidden, hidden_limits = _inapplicable(model) if isinstance(model, PathProblem) else ((), ())
+        parts.append(_section("requirement", model.requirement, task, leave_out=hidden))
+        parts.append(_section("limits", model.limits, over, leave_out=hidden_limits))
     if isinstance(model, CycleProblem):
         from optlink.report.views.cycle_tables import cycle_problem
 
@@ -62,9 +59,8 @@ def _effective(model: DesignProblem) -> dict[str, str]:
     """Return the effective values of optional keys of a motion law or function of a four-bar."""
     task = model.requirement
     values = {"span": f"{math.degrees(model.span):g} deg", "points": _positions(task.law)}
-    values |= {
-        key: str(model.quantities[name]) for key, name in (("start", "phi0"), ("psi0", "psi0")) if name in model.quantities
-    }
+    keys = {"start": "phi0", "psi0": "psi0"}
+    values |= {key: str(model.quantities[name]) for key, name in keys.items() if name in model.quantities}
     return {key: text for key, text in values.items() if key not in task.model_fields_set}
 
 
@@ -80,10 +76,7 @@ def _inapplicable(model: PathProblem) -> tuple[Collection[str], Collection[str]]
 def effective_values(model: PathProblem) -> dict[str, str]:
     """Return the effective values of optional keys of a path or motion synthesis problem."""
     values = {"timing": model.timing, "measure": model.measure, "closed": str(model.closed).lower()}
-    if model.requirement.kind == "motion":
-        values["angle_length"] = f"{1e3 * model.radian:.6g} mm"
-    else:
-        values["angle_length"] = "none"
+    values["angle_length"] = f"{1e3 * model.radian:.6g} mm" if model.requirement.kind == "motion" else "none"
     added = {key: str(model.quantities[key]) for key in (START, MARK) if key in model.quantities}
     if model.requirement.kind == "function":
         values["span"] = f"{math.degrees(model.rotation_of_law):g} deg"
@@ -132,7 +125,6 @@ ABSENT = {
 
 
 def _plain(name: str, value: object) -> str:
-
     if value is None:
         return ABSENT.get(name, "no limit")
     if isinstance(value, Quantity | Interval | str | int | float):

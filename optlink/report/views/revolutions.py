@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.clearance.joint import Gap
-from optlink.report.chart_spec import CRANK_ANGLE, Array, Axis, Curve, Line, Span
+from optlink.linkage.vector2d import TURN
+from optlink.report.chart_spec import Array, Axis, Curve, Line, Span, crank_angle
 from optlink.report.format import round_below
 from optlink.report.style import MUTED, RESULT, SHADE, Scale, scale
 from optlink.tasks.results.clearance import ClearanceSimulation
@@ -17,7 +18,7 @@ FULL = 360.0
 TORQUE = "input.torque_Nm"
 WINDOW = 3  # number of revolutions drawn over time
 LIMITS_PERCENTILE = 99.8  # percentile of the values that the limits of y include
-CIRCLE = np.linspace(0.0, 2.0 * math.pi, 181)
+CIRCLE = np.linspace(0.0, TURN, 181)
 
 
 class RevolutionCurves:
@@ -31,7 +32,7 @@ class RevolutionCurves:
         self.result = result
         self.time: Array = np.asarray(result.columns.get("time_s", np.zeros(0)))
         self.direction = 1.0 if result.speed > 0.0 else -1.0
-        self.period = 2.0 * math.pi / abs(result.speed)
+        self.period = TURN / abs(result.speed)
         step = float(self.time[1] - self.time[0]) if len(self.time) > 1 else self.period
         self.points = max(1, round(self.period / step))
         self.kept = -(-len(self.time) // self.points)
@@ -95,7 +96,7 @@ class RevolutionCurves:
         if self.result.output.guide:
             return values
         values = np.unwrap(values)
-        return np.asarray(values - 2.0 * math.pi * math.floor(float(np.min(values[self.rows(WINDOW)])) / (2.0 * math.pi) + 0.5))
+        return np.asarray(values - TURN * math.floor(float(np.min(values[self.rows(WINDOW)])) / TURN + 0.5))
 
     @property
     def error(self) -> Array:
@@ -114,24 +115,16 @@ class RevolutionCurves:
             return 0.0
         rows = self.rows(1)
         values, turned = self.output[rows], (self.angle[rows.stop - 1] - self.angle[rows.start]) / FULL
-        return 2.0 * math.pi * round(float(values[-1] - values[0]) / (2.0 * math.pi * (turned or 1.0)))
+        return TURN * round(float(values[-1] - values[0]) / (TURN * (turned or 1.0)))
 
     def shares(self, largest: float) -> Scale:
         """Return the display unit of the output or its deviation."""
         return scale(largest, "m" if self.result.output.guide else "deg")
 
     def peak(self, name: str, count: int) -> float:
-        """Return the largest torque magnitude, normal force or penetration of the last revolutions, including peaks between rows.
-
-        Parameters
-        ----------
-        name : str
-            Column name.
-        count : int
-            Number of revolutions.
-        """
+        """Return the largest torque, normal force or penetration of the last revolutions, including peaks between rows."""
         values = self.result[name][self.rows(count)]
-        peak = float(np.nanmax(np.abs(values) if name == TORQUE else values, initial=0.0))
+        peak = np.nanmax(np.abs(values) if name == TORQUE else values, initial=0.0)
         stem, _, unit = name.rpartition("_")
         exact = self.result.per_revolution[f"{stem}_max_{unit}".removeprefix("input.")] if self.last else np.zeros(0)
         complete = min(count - self.broken, len(exact))
@@ -140,15 +133,7 @@ class RevolutionCurves:
     # --- titles --------------------------------------------------------------------------------------------------------
 
     def title(self, what: str, more: str = "") -> str:
-        """Compose the title of a picture: machine and subject, then speed, control and `more`.
-
-        Parameters
-        ----------
-        what : str
-            Subject of the picture.
-        more : str, optional
-            Addition to the second line.
-        """
+        """Compose the title of a picture: machine and subject, then speed, control and `more`."""
         result = self.result
         nominal, sense = "nominal " if self.free else "", "" if self.direction > 0.0 else " clockwise"
         parts = [f"{nominal}{abs(result.speed) * 30.0 / math.pi:.5g} rpm{sense}"]
@@ -161,37 +146,16 @@ class RevolutionCurves:
     # --- the crank angle as abscissa -----------------------------------------------------------------------------------
 
     def fold(self, values: Array, rows: slice, advance: float = 0.0) -> tuple[Array, Array]:
-        """Return crank angles within a revolution [deg] and values, with NaN between revolutions.
-
-        Parameters
-        ----------
-        values : array (n,)
-            Values at all rows.
-        advance : float, optional
-            Amount subtracted from the values for every whole turn of the crank.
-        """
+        """Return crank angles within a revolution [deg] and values (n,), see `fold`."""
         return fold(self.angle[rows], values[rows], advance)
 
     @property
     def crank_axis(self) -> Axis:
         """Axis of the crank angle within a revolution, with time increasing to the right."""
-        name = CRANK_ANGLE + ("" if self.direction > 0.0 else ", clockwise to the right")
-        return Axis(name, (0.0, FULL), reversed=self.direction < 0.0, step=60.0)
+        return crank_angle(clockwise=self.direction < 0.0, limits=(0.0, FULL))
 
     def overlay(self, values: Array, unit: Scale, name: str, colour: str = RESULT, advance: float = 0.0) -> list[Curve]:
-        """Return every revolution after the running-in as a thin curve and the last one as a bold curve.
-
-        Parameters
-        ----------
-        values : array (n,) [SI]
-            Values at all rows.
-        unit : Scale
-            Display unit of the axis.
-        name : str
-            Entry in the legend.
-        advance : float [SI], optional
-            Amount subtracted from the values for every whole turn of the crank.
-        """
+        """Return every revolution after the running-in as a thin curve and the last one as a bold curve, of values (n,) [SI]."""
         curves = []
         if self.shown > 1:
             rows = slice(self.rows(self.shown).start, self.rows(1).start + 1)
@@ -203,15 +167,7 @@ class RevolutionCurves:
         return [*curves, Curve(x, y, name, colour, 1.7, gid="last revolution")]
 
     def bands(self, contact: Array, rows: slice, name: str) -> list[Span]:
-        """Return the crank angles at which journal and bearing are in contact as shaded ranges.
-
-        Parameters
-        ----------
-        contact : array (n,)
-            1 in contact, 0 apart, at all rows.
-        name : str
-            Entry in the legend.
-        """
+        """Return the crank angles at which journal and bearing are in contact (1, else 0, at all rows) as shaded ranges."""
         x, touching = self.fold(contact, rows)
         spans: list[Span] = []
         for piece in np.split(np.arange(len(x)), np.flatnonzero(np.isnan(x))):
@@ -236,13 +192,7 @@ class RevolutionCurves:
 def fold(angle: Array, values: Array, advance: float = 0.0) -> tuple[Array, Array]:
     """Return crank angles within a revolution [deg] and values, with NaN between revolutions.
 
-    Parameters
-    ----------
-    angle : array (n,) [deg]
-        Continuous crank angles.
-    values : array (n,)
-    advance : float, optional
-        Amount subtracted from the values for every whole turn of the crank.
+    `angle` is continuous [deg]; `advance` is subtracted from the values for every whole turn of the crank.
     """
     turn = np.floor(angle / FULL + 1e-9)
     x, y = angle - FULL * turn, values - advance * turn
@@ -260,14 +210,7 @@ def fold(angle: Array, values: Array, advance: float = 0.0) -> tuple[Array, Arra
 
 
 def rough(value: float, unit: str) -> str:
-    """Format a value with four significant digits and its unit.
-
-    Parameters
-    ----------
-    value : float [SI]
-    unit : str
-        SI unit, or "deg" for an angle in rad.
-    """
+    """Format a value [SI] with four significant digits and its unit."""
     shown = scale(value, unit)
     return f"{value * shown.factor:.4g}{'°' if unit == 'deg' else ' ' + shown.unit}"
 
@@ -282,7 +225,7 @@ def revolution_axis(numbers: Array) -> Axis:
     """Return the axis of revolution numbers, with whole numbers as ticks."""
     step = max(1, int(round_below(len(numbers) / 8.0)))
     ticks = [(float(number), f"{number:g}") for number in numbers if number % step == 0.0]
-    return Axis("revolution", (float(numbers[0]) - 0.5, float(numbers[-1]) + 0.5), ticks=ticks)
+    return Axis("revolution", (numbers[0] - 0.5, numbers[-1] + 0.5), ticks=ticks)
 
 
 def joint_name(gap: Gap) -> str:
@@ -299,33 +242,15 @@ def from_zero(largest: float) -> tuple[float, float]:
 
 
 def clipped_limits(turns: RevolutionCurves, values: Array, low: float, high: float) -> tuple[tuple[float, float], str]:
-    """Return limits of the last revolution and most of the others, and ", cut off" if values exceed them.
-
-    Parameters
-    ----------
-    values : array (n,)
-        Values at all rows, in the unit of the axis.
-    low : float
-        Least value to include, in the unit of the axis.
-    high : float
-        Largest value to include, in the unit of the axis.
-    """
+    """Return limits of the last revolution and most others, down to low and up to high, and ", cut off" if values exceed them."""
     every = values[turns.rows(turns.shown)]
-    top = max(high, float(np.max(values[turns.rows(1)])), float(np.percentile(every, LIMITS_PERCENTILE)))
+    top = max(high, np.max(values[turns.rows(1)]), np.percentile(every, LIMITS_PERCENTILE))
     top = top if top > 0.0 else 1.0
     return (1.08 * low, 1.08 * top), ", cut off" if float(np.max(every)) > 1.08 * top else ""
 
 
 def padded_limits(values: Array, least: float = 0.0) -> tuple[float, float]:
-    """Return limits of all finite values with a margin.
-
-    Parameters
-    ----------
-    values : array
-        In the unit of the axis.
-    least : float, optional
-        Smallest range, as a share of the largest absolute value.
-    """
+    """Return limits of all finite values with a margin; the least range is a share of the largest absolute value."""
     finite_values = values[np.isfinite(values)]
     low, high = (float(finite_values.min()), float(finite_values.max())) if finite_values.size else (0.0, 0.0)
     width = max(high - low, least * max(abs(low), abs(high))) or 1.0

@@ -12,29 +12,23 @@ MAX_LIMITS = 4  # rows of the active limits
 DETAILS = "--details shows the rest"
 
 
-def short_text(title: str, status: Iterable[Line], design: Part, limits: Part | None, checks: TableSpec | None = None) -> Summary:
-    """Return the short text of a design.
+def short_text(
+    title: str,
+    status: Iterable[Line],
+    design: Part,
+    limits: Part | None,
+    checks: TableSpec | None = None,
+    conflict: TableSpec | None = None,
+) -> Summary:
+    """Return the short text of a design: verdict, objective, proof, dimensions, and active limits with failed checks.
 
-    Parameters
-    ----------
-    status : iterable of Line
-        Verdict, objective and proof.
-    limits : TableSpec, Paragraph or None
-        Active or conflicting limits.
-    checks : TableSpec, optional
-        Of the validation; only failed ones are shown.
+    Conflicting limits take the place of these two.
     """
-    return summary(title, status, design, limits, _failed(checks))
+    return summary(title, status, design, conflict or first_rows(limits), _failed(None if conflict else checks))
 
 
 def verdict_lines(lines: Sequence[Line]) -> list[Line]:
-    """Return a verdict with the first one of the reasons that follow it.
-
-    Parameters
-    ----------
-    lines : sequence of Line
-        The verdict, then the reasons.
-    """
+    """Return a verdict with the first one of the reasons that follow it."""
     if len(lines) <= 2:
         return list(lines)
     reason = [lines[1]] if isinstance(lines[1], str | Span) else list(lines[1])
@@ -42,12 +36,9 @@ def verdict_lines(lines: Sequence[Line]) -> list[Line]:
 
 
 def objective_line(objective: TableSpec) -> Line:
-    """Return a table of the objective as one line.
+    """Return a table of the objective as one line: name, value, unit and the remark on the first row.
 
-    Parameters
-    ----------
-    objective : TableSpec
-        Name, value, unit and remark; rows without a name are the same value in other units. The remark on the first row is shown.
+    Rows without a name are the same value in other units.
     """
     first, *others = objective.rows
     pieces = [Span(f"objective: {first[0].text} "), first[1], Span(f" {first[2].text}".rstrip())]
@@ -61,13 +52,7 @@ def objective_line(objective: TableSpec) -> Line:
 
 
 def dimensions(design: TableSpec) -> Part:
-    """Return a design as a table without a heading, or as text where it has many dimensions.
-
-    Parameters
-    ----------
-    design : TableSpec
-        Name, value, unit and remarks of each dimension.
-    """
+    """Return a design as a table without a heading, or as text where it has many dimensions."""
     if len(design.rows) <= MAX_DIMENSIONS:
         return table(design.title, "<><", [row[:3] for row in design.rows]) if design.header else design
     pieces: list[Span] = []

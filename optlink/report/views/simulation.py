@@ -1,18 +1,16 @@
-"""Charts of a simulation in time, and the HTML sections of a stored one: speed and torque, output, bodies, reactions, energy."""
+"""Charts and page of a simulation in time: speed and torque, output, bodies, reactions, energy."""
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from optlink.dynamics.ending import Ending
-from optlink.dynamics.machine import Machine, slider_names
+from optlink.dynamics.machine import slider_names
 from optlink.linkage.mechanism import FRAME
-from optlink.problem.file import ProblemFile
-from optlink.report.chart_spec import TIME, Array, Axis, ChartSpec, Curve, Dash, Panel
+from optlink.report.chart_spec import TIME, Array, Axis, ChartSpec, Curve, Panel, max_abs
 from optlink.report.html import chart_plotly
 from optlink.report.html.moving_linkage import Moving, in_time
 from optlink.report.html.shell import PageSection, StoredStudy
@@ -24,10 +22,8 @@ from optlink.report.view import View
 from optlink.report.views import analysis_tables, conclusions
 from optlink.report.views.analysis_charts import MAX_BODIES, look, together
 from optlink.report.views.analysis_curves import ROUNDING
-from optlink.tasks.machine import machine_of
 from optlink.tasks.results.analysis import reaction_conventions
-from optlink.tasks.results.common import check_entries
-from optlink.tasks.simulate import Simulation, SimulationRecord
+from optlink.tasks.simulate import Simulation
 from optlink.units import percent
 
 RPM = 30.0 / math.pi
@@ -35,94 +31,57 @@ MAX_REACTIONS = 10  # largest number of joint reactions
 MAX_FRAME_JOINTS = 4  # largest number of joints of the frame whose forces are shown by components
 
 
-@dataclass(frozen=True)
-class History:
-    """A simulation in time, as computed or as stored: `columns` (n,) and `figures` by name [SI]."""
-
-    title: str
-    machine: Machine
-    driven: str
-    ending: str
-    columns: Mapping[str, Array]
-    figures: Mapping[str, float]
-
-    def curve(
-        self, name: str, factor: float, words: str, colour: str, width: float = 1.6, dash: Dash = "solid", *, legend: bool = True
-    ) -> Curve:
-        """Return a column times a factor over time as a curve.
-
-        Parameters
-        ----------
-        name : str
-            Name of the column.
-        factor : float
-            Display unit per SI unit.
-        words : str
-            Entry in the legend.
-        width : float, optional
-            Line width [pt].
-        """
-        return Curve(self.columns["time_s"], self.columns[name] * factor, words, colour, width, dash, legend=legend, gid=name)
-
-    def largest(self, names: Iterable[str]) -> float:
-        """Return the largest absolute finite value of columns [SI]."""
-        return largest(self.columns, names)
+def _curve(run: Simulation, name: str, factor: float, words: str, colour: str, *style: Any, **more: Any) -> Curve:
+    """Return a column times a factor, the display unit per SI unit, over time as a curve."""
+    return Curve(run["time_s"], run[name] * factor, words, colour, *style, **more, gid=name)
 
 
 def largest(columns: Mapping[str, Array], names: Iterable[str]) -> float:
-    """Return the largest absolute finite value in columns [SI].
-
-    Parameters
-    ----------
-    columns : mapping of str to array (n,)
-    names : iterable of str
-        Columns to consider.
-    """
-    every = [np.abs(columns[name]) for name in names]
-    return max((float(np.max(values, initial=0.0, where=np.isfinite(values))) for values in every), default=0.0)
+    """Return the largest absolute finite value in columns [SI]."""
+    return max((max_abs(columns[name]) for name in names), default=0.0)
 
 
-def charts(run: History) -> list[ChartSpec]:
+def charts(run: Simulation) -> list[ChartSpec]:
     """Return the charts of a simulation in time; none if the machine did not move."""
-    return [*drive(run), *output(run), *bodies(run), *reactions(run), *energy(run)] if len(run.columns["time_s"]) > 1 else []
+    return [*drive(run), *output(run), *bodies(run), *reactions(run), *energy(run)] if len(run["time_s"]) > 1 else []
 
 
-def drive(run: History) -> list[ChartSpec]:
+def drive(run: Simulation) -> list[ChartSpec]:
     """Plot crank speed and driving torque, and the mean speed of the last revolution if it was completed."""
     speed, panels = f"{run.machine.mechanism.crank.body}.omega_rad_s", []
     if speed in run.columns:
         values = run.columns[speed] * RPM
-        curves, note = [run.curve(speed, RPM, "crank speed", CRANK, legend=False)], ""
+        curves, note = [_curve(run, speed, RPM, "crank speed", CRANK, legend=False)], ""
         if "last_turn.mean_speed_rad_s" in run.figures:
             mean_speed, share = run.figures["last_turn.mean_speed_rad_s"], run.figures.get("last_turn.fluctuation", math.nan)
-            mean, crank = math.copysign(mean_speed, values[-1]) * RPM, run.columns["crank_angle_deg"]
+            mean, crank = math.copysign(mean_speed, values[-1]) * RPM, run["crank_angle_deg"]
             revolutions = run.figures.get("last_turn.revolutions", 1.0)
             turned = np.abs(crank - crank[-1]) <= 360.0 * revolutions * (1.0 + 1e-12)
-            over = run.columns["time_s"][turned]
+            over = run["time_s"][turned]
             curves.append(Curve(over, np.full(len(over), mean), "mean", TARGET, 1.2, "dash", legend=False, gid="mean"))
             note = (
                 f"last {'turn' if revolutions == 1.0 else 'cycle'}: mean over time {mean_speed:.4g} rad/s "
                 f"({mean_speed * RPM:.4g} rpm), fluctuation {percent(share, 2)}"
             )
-        rise, most = float(np.ptp(values)), float(np.max(np.abs(values)))
+        rise, most = np.ptp(values), np.max(np.abs(values))
         room = 0.16 * rise if rise > ROUNDING * most else 0.1 * most or 1.0
-        limits = float(np.min(values)) - room, float(np.max(values)) + 0.4 * room
+        limits = np.min(values) - room, np.max(values) + 0.4 * room
         panels.append(Panel(Axis("crank speed [rpm]", limits), curves, 1.4, note=note))
     if "input.torque_Nm" in run.columns:
-        torque = run.columns["input.torque_Nm"]
-        most = run.largest(["input.torque_Nm"])
+        torque = run["input.torque_Nm"]
+        most = largest(run.columns, ["input.torque_Nm"])
         unit = scale(most, "N m")
         limits_ = None
-        if float(np.ptp(torque)) < 1e-6 * most:  # constant torque: start at zero instead of showing rounding errors
+        if np.ptp(torque) < 1e-6 * most:  # constant torque: start at zero instead of showing rounding errors
             low, high = sorted((0.0, 1.15 * float(torque[0]) * unit.factor))
             limits_ = low, high
-        curve = run.curve("input.torque_Nm", unit.factor, "driving torque", BODIES[0], legend=False)
+        curve = _curve(run, "input.torque_Nm", unit.factor, "driving torque", BODIES[0], legend=False)
         panels.append(Panel(Axis(f"driving torque [{unit.unit}]", limits_), [curve]))
-    heading = f"{run.title}: driven by {run.driven}, {run.ending}"
+    heading = f"{run.problem.model.title}: driven by {run.driven}, {run.ending.value}"
     return [ChartSpec("drive", "Drive", panels, Axis(TIME), heading)] if panels else []
 
 
-def output(run: History) -> list[ChartSpec]:
+def output(run: Simulation) -> list[ChartSpec]:
     """Plot position, velocity and acceleration of the last slider, otherwise of the last body."""
     sliders = list(slider_names(run.machine).values())
     name = sliders[-1] if sliders else run.machine.mechanism.links[-1].body
@@ -133,30 +92,30 @@ def output(run: History) -> list[ChartSpec]:
     panels: list[Panel] = []
     for word, ending, unit in rows:
         if name + ending in run.columns:
-            values = np.unwrap(run.columns[name + ending]) if unit == "deg" else run.columns[name + ending]
-            shown = scale(run.largest([name + ending]), unit)
-            curve = Curve(run.columns["time_s"], values * shown.factor, word, BODIES[1], legend=False, gid=name + ending)
+            values = np.unwrap(run[name + ending]) if unit == "deg" else run[name + ending]
+            shown = scale(largest(run.columns, [name + ending]), unit)
+            curve = Curve(run["time_s"], values * shown.factor, word, BODIES[1], legend=False, gid=name + ending)
             panels.append(Panel(Axis(f"{word} [{shown.unit}]"), [curve]))
-    return [ChartSpec("output", f"Motion of {name}", panels, Axis(TIME), f"{run.title}: {name}")] if panels else []
+    return [ChartSpec("output", f"Motion of {name}", panels, Axis(TIME), f"{run.problem.model.title}: {name}")] if panels else []
 
 
-def bodies(run: History) -> list[ChartSpec]:
+def bodies(run: Simulation) -> list[ChartSpec]:
     """Plot the angular velocities of the bodies that turn, but that of the crank, which `drive` shows."""
     crank = run.machine.mechanism.crank.body
     names = {body: f"{body}.omega_rad_s" for body in run.machine.mechanism.bodies if body != crank}
     colours = {name: BODIES[k % len(BODIES)] for k, name in enumerate(names.values())}
-    floor = 1e-8 * run.largest({*colours, f"{crank}.omega_rad_s"} & run.columns.keys())
-    turning = {body: name for body, name in names.items() if name in run.columns and run.largest([name]) > floor}
+    floor = 1e-8 * largest(run.columns, {*colours, f"{crank}.omega_rad_s"} & run.columns.keys())
+    turning = {body: name for body, name in names.items() if name in run.columns and largest(run.columns, [name]) > floor}
     shown = dict(list(together(run.columns, turning).items())[:MAX_BODIES])
     curves = []
     for k, (label, name) in enumerate(shown.items()):
         width, dash = look(k, len(shown))
-        curves.append(run.curve(name, 1.0, label, colours[name], width, dash))
-    panels, heading = [Panel(Axis("angular velocity [rad/s]"), curves, 1.6)], f"{run.title}: rotation of the bodies"
+        curves.append(_curve(run, name, 1.0, label, colours[name], width, dash))
+    panels, heading = [Panel(Axis("angular velocity [rad/s]"), curves, 1.6)], f"{run.problem.model.title}: rotation of the bodies"
     return [ChartSpec("bodies", "Rotation of the bodies", panels, Axis(TIME), heading)] if curves else []
 
 
-def reactions(run: History) -> list[ChartSpec]:
+def reactions(run: Simulation) -> list[ChartSpec]:
     """Plot the forces of the frame at its pins and guides, and the magnitudes of all joint reactions."""
     mechanism, columns, conventions = run.machine.mechanism, run.columns, reaction_conventions(run.machine)
     guides = {guide.name: guide for guide in mechanism.guides}
@@ -170,10 +129,10 @@ def reactions(run: History) -> list[ChartSpec]:
         joint = name.partition(".")[0]
         of_frame = guides[joint].on == FRAME if joint in guides else FRAME in mechanism.pins[joint]
         if of_frame and len(panels) < MAX_FRAME_JOINTS:
-            unit = scale(run.largest(parts[name]), "N")
+            unit = scale(largest(run.columns, parts[name]), "N")
             x, *y = parts[name]
-            pair = [run.curve(x, unit.factor, "in x" if y else "", RESULT)]
-            pair += [run.curve(one, unit.factor, "in y", CRANK, dash="dash") for one in y]
+            pair = [_curve(run, x, unit.factor, "in x" if y else "", RESULT)]
+            pair += [_curve(run, one, unit.factor, "in y", CRANK, dash="dash") for one in y]
             panels.append(Panel(Axis(f"{name} [{unit.unit}]\n{conventions[name].partition(',')[0]}"), pair, 0.9))
     unit = scale(largest(amounts, names), "N")
     curves = []
@@ -181,10 +140,10 @@ def reactions(run: History) -> list[ChartSpec]:
         width, dash = look(k, len(names))
         curves.append(Curve(columns["time_s"], amounts[name] * unit.factor, name, BODIES[k % len(BODIES)], width, dash))
     panels.append(Panel(Axis(f"amount of force [{unit.unit}]"), curves, 1.6))
-    return [ChartSpec("reactions", "Joint reactions", panels, Axis(TIME), f"{run.title}: joint reactions")]
+    return [ChartSpec("reactions", "Joint reactions", panels, Axis(TIME), f"{run.problem.model.title}: joint reactions")]
 
 
-def energy(run: History) -> list[ChartSpec]:
+def energy(run: Simulation) -> list[ChartSpec]:
     """Plot the work of drive, loads and friction, the energies, and the imbalance of the energy account."""
     columns, turnover = run.columns, run.figures.get("turnover_J", 0.0)
     works = [name for name in columns if name.endswith(".work_J")]
@@ -196,83 +155,52 @@ def energy(run: History) -> list[ChartSpec]:
     for k, name in enumerate(works):
         colour = CRANK if name == "input.work_J" else BODIES[(k - 1) % len(BODIES)]
         what = "drive" if name == "input.work_J" else name.removesuffix(".work_J")
-        above.append(run.curve(name, shown.factor, f"work of {what}", colour))
+        above.append(_curve(run, name, shown.factor, f"work of {what}", colour))
     for name, words, colour in zip(stored, ("kinetic energy", "potential energy"), BODIES[3:], strict=False):
-        if run.largest([name]) > 0.0:
-            above.append(run.curve(name, shown.factor, words, colour, 1.2, "dashdot"))
+        if largest(run.columns, [name]) > 0.0:
+            above.append(_curve(run, name, shown.factor, words, colour, 1.2, "dashdot"))
     panels = [Panel(Axis(f"energy [{shown.unit}]"), above, 2.0)]
     if all(name in columns for name in run.figures if name.endswith(".work_J")):
-        above.append(run.curve("energy.gained_J", shown.factor, "gain of kinetic and potential energy", TARGET, 1.4, "dash"))
+        above.append(_curve(run, "energy.gained_J", shown.factor, "gain of kinetic and potential energy", TARGET, 1.4, "dash"))
         missing = np.abs(columns["energy.gained_J"] - sum(columns[name] for name in works)) / turnover
         share = Curve(columns["time_s"], np.maximum(missing, 1e-17), "imbalance", MUTED, 1.2, legend=False, gid="imbalance")
-        limits = 1e-17, max(1e-8, 10.0 * float(np.max(missing)))
+        limits = 1e-17, max(1e-8, 10.0 * np.max(missing))
         panels.append(Panel(Axis("imbalance / largest", limits, "log"), [share]))
-    return [ChartSpec("energy", "Energy", panels, Axis(TIME), f"{run.title}: energy account")]
+    return [ChartSpec("energy", "Energy", panels, Axis(TIME), f"{run.problem.model.title}: energy account")]
 
 
-def _history(result: Simulation) -> History:
-    title, ending = result.problem.model.title, result.run.ending.value
-    return History(title, result.machine, result.driven, ending, result.columns, result.figures)
-
-
-POSITION_TOLERANCE = 1e-6  # tolerance of stored positions, as a share of the size of the machine
 VERDICTS = {Ending.FINISHED: "Finished", Ending.AT_REST: "Came to rest"}
 
 
-def stored_study(record: SimulationRecord, file: ProblemFile, _: Path) -> StoredStudy:
-    """Build the report of a stored forward dynamics simulation.
-
-    Parameters
-    ----------
-    file : ProblemFile
-        The problem that was simulated.
-
-    Raises
-    ------
-    InputError
-        If the record is damaged.
-    """
-    columns, figures, ending = record.columns, record.figures, record.status
-    check_entries("sizes_SI", record.sizes_SI, file.model.mechanism.quantities)
-    run = History(file.model.title, machine_of(file), record.driven, ending.value, columns, figures)
+def page(run: Simulation) -> StoredStudy:
+    """Return the page of a simulation in time."""
     curves = chart_plotly.charts(charts(run))
-    tables = analysis_tables.simulation_parts(figures, columns, record.steps, record.evaluations)
-    reason = "" if any(note.startswith(record.message) for note in record.notes) else f"; {record.message}"
     return StoredStudy(
-        problem=file,
+        problem=run.problem,
         kind="simulation in time",
-        verdict=VERDICTS.get(ending, f"Not finished: {ending.value}"),
-        valid=record.finished,
-        conclusion=conclusions.simulation(figures, record.finished, record.message),
-        status=[f"{ending.value}, driven by {record.driven}{reason}", *record.notes],
-        sections=[PageSection("Figures", (tuple(tables),)), PageSection("Over time", curves)],
-        moving=partial(_moving, file, record) if curves else no_animation,
-        by=f"integration in time; driven by {record.driven}",
+        verdict=VERDICTS.get(run.ending, f"Not finished: {run.ending.value}"),
+        valid=run.finished,
+        conclusion=conclusions.simulation(run),
+        status=[f"{run.ending.value}, driven by {run.driven}{analysis_tables.unnoted(run)}", *run.notes],
+        sections=[PageSection("Figures", (analysis_tables.simulation(run).parts,)), PageSection("Over time", curves)],
+        moving=partial(_moving, run) if curves else no_animation,
+        by=f"integration in time; driven by {run.driven}",
         drawn="As the crank turned in time: the slider goes from row to row of the simulation.",
     )
 
 
-# --- animation ---------------------------------------------------------------------------------------------------------------
-
-
-def _moving(file: ProblemFile, record: SimulationRecord, steps: int) -> Moving | None:
-    """Animate the linkage at rows of the simulation, if the stored positions match its dimensions."""
-    cycle, columns = cycle_of(file, record.sizes_SI), record.columns
+def _moving(run: Simulation, steps: int) -> Moving | None:
+    """Animate the linkage at rows of the simulation."""
+    cycle = cycle_of(run.problem, run.sizes)
     if cycle is None:
         return None
-    body = cycle.machine.mechanism.crank.body
-    rows = even(len(columns["time_s"]), steps + 1)
-    scene = scene_at(cycle, np.radians(columns["crank_angle_deg"][rows]))
-    for name, places in scene.points.items():
-        if {f"{name}.x_m", f"{name}.y_m"} <= columns.keys():
-            stored = np.stack([columns[f"{name}.x_m"][rows], -columns[f"{name}.y_m"][rows]], axis=1) * 1e3
-            if np.nanmax(np.abs(stored - places), initial=0.0) > POSITION_TOLERANCE * max(scene.box[2:]):
-                return None  # the stored positions belong to a different machine
-    shown = [("crank angle", Scale(1.0, "deg"), columns["crank_angle_deg"][rows])]
+    body, rows = cycle.machine.mechanism.crank.body, even(len(run["time_s"]), steps + 1)
+    crank = run["crank_angle_deg"][rows]
+    shown = [("crank angle", Scale(1.0, "deg"), crank)]
     for name, words, unit in ((f"{body}.omega_rad_s", "crank speed", "rad/s"), ("input.torque_Nm", "driving torque", "N m")):
-        if name in columns:
-            shown.append((words, scale(largest(columns, [name]), unit), columns[name][rows]))
-    return in_time(cycle, scene, columns["time_s"][rows], shown)
+        if name in run.columns:
+            shown.append((words, scale(largest(run.columns, [name]), unit), run[name][rows]))
+    return in_time(cycle, scene_at(cycle, np.radians(crank)), run["time_s"][rows], shown)
 
 
-VIEW = View(charts=lambda result: charts(_history(result)), tables=lambda result: {"course": result.columns}, page=stored_study)
+VIEW = View(charts=charts, tables=lambda run: {"course": run.columns}, page=page, result=Simulation)

@@ -26,7 +26,7 @@ from optlink.report.table_spec import (
 )
 from optlink.studies.motion_sensitivity import OutputSensitivity
 from optlink.studies.pareto.epsilon_constraint import Pareto
-from optlink.studies.sensitivity import Sensitivities, Sensitivity
+from optlink.studies.sensitivity import Derivatives, Sensitivities, Sensitivity
 from optlink.studies.sweep import TEXT, Sweep
 from optlink.units import percent
 
@@ -49,20 +49,19 @@ def step(row: Sensitivity) -> str:
 
 def sensitivities(result: Sensitivities) -> Summary:
     """Summarise the sensitivities of an optimum to its fixed parameters, largest effect first."""
-    result, shown = result.displayed, result.problem.model.shown_objective(result.solution.objective)
+    shown, optimum = result.problem.model.shown_objective(result.solution.objective), result.displayed
     rows = [(shown.name, strong(number(shown.value)), shown.unit)]
-    rows += [(name, strong(dimension(value)), result.units[name]) for name, value in result.values.items()]
+    rows += [(name, strong(dimension(value)), optimum.units[name]) for name, value in optimum.values.items()]
     return summary(result.problem.model.title, noted(result.notes), table("Optimum", "<><", rows), *sensitivity_parts(result))
 
 
 def sensitivity_parts(result: Sensitivities) -> Iterator[Part]:
     """Yield the tables of the sensitivities without the optimum itself."""
-    result = result.displayed
-    if result.moving:
+    if result.displayed.moving:
         yield from (_effects(result), _prices(result), _events(result))
     else:
         yield Paragraph("No parameter changes this optimum to first order.")
-    still = [row.parameter.name for row in result.rows if not row.moves and row.parameter.in_file]
+    still = [row.parameter.name for row in result.displayed.rows if not row.moves and row.parameter.in_file]
     if still:
         yield Paragraph(quiet(f"No effect to first order: {'; '.join(dict.fromkeys(still))}."))
     if result.gap is not None:
@@ -72,26 +71,27 @@ def sensitivity_parts(result: Sensitivities) -> Iterator[Part]:
 
 def _effects(result: Sensitivities) -> TableSpec:
     """Tabulate the effect of one step of every parameter on the objective and the design."""
-    names, rows = list(result.units), []
+    optimum, rows = result.displayed, []
+    names = list(optimum.units)
     objective, factor, *_ = result.problem.model.shown_objective(result.solution.objective)
     narrow = len(names) <= MAX_VARIABLES
-    for row in result.moving:
+    for row in optimum.moving:
         p = row.parameter
         share = _percent(factor * row.effect / objective if objective else math.nan)
-        responses = [signed(row.design[name] * p.step) for name in names] if narrow else [_largest_responses(result, row)]
+        responses = [signed(row.design[name] * p.step) for name in names] if narrow else [_largest_responses(optimum, row)]
         changed = f"{number(p.value)} {p.unit}".rstrip() + f" + {step(row)}"
         rows.append((p.name, changed, good(share) if row.effect < 0.0 else share, *responses))
-    effect_columns = [f">{name}\n[{result.units[name]}]" for name in names] if narrow else ["moves most"]
+    effect_columns = [f">{name}\n[{optimum.units[name]}]" for name in names] if narrow else ["moves most"]
     columns = ["parameter", ">change", ">objective", *effect_columns]
     return table("Sensitivity to prescribed values, largest effect first", columns, rows)
 
 
-def _largest_responses(result: Sensitivities, row: Sensitivity) -> str:
+def _largest_responses(optimum: Derivatives, row: Sensitivity) -> str:
     """Format the design variables with the largest relative response to a parameter."""
-    sizes = {name: abs(result.values[name]) or 1.0 for name in row.design}
+    sizes = {name: abs(optimum.values[name]) or 1.0 for name in row.design}
     order = sorted(row.design, key=lambda name: -abs(row.design[name]) / sizes[name])
     responses = [
-        f"{name} {signed(row.design[name] * row.parameter.step)}\u00a0{result.units[name]}" for name in order if row.design[name]
+        f"{name} {signed(row.design[name] * row.parameter.step)}\u00a0{optimum.units[name]}" for name in order if row.design[name]
     ]
     return ", ".join(responses[:LISTED_VARIABLES])
 
@@ -99,7 +99,7 @@ def _largest_responses(result: Sensitivities, row: Sensitivity) -> str:
 def _prices(result: Sensitivities) -> TableSpec:
     """Tabulate the derivatives of the objective."""
     (_, factor, unit, _), rows = result.problem.model.shown_objective(result.solution.objective), []
-    for row in result.moving:
+    for row in result.displayed.moving:
         size, words = price_step(row.parameter.unit)
         per = quiet(f"{unit} per {words}".strip())
         rows.append((row.parameter.key, f"{factor * size * row.objective:+.6g}" if row.objective else "0", per))
@@ -109,7 +109,7 @@ def _prices(result: Sensitivities) -> TableSpec:
 def _events(result: Sensitivities) -> TableSpec:
     rows = [
         (row.parameter.name, f"{word} {number(end.value, 5)} {row.parameter.unit}".rstrip(), quiet(end.event))
-        for row in result.moving
+        for row in result.displayed.moving
         for word, end in (("below", row.below), ("above", row.above))
         if math.isfinite(end.value)
     ]
@@ -278,13 +278,8 @@ def _status(result: Pareto) -> Iterator[Line]:
     missed = result.solved - result.valid - result.infeasible
     empty = f", {result.infeasible} without a feasible design" if result.infeasible else ""
     counted = f": {result.solved} solved, {result.dominated} dominated by others{empty}"
-    counted_points = f"{points(len(result.points))}, "
-    yield (
-        counted_points,
-        good("each a verified local optimum"),
-        counted,
-        bad(f", {missed} not verified and left out" if missed else ""),
-    )
+    left_out = bad(f", {missed} not verified and left out" if missed else "")
+    yield f"{points(len(result.points))}, ", good("each a verified local optimum"), counted, left_out
     if result.single_point:
         yield result.single_point
     elif result.points and result.knee is None:
@@ -304,10 +299,8 @@ def _points(result: Pareto) -> TableSpec:
         rows.append(("", *_cells(result, result.reference), quiet(result.reference_label)))
     columns = [">"]
     for objective in result.objectives:
-        columns += [
-            f">{objective.name}\n[{objective.unit}]" if objective.unit else f">{objective.name}",
-            *([">change"] if _compared(result) else []),
-        ]
+        columns.append(f">{objective.name}\n[{objective.unit}]" if objective.unit else f">{objective.name}")
+        columns += [">change"] if _compared(result) else []
     return table("Front", [*columns, ""], rows, unbroken=True)
 
 
@@ -331,13 +324,7 @@ def _cells(result: Pareto, values: tuple[float, ...]) -> Iterator[Inline]:
 
 
 def relative_change(value: float, before: float) -> str:
-    """Format the change of a value: in per cent, or as a ratio if it is large.
-
-    Parameters
-    ----------
-    before : float
-        Reference in the same unit; zero gives an empty text.
-    """
+    """Format the change of a value: in per cent, or as a ratio if it is large; empty if it was zero before."""
     if not before:
         return ""
     ratio = value / before

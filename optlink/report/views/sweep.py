@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -14,22 +13,20 @@ from numpy.typing import NDArray
 
 from optlink.problem.file import ProblemFile
 from optlink.report import chart_spec
-from optlink.report.chart_spec import Array, ChartSpec, Curve, HeatMap, Line, Panel, Picks, Span, cells
+from optlink.report.chart_spec import Array, ChartSpec, Curve, HeatMap, Line, Panel, Picks, Span, cells, max_abs
 from optlink.report.format import number
 from optlink.report.html import chart_plotly
 from optlink.report.html.shell import PageSection, StoredStudy
 from optlink.report.html.study_page import named_si, no_animation, turning_linkage, with_drawings
 from optlink.report.shapes import even
-from optlink.report.stored.stored_sweep import read
 from optlink.report.style import BODIES, LIMIT, MUTED, RESULT, Scale, charts_per_row, scale
 from optlink.report.view import View
 from optlink.report.views import conclusions, study_tables
 from optlink.report.views.revolutions import runs
 from optlink.studies.analysis_task import FIGURES
 from optlink.studies.grid import Axis
-from optlink.studies.sweep import CHANGED, TEXT, Sweep, SweepRecord
+from optlink.studies.sweep import CHANGED, MAX_ROWS, TEXT, Sweep
 
-MAX_POINTS = 200_000  # largest number of points drawn
 MAX_CURVE_POINTS = 4000  # largest number of points of a curve; larger sweeps are thinned evenly
 MAX_SELECTABLE = 1500  # largest number of selectable points
 MAX_MAPS = 6  # largest number of maps for three parameters
@@ -103,49 +100,35 @@ class SweepTable:
 # --- the page ----------------------------------------------------------------------------------------------------------------
 
 
-def stored_study(record: SweepRecord, file: ProblemFile, path: Path) -> StoredStudy:
-    """Build the report of a stored sweep.
-
-    Parameters
-    ----------
-    file : ProblemFile
-        The problem of the study.
-    path : Path
-        File of the record.
-
-    Raises
-    ------
-    InputError
-        If the record is damaged, or its table is missing or belongs to another sweep.
-    """
-    sweep = read(record, file, path)
-    table, shown, figures = SweepTable.of(sweep), study_tables.sweep(sweep), chart_plotly.charts(charts(sweep))
-    figures = [with_drawings(chart, lambda k: _design(file, table, k)) for chart in figures]
-    if sweep.evaluated:
-        counted = ", ".join(f"{count:,} {status}" for status, count in sweep.statuses.items()) or "analysed"
-        by = f"{'simulation' if sweep.mode == 'simulate' else 'analysis'} of every point"
+def page(result: Sweep) -> StoredStudy:
+    """Return the page of a sweep."""
+    problem, table, shown = result.problem, SweepTable.of(result), study_tables.sweep(result)
+    figures = [with_drawings(chart, lambda k: _design(table, k)) for chart in chart_plotly.charts(charts(result))]
+    if result.evaluated:
+        counted = ", ".join(f"{count:,} {status}" for status, count in result.statuses.items()) or "analysed"
+        by = f"{'simulation' if result.mode == 'simulate' else 'analysis'} of every point"
     else:
-        counted_points = f"{sweep.valid:,} points verified, {sweep.grid.count - sweep.valid:,} not"
-        counted = "every point a verified local optimum" if sweep.complete else counted_points
-        by = f"a local optimum at every point, verified by the validator; {study_tables.searches(sweep)}"
+        counted_points = f"{result.valid:,} points verified, {result.grid.count - result.valid:,} not"
+        counted = "every point a verified local optimum" if result.complete else counted_points
+        by = f"a local optimum at every point, verified by the validator; {study_tables.searches(result)}"
     return StoredStudy(
-        problem=file,
+        problem=problem,
         kind="sweep",
         verdict=counted[0].upper() + counted[1:],
-        valid=sweep.successful,
-        conclusion=conclusions.sweep(sweep),
+        valid=result.successful,
+        conclusion=conclusions.sweep(result),
         status=shown.status.lines,
         sections=[PageSection("Sweep", figures), PageSection("Figures", (shown.parts,))],
-        moving=no_animation if table.best is None else partial(turning_linkage, *_design(file, table, table.best)),
+        moving=no_animation if table.best is None else partial(turning_linkage, *_design(table, table.best)),
         by=by,
         drawn="The best point of the sweep.",
         after=1,
     )
 
 
-def _design(file: ProblemFile, table: SweepTable, row: int) -> tuple[ProblemFile, dict[str, float]]:
+def _design(table: SweepTable, row: int) -> tuple[ProblemFile, dict[str, float]]:
     """Return the problem and the design [SI] of a row."""
-    problem = file.override(table.result.grid.changes(row))
+    problem = table.result.problem.override(table.result.grid.changes(row))
     return problem, named_si(problem, {name: float(table.result.columns[name][row]) for name in table.designs})
 
 
@@ -190,8 +173,8 @@ def _column_and_measure(name: str) -> tuple[str, str]:
 def charts(result: Sweep) -> list[ChartSpec]:
     """Return the charts over the parameters that have several values."""
     table = SweepTable.of(result)
-    if not table.axes or result.grid.count > MAX_POINTS:
-        return [] if not table.axes else _extreme_charts(table)
+    if not table.axes or result.grid.count > MAX_ROWS:
+        return _extreme_charts(table)
     if len(table.axes) == 1:
         return [_curves(table)]
     if len(table.axes) == 2:
@@ -205,30 +188,18 @@ def _heading(table: SweepTable, what: str) -> str:
 
 
 def _picks(table: SweepTable, rows: NDArray[np.intp], x: Array, y: Array) -> Picks:
-    """Tabulate the design of every selectable row.
-
-    Parameters
-    ----------
-    rows : array (n,)
-        Rising rows of the table of the sweep.
-    x, y : array (n,)
-        Their places.
-    """
+    """Tabulate the design of every selectable row (n,) of the table of the sweep, with its place."""
     columns, result = table.result.columns, table.result
     names = [*(axis.column for axis in result.grid.axes), *table.shown, *table.designs]
-    heads = [study_tables.with_unit(axis.key, axis.unit) for axis in result.grid.axes] + [
-        _column_text(name) for name in (*table.shown, *table.designs)
-    ]
+    heads = [study_tables.with_unit(axis.key, axis.unit) for axis in result.grid.axes]
+    heads += map(_column_text, (*table.shown, *table.designs))
     words = {"status": "status", "reason": "reason"} if result.evaluated else {ACTIVE: "active", "status": "status"}
     blank = np.full(result.grid.count, "")
     texts = [columns.get(name, blank) for name in words.values()]
-    point_texts = [
-        (
-            *(number(float(columns[name][k]), 7) for name in names),
-            *(str(column[k]) or "none" * (ACTIVE in words) for column in texts),
-        )
-        for k in rows
-    ]
+    point_texts = []
+    for k in rows:
+        values = (number(float(columns[name][k]), 7) for name in names)
+        point_texts.append((*values, *(str(column[k]) or "none" * (ACTIVE in words) for column in texts)))
     first = 0 if table.best is None else int(np.argmin(np.abs(rows - table.best)))
     return Picks("point", (*heads, *words), tuple(point_texts), x, y, first, [int(k) for k in rows])
 
@@ -298,8 +269,7 @@ def _analysis_panels(table: SweepTable) -> Iterator[tuple[str, dict[str, Array]]
     for column, names in _measures_by_column(table).items():
         curves = {WORDS.get(_column_and_measure(name)[1], name): table.column(name) for name in names}
         name, unit = study_tables.named(column)
-        sizes = np.abs(np.stack(list(curves.values())))
-        largest = float(np.max(sizes, initial=0.0, where=np.isfinite(sizes)))
+        largest = max_abs(np.stack(list(curves.values())))
         length = scale(math.sqrt(largest) if unit == "m²" else largest, "m")
         shown = {"m": length, "m²": Scale(length.factor**2, f"{length.unit}²")}.get(unit, Scale(1.0, unit))
         yield study_tables.with_unit(name, shown.unit), {word: values * shown.factor for word, values in curves.items()}
@@ -369,7 +339,7 @@ def _slices(table: SweepTable) -> list[ChartSpec]:
     names = next(iter(_measures_by_column(table).values())) if table.result.evaluated else table.shown
     name = next((name for name in names if name.endswith(".rms")), names[0])
     values = np.asarray(table.column(name), dtype=float)[chosen]
-    limits = (float(np.nanmin(values)), float(np.nanmax(values))) if np.any(np.isfinite(values)) else (0.0, 1.0)
+    limits = (np.nanmin(values), np.nanmax(values)) if np.any(np.isfinite(values)) else (0.0, 1.0)
     selection = "" if len(chosen) == len(slow.values) else f" ({len(chosen)} of its {len(slow.values)} values)"
     heading = _heading(table, f"{_column_text(name)} over {slow.key}{selection}, {up.key} and {side.key}")
     specs = []
@@ -400,4 +370,4 @@ def _extreme_charts(table: SweepTable) -> list[ChartSpec]:
     return specs
 
 
-VIEW = View(charts=charts, page=stored_study)
+VIEW = View(charts=charts, page=page, result=Sweep)

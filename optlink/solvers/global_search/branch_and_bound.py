@@ -38,28 +38,13 @@ MOST_LEAVES = 200_000  # discarded boxes that are kept for the certificate
 
 
 class Bounder(Protocol):
-    """Lower bounds over boxes of unknowns."""
+    """Lower bounds over boxes of unknowns, which are between `low` and `high` (n,)."""
 
-    @property
-    def low(self) -> Array:
-        """Lower bounds (n,) of the unknowns."""
-        ...
-
-    @property
-    def high(self) -> Array:
-        """Upper bounds (n,) of the unknowns."""
-        ...
+    low: Array
+    high: Array
 
     def bounded(self, low: Array, high: Array, threshold: float) -> BoxRecord:
-        """Bound a batch of boxes.
-
-        Parameters
-        ----------
-        low, high : array (boxes, n)
-            Corners.
-        threshold : float
-            Boxes whose lower bound is not below it are discarded.
-        """
+        """Bound a batch of boxes with corners (boxes, n); those whose lower bound is not below the threshold are discarded."""
         ...
 
 
@@ -98,11 +83,7 @@ class Boxes:
     def about(self, point: Array, width: Array) -> Boxes:
         """Return these boxes, divided into at most a batch of boxes that are about as wide as their distance from a point.
 
-        Parameters
-        ----------
-        point : array (n,)
-        width : array (n,)
-            Of the bounds; widths and distances are shares of it.
+        Widths and distances are shares of `width` (n,), that of the bounds.
         """
         boxes = self
         while True:
@@ -140,15 +121,7 @@ class Leaves:
     count: int = 0
 
     def add(self, boxes: Boxes, discarded: NDArray[np.bool_], test: NDArray[np.int8], multipliers: Array) -> None:
-        """Add boxes that are discarded.
-
-        Parameters
-        ----------
-        discarded : array of bool (boxes,)
-            Those of a batch that are discarded.
-        test : array of int (boxes,)
-        multipliers : array (boxes, limits)
-        """
+        """Add those boxes of a batch that are discarded."""
         self.count += int(discarded.sum())
         self.low.append(boxes.low[discarded])
         self.high.append(boxes.high[discarded])
@@ -192,20 +165,12 @@ class BranchAndBound:
     improve : function of a point (n,), optional
         Returns the objective of a valid design found from there, or infinity. Called where the centre of a box is better than
         the best known design.
-    batch : int
-        Boxes that are bounded together.
-    few : int
-        Open boxes below which they are divided before they are bounded.
+    batch, few : int
+        Boxes that are bounded together; open boxes below which they are divided before they are bounded.
     divisible : bool
         Whether batches may be bounded by copies of `bounder`: a long search then takes steps of several batches.
     runs : function, optional
         From `optlink.execution.runner.pool`, for these batches; it changes nothing in the result. Default: the present process.
-
-    Attributes
-    ----------
-    boxes : int
-        Boxes bounded so far.
-    history : list of (boxes, lower, best)
     """
 
     bounder: Bounder
@@ -216,12 +181,12 @@ class BranchAndBound:
     few: int = FEW
     divisible: bool = False
     runs: Runs | None = None
-    boxes: int = 0
+    boxes: int = 0  # bounded so far
     discarded: float = math.inf  # least bound of the boxes that were discarded for their objective
     open: Boxes = field(init=False)
     tiny: Boxes = field(init=False)
     leaves: Leaves = field(default_factory=Leaves)
-    history: list[tuple[int, float, float]] = field(default_factory=list)
+    history: list[tuple[int, float, float]] = field(default_factory=list)  # boxes, lower, best
     next_attempt: int = 0  # number of boxes before which `improve` is not called again
 
     def __post_init__(self) -> None:
@@ -247,14 +212,7 @@ class BranchAndBound:
     def run(
         self, seconds: float = math.inf, boxes: float = math.inf, report: Callable[[BranchAndBound], None] | None = None
     ) -> None:
-        """Search until every box is discarded, or the time or number of boxes is reached.
-
-        Parameters
-        ----------
-        boxes : float
-            Most boxes that are bounded in all.
-        report : function of this search, optional
-            Called after every batch.
+        """Search until every box is discarded, or the time or number of boxes is reached; `report` is called after every batch.
 
         Raises
         ------
@@ -285,20 +243,16 @@ class BranchAndBound:
         self.discarded = min(self.discarded, float(np.min(batch.bound[by_objective], initial=math.inf)))
         self.leaves.add(batch, discarded, record.test, record.multipliers)
         self._better(batch, record)
-        left, direction = (
-            Boxes(record.low[~discarded], record.high[~discarded], batch.bound[~discarded]),
-            record.split[~discarded],
-        )
-        cut = batch[~discarded].without(left)
+        kept = batch[~discarded]
+        left, direction = Boxes(record.low[~discarded], record.high[~discarded], kept.bound), record.split[~discarded]
+        cut = kept.without(left)
         if len(cut):
             self.discarded = min(self.discarded, self.threshold)
             every = np.ones(len(cut), dtype=bool)
             self.leaves.add(cut, every, np.full(len(cut), CUT, dtype=np.int8), np.zeros((len(cut), record.multipliers.shape[1])))
         width = self._widths(left)
         small = np.max(width, axis=1) < SMALLEST
-        bounded = (
-            np.max(self._widths(batch[~discarded]), axis=1) < SMALLEST
-        )  # else a cut has just made it small: it is bounded again
+        bounded = np.max(self._widths(kept), axis=1) < SMALLEST  # else a cut has just made it small: it is bounded again
         rows = np.arange(len(left))
         direction = np.where(width[rows, direction] < SMALLEST, np.argmax(width, axis=1), direction)
         self.tiny = Boxes.joined([self.tiny, left[small & bounded]])
@@ -343,9 +297,7 @@ class BranchAndBound:
     def _better(self, batch: Boxes, record: BoxRecord) -> None:
         """Search for a better design from the best centre of the batch, if it is better than the best known design."""
         k = int(np.argmin(record.centre))
-        if self.improve is None or not record.centre[k] < self.threshold:
-            return
-        if self.boxes < self.next_attempt:
+        if self.improve is None or not record.centre[k] < self.threshold or self.boxes < self.next_attempt:
             return
         before, self.best = self.best, min(self.best, self.improve(0.5 * (batch.low[k] + batch.high[k])))
         if not self.best < before:

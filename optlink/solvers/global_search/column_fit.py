@@ -34,18 +34,8 @@ SLACK = 1e-12  # relative; far beyond the rounding of the sums to which it appli
 class ColumnFit:
     """A least-squares fit without any of its points, one of them or two: a lower bound of that with all points.
 
-    Parameters
-    ----------
-    points : array of complex (N,)
-        P, weighted.
-    known : array of complex (k, N)
-        Columns F, weighted.
-    whole : bool
-        Whether multiples of the columns by i are columns too.
-    size : float
-        Bound of the length of y in the fits that count.
-    rounding : float
-        Bound of the error of the points.
+    `points` (N,) and `fixed_columns` (k, N) are P and F, weighted. `whole`: multiples of the columns by i are columns too. `size`
+    bounds the length of y in the fits that count, `rounding` the error of the points.
     """
 
     def __init__(self, points: Complex, fixed_columns: Complex, *, whole: bool, size: float, rounding: float) -> None:
@@ -75,12 +65,7 @@ class ColumnFit:
         self._forms: tuple[float, Array, Array] = (math.nan, self.square, self.matrix)
 
     def proven(self, bound: Array, error: Array) -> Array:
-        """Return the sum of squares that a bound of the projected one proves, in spite of the errors of the projection.
-
-        Parameters
-        ----------
-        bound, error : array (boxes,)
-        """
+        """Return the sum of squares that a bound of the projected one proves, in spite of the errors of the projection."""
         size = np.maximum(0.0, np.sqrt(np.maximum(bound, 0.0)) * (1.0 - SLACK) - error)
         return size * size * (1.0 - SLACK)
 
@@ -98,13 +83,8 @@ class ColumnFit:
     ) -> tuple[Array, Array, Array, NDArray[np.intp]]:
         """Bound the least sum of squares over boxes; a bound that reaches the threshold is the threshold.
 
-        Parameters
-        ----------
-        coefficients : array (boxes, 1 + n + n (n + 1) / 2, 2 N)
-            Of the column f.
-        remainder : array (boxes, 2 N)
-        chosen : array of int (boxes,)
-            Set of points that is left out, or all zero for none.
+        The column f has the Taylor coefficients (boxes, 1 + n + n (n + 1) / 2, 2 N) and remainder (boxes, 2 N); `chosen` (boxes,)
+        is the set of points that is left out, or all zero for none.
 
         Returns
         -------
@@ -165,13 +145,7 @@ def unknowns(coefficients: Array) -> int:
 
 
 def changes(size: Array) -> Array:
-    """Return how much every unknown changes a polynomial (boxes, n).
-
-    Parameters
-    ----------
-    size : array (boxes, 1 + n + n (n + 1) / 2)
-        Of its coefficients.
-    """
+    """Return how much every unknown changes a polynomial (boxes, n), from the sizes of its coefficients; see `unknowns`."""
     n = unknowns(size)
     radius = size[:, 1 : 1 + n].copy()
     for k, (i, j) in enumerate(pairs(n)):
@@ -216,19 +190,9 @@ def _least_over_phase(
 ) -> None:
     """Replace the form of a column f by its least value over f + tau i f for all real tau, in place.
 
-    It is F(f, f) - F(f, i f)^2 / F(i f, i f), a Schur complement.
-
-    Parameters
-    ----------
-    polynomial : list of array
-        Of F(f, f), see `_products`.
-    rest : array (boxes,)
-        Remainder of it.
-    vectors, rho : array
-        The column f and its remainder.
-    form : array (boxes, 2 N, 2 N)
-    sizes : tuple of array (boxes,)
-        Bound of the negative eigenvalues of the form, its size, and its rounding error.
+    It is F(f, f) - F(f, i f)^2 / F(i f, i f), a Schur complement. `polynomial` and `rest` are F(f, f) and its remainder,
+    `vectors` and `rho` the column f and its remainder; `sizes` are a bound of the negative eigenvalues of the form, its size, and
+    its rounding error.
     """
     negative, square, rounding = sizes
     n = unknowns(vectors)

@@ -24,6 +24,8 @@ from optlink.solvers.global_search.function_rows import (
 from optlink.solvers.global_search.interior_point import least_violation
 from optlink.solvers.global_search.lagrangian import OPEN, BoxRecord
 
+Tested = tuple[Array, NDArray[np.intp], NDArray[np.bool_]]
+
 PROVEN = 1  # index of the test "objective" of `lagrangian.TESTS`
 PLACES = 7  # positions of the rows of the coupler at first
 SLAB = 0.1  # least width of a slab of K1 or K2 that is cut off, of the logarithm
@@ -38,19 +40,9 @@ LAW_ROUNDING = 1e-12  # rad; bounds the error of a prescribed output in floating
 class FunctionBounds:
     """Lower bounds of the largest output error over boxes of (phi0, psi0, K1, K2); a `Bounder` of `branch_and_bound`.
 
-    Parameters
-    ----------
-    rise : function
-        Prescribed output rotation [rad] at input rotations [rad].
-    x : array (n,) [rad]
-        Input rotations of the rows.
-    dense : array [rad]
-        Input rotations, evenly spaced, at which candidates are judged; the worst ones join the rows.
-
-    Attributes
-    ----------
-    candidate : array (5,)
-        phi0, psi0, K1, K2, K3 of the best candidate of the last batch.
+    `rise` is the prescribed output rotation [rad] at input rotations, `x` (n,) the input rotations of the rows. Candidates are
+    judged at `dense` ones, evenly spaced; the worst of these join the rows. `candidate` is the best one of the last batch: phi0,
+    psi0, K1, K2, K3.
     """
 
     linkages: LinkageSet
@@ -60,35 +52,17 @@ class FunctionBounds:
     candidate: Array = field(default_factory=lambda: np.zeros(5))
 
     def __post_init__(self) -> None:
+        self.low, self.high = self.linkages.low, self.linkages.high
         self.y, self.target = self.rise(self.x), self.rise(self.dense)
         self.places = np.linspace(float(self.dense[0]), float(self.dense[-1]), PLACES)
 
-    @property
-    def low(self) -> Array:
-        """Lower bounds of the unknowns."""
-        return self.linkages.low
-
-    @property
-    def high(self) -> Array:
-        """Upper bounds of the unknowns."""
-        return self.linkages.high
-
     def bounded(self, low: Array, high: Array, threshold: float) -> BoxRecord:
-        """Discard the boxes of a batch that hold no linkage with an error below the threshold.
-
-        Parameters
-        ----------
-        low, high : array (boxes, 4)
-            Corners.
-        threshold : float [rad]
-        """
+        """Discard the boxes of a batch that hold no linkage with an error below the threshold [rad]."""
         t = threshold + LAW_ROUNDING
-        rows = Rows.joined([loop_rows(self.linkages, self.x, self.y, t), grashof_rows(self.linkages)], len(low))
-        z, weights, split = _solved(rows, low, high)
-        discarded = largest(rows, weights, low, high) < 0.0
+        z, split, discarded = self._tested([], low, high, t)
         left = np.flatnonzero(~discarded)
         if left.size:  # with the limits of the coupler as well
-            z[left], split[left], discarded[left] = self._tested(low[left], high[left], t)
+            z[left], split[left], discarded[left] = self._with_coupler(low[left], high[left], t)
         inner = self._cut(low, high, z, ~discarded, t)
         points, errors = self._candidates(z, low, high, ~discarded)
         k = int(np.argmin(errors))
@@ -96,10 +70,12 @@ class FunctionBounds:
         test = np.where(discarded, PROVEN, OPEN).astype(np.int8)
         return BoxRecord(np.where(discarded, threshold, 0.0), test, np.zeros((len(low), 0)), split, errors, *inner)
 
-    def _tested(self, low: Array, high: Array, t: float) -> tuple[Array, NDArray[np.intp], NDArray[np.bool_]]:
-        """Return the solutions of the programmes with all rows, the unknowns to halve, and which boxes are discarded."""
-        coupler = coupler_rows(self.linkages, self.places, self.rise(self.places), t, low, high)
-        rows = Rows.joined([loop_rows(self.linkages, self.x, self.y, t), grashof_rows(self.linkages), *coupler], len(low))
+    def _with_coupler(self, low: Array, high: Array, t: float) -> Tested:
+        return self._tested(coupler_rows(self.linkages, self.places, self.rise(self.places), t, low, high), low, high, t)
+
+    def _tested(self, further: list[Rows], low: Array, high: Array, t: float) -> Tested:
+        """Return the solutions of the programmes with further rows, the unknowns to halve, and which boxes are discarded."""
+        rows = Rows.joined([loop_rows(self.linkages, self.x, self.y, t), grashof_rows(self.linkages), *further], len(low))
         z, weights, split = _solved(rows, low, high)
         return z, split, largest(rows, weights, low, high) < 0.0
 
@@ -116,7 +92,7 @@ class FunctionBounds:
                     continue
                 slab = [low[tried], high[tried]]
                 slab[0 if corner is high else 1][:, k] = end[tried]
-                discarded = tried[self._tested(slab[0], slab[1], t)[2]]
+                discarded = tried[self._with_coupler(slab[0], slab[1], t)[2]]
                 corner[discarded, k] = end[discarded]
         return low, high
 
@@ -164,14 +140,7 @@ class FunctionBounds:
 def followed(points: Array, side: int, x: Array, y: Array) -> tuple[Array, Array, Array]:
     """Return output errors and transmission angles (m, n) [rad] and couplers (m,) of linkages; NaN where one cannot be assembled.
 
-    Parameters
-    ----------
-    points : array (m, 5)
-        phi0, psi0 [rad], K1, K2, K3.
-    side : int
-        Assembly mode, +1 or -1.
-    x, y : array (n,) [rad]
-        Input and prescribed output rotations.
+    `points` (m, 5) are phi0, psi0 [rad], K1, K2, K3; x and y (n,) [rad] are input and prescribed output rotations.
     """
     phi0, psi0, k1, k2, k3 = (points[:, k, None] for k in range(5))
     crank, rocker, phi = 1.0 / k1, 1.0 / k2, phi0 + x

@@ -45,24 +45,10 @@ def certify_function(
 ) -> FunctionSearch:
     """Bound the largest error of all linkages from below, both assembly modes where the problem leaves them open.
 
-    Parameters
-    ----------
-    problem : DesignProblem
-        Of a function, whose error is bounded (`DesignProblem.error_bounded`).
-    best : float [rad]
-        Largest error of the best known design, below `MOST`.
-    design : mapping of str to float [m, rad], optional
-        That design; the proof is shorter with the positions of its largest errors.
-    gap : float
-        Share of `best` to be proven.
-    seconds : float
-        Time limit; the bound reached by then holds. Ctrl-C stops as well.
-    boxes : float
-        Most boxes that are bounded.
-    progress : function of (share, gap), optional
-        Receives the share of the start angles that is done at the present level, and the gap that is proven.
-    improve : function, optional
-        Receives a better design [m, rad] and returns the objective of the valid one found from it. Default: its own error.
+    `best` [rad], below `MOST`, is the largest error of the best known `design`; the proof of a share `gap` of it is shorter with
+    the positions of its largest errors. The bound reached within the limit of time [s] or boxes holds; Ctrl-C stops as well.
+    `progress` receives the share of the start angles that is done at the present level, and the gap that is proven. `improve`
+    receives a better design [m, rad] and returns the objective of the valid one found from it; by default its own error.
     """
     search = FunctionSearch(problem, best, None if design is None else dict(design), improve)
     search.run([level for level in LEVELS if level > gap] + [gap], seconds, boxes, progress)
@@ -70,12 +56,7 @@ def certify_function(
 
 
 def linkage_sets(problem: DesignProblem, error: float) -> list[LinkageSet]:
-    """Return the linkages that a problem admits, those that come nearer to a dead position than an error [rad] apart.
-
-    Parameters
-    ----------
-    error : float [rad]
-    """
+    """Return the linkages that a problem admits, those that come nearer to a dead position than an error [rad] apart."""
     ratios = [_ratio(problem, name) for name in LENGTHS[:3]]
     low, high = (np.zeros(4) for _ in range(2))
     for k, name in enumerate(("phi0", "psi0")):
@@ -111,27 +92,10 @@ def _ratio(problem: DesignProblem, name: str) -> tuple[float, float]:
 class FunctionSearch:
     """Search of all linkages within the bounds and limits of a problem for one with a smaller largest output error.
 
-    Parameters
-    ----------
-    best : float [rad]
-        Largest error of the best known design.
-    design : dict [m, rad] or None
-        That design.
-    improve : function or None
-        See `certify_function`.
-    proven : float [rad]
-        Lower bound of the last gap that is proven.
-    boxes : int
-        Boxes that were bounded.
-    status : str
-        "closed" if the requested gap is proven; "stopped" at the limit of time or boxes; "interrupted" by Ctrl-C.
-    better : list of (dict [m, rad], int)
-        Designs better than all known before and their assembly modes, in the order of their discovery.
-    history : list of (boxes, lower, best)
-    tried : list of array (4,)
-        Places of the candidates that were tried.
-    searches : list of BranchAndBound
-        Those of the present gap.
+    `proven` [rad] is the lower bound of the last gap that is proven; `status`: "closed" if the requested gap is, "stopped" at the
+    limit of time or boxes, "interrupted" by Ctrl-C. `better` has the designs [m, rad] better than all known before and their
+    assembly modes, `tried` the places (4,) of the candidates that were tried; `history`: boxes, lower, best. `searches` are those
+    of the present gap.
     """
 
     problem: DesignProblem
@@ -163,16 +127,7 @@ class FunctionSearch:
         return np.concatenate(left) if left else np.zeros((0, 2, 4))
 
     def run(self, levels: list[float], seconds: float, boxes: float, progress: Callable[[float, float], None] | None) -> None:
-        """Prove one gap after the other.
-
-        Parameters
-        ----------
-        levels : list of float
-            Gaps to prove, largest first.
-        seconds, boxes : float
-            Limits of time [s] and of the number of boxes.
-        progress : function of (share, gap), optional
-        """
+        """Prove one gap after the other, the largest first, within limits of time [s] and of the number of boxes."""
         begin = time.perf_counter()
         try:
             for level in levels:
@@ -210,26 +165,27 @@ class FunctionSearch:
         left = float(np.sum(np.prod(search.open.high - search.open.low, axis=1))) / whole
         progress((k + 1.0 - min(left, 1.0)) / len(self.searches), self.gap)
 
-    def _bounds(self, linkages: LinkageSet) -> FunctionBounds:
+    def _rise(self, at: Array) -> Array:
         law = self.problem.requirement.law
         assert isinstance(law, Function)
+        return np.asarray(law.rise(at) + 0.0 * at, dtype=float)
+
+    def _bounds(self, linkages: LinkageSet) -> FunctionBounds:
         x = self.problem.span * 0.5 * (1.0 - np.cos(np.linspace(0.0, math.pi, POSITIONS)))
         if self.design is not None:
             fine, error = self._errors(self.design)
             around = np.pad(error, 1, constant_values=-1.0)
             x = np.append(x, fine[(error >= around[:-2]) & (error >= around[2:])])
         dense = self.problem.span * np.linspace(0.0, 1.0, DENSE)
-        return FunctionBounds(linkages, lambda at: np.asarray(law.rise(at) + 0.0 * at, dtype=float), np.unique(x), dense)
+        return FunctionBounds(linkages, self._rise, np.unique(x), dense)
 
     def _errors(self, design: Mapping[str, float]) -> tuple[Array, Array]:
         """Return fine positions and the absolute errors [rad] of a design there, in its better assembly mode."""
         x = self.problem.span * np.linspace(0.0, 1.0, FINE)
-        frame = design["frame"]
-        a, b, c = (design[name] / frame for name in LENGTHS[:3])
+        a, b, c = (design[name] / design["frame"] for name in LENGTHS[:3])
         k3 = (a * a - b * b + c * c + 1.0) / (2.0 * a * c)
         point = np.array([[design["phi0"], design["psi0"], 1.0 / a, 1.0 / c, k3]])
-        law = self.problem.requirement.law
-        errors = [np.abs(followed(point, side, x, np.asarray(law.rise(x)))[0][0]) for side in (1, -1)]
+        errors = [np.abs(followed(point, side, x, self._rise(x))[0][0]) for side in (1, -1)]
         return x, min(errors, key=lambda error: float(np.max(np.where(np.isfinite(error), error, np.inf))))
 
     def _better(self, search: BranchAndBound) -> float:
@@ -243,14 +199,8 @@ class FunctionSearch:
         self.tried.append(place)
         frame = self.problem.quantities["frame"].value
         coupler = math.sqrt(1.0 / (k1 * k1) + 1.0 / (k2 * k2) + 1.0 - 2.0 * k3 / (k1 * k2))
-        design = {
-            "crank": frame / k1,
-            "coupler": frame * coupler,
-            "rocker": frame / k2,
-            "frame": frame,
-            "phi0": phi0,
-            "psi0": psi0,
-        }
+        lengths = frame / k1, frame * coupler, frame / k2, frame
+        design = dict(zip(LENGTHS, lengths, strict=True)) | {"phi0": phi0, "psi0": psi0}
         error = float(np.max(self._errors(design)[1]))
         if error < self.best:
             value = error if self._within(design) else math.inf

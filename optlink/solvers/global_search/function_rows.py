@@ -67,22 +67,9 @@ difference of the three other lengths, both divided by 2 * crank * rocker; the l
 class LinkageSet:
     """The linkages searched: one assembly mode and ranges of lengths over the frame.
 
-    Parameters
-    ----------
-    side : int
-        Assembly mode, +1 or -1.
-    low, high : array (4,)
-        Bounds of phi0, psi0 [rad], K1 and K2.
-    coupler : tuple of float
-        Least and largest coupler over the frame.
-    transmission : tuple of float [rad]
-        Least and largest transmission angle over the span.
-    grashof : str
-        Key of `GRASHOF`.
-    near_dead : bool
-        Whether linkages may come nearer to a dead position than the error.
-    share : float
-        Largest coupler over the sum of frame and crank of those that do.
+    `low` and `high` bound phi0, psi0 [rad], K1 and K2; `coupler` has the least and largest coupler, `transmission` the same of
+    the transmission angle [rad] over the span; `grashof` is a key of `GRASHOF`. `near_dead`: they may come nearer to a dead
+    position than the error; `share` is the largest coupler over the sum of frame and crank of those that do.
     """
 
     side: int
@@ -100,12 +87,7 @@ class LinkageSet:
         return min(math.sin(angle) for angle in self.transmission)
 
     def dead_part(self, error: float) -> LinkageSet | None:
-        """Return the linkages that may come nearer to a dead position than an error [rad]; None if there are none.
-
-        Parameters
-        ----------
-        error : float [rad]
-        """
+        """Return the linkages that may come nearer to a dead position than an error [rad]; None if there are none."""
         share = math.sin(error) / self.least_sine  # coupler over distance, at most, in such a position
         distance = self.coupler[0] / share
         if error >= min(self.transmission[0], math.pi - self.transmission[1]) or share >= 1.0:
@@ -146,15 +128,7 @@ class Rows:
 
 
 def loop_rows(linkages: LinkageSet, x: Array, y: Array, t: float) -> Rows:
-    """Return the rows (1) of an output error.
-
-    Parameters
-    ----------
-    x, y : array (n,) [rad]
-        Input and prescribed output rotations.
-    t : float [rad]
-        The error.
-    """
+    """Return the rows (1) of an output error t at input and prescribed output rotations x and y (n,), all in rad."""
     signs = np.repeat([linkages.side, -linkages.side], x.size)[None]
     x, y = np.tile(x, 2)[None], np.concatenate([y - t, y + t])[None]
     short = np.full(x.shape, 2.0 * math.sin(t) ** 2 if linkages.near_dead else 0.0)
@@ -174,14 +148,7 @@ def grashof_rows(linkages: LinkageSet) -> Rows:
 def coupler_rows(linkages: LinkageSet, x: Array, y: Array, t: float, low: Array, high: Array) -> list[Rows]:
     """Return the rows (2) of the limits of transmission angle and coupler, relaxed so that they hold in the whole of each box.
 
-    Parameters
-    ----------
-    x, y : array (n,) [rad]
-        Input and prescribed output rotations, the ends of the span first and last.
-    t : float [rad]
-        The output error.
-    low, high : array (boxes, 4)
-        Corners.
+    x, y and t: as in `loop_rows`, the ends of the span first and last.
     """
     ends, (least, most), right = linkages.transmission, linkages.coupler, 0.5 * math.pi
     row, two = _CouplerRow(linkages.side, t, low, high), [0, -1]
@@ -216,7 +183,7 @@ class _CouplerRow:
         across = phi * np.conj(psi)
 
         def slope(output: Complex, both: Complex) -> Array:
-            return np.asarray(-k1 * np.imag(output * psi) + np.imag(both * across))
+            return -k1 * np.imag(output * psi) + np.imag(both * across)
 
         v = sign * unit_vector(y - turn), -sign * unit_vector(x - y + turn)
         f = unit_vector(y), -unit_vector(x - y)
@@ -239,19 +206,11 @@ def unit_vector(angle: Array) -> Complex:
 
 def most_k3(high: Array) -> Array:
     """Return the largest |K3|: F = 0 in some position."""
-    return np.asarray((1.0 + high[:, 2] + high[:, 3]) * (1.0 + 1e-12))
+    return (1.0 + high[:, 2] + high[:, 3]) * (1.0 + 1e-12)
 
 
 def largest(rows: Rows, weights: Array, low: Array, high: Array) -> Array:
-    """Return an upper bound (boxes,) of the sum of the rows with weights over each box, rigorous.
-
-    Parameters
-    ----------
-    weights : array (boxes, rows)
-        Those that are negative count as zero.
-    low, high : array (boxes, 4)
-        Corners.
-    """
+    """Return a rigorous upper bound (boxes,) of the sum of the rows over each box; negative weights (boxes, rows) are zero."""
     weights = np.maximum(weights, 0.0)
     centre, radius = 0.5 * (low + high), 0.5 * (high - low)
     output, crank, both, k0, k1, k2, k3, ratio = (np.sum(weights * getattr(rows, name), axis=1) for name in FIELDS)

@@ -13,14 +13,8 @@ SINGULAR = 1e-11  # regularisation of the scaling of the unknowns, relative
 def least_violation(matrix: Array, vector: Array, elastic: Array) -> tuple[Array, Array]:
     """Minimise tau subject to matrix @ z + tau * elastic >= vector; return z (boxes, n) and the multipliers (boxes, rows).
 
-    Neither is exact; the multipliers are not negative.
-
-    Parameters
-    ----------
-    matrix : array (boxes, rows, n)
-    vector : array (boxes, rows)
-    elastic : array (rows,)
-        1 for rows that tau relaxes, 0 for others.
+    `matrix` (boxes, rows, n), `vector` (boxes, rows), `elastic` (rows,): 1 for rows that tau relaxes, 0 for others. The results
+    are not exact; the multipliers are not negative.
     """
     boxes, rows, n = matrix.shape
     square = np.matmul(np.swapaxes(matrix, 1, 2), matrix)

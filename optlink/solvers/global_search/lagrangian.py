@@ -23,7 +23,7 @@ a least-squares fit that make it the minimax fit.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from typing import Self
 
 import numpy as np
@@ -31,8 +31,7 @@ from numpy.typing import NDArray
 
 from optlink.linkage.vector2d import Array
 from optlink.optimization.box_models import BoxModels, DesignBoxes
-from optlink.optimization.taylor_model import ROUNDING, TINY, UNIT, TaylorModel, pairs
-from optlink.optimization.taylor_rules import UPWARD
+from optlink.optimization.taylor_model import ROUNDING, TINY, UNIT, UPWARD, TaylorModel, pairs
 from optlink.solvers.global_search.quadratic import box_minimum, cut_box, quadratic_bound
 
 ROUNDS = 3  # multipliers that are raised for a box, one after the other
@@ -84,33 +83,15 @@ class Guess:
     weights: Array
 
 
-@dataclass
 class LagrangianBounds:
     """Lower bounds of a problem over boxes of its designs, in terms of the squared size of its residuals."""
 
-    problem: DesignBoxes
-    guess: Guess | None = field(default=None)
-
-    @property
-    def low(self) -> Array:
-        """Lower bounds (n,) of the unknowns."""
-        return self.problem.low
-
-    @property
-    def high(self) -> Array:
-        """Upper bounds (n,) of the unknowns."""
-        return self.problem.high
+    def __init__(self, problem: DesignBoxes, guess: Guess | None = None) -> None:
+        self.problem, self.guess = problem, guess
+        self.low, self.high = problem.low, problem.high
 
     def bounded(self, low: Array, high: Array, threshold: float) -> BoxRecord:
-        """Bound a batch of boxes.
-
-        Parameters
-        ----------
-        low, high : array (boxes, n)
-            Corners.
-        threshold : float
-            Boxes whose lower bound is not below it are discarded.
-        """
+        """Bound a batch of boxes; see `Bounder`."""
         models = self.problem.over(low, high)
         batch = _Batch(models, self.problem.measure, threshold)
         batch.violated_limits()
@@ -118,7 +99,7 @@ class LagrangianBounds:
             batch.weighted(weights, self.guess)
         batch.empty()
         inner = batch.cut(low, high)
-        return batch.record((high - low) / (self.problem.high - self.problem.low), *inner)
+        return batch.record((high - low) / (self.high - self.low), *inner)
 
     def _weights(self, models: BoxModels) -> list[Array]:
         positions = models.residuals.remainder.shape[1]
@@ -198,11 +179,6 @@ class _Batch:
         """Return the corners (boxes, n) of the parts of the boxes that can hold a design below the threshold.
 
         From the linear parts: a feasible design d in -1 ... 1 satisfies a . d <= most for every row (a, most) below.
-
-        Parameters
-        ----------
-        low, high : array (boxes, n)
-            Corners of the boxes.
         """
         left = np.flatnonzero(self.test == OPEN)
         if not left.size:
@@ -249,12 +225,8 @@ class _Batch:
     def record(self, width: Array, low: Array, high: Array) -> BoxRecord:
         """Return the bounds, and for every box the unknown that changes the objective most; the widest if it is undefined.
 
-        Parameters
-        ----------
-        width : array (boxes, n)
-            Of the boxes, as shares of the bounds.
-        low, high : array (boxes, n)
-            Corners of what is left of them.
+        `width` (boxes, n) is that of the boxes, as shares of the bounds; `low` and `high` are the corners of what is left of
+        them.
         """
         assert self.objective is not None
         objective, n = self.objective, width.shape[1]
@@ -273,13 +245,7 @@ class _Batch:
 
 
 def least_size(residuals: TaylorModel, *, periodic: bool) -> Array:
-    """Return a lower bound of the size of every residual over every box, zero where there is none.
-
-    Parameters
-    ----------
-    periodic : bool
-        See `BoxModels`.
-    """
+    """Return a lower bound of the size of every residual over every box, zero where there is none (`BoxModels.periodic`)."""
     low, high = residuals.low, residuals.high
     size = np.maximum(0.0, np.maximum(low, -high))
     if periodic:
@@ -292,13 +258,8 @@ def least_size(residuals: TaylorModel, *, periodic: bool) -> Array:
 def lagrangian_bound(objective: TaylorModel | None, slacks: TaylorModel, multipliers: Array) -> Array:
     """Return the lower bound (boxes,) of objective - multipliers . slacks; without an objective, of the second part alone.
 
-    Slacks that cannot be bounded are left out: their multiplier becomes zero in place.
-
-    Parameters
-    ----------
-    objective : TaylorModel (boxes,), optional
-    slacks : TaylorModel (boxes, limits)
-    multipliers : array (boxes, limits), not negative
+    The multipliers (boxes, limits) are not negative. Slacks that cannot be bounded are left out: their multiplier becomes zero in
+    place.
     """
     multipliers[~np.isfinite(slacks.remainder)] = 0.0
     weighted = slacks.coefficients * multipliers
@@ -324,17 +285,10 @@ def _linear_parts(slacks: TaylorModel) -> Parts:
 
 
 def raised_multipliers(first: Parts, slack: Parts) -> Array:
-    """Return multipliers (boxes, limits) that raise the bound of the linear part of the Lagrangian.
+    """Return multipliers (boxes, limits) that raise the bound of the linear part of the Lagrangian, from objective and slacks.
 
     In every round, each multiplier is tried at the values where a slope of the Lagrangian vanishes (its bound is concave and
     piecewise linear in one multiplier, with its maximum at one of them), and the best step of all is taken.
-
-    Parameters
-    ----------
-    first : Parts
-        Of the objective: (boxes,), (boxes, n), (boxes,).
-    slack : Parts
-        Of the slacks: (boxes, limits), (boxes, limits, n), (boxes, limits).
     """
     constant, linear, spread = first
     value, slope, rest = slack

@@ -3,8 +3,7 @@
 import numpy as np
 
 from optlink.linkage.vector2d import Array
-from optlink.optimization.taylor_model import ROUNDING, TINY, UNIT, pairs
-from optlink.optimization.taylor_rules import UPWARD
+from optlink.optimization.taylor_model import ROUNDING, TINY, UNIT, UPWARD, pairs
 
 DESCENT = 8  # rounds of coordinate descent towards the minimum of a convex quadratic form
 WORTH = 0.15  # share of the width of a box that must be cut off
@@ -14,14 +13,8 @@ def quadratic_bound(constant: Array, linear: Array, quadratic: Array, remainder:
     """Return a lower bound, over -1 <= d <= 1, of polynomials of second order minus a remainder; -inf where there is none.
 
     The better of two: each unknown by itself, with the mixed terms at their worst; and the tangent plane, at about its minimum,
-    of the polynomial made convex by a multiple of d^2 - 1.
-
-    Parameters
-    ----------
-    constant, remainder : array (boxes,)
-    linear : array (boxes, n)
-    quadratic : array (boxes, n (n + 1) / 2)
-        In the order of `pairs`.
+    of the polynomial made convex by a multiple of d^2 - 1. Coefficients: `constant` (boxes,), `linear` (boxes, n), `quadratic`
+    (boxes, n (n + 1) / 2) in the order of `pairs`.
     """
     boxes, n = linear.shape
     hessian, mixed = np.zeros((boxes, n, n)), np.zeros(boxes)
@@ -52,15 +45,9 @@ def quadratic_bound(constant: Array, linear: Array, quadratic: Array, remainder:
 
 
 def box_minimum(linear: Array, convex: Array) -> Array:
-    """Return about the minimum (boxes, n) of linear . d + d' convex d / 2 over -1 <= d <= 1.
+    """Return about the minimum (boxes, n) of linear . d + d' convex d / 2 over -1 <= d <= 1; `convex` is positive semidefinite.
 
     It starts from the minimum without bounds, which is the answer if it lies within, and goes on by coordinate descent.
-
-    Parameters
-    ----------
-    linear : array (boxes, n)
-    convex : array (boxes, n, n)
-        Symmetric, positive semidefinite.
     """
     n = linear.shape[1]
     clean = np.all(np.isfinite(convex), axis=(1, 2)) & np.all(np.isfinite(linear), axis=1)
@@ -85,10 +72,7 @@ def box_minimum(linear: Array, convex: Array) -> Array:
 def cut_box(rows: Array, most: Array) -> tuple[Array, Array]:
     """Return bounds (boxes, n) within -1 ... 1 of the points d with rows . d <= most, rigorous; -1 and 1 where little is gained.
 
-    Parameters
-    ----------
-    rows : array (boxes, m, n)
-    most : array (boxes, m)
+    `rows` (boxes, m, n), `most` (boxes, m).
     """
     size = np.abs(rows)
     total = size.sum(axis=2, keepdims=True)
@@ -103,13 +87,7 @@ def cut_box(rows: Array, most: Array) -> tuple[Array, Array]:
 
 
 def least_squares(matrix: Array, vector: Array) -> Array:
-    """Return x (n,) >= 0 with about the least |matrix x - vector|, by leaving out what becomes negative.
-
-    Parameters
-    ----------
-    matrix : array (m, n)
-    vector : array (m,)
-    """
+    """Return x (n,) >= 0 with about the least |matrix x - vector|, by leaving out what becomes negative."""
     used = np.arange(matrix.shape[1])
     solution = np.zeros(matrix.shape[1])
     while used.size:

@@ -28,8 +28,7 @@ from numpy.typing import NDArray
 
 from optlink.linkage.vector2d import Array
 from optlink.optimization.constraints import transmission_sides
-from optlink.optimization.taylor_model import TINY, UNIT, TaylorModel, pairs
-from optlink.optimization.taylor_rules import UPWARD
+from optlink.optimization.taylor_model import TINY, UNIT, UPWARD, TaylorModel, pairs
 from optlink.problem.mechanism import FourBarSection
 from optlink.problem.path import START, PathProblem
 from optlink.solvers.global_search.column_fit import SLACK, ColumnFit, Complex, as_real, changes
@@ -67,11 +66,6 @@ class TimedPathBounds:
 
     Lengths, coordinates and limits other than the frame's, `link_ratio` of the crank and transmission angles are left out: the
     bounds hold for more four-bars than the problem permits.
-
-    Parameters
-    ----------
-    problem : PathProblem
-        For which `unsuitable` is empty.
 
     Raises
     ------
@@ -158,10 +152,6 @@ class TimedPathBounds:
         """Return the four-bar at a point with the best linear variables: every quantity [m, rad], not within its bounds.
 
         Lengths are negative where the crank would have to point the other way.
-
-        Parameters
-        ----------
-        point : array (n,)
         """
         a, d = math.cos(point[0]), math.sin(point[0])
         nu, total = (a - d) * math.sin(point[1]), (a + d) / max(math.cos(point[2]), 1e-6)
@@ -194,11 +184,6 @@ class TimedPathBounds:
 
     def columns_over(self, low: Array, high: Array) -> tuple[Array, Array, Mask, Mask]:
         """Return the column of w over boxes, and the slacks of the transmission limits.
-
-        Parameters
-        ----------
-        low, high : array (boxes, n)
-            Corners.
 
         Returns
         -------
@@ -269,14 +254,7 @@ class TimedPathBounds:
         return violated[:, 0]
 
     def bounded(self, low: Array, high: Array, threshold: float) -> BoxRecord:
-        """Bound a batch of boxes; those whose lower bound is not below the threshold [m^2] are discarded.
-
-        Parameters
-        ----------
-        low, high : array (boxes, n)
-            Corners.
-        threshold : float [m^2]
-        """
+        """Bound a batch of boxes; those whose lower bound is not below the threshold [m^2] are discarded."""
         boxes = len(low)
         coefficients, remainder, corner, violated = self.columns_over(low, high)
         has_threshold, fit = math.isfinite(threshold), self.fit

@@ -10,7 +10,7 @@ from optlink.errors import InputError
 from optlink.problem.base_model import SPELLINGS
 from optlink.problem.cycle.quantities import QUANTITIES
 from optlink.problem.cycle.terms import Limit, Measure, Term
-from optlink.problem.file import SIDES, ProblemFile, read
+from optlink.problem.file import SIDES, ProblemFile
 from optlink.problem.quantity import nearest
 from optlink.studies.pareto.objective import OPTION, ParetoObjective
 from optlink.studies.toml_keys import Raw, exact_text
@@ -88,7 +88,7 @@ def _termed(problem: ProblemFile, raw: dict[str, Any], sense: int, number: int, 
     raw_objective = {**raw, "sense": "maximise" if sense < 0 else "minimise"}
     document = {key: value for key, value in problem.raw.items() if key != "expected"}
     try:
-        read_problem = read({**document, "objective": raw_objective}, problem.name, problem.file, problem.folder)
+        read_problem = problem.with_tables({**document, "objective": raw_objective})
     except InputError as error:
         fault = error.faults[0]
         raise InputError(fault.message, fault.remedy, problem.file, OPTION, name) from None
@@ -129,7 +129,7 @@ def epsilon_problem(
     terms = [term for k, reference in goals.items() for term in _objective_terms(problem, objectives[k], reference)]
     single = [k for k in goals if len(goals) == 1 and objectives[k].key]
     raw["objective"] = {key: v for key, v in terms[0].items() if key != "scale"} if single else {"terms": terms}
-    return read(raw, problem.name, problem.file, problem.folder)
+    return problem.with_tables(raw)
 
 
 def _objective_terms(problem: ProblemFile, objective: ParetoObjective, reference: float) -> list[dict[str, Any]]:

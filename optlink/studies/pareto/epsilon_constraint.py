@@ -15,11 +15,9 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
-from annotated_types import Len
-from pydantic import Field
 
 from optlink.errors import InputError, Status
 from optlink.execution.runner import check
@@ -27,15 +25,14 @@ from optlink.execution.store import Progress, Store
 from optlink.linkage.vector2d import Array
 from optlink.optimization.pareto_front import ends, knee, undominated
 from optlink.problem.arguments import typed
-from optlink.problem.base_model import Record, ResultRecord
+from optlink.problem.document import Source, entries
 from optlink.problem.file import ProblemFile
 from optlink.studies.cycle_task import optimum_task
-from optlink.studies.grid import AxisRecord
 from optlink.studies.pareto.epsilon_ranges import RANGES, EpsilonRanges, NoExtreme
 from optlink.studies.pareto.objective import OPTION, ParetoObjective
 from optlink.studies.pareto.objectives import read_objectives
 from optlink.studies.reoptimise_task import CHUNK, ReoptimiseTask, check_backend
-from optlink.studies.sweep import GridStudy, TemporaryFolder
+from optlink.studies.sweep import GridStudy, TableFile, TemporaryFolder
 from optlink.studies.sweep_task import OptimumTask
 from optlink.version import VERSION
 
@@ -60,66 +57,6 @@ class ParetoPoint:
     mark: str
 
 
-class ObjectiveRecord(Record):
-    """An objective of the front."""
-
-    name: str
-    column: str
-    unit: str
-    sense: Annotated[Literal["minimise", "maximise"], "way"]
-
-
-class PointRecord(Record):
-    """A design of the front: objectives and design variables by column."""
-
-    objectives: dict[str, float]
-    design: dict[str, float]
-    active: Annotated[tuple[str, ...], lambda point: [name for name in point.active.split("; ") if name]]
-    mark: Annotated[str | None, lambda point: point.mark or None]
-
-
-class ActiveLimitRecord(AxisRecord):
-    """A limit on an objective, varied along the front."""
-
-    key: str = Field(alias="limit")
-
-
-class KneeRecord(Record):
-    """The point farthest from the chord of the ends, and its distance."""
-
-    point: Annotated[int, lambda knee: knee[0]]
-    distance: Annotated[float, lambda knee: knee[1]]
-
-
-class ParetoRecord(ResultRecord):
-    """Document of a Pareto front."""
-
-    format: Literal["optlink/pareto/2"] = Field(alias="schema")
-    objectives: Annotated[tuple[ObjectiveRecord, ...], Len(2, 3)]
-    minimised: Annotated[str, lambda result: result.objectives[result.minimised].column]
-    constrained: Annotated[tuple[ActiveLimitRecord, ...], "grid.axes"]
-    front: Annotated[
-        tuple[PointRecord, ...],
-        lambda result: tuple(PointRecord.of(point, objectives=result.by_column(point.values)) for point in result.points),
-    ]
-    ends: Annotated[dict[str, int], lambda result: result.by_column(result.ends) if result.points else {}]
-    knee: Annotated[KneeRecord | None, lambda result: result.knee and KneeRecord.of(result.knee)]
-    reference: Annotated[
-        dict[str, str | float] | None,
-        lambda result: result.reference and {"what": result.reference_label, **result.by_column(result.reference)},
-    ]
-    points: Annotated[int, "solved"]
-    valid_points: Annotated[int, "valid"]
-    infeasible_points: Annotated[int, "infeasible"]
-    dominated_points: Annotated[int, "dominated"]
-    table: str | None
-    engine: str
-    workers: int | None
-    points_done_now: Annotated[int, "done"]
-    seconds: float
-    processor_seconds: Annotated[float, "cpu"]
-
-
 @dataclass(frozen=True, repr=False, kw_only=True)
 class Pareto(GridStudy):
     """A Pareto front, sorted from the best value of the first objective.
@@ -129,7 +66,32 @@ class Pareto(GridStudy):
     the grid, `valid` are validated, `infeasible` have no design, and `dominated` are dominated by others.
     """
 
-    record = ParetoRecord
+    kind = "pareto"
+    shown: ClassVar[Mapping[str, Source]] = {
+        **GridStudy.shown,
+        "objectives": lambda result: [
+            {"name": one.name, "column": one.column, "unit": one.unit, "sense": one.way} for one in result.objectives
+        ],
+        "minimised": lambda result: result.objectives[result.minimised].column,
+        "constrained": lambda result: [
+            {"limit" if key == "key" else key: value for key, value in entries(axis)} for axis in result.grid.axes
+        ],
+        "front": lambda result: [
+            {
+                "objectives": result.by_column(point.values),
+                "design": point.design,
+                "active": [name for name in point.active.split("; ") if name],
+                "mark": point.mark or None,
+            }
+            for point in result.points
+        ],
+        "ends": lambda result: result.by_column(result.ends) if result.points else {},
+        "knee": lambda result: result.knee and dict(zip(("point", "distance"), result.knee, strict=True)),
+        "reference": lambda result: result.reference and {"what": result.reference_label} | result.by_column(result.reference),
+        "points": "solved",
+        "infeasible_points": "infeasible",
+        "dominated_points": "dominated",
+    }
 
     objectives: tuple[ParetoObjective, ...]
     minimised: int
@@ -298,13 +260,12 @@ def pareto(
             infeasible=sum(row["status"] == Status.INFEASIBLE.value for row in rows),
             dominated=len(designs) - len(front),
             grid=grid,
-            path=store.table,
+            table=TableFile(store.table, keep),
             done=mine,
             seconds=time.perf_counter() - begin,
             cpu=cpu,
             engine=engine,
             workers=workers,
-            keep=keep,
         )
 
 

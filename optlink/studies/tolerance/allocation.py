@@ -11,17 +11,17 @@ K. W. Chase, Minimum-cost tolerance allocation, ADCATS report 99-5 (1999): one l
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Annotated, Any
+from typing import Any, ClassVar
 
 import numpy as np
-from annotated_types import Gt
 
 from optlink.errors import InputError, SolverError
 from optlink.execution.worker import Runs
 from optlink.linkage.vector2d import Array
-from optlink.problem.base_model import Record
+from optlink.problem.base_model import Column
+from optlink.problem.document import Source
 from optlink.studies.tolerance.linear import LinearAnalysis
-from optlink.studies.tolerance.monte_carlo import MonteCarlo, MonteCarloRecord, monte_carlo
+from optlink.studies.tolerance.monte_carlo import MonteCarlo, monte_carlo
 
 PROVEN = 1e-6  # largest relative duality gap of a proven cost
 SEARCH_SAMPLES = 1 << 16  # samples of the exact linkage at each k
@@ -38,10 +38,22 @@ class Allocation:
     of tolerances without effect on the output, which keep their given values.
     """
 
+    shown: ClassVar[Mapping[str, Source]] = {
+        "target_yield": "target_yield",
+        "tolerances_SI": "sizes",
+        "cost_coefficients": "coefficients",
+        "cost": "cost",
+        "cost_of_specified": "before",
+        "duality_gap": "gap",
+        "without_effect": "free",
+        "achieved": "achieved",
+        "check": "monte_carlo",
+    }
+
     target_yield: float
     names: tuple[str, ...]
-    tolerances: Array
-    costs: Array
+    tolerances: Column
+    costs: Column
     cost: float
     before: float
     gap: float
@@ -62,20 +74,6 @@ class Allocation:
     def coefficients(self) -> dict[str, float]:
         """Cost coefficients by name."""
         return dict(zip(self.names, self.costs.tolist(), strict=True))
-
-
-class AllocationRecord(Record):
-    """Tolerances that keep a yield."""
-
-    target_yield: float
-    tolerances_SI: Annotated[dict[str, float], "sizes"]
-    cost_coefficients: Annotated[dict[str, float], "coefficients"]
-    cost: float
-    cost_of_specified: Annotated[float, "before", Gt(0)]
-    duality_gap: Annotated[float, "gap"]
-    without_effect: Annotated[tuple[str, ...], "free"]
-    achieved: bool
-    check: Annotated[MonteCarloRecord, "monte_carlo"]
 
 
 def least_cost(weights: Array, costs: Array) -> tuple[Array, float]:

@@ -9,28 +9,27 @@ import contextlib
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Literal, Self
+from typing import Any, ClassVar
 
 import numpy as np
-from pydantic import Field, model_validator
 
 from optlink.errors import InputError
 from optlink.execution.runner import check, pool
 from optlink.execution.worker import Runs
 from optlink.linkage.vector2d import Array
 from optlink.problem.arguments import typed
-from optlink.problem.base_model import Column, Contradiction, Number, Record, Recorded, ResultRecord, absent, check_length, itself
+from optlink.problem.document import Document, Source, entries
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import check_choice, nearest
 from optlink.problem.tolerances import CHOICES, NORMAL, SHAPES
 from optlink.studies.tolerance import robust_design
-from optlink.studies.tolerance.allocation import Allocation, AllocationRecord, allocate
+from optlink.studies.tolerance.allocation import Allocation, allocate
 from optlink.studies.tolerance.linear import LinearAnalysis, linear_analysis
 from optlink.studies.tolerance.maximum_yield import maximise_yield
-from optlink.studies.tolerance.monte_carlo import CHUNK, MonteCarlo, MonteCarloRecord, Progress, monte_carlo
+from optlink.studies.tolerance.monte_carlo import CHUNK, MonteCarlo, Progress, monte_carlo
 from optlink.studies.tolerance.nominal import ERROR, nominal_design
 from optlink.studies.tolerance.options import identified, read_deviations
-from optlink.studies.tolerance.robust_design import YIELD, RobustDesign, RobustRecord, check_law
+from optlink.studies.tolerance.robust_design import YIELD, RobustDesign, check_law
 from optlink.tasks.machine import check_design
 from optlink.units import DISPLAYED, UnitProblem, parse
 
@@ -40,108 +39,66 @@ PARALLEL_SAMPLES = 4 * CHUNK
 """Samples from which several processes are started: a process takes about as long to start as to move one chunk."""
 
 
-class DeviationRecord(Record):
-    """A tolerance and its effect, over the crank angles."""
-
-    name: str
-    adds_to: Annotated[str, "size"]
-    tolerance_SI: Annotated[float, "tolerance"]
-    distribution: Annotated[str, "shape"]
-    mean_SI: Annotated[float, "mean"]
-    sigma_SI: Annotated[float, "sigma"]
-    per_deviation: Column
-    contribution_percent: Column
-    contribution_where_it_scatters_most_percent: float
-    measured_parts: Annotated[int | None, lambda deviation: len(deviation.values) or None] = absent()
-
-
-class LinearRecord(Record):
-    """Effect of all tolerances to first order, over the crank angles [SI]."""
-
-    shift: Column
-    worst_low: Annotated[Column, lambda result: result.worst[0]]
-    worst_high: Annotated[Column, lambda result: result.worst[1]]
-    rss: Column
-    sigma: Column
-    scatters_most_at_deg: Annotated[float, lambda result: math.degrees(result.nominal.crank_angles[result.where])]
-
-
-def _effects(result: Tolerance) -> list[DeviationRecord]:
+def _effects(result: Tolerance) -> list[dict[str, Any]]:
     """Return every deviation with its effect."""
     return [
-        DeviationRecord.of(
-            deviation,
-            per_deviation=by,
-            contribution_percent=100.0 * share,
-            contribution_where_it_scatters_most_percent=100.0 * share[result.where],
-        )
+        {
+            "name": deviation.name,
+            "adds_to": deviation.size,
+            "tolerance_SI": deviation.tolerance,
+            "distribution": deviation.shape,
+            "mean_SI": deviation.mean,
+            "sigma_SI": deviation.sigma,
+            "per_deviation": by,
+            "contribution_percent": 100.0 * share,
+            "contribution_where_it_scatters_most_percent": 100.0 * share[result.where],
+            **({"measured_parts": len(deviation.values)} if deviation.values else {}),
+        }
         for deviation, by, share in zip(result.deviations, result.by, result.contributions, strict=True)
     ]
 
 
-class ToleranceRecord(ResultRecord):
-    """Document of a tolerance analysis: SI, or the unit that ends the key."""
-
-    format: Literal["optlink/tolerance/2"] = Field(alias="schema")
-    output: Annotated[str, "nominal.name"]
-    unit: Annotated[Literal["rad", "m"], "nominal.unit"]
-    sizes_SI: Annotated[dict[str, float], "nominal.sizes"]
-    crank_angles_deg: Annotated[Column, "nominal.degrees"]
-    value: Annotated[Column, "nominal.value"]
-    judged_as_drawn: Annotated[Column, "nominal.base"]
-    limit: Annotated[Number, lambda result: math.nan if result.limit is None else result.limit]
-    tolerances: Annotated[tuple[DeviationRecord, ...], _effects]
-    linear: Annotated[LinearRecord, itself]
-    monte_carlo: MonteCarloRecord | None = absent()
-    robust: Annotated[
-        RobustRecord | None,
-        lambda result: (
-            result.robust
-            and RobustRecord.of(
-                result.robust,
-                monte_carlo_of_the_nominal_design=result.unrobust,
-                the_nominal_design_yields_more=result.nominal_yields_more,
-            )
-        ),
-    ] = absent()
-    allocation: AllocationRecord | None = absent()
-
-    @model_validator(mode="after")
-    def _check_lengths(self) -> Self:
-        count = len(self.crank_angles_deg)
-        if not count:
-            raise Contradiction("crank_angles_deg", "there are none")
-        parts: dict[str, Record | None] = {"": self, "linear.": self.linear, "monte_carlo.": self.monte_carlo}
-        parts |= {f"tolerances[{k}].": entry for k, entry in enumerate(self.tolerances)}
-        parts["allocation.check."] = None if self.allocation is None else self.allocation.check
-        for where, part in parts.items():
-            for name, values in part or ():
-                if isinstance(values, np.ndarray):
-                    check_length(values, count, where + name)
-        return self
-
-    @property
-    def scale(self) -> float:
-        """Factor from SI to the display unit of the output."""
-        return DISPLAYED[self.unit][0]
-
-    @property
-    def display_unit(self) -> str:
-        """Display unit of the output."""
-        return DISPLAYED[self.unit][1]
-
-    @property
-    def where(self) -> int:
-        """Index of the crank angle with the largest standard deviation of the output."""
-        return int(np.argmax(self.linear.sigma))
+def _linear(result: Tolerance) -> dict[str, Any]:
+    """Return the effect of all tolerances to first order."""
+    low, high = result.worst
+    return {
+        "shift": result.shift,
+        "worst_low": low,
+        "worst_high": high,
+        "rss": result.rss,
+        "sigma": result.sigma,
+        "scatters_most_at_deg": result.nominal.degrees[result.where],
+    }
 
 
-@dataclass(frozen=True, repr=False)
-class Tolerance(LinearAnalysis, Recorded):
+def _robust(result: Tolerance) -> dict[str, Any] | None:
+    """Return the robust design beside the nominal optimum."""
+    return result.robust and {
+        **dict(entries(result.robust)),
+        "monte_carlo_of_the_nominal_design": result.unrobust,
+        "the_nominal_design_yields_more": result.nominal_yields_more,
+    }
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class Tolerance(LinearAnalysis, Document):
     """Tolerances of a design and their effect: to first order, by samples, with allocated tolerances, of a robust design."""
 
-    record = ToleranceRecord
+    kind = "tolerance"
     status = "done"
+    shown: ClassVar[Mapping[str, Source]] = {
+        "output": "nominal.name",
+        "unit": "nominal.unit",
+        "sizes_SI": "nominal.sizes",
+        "crank_angles_deg": "nominal.degrees",
+        "value": "nominal.value",
+        "judged_as_drawn": "nominal.base",
+        "tolerances": _effects,
+        "linear": _linear,
+        "monte_carlo?": "monte_carlo",
+        "robust?": _robust,
+        "allocation?": "allocation",
+    }
 
     monte_carlo: MonteCarlo | None = None
     allocation: Allocation | None = None
@@ -154,6 +111,16 @@ class Tolerance(LinearAnalysis, Recorded):
         return None if self.monte_carlo is None else self.monte_carlo.seed
 
     @property
+    def scale(self) -> float:
+        """Factor from SI to the display unit of the output."""
+        return DISPLAYED[self.nominal.unit][0]
+
+    @property
+    def display_unit(self) -> str:
+        """Display unit of the output."""
+        return DISPLAYED[self.nominal.unit][1]
+
+    @property
     def nominal_yields_more(self) -> bool:
         """Whether the nominal optimum has a larger yield than the robust design, for the same samples."""
         if self.limit is None or self.unrobust is None or self.monte_carlo is None:
@@ -163,14 +130,13 @@ class Tolerance(LinearAnalysis, Recorded):
     @property
     def columns(self) -> dict[str, Array]:
         """Table over crank angles, by name with unit."""
-        scale, ending = DISPLAYED[self.nominal.unit]
-        worst, columns = self.worst, {"crank_deg": np.degrees(self.nominal.crank_angles)}
+        worst, columns = self.worst, {"crank_deg": self.nominal.degrees}
         named_columns = {"value": self.nominal.value, "judged": self.nominal.base, "worst_low": worst[0], "worst_high": worst[1]}
         named_columns |= {"rss": self.rss, "sigma": self.sigma, "shift": self.shift}
         if self.monte_carlo is not None:
             named_columns |= {"sampled_mean": self.monte_carlo.mean, "sampled_sigma": self.monte_carlo.sigma}
             named_columns |= {"sampled_least": self.monte_carlo.least, "sampled_most": self.monte_carlo.most}
-        columns |= {f"{name}_{ending}": scale * column for name, column in named_columns.items()}
+        columns |= {f"{name}_{self.display_unit}": self.scale * column for name, column in named_columns.items()}
         shares = {f"{d.name}_percent": 100.0 * row for d, row in zip(self.deviations, self.contributions, strict=True)}
         return columns | shares
 
@@ -281,7 +247,7 @@ def tolerance(
             result = replace(result, monte_carlo=monte_carlo(result, samples, seed, progress, runs))
         if target_yield is not None:
             result = replace(result, allocation=allocate(result, target_yield, costs or {}, samples or SAMPLES, seed, runs))
-        return replace(result, problem=identified(problem, tolerances, shape))
+        return replace(result, problem=identified(problem, tolerances, shape, robust=robust is not None))
 
 
 @contextlib.contextmanager

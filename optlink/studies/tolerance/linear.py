@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from optlink.linkage.vector2d import Array
+from optlink.problem.base_model import Rows
 from optlink.problem.file import ProblemFile
 from optlink.problem.tolerances import Deviation
 from optlink.studies.motion_sensitivity import output_sensitivity
@@ -20,7 +21,7 @@ class LinearAnalysis:
     problem: ProblemFile
     nominal: Nominal
     deviations: tuple[Deviation, ...]
-    by: Array
+    by: Rows
     limit: float | None
 
     @cached_property

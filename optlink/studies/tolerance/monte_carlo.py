@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Self
+from typing import Annotated, ClassVar, Self
 
 import numpy as np
-from annotated_types import Gt
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import PlainValidator, WithJsonSchema
 
 from optlink.execution.runner import ordered
 from optlink.execution.worker import Runs
 from optlink.linkage.vector2d import Array
-from optlink.problem.base_model import Column, Contradiction, Number, Record, itself
+from optlink.problem.base_model import Column
+from optlink.problem.document import Source
 from optlink.problem.tolerances import Deviation
 from optlink.studies.tolerance.linear import LinearAnalysis
 from optlink.studies.tolerance.nominal import Nominal
@@ -26,6 +26,11 @@ BLOCK_SIZE = 12_000  # positions per block, so that intermediate arrays fit in t
 CHUNK = 1 << 17  # samples that are one piece of work, a multiple of those of a batch
 BINS, HISTOGRAM_RATIO = 400, 1.25  # of the histogram, which extends by that multiple of the worst case about the nominal value
 Progress = Callable[[float], None]
+Counts = Annotated[
+    NDArray[np.int64],
+    PlainValidator(lambda counts: np.array(counts, dtype=np.int64)),
+    WithJsonSchema({"type": "array", "items": {"type": "integer"}}),
+]
 
 
 @dataclass(frozen=True)
@@ -37,16 +42,33 @@ class MonteCarlo:
     assembled at some angle; `good`: samples within the limit everywhere, `linear`: by the linear model; -1 without a limit.
     """
 
+    shown: ClassVar[Mapping[str, Source]] = {
+        "samples": "samples",
+        "seed": "seed",
+        "cannot_be_assembled": "stuck",
+        "mean": "mean",
+        "sigma": "sigma",
+        "sigma_standard_error": "sigma_error",
+        "least": "least",
+        "most": "most",
+        "stays_below": "quantiles",
+        "histogram": lambda sampled: dict(zip(("edges", "counts"), sampled.histogram, strict=True)),
+        "yield": "share",
+        "yield_interval_95_percent": lambda sampled: sampled.interval if sampled.good >= 0 else None,
+        "yield_by_the_linear_model": "linear_share",
+        "seconds": "seconds",
+    }
+
     samples: int
     seed: int
     stuck: int
-    mean: Array
-    sigma: Array
-    sigma_error: Array
-    least: Array
-    most: Array
-    counts: NDArray[np.int64]
-    edges: Array
+    mean: Column
+    sigma: Column
+    sigma_error: Column
+    least: Column
+    most: Column
+    counts: Counts
+    edges: Column
     good: int
     linear: int
     seconds: float
@@ -67,10 +89,11 @@ class MonteCarlo:
         return wilson(self.good, self.samples) if self.good >= 0 else (math.nan, math.nan)
 
     @property
-    def filled(self) -> slice:
-        """Bins of the histogram without the empty ones at both ends."""
+    def histogram(self) -> tuple[Array, NDArray[np.int64]]:
+        """The bins without the empty ones at both ends: their edges [SI], one more than bins, and their counts."""
         filled = np.flatnonzero(self.counts)
-        return slice(int(filled[0]), int(filled[-1]) + 1) if len(filled) else slice(0, 0)
+        first, end = (filled[0], filled[-1] + 1) if len(filled) else (0, 0)
+        return self.edges[first : end + 1], self.counts[first:end]
 
     @property
     def quantiles(self) -> dict[str, float]:
@@ -82,45 +105,6 @@ class MonteCarlo:
         within = np.cumsum(self.counts) >= share * self.samples
         place = int(np.argmax(within))
         return float(self.edges[place + 1]) if within[-1] and place < len(self.counts) - 1 else math.inf
-
-
-class HistogramRecord(Record):
-    """The non-empty bins of the largest judged value: their edges [SI], one more than bins, and their counts."""
-
-    edges: Annotated[Column, lambda sampled: sampled.edges[sampled.filled.start : sampled.filled.stop + 1]]
-    counts: Annotated[Column, lambda sampled: sampled.counts[sampled.filled]]
-
-    @model_validator(mode="after")
-    def _check_edges(self) -> Self:
-        if len(self.counts) and len(self.edges) != len(self.counts) + 1:
-            raise Contradiction("", "the number of edges must be one more than the number of bins")
-        return self
-
-
-class MonteCarloRecord(Record):
-    """The samples [SI]; the yield only with a limit."""
-
-    samples: Annotated[int, Gt(0)]
-    seed: int
-    cannot_be_assembled: Annotated[int, "stuck"]
-    mean: Column
-    sigma: Column
-    sigma_standard_error: Annotated[Column, "sigma_error"]
-    least: Column
-    most: Column
-    stays_below: Annotated[dict[str, Number], "quantiles"]
-    histogram: Annotated[HistogramRecord, itself]
-    share: Number = Field(alias="yield")
-    yield_interval_95_percent: Annotated[
-        tuple[float, float] | None, lambda sampled: sampled.interval if sampled.good >= 0 else None
-    ]
-    yield_by_the_linear_model: Annotated[Number, "linear_share"]
-    seconds: float
-
-    @property
-    def interval(self) -> tuple[float, float]:
-        """Ends of the 95 % confidence interval of the yield; NaN without a limit."""
-        return self.yield_interval_95_percent or (math.nan, math.nan)
 
 
 @dataclass

@@ -11,6 +11,7 @@ import numpy as np
 from optlink.errors import InputError
 from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.vector2d import Array, Value, cross, dot, unit
+from optlink.problem.base_model import Column, Number
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import check_choice
 from optlink.problem.tolerances import with_deviating_pivots
@@ -25,20 +26,25 @@ REVOLUTION_POSITIONS = 36  # crank angles of a revolution
 
 @dataclass(frozen=True)
 class Nominal:
-    """A nominal linkage and one output of it over crank angles (angles,) [rad].
+    """A nominal linkage, of a problem with definite assembly modes, and one output of it over crank angles (angles,) [rad].
 
     `value`: the output [rad or m]; `base`: judged value without deviations: the error of the design, or zeros;
     `sign`: change of the judged value per change of the output.
     """
 
-    mechanism: Mechanism
-    sizes: Mapping[str, float]
-    crank_angles: Array
+    problem: ProblemFile
+    sizes: dict[str, Number]
+    crank_angles: Column
     output: str
     name: str
-    value: Array
-    base: Array
+    value: Column
+    base: Column
     sign: float = 1.0
+
+    @cached_property
+    def mechanism(self) -> Mechanism:
+        """The linkage, with pivots that can deviate."""
+        return with_deviating_pivots(self.problem.model.mechanism, self.problem.model.linkage)[0]
 
     @property
     def angular(self) -> bool:
@@ -116,24 +122,23 @@ def nominal_design(
         task = file.spec
         span = np.linspace(0.0, task.span, POSITIONS)
         at = values["phi0"] + span
-        drawn_ = _placed(problem, mechanism, sizes, at, "rocker", ERROR, -1.0)
+        drawn_ = _placed(file, sizes, at, "rocker", ERROR, -1.0)
         target = task.law.curve(span, values["phi0"], values["psi0"])
         error = np.remainder(target - drawn_.value + math.pi, 2.0 * math.pi) - math.pi
         return replace(drawn_, base=error)
     if crank_angles is None:
         crank_angles = 2.0 * math.pi * np.arange(REVOLUTION_POSITIONS) / REVOLUTION_POSITIONS if angles is None else angles
-    return _placed(problem, mechanism, sizes, np.asarray(crank_angles, dtype=float), chosen, chosen, 1.0)
+    return _placed(file, sizes, np.asarray(crank_angles, dtype=float), chosen, chosen, 1.0)
 
 
-def _placed(
-    problem: ProblemFile, mechanism: Mechanism, sizes: Mapping[str, float], at: Array, output: str, name: str, sign: float
-) -> Nominal:
-    value = output_sensitivity(mechanism, sizes, at, output, list(sizes)[:1]).value
+def _placed(problem: ProblemFile, sizes: dict[str, float], at: Array, output: str, name: str, sign: float) -> Nominal:
+    drawn = Nominal(problem, sizes, at, output, name, np.zeros(len(at)), np.zeros(len(at)), sign)
+    value = output_sensitivity(drawn.mechanism, sizes, at, output, list(sizes)[:1]).value
     if not np.all(np.isfinite(value)):
         angle = math.degrees(float(at[int(np.argmin(np.isfinite(value)))]))
         remedy = 'Give crank angles that it reaches: --angles "60..120 deg:13"'
         raise InputError(f"the linkage cannot be assembled at {angle:.4g} deg", remedy, problem.file, "--angles")
-    return Nominal(mechanism, dict(sizes), at, output, name, value, np.zeros(len(at)), sign)
+    return replace(drawn, value=value)
 
 
 def _design(problem: ProblemFile, design: Mapping[str, float] | None) -> tuple[ProblemFile, dict[str, float], Array | None]:

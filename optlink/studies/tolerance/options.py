@@ -48,17 +48,9 @@ def read_tolerances(problem: ProblemFile, texts: Sequence[str], shape: str = NOR
     return {name: replace(entries[name], shape=distribution) for name, distribution in entry.items()}
 
 
-def identified(problem: ProblemFile, texts: Sequence[str], shape: str = NORMAL) -> ProblemFile:
-    """Return the problem by which a study is found again: with its tolerances, if files of measured deviations are among them.
-
-    Parameters
-    ----------
-    texts : sequence of str
-        As for `read_tolerances`.
-    shape : str
-        Default distribution.
-    """
-    entries = read_tolerances(problem, texts, shape) if texts else {}
+def identified(problem: ProblemFile, texts: Sequence[str], shape: str, *, robust: bool) -> ProblemFile:
+    """Return the problem of a study: with its tolerances, if measured ones are among those given, or of a robust design."""
+    entries = read_tolerances(problem, texts, shape) if texts or robust else {}
     if not any(entry.measured for entry in entries.values()):
         return problem
     return problem.override({"tolerances": {name: entry.raw for name, entry in entries.items()}})

@@ -7,14 +7,14 @@ nominal optimum is found as well.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated
+from typing import ClassVar
 
-from optlink.errors import InputError, Status
-from optlink.problem.base_model import Record, absent
+from optlink.errors import InputError
+from optlink.problem.base_model import Number
+from optlink.problem.document import Source
 from optlink.problem.file import ProblemFile
 from optlink.problem.robust import MAX_SIGMAS, WORST
 from optlink.problem.tolerances import NORMAL
-from optlink.studies.tolerance.monte_carlo import MonteCarloRecord
 from optlink.studies.tolerance.options import read_tolerances
 from optlink.tasks.function import FunctionResult, solve, validate
 from optlink.tasks.protocol import completed
@@ -32,8 +32,20 @@ class RobustDesign:
     `sigmas`: number of standard deviations, None: the worst case; `by_yield`: the yield was maximised instead.
     """
 
+    shown: ClassVar[Mapping[str, Source]] = {
+        "counted": "counted",
+        "status": "result.status",
+        "valid": "result.valid",
+        "kkt": lambda robust: getattr(robust.result.solution, "kkt", None),
+        "design_SI": "result.design",
+        "nominal_design_SI": "nominal",
+        "largest_rad": "result.objective",
+        "largest_of_the_nominal_design_rad": "before",
+        "failed_checks?": lambda robust: robust.result.validation.failed or None,
+    }
+
     result: FunctionResult
-    nominal: Mapping[str, float]
+    nominal: dict[str, Number]
     sigmas: float | None
     before: float
     by_yield: bool = False
@@ -49,27 +61,6 @@ class RobustDesign:
     def free(self) -> dict[str, float]:
         """Design variables [SI]."""
         return {name: self.result.design[name] for name in self.result.problem.model.free}
-
-    @property
-    def kkt(self) -> float | None:
-        """KKT residual; None without a solution."""
-        return None if self.result.solution is None else self.result.solution.kkt
-
-
-class RobustRecord(Record):
-    """A robust design beside the nominal optimum [SI]."""
-
-    counted: str
-    status: Annotated[Status, "result.status"]
-    valid: Annotated[bool, "result.valid"]
-    kkt: float | None
-    design_SI: Annotated[dict[str, float], "result.design"]
-    nominal_design_SI: Annotated[dict[str, float], "nominal"]
-    largest_rad: Annotated[float, "result.objective"]
-    largest_of_the_nominal_design_rad: Annotated[float, "before"]
-    monte_carlo_of_the_nominal_design: MonteCarloRecord | None
-    the_nominal_design_yields_more: bool
-    failed_checks: Annotated[tuple[str, ...] | None, lambda robust: robust.result.validation.failed or None] = absent()
 
 
 def robust(problem: ProblemFile, tolerances: Sequence[str], sigmas: float | None = 3.0, *, shape: str = NORMAL) -> RobustDesign:

@@ -1,10 +1,12 @@
 """The result of a simulation with joint clearance, as data and JSON."""
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Annotated, Literal
+from functools import cached_property
+from typing import Annotated, Any, ClassVar
 
-from pydantic import Field
+from pydantic import PlainValidator, WithJsonSchema
 
 from optlink.clearance.controller import Control
 from optlink.clearance.integration import Impact
@@ -13,62 +15,25 @@ from optlink.clearance.output import Output
 from optlink.clearance.statistics import Prediction
 from optlink.dynamics.ending import Ending
 from optlink.dynamics.machine import Machine
-from optlink.linkage.vector2d import Array
-from optlink.problem.base_model import Columns, Number, Record, ResultRecord, Tabled
+from optlink.problem.base_model import Columns, Number
+from optlink.problem.document import Source, Tabled
 from optlink.problem.file import ProblemFile
+from optlink.tasks.machine import machine_of, with_flywheel
 
 RUNNING_IN = 5
 """Revolutions at the beginning that the statistics leave out, where there are more than twice as many."""
 
 
-class ImpactRecord(Record):
-    """One contact; the joint by its name."""
-
-    gap: str
-    begin: float
-    crank_angle: float
-    approach: float
-    penetration: Number
-    end: Number
-    departure: Number
+def _read_impacts(rows: Iterable[Iterable[Any]]) -> tuple[Impact, ...]:
+    return tuple(Impact(*(math.nan if value is None else value for value in row)) for row in rows)
 
 
-class PredictionRecord(Record):
-    """Time for which the trajectory is predictable; null where it is so to the end."""
-
-    chaotic: bool
-    parted_revolutions: Annotated[float | None, "parted"]
-    watched: int
+Impacts = Annotated[tuple[Impact, ...], PlainValidator(_read_impacts), WithJsonSchema({"type": "array"})]
 
 
-class ClearanceRecord(ResultRecord):
-    """Document of a simulation with joint clearance: SI, or the unit that ends the key."""
-
-    format: Literal["optlink/clearance/2"] = Field(alias="schema")
-    status: Annotated[Ending, "ending"]
-    message: str
-    finished: bool
-    control: Control
-    output: Annotated[str, "output.name"]
-    speed_rad_s: Annotated[float, "speed"]
-    start_rad: Annotated[float, "start"]
-    sample_time_s: Annotated[float | None, "sample_time"]
-    tolerance: float
-    integrator: str = "cvodes"
-    gaps: tuple[Gap, ...]
-    notes: tuple[str, ...]
-    figures: dict[str, Number]
-    stopped_s: Annotated[Number, "stopped"]
-    prediction: PredictionRecord | None
-    per_revolution: Columns
-    impacts: Annotated[
-        tuple[ImpactRecord, ...],
-        lambda result: tuple(ImpactRecord.of(one, gap=result.gaps[one.gap].point) for one in result.impacts),
-    ]
-    poincare_map: Columns
-    meanings: dict[str, str]
-    columns: Columns
-    measured: Columns = Field(default_factory=dict)
+def _prediction(result: "ClearanceSimulation") -> dict[str, Any] | None:
+    found = result.prediction
+    return found and {"chaotic": found.chaotic, "parted_revolutions": found.parted, "watched": found.watched}
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -77,25 +42,38 @@ class ClearanceSimulation(Tabled):
 
     `columns` by name over the rows of the retained revolutions, `meanings` describe them; `per_revolution`: figures of each
     revolution, (revolutions,) arrays; `impacts` ordered by their ends, those still in contact last; `poincare_map`: one row per
-    revolution, at its end; `measured`: rows of a measured series beside the simulated output, by name.
+    revolution, at its end; `measured`: rows of a measured series beside the simulated output, by name; `design`: the given values
+    [SI]; `flywheel`: the added moment of inertia [kg m^2].
     """
 
-    record = ClearanceRecord
+    kind = "clearance"
+    shown: ClassVar[Mapping[str, Source]] = {
+        "status": "ending",
+        "finished": "finished",
+        "output": "output.name",
+        "speed_rad_s": "speed",
+        "start_rad": "start",
+        "sample_time_s": "sample_time",
+        "stopped_s": "stopped",
+        "prediction": _prediction,
+        "impacts": lambda result: [one._asdict() | {"gap": result.gaps[one.gap].point} for one in result.impacts],
+    }
 
     problem: ProblemFile
-    machine: Machine
+    design: dict[str, float]
+    flywheel: float
     gaps: tuple[Gap, ...]
     output: Output
     control: Control
     speed: float
     start: float
     sample_time: float | None
-    columns: Mapping[str, Array]
-    meanings: Mapping[str, str]
-    per_revolution: Mapping[str, Array]
-    impacts: tuple[Impact, ...]
-    poincare_map: Mapping[str, Array]
-    figures: Mapping[str, float]
+    columns: Columns
+    meanings: dict[str, str]
+    per_revolution: Columns
+    impacts: Impacts
+    poincare_map: Columns
+    figures: dict[str, Number]
     prediction: Prediction | None
     ending: Ending
     stopped: float
@@ -103,12 +81,17 @@ class ClearanceSimulation(Tabled):
     notes: tuple[str, ...]
     tolerance: float
     integrator: str = "cvodes"
-    measured: Mapping[str, Array] = field(default_factory=dict)
+    measured: Columns = field(default_factory=dict)
 
     @property
     def finished(self) -> bool:
         """Whether all revolutions were simulated."""
         return self.ending is Ending.FINISHED
+
+    @cached_property
+    def machine(self) -> Machine:
+        """The machine."""
+        return with_flywheel(machine_of(self.problem, self.design or None), self.flywheel)
 
     @property
     def revolutions(self) -> int:

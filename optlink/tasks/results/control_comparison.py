@@ -3,16 +3,18 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Literal, Self
+from typing import Annotated, ClassVar
 
 import numpy as np
-from annotated_types import MinLen
-from pydantic import Field, model_validator
+from pydantic import AfterValidator
 
-from optlink.linkage.vector2d import Array
-from optlink.problem.base_model import Column, Columns, Number, Record, Recorded, ResultRecord, absent, check_length
+from optlink.problem.base_model import Column, Columns, Never, Number
+from optlink.problem.document import Document, Source
 from optlink.problem.file import ProblemFile
 from optlink.tasks.results.clearance import ClearanceSimulation
+
+Costs = Annotated[Column, AfterValidator(lambda costs: np.where(np.isnan(costs), np.inf, costs))]
+"""A column; null where a cost is infinite."""
 
 
 @dataclass(frozen=True)
@@ -21,6 +23,10 @@ class Trials:
 
     `correction` [rad] and `torque` [N m] are root mean squares of the control effort. A run that stalled has no figures: NaN.
     """
+
+    shown: ClassVar[Mapping[str, Source]] = {
+        name: name for name in ("rms", "peak", "correction", "torque", "finished", "mean", "scatter")
+    }
 
     rms: Column
     peak: Column
@@ -44,51 +50,22 @@ class Trials:
         return float(np.std(self.rms, ddof=1)) if len(self.rms) > 1 else 0.0
 
 
-class TrialsRecord(Record):
-    """One kind of control from several starts."""
-
-    rms: Column
-    peak: Column
-    correction: Column
-    torque: Column
-    finished: bool
-    mean: Number
-    scatter: Number
-
-
-class ComparisonRecord(ResultRecord):
-    """Document of a comparison of control (SI)."""
-
-    format: Literal["optlink/control-comparison/2"] = Field(alias="schema")
-    seed: int
-    revolutions: int
-    unit: Literal["m", "rad"]
-    starts_rad: Annotated[Column, "starts"]
-    trials: Annotated[dict[str, TrialsRecord], MinLen(1)]
-
-    @model_validator(mode="after")
-    def _check_lengths(self) -> Self:
-        for name, trials in self.trials.items():
-            for key in ("rms", "peak", "correction", "torque"):
-                check_length(getattr(trials, key), len(self.starts_rad), f"trials.{name}.{key}")
-        return self
-
-
 @dataclass(frozen=True, repr=False)
-class Comparison(Recorded):
+class Comparison(Document):
     """Comparison of control: `trials` by kind of control, from initial crank angles `starts` (starts,) [rad].
 
-    `examples`: the simulations from the first start, for figures.
+    `examples`: the simulations from the first start, with the columns that charts show.
     """
 
-    record = ComparisonRecord
+    kind = "control comparison"
+    shown: ClassVar[Mapping[str, Source]] = {"starts_rad": "starts", "trials": "trials"}
 
     problem: ProblemFile
-    trials: Mapping[str, Trials]
-    starts: Array
+    trials: dict[str, Trials]
+    starts: Column
     seed: int
     revolutions: int
-    examples: Mapping[str, ClearanceSimulation]
+    examples: dict[str, ClearanceSimulation]
     unit: str
 
     @property
@@ -106,36 +83,8 @@ class Comparison(Recorded):
         return 1.0 - self.trials[kind].mean / self.trials["none"].mean
 
 
-class OtherStarts(Record):
-    """Mean rms error and scatter between starts that the search did not use: parameters of the problem, and best ones (SI)."""
-
-    before: Annotated[Number, lambda check: check[0].mean]
-    before_scatter: Annotated[Number, lambda check: check[0].scatter]
-    cost: Annotated[Number, lambda check: check[1].mean]
-    scatter: Annotated[Number, lambda check: check[1].scatter]
-
-
-class TuningRecord(ResultRecord):
-    """Document of a tuning (SI)."""
-
-    format: Literal["optlink/tuning/2"] = Field(alias="schema")
-    seed: int
-    control: str
-    starts: int
-    revolutions: int
-    unit: str
-    before: Number
-    cost: Number
-    scatter: Number
-    best: dict[str, str | float]
-    tried: Columns
-    costs: Column
-    scatters: Column
-    other_starts: Annotated[OtherStarts | None, lambda result: result.check and OtherStarts.of(result.check)] = absent()
-
-
 @dataclass(frozen=True, repr=False)
-class Tuning(Recorded):
+class Tuning(Document):
     """Tuning of controller parameters: `tried` values by name (evaluations,), their costs and scatters [m, rad].
 
     `problem`: the problem with the `best` values, which are empty if its own were better. The cost is the mean rms
@@ -145,22 +94,31 @@ class Tuning(Recorded):
     the best.
     """
 
-    record = TuningRecord
+    kind = "tuning"
+    shown: ClassVar[Mapping[str, Source]] = {"other_starts?": "other_starts"}
 
     problem: ProblemFile
-    best: Mapping[str, str | float]
-    cost: float
-    scatter: float
-    before: float
-    tried: Mapping[str, Array]
-    costs: Array
-    scatters: Array
+    best: dict[str, str | float]
+    cost: Never
+    scatter: Number
+    before: Never
+    tried: Columns
+    costs: Costs
+    scatters: Column
     control: str = "inverse+pid"
     starts: int = 1
     seed: int = 0
     revolutions: int = 11
     unit: str = "m"
     check: tuple[Trials, Trials] | None = None
+
+    @property
+    def other_starts(self) -> dict[str, float] | None:
+        """Means and scatters of `check` (SI): of the parameters of the problem, and of the best ones."""
+        if self.check is None:
+            return None
+        before, best = self.check
+        return {"before": before.mean, "before_scatter": before.scatter, "cost": best.mean, "scatter": best.scatter}
 
     @property
     def finished(self) -> bool:

@@ -1,0 +1,63 @@
+"""Files to which a problem refers, CSV tables and SVG drawings, with their contents: read once, with the problem."""
+
+import codecs
+import copy
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from optlink.problem.quantity import Unusable
+from optlink.problem.targets.target_points import read_file
+from optlink.problem.tolerances import read_tolerance
+
+
+def references(raw: Any, within: str = "") -> Iterator[tuple[dict[str, Any], str, str]]:
+    """Yield tables and keys that name another file, with its suffix; "" for the value of a tolerance.
+
+    `raw`: tables and lists of a problem file, of the section `within`.
+    """
+    if isinstance(raw, list):
+        for value in raw:
+            yield from references(value, within)
+    for key, value in raw.items() if isinstance(raw, dict) else ():
+        if isinstance(value, str):
+            measured = within == "tolerances" and read_tolerance(value, Path()).measured
+            if measured or key in ("csv", "svg"):
+                yield raw, key, "" if measured else key
+        else:
+            yield from references(value, within or key)
+
+
+def name_of(value: str) -> str:
+    """Return the name of the file in a value, which may be followed by its content."""
+    return value.partition("\n")[0]
+
+
+def enclosing(raw: Mapping[str, Any], folder: Path, known: Mapping[str, str]) -> tuple[dict[str, Any], dict[str, str]]:
+    """Return the tables of a problem with the contents of files in place of their names, and the contents by name.
+
+    Files that are not `known` are read; one that cannot be read keeps its name, so that the reader of its key refuses it.
+    """
+    enclosed: dict[str, Any] = copy.deepcopy(dict(raw))
+    contents: dict[str, str] = {}
+    for table, key, suffix in [*references(enclosed)]:
+        source = table[key] if suffix else read_tolerance(table[key], folder).source
+        name, inside, content = source.partition("\n")
+        if not inside:
+            try:
+                content = known[name] if name in known else _text(read_file({suffix or "csv": name}, suffix or "csv", folder)[1])
+            except Unusable:
+                continue
+        contents[name], table[key] = content, f"{name}\n{content}"
+    return enclosed, contents
+
+
+def _text(data: bytes) -> str:
+    """Return the text of a file; of one that is not UTF-8, with UTF-8 as the encoding that it declares."""
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        wide = data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+        text = data.decode("utf-16" if wide else "latin-1", errors="replace")
+        return re.sub(r"""(<\?xml[^>]*encoding=)["'][^"']*["']""", r'\1"UTF-8"', text, count=1)
