@@ -116,7 +116,7 @@ class FunctionResult(SingleResult):
     @property
     def strokes(self) -> dict[str, Any]:
         """Strokes of every output, as JSON; empty if the crank does not turn fully."""
-        from optlink.tasks.results.analysis import stroke_document
+        from optlink.tasks.results.strokes import stroke_document
 
         machine = turning_machine(self.problem, self.design)
         return {} if machine is None else stroke_document(machine, self.problem.spec.span)

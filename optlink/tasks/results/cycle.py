@@ -15,10 +15,10 @@ from optlink.problem.document import Source
 from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import fixed_design
 from optlink.problem.quantity import Unusable
-from optlink.tasks.analyze import analyze
-from optlink.tasks.results.analysis import Analysis, stroke_document
+from optlink.tasks.analyze import Analysis, analyze
 from optlink.tasks.results.common import SingleResult
 from optlink.tasks.results.fit import Fit, transmission_fit
+from optlink.tasks.results.strokes import stroke_document
 from optlink.units import KINDS, factor, percent
 from optlink.validation.check import Validation
 from optlink.validation.cycle import Cycle, validate_cycle

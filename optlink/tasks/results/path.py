@@ -26,12 +26,12 @@ from optlink.problem.mechanism import FourBarSection
 from optlink.problem.path import START, PathProblem
 from optlink.solvers.solution import LimitState, Relaxation, Solution
 from optlink.tasks.machine import turning_machine
-from optlink.tasks.results.analysis import stroke_document
 from optlink.tasks.results.certificate import Certificate, message
 from optlink.tasks.results.common import FOUND, ROUNDED, SEARCHED, RejectedDesign, of_solution, verified
 from optlink.tasks.results.conflict import refutation
 from optlink.tasks.results.evidence import INCOMPLETE, Evidence
 from optlink.tasks.results.fit import Fit, path_fit, transmission_fit
+from optlink.tasks.results.strokes import stroke_document
 from optlink.units import DISPLAYED
 from optlink.validation.between import excursions
 from optlink.validation.check import Check, Validation
