@@ -27,6 +27,9 @@ SLOW = 5_000
 LOOKS = 4.0
 """Rows for each period in which a journal vibrates on its bearing under the load that the machine's motion makes."""
 
+SAVED = "state", "modes", "entered", "works"
+"""Arrays of an integration that describe its state."""
+
 
 class SimulatedRevolution(NamedTuple):
     """One revolution.
@@ -44,12 +47,10 @@ class SimulatedRevolution(NamedTuple):
 
 
 class ClosedLoop:
-    """A machine with joint clearance.
+    """A machine with joint clearance, and the output that a controller measures.
 
     Parameters
     ----------
-    output : Output
-        The output that a controller measures.
     start : float [rad]
         Initial crank angle; journals start centred, velocities are those of the ideal machine.
     speed, nominal : float [rad/s]
@@ -59,7 +60,7 @@ class ClosedLoop:
     tolerance : float
         Relative tolerance of the integrator.
     sample_time : float [s]
-        Sample time of the controller; the nearest that fits the revolution is used (`sample_time` of the plant).
+        Of the controller; the nearest that fits the revolution is used.
 
     Raises
     ------
@@ -116,25 +117,21 @@ class ClosedLoop:
         if not count:
             return
         matrix, grip = mass.reshape(count, count).T, constraint_rows.reshape(count, -1).T
-        lengths = np.array(
-            [1.0 if equations.tree.coordinates[i].kind == "angle" else equations.machine.size for i in equations.free]
-        )
+        coordinates = [equations.tree.coordinates[i] for i in equations.free]
+        lengths = np.array([1.0 if coordinate.kind == "angle" else equations.machine.size for coordinate in coordinates])
         matrix, grip = matrix * np.outer(lengths, lengths), grip * lengths
         _, values, rows = np.linalg.svd(grip, full_matrices=True) if grip.size else (None, np.zeros(0), np.eye(count))
-        free = rows[int(np.sum(values > 1e-9 * np.max(values, initial=0.0))) :].T
+        free = rows[int(np.sum(values > 1e-9 * np.max(values, initial=0.0))) :].T  # motions that the closing joints permit
         sizes, ways = np.linalg.eigh(free.T @ matrix @ free)
         if sizes.size and sizes[0] <= 1e-12 * max(sizes[-1], 0.0):
-            blame = int(np.argmax(np.abs(free @ ways[:, 0])))
-            raise Weightless(equations.tree.coordinates[equations.free[blame]].body)
+            raise Weightless(coordinates[int(np.argmax(np.abs(free @ ways[:, 0])))].body)
 
     def compile(self) -> None:
         """Integrate by the compiled engine from now on; the first use compiles it, which takes some seconds."""
         from optlink.clearance.compiled.integration import CompiledIntegration
 
-        integration = self.integration
-        self.integration = CompiledIntegration(
-            integration.equations, integration.state, integration.step, integration.tolerance, integration.slow
-        )
+        before = self.integration
+        self.integration = CompiledIntegration(before.equations, before.state, before.step, before.tolerance, before.slow)
 
     @property
     def time(self) -> float:
@@ -147,9 +144,7 @@ class ClosedLoop:
 
     def now(self) -> Block:
         """Return the current state as one row."""
-        integration = self.integration
-        row = (integration.state, integration.modes, integration.entered, integration.works)
-        return Block(np.array([integration.time]), *(part[None, :].copy() for part in row))
+        return Block(np.array([self.time]), *(getattr(self.integration, name)[None, :].copy() for name in SAVED))
 
     def turn(self) -> SimulatedRevolution:
         """Simulate one revolution of the nominal speed.
@@ -160,10 +155,16 @@ class ClosedLoop:
             The integration cannot continue.
         """
         integration, every = self.integration, self.rows // self.points
+        stride = self.rows // self.samples if self.controller else self.rows
         parts: list[tuple[Block, Array]] = []
         integration.restart()
         try:
-            self._samples(parts)
+            for sample in range(self.rows // stride):
+                if self.controller:
+                    integration.further = self.controller(sample, self.measured())
+                for block in integration.advance(stride):
+                    parts.append((block, np.full(len(block.time), integration.further)))
+                    self.advanced(integration.row / self.rows)
         finally:
             self.partial = self._rows(parts, every) if sum(len(block.time) for block, _ in parts) >= every else None
         impacts, integration.finished = tuple(integration.finished), []
@@ -174,30 +175,16 @@ class ClosedLoop:
 
     def _rows(self, parts: list[tuple[Block, Array]], every: int) -> SimulatedRevolution:
         """Select every `every`-th of the evaluated rows."""
-        columns = zip(*(block for block, _ in parts), strict=True)
-        whole = Block(*(np.concatenate(column)[every - 1 :: every] for column in columns))
-        return SimulatedRevolution(whole, np.concatenate([further for _, further in parts])[every - 1 :: every], ())
-
-    def _samples(self, parts: list[tuple[Block, Array]]) -> None:
-        """Simulate one revolution, sample by sample of the controller."""
-        integration = self.integration
-        stride = self.rows // self.samples if self.controller else self.rows
-        for sample in range(self.rows // stride):
-            if self.controller:
-                integration.further = self.controller(sample, self.measured())
-            for block in integration.advance(stride):
-                parts.append((block, np.full(len(block.time), integration.further)))
-                self.advanced(integration.row / self.rows)
+        columns = zip(*((*block, further) for block, further in parts), strict=True)
+        *block, further = (np.concatenate(column)[every - 1 :: every] for column in columns)
+        return SimulatedRevolution(Block(*block), further, ())
 
     def save(self) -> dict[str, Any]:
         """Return the state at the end of a revolution as plain numbers; `restore` continues from it bit-identically."""
         integration, pid = self.integration, self.controller.pid if self.controller else None
         return {
             "row": integration.row,
-            "state": integration.state.tolist(),
-            "modes": integration.modes.tolist(),
-            "entered": integration.entered.tolist(),
-            "works": integration.works.tolist(),
+            **{name: getattr(integration, name).tolist() for name in SAVED},
             "open": [list(impact) for impact in integration.open.values()],
             "switches": integration.switches,
             "further": integration.further,
@@ -208,9 +195,8 @@ class ClosedLoop:
         """Continue from a saved state."""
         integration = self.integration
         integration.row, integration.ahead, integration.switches = saved["row"], 0.0, saved["switches"]
-        integration.state, integration.modes, integration.entered, integration.works = (
-            np.array(saved[name], dtype=float) for name in ("state", "modes", "entered", "works")
-        )
+        for name in SAVED:
+            setattr(integration, name, np.array(saved[name], dtype=float))
         integration.open = {int(row[0]): Impact(int(row[0]), *row[1:]) for row in saved["open"]}
         integration.further = saved["further"]
         if self.controller and saved["pid"]:
@@ -232,11 +218,6 @@ def vibration(machine: Machine, gaps: Sequence[Gap], speed: float) -> float:
     """Estimate the shortest period [s] of a journal vibrating on its bearing under gravity and the acceleration of the crank.
 
     It estimates the duration of contacts, from the masses of the two bodies.
-
-    Parameters
-    ----------
-    speed : float [rad/s]
-        Crank speed.
     """
     pull = math.hypot(*(_number(part) for part in machine.gravity)) + speed * speed * _number(machine.size)
     total = sum(_number(inertia.mass) for inertia in machine.inertias.values())

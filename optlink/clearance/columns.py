@@ -1,5 +1,6 @@
 """Named columns of a machine with joint clearance: motion, clearance, contacts, reactions, torque, energies."""
 
+import itertools
 from collections.abc import Iterator
 
 import numpy as np
@@ -14,16 +15,13 @@ from optlink.dynamics.inertia import Wrench
 from optlink.dynamics.inverse import GuideForce
 from optlink.dynamics.machine import slider_names
 from optlink.linkage.mechanism import FRAME, Guide
-from optlink.linkage.vector2d import Array, Value, Vector, cross, dot, minus, plus, turn
+from optlink.linkage.vector2d import Array, Value, Vector, cross, dot, minus, plus
 
 
 class ClearanceColumns:
     """Columns by name of the rows of a motion, each (m,).
 
-    Parameters
-    ----------
-    further : array (m,) [rad]
-        Feedback correction of the crank angle beyond the command at each row.
+    `further` (m,) [rad] is the feedback correction of the crank angle beyond the command at each row.
     """
 
     def __init__(self, equations: Equations, block: Block, further: Array) -> None:
@@ -43,7 +41,7 @@ class ClearanceColumns:
     def _balance(self) -> None:
         """Compute the forces in the ideal joints: first the closing joints, then body by body from the leaves of the tree."""
         moving, cut = self.motion, self.equations.tree
-        needed = moving.needed()
+        self.needed = moving.needed()  # by the joints that are not computed yet
         forces = [exerted for of_load in moving.acting().values() for exerted in of_load]
         for gap, contact in zip(self.equations.gaps, self.touches, strict=True):
             both = acting(gap, moving.journal_motion(gap), moving.position(gap.point, gap.journal), contact)
@@ -52,34 +50,28 @@ class ClearanceColumns:
                 self._exert(gap.point, exerted.body, exerted.force)
         for exerted in forces:
             if exerted.body != FRAME:
-                self._need(needed, exerted.body, exerted.wrench(moving.state(exerted.body)))
+                self._need(exerted.body, exerted.wrench(moving.state(exerted.body)))
         for i, joint in enumerate(cut.closing):
             a, b = -self.pull[:, 2 * i], -self.pull[:, 2 * i + 1]
-            self._apply_joint_force(needed, joint, self._closing_force(joint, a, b), b if isinstance(joint, Guide) else 0.0)
+            if isinstance(joint, Guide):
+                x, y = moving.line(joint.name)
+                self._apply_joint_force(joint, (-a * y, a * x), b)
+            else:
+                self._apply_joint_force(joint, (a, b), 0.0)
         for body, _, branch_joint in reversed(cut.branches):
             if branch_joint is not None:
-                total, at = needed[body], self._joint(branch_joint)
-                force, moment = total.force, total.about(moving.state(body).start, at)
+                total = self.needed[body]
+                force, moment = total.force, total.about(moving.state(body).start, self._joint(branch_joint))
                 sign = 1.0 if body == branch_joint.bodies[0] else -1.0
-                self._apply_joint_force(needed, branch_joint, (sign * force[0], sign * force[1]), sign * moment, skip=body)
-
-    def _closing_force(self, joint: Pin | Guide, a: Value, b: Value) -> Vector:
-        if isinstance(joint, Guide):
-            x, y = self.motion.line(joint.name)
-            return -a * y, a * x
-        return a, b
+                self._apply_joint_force(branch_joint, (sign * force[0], sign * force[1]), sign * moment, skip=body)
 
     def _joint(self, joint: Pin | Guide) -> Vector:
         """Point at which a joint acts: the pin, or the slider's point."""
         if isinstance(joint, Guide):
-            at = self.equations.tree.local.local_line(joint, joint.slider)[0]
-            state = self.motion.state(joint.slider)
-            return plus(state.start, turn(at, state.axis))
+            return self.equations.tree.line(joint, joint.slider, self.motion.state(joint.slider))[0]
         return self.motion.position(joint.point, joint.first)
 
-    def _apply_joint_force(
-        self, needed: dict[str, Wrench], joint: Pin | Guide, force: Vector, moment: Value, skip: str = ""
-    ) -> None:
+    def _apply_joint_force(self, joint: Pin | Guide, force: Vector, moment: Value, skip: str = "") -> None:
         """Apply the force and moment of a joint to its first body, and the opposite to its second."""
         at = self._joint(joint)
         for body, sign in zip(joint.bodies, (1.0, -1.0), strict=True):
@@ -94,11 +86,12 @@ class ClearanceColumns:
             if body not in (FRAME, skip):
                 lever = minus(at, self.motion.state(body).start)
                 turned = sign * moment if isinstance(joint, Guide) else 0.0
-                self._need(needed, body, Wrench(force_on_body, turned + cross(lever, force_on_body)))
+                self._need(body, Wrench(force_on_body, turned + cross(lever, force_on_body)))
 
-    def _need(self, needed: dict[str, Wrench], body: str, wrench: Wrench) -> None:
+    def _need(self, body: str, wrench: Wrench) -> None:
+        """Subtract a wrench that acts on a body from what its other joints must exert."""
         (x, y), moment = wrench
-        needed[body] = needed[body] + Wrench((-x, -y), -moment)
+        self.needed[body] += Wrench((-x, -y), -moment)
 
     def _exert(self, point: str, body: str, force: Vector) -> None:
         forces = self.pins.setdefault(point, {})
@@ -109,26 +102,22 @@ class ClearanceColumns:
     @property
     def columns(self) -> dict[str, Column]:
         """All columns by name."""
-        count = len(self.block.time)
-        full = (
-            (name, meaning, np.broadcast_to(np.asarray(value, dtype=float), (count,))) for name, meaning, value in self._all()
-        )
-        return {name: Column(name, meaning, values) for name, meaning, values in full}
-
-    def _all(self) -> Iterator[tuple[str, str, Value]]:
-        yield "time_s", "time", self.block.time
-        yield "crank_angle_deg", "crank angle", np.degrees(self.motion.crank.value)
-        yield from self._motion()
-        yield from self._gaps()
-        yield from self._forces()
-        yield from self._energies()
+        shape = self.block.time.shape
+        parts = self._motion(), self._gaps(), self._forces(), self._energies()
+        return {
+            name: Column(name, meaning, np.broadcast_to(np.asarray(value, dtype=float), shape))
+            for name, meaning, value in itertools.chain.from_iterable(parts)
+        }
 
     def _motion(self) -> Iterator[tuple[str, str, Value]]:
         moving, mechanism = self.motion, self.equations.tree.mechanism
+        yield "time_s", "time", self.block.time
+        yield "crank_angle_deg", "crank angle", np.degrees(moving.crank.value)
         for body in mechanism.bodies:
             state = moving.state(body)
-            indices = [i for i, coordinate in enumerate(self.equations.tree.coordinates) if coordinate == (body, "angle")]
-            angle = self.block.states[:, indices[0]] if indices else np.arctan2(state.axis[1], state.axis[0])
+            own, coordinates = (body, "angle"), self.equations.tree.coordinates
+            known = own in coordinates  # then it is not wrapped
+            angle = self.block.states[:, coordinates.index(own)] if known else np.arctan2(state.axis[1], state.axis[0])
             yield f"{body}.angle_rad", f"angle of {body}'s axis from +x", angle
             yield f"{body}.omega_rad_s", f"angular velocity of {body}", state.omega
             yield f"{body}.alpha_rad_s2", f"angular acceleration of {body}", state.alpha
@@ -136,12 +125,11 @@ class ClearanceColumns:
         for point, bodies in mechanism.owners.items():
             if FRAME in bodies and point not in gaps:
                 continue
-            neighbours = (gaps[point].journal, gaps[point].bearing) if point in gaps else bodies[:1]
-            for body in neighbours:
+            for body in (gaps[point].journal, gaps[point].bearing) if point in gaps else bodies[:1]:
                 if body != FRAME:
-                    name = f"{point}.{body}" if point in gaps else point
+                    name, words = (f"{point}.{body}", f"{point} on {body}") if point in gaps else (point, point)
                     for axis, value in zip("xy", moving.position(point, body), strict=True):
-                        yield f"{name}.{axis}_m", f"position of {point}{f' on {body}' if point in gaps else ''} in {axis}", value
+                        yield f"{name}.{axis}_m", f"position of {words} in {axis}", value
         names = slider_names(self.equations.machine)
         for guide, (s, v, a) in moving.slides.items():
             yield f"{names[guide]}.s_m", f"slide in the guide {guide}", s
@@ -169,15 +157,18 @@ class ClearanceColumns:
     def _energies(self) -> Iterator[tuple[str, str, Value]]:
         yield "energy.kinetic_J", "kinetic energy", self.motion.kinetic
         yield "energy.potential_J", "potential energy of gravity, zero at y = 0", self.motion.potential
-        yield "energy.contact_J", "elastic energy of the contacts", sum(contact.elastic for contact in self.touches)
+        yield "energy.contact_J", "elastic energy of the contacts", self._elastic
         for name, values in zip(self.equations.losses, self.block.works.T, strict=True):
             yield f"work.{name}_J", _work(name), values
 
     @property
+    def _elastic(self) -> Value:
+        return sum(contact.elastic for contact in self.touches)
+
+    @property
     def energy(self) -> Array:
         """Sum of kinetic energy, potential energy of gravity and elastic energy of the contacts [J]."""
-        elastic = sum(contact.elastic for contact in self.touches)
-        return np.asarray(self.motion.kinetic + self.motion.potential + elastic + 0.0 * self.block.time)
+        return np.asarray(self.motion.kinetic + self.motion.potential + self._elastic + 0.0 * self.block.time)
 
 
 def _work(name: str) -> str:

@@ -27,27 +27,12 @@ Lankarani and Nikravesh hold for e near one, that of Flores for all e."""
 
 
 def compliance(modulus: Value, poisson: Value) -> Value:
-    """Return the contribution of one material to the compliance of a contact, (1 - nu^2) / E [1/Pa].
-
-    Parameters
-    ----------
-    modulus : Value [Pa]
-        Young's modulus E.
-    poisson : Value [-]
-        Poisson's ratio nu.
-    """
+    """Return the contribution of one material to the compliance of a contact, (1 - nu^2) / E [1/Pa], from E [Pa] and nu."""
     return (1.0 - poisson * poisson) / modulus
 
 
 def stiffness(bearing: Value, journal: Value, first: Value, second: Value) -> Value:
-    """Return the stiffness of a journal in a bearing [N/m^1.5].
-
-    Parameters
-    ----------
-    bearing, journal : Value [m]
-        Radii, the bearing's the larger.
-    first, second : Value [1/Pa]
-        `compliance` of the two materials.
+    """Return the stiffness of a journal in a bearing [N/m^1.5], from radii [m] and `compliance` [1/Pa] of the two materials.
 
     References
     ----------
@@ -60,20 +45,8 @@ def stiffness(bearing: Value, journal: Value, first: Value, second: Value) -> Va
 def normal_force(law: str, delta: Value, rate: Value, speed: Value, stiff: Value, restitution: Value) -> Value:
     """Return the normal force [N], stiffness delta^1.5 (1 + damping rate / speed): zero without penetration and never negative.
 
-    Parameters
-    ----------
-    law : str
-        One of `DAMPING`.
-    delta : Value [m]
-        Penetration.
-    rate : Value [m/s]
-        Rate of the penetration.
-    speed : Value [m/s]
-        Approach speed at the start of the contact.
-    stiff : Value [N/m^1.5]
-        Stiffness.
-    restitution : Value [-]
-        Coefficient of restitution.
+    `law` is one of `DAMPING`; `delta` [m] is the penetration, `rate` [m/s] its rate, `speed` [m/s] the approach speed at the
+    start of the contact, `stiff` [N/m^1.5] the stiffness.
 
     References
     ----------
@@ -86,20 +59,9 @@ def normal_force(law: str, delta: Value, rate: Value, speed: Value, stiff: Value
 
 
 def friction(normal: Value, slip: Value, coefficient: Value, width: Value, damping: Value = 0.0) -> Value:
-    """Return the tangential force [N] against the slip: smoothed Coulomb friction, plus viscous damping during contact.
+    """Return the tangential force [N] against the slip [m/s]: smoothed Coulomb friction, plus viscous damping during contact.
 
-    Parameters
-    ----------
-    normal : Value [N]
-        Normal force, zero without contact.
-    slip : Value [m/s]
-        Tangential velocity of the surfaces.
-    coefficient : Value [-]
-        Coulomb friction coefficient.
-    width : Value [m/s]
-        Slip at which tanh(slip / width) reaches 76 % of the Coulomb force.
-    damping : Value [N s/m]
-        Tangential damping of the contact; acts while the normal force is positive.
+    At a slip of `width` [m/s] tanh(slip / width) reaches 76 % of the Coulomb force; the damping [N s/m] acts while the normal
+    force [N] is positive.
     """
-    touching = np.sign(normal)
-    return -coefficient * normal * np.tanh(slip / width) - damping * slip * touching
+    return -coefficient * normal * np.tanh(slip / width) - damping * slip * np.sign(normal)

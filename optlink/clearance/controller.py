@@ -70,14 +70,8 @@ class PID:
 class Controller:
     """Feedback correction of the crank angle, sample by sample.
 
-    Parameters
-    ----------
-    target : array (samples per revolution,) [m, rad]
-        Target output at the samples of a revolution.
-    leverage : array (samples per revolution,) [rad/m, -]
-        Crank rotation per change of the output at the samples.
-    angular : bool
-        Whether the output is an angle, whose error is wrapped to (-pi, pi].
+    At the samples of a revolution: `target` output [m, rad], and `leverage`, the crank rotation per change of the output
+    [rad/m, -]. The error of an `angular` output is wrapped to (-pi, pi].
     """
 
     pid: PID

@@ -76,25 +76,11 @@ class Equations:
             self._trace()
 
     def state(self, q: Iterable[Any], v: Iterable[Any], a: Iterable[Any]) -> ClearanceState:
-        """Return the machine at coordinates, rates and accelerations (floats, arrays or symbols).
-
-        Parameters
-        ----------
-        q, v, a : iterable of Value
-            Coordinates [rad, m] in the order of `cut.coordinates`, their rates and accelerations.
-        """
+        """Return the machine at coordinates [rad, m], rates and accelerations (floats, arrays or symbols), in that order."""
         return ClearanceState(self.machine, self.tree, [Jet(*three) for three in zip(q, v, a, strict=True)], self.speed)
 
     def touches(self, moving: ClearanceState, speeds: Iterable[Any], modes: Iterable[Any]) -> list[Touch]:
-        """Return the contacts at the gaps.
-
-        Parameters
-        ----------
-        speeds : iterable of Value [m/s]
-            Approach speed at the start of the contact, for each gap.
-        modes : iterable of Value
-            1 in contact, 0 apart, for each gap.
-        """
+        """Return the contacts at the gaps, from their approach speeds at the start of the contact [m/s] and their modes."""
         return [touch(gap, moving.journal_motion(gap), v, m) for gap, v, m in zip(self.gaps, speeds, modes, strict=True)]
 
     @property
@@ -104,20 +90,20 @@ class Equations:
         return ("drive", *(load.name for load in self.machine.loads), *names)
 
     def _trace(self) -> None:
-        n, k = self.size, len(self.gaps)
-        self.x = x = casadi.SX.sym("x", 2 * n)
-        a = casadi.SX.sym("a", n)
-        self.span, self.tau = casadi.SX.sym("span"), casadi.SX.sym("tau")
-        self.entered, self.modes = casadi.SX.sym("entered", k), casadi.SX.sym("modes", k)
-        self.begin, self.further = casadi.SX.sym("begin"), casadi.SX.sym("further")  # time; turn beyond the command
-        self.command = casadi.SX.sym("command", 3)  # angle, speed and acceleration of the servo reference
+        n, k, symbol = self.size, len(self.gaps), casadi.SX.sym
+        self.x, a = symbol("x", 2 * n), symbol("a", n)
+        self.entered, self.modes = symbol("entered", k), symbol("modes", k)
+        self.span, self.tau, self.begin = symbol("span"), symbol("tau"), symbol("begin")  # times of a call of the integrator
+        self.further = symbol("further")  # turn beyond the command
+        self.command = symbol("command", 3)  # angle, speed and acceleration of the servo reference
+        x, entered = self.x, casadi.vertsplit(self.entered)
         q, v = casadi.vertsplit(x)[:n], casadi.vertsplit(x)[n:]
-        still = [casadi.SX(0.0)] * n
         moving = self.state(q, v, casadi.vertsplit(a))
-        unaccelerated = self.state(q, v, still)  # loads must not depend on the symbols of unknown accelerations
-        touches = self.touches(unaccelerated, casadi.vertsplit(self.entered), casadi.vertsplit(self.modes))
+        # loads must not depend on the symbols of unknown accelerations
+        self.symbolic = unaccelerated = self.state(q, v, [casadi.SX(0.0)] * n)
+        touches = self.touches(unaccelerated, entered, casadi.vertsplit(self.modes))
         loads = unaccelerated.acting()
-        forces = [one for several in loads.values() for one in several]
+        forces = [force for of_load in loads.values() for force in of_load]
         for gap, contact in zip(self.gaps, touches, strict=True):
             forces += acting(gap, unaccelerated.journal_motion(gap), unaccelerated.position(gap.point, gap.journal), contact)
         residual = casadi.SX.zeros(n)
@@ -131,33 +117,29 @@ class Equations:
             rates = casadi.vertcat(*state.velocity, state.omega)
             residual += casadi.jacobian(rates, x[n:]).T @ casadi.vertcat(fx, fy, total)
         residuals = [as_jet(value).parts for value in self.tree.open(moving.places)]
-        closure = casadi.vertcat(*[value for value, _, _ in residuals]) if residuals else casadi.SX(0, 1)
-        bent = casadi.vertcat(*[twice for _, _, twice in residuals]) if residuals else casadi.SX(0, 1)
+        closure, bent = (casadi.vertcat(casadi.SX(0, 1), *[parts[order] for parts in residuals]) for order in (0, 2))
         grip = casadi.jacobian(closure, x[:n])
         crank = self.tree.driven
         prescribed, torque = self._driven(unaccelerated)
-        free = [i for i in range(n) if prescribed is None or i != crank]
+        self.free = free = [i for i in range(n) if prescribed is None or i != crank]
         # linear in the accelerations: matrix and right-hand side by differentiation, at a = 0 (and the prescribed one)
-        at = casadi.SX.zeros(n)
+        whole = casadi.SX.zeros(n)
         if prescribed is not None:
-            at[crank] = prescribed
-        rest, late = (casadi.substitute(part, a, at) for part in (residual, bent))
+            whole[crank] = prescribed
+        rest, late = (casadi.substitute(part, a, whole) for part in (residual, bent))
         if torque is not None:
             rest[crank] -= torque
         mass, constraint_rows = casadi.jacobian(residual, a), grip[:, free]
-        m = closure.numel()
-        if m:
+        self.closing = m = closure.numel()
+        if not free:
+            solved = casadi.SX(0, 1)
+        elif m:
             matrix = casadi.blockcat([[mass[free, free], constraint_rows.T], [constraint_rows, casadi.SX(m, m)]])
-            solved = casadi.solve(matrix, -casadi.vertcat(rest[free], late)) if free else casadi.SX(0, 1)
-        else:
-            matrix = mass[free, free]
-            # positive definite and sparse
-            solved = casadi.ldl_solve(-rest[free], *casadi.ldl(matrix, False)) if free else casadi.SX(0, 1)
-        whole = casadi.SX.zeros(n)
+            solved = casadi.solve(matrix, -casadi.vertcat(rest[free], late))
+        else:  # positive definite and sparse
+            solved = casadi.ldl_solve(-rest[free], *casadi.ldl(mass[free, free], False))
         for place, i in enumerate(free):
             whole[i] = solved[place]
-        if prescribed is not None:
-            whole[crank] = prescribed
         pull = solved[len(free) :]  # minus the forces in the closing joints
         if torque is None:
             torque = rest[crank] + mass[crank, free] @ solved[: len(free)] + (grip[:, crank].T @ pull if m else 0.0)
@@ -166,23 +148,18 @@ class Equations:
         ode = casadi.vertcat(x[n:], whole)
         depth = casadi.vertcat(*[contact.penetration for contact in touches])
         rate = casadi.vertcat(*[contact.rate for contact in touches])
-        curve = casadi.jtimes(rate, x, ode)
         normal = casadi.vertcat(*[contact.normal for contact in touches])
         torque = casadi.SX(torque)
-        bare = [
-            touch(gap, unaccelerated.journal_motion(gap), v).normal
-            for gap, v in zip(self.gaps, casadi.vertsplit(self.entered), strict=True)
-        ]
         # the torque is linear in the modes, which scale the contact forces: derivative with respect to each contact force
-        lever = casadi.jacobian(torque, self.modes).T / (casadi.vertcat(*bare) + LEAST_FORCE)
+        bare = casadi.vertcat(*[contact.normal for contact in self.touches(unaccelerated, entered, [1.0] * k)])
+        lever = casadi.jacobian(torque, self.modes).T / (bare + LEAST_FORCE)
         ahead = casadi.vertcat(self.command[1:], 0.0)
         over = [casadi.jtimes(part, x, ode) + casadi.jtimes(part, self.command, ahead) for part in (normal, torque)]
         self.rates = [ode, casadi.vertcat(*powers)]
-        self.watched = [depth, rate, curve, normal, over[0], lever, torque, over[1]]
+        self.watched = [depth, rate, casadi.jtimes(rate, x, ode), normal, over[0], lever, torque, over[1]]
         self._outcome = [whole, torque, pull]
-        self.free, self.symbolic = free, unaccelerated
         self.masses = CompiledFunction([x], [mass[free, free], constraint_rows])
-        self.closing, self.closed = m, [x[:n], closure, grip]
+        self.closed = [x[:n], closure, grip]
 
     def _driven(self, state: ClearanceState) -> tuple[Any, Any]:
         """Acceleration of the crank (or None), and torque on it (or None where it follows from the motion)."""
@@ -236,10 +213,7 @@ class Equations:
         return function
 
     def watch(self, copies: int) -> CompiledFunction:
-        """Return the function (x, parameters, tau) -> fields of `peaks.Watched`, in order.
-
-        It evaluates `copies` points at a time.
-        """
+        """Return the function (x, parameters, tau) -> fields of `peaks.Watched`, in order, at `copies` points at a time."""
         return self._in_motion("watch", self.watched, copies)
 
     def dynamics(self, copies: int) -> CompiledFunction:
@@ -261,16 +235,9 @@ class Equations:
         return residuals.reshape(count, -1), grip.reshape(count, self.size, -1).transpose(0, 2, 1)
 
     def nudge(self, state: Array, parameters: Array, time: float) -> tuple[Array, Array]:
-        """Return state and works [J] after a time too short for the integrator, by one step of the classical Runge-Kutta method.
+        """Return state and works [J] after a time [s] too short for the integrator, by one classical Runge-Kutta step.
 
-        Parameters
-        ----------
-        state : array (2n,)
-            Coordinates and their rates.
-        parameters : array (k,)
-            Constants in the order of `Equations.parameters`; the span is ignored.
-        time : float [s]
-            Time step, may be negative.
+        The time may be negative; the span in the parameters is ignored.
         """
         moved, works = self._short_step(state, parameters, np.array([time]))
         return moved, works
@@ -278,25 +245,13 @@ class Equations:
     def integrator(self, steps: int, tolerance: float, *, stiff: bool = False) -> BufferedFunction:
         """Return the CVODES integrator (x, parameters) -> states, works [J] after each of the equal steps of the span.
 
-        Parameters
-        ----------
-        steps : int
-            Number of steps.
-        tolerance : float
-            Relative tolerance; the absolute one is a thousandth of it.
-        stiff : bool
-            Use BDF instead of Adams.
+        Its relative tolerance is given; the absolute one is a thousandth of it. A stiff motion takes BDF instead of Adams.
         """
         return self._once(("steps", steps, tolerance, stiff), lambda: self._integrator(steps, tolerance, stiff))
 
     def _integrator(self, steps: int, tolerance: float, stiff: bool) -> BufferedFunction:
-        problem = {
-            "x": self.x,
-            "p": self.parameters,
-            "t": self.tau,
-            "ode": self.span * self._flow[0],
-            "quad": self.span * self._flow[1],
-        }
+        ode, quad = (self.span * part for part in self._flow)
+        problem = {"x": self.x, "p": self.parameters, "t": self.tau, "ode": ode, "quad": quad}
         # Adams: between the switches the motion is smooth; measured a quarter faster than BDF, in contact as well as apart.
         # In a contact that lasts for many of its vibrations these have decayed: then only BDF takes steps of the motion's scale.
         options: dict[str, Any] = {
@@ -307,7 +262,6 @@ class Equations:
             "max_num_steps": 200_000 if stiff else 20_000,  # per row; a hundred are typical
         }
         grid = [(i + 1.0) / steps for i in range(steps)]
-        inner = casadi.integrator("motion", "cvodes", problem, 0.0, grid, options)
         x, p = casadi.MX.sym("x", self.x.numel()), casadi.MX.sym("p", self.parameters.numel())
-        result = inner(x0=x, p=p)
+        result = casadi.integrator("motion", "cvodes", problem, 0.0, grid, options)(x0=x, p=p)
         return BufferedFunction(casadi.Function("steps", [x, p], [result["xf"], result["qf"]]))

@@ -1,4 +1,7 @@
-"""Quintic Hermite interpolation between two rows: zero crossing and maximum."""
+"""Quintic Hermite interpolation between two rows: zero crossing and maximum.
+
+The path is given by its value, slope and second derivative at both ends, and the span of time between them.
+"""
 
 from collections.abc import Sequence
 from typing import Any
@@ -9,7 +12,7 @@ from optlink.linkage.vector2d import Array
 
 
 def _quintic(begin: Sequence[float], end: Sequence[float], span: float) -> Array:
-    """The quintic polynomial over a row (0 ... 1) with given values, slopes and second derivatives at its ends."""
+    """The polynomial over a row (0 ... 1)."""
     (y0, s0, c0), (y1, s1, c1) = begin, end
     a, b = s0 * span, s1 * span
     c, d = 0.5 * c0 * span * span, 0.5 * c1 * span * span
@@ -23,31 +26,14 @@ def _real_roots(polynomial: Any) -> Array:
 
 
 def crossing(begin: Sequence[float], end: Sequence[float], span: float) -> float:
-    """Estimate the first upward zero crossing of a path that ends above zero, as a share of the row.
-
-    Parameters
-    ----------
-    begin, end : sequence of three floats
-        Value, slope and second derivative at both ends.
-    span : float [s]
-        Duration of the row.
-    """
+    """Estimate the first upward zero crossing of a path that ends above zero, as a share of the row."""
     path = _quintic(begin, end, span)
-    slope = np.polyder(path)
-    rising = [u for u in _real_roots(path) if np.polyval(slope, u) > 0.0]
+    rising = [u for u in _real_roots(path) if np.polyval(np.polyder(path), u) > 0.0]
     return float(rising[0]) if rising else 0.5
 
 
 def summit(begin: Sequence[float], end: Sequence[float], span: float) -> float:
-    """Estimate the maximum of a path that rises at its start and falls at its end, as a share of the row.
-
-    Parameters
-    ----------
-    begin, end : sequence of three floats
-        Value, slope and second derivative at both ends.
-    span : float [s]
-        Duration of the row.
-    """
+    """Estimate the maximum of a path that rises at its start and falls at its end, as a share of the row."""
     path = _quintic(begin, end, span)
     tops = _real_roots(np.polyder(path))
     return float(tops[np.argmax(np.polyval(path, tops))]) if tops.size else begin[1] / (begin[1] - end[1])

@@ -9,7 +9,7 @@ The path between two rows is checked by its values and slopes, so a contact shor
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -51,6 +51,10 @@ class Impact(NamedTuple):
     end: float
     departure: float
 
+    def deepened(self, depth: float) -> Self:
+        """Return the contact with a penetration of at least a depth [m]."""
+        return self._replace(penetration=max(self.penetration, depth))
+
 
 class Crossing(NamedTuple):
     """A switch of a gap: the gap, the time from the start of the row [s], the state there, the works until then [J]."""
@@ -87,18 +91,10 @@ class Stalled(RuntimeError):
 
 @dataclass
 class Integration:
-    """A motion during its integration.
+    """A motion during its integration from a state (2n,), with rows every `step` [s].
 
-    Parameters
-    ----------
-    state : array (2n,)
-        Coordinates and their rates at the start.
-    step : float [s]
-        Time between two rows.
-    tolerance : float
-        Relative tolerance of the integrator; the absolute one is a thousandth of it (SI).
-    slow : bool
-        Whether contacts vibrate far faster than the machine moves: an implicit method then steps over decayed vibrations.
+    `tolerance` is relative; the absolute one is a thousandth of it (SI). `slow`: contacts vibrate far faster than the machine
+    moves; an implicit method then steps over decayed vibrations.
     """
 
     equations: Equations
@@ -126,15 +122,7 @@ class Integration:
         return float(self.row * self.step + self.ahead)
 
     def parameters(self, span: float, time: float) -> Array:
-        """Return the constants of a call of the integrator.
-
-        Parameters
-        ----------
-        span : float [s]
-            Duration of the call.
-        time : float [s]
-            Its begin.
-        """
+        """Return the constants of a call of the integrator with this duration and begin [s]."""
         return np.concatenate([[span, time, self.further], self.entered, self.modes])
 
     def restart(self) -> None:
@@ -158,17 +146,16 @@ class Integration:
                 if left <= min(CHUNKS[self._chunk], CHUNKS[1]):
                     count = left
             span = count * self.step - self.ahead
-            states, works = self._integrate(self.state, span, count, self.time)
+            states, works = self._solve(self.state, self.parameters(span, self.time), count)
             row, suspects = self._suspects(states, span / count)
-            switch = None
-            whole = count
+            switch, whole = None, count
             if suspects:
-                switch = self._first_switch(states[row], row * span / count, span / count, suspects)
+                offset, into = row * span / count, span / count
+                switch = self._first_switch(states[row], offset, into, suspects)
                 whole = row + (switch is None)  # a false alarm: the row is accepted
-                there, into = (states[row + 1], span / count) if switch is None else (switch.state, switch.into)
-                last = np.vstack([states[row], there])
-                offset = row * span / count
-                self._note(last, self._watch(last, self.parameters(into, self.time + offset)), into, offset)
+                there, into = (states[row + 1], into) if switch is None else (switch.state, switch.into)
+                last, parameters = np.vstack([states[row], there]), self.parameters(into, self.time + offset)
+                self.peaks.note(last, self._watch(last, parameters), parameters)
             if whole:
                 yield self._accept(states[1 : whole + 1], works[:whole])
             if switch is not None:
@@ -177,9 +164,6 @@ class Integration:
                 self._chunk = min(self._chunk + 1, len(CHUNKS) - 1 - (not self._stiff(self.modes)))
 
     # --- one call ------------------------------------------------------------------------------------------------------
-
-    def _integrate(self, state: Array, span: float, count: int, time: float) -> tuple[Array, Array]:
-        return self._solve(state, self.parameters(span, time), count)
 
     def _solve(self, state: Array, parameters: Array, count: int) -> tuple[Array, Array]:
         """States at the start and after each of `count` equal steps of the span, and the works after each [J]."""
@@ -204,6 +188,11 @@ class Integration:
         """Watched quantities of gaps and torque at states that are `span` apart, the first one now."""
         return self._watch(states, self.parameters(span * (len(states) - 1), self.time))
 
+    def _penetrations(self, state: Array) -> tuple[Array, Array]:
+        """Penetrations of the gaps and their rates at a state."""
+        watched = self._observe(state[None, :], 0.0)
+        return watched.depth[0], watched.rate[0]
+
     def _watch(self, states: Array, parameters: Array) -> Watched:
         count = len(states)
         values = self.equations.watch(count)(states.ravel(), np.tile(parameters, count), np.linspace(0.0, 1.0, count))
@@ -216,7 +205,7 @@ class Integration:
         """
         watched = self._observe(states, span)
         depth, rate, curve = watched[:3]
-        side = 1.0 - 2.0 * self.modes  # at a switch the penetration with this sign rises above zero
+        side = 1.0 - 2.0 * self.modes  # the penetration with this sign rises above zero at a switch
         y, slope = side * depth, side * rate
         turns = (slope[:-1] > 0.0) & (slope[1:] < 0.0)  # may touch zero within the row
         reach = np.maximum(y[:-1] + 0.5 * span * slope[:-1], y[1:] - 0.5 * span * slope[1:])
@@ -226,11 +215,11 @@ class Integration:
         for i, j in rows:
             if suspects and i > row:
                 break
-            ends = [[float(side[j] * part[m, j]) for part in (depth, rate, curve)] for m in (i, i + 1)]
+            begin, end = ([float(side[j] * part[m, j]) for part in (depth, rate, curve)] for m in (i, i + 1))
             sure = bool(y[i + 1, j] > 0.0)
-            s = crossing(ends[0], ends[1], span) if sure else summit(ends[0], ends[1], span)
-            row, suspects[int(j)] = int(i), (s * span, sure)
-        self._note(states[: row + 1], Watched(*(part[: row + 1] for part in watched)), span, 0.0)
+            row, suspects[int(j)] = int(i), ((crossing if sure else summit)(begin, end, span) * span, sure)
+        until = Watched(*(part[: row + 1] for part in watched))
+        self.peaks.note(states[: row + 1], until, self.parameters(span, self.time))
         return row, suspects
 
     def _first_switch(self, state: Array, offset: float, span: float, suspects: dict[int, tuple[float, bool]]) -> Crossing | None:
@@ -252,7 +241,7 @@ class Integration:
 
     def _beyond(self, switch: Crossing) -> int | None:
         """Return a gap that has already switched before another one does."""
-        depth, rate = (part[0] for part in self._observe(switch.state[None, :], 0.0)[:2])
+        depth, rate = self._penetrations(switch.state)
         late = (1.0 - 2.0 * self.modes) * depth / np.maximum(np.abs(rate), 1e-300) > SHARP * self.step
         late[switch.gap] = False
         return int(np.argmax(late)) if np.any(late) else None
@@ -266,7 +255,7 @@ class Integration:
         low, high, s = 0.0, end if sure else np.inf, guess
         works = np.zeros_like(self.works)
         for _ in range(100):
-            states, more = self._integrate(state, s - low, 1, self.time + offset + low)
+            states, more = self._solve(state, self.parameters(s - low, self.time + offset + low), 1)
             y, slope, curve = (side * float(part[1, gap]) for part in self._observe(states, s - low)[:3])
             rest = -y / slope if slope > 0.0 else np.inf
             if abs(rest) < RUNGE_KUTTA_SHARE * self.step:
@@ -286,7 +275,7 @@ class Integration:
                     return None
                 s = peak
             if high - low < SHARP * SHARP * self.step:
-                states, more = self._integrate(state, high - low, 1, self.time + offset + low)
+                states, more = self._solve(state, self.parameters(high - low, self.time + offset + low), 1)
                 return Crossing(gap, high, states[1], works + more[0])
         return None
 
@@ -296,15 +285,11 @@ class Integration:
         for _ in range(6):
             state, more = self.equations.nudge(state, self.parameters(0.0, time + into), rest)
             into, works = into + rest, works + more
-            depth, rate = (side * float(part[0, gap]) for part in self._observe(state[None, :], 0.0)[:2])
+            depth, rate = (side * float(part[gap]) for part in self._penetrations(state))
             rest = -depth / rate if rate > 0.0 else 0.0
             if abs(rest) <= 1e-14 * (time + into) or abs(rest) > RUNGE_KUTTA_SHARE * self.step:
                 break
         return state, works, into
-
-    def _note(self, states: Array, watched: Watched, span: float, offset: float) -> None:
-        """Record consecutive rows, `span` apart; the first is `offset` from now."""
-        self.peaks.note(states, watched, lambda i: self.parameters(span, self.time + offset + i * span), self.modes, self.entered)
 
     def _again(self, state: Array, parameters: Array, steps: int) -> tuple[Array, Watched]:
         """Integrate an interval again, in small steps."""
@@ -327,43 +312,38 @@ class Integration:
         gap, self.state = switch.gap, self._closed(switch.state[None, :])[0]
         self.works = self.works + switch.works
         self.ahead = min(max(self.ahead + switch.into, self.ahead), self.step * (1.0 - 1e-12))
-        rate = self._observe(self.state[None, :], 0.0)[1][0, gap]
-        begins = self.modes[gap] == 0.0
+        rate, begins = float(self._penetrations(self.state)[1][gap]), self.modes[gap] == 0.0
         self.modes = self.modes.copy()
         self.modes[gap] = 1.0 if begins else 0.0
-        angle = float(self.state[self.equations.tree.driven])
         if begins:
             self.entered = self.entered.copy()
-            self.entered[gap] = max(float(rate), SLOWEST)
-            self.open[gap] = Impact(gap, self.time, angle, float(rate), 0.0, np.nan, np.nan)
+            self.entered[gap] = max(rate, SLOWEST)
             self.peaks.begin(gap)
-        else:
-            self._deepen(gap)
-            self.finished.append(self.open.pop(gap)._replace(end=self.time, departure=-float(rate)))
-        self.switches += 1
+        deepest = 0.0 if begins else self.peaks.deepest(gap)
+        self._record(gap, begins, self.time, float(self.state[self.equations.tree.driven]), rate, deepest)
         self._busy += 1
         self._chunk = 0
         if self._busy > BUSY:
             raise Stalled(f"more than {BUSY} contacts begin and end within {self.step:.3g} s")
 
+    def _record(self, gap: int, begins: bool, time: float, angle: float, rate: float, deepest: float) -> None:
+        """Record the start or end of a contact: time [s], crank angle [rad], rate of the penetration [m/s], largest one [m]."""
+        self.switches += 1
+        if begins:
+            self.open[gap] = Impact(gap, time, angle, rate, 0.0, np.nan, np.nan)
+        else:
+            self.finished.append(self.open.pop(gap).deepened(deepest)._replace(end=time, departure=-rate))
+
     def take_peaks(self) -> tuple[float, ...]:
         """Return the maxima since the last call: penetrations [m] and normal forces [N] of all gaps, torque [N m]."""
-        for gap in self.open:
-            self._deepen(gap)
+        for gap, impact in self.open.items():
+            self.open[gap] = impact.deepened(self.peaks.deepest(gap))
         return self.peaks.take()
 
     @property
     def lasting(self) -> tuple[Impact, ...]:
         """The contacts that have not ended."""
-        contacts = self.peaks.contacts
-        return tuple(
-            impact._replace(penetration=max(impact.penetration, contacts[gap].value)) for gap, impact in self.open.items()
-        )
-
-    def _deepen(self, gap: int) -> None:
-        """Update the largest penetration of a contact."""
-        impact = self.open[gap]
-        self.open[gap] = impact._replace(penetration=max(impact.penetration, self.peaks.deepest(gap)))
+        return tuple(impact.deepened(self.peaks.contacts[gap].value) for gap, impact in self.open.items())
 
     def _closed(self, states: Array) -> Array:
         """Project states (m, 2n) onto the closing joints, from which they drift by the integrator's error."""
@@ -382,7 +362,6 @@ class Integration:
         return states
 
     def _check(self) -> None:
-        depth = self._observe(self.state[None, :], 0.0)[0][0]
-        for gap, delta in zip(self.equations.gaps, depth, strict=True):
+        for gap, delta in zip(self.equations.gaps, self._penetrations(self.state)[0], strict=True):
             if delta > DEEPEST * gap.radius:
                 raise Stalled(f"the journal at {gap.point} is {delta:.3g} m deep in its bearing, {TOO_DEEP}")

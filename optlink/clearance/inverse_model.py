@@ -31,18 +31,9 @@ HIGHEST = 60  # maximum harmonic of a correction
 
 
 def predicted(machine: Machine, gaps: Sequence[Gap], angles: Array, speed: float) -> Array:
-    """Predict the gap vectors (angles, 2 gaps) [m] at constant speed: x, y of each journal relative to its bearing.
+    """Predict the gap vectors (angles, 2 gaps) [m] at crank angles [rad] and a constant speed [rad/s].
 
-    Parameters
-    ----------
-    angles : array (angles,) [rad]
-        Crank angles.
-    speed : float [rad/s]
-        Crank speed.
-
-    Notes
-    -----
-    Quasi-static contact in the direction of the ideal joint's reaction.
+    They are x, y of each journal relative to its bearing, in quasi-static contact along the ideal joint's reaction.
     """
     moving = machine.moving(angles, speed)
     joint_reactions = reactions(moving)
@@ -104,14 +95,8 @@ class Inverse:
         """Compute the harmonics (order + 1,) of the crank angle correction [rad] that brings the output closest to its target.
 
         It minimises the mean of (output - target)^2 + (regularisation * correction)^2 over the revolution among all corrections
-        of these harmonics; near dead centres of the output the other positions determine it. Gauss-Newton with exact derivatives.
-
-        Parameters
-        ----------
-        regularisation : float [m/rad, -]
-            Weight of the correction.
-        order : int
-            Highest harmonic.
+        up to the harmonic `order`; near dead centres of the output the other positions determine it. Gauss-Newton with exact
+        derivatives. The unit of the regularisation is m/rad or 1.
         """
         phase = 2.0 * np.pi * np.arange(POINTS) / POINTS
         waves = [wave(k * phase) for k in range(1, order + 1) for wave in (np.cos, np.sin)]
@@ -131,16 +116,11 @@ class Inverse:
     def motion(self, regularisation: float, bandwidth: float) -> tuple[Array, Array, Array, Array, Array]:
         """Return time [s], target, crank angle [rad], crank speed [rad/s] and reached output at the positions, each (POINTS,).
 
-        Parameters
-        ----------
-        regularisation : float [m/rad, -]
-            Weight of the correction.
-        bandwidth : float [rad/s]
-            Highest frequency of the correction.
+        `bandwidth` [rad/s] is the highest frequency of the correction.
         """
         signal = ReferenceSignal(self.start, self.speed, self.solve(regularisation, self._order(bandwidth)))
-        time: Array = np.asarray(2.0 * np.pi / (POINTS * abs(self.speed)) * np.arange(POINTS), dtype=float)
-        angle, speed = (np.asarray(part, dtype=float) for part in signal.at(time))
+        time: Array = np.asarray(2.0 * np.pi / (POINTS * abs(self.speed)) * np.arange(POINTS))
+        angle, speed = map(np.asarray, signal.at(time))
         return time, self.target, angle, speed, self.close(angle)[0]
 
     def _order(self, bandwidth: float) -> int:
@@ -150,14 +130,7 @@ class Inverse:
     def reference_signal(self, regularisation: float, servo: Servo, bandwidth: float) -> ReferenceSignal:
         """Return the crank command: the correction up to a bandwidth, multiplied by the inverse transfer function of the servo.
 
-        A correction of too high a bandwidth excites the machine so that the journals leave their predicted positions.
-
-        Parameters
-        ----------
-        regularisation : float [m/rad, -]
-            Weight of the correction.
-        bandwidth : float [rad/s]
-            Highest frequency of the correction.
+        A correction of too high a bandwidth [rad/s] excites the machine so that the journals leave their predicted positions.
         """
         order = self._order(bandwidth)
         s = 1j * np.arange(order + 1) * abs(self.speed)
@@ -166,14 +139,9 @@ class Inverse:
 
 
 def leverage(machine: Machine, output: Output, angles: Array, regularisation: float) -> Array:
-    """Return the crank rotation per change of the output [rad/m, -] at crank angles (n,), regularised near dead centres.
+    """Return the crank rotation per change of the output [rad/m, -] at crank angles (n,) [rad].
 
-    Parameters
-    ----------
-    angles : array (n,) [rad]
-    regularisation : float [m/rad, -]
-        Output slope below which the result is reduced.
+    It is reduced near dead centres, at slopes of the output below the regularisation.
     """
     slope = np.broadcast_to(output.ideal(machine.moving(angles))[1], angles.shape)
-    inverse: Array = slope / (slope * slope + regularisation * regularisation)
-    return inverse
+    return np.asarray(slope / (slope * slope + regularisation * regularisation))

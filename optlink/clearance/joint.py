@@ -18,20 +18,16 @@ LEAST_DEPTH = 1e-14
 
 @dataclass(frozen=True)
 class Gap:
-    """Clearance in a pin.
+    """Clearance in the pin `point`, between the bodies that carry `journal` and `bearing`; either may be the frame.
 
     Parameters
     ----------
-    point : str
-        The pin.
-    journal, bearing : str
-        The bodies that carry the journal and the bearing; either may be the frame.
     clearance : float [m]
-        Radial clearance: radius of the bearing minus that of the journal.
+        Radius of the bearing minus that of the journal.
     radius : float [m]
-        Radius of the journal.
+        Of the journal.
     stiffness : float [N/m^1.5]
-        Contact stiffness.
+        Of the contact.
     restitution : float [-]
         Coefficient of restitution.
     law : str
@@ -105,19 +101,15 @@ class Touch(NamedTuple):
 
 
 def touch(gap: Gap, motion: JournalMotion, speed: Value, closed: Value = 1.0) -> Touch:
-    """Compute the contact between journal and bearing.
+    """Compute the contact between journal and bearing, from the approach speed at its start [m/s].
 
-    Parameters
-    ----------
-    speed : Value [m/s]
-        Approach speed at the start of the contact.
-    closed : Value
-        1 in contact, 0 apart: then there is no force, even where a trial motion penetrates the bearing.
+    `closed`: 1 in contact, 0 apart; then there is no force, even where a trial motion penetrates the bearing.
     """
     delta, rate, slip = motion.distance - gap.clearance, motion.approach, motion.slip(gap.radius)
     depth = np.maximum(delta, LEAST_DEPTH)
-    normal = closed * normal_force(gap.law, depth, rate, speed, gap.stiffness, gap.restitution)
-    spring = closed * normal_force("hertz", depth, rate, speed, gap.stiffness, gap.restitution)
+    normal, spring = (
+        closed * normal_force(law, depth, rate, speed, gap.stiffness, gap.restitution) for law in (gap.law, "hertz")
+    )
     rub = closed * friction(normal, slip, gap.friction, gap.slip_speed, gap.damping)
     x, y = motion.normal
     force = -normal * x - rub * y, -normal * y + rub * x
@@ -128,10 +120,7 @@ def touch(gap: Gap, motion: JournalMotion, speed: Value, closed: Value = 1.0) ->
 def acting(gap: Gap, motion: JournalMotion, journal: Vector, contact: Touch) -> tuple[Acting, Acting]:
     """Return the contact forces on both bodies, journal first, at one point so that their moments cancel.
 
-    Parameters
-    ----------
-    journal : pair of Value [m]
-        Centre of the journal.
+    `journal` [m] is the centre of the journal.
     """
     x, y = motion.normal
     at = journal[0] + gap.radius * x, journal[1] + gap.radius * y

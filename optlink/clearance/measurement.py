@@ -13,15 +13,7 @@ from optlink.linkage.vector2d import Array
 
 @dataclass(frozen=True, eq=False)
 class MeasuredComparison:
-    """Rows of a measured series beside the simulation, each (n,).
-
-    Attributes
-    ----------
-    time
-        Time of the simulation [s].
-    measured, simulated, ideal
-        Measured output, that of the simulation, and that of the machine without clearance [m, rad].
-    """
+    """Rows of a measured series beside the simulation, each (n,): time of the simulation [s], outputs [m, rad]."""
 
     time: Array
     measured: Array
@@ -61,20 +53,11 @@ def measured_comparison(
     period: float,
     counted: tuple[int, int],
 ) -> MeasuredComparison | None:
-    """Compare a measured series with the rows of a simulation; None if no row of the series lies within them.
+    """Compare a measured series [s; m, rad] with the rows of a simulation; None if no row of the series lies within them.
 
-    Parameters
-    ----------
-    times : sequence of float [s]
-        Times of the series, from the start angle of the crank. They are moved by whole revolutions, so that the last one lies in
-        the last simulated revolution.
-    measured : sequence of float [m, rad]
-    rows : mapping of str to array
-        Columns of the simulation.
-    period : float [s]
-        Time of a revolution.
-    counted : (int, int)
-        Numbers of revolutions before the counted ones, and of all simulated ones. Other rows of the series are left out.
+    The times of the series, from the start angle of the crank, are moved by whole revolutions of duration `period` [s], so that
+    the last one lies in the last simulated revolution. `counted`: numbers of revolutions before the counted ones, and of all
+    simulated ones; other rows of the series are left out.
     """
     time, values = rows["time_s"], rows[output.column]
     rate = rows[f"{output.name}.v_m_s" if output.guide else f"{output.name}.omega_rad_s"]
@@ -88,5 +71,5 @@ def measured_comparison(
         return None
     at = np.clip(at[within], time[0], time[-1])
     simulated = np.asarray(CubicHermiteSpline(time, values, rate)(at))
-    error = np.interp(at, time, rows[f"{output.name}.error_{output.unit}"])
+    error = np.interp(at, time, rows[output.error])
     return MeasuredComparison(at, np.asarray(measured, dtype=float)[within], simulated, simulated - error, output)

@@ -6,7 +6,7 @@ import numpy as np
 
 from optlink.clearance.state import ClearanceState
 from optlink.dynamics.machine import Machine, Moving, slider_names
-from optlink.linkage.mechanism import FRAME, Mechanism
+from optlink.linkage.mechanism import FRAME
 from optlink.linkage.vector2d import Value, angle
 
 
@@ -27,6 +27,11 @@ class Output:
         """Name of the column in tables."""
         return f"{self.name}.s_m" if self.guide else f"{self.name}.angle_rad"
 
+    @property
+    def error(self) -> str:
+        """Name of the column of the deviation from the machine without clearance."""
+        return f"{self.name}.error_{self.unit}"
+
     def of(self, with_clearance: ClearanceState) -> Value:
         """Return the output [m, rad]; an angle lies in (-pi, pi]."""
         return with_clearance.slides[self.guide][0] if self.guide else angle(with_clearance.state(self.name).axis)
@@ -40,13 +45,7 @@ class Output:
         return angle(state.axis), state.omega
 
     def difference(self, value: Value, ideal: Value) -> Value:
-        """Return the deviation from a target [m, rad]; that of an angle is wrapped to (-pi, pi].
-
-        Parameters
-        ----------
-        value, ideal : Value [m, rad]
-            Output and target.
-        """
+        """Return the deviation of a value from a target [m, rad]; that of an angle is wrapped to (-pi, pi]."""
         return value - ideal if self.guide else np.remainder(value - ideal + np.pi, 2.0 * np.pi) - np.pi
 
 
@@ -62,10 +61,8 @@ def default_output(machine: Machine) -> Output:
     available = outputs(machine)
     names = slider_names(machine)
     rams = [names[guide.name] for guide in machine.mechanism.guides if FRAME in guide.bodies]
-    return available[rams[-1] if rams else _rocker(machine.mechanism)]
-
-
-def _rocker(mechanism: Mechanism) -> str:
-    pinned = {body for bodies in mechanism.pins.values() if FRAME in bodies for body in bodies}
-    moving = [link.body for link in mechanism.links[1:]]
-    return next((body for body in reversed(moving) if body in pinned), moving[-1])
+    if rams:
+        return available[rams[-1]]
+    pinned = {body for bodies in machine.mechanism.pins.values() if FRAME in bodies for body in bodies}
+    moving = [link.body for link in machine.mechanism.links[1:]]
+    return available[next((body for body in reversed(moving) if body in pinned), moving[-1])]

@@ -66,33 +66,20 @@ class CurrentPeak:
 
 
 class Peaks:
-    """Maxima over a motion: penetration and normal force of every gap, and the magnitude of the torque.
-
-    Parameters
-    ----------
-    solve : callable
-        Integrates an interval again, see `Solve`.
-    """
+    """Maxima over a motion: penetration and normal force of every gap, and the magnitude of the torque."""
 
     def __init__(self, gaps: Sequence[Gap], solve: Solve) -> None:
         self.gaps, self.solve, count = gaps, solve, len(gaps)
         self.contacts = [CurrentPeak() for _ in gaps]  # penetration of the current contact
         self.turn = [CurrentPeak() for _ in range(2 * count + 1)]  # since `take`: penetrations, forces, torque
 
-    def note(self, states: Array, watched: Watched, parameters: Callable[[int], Array], modes: Array, entered: Array) -> None:
-        """Record consecutive rows.
-
-        Parameters
-        ----------
-        states : array (m, 2n)
-        modes, entered : array (gaps,)
-            Modes of the gaps, and approach speeds [m/s] at the start of their contacts.
-        """
+    def note(self, states: Array, watched: Watched, parameters: Array) -> None:
+        """Record consecutive rows, and where they may be exceeded between; the parameters are those of the first interval."""
         if len(states) < 2:
             return
-        span, k = float(parameters(0)[0]), len(self.gaps)
+        k, modes = len(self.gaps), parameters[3 + len(self.gaps) :]
         values, _ = _curves(watched)
-        bounds = self._bounds(watched, span, entered)
+        bounds = self._bounds(watched, parameters)
         inside: dict[int, MotionInterval] = {}
         several = [(self.contacts[j], j) for j in range(k) if modes[j]]
         several += [(peak, j) for j, peak in enumerate(self.turn) if j == 2 * k or modes[j % k]]
@@ -102,11 +89,12 @@ class Peaks:
             peak.waiting = [one for one in peak.waiting if one[0] > least]
             for i in np.flatnonzero(bounds[:, j] > least).tolist():
                 if i not in inside:
-                    inside[i] = MotionInterval(states[i].copy(), parameters(i))
+                    inside[i] = MotionInterval(states[i].copy(), _later(parameters, i))
                 peak.waiting.append((float(bounds[i, j]), inside[i]))
 
-    def _bounds(self, watched: Watched, span: float, entered: Array) -> Array:
+    def _bounds(self, watched: Watched, parameters: Array) -> Array:
         """Upper bounds of each quantity between two rows (m - 1, 2 gaps + 1)."""
+        span, entered = float(parameters[0]), parameters[3 : 3 + len(self.gaps)]
         rise, fall = np.maximum(watched.rate, 0.0), np.maximum(-watched.rate, 0.0)
         bend = 0.25 * span * span * np.maximum(watched.curve, 0.0)
         ahead = watched.depth + REACH * span * rise + bend
@@ -151,28 +139,31 @@ class Peaks:
         for bound, interval in waiting:
             if bound <= peak.value * (1.0 + PEAK_ACCURACY):
                 break
-            peak.value = self._summit(interval, j, peak.value, deeper=True)
+            peak.value = self._larger(peak.value, interval, j, twice=True)
         return peak.value
 
-    def _summit(self, interval: MotionInterval, j: int, least: float, *, deeper: bool) -> float:
-        """The maximum of quantity `j` within an interval, or `least` if that is larger."""
+    def _larger(self, best: float, interval: MotionInterval, j: int, *, twice: bool) -> float:
+        """Return the larger of `best` and the maximum of quantity j in an interval, which is divided once or twice."""
         if interval.divided is None:
             interval.divided = self.solve(interval.state, interval.parameters, PARTS)
         states, watched = interval.divided
-        span = float(interval.parameters[0]) / PARTS
+        parameters = interval.parameters.copy()
+        parameters[0] /= PARTS
         values, slopes = (part[:, j] for part in _curves(watched))
-        best = max(least, float(np.max(values)))
-        if not deeper:
-            return max(best, float(np.max(_cubic_summits(values, slopes, span))))
-        entered = interval.parameters[3 : 3 + len(self.gaps)]
-        bounds = self._bounds(watched, span, entered)[:, j]
+        best = max(best, float(np.max(values)))
+        if not twice:
+            return max(best, float(np.max(_cubic_summits(values, slopes, float(parameters[0])))))
+        bounds = self._bounds(watched, parameters)[:, j]
         for i in np.argsort(-bounds).tolist():
             if bounds[i] <= best * (1.0 + PEAK_ACCURACY):
                 break
-            inner = interval.parameters.copy()
-            inner[0], inner[1] = span, interval.parameters[1] + i * span
-            best = self._summit(MotionInterval(states[i], inner), j, best, deeper=False)
+            best = self._larger(best, MotionInterval(states[i], _later(parameters, i)), j, twice=False)
         return best
+
+
+def _later(parameters: Array, count: int) -> Array:
+    """Return the parameters of the interval that begins `count` spans later."""
+    return np.concatenate([parameters[:1], parameters[1:2] + count * parameters[0], parameters[2:]])
 
 
 def _curves(watched: Watched) -> tuple[Array, Array]:

@@ -9,15 +9,18 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal, NamedTuple
 
+from optlink.dynamics.inertia import BodyMotion
 from optlink.linkage.mechanism import FRAME, Guide, Mechanism, Pose
 from optlink.linkage.vector2d import Value, Vector, angle, cross, dot, minus, plus, turn, turn_back, unit
+
+Kind = Literal["angle", "x", "y", "slide"]
 
 
 class Coordinate(NamedTuple):
     """One coordinate of a body: its `angle` [rad], `x` or `y` of its start [m], or a `slide` [m]."""
 
     body: str
-    kind: Literal["angle", "x", "y", "slide"]
+    kind: Kind
 
     @property
     def name(self) -> str:
@@ -62,13 +65,13 @@ class SpanningTree:
     gaps: Mapping[str, str]
 
     @cached_property
-    def pins(self) -> tuple[Pin, ...]:
-        """The ideal revolute joints, each between two bodies."""
+    def joints(self) -> tuple[Pin | Guide, ...]:
+        """The ideal joints, each between two bodies: pins, then guides."""
         pins = []
         for point, bodies in self.mechanism.pins.items():
             carriers = [body for body in bodies if body != self.gaps.get(point)]
             pins += [Pin(point, carriers[0], other) for other in carriers[1:]]
-        return tuple(pins)
+        return (*pins, *self.mechanism.guides)
 
     @cached_property
     def branches(self) -> tuple[Branch, ...]:
@@ -79,7 +82,6 @@ class SpanningTree:
         return self._grow(free_crank=True) if isinstance(crank.joint, Guide) else tree
 
     def _grow(self, *, free_crank: bool) -> tuple[Branch, ...]:
-        joints: list[Pin | Guide] = [*self.pins, *self.mechanism.guides]
         tree: dict[str, Branch] = {}
         if free_crank:
             tree[self.mechanism.crank.body] = Branch(self.mechanism.crank.body, FRAME, None)
@@ -90,7 +92,7 @@ class SpanningTree:
                 waiting.append(root)
             while waiting:
                 at = waiting.pop(0)
-                for joint in joints:
+                for joint in self.joints:
                     if at in joint.bodies:
                         other = joint.bodies[0] if joint.bodies[1] == at else joint.bodies[1]
                         if other != FRAME and other not in tree:
@@ -102,18 +104,15 @@ class SpanningTree:
     def closing(self) -> tuple[Pin | Guide, ...]:
         """The ideal joints outside the tree."""
         used = {id(branch.joint) for branch in self.branches}
-        joints: list[Pin | Guide] = [*self.pins, *self.mechanism.guides]
-        return tuple(joint for joint in joints if id(joint) not in used)
+        return tuple(joint for joint in self.joints if id(joint) not in used)
 
     @cached_property
     def coordinates(self) -> tuple[Coordinate, ...]:
         """The coordinates of the tree, in the order of the bodies."""
         coordinates = []
         for body, _, joint in self.branches:
-            if joint is None:
-                coordinates += [Coordinate(body, "x"), Coordinate(body, "y"), Coordinate(body, "angle")]
-            else:
-                coordinates.append(Coordinate(body, "slide" if isinstance(joint, Guide) else "angle"))
+            free: tuple[Kind, ...] = ("x", "y", "angle") if joint is None else ("slide" if isinstance(joint, Guide) else "angle",)
+            coordinates += [Coordinate(body, kind) for kind in free]
         return tuple(coordinates)
 
     @cached_property
@@ -143,32 +142,17 @@ class SpanningTree:
 
     def _slid(self, guide: Guide, body: str, parent: BodyPlace, slide: Value) -> BodyPlace:
         """Place a body in a guide of its parent; the body may be the slider, or carry the line."""
-        (at, line_on_body), (carriers, line) = self.local.local_line(guide, body), self.local.local_line(guide, guide.other(body))
-        way = turn(line, parent.axis)
-        begin, axis = plus(parent.start, turn(carriers, parent.axis)), turn_back(way, line_on_body)
-        shift = slide if body == guide.slider else -slide
+        at, line_on_body = self.local.local_line(guide, body)
+        begin, way = self.line(guide, guide.other(body), parent)
+        axis, shift = turn_back(way, line_on_body), slide if body == guide.slider else -slide
         return BodyPlace(minus((begin[0] + shift * way[0], begin[1] + shift * way[1]), turn(at, axis)), axis)
 
-    def at(self, point: str, body: str, place: BodyPlace) -> Vector:
-        """Return the position of a point of a placed body [m].
-
-        Parameters
-        ----------
-        place : BodyPlace
-            Position of the body.
-        """
+    def at(self, point: str, body: str, place: BodyPlace | BodyMotion) -> Vector:
+        """Return the position of a point of a placed body [m]."""
         return plus(place.start, turn(self.local.local(body, point), place.axis))
 
-    def line(self, guide: Guide, body: str, place: BodyPlace) -> tuple[Vector, Vector]:
-        """Return a point [m] and the unit vector of a guide's line, from the position of one of its bodies.
-
-        Parameters
-        ----------
-        body : str
-            One of the two bodies of the guide.
-        place : BodyPlace
-            Position of that body.
-        """
+    def line(self, guide: Guide, body: str, place: BodyPlace | BodyMotion) -> tuple[Vector, Vector]:
+        """Return a point [m] and the unit vector of a guide's line, from the place of one of its two bodies."""
         point, way = self.local.local_line(guide, body)
         return plus(place.start, turn(point, place.axis)), turn(way, place.axis)
 

@@ -17,7 +17,7 @@ from optlink.dynamics.inverse import required_wrench
 from optlink.dynamics.machine import Acting, Machine
 from optlink.linkage.jet import Jet, as_jet
 from optlink.linkage.mechanism import FRAME
-from optlink.linkage.vector2d import Value, Vector, minus, plus, turn
+from optlink.linkage.vector2d import Value, Vector, minus
 
 SMOOTH = 1e-4
 """Share of the nominal speed (crank speed times size of the machine) where a load that opposes a motion has 76 % of its size."""
@@ -26,10 +26,7 @@ SMOOTH = 1e-4
 class ClearanceState:
     """A machine with joint clearance at coordinates that are jets.
 
-    Parameters
-    ----------
-    speed : float [rad/s]
-        Nominal speed of the crank, with its sense: reference for the smoothing of `sense`.
+    The nominal speed of the crank [rad/s], with its sense, is the reference for the smoothing of `sense`.
     """
 
     def __init__(self, machine: Machine, cut: SpanningTree, values: Sequence[Value], speed: float) -> None:
@@ -52,8 +49,7 @@ class ClearanceState:
 
     def position(self, point: str, body: str) -> Vector:
         """Return the position of a point of a body [m]."""
-        state = self.state(body)
-        return plus(state.start, turn(self.tree.local.local(body, point), state.axis))
+        return self.tree.at(point, body, self.state(body))
 
     def velocity(self, point: str, body: str) -> Vector:
         """Return the velocity of a point of a body [m/s]."""
@@ -66,7 +62,7 @@ class ClearanceState:
     def line(self, guide: str) -> Vector:
         """Return the unit vector of a guide's line."""
         joint = next(candidate for candidate in self.machine.mechanism.guides if candidate.name == guide)
-        return turn(self.tree.local.local_line(joint, joint.on)[1], self.state(joint.on).axis)
+        return self.tree.line(joint, joint.on, self.state(joint.on))[1]
 
     @cached_property
     def slides(self) -> dict[str, tuple[Value, Value, Value]]:
@@ -76,21 +72,16 @@ class ClearanceState:
     def sense(self, of: Callable[[ClearanceState], tuple[Value, Value]], size: Value = 1.0) -> Value:
         """Return the smoothed sign of a velocity, because no equation of motion is integrated across a jump.
 
-        Parameters
-        ----------
-        of : function of a machine in motion to a velocity and its acceleration
-        size : Value
-            Size of the machine [m] for the velocity of a point, 1 for an angular velocity.
+        `size` is that of the machine [m] for the velocity of a point, 1 for an angular velocity.
         """
         return np.tanh(of(self)[0] / (SMOOTH * abs(self.nominal) * size))
 
     def journal_motion(self, gap: Gap) -> JournalMotion:
         """Return the motion of the journal of a gap in its bearing."""
-        of_journal, of_bearing = self.velocity(gap.point, gap.journal), self.velocity(gap.point, gap.bearing)
-        eccentricity = minus(self.position(gap.point, gap.journal), self.position(gap.point, gap.bearing))
-        return JournalMotion(
-            eccentricity, minus(of_journal, of_bearing), self.state(gap.journal).omega, self.state(gap.bearing).omega
-        )
+        bodies = gap.journal, gap.bearing
+        eccentricity = minus(*(self.position(gap.point, body) for body in bodies))
+        rate = minus(*(self.velocity(gap.point, body) for body in bodies))
+        return JournalMotion(eccentricity, rate, *(self.state(body).omega for body in bodies))
 
     # --- forces and energies -----------------------------------------------------------------------------------------
 
@@ -104,11 +95,7 @@ class ClearanceState:
 
     def power(self, acting: Sequence[Acting]) -> Value:
         """Return the power that loads feed into the machine [W]."""
-        total: Value = 0.0
-        for load in acting:
-            if load.body != FRAME:
-                total = total + load.power(self.state(load.body))
-        return total
+        return sum(load.power(self.state(load.body)) for load in acting if load.body != FRAME)
 
     @cached_property
     def kinetic(self) -> Value:

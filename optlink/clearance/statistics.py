@@ -30,6 +30,8 @@ _PLAIN = (
     *("count", "contacts", "largest", "imbalance", "first", "datum", "sums", "every"),
     *("peak", "depths", "forces", "torque", "correction", "settled"),
 )
+_COMPARED = "parted", "watched", "largest", "lost"
+"""Attributes of `Statistics` and of `PredictabilityCheck` in a checkpoint."""
 
 
 class Statistics:
@@ -46,12 +48,12 @@ class Statistics:
         self.largest = self.imbalance = 0.0
         self.first: float | None = None  # energy at the start [J]
         self.datum = 0.0  # potential energy at the start [J]
-        self.sums: dict[str, float] = dict.fromkeys(("square", "rows", "effort", "torque"), 0.0)
-        self.every: dict[str, float] = dict.fromkeys(("square", "rows"), 0.0)
+        self.sums = dict.fromkeys(("square", "rows", "effort", "torque"), 0.0)
+        self.every = dict.fromkeys(("square", "rows"), 0.0)
         self.peak = self.torque = self.correction = 0.0
-        self.depths = [0.0] * len(closed_loop.equations.gaps)  # largest at every gap [m]
-        self.forces = [0.0] * len(closed_loop.equations.gaps)  # [N]
-        self.contacts = [0] * len(closed_loop.equations.gaps)  # ended
+        gaps = len(closed_loop.equations.gaps)
+        self.depths, self.forces = [0.0] * gaps, [0.0] * gaps  # largest at every gap [m, N]
+        self.contacts = [0] * gaps  # ended
         self.settled = 0
 
     def add(self, steady: bool) -> dict[str, Array]:
@@ -62,35 +64,36 @@ class Statistics:
         Stalled
             The integration cannot continue.
         """
+        closed_loop = self.closed_loop
         if self.first is None:
-            closed_loop = self.closed_loop
             begin = closed_loop.record(SimulatedRevolution(closed_loop.now(), np.zeros(1), ()))
             self.first, self.datum = float(begin.energy[0]), float(np.ravel(begin.motion.potential)[0])
             self.largest = self.first - self.datum
-        turn = self.closed_loop.turn()
-        record = self.closed_loop.record(turn)
+        turn = closed_loop.turn()
+        record = closed_loop.record(turn)
         rows = self._rows(turn, record)
-        error = rows[f"{self.closed_loop.output.name}.error_{self.closed_loop.output.unit}"]
-        self._sum(rows, error, turn, steady)
-        self._energy(record)
+        self._sum(rows, turn, steady)
+        self._energy(record, self.first)
         self.rows.append(rows)
         return rows
 
     def _rows(self, turn: SimulatedRevolution, record: ClearanceColumns) -> dict[str, Array]:
         """The columns, with the ideal output, the error and the correction."""
-        output, columns = self.closed_loop.output, record.columns
-        ideal = self._ideal_output(record)
-        error = output.difference(np.asarray(output.of(record.motion)), ideal)
-        unit, output_name = output.unit, output.name
+        closed_loop, output, columns, time = self.closed_loop, self.closed_loop.output, record.columns, turn.block.time
+        drive, ideal_column = closed_loop.equations.drive, f"{output.name}.ideal_{output.unit}"
+        # the ideal output is that at the nominal crank angle; with a driving torque at the actual one
+        angle = closed_loop.start + closed_loop.nominal * time if drive.torque is None else np.asarray(record.motion.crank.value)
+        ideal = np.broadcast_to(np.asarray(output.ideal(closed_loop.equations.machine.moving(angle))[0]), time.shape)
         rows = {name: column.values for name, column in columns.items()}
-        rows[f"{output_name}.ideal_{unit}"], rows[f"{output_name}.error_{unit}"] = ideal, error
-        self.meanings = {name: column.meaning for name, column in columns.items()}
-        self.meanings[f"{output_name}.ideal_{unit}"] = f"{output_name} of the machine without clearance"
-        self.meanings[f"{output_name}.error_{unit}"] = f"deviation of {output_name} from the machine without clearance"
-        command = self.closed_loop.equations.drive.reference
+        rows |= {ideal_column: ideal, output.error: output.difference(np.asarray(output.of(record.motion)), ideal)}
+        self.meanings = {name: column.meaning for name, column in columns.items()} | {
+            ideal_column: f"{output.name} of the machine without clearance",
+            output.error: f"deviation of {output.name} from the machine without clearance",
+        }
+        command = drive.reference
         if command is not None:
-            rows["command.correction_rad"] = command.correction(turn.block.time) + turn.further
-            rows["command.speed_rad_s"] = np.asarray(command.at(turn.block.time)[1])
+            rows["command.correction_rad"] = command.correction(time) + turn.further
+            rows["command.speed_rad_s"] = np.asarray(command.at(time)[1])
             self.meanings["command.speed_rad_s"] = "crank-speed command of the inverse model; constant without it"
             self.meanings["command.correction_rad"] = "crank-angle command minus the crank angle at constant speed"
         return rows
@@ -117,65 +120,52 @@ class Statistics:
         self.poincare_map.extend(saved["poincare_map"])
         self.impacts.extend(Impact(int(row[0]), *row[1:]) for row in saved["impacts"])
 
-    def _ideal_output(self, record: ClearanceColumns) -> Array:
-        """The output of the machine without clearance at the nominal crank angle; with a driving torque at the actual one."""
-        closed_loop, time = self.closed_loop, record.block.time
-        free = closed_loop.equations.drive.torque is not None
-        angle = np.asarray(record.motion.crank.value) if free else closed_loop.start + closed_loop.nominal * time
-        moving = closed_loop.equations.machine.moving(angle)
-        return np.broadcast_to(np.asarray(closed_loop.output.ideal(moving)[0]), time.shape)
-
-    def _sum(self, rows: Mapping[str, Array], error: Array, turn: SimulatedRevolution, steady: bool) -> None:
-        impacts = turn.impacts
+    def _sum(self, rows: Mapping[str, Array], turn: SimulatedRevolution, steady: bool) -> None:
         self.count += 1
-        unit, output_name = self.closed_loop.output.unit, self.closed_loop.output.name
-        square, torque = float(np.sum(error * error)), rows["input.torque_Nm"]
+        gaps, output = self.closed_loop.equations.gaps, self.closed_loop.output
+        error, torque = rows[output.error], rows["input.torque_Nm"]
+        square, peak, unit = float(np.sum(error * error)), float(np.max(np.abs(error))), output.unit
         correction = rows.get("command.correction_rad", np.zeros(1))
         self.depths = [max(both) for both in zip(self.depths, turn.depths, strict=True)]
         self.forces = [max(both) for both in zip(self.forces, turn.forces, strict=True)]
-        self.impacts.extend(impacts)
-        for impact in impacts:
+        self.impacts.extend(turn.impacts)
+        for impact in turn.impacts:
             self.contacts[impact.gap] += 1
         self.torque = max(self.torque, turn.torque)
         figures = {
             "revolution": float(self.count),
             f"rms_{unit}": math.sqrt(square / len(error)),
-            f"peak_{unit}": float(np.max(np.abs(error))),
+            f"peak_{unit}": peak,
             f"mean_{unit}": float(np.mean(error)),
-            "impacts": float(len(impacts)),
+            "impacts": float(len(turn.impacts)),
             "torque_rms_Nm": math.sqrt(float(np.mean(torque * torque))),
             "torque_max_Nm": turn.torque,
         }
-        for gap, depth, force in zip(self.closed_loop.equations.gaps, turn.depths, turn.forces, strict=True):
+        for gap, depth, force in zip(gaps, turn.depths, turn.forces, strict=True):
             figures[f"{gap.point}.contact_share"] = float(np.mean(rows[f"{gap.point}.contact"]))
             figures[f"{gap.point}.normal_max_N"] = force
             figures[f"{gap.point}.penetration_max_m"] = depth
         self.per_revolution.append(figures)
-        point = {"revolution": float(self.count), f"{output_name}.error_{unit}": float(error[-1])}
-        for gap in self.closed_loop.equations.gaps:
-            for axis in "xy":
-                point[f"{gap.point}.e{axis}_m"] = float(rows[f"{gap.point}.e{axis}_m"][-1])
-            point[f"{gap.point}.approach_m_s"] = float(rows[f"{gap.point}.approach_m_s"][-1])
-        self.poincare_map.append(point)
-        self.every["square"] += square
-        self.every["rows"] += len(error)
+        names = [f"{gap.point}.{kind}" for gap in gaps for kind in ("ex_m", "ey_m", "approach_m_s")]
+        last = {name: float(rows[name][-1]) for name in (output.error, *names)}
+        self.poincare_map.append({"revolution": float(self.count), **last})
         if steady and not self.settled:  # what was summed until now is that of a run that ends before it settles
             self.sums = dict.fromkeys(self.sums, 0.0)
             self.peak = self.correction = 0.0
         self.settled += steady
-        self.sums["square"] += square
-        self.sums["rows"] += len(error)
+        for sums in (self.every, self.sums):
+            sums["square"] += square
+            sums["rows"] += len(error)
         self.sums["effort"] += float(np.mean(correction * correction))
         self.sums["torque"] += float(np.mean(torque * torque))
-        self.peak = max(self.peak, float(np.max(np.abs(error))))
+        self.peak = max(self.peak, peak)
         self.correction = max(self.correction, float(np.max(np.abs(correction))))
 
-    def _energy(self, record: ClearanceColumns) -> None:
-        assert self.first is not None
+    def _energy(self, record: ClearanceColumns, first: float) -> None:
         energy, works = record.energy, record.block.works
         fed = 1 + len(self.closed_loop.equations.machine.loads)
         gained = works[:, :fed].sum(axis=1) - works[:, fed:].sum(axis=1)
-        self.imbalance = max(self.imbalance, float(np.max(np.abs(energy - self.first - gained))))
+        self.imbalance = max(self.imbalance, float(np.max(np.abs(energy - first - gained))))
         raised = record.motion.potential - self.datum
         self.largest = max(self.largest, float(np.max(energy - record.motion.potential)), float(np.max(np.abs(raised))))
 
@@ -183,9 +173,9 @@ class Statistics:
         """Return the summary statistics by name (SI)."""
         unit = self.closed_loop.output.unit
         rows, every, turns = max(self.sums["rows"], 1.0), max(self.every["rows"], 1.0), max(self.settled or self.count, 1)
-        gaps, lasting = self.closed_loop.equations.gaps, self.closed_loop.integration.open
-        contacts = {f"{gap.point}.contacts": float(self.contacts[k] + (k in lasting)) for k, gap in enumerate(gaps)}
-        works = dict(zip(self.closed_loop.equations.losses, self.closed_loop.integration.works, strict=True))
+        equations, integration = self.closed_loop.equations, self.closed_loop.integration
+        points = [gap.point for gap in equations.gaps]
+        contacts = {f"{point}.contacts": float(self.contacts[k] + (k in integration.open)) for k, point in enumerate(points)}
         return {
             "revolutions": float(self.count),
             "settled_revolutions": float(self.settled),
@@ -197,13 +187,13 @@ class Statistics:
             **contacts,
             "largest_penetration_m": max(self.depths),
             "largest_normal_N": max(self.forces),
-            **{f"{gap.point}.penetration_max_m": depth for gap, depth in zip(gaps, self.depths, strict=True)},
-            **{f"{gap.point}.normal_max_N": force for gap, force in zip(gaps, self.forces, strict=True)},
+            **{f"{point}.penetration_max_m": depth for point, depth in zip(points, self.depths, strict=True)},
+            **{f"{point}.normal_max_N": force for point, force in zip(points, self.forces, strict=True)},
             "torque_rms_Nm": math.sqrt(self.sums["torque"] / turns),
             "torque_max_Nm": self.torque,
             "correction_rms_rad": math.sqrt(self.sums["effort"] / turns),
             "correction_max_rad": self.correction,
-            **{f"{name}.work_J": float(work) for name, work in works.items()},
+            **{f"{name}.work_J": float(work) for name, work in zip(equations.losses, integration.works, strict=True)},
             "imbalance_J": self.imbalance,
             "largest_energy_J": self.largest,
         }
@@ -256,12 +246,12 @@ class PredictabilityCheck:
 
     def save(self) -> dict[str, Any]:
         """Return the state as plain numbers."""
-        document = {"parted": self.parted, "watched": self.watched, "largest": self.largest, "lost": self.lost}
-        return {**document, "plant": self.closed_loop.save()}
+        return {name: getattr(self, name) for name in _COMPARED} | {"plant": self.closed_loop.save()}
 
     def restore(self, saved: Mapping[str, Any]) -> None:
         """Continue from a saved state."""
-        self.parted, self.watched, self.largest, self.lost = (saved[name] for name in ("parted", "watched", "largest", "lost"))
+        for name in _COMPARED:
+            setattr(self, name, saved[name])
         self.closed_loop.restore(saved["plant"])
 
     @property

@@ -44,14 +44,7 @@ def import_dask() -> tuple[Any, Any]:
 def cluster(workers: int, scheduler: str | None, patience: float = PATIENCE) -> Iterator[Runs]:
     """Provide a cluster as `optlink.execution.runner.pool`; it repeats a chunk on another worker if its worker dies.
 
-    Parameters
-    ----------
-    workers : int
-        Number of workers of a local cluster.
-    scheduler : str, optional
-        Address of a Dask scheduler. Default: a local cluster.
-    patience : float [s]
-        Time limit for the answer of the scheduler and for a first worker.
+    `patience` [s] is the time limit for the answer of the scheduler and for a first worker.
 
     Raises
     ------
@@ -149,19 +142,19 @@ def _pass_on(cluster_number: int, index: int) -> ChunkResult:
 
 
 def _client(distributed: Any, where: Any, scheduler: str | None, patience: float) -> Any:
+    place: Any = {"key": "--scheduler", "value": scheduler or LOCAL}
     try:
         client = distributed.Client(where, timeout=patience, set_as_default=False)
     except (OSError, TimeoutError, ValueError) as error:
         start = "Start one (dask scheduler; dask worker ADDRESS), check address and port, or leave --scheduler out"
         why = "" if isinstance(error, OSError) else f": {error}"
         message = f"no scheduler answers there within {patience:g} s{why}"
-        raise InputError(message, start, key="--scheduler", value=scheduler or LOCAL) from None
+        raise InputError(message, start, **place) from None
     try:
         client.wait_for_workers(1, timeout=patience)
     except TimeoutError:
         client.close()
-        remedy = "Start one: dask worker ADDRESS"
-        raise InputError("the scheduler has no workers", remedy, key="--scheduler", value=scheduler or LOCAL) from None
+        raise InputError("the scheduler has no workers", "Start one: dask worker ADDRESS", **place) from None
     return client
 
 

@@ -80,7 +80,7 @@ def check() -> None:
     Raises
     ------
     KeyboardInterrupt
-        when Ctrl-C was pressed.
+        Ctrl-C was pressed.
     """
     if _pressed:
         raise KeyboardInterrupt

@@ -22,16 +22,9 @@ class Process:
         self._task = b""
 
     def result(self, task: bytes, index: int, stopped: threading.Event) -> ChunkResult:
-        """Return the result of a chunk; a chunk during which the process dies is repeated in a new one.
+        """Return the result of a chunk of a packed task; a chunk during which the process dies is repeated in a new one.
 
-        Parameters
-        ----------
-        task : bytes
-            From `optlink.execution.worker.packed`.
-        index : int
-            Number of the chunk.
-        stopped : threading.Event
-            Set before the process is killed on purpose.
+        `stopped` is set before the process is killed on purpose.
 
         Raises
         ------
@@ -61,13 +54,13 @@ class Process:
                 self._task = task
             send(process.stdin, packed(index))
             answer: ChunkResult = receive(process.stdout)
+            return answer
         except (EOFError, ValueError):  # cut short, or closed meanwhile
             return None
         except OSError as error:
-            if error.errno not in (errno.EPIPE, errno.EINVAL):  # a closed pipe, in the words of POSIX and of Windows
-                raise
-            return None
-        return answer
+            if error.errno in (errno.EPIPE, errno.EINVAL):  # a closed pipe, in the words of POSIX and of Windows
+                return None
+            raise
 
     def begin(self) -> subprocess.Popen[bytes]:
         """Start the process."""
@@ -86,8 +79,7 @@ class Process:
 
     def kill(self) -> None:
         """Kill the process, in the middle of a chunk too."""
-        process = self._running
-        if process is not None:
+        if (process := self._running) is not None:  # another thread may end it meanwhile
             process.kill()
 
     def end(self) -> None:

@@ -53,13 +53,6 @@ def run(
 ) -> Iterator[tuple[int, ChunkResult]]:
     """Run chunks of one task, neighbouring ones in one process, and yield each result with its number on completion.
 
-    Parameters
-    ----------
-    todo : iterable of int
-        Numbers of chunks.
-    engine, workers, scheduler
-        See `pool`.
-
     Raises
     ------
     InputError
@@ -80,13 +73,8 @@ def run(
 def pool(engine: str = "local", workers: int | None = None, scheduler: str | None = None) -> Iterator[Runs]:
     """Provide processes for the chunks of several tasks, one task after the other; they end with the context.
 
-    Parameters
-    ----------
-    engine : "local" or "dask"
-    workers : int, optional
-        Number of processes. Default: the number of cores. With one worker, the present process.
-    scheduler : str, optional
-        Address of a Dask scheduler. Default: a local cluster.
+    The engine is "local" or "dask". There are as many workers as cores by default; a single one is the present process. The
+    address is that of a Dask scheduler, by default a local cluster.
 
     Raises
     ------
@@ -109,19 +97,14 @@ def pool(engine: str = "local", workers: int | None = None, scheduler: str | Non
 def ordered(task: ChunkTask, count: int, runs: Runs | None = None, done: Callable[[int], None] | None = None) -> Iterator[Any]:
     """Yield the results of all chunks of a task in the order of their numbers, each as soon as those before it are complete.
 
-    A caller that needs no further results may leave the iterator.
-
-    Parameters
-    ----------
-    count : int
-        Number of chunks.
-    runs : function, optional
-        From `pool`. Default: the present process.
-    done : function of the number of a completed chunk, optional
+    A caller that needs no further results may leave the iterator. Without `runs` from `pool` the present process works. `done`
+    receives the number of each completed chunk.
     """
     results: dict[int, Any] = {}
-    following = 0
-    answers = ((index, answer.value) for index, answer in runs(task, range(count))) if runs else _here(task, count)
+    following, numbers = 0, range(count)
+    answers: Iterator[tuple[int, Any]] = zip(numbers, map(task, numbers), strict=True)
+    if runs:
+        answers = ((index, answer.value) for index, answer in runs(task, numbers))
     for index, value in answers:
         results[index] = value
         if done is not None:
@@ -131,17 +114,10 @@ def ordered(task: ChunkTask, count: int, runs: Runs | None = None, done: Callabl
             following += 1
 
 
-def _here(task: ChunkTask, count: int) -> Iterator[tuple[int, Any]]:
-    return ((index, task(index)) for index in range(count))
-
-
 def apart(todo: list[int], workers: int) -> list[int]:
     """Return the chunks in an order in which each worker gets neighbouring ones, for which it can reuse its results.
 
-    Parameters
-    ----------
-    workers : int
-        They take one chunk after the other in turn.
+    The workers take one chunk after the other in turn.
     """
     length = max(1, -(-len(todo) // workers))
     return [todo[at] for first in range(length) for at in range(first, len(todo), length)]
@@ -221,13 +197,7 @@ def _first(answers: queue.Queue[Answer]) -> Answer:
 class _Feeder(threading.Thread):
     """Thread that passes chunks to one process."""
 
-    def __init__(
-        self,
-        task: bytes,
-        jobs: queue.SimpleQueue[int],
-        answers: queue.Queue[Answer],
-        process: Process,
-    ) -> None:
+    def __init__(self, task: bytes, jobs: queue.SimpleQueue[int], answers: queue.Queue[Answer], process: Process) -> None:
         super().__init__(daemon=True)
         self.task, self.jobs, self.answers, self.process = task, jobs, answers, process
         self.stopped = threading.Event()

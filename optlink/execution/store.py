@@ -30,14 +30,9 @@ Progress = Callable[[int, int], None]
 
 
 class Store:
-    """The folder of one study.
+    """The folder of one study, begun, or with `resume` continued with the completed chunks.
 
-    Parameters
-    ----------
-    about : mapping
-        Definition of the study, JSON compatible: two studies are the same if and only if it is equal.
-    resume : bool
-        Continue with the completed chunks.
+    Two studies are the same if and only if their definitions `about` (JSON compatible) are equal.
 
     Raises
     ------
@@ -97,15 +92,7 @@ class Store:
                 raise
 
     def divide(self, sizes: Callable[[int], int], count: int) -> None:
-        """Set the division of the study into chunks.
-
-        Parameters
-        ----------
-        sizes : function of int to int
-            Number of rows of a chunk by its number.
-        count : int
-            Number of chunks.
-        """
+        """Set the division of the study into chunks: how many rows a chunk has, by its number, and the number of chunks."""
         self.sizes, self.count = sizes, count
         if not self.finished:
             self._folder(self.chunks)
@@ -126,18 +113,16 @@ class Store:
             return None
         definition = read_object(path)
         if definition is None:
-            raise InputError(
-                "the description of the study in the folder cannot be read", "Choose another folder", str(path), "--out"
-            )
+            message = "the description of the study in the folder cannot be read"
+            raise InputError(message, "Choose another folder", str(path), "--out")
         return definition
 
     def _compare(self, stored: dict[str, Any], about: dict[str, Any]) -> None:
         for key in dict.fromkeys([*about, *stored]):
             there, here = stored.get(key), about.get(key)
             if there != here:
-                what = key.replace("_", " ")
                 difference = "" if isinstance(here, list | dict) else f", there {there}, here {here}"
-                message = f"the folder contains another study: the {what} differs{difference}"
+                message = f"the folder contains another study: the {key.replace('_', ' ')} differs{difference}"
                 remedy = "Choose another folder; nothing was overwritten"
                 raise InputError(message, remedy, str(self.path), "--out")
 
@@ -148,15 +133,7 @@ class Store:
         return checked(read_object(self.path / name) or {}) or {}
 
     def keep(self, name: str, document: Mapping[str, Any]) -> None:
-        """Write a document of the study.
-
-        Parameters
-        ----------
-        name : str
-            File name in the folder.
-        document : mapping
-            JSON compatible.
-        """
+        """Write a document of the study (JSON compatible) to a file of the folder."""
         write_json(self.path / name, dict(document) if name == ABOUT else with_check_sum(document))
         self._mine.append(self.path / name)
 
@@ -202,15 +179,7 @@ class Store:
         return lines if whole else None
 
     def write(self, index: int, text: str) -> None:
-        """Write a chunk.
-
-        Parameters
-        ----------
-        index : int
-            Number of the chunk.
-        text : str
-            Lines of CSV without a header, one per row.
-        """
+        """Write a chunk: lines of CSV without a header, one per row."""
         path = self._file(index)
         self._folder(path.parent)
         with whole(path) as temporary:
@@ -220,19 +189,9 @@ class Store:
     def fill(
         self, task: ChunkTask, engine: str, workers: int | None, scheduler: str | None, progress: Progress | None
     ) -> tuple[int, float]:
-        """Run the missing chunks; see `optlink.execution.runner.run`.
+        """Run the missing chunks, see `optlink.execution.runner.run`.
 
-        Parameters
-        ----------
-        engine : "local" or "dask"
-        progress : function of (completed rows, all rows), optional
-
-        Returns
-        -------
-        rows : int
-            Rows completed by this call.
-        cpu : float [s]
-            Their processor time over all processes.
+        Return the rows completed by this call, and their processor time over all processes [s].
         """
         todo, total = self.missing(), sum(map(self.sizes, range(self.count)))
         before, mine, cpu = total - sum(map(self.sizes, todo)), 0, 0.0
@@ -266,13 +225,7 @@ class Store:
             yield from csv.reader(io.StringIO(lines, newline=""))
 
     def finish(self, columns: list[str], rows: Rows) -> None:
-        """Write the table from all rows, then remove the chunks.
-
-        Parameters
-        ----------
-        columns : list of str
-            Header.
-        """
+        """Write the table from its header and all rows, then remove the chunks."""
         with whole(self.table) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
             writer = csv.writer(file, lineterminator="\n")
             writer.writerow(columns)

@@ -63,13 +63,7 @@ Runs = Callable[[ChunkTask, Iterable[int]], Iterator[tuple[int, ChunkResult]]]
 
 
 def run_chunk(task: ChunkTask, index: int) -> ChunkResult:
-    """Run a chunk and catch all errors; one at a time per process, as a task caches what it builds.
-
-    Parameters
-    ----------
-    index : int
-        Number of the chunk.
-    """
+    """Run a chunk and catch all errors; one at a time per process, as a task caches what it builds."""
     with _CHUNK_LOCK:
         begin = time.process_time()
         try:
@@ -83,22 +77,12 @@ def run_chunk(task: ChunkTask, index: int) -> ChunkResult:
 
 
 def built(build: Callable[..., T], packed_task: bytes) -> T:
-    """Return the data shared by consecutive tasks of this process; it is built once.
-
-    Parameters
-    ----------
-    build : function
-        It must be importable.
-    packed_task : bytes
-        Its arguments, a tuple, from `packed`.
-    """
-    from multiprocessing.reduction import ForkingPickler
-
+    """Return the data shared by consecutive tasks of this process, built once by an importable function from packed arguments."""
     key = build, packed_task
     if key not in _BUILT:
         while len(_BUILT) >= MOST_BUILT:
             del _BUILT[next(iter(_BUILT))]
-        _BUILT[key] = build(*ForkingPickler.loads(packed_task))
+        _BUILT[key] = build(*_unpacked(packed_task))
     task: T = _BUILT[key]
     return task
 
@@ -111,13 +95,7 @@ def packed(item: Any) -> bytes:
 
 
 def send(stream: IO[bytes], item: bytes) -> None:
-    """Write a packed item.
-
-    Parameters
-    ----------
-    item : bytes
-        From `packed`.
-    """
+    """Write a packed item."""
     stream.write(len(item).to_bytes(8, "little") + item)
     stream.flush()
 

@@ -182,13 +182,11 @@ def _equally_long(columns: dict[str, NDArray[np.float64]]) -> dict[str, NDArray[
     return columns
 
 
-Number = Annotated[
-    float, BeforeValidator(lambda value: math.nan if value is None else value, json_schema_input_type=float | None)
-]
-"""A number, or null where it is not finite."""
-Never = Annotated[float, BeforeValidator(lambda value: math.inf if value is None else value, json_schema_input_type=float | None)]
-"""A number, or null where it is infinite."""
 _NUMBER: dict[str, Any] = {"anyOf": [{"type": "number"}, {"type": "null"}]}
+Number = Annotated[float, BeforeValidator(lambda value: math.nan if value is None else value), WithJsonSchema(_NUMBER)]
+"""A number, or null where it is not finite."""
+Never = Annotated[float, BeforeValidator(lambda value: math.inf if value is None else value), WithJsonSchema(_NUMBER)]
+"""A number, or null where it is infinite."""
 _LIST = {"type": "array", "items": _NUMBER}
 Column = Annotated[NDArray[np.float64], PlainValidator(_array), WithJsonSchema(_LIST)]
 """An array of numbers; null where one is not finite."""

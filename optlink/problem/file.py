@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import pydantic
-from pydantic_core import core_schema
+from pydantic_core import PydanticKnownError, core_schema
 
 from optlink.errors import OPTIONS_NAMED, InputError, shown
 from optlink.io import data_files, load_extensions, shown_name
@@ -80,6 +80,8 @@ class ProblemFile:
             context: dict[str, ProblemFile] = info.context or {}
             if isinstance(value, ProblemFile):
                 problem = value
+            elif "problem" not in context:
+                raise PydanticKnownError("is_instance_of", {"class": "ProblemFile"})
             else:
                 problem = context["problem"].override(value) if value else context["problem"]
             context["present"] = problem  # that of the parts which follow

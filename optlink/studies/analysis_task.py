@@ -34,16 +34,8 @@ ANGLE = ".angle_rad"  # its extremes are those of the swing
 class AnalysisTask(FiguresTask):
     """Analysis of given designs over the whole revolution.
 
-    Parameters
-    ----------
-    quantities : tuple of str
-        Quantity of the mechanism that each axis varies.
-    requested : tuple of str
-        Columns of the analysis, each with its least, largest and rms value, or single figures.
-    points : int
-        Crank angles per revolution, for rms values.
-    design : tuple of (str, float) [SI]
-        Design variables that are not varied.
+    `quantities` of the mechanism that the axes vary; `requested`: columns, each with its least, largest and rms value, or single
+    figures; `points`: crank angles per revolution, for rms values; `design` [SI]: design variables that are not varied.
     """
 
     mode = "analyse"
@@ -60,13 +52,7 @@ class AnalysisTask(FiguresTask):
 
     @cached_property
     def figures(self) -> tuple[str, ...]:
-        """Names of the figures, in the order of the table.
-
-        Raises
-        ------
-        InputError
-            For a name that the analysis does not have.
-        """
+        """Names of the figures, in the order of the table."""
         columns, single = available_figures(self.problem)
         names: dict[str, None] = {}
         for name in self.requested:
@@ -183,13 +169,7 @@ def _unsound(analysis: Analysis) -> str:
 
 
 def quantity_of(problem: ProblemFile, axis: Axis) -> str:
-    """Return the mechanism quantity that an axis varies: `mechanism.frame`, `mechanism.links.rod.length` or `rod.length`.
-
-    Raises
-    ------
-    InputError
-        If the axis varies something other than a quantity of the mechanism.
-    """
+    """Return the mechanism quantity that an axis varies: `mechanism.frame`, `mechanism.links.rod.length` or `rod.length`."""
     quantities = problem.model.mechanism.quantities
     name = axis.key.removeprefix("mechanism.")
     for start in ("links.", "ground.", "guides.", "points."):
@@ -206,22 +186,7 @@ def quantity_of(problem: ProblemFile, axis: Axis) -> str:
 def analysis_task(
     problem: ProblemFile, grid: Grid, columns: Sequence[str], points: int, design: Mapping[str, float] | None
 ) -> AnalysisTask:
-    """Return the task that analyses the machine at every point.
-
-    Parameters
-    ----------
-    columns : sequence of str
-        Columns of the analysis, or single figures.
-    points : int
-        Crank angles per revolution.
-    design : mapping of str to float [SI], optional
-        Values of design variables that are not varied.
-
-    Raises
-    ------
-    InputError
-        If an axis or a column is invalid.
-    """
+    """Return the task that analyses the machine at every point."""
     quantities = tuple(quantity_of(problem, axis) for axis in grid.axes)
     values = tuple((name, value) for name, value in (design or {}).items() if name not in quantities)
     task = AnalysisTask(problem, grid, CHUNK, quantities, tuple(columns), points, values)

@@ -18,15 +18,7 @@ FOLLOWED = "followed from a neighbour"
 
 
 def follow_optimum(nlp: NLP, near: Solution) -> Solution | None:
-    """Return the optimum of a programme after a change of its parameters or bounds; None if a search is needed.
-
-    Parameters
-    ----------
-    nlp : NLP
-        Programme with the new parameters and bounds.
-    near : Solution
-        Optimum before the change.
-    """
+    """Return the optimum of a programme after a change of its parameters or bounds; None if a search is needed."""
     p = np.array([near.p[0], *nlp.p[1:]])
     x, n = near.x, len(near.x)
     active = np.array(near.conditions.active, dtype=int)

@@ -70,13 +70,7 @@ class CycleParameters(OptimumParameters):
         return [*(parameter for parameter in programme_parameters if parameter.key), *_figures(self.problem)]
 
     def push(self, parameter: Parameter) -> KKTPerturbation:
-        """Return the change of the optimality system per unit of a parameter.
-
-        Raises
-        ------
-        InputError
-            If the value cannot be changed to both sides.
-        """
+        """Return the change of the optimality system per unit of a parameter."""
         if parameter.constant >= 0 or parameter.entries:
             return self.system.push(parameter)
         step = STEP * abs(parameter.value) or ANGLE_STEP
@@ -93,15 +87,7 @@ class CycleParameters(OptimumParameters):
     def optimum_at(
         self, solution: Solution, parameter: Parameter, value: float, change: Mapping[str, float], backend: str
     ) -> Optimum | None:
-        """Return the machine with another value, built anew and searched from the optimum; see `OptimumParameters.optimum_at`.
-
-        Parameters
-        ----------
-        value : float [parameter.unit]
-        change : mapping of str to float [display units]
-        backend : str
-            Not used: the search continues from the optimum.
-        """
+        """Return the machine with another value, built anew and searched from the optimum; see `OptimumParameters.optimum_at`."""
         try:
             start = with_starting_values(with_parameter(self.problem, parameter, value), solution.design)
             optimum = completed(solve_cycle(start, BACK_END, starts=1)).solution
@@ -195,12 +181,7 @@ def _angular(unit: str) -> bool:
 
 
 def with_parameter(problem: ProblemFile, parameter: Parameter, value: float) -> ProblemFile:
-    """Return the problem with another value of a parameter.
-
-    Parameters
-    ----------
-    value : float [parameter.unit]
-    """
+    """Return the problem with another value of a parameter."""
     if parameter.unit == TABLE_UNIT:
         pairs = [read_figure(text) for text in problem.at(parameter.key)]
         return problem.override(

@@ -86,17 +86,7 @@ class CycleTask(OptimumTask):
         return rows
 
     def searched_from(self, point: int, task: ProblemFile, sizes: Mapping[str, float]) -> CycleResult:
-        """Return the machine of a point, searched from given dimensions.
-
-        Parameters
-        ----------
-        point : int
-            Index in the grid.
-        task : ProblemFile
-            Problem at the point.
-        sizes : mapping of str to float [SI]
-            Starting values of the design variables.
-        """
+        """Return the machine of a point, searched from given dimensions."""
         result = None
         if self.programme is not None:
             bounds = {axis.key: value for axis, value in zip(self.grid.axes, self.grid.values(point), strict=True)}
@@ -122,16 +112,7 @@ class CycleTask(OptimumTask):
 def optimum_task(
     problem: ProblemFile, grid: Grid, backend: str, chunk: int, anchors: Sequence[Mapping[str, float]] = ()
 ) -> CycleTask | ReoptimiseTask:
-    """Return the task that optimises a problem at every point of a grid.
-
-    Parameters
-    ----------
-    backend : "slsqp" or "ipopt"
-    chunk : int
-        Points per chunk where one programme serves all.
-    anchors : sequence of mapping of str to float [SI]
-        Dimensions of machines from which each search starts too.
-    """
+    """Return the task that optimises a problem at every point of a grid."""
     if problem.task == "cycle":
         return CycleTask(problem, grid, SLOW_CHUNK, backend, tuple(tuple(sizes.items()) for sizes in anchors))
     task = ReoptimiseTask(problem, grid, chunk, backend)
@@ -162,12 +143,7 @@ class CycleProgramme:
     def design(self, problem: ProblemFile, bounds: Mapping[str, float], start_values: Mapping[str, float]) -> CycleResult | None:
         """Return the machine of a problem with other bounds; None if another order of its events may allow a better one.
 
-        Parameters
-        ----------
-        bounds : mapping of str to float [unit of the problem]
-            Bounds by key, including their side.
-        start_values : mapping of str to float [SI]
-            Starting values of the design variables.
+        `bounds` by key with its side, in the units of the problem; `start_values` [SI].
         """
         begin = time.perf_counter()
         structure = self.trace.structure(start_values)
@@ -200,12 +176,7 @@ class CycleProgramme:
 def with_bounds(nlp: CycleNLP, bounds: Mapping[str, float], **changes: Any) -> CycleNLP:
     """Return the programme with other bounds of limits; compiled parts are shared.
 
-    Parameters
-    ----------
-    bounds : mapping of str to float [unit of the file]
-        Bounds by key, including their side.
-    **changes
-        Other attributes, which leave the compiled parts as they are.
+    `bounds` by key with its side, in the units of the file; `changes`: other attributes.
     """
     rows, watched, task = list(nlp.rows), list(nlp.watched), nlp.traced.problem
     followed = [""] * sum(goal.extreme for goal in task.goals)  # in the order of `watched`
@@ -242,12 +213,7 @@ def _rebound(nlp: N, rows: tuple[ConstraintRow, ...], p: Array, **changes: Any) 
 
 
 def with_starting_values(problem: ProblemFile, values: Mapping[str, float]) -> ProblemFile:
-    """Return the problem with other starting values of its design variables, clipped to their bounds.
-
-    Parameters
-    ----------
-    values : mapping of str to float [SI]
-    """
+    """Return the problem with other starting values of its design variables, clipped to their bounds."""
     mechanism = copy.deepcopy(problem.raw["mechanism"])
     for name, value in values.items():
         quantity = problem.model.quantities[name]

@@ -25,13 +25,7 @@ _FIELDS = {"from": "start"}  # fields of the requirement with a different key in
 
 
 def copy_model(model: M, **update: object) -> M:
-    """Return a copy of a checked model with other fields, without values cached from the old ones.
-
-    Parameters
-    ----------
-    **update
-        New values by field.
-    """
+    """Return a copy of a checked model with other fields, without values cached from the old ones."""
     copy = model.model_copy(update=update)
     for name in set(vars(copy)) - set(type(copy).model_fields):
         del vars(copy)[name]

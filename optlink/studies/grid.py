@@ -31,13 +31,7 @@ _ENDLESS = re.compile(r"(?<![\w/*^])[-+]?(?:nan|inf|infinity)(?![\w/*^])", re.IG
 
 
 def column(name: str, unit: str) -> str:
-    """Return the name of a table column.
-
-    Parameters
-    ----------
-    unit : str
-        Appended to the name; may be empty.
-    """
+    """Return the name of a table column."""
     return f"{name}_{unit.replace('/', '_per_').replace('*', '').replace('^', '')}" if unit else name
 
 
@@ -73,13 +67,7 @@ class Axis:
 
 
 def read_axis(assignment: str) -> Axis:
-    """Read `KEY=VALUES`.
-
-    Raises
-    ------
-    InputError
-        If the text is not a valid range or list.
-    """
+    """Read `KEY=VALUES`."""
     key, equals, values = assignment.partition("=")
     key, values = key.strip(), plain(values).strip().strip("\"'").strip()
 
@@ -216,17 +204,7 @@ def _of_axis(axis: Axis) -> Iterator[None]:
 
 
 def axes_of_arrays(problem: ProblemFile, arrays: Mapping[str, ArrayLike]) -> list[str]:
-    """Return axes as `KEY=VALUES` from arrays of SI values by key.
-
-    Parameters
-    ----------
-    arrays : mapping of str to array [SI]
-
-    Raises
-    ------
-    InputError
-        For an array without values, or with one that is not a finite number.
-    """
+    """Return axes as `KEY=VALUES` from arrays of SI values by key."""
     axes = []
     for key, values in arrays.items():
         numbers = np.asarray(values)
@@ -239,18 +217,7 @@ def axes_of_arrays(problem: ProblemFile, arrays: Mapping[str, ArrayLike]) -> lis
 
 
 def read_grid(problem: ProblemFile, vary: Sequence[str]) -> Grid:
-    """Read the axes of a sweep, and check them against the problem.
-
-    Parameters
-    ----------
-    vary : sequence of str
-        Axes as `KEY=VALUES`.
-
-    Raises
-    ------
-    InputError
-        For unknown keys, empty ranges, values that are not quantities, or too many points.
-    """
+    """Read the axes of a sweep, and check them against the problem."""
     if not vary:
         raise InputError("no parameter is varied", EXAMPLE, key="--vary")
     grid = Grid(tuple(read_axis(assignment) for assignment in vary))

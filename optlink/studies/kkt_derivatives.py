@@ -195,19 +195,7 @@ class KKTSystem:
         return KKTResponse(slope * self.price, solved[: self.count], multipliers)
 
     def ends(self, parameter: Parameter, push: KKTPerturbation, response: KKTResponse) -> tuple[ValidityEnd, ValidityEnd]:
-        """Return the first-order range of a parameter, until a multiplier vanishes or another limit becomes active.
-
-        Parameters
-        ----------
-        push : KKTPerturbation
-            Effect of the parameter on the optimality system.
-        response : KKTResponse
-            Response of the optimum.
-
-        Returns
-        -------
-        lower, upper : ValidityEnd
-        """
+        """Return the first-order range of a parameter, until a multiplier vanishes or another limit becomes active."""
         rates = self.jacobian[:, self.unknown] @ response.moved + push.entries
         least, most = (-math.inf, "nothing"), (math.inf, "nothing")
         slowest = MIN_CHANGE / (abs(parameter.value) or 1.0)

@@ -43,13 +43,7 @@ class OptimumParameters:
         return parameters(self.nlp)
 
     def push(self, parameter: Parameter) -> KKTPerturbation:
-        """Return the change of the optimality system per unit of a parameter.
-
-        Raises
-        ------
-        InputError
-            If the value cannot be changed to both sides.
-        """
+        """Return the change of the optimality system per unit of a parameter."""
         return self.system.push(parameter)
 
     def optimum_at(
@@ -57,14 +51,7 @@ class OptimumParameters:
     ) -> Optimum | None:
         """Return the optimum with another value of a parameter; None if there is none, or a different one is found.
 
-        Parameters
-        ----------
-        solution : Solution
-            Optimum with the present value.
-        value : float [parameter.unit]
-        change : mapping of str to float [display units]
-            Predicted change of the design variables.
-        backend : "slsqp" or "ipopt"
+        `change` [display units]: predicted change of the design variables.
         """
         nlp = solution.nlp
         try:
@@ -82,14 +69,7 @@ class FunctionParameters(OptimumParameters):
     def optimum_at(
         self, solution: Solution, parameter: Parameter, value: float, change: Mapping[str, float], backend: str
     ) -> Optimum | None:
-        """Return the optimum with another value; see `OptimumParameters.optimum_at`.
-
-        Parameters
-        ----------
-        value : float [parameter.unit]
-        change : mapping of str to float [display units]
-        backend : "slsqp" or "ipopt"
-        """
+        """Return the optimum with another value; see `OptimumParameters.optimum_at`."""
         from optlink.tasks.function import solve
 
         if not parameter.in_file:

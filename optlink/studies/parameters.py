@@ -79,12 +79,7 @@ class Parameter:
         return value if exists else math.copysign(math.inf, change)
 
     def place(self, nlp: NLP, value: float) -> None:
-        """Set another value of the parameter in the programme.
-
-        Parameters
-        ----------
-        value : float [unit of the parameter]
-        """
+        """Set another value of the parameter in the programme."""
         internal = self.scale.to_internal(value)
         if self.constant >= 0:
             nlp.p[1 + self.constant] = internal
@@ -93,23 +88,12 @@ class Parameter:
 
 
 def displayed(nlp: NLP, x: Sequence[float] | NDArray[np.float64]) -> dict[str, float]:
-    """Return the design variables (no auxiliary variables) in display units.
-
-    Parameters
-    ----------
-    x : sequence of float, or array (n,)
-        Scaled.
-    """
+    """Return the design variables (no auxiliary variables) in display units."""
     return {v.name: v.scale.to_display(float(value)) for v, value in design_variables(nlp, x)}
 
 
 def design_variables(nlp: NLP, x: Sequence[float] | NDArray[np.float64]) -> list[tuple[Any, float]]:
-    """Return the design variables (no auxiliary variables) of a programme with their scaled values.
-
-    Parameters
-    ----------
-    x : sequence of float, or array (n,)
-    """
+    """Return the design variables (no auxiliary variables) of a programme with their scaled values."""
     return [(v, float(value)) for v, value in zip(nlp.variables, x, strict=False) if v.name not in nlp.helpers]
 
 

@@ -54,13 +54,7 @@ MAX_SIZE_RATIO = 3.0  # ratio of sizes beyond which the scaling of the programme
 
 
 def check_backend(name: str) -> None:
-    """Check that studies support a solver.
-
-    Raises
-    ------
-    InputError
-        If they do not.
-    """
+    """Check that studies support a solver."""
     if name == "both":
         remedy = "Give ipopt or slsqp, each in its own folder; `optlink solve --backend both` compares them for one design"
         raise InputError("a study searches with one back end", remedy, key="--backend", value=name)
@@ -233,10 +227,7 @@ class ReoptimiseTask(OptimumTask):
 class ParametricProgramme:
     """One programme for many values of its parameters and bounds.
 
-    Parameters
-    ----------
-    movable : bool
-        Whether the crank rotation of a law is a parameter too.
+    `movable`: whether the crank rotation of a law is a parameter too.
     """
 
     def __init__(self, problem: ProblemFile, *, movable: bool = False) -> None:
@@ -246,12 +237,7 @@ class ParametricProgramme:
     def parameters(self, task: DesignProblem, count: int | None = None) -> BatchProblem:
         """Return parameters and bounds of the programme for problems of the same structure.
 
-        Parameters
-        ----------
-        task : DesignProblem
-            Its numbers may be arrays (points,).
-        count : int, optional
-            Number of points. Default: one, with numbers instead of arrays.
+        The numbers of `task` may be arrays (count,).
         """
         nlp, quantities = self.nlp, task.quantities
         p: list[Any] = list(nlp.p)
@@ -289,14 +275,7 @@ class ParametricProgramme:
         return nlp.lifted(np.clip(x, nlp.x_low, nlp.x_high))
 
     def solve(self, near: Solution | None, backend: str) -> tuple[Solution, str]:
-        """Return the optimum for the present parameters, and how it was found.
-
-        Parameters
-        ----------
-        near : Solution, optional
-            Optimum of a neighbour.
-        backend : "slsqp" or "ipopt"
-        """
+        """Return the optimum for the present parameters, and how it was found."""
         nlp = self.nlp
         if near is not None:
             solution = follow_optimum(nlp, near)

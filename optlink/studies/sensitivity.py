@@ -44,15 +44,7 @@ class DifferenceCheck:
     gap: Number  # largest difference from the exact derivatives, relative to the largest of the kind
 
     def in_si(self, size: float, sizes: Mapping[str, float]) -> DifferenceCheck:
-        """Return the derivatives in SI.
-
-        Parameters
-        ----------
-        size : float
-            SI value of one unit of the parameter.
-        sizes : mapping of str to float
-            SI values of the units of the design variables.
-        """
+        """Return the derivatives in SI."""
         design = {name: rate * sizes[name] / size for name, rate in self.design.items()}
         return DifferenceCheck(self.step * size, self.objective / size, design, self.gap)
 
@@ -95,13 +87,7 @@ class Sensitivity:
         return self.objective != 0.0 or any(self.design.values())
 
     def in_si(self, sizes: Mapping[str, float]) -> Sensitivity:
-        """Return the sensitivity in SI.
-
-        Parameters
-        ----------
-        sizes : mapping of str to float
-            SI values of the units of the design variables.
-        """
+        """Return the sensitivity in SI."""
         parameter, size = self.parameter.in_si, in_si(self.parameter.unit)[0]
         below, above = (replace(end, value=end.value * size) for end in (self.below, self.above))
         design = {name: rate * sizes[name] / size for name, rate in self.design.items()}
@@ -116,6 +102,9 @@ class Derivatives:
     rows: tuple[Sensitivity, ...]
     values: dict[str, Number]
     units: dict[str, str]
+
+    def __getitem__(self, key: str) -> Sensitivity:
+        return next(row for row in self.rows if key in (row.parameter.key, row.parameter.name))
 
     @property
     def moving(self) -> tuple[Sensitivity, ...]:
@@ -176,7 +165,7 @@ class Sensitivities(Document):
         return self.in_si.moving
 
     def __getitem__(self, key: str) -> Sensitivity:
-        return next(row for row in self.rows if key in (row.parameter.key, row.parameter.name))
+        return self.in_si[key]
 
     @property
     def gap(self) -> float | None:
@@ -253,20 +242,7 @@ def of_solution(
     check: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> Sensitivities:
-    """Return the sensitivities of a known optimum to all parameters.
-
-    Parameters
-    ----------
-    problem : ProblemFile
-        With a definite assembly mode.
-    solution : Solution
-        Optimum of the problem.
-    backend : "slsqp" or "ipopt"
-        Solver of the check.
-    check : bool
-        Whether to verify each parameter with an effect by re-optimisation on both sides.
-    progress : function of the completed fraction of the check, optional
-    """
+    """Return the sensitivities of a known optimum to all parameters."""
     kind, nlp = PARAMETERS.get(problem.task, OptimumParameters), solution.nlp
     solution = kind.refined(solution)
     system = KKTSystem(solution)

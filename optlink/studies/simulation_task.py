@@ -18,14 +18,8 @@ from optlink.tasks.simulate import simulate
 class SimulationTask(FiguresTask):
     """Figures of the simulation of the machine at every point.
 
-    Parameters
-    ----------
-    figures : tuple of str
-        Names of the figures, those of a simulation at the first point.
-    stated : tuple of (str, value)
-        Options: revolutions, points, control, tolerance, duration [s], speed [rad/s].
-    design : tuple of (str, float) [SI]
-        Design variables that are not varied.
+    `figures`: their names, those of a simulation at the first point; `stated`: options (revolutions, points, control, tolerance,
+    duration [s], speed [rad/s]); `design` [SI]: design variables that are not varied.
     """
 
     mode = "simulate"
@@ -64,26 +58,7 @@ class SimulationTask(FiguresTask):
 def simulate_machine(
     problem: ProblemFile, options: Mapping[str, Any], design: Mapping[str, float] | None, *, has_clearances: bool
 ) -> MachineFigures:
-    """Simulate one machine.
-
-    Parameters
-    ----------
-    options : mapping
-        See `SimulationTask`.
-    design : mapping of str to float [SI], optional
-    has_clearances : bool
-        Whether joints have clearance.
-
-    Returns
-    -------
-    MachineFigures
-        Its status is the ending of the run, its reason empty unless that is incomplete.
-
-    Raises
-    ------
-    InputError
-        If the simulation is not possible.
-    """
+    """Simulate one machine."""
     settings = dict(options)
     if has_clearances:
         settings = {"integrator": "cvodes", **settings}  # one for all points, whatever is compiled meanwhile
@@ -102,17 +77,6 @@ def simulation_task(
     """Return the task that simulates every point; the names of its figures are those of a short run at the first one.
 
     With joint clearance, its integrator is the one that is fastest for all points.
-
-    Parameters
-    ----------
-    options : mapping
-        See `SimulationTask`.
-    design : mapping of str to float [SI], optional
-
-    Raises
-    ------
-    InputError
-        If the first point cannot be simulated.
     """
     first, short = problem.override(grid.changes(0)), options
     clearances = first.model.has_clearance

@@ -24,7 +24,7 @@ from optlink.errors import InputError, Status
 from optlink.execution.runner import run
 from optlink.execution.store import TABLE, Progress, Store
 from optlink.problem.arguments import typed
-from optlink.problem.document import AGAIN, Document, Source
+from optlink.problem.document import Document, Source
 from optlink.problem.file import ProblemFile
 from optlink.studies.analysis_task import MAX_ANGLES, analysis_task
 from optlink.studies.cycle_task import optimum_task
@@ -76,21 +76,15 @@ class TableFile:
 
     @cached_property
     def columns(self) -> dict[str, NDArray[Any]]:
-        """The columns by name.
-
-        Raises
-        ------
-        InputError
-            If the file cannot be read.
-        """
+        """The columns by name."""
         try:
             rows, parts = self._rows(), []
             names = next(rows)
             while portion := list(itertools.islice(rows, BLOCK_ROWS)):
-                parts.append(list(map(_read_column, names, zip(*portion, strict=True))))
+                parts.append([_read_column(*part) for part in zip(names, zip(*portion, strict=True), strict=True)])
         except (OSError, ValueError, StopIteration, csv.Error) as error:
             reason = getattr(error, "strerror", None) or "it is damaged"
-            raise InputError(f"cannot read the table of the sweep: {reason}", AGAIN, str(self.path)) from None
+            raise InputError(f"cannot read the table of the sweep: {reason}", "Run the sweep again", str(self.path)) from None
         return dict(zip(names, map(np.concatenate, zip(*parts, strict=True)), strict=True))
 
     def _rows(self) -> Iterator[list[str]]:
@@ -157,6 +151,12 @@ class GridStudy(Document):
     engine: str
     workers: int | None
 
+    @property
+    def path(self) -> Path:
+        """File of the table."""
+        assert self.table is not None
+        return self.table.path
+
 
 @dataclass(frozen=True, repr=False, kw_only=True)
 class Sweep(GridStudy):
@@ -208,15 +208,12 @@ class Sweep(GridStudy):
     @property
     def columns(self) -> dict[str, NDArray[Any]]:
         """The table: arrays by name, of texts for columns of words."""
-        if self.data is not None:
-            return self.data
-        assert self.table is not None
-        return self.table.columns
+        return self.table.columns if self.data is None and self.table is not None else self.data or {}
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the columns."""
-        return tuple(self.data) if self.data is not None or self.table is None else self.table.names
+        return self.table.names if self.data is None and self.table is not None else tuple(self.data or ())
 
     @property
     def evaluated(self) -> bool:

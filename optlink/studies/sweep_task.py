@@ -63,13 +63,7 @@ class SweepTask(ABC):
 
     @cached_property
     def problem(self) -> ProblemFile:
-        """The problem, read again in the process of the chunk.
-
-        Raises
-        ------
-        InputError
-            If the worker runs another version, or a file to which the problem refers has changed.
-        """
+        """The problem, read again in the process of the chunk."""
         if self.version != VERSION:
             message = f"this worker runs optlink {VERSION}, the study optlink {self.version}"
             raise InputError(message, "Install one version everywhere", self.source.file)
@@ -99,12 +93,7 @@ class SweepTask(ABC):
         """Return the rows of a chunk."""
 
     def row(self, point: int, figures: Iterable[float], *outcome: str) -> list[str]:
-        """Return a row: the values of the axes in their own digits, the figures, and the outcome.
-
-        Parameters
-        ----------
-        *outcome : str
-        """
+        """Return a row: the values of the axes in their own digits, the figures, and the outcome."""
         return [*map(repr, self.grid.values(point)), *map(number_text, figures), *outcome]
 
     def __call__(self, index: int) -> str:

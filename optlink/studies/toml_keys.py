@@ -14,14 +14,7 @@ ANGLE = 45.0  # deg, half of the range of an angle that is not a design variable
 
 
 def exact_text(value: float, unit: str) -> Raw:
-    """Return a value with all its digits as written in a problem file.
-
-    Parameters
-    ----------
-    value : float [unit]
-    unit : str
-        Empty for a plain number.
-    """
+    """Return a value with all its digits as written in a problem file."""
     if unit:
         return f"{float(value)!r} {unit}"
     return int(value) if float(value).is_integer() and abs(value) < 1e15 else value

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from optlink.errors import InputError
-from optlink.problem.enclosed import references
+from optlink.problem.enclosed import name_of, references
 from optlink.problem.file import MAX_BYTES, ProblemFile, load, read, shipped
 from optlink.problem.fixed_design import file_key
 from optlink.problem.quantity import check_choice

@@ -222,7 +222,7 @@ def simulate_clearance(
                 member.compile()
     account = Statistics(closed_loop)
     skipped = revolutions - revolutions_counted(revolutions)
-    options = {
+    options: dict[str, Any] = {
         "problem_hash": problem.hash,
         "speed_rad_s": setting.nominal,
         "start_rad": setting.start,
@@ -436,21 +436,9 @@ def check_simulations(
     runs: int = 1,
     compiling: Callable[[], contextlib.AbstractContextManager[None]] = contextlib.nullcontext,
 ) -> tuple[Output, str]:
-    """Check the options of a number of simulations; return the output whose deviation they measure, and their integrator.
+    """Check the options of `runs` simulations; return the output whose deviation they measure, and their integrator.
 
     Equations for the compiled integrator are compiled and cached on the disk.
-
-    Parameters
-    ----------
-    problem, control, revolutions, points, tolerance, speed, design, integrator, compiling
-        As in `simulate_clearance`.
-    runs : int
-        Number of simulations.
-
-    Raises
-    ------
-    InputError
-        If such a simulation is not possible.
     """
     setting = _setting(problem, points, speed, control, None, design, 0.0)
     _check(revolutions, points, tolerance)

@@ -20,7 +20,7 @@ from optlink.problem.quantity import check_choice, check_range
 from optlink.tasks.clearance import check_simulations
 from optlink.tasks.machine import machine_of
 from optlink.tasks.parallel_runs import RunJob, RunResult, run_jobs
-from optlink.tasks.results.checkpoint import ComparisonCheckpoint, RunRecord, TuningCheckpoint, read_checkpoint
+from optlink.tasks.results.checkpoint import ComparisonCheckpoint, CompleteRun, TuningCheckpoint, read_checkpoint
 from optlink.tasks.results.control_comparison import Comparison, Trials, Tuning
 
 KINDS = tuple(str(kind) for kind in Control)
@@ -28,20 +28,7 @@ ROUNDING = 1e-9  # relative difference of equal errors, beyond which a run stops
 
 
 def random_crank_angles(count: int, seed: int) -> Array:
-    """Return uniformly distributed initial crank angles (count,) [rad].
-
-    Parameters
-    ----------
-    count : int
-        1 to 10,000.
-    seed : int
-        Seed of the random numbers, not negative.
-
-    Raises
-    ------
-    InputError
-        If an argument is out of range.
-    """
+    """Return uniformly distributed initial crank angles (count,) [rad]."""
     check_range("starts", count, 1, 10_000)
     if seed < 0:
         raise InputError("a seed must not be negative", "Give zero or more", key="seed", value=seed)
@@ -143,15 +130,14 @@ def compare(
         check_choice("kinds", kind, KINDS, "no such control")
     check_engine(engine, workers, scheduler)
     common: dict[str, Any] = {"revolutions": revolutions, "points": points, "tolerance": tolerance, "speed": speed}
-    label = {**common, "problem_hash": problem.hash, "kinds": list(kinds), "starts": starts, "seed": seed}
-    label["design"] = None if design is None else dict(design)
-    common["design"] = design
+    common["design"] = None if design is None else dict(design)
     integrator = resumed(integrator, resume)
     for kind in kinds:  # refuse options that no run accepts, before any process starts; and compile, once for all
         _, integrator = check_simulations(
             problem, control=kind, integrator=integrator, runs=starts * len(kinds), compiling=compiling, **common
         )
-    label["integrator"] = common["integrator"] = integrator
+    common["integrator"] = integrator
+    label = {**common, "problem_hash": problem.hash, "kinds": list(kinds), "starts": starts, "seed": seed}
     kept = {} if resume is None else _runs(read_checkpoint(ComparisonCheckpoint, resume, label))
     # ordered by start, so that the progress predicts the remaining time; figures need the whole first run of each kind
     order = [(kind, k) for k in range(starts) for kind in kinds]
@@ -173,9 +159,9 @@ def compare(
     return Comparison(problem, every, angles, seed, revolutions, examples, runs[kinds[0], 0].unit)
 
 
-def _run(key: tuple[str, int], ran: RunResult) -> RunRecord:
+def _run(key: tuple[str, int], ran: RunResult) -> CompleteRun:
     figures = {name: value for name, value in ran.figures.items() if np.isfinite(value)}
-    return RunRecord(control=key[0], start=key[1], unit=ran.unit, finished=ran.finished, figures=figures)
+    return CompleteRun(control=key[0], start=key[1], unit=ran.unit, finished=ran.finished, figures=figures)
 
 
 def _runs(begun: ComparisonCheckpoint) -> dict[tuple[str, int], RunResult]:
@@ -282,7 +268,7 @@ def tune(
     generator = np.random.default_rng(seed)
     sobol = qmc.Sobol(len(names), seed=seed).random(1 << int(np.ceil(np.log2(max(2, evaluations // 2)))))
     common: dict[str, Any] = {"revolutions": revolutions, "points": points, "tolerance": tolerance, "speed": speed}
-    common["design"] = design
+    common["design"] = None if design is None else dict(design)
     integrator = resumed(integrator, resume)
     runs = starts * (evaluations + 1)
     output, integrator = check_simulations(
@@ -293,7 +279,7 @@ def tune(
     if idle is not None:
         raise InputError(f"the parameter has no effect with control {control}", "Tune inverse+pid", key="--tune", value=idle)
     label = {**common, "problem_hash": problem.hash, "control": control, "names": list(names)}
-    label |= {"evaluations": evaluations, "starts": starts, "seed": seed, "design": None if design is None else dict(design)}
+    label |= {"evaluations": evaluations, "starts": starts, "seed": seed}
     kept = [] if resume is None else read_checkpoint(TuningCheckpoint, resume, label).costs
     scores: list[tuple[float, float]] = []  # cost and scatter: of the parameters of the problem, then of every evaluation
 

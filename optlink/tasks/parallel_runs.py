@@ -3,7 +3,6 @@
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -21,19 +20,9 @@ class ErrorLimitExceeded(Exception):
 
 @dataclass(frozen=True)
 class RunJob:
-    """One run.
+    """One run from crank angle `start` [rad], with "cvodes" or "compiled" as integrator.
 
-    Parameters
-    ----------
-    start : float [rad]
-    speed : float [rad/s], optional
-    design : mapping of str to float [SI], optional
-    integrator : str
-        "cvodes" or "compiled".
-    limit : float [m, rad]
-        Rms error above which the run stops.
-    example : bool
-        Whether to return the simulation for charts, not only its figures.
+    It stops above an rms error of `limit` [m, rad]; an `example` returns the simulation for charts, not only its figures.
     """
 
     problem: ProblemFile
@@ -61,15 +50,7 @@ class RunResult:
 
 
 def run_job(job: RunJob) -> RunResult:
-    """Perform a run.
-
-    Raises
-    ------
-    InputError
-        If the simulation is not possible.
-    KeyboardInterrupt
-        On interruption.
-    """
+    """Perform a run."""
     count, seen, square = revolutions_counted(job.revolutions), 0, 0.0
 
     def judge(columns: Mapping[str, Array]) -> None:
@@ -80,13 +61,6 @@ def run_job(job: RunJob) -> RunResult:
             if square > count * job.points * job.limit**2:
                 raise ErrorLimitExceeded
 
-    options: dict[str, Any] = {
-        "start": job.start,
-        "design": job.design,
-        "tolerance": job.tolerance,
-        "check_predictability": False,
-        "integrator": job.integrator,
-    }
     try:
         run = simulate_clearance(
             job.problem,
@@ -94,8 +68,12 @@ def run_job(job: RunJob) -> RunResult:
             job.points,
             job.speed,
             job.control,
+            start=job.start,
+            design=job.design,
+            tolerance=job.tolerance,
+            check_predictability=False,
+            integrator=job.integrator,
             stream=judge if math.isfinite(job.limit) else None,
-            **options,
         )
     except ErrorLimitExceeded:
         return RunResult({}, "", finished=False, hopeless=True)
@@ -124,16 +102,6 @@ class RunTask:
 
 
 def run_jobs(jobs: Sequence[RunJob], runs: Runs) -> Iterator[tuple[int, RunResult]]:
-    """Perform runs, and yield each with its index on completion.
-
-    Parameters
-    ----------
-    runs : function
-        From `optlink.execution.runner.pool`.
-
-    Raises
-    ------
-    InputError, SolverError, KeyboardInterrupt
-    """
+    """Perform jobs by the runs of `optlink.execution.runner.pool`, and yield each result with its index on completion."""
     for index, answer in runs(RunTask(tuple(jobs)), range(len(jobs))):
         yield index, answer.value

@@ -157,10 +157,8 @@ def simulate(
     limits = None if ranges.full else (low, high)
     singular = [position.crank_angle for position in ranges.singular]
     if singular:  # same motion up to there, without the rounding errors of 0/0 expressions
-        mechanism, cycle = (
-            continue_through_singularities(machine.mechanism, machine.sizes, start, every=True),
-            machine.mechanism.cycle,
-        )
+        cycle = machine.mechanism.cycle
+        mechanism = continue_through_singularities(machine.mechanism, machine.sizes, start, every=True)
         singular = [at + k * cycle for at in singular for k in range(round(mechanism.cycle / cycle))]
         machine = machine.with_(mechanism=mechanism)
     result = run(

@@ -24,25 +24,16 @@ def excursions(problem: PathProblem, design: Mapping[str, float], crank_angles: 
     """Return the excursion (segments,) [m] of the traced curve between each target point and the next; None for other tasks.
 
     The last segment of a closed curve leads back to its first point. NaN where the points say nothing about the curve: from a
-    dwell (repeated points) to a single point.
-
-    Parameters
-    ----------
-    problem : PathProblem
-        With definite assembly modes.
-    design : mapping of str to float [m, rad]
-        All quantities.
-    crank_angles : array (points,) [rad]
-        Crank angles of the points.
+    dwell (repeated points) to a single point. The problem has definite assembly modes, the design [m, rad] all quantities; the
+    points are passed at the crank angles [rad].
     """
     targets = problem.data.columns[:, :2] if problem.requirement.kind == "path" else np.zeros((0, 2))
     if len(targets) < FEWEST:
         return None
     around = problem.closed and not problem.meets_again
-    angles = np.append(crank_angles, crank_angles[0] + np.sign(crank_angles[-1] - crank_angles[0]) * TURN * around)
-    angles = angles if around else angles[:-1]
-    shares = np.linspace(0.0, 1.0, BETWEEN + 2)
-    at = angles[:-1, None] + np.diff(angles)[:, None] * shares
+    first, last = crank_angles[0], crank_angles[-1]
+    angles = np.append(crank_angles, first + np.sign(last - first) * TURN) if around else crank_angles
+    at = angles[:-1, None] + np.diff(angles)[:, None] * np.linspace(0.0, 1.0, BETWEEN + 2)
     traced = sweep(problem.linkage, design, at.ravel()).position(problem.requirement.point).reshape(*at.shape, 2)
     begin, chord = traced[:, :1], traced[:, -1:] - traced[:, :1]
     square = np.maximum(np.sum(chord**2, axis=-1, keepdims=True), 1e-300)
@@ -58,13 +49,8 @@ def sagittas(points: Array, *, closed: bool, around: bool) -> Array:
     polyline turns there on either side of the end, whichever is larger: the two are equal for even steps. It is zero between
     repeated points, and NaN for other segments of which both ends lie beside repeated points or at the end of the curve.
 
-    Parameters
-    ----------
-    points : array (points, 2) [m]
-    closed : bool
-        Whether the first point follows the last one.
-    around : bool
-        Whether the segment from the last point to the first is one of them; the two may also be the same point.
+    `closed`: the first of the points (points, 2) [m] follows the last one. `around`: the segment from the last point to the first
+    is one of them; the two may also be the same point.
     """
     inner = points if around or not closed else points[:-1]
     before, after = inner - np.roll(inner, 1, axis=0), np.roll(inner, -1, axis=0) - inner

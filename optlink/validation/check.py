@@ -65,24 +65,12 @@ Text = str | Callable[[int], str]
 
 
 def each(values: ArrayLike, design: int) -> Any:
-    """Return the value of one design; a single value applies to all.
-
-    Parameters
-    ----------
-    values : float or array (designs,)
-    """
+    """Return the value of one design from one for each, or from a single one that applies to all."""
     return np.ravel(values)[design if np.size(values) > 1 else 0]
 
 
 def text(form: str, *numbers: ArrayLike) -> Text:
-    """Return a text with the numbers of each design.
-
-    Parameters
-    ----------
-    form : str
-        Format string.
-    *numbers : float or array (designs,)
-    """
+    """Return a text from a format string and the numbers of each design."""
     return lambda design: form.format(*(each(number, design) for number in numbers))
 
 
@@ -135,62 +123,32 @@ class Validations:
 
 
 def joined(checks: Mapping[int, Sequence[Check]], count: int) -> Iterator[Checks]:
-    """Yield the checks of single designs as checks of all designs.
+    """Yield the checks of single designs, by the number of the design and in the same order for each, as checks of all designs.
 
-    Parameters
-    ----------
-    checks : mapping of int to sequence of Check
-        By the number of the design, in the same order for each; they do not apply to designs that are left out.
-    count : int
-        Number of designs.
+    They do not apply to designs that are left out.
     """
     numbers = np.array(list(checks), dtype=int)
     applies = np.isin(np.arange(count), numbers)
-    for number, column in enumerate(zip(*checks.values(), strict=True)):
-        passed, value = np.zeros(count, dtype=bool), np.full(count, np.nan)
+    for column in zip(*checks.values(), strict=True):
+        passed, value, limits = np.zeros(count, dtype=bool), np.full(count, np.nan), np.full(count, "", dtype=object)
         passed[numbers], value[numbers] = [check.passed for check in column], [check.value for check in column]
-        first = column[0]
-
-        def limit(design: int, number: int = number) -> str:
-            return checks[design][number].limit
-
-        yield Checks(first.name, passed, value, limit, first.unit, applies)
-
-
-def nan_last(value: float) -> float:
-    """Return a sort key that places NaN last."""
-    return math.inf if math.isnan(value) else value
+        limits[numbers] = [check.limit for check in column]
+        yield Checks(column[0].name, passed, value, text("{}", limits), column[0].unit, applies)
 
 
 def bound(name: str, quantity: Quantity, value: ArrayLike, size: ArrayLike) -> Checks:
-    """Check whether a quantity lies within its bounds, to 1e-8 of a reference length or of a radian.
-
-    Parameters
-    ----------
-    name : str
-        Name of the quantity.
-    value : float or array (designs,) [m, rad]
-    size : float or array (designs,) [m]
-        Reference length.
-    """
+    """Check whether a value [m, rad] lies within the bounds of its quantity, to 1e-8 of a reference length [m] or of a radian."""
     value, (low, high) = np.asarray(value, dtype=float), quantity.bounds
     length = quantity.kind in ("length", "coordinate")
     factor, unit = (1e3, "mm") if length else (math.degrees(1.0), "deg")
     tolerance = 1e-8 * (np.asarray(size) if length else 1.0)
-    numbers = np.asarray(low) * factor, np.asarray(high) * factor
-    limit = text("{:.6g} ... {:.6g}", *numbers) if quantity.free else text("= {:.6g}", numbers[0])
+    limit = text("{:.6g} ... {:.6g}" if quantity.free else "= {:.6g}", np.asarray(low) * factor, np.asarray(high) * factor)
     inside = (low - tolerance <= value) & (value <= high + tolerance)
     return Checks(f"{name} within its bounds", inside, value * factor, limit, unit)
 
 
 def link_lengths(motion: Motion, size: ArrayLike) -> Checks:
-    """Check that all links of a design keep their lengths in motion.
-
-    Parameters
-    ----------
-    size : float [m]
-        Reference length.
-    """
+    """Check that all links of a design keep their lengths in motion; `size` [m] is the reference."""
     links = [link for link in motion.mechanism.links if link.end]
     measured = ((motion.distance(link.start, link.end), motion.pose.size(link.length)) for link in links)
     return length_check(((np.min(lengths), np.max(lengths), nominal) for lengths, nominal in measured), size)
@@ -199,12 +157,7 @@ def link_lengths(motion: Motion, size: ArrayLike) -> Checks:
 def length_check(lengths: Iterable[tuple[ArrayLike, ArrayLike, ArrayLike]], size: ArrayLike) -> Checks:
     """Check the largest deviation of all link lengths; NaN if one of them is not finite.
 
-    Parameters
-    ----------
-    lengths : iterable of (float or array (designs,), float or array (designs,), float or array (designs,)) [m]
-        Least and largest measured length of each link, and its length.
-    size : float or array (designs,) [m]
-        Reference length.
+    For each link: its least and largest measured length, and its length [m]; `size` [m] is the reference.
     """
     misses = [np.maximum(largest - np.asarray(nominal), nominal - np.asarray(least)) for least, largest, nominal in lengths]
     worst, limit = np.max(misses, axis=0) * 1e3, LENGTH_TOLERANCE * np.asarray(size) * 1e3
@@ -216,16 +169,8 @@ def same_objective(
 ) -> Checks:
     """Check that the measured objective is that of the optimiser: relatively, or within rounding of a deviation of nearly zero.
 
-    Parameters
-    ----------
-    measured, claimed : float or array (designs,)
-        Measured objective, and that of the optimiser.
-    least : float
-        Objective to which differences of smaller ones are related.
-    rounding : float, optional
-        Difference of two deviations that is rounding.
-    squared : bool, optional
-        Whether the objective is a sum of squared deviations.
+    `least`: objective to which differences of smaller ones are related. `rounding`: difference of two deviations that counts as
+    rounding. `squared`: the objective is a sum of squared deviations.
     """
     measured, claimed = np.asarray(measured, dtype=float), np.asarray(claimed, dtype=float)
     gap = np.abs(measured - claimed) / np.maximum(np.abs(measured), least)
@@ -237,13 +182,7 @@ def same_objective(
 
 
 def finely(offsets: Array) -> tuple[Array, NDArray[np.intp]]:
-    """Return crank rotations between those of a law, and the indices of its own among them.
-
-    Parameters
-    ----------
-    offsets : array (positions,) [rad]
-        Monotonic.
-    """
+    """Return crank rotations between those of a law (monotonic) [rad], and the indices of its own among them."""
     steps = np.maximum(np.ceil(np.abs(np.diff(offsets)) / FINE_STEP), 1.0).astype(int)
     index = np.concatenate([[0], np.cumsum(steps)])
     return np.interp(np.arange(index[-1] + 1), index, offsets), index
@@ -256,14 +195,8 @@ def revolutions_check(crank: Array, target: Array, moved: Callable[[], Array]) -
     such error and no check. Where a law with long steps or the output has no value, the check fails. (That any law has values is
     checked with the error.)
 
-    Parameters
-    ----------
-    crank : array (positions,) [rad]
-        Crank rotations.
-    target : array (designs, positions) [rad]
-        Prescribed angles. NaN at the first position: the law of that design begins at the second.
-    moved : function
-        Returns the angles (designs, positions) [rad] of the output, continuous over its motion.
+    At crank rotations (positions,) [rad] the output has the prescribed angles `target` (designs, positions) [rad], and, from
+    `moved`, its own angles, continuous over its motion. NaN at the first position: the law of that design begins at the second.
     """
     begun = np.isfinite(target) | (np.arange(target.shape[1]) > 0)
     with np.errstate(invalid="ignore"):
@@ -286,22 +219,7 @@ def revolutions_check(crank: Array, target: Array, moved: Callable[[], Array]) -
 
 
 def limit_checks(name: str, value: float, interval: Interval, tolerance: float, factor: float, unit: str) -> Iterator[Check]:
-    """Yield one check per side of an interval.
-
-    Parameters
-    ----------
-    name : str
-        Name of the limited quantity.
-    value : float [unit]
-    interval : Interval
-        Limits [SI].
-    tolerance : float [unit]
-        Permitted violation.
-    factor : float
-        Display units per SI unit.
-    unit : str
-        Display unit.
-    """
+    """Yield one check per side of an interval [SI]; value and tolerance are in the unit, of which `factor` are an SI unit."""
     if interval.low is not None:
         low = interval.low * factor
         yield Check(f"{name}, least", bool(value >= low - tolerance), value, f">= {low:.6g}", unit)
@@ -311,24 +229,15 @@ def limit_checks(name: str, value: float, interval: Interval, tolerance: float, 
 
 
 def registered_checks(moved: Moved, limits: Limits, size: float, design: int = 0) -> Iterator[Check]:
-    """Yield the checks of the limits of `optlink.problem.limits` that a file states.
+    """Yield the checks of the limits of `optlink.problem.limits` that a file states; `size` [m] is the reference of tolerances.
 
-    Parameters
-    ----------
-    moved : Moved
-        The design in motion.
-    size : float [m]
-        Reference length of tolerances.
-    design : int
-        Number of the design, if the limits differ between designs.
+    `design`: number of the design, if the limits differ between designs.
     """
+    tolerances = {"angle": (ANGLE_TOLERANCE, math.degrees(1.0), "deg"), "length": (1e-8 * size * 1e3, 1e3, "mm")}
     for term, common in limits_in_file(limits):
         low, high = (None if end is None else each(end, design) for end in (common.low, common.high))
         interval = replace(common, low=low, high=high)
-        tolerance, factor, unit = {
-            "angle": (ANGLE_TOLERANCE, math.degrees(1.0), "deg"),
-            "length": (1e-8 * size * 1e3, 1e3, "mm"),
-        }.get(str(interval.kind), (RATIO_TOLERANCE, 1.0, ""))
+        tolerance, factor, unit = tolerances.get(str(interval.kind), (RATIO_TOLERANCE, 1.0, ""))
         for name, value in term.measure(moved, interval):
             yield from limit_checks(name, value * factor, interval, tolerance, factor, unit)
 
@@ -336,28 +245,20 @@ def registered_checks(moved: Moved, limits: Limits, size: float, design: int = 0
 def transmission_checks(
     least: ArrayLike, largest: ArrayLike, limit: TransmissionLimit | None, where: str = ""
 ) -> Iterator[Checks]:
-    """Yield the checks of the extreme transmission angles, or of the largest pressure angle if the file limits that.
+    """Yield the checks of the extreme transmission angles [deg], or of the largest pressure angle if the file limits that.
 
-    Parameters
-    ----------
-    least, largest : float or array (designs,) [deg]
-    limit : TransmissionLimit or None
-        Limit of the file.
-    where : str
-        Joint, if there are several.
+    `where`: the joint, if there are several.
     """
     if limit is None:
         return
     least, largest = np.asarray(least, dtype=float), np.asarray(largest, dtype=float)
     low, high = (None if bound is None else np.degrees(bound) for bound in (limit.low, limit.high))
+    kind = "transmission"
     if limit.pressure and high is not None:
-        pressure, most = np.maximum(90.0 - least, largest - 90.0), high - 90.0
-        name = f"largest pressure angle{where}"
-        yield Checks(name, pressure <= most + ANGLE_TOLERANCE, pressure, text("<= {:.6g}", most), "deg")
-        return
+        kind, low, high, largest = "pressure", None, high - 90.0, np.maximum(90.0 - least, largest - 90.0)
     if low is not None:
         name = f"smallest transmission angle{where}"
         yield Checks(name, least >= low - ANGLE_TOLERANCE, least, text(">= {:.6g}", low), "deg")
     if high is not None:
-        name = f"largest transmission angle{where}"
+        name = f"largest {kind} angle{where}"
         yield Checks(name, largest <= high + ANGLE_TOLERANCE, largest, text("<= {:.6g}", high), "deg")

@@ -20,24 +20,17 @@ ANGLE = 0.05
 
 
 def contradictions(recorded: Mapping[str, Any], computed: Mapping[str, Any]) -> tuple[Check, ...]:
-    """Return the failed checks: values of a result file that differ from those of its design.
-
-    Parameters
-    ----------
-    recorded : mapping
-        Document of the file.
-    computed : mapping
-        Recomputed document of the same design.
-    """
+    """Return the failed checks: values of a result file that differ from those of the recomputed document of its design."""
+    documents = recorded, computed
     checks = []
-    theirs, ours = _objective(recorded), _objective(computed)
+    theirs, ours = map(_objective, documents)
     if theirs is not None and ours is not None and not abs(theirs - ours) <= SHARE * max(abs(theirs), abs(ours)) + FLOOR:
         checks.append(Check("objective of the result file", False, theirs, f"= {ours:.9g}", ""))
-    ours_by_key = _angles(computed)
-    pairs = [(f"{key} of the result file", value, ours_by_key.get(key)) for key, value in _angles(recorded).items()]
-    theirs_at, ours_at = (_part(_best(one), "points").get("crank_deg") for one in (recorded, computed))
-    if isinstance(theirs_at, list) and isinstance(ours_at, list):
-        pairs += [(f"crank angle of point {k + 1} in the result file", *both) for k, both in enumerate(zip(theirs_at, ours_at))]  # noqa: B905
+    angles = _angles(computed)
+    pairs = [(f"{key} of the result file", value, angles.get(key)) for key, value in _angles(recorded).items()]
+    at = [_part(_best(document), "points").get("crank_deg") for document in documents]
+    if all(isinstance(values, list) for values in at):
+        pairs += [(f"crank angle of point {k} in the result file", *both) for k, both in enumerate(zip(*at, strict=False), 1)]
     for name, value, expected in pairs:
         if _number(value) and _number(expected) and not abs((value - expected + 180.0) % 360.0 - 180.0) <= ANGLE:
             checks.append(Check(name, False, float(value), f"= {expected:.9g}", "deg"))
@@ -67,14 +60,14 @@ def _figures(recorded: Mapping[str, Any], computed: Mapping[str, Any]) -> Iterat
     """Yield figures of a machine, matched by name, that differ from those of the design."""
     theirs, ours = (_by_name(document.get("figures")) for document in (recorded, computed))
     for name in theirs.keys() & ours.keys():
-        recorded_value, computed_value = theirs[name].get("result"), ours[name].get("result")
-        if not (_number(recorded_value) and _number(computed_value)) or theirs[name].get("unit") != ours[name].get("unit"):
+        row, unit = ours[name], ours[name].get("unit")
+        value, expected, start = theirs[name].get("result"), row.get("result"), row.get("initial")
+        if not (_number(value) and _number(expected)) or theirs[name].get("unit") != unit:
             continue
-        start = ours[name].get("initial")
-        size = max(abs(recorded_value), abs(computed_value), abs(start) if _number(start) else 0.0)
-        if not abs(recorded_value - computed_value) <= SHARE * size + FIGURE:
-            words = f"{ours[name].get('words', name)} of the result file"
-            yield Check(words, False, float(recorded_value), f"= {computed_value:.9g}", str(ours[name].get("unit") or ""))
+        size = max(abs(value), abs(expected), abs(start) if _number(start) else 0.0)
+        if not abs(value - expected) <= SHARE * size + FIGURE:
+            words = f"{row.get('words', name)} of the result file"
+            yield Check(words, False, float(value), f"= {expected:.9g}", str(unit or ""))
 
 
 def _by_name(rows: object) -> dict[str, dict[str, Any]]:

@@ -45,20 +45,8 @@ class _Weight(Steady):
         yield Acting(self.body, state.start, force, x * self.gravity[1] - y * self.gravity[0])
 
 
-def without_masses(machine: Machine) -> Machine:
-    """Return the machine with weights and loads only."""
-    weights = tuple(_Weight(body, mass.parameters, machine.gravity) for body, mass in machine.inertias.items())
-    return machine.with_(inertias={}, gravity=(0.0, 0.0), loads=(*machine.loads, *weights))
-
-
 class Cycle:
-    """A design in motion, with the measured values of its terms.
-
-    Parameters
-    ----------
-    design : mapping of str to float [SI]
-        Quantities; those not named have their value in the file.
-    """
+    """A design in motion, with the measured values of its terms; quantities [SI] not named have their value in the file."""
 
     def __init__(self, problem: CycleProblem, design: Mapping[str, float]) -> None:
         self.problem = problem
@@ -87,13 +75,10 @@ class Cycle:
 
     @cached_property
     def _still(self) -> Machine:
-        return without_masses(self.machine)
-
-    def travel(self, term: Term) -> Travel | None:
-        """Return the motion of an output between its dead centres."""
-        kind, name = output_of(term, self.mechanism)
-        swings, strokes = self._travels
-        return strokes.get(name) if kind == "guide" else swings.get(name)
+        """The machine with weights and loads only."""
+        machine = self.machine
+        weights = (_Weight(body, mass.parameters, machine.gravity) for body, mass in machine.inertias.items())
+        return machine.with_(inertias={}, gravity=(0.0, 0.0), loads=(*machine.loads, *weights))
 
     def figure(self, term: Term) -> float:
         """Return the value of a term [SI], measured once; NaN if it is undefined."""
@@ -104,17 +89,19 @@ class Cycle:
     def _figure(self, term: Term) -> float:
         if term.quantity == "total length":
             return math.fsum(self.design[name] for name in self.problem.lengths)
-        if not self.full:
-            return self.design[str(term.of)] if term.quantity == "length" else math.nan
-        if term.nature.cyclic:
-            return self._cyclic(term)
         if term.quantity == "length":
             return self.design[str(term.of)]
+        if not self.full:
+            return math.nan
+        if term.nature.cyclic:
+            return self._cyclic(term)
         if term.quantity == "work":
             return self._work(term)
-        if output_of(term, self.mechanism)[0] == "point":
+        kind, output = output_of(term, self.mechanism)
+        if kind == "point":
             return self._point(term)
-        travel = self.travel(term)
+        swings, slides = self._travels
+        travel = (slides if kind == "guide" else swings).get(output)
         if travel is None:
             return math.nan
         if term.quantity == "end":
@@ -164,9 +151,7 @@ class Cycle:
         """Return the value of a cyclic term; extremes of the same machine are all measured on the same positions."""
         machine, read = self.history(term)
         if not term.extreme:
-            return self.work.mean(
-                lambda angles: read(MotionColumns(machine.moving(angles, self.speed))), square=term.how == "rms"
-            )
+            return self.work.mean(lambda at: read(MotionColumns(machine.moving(at, self.speed))), square=term.how == "rms")
         terms = [term, *self.problem.goals, *(item.term for item in self.problem.bounds)]
         alike = [other for other in terms if other.extreme and other.static == term.static]
         for each, value in zip(alike, self._extremes(machine, alike), strict=True):
@@ -177,26 +162,27 @@ class Cycle:
         """Return the values (terms,) of terms that a single position decides, one-sided at load jumps."""
         scores: dict[str, Callable[[Array], Array]] = {"peak": np.abs, "largest": np.positive, "least": np.negative}
         reads = [(scores[term.how], self.history(term)[1]) for term in terms]
-        jumps = np.remainder(self.work.jumps, self.cycle)
+        jumps, breaks, tops = (np.remainder(at, self.cycle) for at in (self.work.jumps, self.work.breaks, self.work.peaks))
 
         def values(angles: Array, side: int = 1) -> Array:
             record = MotionColumns(machine.moving(angles, self.speed, side=side))
             return np.array([score(read(record)) for score, read in reads])
 
-        breaks = tuple(np.remainder(self.work.breaks, self.cycle))
-        grid = distinct(np.concatenate([self.positions, np.remainder(self.work.peaks, self.cycle)]))
-        peaks = maxima(values, grid, breaks, periodic=True)[1]
+        peaks = maxima(values, distinct(np.concatenate([self.positions, tops])), tuple(breaks), periodic=True)[1]
         if jumps.size:
             peaks = np.maximum(peaks, np.nanmax(values(jumps, side=-1), axis=1))
         return np.where([term.how == "least" for term in terms], -peaks, peaks)
 
     def objective(self) -> float:
         """Return the minimised value: a term [SI], negative if maximised, or a weighted sum."""
-        values = []
-        for goal, scale in zip(self.problem.goals, self.problem.scales, strict=True):
-            value = self.figure(goal) * (-1.0 if goal.sense == "maximise" else 1.0)
-            values.append(value if self.problem.single else goal.weight * value / (scale or 1.0))
-        return math.fsum(values)
+        return self._weighted([self.figure(goal) * (-1.0 if goal.sense == "maximise" else 1.0) for goal in self.problem.goals])
+
+    def _weighted(self, values: Sequence[float]) -> float:
+        """Return the sum of values of the goals [SI], each over its scale if there are several."""
+        if self.problem.single:
+            return values[0]
+        goals = zip(self.problem.goals, self.problem.scales, values, strict=True)
+        return math.fsum(goal.weight * value / (scale or 1.0) for goal, scale, value in goals)
 
     def size(self, term: Term) -> float:
         """Return a reference value of the signal of a term [SI] if the term itself may vanish; otherwise zero."""
@@ -211,11 +197,7 @@ class Cycle:
 
     def natural(self) -> float:
         """Return the value [unit of the objective] below which the objective is a rounding error."""
-        sizes = [ROUNDING * self.size(goal) for goal in self.problem.goals]
-        if self.problem.single:
-            return sizes[0]
-        shares = zip(self.problem.goals, self.problem.scales, sizes, strict=True)
-        return math.fsum(goal.weight * size / (scale or 1.0) for goal, scale, size in shares)
+        return self._weighted([ROUNDING * self.size(goal) for goal in self.problem.goals])
 
     def imbalance(self) -> float:
         """Return the work per revolution not balanced between drive and loads, relative to the exchanged energy; zero in a cycle.
@@ -224,17 +206,12 @@ class Cycle:
         loads the works all vanish, in a machine balanced on its crank the powers too.
         """
         points, half = gauss_points(self.work.knots[:-1], self.work.knots[1:])
-        points = points.ravel()
-        moving = self.machine.moving(points, self.speed)
-        record = MotionColumns(moving)
+        moving = self.machine.moving(points.ravel(), self.speed)
+        record, names = MotionColumns(moving), slider_names(self.machine)
         powers = [record["input.power_W"]]
-        names = slider_names(self.machine)
         powers += [record[f"{guide}.friction_N"] * record[f"{names[guide]}.v_m_s"] for guide in self.machine.friction]
-        powers += [
-            np.broadcast_to(np.asarray(acting.power(moving.state(acting.body))), points.shape)
-            for load in self.machine.loads
-            for acting in load.act(moving)
-        ]
+        acting = [force for load in self.machine.loads for force in load.act(moving)]
+        powers += [np.broadcast_to(np.asarray(force.power(moving.state(force.body))), points.size) for force in acting]
 
         def whole(power: Array) -> float:
             return float(np.sum(half * (power.reshape(-1, len(NODES)) @ WEIGHTS))) / self.speed
@@ -247,16 +224,10 @@ class Cycle:
 def validate_cycle(
     problem: CycleProblem, design: Mapping[str, float], objective: float | None = None, tested: Cycle | None = None
 ) -> Validation:
-    """Validate a design, or show where it fails.
+    """Validate a design, or show where it fails; quantities [SI] not named have their value in the file.
 
-    Parameters
-    ----------
-    design : mapping of str to float [SI]
-        Quantities; those not named have their value in the file.
-    objective : float, optional
-        Objective of the optimiser, compared with the measured one.
-    tested : Cycle, optional
-        The design in motion, with what was measured already.
+    `objective`: that of the optimiser, compared with the measured one. `tested`: the design in motion, with what was measured
+    already.
     """
     try:
         tested = Cycle(problem, design) if tested is None else tested
@@ -265,7 +236,7 @@ def validate_cycle(
     measured = tested.objective()
     checks = [*_sizes(tested), *_motion(tested)]
     if tested.full:
-        checks += [check for bound_ in problem.bounds for check in _limit(tested, bound_)]
+        checks += [check for item in problem.bounds for check in _limit(tested, item)]
     if objective is not None:
         checks.append(same_objective(measured, objective, max(tested.natural(), 1e-300)).of())
     return Validation(tuple(checks), measured)
@@ -307,10 +278,8 @@ def _limit(tested: Cycle, item: Bound) -> Iterator[Check]:
     kind, unit = item.interval.kind, item.interval.unit
     size = 1.0 / factor(unit or KINDS[kind].display, kind) if kind else 1.0
     value = tested.figure(item.term)
+    reference = max(abs(value) if math.isfinite(value) else 0.0, ZERO_LIMIT_REFERENCE * tested.size(item.term))
     for limit, words, sense in ((item.interval.low, ">=", 1.0), (item.interval.high, "<=", -1.0)):
         if limit is not None:
-            room = MEET * max(
-                abs(limit), abs(value) if math.isfinite(value) else 0.0, ZERO_LIMIT_REFERENCE * tested.size(item.term)
-            )
-            passed = bool(sense * (value - limit) >= -room)
+            passed = bool(sense * (value - limit) >= -MEET * max(abs(limit), reference))
             yield Check(f"{item.name}: {item.term.words}", passed, value * size, f"{words} {limit * size:.6g}", unit)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from optlink.linkage.extrema import POINTS, refined_minima
 from optlink.linkage.mechanism import Mechanism
-from optlink.linkage.vector2d import TURN, Array, Value, Vector, cross, dot, minus
+from optlink.linkage.vector2d import TURN, Array, Vector, cross, dot, minus
 from optlink.linkage.zeros import refined_roots
 from optlink.validation.check import Checks, length_check
 from optlink.validation.margins import included_cosine
@@ -63,21 +63,11 @@ class _Survey:
     samples: Array
 
 
-def _full(x: Value, shape: tuple[int, ...]) -> Array:
-    return x if np.shape(x) == shape else np.broadcast_to(x, shape)
-
-
 class FourBarMotion:
-    """Motion of four-bars with the joints A, B, C, D over evenly spaced crank angles.
+    """Motion of four-bars with the joints A, B, C, D over evenly spaced crank angles, (angles,) or (designs, angles) [rad].
 
-    Parameters
-    ----------
-    sizes : mapping of parameter name to array (designs, 1) [m]
-    angles : array (angles,) or (designs, angles) [rad]
-    closed : bool
-        Whether the angles are those of a revolution, the last one step before the first.
-    span : float [rad]
-        Crank rotation from the first angle to the last, if they are not.
+    The sizes are arrays (designs, 1) [m]. `closed`: the angles are those of a revolution, the last one step before the first;
+    otherwise `span` [rad] is the crank rotation from the first to the last.
     """
 
     def __init__(
@@ -100,7 +90,7 @@ class FourBarMotion:
             pose = self.mechanism.at(sizes, angles)
             a, b, c, d = (pose.point(name) for name in "ABCD")
             vectors = (minus(b, a), minus(c, b), minus(c, d), minus(d, b), c)
-            return _Joints(*((_full(x, shape), _full(y, shape)) for x, y in vectors))
+            return _Joints(*((np.broadcast_to(x, shape), np.broadcast_to(y, shape)) for x, y in vectors))
 
     def _blocks(self) -> Iterator[tuple[slice, _Joints]]:
         size = max(1, BLOCK // self.positions)
@@ -132,49 +122,31 @@ class FourBarMotion:
                 longest = np.maximum(longest, dot(last, last))
             angle, nodes, *samples = self._extremes_of_samples(squares, part)
             cosine, cosines = (included_cosine(mean[1], mean[2], square) for square in samples)
-        return _Survey(
-            least=least,
-            largest=largest,
-            mean=mean,
-            heights=np.array([np.min(height, axis=1), np.max(height, axis=1)]),
-            fastest=np.sqrt(np.max(speed, axis=1)),
-            longest=np.sqrt(longest),
-            angle=angle,
-            cosine=cosine,
-            nodes=nodes,
-            samples=cosines,
-        )
+        heights, fastest = np.array([np.min(height, axis=1), np.max(height, axis=1)]), np.sqrt(np.max(speed, axis=1))
+        return _Survey(least, largest, mean, heights, fastest, np.sqrt(longest), angle, cosine, nodes, cosines)
 
     def _extremes_of_samples(self, values: Array, part: slice) -> tuple[Array, Array, Array, Array]:
         """Return angle and value (2, designs) of the largest and of the least sample, and those about it (points, 2, designs).
 
         In the order: angle, angles about it, value, values about it.
         """
-        count = self.period or self.positions
+        count, half = self.period or self.positions, POINTS // 2
         best = np.array([np.argmax(values[:, :count], axis=1), np.argmin(values[:, :count], axis=1)])
-        row, around = np.arange(values.shape[0]), np.arange(POINTS)[:, None, None] - POINTS // 2
-        angles = self.angles if self.angles.ndim == 1 else self.angles[part]
-        angle = angles[best] if angles.ndim == 1 else angles[row, best]
+        row, around = np.arange(values.shape[0]), np.arange(-half, POINTS - half)[:, None, None]
+        angle = self.angles[best] if self.angles.ndim == 1 else self.angles[part][row, best]
         if self.period is not None:
             samples = values[row, (best + around) % count]
         else:  # none beyond the ends
-            around = around + np.clip(best, POINTS // 2, max(count - 1 - POINTS // 2, POINTS // 2)) - best
-            samples = (
-                values[row, np.minimum(best + around, count - 1)] if count >= POINTS else np.full((POINTS, *best.shape), np.nan)
-            )
+            around = around + np.clip(best, half, max(count - 1 - half, half)) - best
+            samples = values[row, np.minimum(best + around, count - 1)]
+            if count < POINTS:
+                samples = np.full_like(samples, np.nan)
         return angle, angle + around * self.width, values[row, best], samples
 
     # --- figures by design ---------------------------------------------------------------------------------------------------
 
     def link_lengths(self, lengths: Mapping[str, Array], size: Array) -> Checks:
-        """Check that crank, coupler and rocker keep their lengths in motion.
-
-        Parameters
-        ----------
-        lengths : mapping of str to array (designs,) [m]
-        size : array (designs,) [m]
-            Reference length.
-        """
+        """Check that crank, coupler and rocker keep their lengths (designs,) [m] in motion; `size` [m] is the reference."""
         survey = self.survey
         named = zip(("crank", "coupler", "rocker"), survey.least, survey.largest, strict=True)
         return length_check(((least, largest, lengths[name]) for name, least, largest in named), size)
@@ -218,8 +190,9 @@ class FourBarMotion:
         angle = np.where(np.isfinite(self.survey.mean[1])[:, None], np.abs(np.arctan2(sine, cosine)), np.nan)
         return angle[:, 1], angle[:, 0]
 
+    @cached_property
     def dead_centres(self) -> tuple[Array, Array, Index]:
-        """Return crank and rocker angles (n,) [rad] at the sign changes of the rocker velocity, and the design (n,) of each."""
+        """Crank and rocker angles (n,) [rad] at the sign changes of the rocker velocity, and the design (n,) of each."""
         crossings = []
         for part, joints in self._blocks():
             rate = joints.rate

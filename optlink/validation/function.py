@@ -13,13 +13,13 @@ from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from optlink.linkage.extrema import maxima
 from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.motion import Motion, sweep
-from optlink.linkage.vector2d import TURN, Array, Value, Vector, unit
+from optlink.linkage.vector2d import TURN, Array, Value, angle, minus, unit
 from optlink.problem.function import DEAD_CENTRES, DesignProblem
 from optlink.problem.limits import limits_in_file
 from optlink.problem.robust import EXPECTED, WORST
@@ -52,16 +52,10 @@ def validate(
     objective: float | None = None,
     mechanism: Mechanism | None = None,
 ) -> Validation:
-    """Validate a design, or show where it fails.
+    """Validate a design (crank, coupler, rocker, frame, phi0, psi0 [m, rad]), or show where it fails.
 
-    Parameters
-    ----------
-    design : mapping of str to float [m, rad]
-        crank, coupler, rocker, frame, phi0, psi0.
-    objective : float, optional
-        Objective of the optimiser, compared with the measured one.
-    mechanism : Mechanism, optional
-        Mechanism to be tested instead of the linkage of the problem (its bodies and joints must have the same names).
+    `objective`: that of the optimiser, compared with the measured one. `mechanism`: tested instead of the linkage of the problem;
+    its bodies and joints must have the same names.
     """
     return validate_batch(problem, design, objective, mechanism).of()
 
@@ -72,26 +66,16 @@ def validate_batch(
     objective: ArrayLike | None = None,
     mechanism: Mechanism | None = None,
 ) -> Validations:
-    """Validate many designs at once; the result for a design does not depend on the others.
+    """Validate many designs at once, each as `validate`; the result for a design does not depend on the others.
 
-    Parameters
-    ----------
-    problem : DesignProblem
-        The numbers of its quantities and limits may be arrays (designs,).
-    designs : mapping of str to array (designs,) [m, rad]
-        crank, coupler, rocker, frame, phi0, psi0.
-    objective : array (designs,), optional
-        Objectives of the optimiser, compared with the measured ones.
-    mechanism : Mechanism, optional
-        As for `validate`.
+    All numbers are arrays (designs,); those of the quantities and limits of the problem may be.
     """
     tested = _Tested(problem, designs, mechanism or problem.linkage)
     objectives = tested.objective()
     checks = [check for group in (_sizes, _crank, _circuit, _transmission, _requirement, _extra) for check in group(tested)]
     if objective is not None:
-        agrees = same_objective(objectives, objective, 1e-12, ROUNDING, squared=tested.squared)
-        robust = problem.requirement.robust is not None
-        checks.append(replace(agrees, name=MEASURED_ROBUST) if robust else agrees)
+        agrees = same_objective(objectives, objective, 1e-12, ROUNDING, squared=problem.measure == "sum of squares")
+        checks.append(agrees if problem.requirement.robust is None else replace(agrees, name=MEASURED_ROBUST))
     return Validations(tuple(checks), objectives)
 
 
@@ -119,20 +103,11 @@ class _Tested:
         angles = self.phi0 + np.linspace(0.0, span, count)
         return FourBarMotion(self.mechanism, self.sizes, angles, span=span)
 
-    def moving(self, angles: ArrayLike) -> Motion:
-        """Return the motion with velocities at crank angles (angles,) or (designs, angles) [rad]."""
-        return sweep(self.mechanism, self.sizes, angles)
-
-    def _placed(self, angles: Array) -> list[Vector]:
-        """Return the coordinates of B, C and D at crank angles, without velocities."""
+    def _rocker(self, crank: Array, sizes: Mapping[str, Array]) -> Array:
+        """Return rocker angles [rad] at crank angles [rad]."""
         with np.errstate(all="ignore"):
-            pose = self.mechanism.pose(self.sizes, unit(angles))
-        return [pose.point(name) for name in "BCD"]
-
-    @property
-    def squared(self) -> bool:
-        """Whether the objective is in rad^2."""
-        return self.problem.measure == "sum of squares"
+            pose = self.mechanism.pose(sizes, unit(crank))
+        return np.asarray(angle(minus(pose.point("C"), pose.point("D"))), dtype=float)
 
     @property
     def turns(self) -> bool:
@@ -144,20 +119,14 @@ class _Tested:
         """The motion over which the mechanism must be assembled."""
         return self.revolution if self.turns else self.span
 
-    def target_minus_actual(self, offsets: Array | None = None) -> Array:
-        """Return the error of the rocker angle (designs, positions) [rad], from two angles and their difference modulo a turn.
-
-        At crank rotations from the start. Default: the design positions.
-        """
-        return self._design_errors if offsets is None else self._errors(offsets, 0.0)
-
     @cached_property
-    def _design_errors(self) -> Array:
-        return self._errors(self.problem.law.offsets, self.problem.law.tabulated)
+    def errors(self) -> Array:
+        """Errors at the design positions."""
+        return self.errors_at(self.problem.law.offsets, self.problem.law.tabulated)
 
-    def _errors(self, at: Array, tabulated: Value) -> Array:
-        _, c, d = self._placed(self.phi0 + at)
-        actual = np.arctan2(c[1] - d[1], c[0] - d[0])
+    def errors_at(self, at: Array, tabulated: Value = 0.0) -> Array:
+        """Return target minus rocker angle (designs, positions) [rad], modulo a turn, at crank rotations from the start."""
+        actual = self._rocker(self.phi0 + at, self.sizes)
         with np.errstate(all="ignore"):
             target = np.asarray(self.problem.law.target(at, tabulated, self.phi0, self.psi0) + 0.0 * at, dtype=float)
         return np.asarray(np.remainder(target - actual + np.pi, TURN) - np.pi)
@@ -178,41 +147,39 @@ class _Tested:
     def rocker_along(self, at: Array) -> Array:
         """Return rocker angles (designs, rotations) [rad], continuous, at crank rotations (rotations,) from the start."""
         fine, index = finely(at)
-        _, c, d = self._placed(self.phi0 + fine)
-        return np.asarray(np.unwrap(np.arctan2(c[1] - d[1], c[0] - d[0]), axis=1)[:, index])
+        return np.asarray(np.unwrap(self._rocker(self.phi0 + fine, self.sizes), axis=1)[:, index])
 
-    def _rocker(self, at: Array, name: str, by: Array) -> Array:
+    def _deviating(self, at: Array, name: str, by: Array) -> Array:
         """Return rocker angles [rad] at crank rotations from the start, with one dimension or coordinate larger by `by` [m].
 
         The crank angle is that of the drawing. Displaced pivots rotate the frame, and thus the crank angle relative to it.
         """
-        sizes = {**self.sizes, **({name: self.sizes[name] + by} if name in self.sizes else {})}
+        sizes = {key: size + by if key == name else size for key, size in self.sizes.items()}
         along = sizes["frame"] - (by if name == "A.x" else 0.0)
         across = {"D.y": by, "A.y": -by}.get(name, np.zeros_like(by))
         sizes["frame"], tilt = np.hypot(along, across), np.arctan2(across, along)
-        with np.errstate(all="ignore"):
-            pose = self.mechanism.pose(sizes, unit(self.phi0 + at - tilt))
-        c, d = pose.point("C"), pose.point("D")
-        return np.asarray(np.arctan2(c[1] - d[1], c[0] - d[0]) + tilt, dtype=float)
+        return np.asarray(self._rocker(self.phi0 + at - tilt, sizes) + tilt)
 
     def scattered(self, offsets: Array | None = None) -> tuple[Array, Array]:
         """Return the mean error [rad] with tolerances and its scatter to either side, by central differences of the motion.
 
         The scatter is the requested number of standard deviations (one for an expected square), or the worst case.
         """
+        middle = self.errors if offsets is None else self.errors_at(offsets)
         at, robust = self.problem.law.offsets if offsets is None else offsets, self.problem.requirement.robust
-        middle = self.target_minus_actual(offsets)
         spread = np.zeros_like(middle)
+        if robust is None:
+            return middle, spread
         step = STEP * self._column(self.design["frame"])
-        for deviation in self.problem.deviations if robust is not None else ():
-            there, back = (self._rocker(at, deviation.size, way) for way in (step, -step))
+        for deviation in self.problem.deviations:
+            there, back = (self._deviating(at, deviation.size, way) for way in (step, -step))
             slope = -(np.remainder(there - back + np.pi, 2.0 * np.pi) - np.pi) / (2.0 * step)
-            if robust is not None and robust.text == WORST:
-                ends = [slope * end for end in deviation.ends]
-                middle, spread = middle + 0.5 * (ends[0] + ends[1]), spread + 0.5 * np.abs(ends[1] - ends[0])
+            if robust.text == WORST:
+                low, high = (slope * end for end in deviation.ends)
+                middle, spread = middle + 0.5 * (low + high), spread + 0.5 * np.abs(high - low)
             else:
                 middle, spread = middle + slope * deviation.mean, spread + np.square(slope * deviation.sigma)
-        if robust is not None and robust.text != WORST:
+        if robust.text != WORST:
             spread = (1.0 if robust.text == EXPECTED else robust.sigmas) * np.sqrt(spread)
         return middle, spread
 
@@ -230,22 +197,12 @@ class _Tested:
         middle, spread = self.scattered()
         if measure == "max":
             return np.asarray(np.max(np.abs(middle) + spread, axis=1))
-        squares = np.square(np.concatenate([middle, spread], axis=1)).tolist()
-        total = np.array([math.fsum(squares_of_design) for squares_of_design in squares])
+        total = np.array([math.fsum(squares) for squares in np.square(np.concatenate([middle, spread], axis=1)).tolist()])
         return np.sqrt(total / middle.shape[1]) if measure == "rms" else total
-
-    @cached_property
-    def dead_centres(self) -> tuple[Array, Array, NDArray[np.intp]]:
-        """Crank and rocker angles [rad] at the sign changes of the rocker velocity, and the design (n,) that each belongs to."""
-        return self.revolution.dead_centres()
-
-    def one(self, design: int) -> _OneDesign:
-        """Return a design as the limits of `optlink.problem.limits` measure it."""
-        return _OneDesign(self, design)
 
 
 class _OneDesign:
-    """One of the designs in motion."""
+    """One of the designs in motion, as the limits of `optlink.problem.limits` measure it."""
 
     def __init__(self, tested: _Tested, design: int) -> None:
         self.mechanism, self._tested, self._number = tested.mechanism, tested, design
@@ -260,7 +217,7 @@ class _OneDesign:
 
     def strokes(self) -> tuple[float, float, float]:
         """Return the swing angle of the rocker and the crank rotation of its forward and backward strokes [rad]."""
-        phi, psi, which = self._tested.dead_centres
+        phi, psi, which = self._tested.revolution.dead_centres
         (phi_a, phi_b), (psi_a, psi_b) = (values[which == self._number].tolist() for values in (phi, psi))
         turned = math.copysign(1.0, self._tested.problem.span) * (phi_b - phi_a) % TURN
         rest, rise = TURN - turned, math.remainder(psi_b - psi_a, TURN)  # a rocker swings by less than half a turn
@@ -280,9 +237,9 @@ def _crank(tested: _Tested) -> Iterator[Checks]:
     limits, design = tested.problem.limits, tested.design
     if tested.turns:
         yield grashof_check(design, limits)
-    where = "the whole revolution" if tested.turns else "the span"
-    for group in tested.mechanism.groups:
-        yield alignment_check(group, len(tested.mechanism.groups) == 1, tested.required.least_squared_sine, limits, where)
+    where, groups = "the whole revolution" if tested.turns else "the span", tested.mechanism.groups
+    for group in groups:
+        yield alignment_check(group, len(groups) == 1, tested.required.least_squared_sine, limits, where)
     if "phi0" not in tested.problem.quantities and tested.problem.requirement.start == DEAD_CENTRES[1]:
         gap, longest = np.abs(design["coupler"] - design["crank"]), np.max([design[name] for name in LENGTHS], axis=0)
         yield at_least("inner dead centre: C apart from A", gap * 1e3, limits.length_margin * longest * 1e3, "mm")
@@ -293,8 +250,7 @@ def _circuit(tested: _Tested) -> Iterator[Checks]:
     motion = tested.required
     least = motion.least_height(tested.problem.side) * 1e3
     yield Checks("one branch: C on one side of B-D", least > 0.0, least, "> 0", "mm")
-    fastest = motion.survey.fastest * motion.step * 1.5 + 1e-9
-    jump = motion.survey.longest
+    fastest, jump = motion.survey.fastest * motion.step * 1.5 + 1e-9, motion.survey.longest
     yield Checks("one circuit: C moves without a jump", jump <= fastest, jump * 1e3, text("<= {:.3g}", fastest * 1e3), "mm")
 
 
@@ -310,7 +266,7 @@ def _transmission(tested: _Tested) -> Iterator[Checks]:
 def _requirement(tested: _Tested) -> Iterator[Checks]:
     """Check the start of the requirement, and that it is defined at every design position."""
     problem, start, design = tested.problem, tested.problem.requirement.start, tested.design
-    begin = tested.moving(tested.phi0)
+    begin = sweep(tested.mechanism, tested.sizes, tested.phi0)
     if start in DEAD_CENTRES and "phi0" not in problem.quantities:
         rate = np.abs(begin.body_rate("rocker")[:, 0])
         yield Checks("rocker at rest at its dead centre", rate <= 1e-6, rate, "<= 1e-06", "")
@@ -322,7 +278,7 @@ def _requirement(tested: _Tested) -> Iterator[Checks]:
         away = np.arctan2(c[1] - d[1], c[0] - d[0]) - tested.psi0[:, 0]
         gap = np.degrees(np.abs(away - TURN * np.round(away / TURN)))
         yield Checks("psi0 is the rocker angle at phi0", gap <= 1e-7, gap, "<= 1e-07", "deg")
-    largest = np.degrees(np.max(np.abs(tested.target_minus_actual()), axis=1))
+    largest = np.degrees(np.max(np.abs(tested.errors), axis=1))
     yield Checks("output error has a value everywhere", np.isfinite(largest), largest, "finite", "deg")
     at, target = tested.prescribed_from_start()
     yield from revolutions_check(at, target, lambda: tested.rocker_along(at))
@@ -337,12 +293,12 @@ def _extra(tested: _Tested) -> Iterator[Checks]:
     """Check the registered limits; those of the strokes need two dead centres in the motion."""
     limits, applies = tested.problem.limits, np.ones(tested.count, dtype=bool)
     if limits.swing_angle is not None or limits.time_ratio is not None:
-        counts = np.bincount(tested.dead_centres[2], minlength=tested.count)
+        counts = np.bincount(tested.revolution.dead_centres[2], minlength=tested.count)
         applies = counts == 2
         yield Checks("the rocker has two dead centres", applies, counts.astype(float), "= 2", "")
     if any(limits_in_file(limits)):
         of_design = {
-            k: list(registered_checks(tested.one(k), limits, float(tested.design["frame"][k]), k))
+            k: list(registered_checks(_OneDesign(tested, k), limits, float(tested.design["frame"][k]), k))
             for k in np.flatnonzero(applies).tolist()
         }
         yield from joined(of_design, tested.count)

@@ -24,18 +24,7 @@ SHORT = 5e-3
 
 
 def at_least(name: Text, value: ArrayLike, limit: ArrayLike, unit: str) -> Checks:
-    """Check whether a value reaches a least margin; NaN does not.
-
-    Parameters
-    ----------
-    name : str, or function of the number of a design to str
-        Name of the check.
-    value : float or array (designs,) [unit]
-    limit : float or array (designs,) [unit]
-        Least margin.
-    unit : str
-        Display unit.
-    """
+    """Check whether a value [unit] reaches a least margin [unit]; NaN does not."""
     value, limit = np.asarray(value, dtype=float), np.asarray(limit, dtype=float)
     return Checks(name, value >= limit * (1.0 - SHORT), value, text(">= {:.6g}", limit), unit)
 
@@ -44,13 +33,6 @@ def grashof_check(design: Mapping[str, ArrayLike], limits: Limits) -> Checks:
     """Check whether the crank of a four-bar turns fully.
 
     The sum of shortest and longest link must be below that of the other two by the length margin.
-
-    Parameters
-    ----------
-    design : mapping of str to float or array (designs,) [m]
-        Contains crank, coupler, rocker and frame.
-    limits : Limits
-        Kind of crank rotation and length margin.
     """
     lengths = np.array(np.broadcast_arrays(*(np.atleast_1d(design[name]) for name in LENGTHS)), dtype=float)
     shortest, second, third, longest = np.sort(lengths, axis=0)
@@ -63,12 +45,7 @@ def grashof_check(design: Mapping[str, ArrayLike], limits: Limits) -> Checks:
 def included_cosine(one: ArrayLike, other: ArrayLike, square: Array) -> Array:
     """Return the cosine of the angle between two links, by the law of cosines; beyond -1 ... 1 where they do not meet.
 
-    Parameters
-    ----------
-    one, other : float or array (designs, 1) [m]
-        Measured lengths.
-    square : array [m^2]
-        Square of the distance of their ends.
+    From their measured lengths [m], and the square of the distance of their ends [m^2].
     """
     one, other = np.asarray(one), np.asarray(other)
     return np.asarray((one * one + other * other - square) / (2.0 * one * other))
@@ -78,18 +55,17 @@ def squared_sines(motion: Motion) -> Array:
     """Return the squared sine of the angle of each group from alignment (groups, positions); negative or NaN if not closed."""
     sines, crank = [], motion.mechanism.crank
     for group in motion.mechanism.groups:
-        if isinstance(group, RPR):  # the slide, relative to the crank length
+        if isinstance(group, RRR):
+            p, q = (motion.position(name) for name in group.outer)
+            first, second = (_median(np.linalg.norm(motion.position(group.joint) - pin, axis=-1)) for pin in (p, q))
+            cosine = included_cosine(first, second, np.sum((q - p) ** 2, axis=-1))
+            sines.append(1.0 - cosine * cosine)
+        elif isinstance(group, RPR):  # the slide, relative to the crank length
             places = [motion.position(name) for name in (*group.outer, crank.start, crank.end)]
             apart, arm = (np.sum((places[k] - places[k + 1]) ** 2, axis=-1) for k in (0, 2))
             sines.append(motion.margin(group.joint) * apart / arm)
-            continue
-        if not isinstance(group, RRR):
+        else:
             sines.append(motion.margin(group.joint))
-            continue
-        p, q = (motion.position(name) for name in group.outer)
-        first, second = (_median(np.linalg.norm(motion.position(group.joint) - pin, axis=-1)) for pin in (p, q))
-        cosine = included_cosine(first, second, np.sum((q - p) ** 2, axis=-1))
-        sines.append(1.0 - cosine * cosine)
     return np.array(sines).reshape(len(motion.mechanism.groups), len(motion.crank_angle))
 
 
@@ -100,18 +76,9 @@ def _median(values: Array) -> float:
 
 
 def alignment_check(group: Dyad, single: bool, sine: ArrayLike, limits: Alignment, where: str) -> Checks:
-    """Check that a group keeps its least angle from alignment.
+    """Check that a group, the `single` one or one of several, keeps its least angle from alignment over the motion `where`.
 
-    Parameters
-    ----------
-    single : bool
-        Whether it is the only one.
-    sine : float or array (designs,)
-        Least squared sine of that angle; negative or NaN if the group does not close.
-    limits : Alignment
-        Least angle from alignment.
-    where : str
-        Name of the required motion.
+    `sine`: least squared sine of that angle; negative or NaN if the group does not close.
     """
     joint = " and ".join(link.body for link in group.links) if single and isinstance(group, RRR) else group.joint
     with np.errstate(invalid="ignore"):
@@ -120,21 +87,13 @@ def alignment_check(group: Dyad, single: bool, sine: ArrayLike, limits: Alignmen
 
 
 def alignment_checks(sweep: Callable[[Array], Motion], grid: Array, limits: Alignment, where: str) -> Iterator[Check]:
-    """Check that every group keeps its least angle from alignment.
+    """Check that every group keeps its least angle from alignment over the motion `where`, of crank angles [rad] to a Motion.
 
-    Parameters
-    ----------
-    sweep : function of crank angles (n,) [rad] to Motion
-    grid : array (n,) [rad]
-        Required motion, rising; extremes are refined between its positions.
-    limits : Alignment
-        Least angle from alignment.
-    where : str
-        Name of the required motion.
+    The grid of crank angles rises; extremes are refined between its positions.
     """
-    groups = sweep(grid[:1]).mechanism.groups
-    turns = math.isclose(grid[-1] - grid[0], math.tau)
+    motion = sweep(grid)
+    groups, turns = motion.mechanism.groups, math.isclose(grid[-1] - grid[0], math.tau)
     least = -maxima(lambda angles: -squared_sines(sweep(angles)), grid, periodic=turns)[1] if groups else ()
-    closed = np.all(np.isfinite(squared_sines(sweep(grid))), axis=1)
+    closed = np.all(np.isfinite(squared_sines(motion)), axis=1)
     for group, value, whole in zip(groups, least, closed, strict=True):
         yield alignment_check(group, len(groups) == 1, value if whole else math.nan, limits, where).of()

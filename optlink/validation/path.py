@@ -12,7 +12,7 @@ from optlink.linkage.extrema import extremes, maxima
 from optlink.linkage.mechanism import FRAME, Guide, Mechanism
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.stroke import Travel, travels
-from optlink.linkage.vector2d import TURN, Array
+from optlink.linkage.vector2d import TURN, Array, Vector, cross, dot, unit
 from optlink.problem.mechanism import FourBarSection
 from optlink.problem.path import MARK, STEP, ZERO, PathProblem
 from optlink.units import DISPLAYED
@@ -24,7 +24,6 @@ from optlink.validation.check import (
     finely,
     limit_checks,
     link_lengths,
-    nan_last,
     registered_checks,
     revolutions_check,
     same_objective,
@@ -51,23 +50,16 @@ class MeasuredDeviations:
 
 
 def deviations(problem: PathProblem, design: Mapping[str, float], crank_angles: Array) -> MeasuredDeviations:
-    """Move the mechanism to the crank angles and measure its deviations from the targets, weighted as in the problem.
+    """Move the mechanism to the crank angles [rad] and measure its deviations from the targets, weighted as in the problem.
 
-    Parameters
-    ----------
-    problem : PathProblem
-        With definite assembly modes.
-    design : mapping of str to float [m, rad]
-        All quantities.
-    crank_angles : array (positions,) [rad]
+    The problem has definite assembly modes; the design [m, rad] has all quantities.
     """
     motion = sweep(problem.linkage, design, crank_angles)
     targets, weights = problem.data.columns, problem.data.roots**2
     kind, turned = problem.requirement.kind, None
     if kind == "transmission":
         generated = transmission_angles(motion, problem.linkage)
-        square = np.sum(np.cos(generated) ** 2, axis=1)
-        distances = np.max(np.abs(np.cos(generated)), axis=1)
+        square, distances = np.sum(np.cos(generated) ** 2, axis=1), np.max(np.abs(np.cos(generated)), axis=1)
     elif kind == "function":
         output = str(problem.requirement.output)
         travel = np.asarray(motion.slide(output).value if problem.slides else motion.body_angle(output).value, dtype=float)
@@ -107,58 +99,41 @@ def _worst_cosine(problem: PathProblem, design: Mapping[str, float]) -> float:
 
 
 def transmission_angles(motion: Motion, mechanism: Mechanism) -> Array:
-    """Return the transmission angle of every dyad (positions, dyads) [rad], from 0 to pi, from the moving links and lines.
+    """Return the transmission angle of every dyad (positions, dyads) [rad], from 0 to pi, from the moving links and lines."""
 
-    Parameters
-    ----------
-    mechanism : Mechanism
-        The mechanism in motion.
-    """
+    def between(p: str, q: str) -> Vector:
+        x, y = (motion.position(q) - motion.position(p)).T
+        return x, y
+
     angles = []
     for group in transmitting(mechanism):
         if isinstance(group, RRR):
-            p, q, c = (motion.position(name) for name in (*group.outer, group.inner))
-            first, second = p - c, q - c
+            first, second = (between(group.inner, outer) for outer in group.outer)
         elif isinstance(group, RRP):
-            first = _normal(_direction(motion, group.outer[1]))
-            second = motion.position(group.inner) - motion.position(group.outer[0])
+            (x, y), second = _direction(motion, group.outer[1]), between(group.outer[0], group.inner)
+            first = -y, x
         elif isinstance(group, RPR):
-            first = _normal(_direction(motion, group.inner))
-            second = motion.position(group.outer[0]) - motion.position(group.outer[1])
+            (x, y), second = _direction(motion, group.inner), between(group.outer[1], group.outer[0])
+            first = -y, x
         else:
             first, second = (_direction(motion, guide) for guide in group.prismatic)
-        cross = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
-        angles.append(np.arctan2(np.abs(cross), np.sum(first * second, axis=-1)))
+        angles.append(np.arctan2(np.abs(cross(first, second)), dot(first, second)))
     return np.stack(angles, axis=1) if angles else np.zeros((len(motion.crank_angle), 0))
 
 
-def _direction(motion: Motion, guide: Guide) -> Array:
-    """Return the direction of a guide (positions, 2), from the angle of the body that carries it."""
-    size = motion.pose.size(guide.direction)
+def _direction(motion: Motion, guide: Guide) -> Vector:
+    """Return the direction of a guide, from the angle of the body that carries it."""
     carried = 0.0 if guide.on == FRAME else np.asarray(motion.body_angle(guide.on).value)
-    angle = carried + float(size) + 0.0 * motion.crank_angle
-    return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-
-
-def _normal(direction: Array) -> Array:
-    return np.stack([-direction[:, 1], direction[:, 0]], axis=-1)
+    return unit(carried + float(motion.pose.size(guide.direction)) + 0.0 * motion.crank_angle)
 
 
 def validate_path(
     problem: PathProblem, design: Mapping[str, float], crank_angles: Array, objective: float | None = None
 ) -> Validation:
-    """Validate a design, or show where it fails.
+    """Validate a design at the crank angles of its points [rad], or show where it fails.
 
-    Parameters
-    ----------
-    problem : PathProblem
-        With definite assembly modes.
-    design : mapping of str to float [m, rad]
-        All quantities.
-    crank_angles : array (points,) [rad]
-        Crank angles of the points.
-    objective : float, optional
-        Objective of the optimiser, compared with the measured one.
+    The problem has definite assembly modes; the design [m, rad] has all quantities. `objective`: that of the optimiser, compared
+    with the measured one.
     """
     tested = _Tested(problem, design, np.asarray(crank_angles, dtype=float))
     measured = tested.measured.objective
@@ -193,18 +168,23 @@ class _Tested:
         """The motion over which the mechanism must be assembled."""
         return self.span if self.revolution is None else self.revolution
 
+    def grid(self, motion: Motion) -> Array:
+        """Return the crank angles of a motion, rising; those of the revolution with its end."""
+        grid = np.sort(motion.crank_angle)
+        return np.append(grid, grid[0] + TURN) if motion is self.revolution else grid
+
     def strokes(self) -> tuple[float, float, float]:
         """Return the swing angle of the rocker and the crank rotation of its forward and backward strokes [rad], or NaN."""
-        travel = self._travels.get("rocker")
+        travel = self._rocker
         if travel is None:
             return math.nan, math.nan, math.nan
         turned = {stroke.name: stroke.rotation for stroke in travel.strokes(self.way)}
         return travel.span, turned.get("forward", math.nan), turned.get("backward", math.nan)
 
     @cached_property
-    def _travels(self) -> Mapping[str, Travel]:
-        """The travel of each rocker over a revolution."""
-        return travels(self.mechanism, self.design, 0.0, TURN, True)[0]
+    def _rocker(self) -> Travel | None:
+        """The travel of the rocker over a revolution."""
+        return travels(self.mechanism, self.design, 0.0, TURN, True)[0].get("rocker")
 
     def output_angle(self) -> Array:
         """Return the angle of the output body (1, positions) [rad], continuous over the motion."""
@@ -215,11 +195,10 @@ class _Tested:
 
 def _sizes(tested: _Tested) -> Iterator[Check]:
     """Check bounds, fixed quantities, and constant link lengths in motion."""
-    size = tested.problem.size
-    for name, quantity in tested.problem.quantities.items():
-        yield bound(name, quantity, tested.design[name], size).of()
-    longest = max(size, *(tested.design[name] for name in tested.problem.mechanism.quantities))
-    yield link_lengths(tested.required, longest).of()
+    problem, design = tested.problem, tested.design
+    for name, quantity in problem.quantities.items():
+        yield bound(name, quantity, design[name], problem.size).of()
+    yield link_lengths(tested.required, max(problem.size, *(design[name] for name in problem.mechanism.quantities))).of()
 
 
 def _closure(tested: _Tested) -> Iterator[Check]:
@@ -228,10 +207,7 @@ def _closure(tested: _Tested) -> Iterator[Check]:
     if tested.turns and isinstance(problem.mechanism, FourBarSection):
         yield grashof_check(tested.design, problem.limits).of()
     where = "the whole revolution" if tested.turns else "the range of the points"
-    grid = np.sort(tested.required.crank_angle)
-    if tested.turns:
-        grid = np.append(grid, grid[0] + TURN)
-    yield from alignment_checks(tested.sweep, grid, problem.limits, where)
+    yield from alignment_checks(tested.sweep, tested.grid(tested.required), problem.limits, where)
 
 
 def _circuit(tested: _Tested) -> Iterator[Check]:
@@ -239,10 +215,10 @@ def _circuit(tested: _Tested) -> Iterator[Check]:
     motion = tested.required
     groups = [group for group in tested.mechanism.groups if isinstance(group, RRR)]
     if groups:
-        least = _least_height(tested, groups) * 1e3
-        yield Check("one branch: every joint on one side", bool(least > 0.0), least, "> 0", "mm")
+        least = _least_height(motion, groups) * 1e3
+        yield Check("one branch: every joint on one side", least > 0.0, least, "> 0", "mm")
     step = abs(motion.crank_angle[1] - motion.crank_angle[0])
-    worst, allowed = 0.0, 1.0
+    worst = 0.0
     for name in dict.fromkeys((*(group.joint for group in tested.mechanism.groups), tested.problem.requirement.point)):
         if name not in motion.pose.points:
             continue
@@ -251,14 +227,13 @@ def _circuit(tested: _Tested) -> Iterator[Check]:
         speed, bend = (np.linalg.norm(x, axis=-1) for x in (velocity, acceleration))
         fastest = np.maximum(speed[1:], speed[:-1]) * step + np.maximum(bend[1:], bend[:-1]) * step * step
         jump = np.linalg.norm(np.diff(path, axis=0), axis=-1) / (1.5 * fastest + 1e-9 * tested.problem.size)
-        largest = float(np.max(jump)) if np.all(np.isfinite(jump)) else math.nan
-        worst = max(worst, largest, key=nan_last)
-    yield Check("one circuit: no point jumps", bool(worst <= allowed), worst, "<= 1 step at its speed", "")
+        worst = float(np.maximum(worst, np.max(jump) if np.all(np.isfinite(jump)) else np.nan))
+    yield Check("one circuit: no point jumps", worst <= 1.0, worst, "<= 1 step at its speed", "")
 
 
-def _least_height(tested: _Tested, groups: Sequence[RRR]) -> float:
+def _least_height(motion: Motion, groups: Sequence[RRR]) -> float:
     """Return the least distance [m] of a joint from the line of its outer pins: negative on the wrong side, NaN if open."""
-    motion, least = tested.required, math.inf
+    least = math.inf
     for group in groups:
         p, q, c = (motion.position(name) for name in (*group.outer, group.inner))
         line, arm = q - p, c - p
@@ -269,41 +244,38 @@ def _least_height(tested: _Tested, groups: Sequence[RRR]) -> float:
 
 def _order(tested: _Tested) -> Iterator[Check]:
     """Check that the points are passed in order within one revolution, with one direction of the crank."""
-    steps = np.diff(tested.crank_angles) * tested.way
-    if len(steps) and tested.problem.pointed:
-        gap = math.degrees(STEP) if tested.problem.timing == "free" else 0.0  # between optimised crank angles
+    problem, way = tested.problem, tested.way
+    steps = np.diff(tested.crank_angles) * way
+    if len(steps) and problem.pointed:
+        gap = math.degrees(STEP) if problem.timing == "free" else 0.0  # between optimised crank angles
         least = math.degrees(float(np.min(steps)))
         yield Check("points met in order", least > 0.0 and least >= gap * (1.0 - 1e-3), least, "> 0", "deg")
         whole = math.degrees(float(np.sum(steps)))
-        most = 360.0 if tested.problem.meets_again else 360.0 - gap  # only a repeated point may lie there
-        yield Check("points met within one revolution", bool(whole <= most + 1e-6), whole, f"<= {most:.6g}", "deg")
-    rotation = {"counter-clockwise": 1.0, "clockwise": -1.0}.get(tested.problem.requirement.rotation)
+        most = 360.0 if problem.meets_again else 360.0 - gap  # only a repeated point may lie there
+        yield Check("points met within one revolution", whole <= most + 1e-6, whole, f"<= {most:.6g}", "deg")
+    sense = problem.requirement.rotation
+    rotation = {"counter-clockwise": 1.0, "clockwise": -1.0}.get(sense)
     if rotation is not None:
-        yield Check(
-            f"crank turns {tested.problem.requirement.rotation}", tested.way == rotation, tested.way, f"= {rotation:g}", ""
-        )
-    offsets = tested.problem.data.offsets
-    if not tested.problem.pointed and tested.problem.timing == "given":
-        return
-    if offsets is not None:
-        start = tested.design["start"] if tested.problem.timing == "from start" else 0.0
+        yield Check(f"crank turns {sense}", way == rotation, way, f"= {rotation:g}", "")
+    offsets = problem.data.offsets
+    if offsets is not None and (problem.pointed or problem.timing != "given"):
+        start = tested.design["start"] if problem.timing == "from start" else 0.0
         miss = math.degrees(float(np.max(np.abs(tested.crank_angles - start - offsets))))
         yield Check("crank angles as given", bool(miss <= 1e-7), miss, "<= 1e-07", "deg")
 
 
 def _points(tested: _Tested) -> Iterator[Check]:
     """Check that every point has a position, and is passed within its tolerance."""
-    distances, tolerances = tested.measured.distances, tested.problem.data.tolerances
-    whole = bool(np.all(np.isfinite(distances)))
-    factor, unit = DISPLAYED[tested.problem.unit]
-    largest = float(np.max(distances)) * factor
+    problem, distances = tested.problem, tested.measured.distances
+    factor, unit = DISPLAYED[problem.unit]
+    whole, largest = bool(np.all(np.isfinite(distances))), float(np.max(distances)) * factor
     yield Check("the linkage has a position for every target", whole, largest, "finite", unit)
-    if tested.problem.requirement.kind == "function" and not tested.problem.slides:
-        target = tested.problem.prescribed_outputs(tested.design)[None, :]
+    if problem.requirement.kind == "function" and not problem.slides:
+        target = problem.prescribed_outputs(tested.design)[None, :]
         yield from (check.of() for check in revolutions_check(tested.crank_angles, target, tested.output_angle))
-    if np.any(np.isfinite(tolerances)):
-        used = np.max(distances / tolerances)
-        yield Check("points met within their tolerances", bool(used <= 1.0 + 1e-6), float(used), "<= 1", "of the tolerance")
+    if np.any(np.isfinite(problem.data.tolerances)):
+        used = float(np.max(distances / problem.data.tolerances))
+        yield Check("points met within their tolerances", used <= 1.0 + 1e-6, used, "<= 1", "of the tolerance")
 
 
 def _transmission(tested: _Tested) -> Iterator[Check]:
@@ -316,12 +288,10 @@ def _transmission(tested: _Tested) -> Iterator[Check]:
     def angles(at: Array) -> Array:
         return transmission_angles(tested.sweep(at), tested.mechanism).T
 
-    whole = tested.problem.limits.transmission_range == "revolution" and tested.revolution is not None
-    motion = tested.revolution if whole and tested.revolution is not None else tested.span
-    grid = np.sort(motion.crank_angle)
-    if motion is tested.revolution:
-        grid = np.append(grid, grid[0] + TURN)
-    extreme = np.degrees(extremes(angles, grid, periodic=motion is tested.revolution)[1])
+    motion = tested.span
+    if tested.problem.limits.transmission_range == "revolution" and tested.revolution is not None:
+        motion = tested.revolution
+    extreme = np.degrees(extremes(angles, tested.grid(motion), periodic=motion is tested.revolution)[1])
     for group, limit, (least, largest) in zip(groups, limits, extreme, strict=True):
         where = "" if len(groups) == 1 else f" at {group.joint}"
         yield from (check.of() for check in transmission_checks(least, largest, limit, where))
@@ -339,8 +309,7 @@ def _pivots(tested: _Tested) -> Iterator[Check]:
         return
     tolerance = 1e-8 * tested.problem.size * 1e3
     for name in [point for point, bodies in tested.mechanism.owners.items() if FRAME in bodies]:
-        place = tested.required.position(name)[0] * 1e3
-        for axis, value in zip("xy", place, strict=True):
-            interval = getattr(region, axis)
+        place = (tested.required.position(name)[0] * 1e3).tolist()
+        for axis, value, interval in zip("xy", place, (region.x, region.y), strict=True):
             if interval is not None:
-                yield from limit_checks(f"pivot {name}.{axis}", float(value), interval, tolerance, 1e3, "mm")
+                yield from limit_checks(f"pivot {name}.{axis}", value, interval, tolerance, 1e3, "mm")

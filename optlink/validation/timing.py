@@ -21,19 +21,9 @@ FAR = 1e3  # sizes of the curve: distance assigned to a position that does not e
 
 
 def passing(problem: PathProblem, design: Mapping[str, float]) -> Array:
-    """Return the crank angles at which a design best passes the targets.
+    """Return the crank angles [rad] at which a design best passes the targets, monotonic, within one revolution.
 
-    Parameters
-    ----------
-    problem : PathProblem
-        With definite assembly modes.
-    design : mapping of str to float [m, rad]
-        All quantities.
-
-    Returns
-    -------
-    angles : array (points,) [rad]
-        Monotonic, within one revolution.
+    The problem has definite assembly modes; the design [m, rad] has all quantities.
     """
     if problem.data.offsets is not None or not problem.pointed:
         return problem.crank_angles(design, None)
@@ -58,16 +48,21 @@ def _squares(problem: PathProblem, design: Mapping[str, float], angles: Array) -
 
 
 def _one_way(problem: PathProblem, design: Mapping[str, float], way: float) -> tuple[Array, float]:
+    """Return the best crank angles in one direction of the crank, and their objective.
+
+    The best starting point on a grid by dynamic programming over all of them at once, then the best course from there, refined
+    between its neighbours in rounds.
+    """
     count = len(problem.data.columns)
     grid = TURN * np.arange(GRID) / GRID
     cost = _squares(problem, design, np.broadcast_to(way * grid, (count, GRID)))
     joined = np.maximum if problem.measure == "max" else np.add
 
-    ahead = np.arange(GRID)[:, None] + np.arange(GRID)[None, :]  # (starts, steps from the start)
-    best = np.where(np.arange(GRID) == 0, cost[0][ahead % GRID], np.inf)
+    ahead = (np.arange(GRID)[:, None] + np.arange(GRID)) % GRID  # (starts, steps from the start)
+    best = np.where(np.arange(GRID) == 0, cost[0][ahead], np.inf)
     for row in cost[1:]:
         cumulative = np.minimum.accumulate(best, axis=1)
-        best = joined(np.concatenate([np.full((GRID, 1), np.inf), cumulative[:, :-1]], axis=1), row[ahead % GRID])
+        best = joined(np.concatenate([np.full((GRID, 1), np.inf), cumulative[:, :-1]], axis=1), row[ahead])
     start = int(np.argmin(np.min(best, axis=1)))
     rolled = np.roll(cost, -start, axis=1)
     rolled[0, 1:] = np.inf

@@ -1,6 +1,7 @@
 """A kind of problem and result: how near a point gets to the crank pivot, `[clearing] point = "C"`, `least = "300 mm"`."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -28,7 +29,7 @@ class ClearingProblem(Problem):
 @dataclass(frozen=True, eq=False, repr=False)
 class ClearingResult(SingleResult):
     kind = "clearing"
-    shown = {"valid": "valid", "distance_m": "objective"}
+    shown: ClassVar = {"valid": "valid", "distance_m": "objective"}
     notes = ()
     machine = property(lambda self: self.problem)
 

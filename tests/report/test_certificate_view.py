@@ -19,7 +19,7 @@ from optlink.report.registry import table_of, view_of
 from optlink.report.stored import read_result
 from optlink.report.views import certificate_view, conclusions
 from optlink.tasks.certify import certify
-from optlink.tasks.results.certificate import Certificate
+from optlink.tasks.results.certificate import MOST_DRAWN, Certificate
 from optlink.tasks.results.common import Optimum
 from tests.report.test_function_tables import words
 

@@ -29,8 +29,10 @@ from optlink.report.export.export import FORMATS, Options, export, geometry
 from optlink.report.export.svg import svg
 from optlink.report.report_model import ReportModel, report_model_of, solve_or_validate
 from optlink.report.scene import scene
-from optlink.tasks import cycle, function, path
 from optlink.tasks.analyze import analyze
+from optlink.tasks.cycle import CycleTask
+from optlink.tasks.function import FunctionTask
+from optlink.tasks.path import PathTask
 from tests.cli.test_cli import run
 from tests.tiers import mostly_slow
 
@@ -395,8 +397,8 @@ def test_a_stored_design_is_exported_without_a_search(command, name, tmp_path, m
     monkeypatch.chdir(tmp_path)
     assert run(*command, name, "--out", "out").exit_code == 0
     assert run("export", name, "-o", "design.dxf").exit_code == 0
-    for module in (function, path, cycle):
-        monkeypatch.setattr(type(module.TASK), "search", lambda *_: pytest.fail("it is searched again"))
+    for task in (FunctionTask, PathTask, CycleTask):
+        monkeypatch.setattr(task, "search", lambda *_: pytest.fail("it is searched again"))
     assert run("export", "out", "-o", "stored.dxf").exit_code == 0
     blocks = [ezdxf.readfile(f"{name}.dxf").blocks for name in ("design", "stored")]
     links = [[block.name for block in part if block.name.startswith("LINK")] for part in blocks]

@@ -226,7 +226,7 @@ def test_compare_tabulates_all_kinds_of_control(problem):
     assert np.all(result.trials["none"].correction == 0.0)
     assert result.gain("inverse") > 0.25
     document = result.to_dict()
-    assert document["schema"] == "optlink/control-comparison/2"
+    assert document["schema"] == "optlink/control-comparison/3"
     json.dumps(document, allow_nan=False)
 
 
@@ -375,8 +375,9 @@ def test_a_complete_run_is_resumed_at_its_last_revolution():
         whole = optlink.simulate_clearance(rocker(), count, 60, control=control, tolerance=1e-6, checkpoint=kept.append)
         options = {"resume": json.loads(json.dumps(kept[-1])), "checkpoint": kept.append}
         again = optlink.simulate_clearance(rocker(), count, 60, control=control, tolerance=1e-6, **options)
-        (one, rows), (other, end) = ((document, document.pop("columns")) for document in (whole.to_dict(), again.to_dict()))
-        assert one == other
+        one, other = whole.to_dict(), again.to_dict()
+        rows, end = one["columns"], other["columns"]
+        assert {**one, "columns": {}, "crc32": ""} == {**other, "columns": {}, "crc32": ""}
         assert end == {name: values[-60:] for name, values in rows.items()}
         assert json.dumps(kept[-1]) == json.dumps(kept[-2])
 

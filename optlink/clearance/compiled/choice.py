@@ -45,19 +45,10 @@ def resumed(integrator: str, checkpoint: Mapping[str, Any] | None) -> str:
 
 
 def chosen(integrator: str, closed_loop: ClosedLoop, revolutions: float, *, cache: bool = False) -> IntegratorKind:
-    """Return the integrator for some work: the requested one, or the faster one.
+    """Return the requested integrator, or for "auto" the faster one for the revolutions of all runs of a machine.
 
-    Parameters
-    ----------
-    integrator : str
-        "auto", "cvodes" or "compiled".
-    closed_loop : ClosedLoop
-        A machine of the work.
-    revolutions : float
-        Revolutions of all runs.
-    cache : bool
-        Whether what is compiled already counts; else the choice depends on the request alone, as it must where several processes
-        or an interrupted run take part in one work.
+    `cache`: whether what is compiled already counts; else the choice depends on the request alone, as it must where several
+    processes or an interrupted run take part in one work.
 
     Raises
     ------
@@ -66,28 +57,24 @@ def chosen(integrator: str, closed_loop: ClosedLoop, revolutions: float, *, cach
     """
     if integrator not in list(IntegratorKind):
         raise InputError("no such integrator", f"Take one of {', '.join(IntegratorKind)}", key="integrator", value=integrator)
-    kind = IntegratorKind(integrator)
-    seconds = revolutions * len(closed_loop.equations.gaps) * (REVOLUTION + ROW * closed_loop.rows)
-    if kind is IntegratorKind.AUTO and not closed_loop.integration.slow:
-        from optlink.clearance.compiled.machine import is_cached
-
-        worth = LOADED if cache and LOADED < seconds < WORTH and is_cached(closed_loop.equations) else WORTH
-        kind = kind if seconds >= worth else IntegratorKind.CVODES
-    if kind is IntegratorKind.CVODES or (kind is IntegratorKind.AUTO and closed_loop.integration.slow):
+    auto, equations = integrator == IntegratorKind.AUTO, closed_loop.equations
+    if integrator == IntegratorKind.CVODES or (auto and closed_loop.integration.slow):
         return IntegratorKind.CVODES
-    if not installed():
-        if kind is IntegratorKind.AUTO:
-            return IntegratorKind.CVODES
-        raise InputError(
-            "numba is not installed, or does not support the installed numpy", INSTALL, key="integrator", value=integrator
-        )
-    from optlink.clearance.compiled.machine import code_of
+    from optlink.clearance.compiled.machine import code_of, is_cached
     from optlink.clearance.compiled.source import Unsupported
 
+    if auto:
+        seconds = revolutions * len(equations.gaps) * (REVOLUTION + ROW * closed_loop.rows)
+        worth = LOADED if cache and LOADED < seconds < WORTH and is_cached(equations) else WORTH
+        if seconds < worth or not installed():
+            return IntegratorKind.CVODES
+    elif not installed():
+        message = "numba is not installed, or does not support the installed numpy"
+        raise InputError(message, INSTALL, key="integrator", value=integrator)
     try:
-        code_of(closed_loop.equations)
+        code_of(equations)
     except Unsupported as error:
-        if kind is IntegratorKind.AUTO:
+        if auto:
             return IntegratorKind.CVODES
         message = f"a formula of the machine cannot be compiled: {error}"
         raise InputError(message, "Take the integrator cvodes", key="integrator", value=integrator) from None

@@ -1,7 +1,19 @@
 """One step of an explicit Runge-Kutta method of order 8, with error estimate and dense output of order 7, compiled by numba.
 
-The equations of a machine come as `model`: the addresses of its compiled functions (x, p, c, o), see `machine.py`, their
-constants c, and the servo reference. `p` has the feedback correction, then angle, speed and acceleration of the reference.
+The compiled functions of all modules take these arguments:
+
+=============  ===================================================================================================
+`model`        addresses of the compiled functions (x, p, c, o) of a machine, see `machine.py`; their constants c;
+               start and speed of the servo reference, and its harmonics
+`space`        intermediate arrays and parameters p of a call, see `motion.workspace`
+`time`, `h`    time at the start of the step, and its size [s]
+`y`, `n`       coordinates, rates and works at the start of the step (m,); the state without the works is the first n
+`share`        place within the step, 0 to 1
+`parts`        number of the parts of the step at whose ends penetrations are known
+=============  ===================================================================================================
+
+The parameters are the feedback correction; angle, speed and acceleration of the reference; the approach speeds of the gaps and
+their modes.
 
 References
 ----------
@@ -27,6 +39,9 @@ ABSOLUTE = 1e-3
 
 RHS, GAPS, WATCH, PROJECT, CONSTANTS, REFERENCE, HARMONICS = range(7)
 """Places in `model`."""
+
+SLOPES, DENSE, NEW, BETWEEN, STATE, NOW, NODES, SPARE, FORCES, FIRST, LAST, SELECTED, PARAMETERS = range(13)
+"""Places in `space`."""
 
 ENTRY: Any = {"error_model": "numpy", "_nrt": False}
 """Options of a function that Python calls: no function allocates, so none counts references."""
@@ -61,19 +76,9 @@ def copy(source, target):
 
 
 @njit(**HELPER)
-def servo_reference(time, model, p):
-    """Write angle, speed and acceleration of the servo reference to p, as `ReferenceSignal.at` defines them.
-
-    Parameters
-    ----------
-    time : float [s]
-        Time at the start of the step.
-    model : tuple
-        See above.
-    p : array (parameters,)
-        See above.
-    """
-    harmonics = model[HARMONICS]
+def servo_reference(time, model, space):
+    """Write angle, speed and acceleration of the servo reference to the parameters, as `ReferenceSignal.at` defines them."""
+    harmonics, p = model[HARMONICS], space[PARAMETERS]
     start, speed = model[REFERENCE][0], model[REFERENCE][1]
     angle, rate, twice = start + speed * time, speed, 0.0
     base = abs(speed)
@@ -90,45 +95,35 @@ def servo_reference(time, model, p):
 
 
 @njit(**HELPER)
-def evaluate(time, x, model, p, slopes):
-    """Evaluate the rates of the state and the powers at a time.
-
-    Parameters
-    ----------
-    time : float [s]
-        Time at the start of the step.
-    x : array
-        State; written where it is an intermediate array.
-    model : tuple
-        See above.
-    p : array (parameters,)
-        See above.
-    slopes : array (m,)
-        Result.
-    """
-    servo_reference(time, model, p)
-    call(model[RHS], x, p, model[CONSTANTS], slopes)
+def evaluate(time, x, model, space, slopes):
+    """Evaluate the rates of the state and the powers at a time."""
+    servo_reference(time, model, space)
+    call(model[RHS], x, space[PARAMETERS], model[CONSTANTS], slopes)
 
 
 @njit(**HELPER)
-def combine(row, y, h, k, n, out):
-    """Add h times the slopes k, weighted by a row of coefficients, to the first n of a state.
+def penetrations(x, model, space, out):
+    """Evaluate the penetrations of the gaps and their rates."""
+    call(model[GAPS], x, space[PARAMETERS], model[CONSTANTS], out)
 
-    Parameters
-    ----------
-    row : int
-        Row of A.
-    y : array (m,)
-        State and works at the start of the step.
-    h : float [s]
-        Step size.
-    k : array (16, m)
-        Slopes of the stages.
-    n : int
-        Length of the state without the works.
-    out : array
-        Result.
-    """
+
+@njit(**HELPER)
+def forces(time, x, model, space, out):
+    """Evaluate the normal forces of the gaps, their rates, the torque and its rate at a time."""
+    servo_reference(time, model, space)
+    call(model[WATCH], x, space[PARAMETERS], model[CONSTANTS], out)
+
+
+@njit(**HELPER)
+def project(x, model, space, out):
+    """Move a state onto the closing joints, from which it drifts by the error of the integration."""
+    call(model[PROJECT], x, space[PARAMETERS], model[CONSTANTS], out)
+
+
+@njit(**HELPER)
+def combine(row, y, h, n, space, out):
+    """Add h times the slopes, weighted by a row of the coefficients A, to the first n of a state."""
+    slopes = space[SLOPES]
     for i in range(n):
         out[i] = y[i]
     for j in range(row):
@@ -136,63 +131,28 @@ def combine(row, y, h, k, n, out):
         if a != 0.0:
             a *= h
             for i in range(n):
-                out[i] += a * k[j, i]
+                out[i] += a * slopes[j, i]
 
 
 @njit(**HELPER)
-def attempt(time, h, y, new, k, between, n, model, p):
-    """Take one step from y to new: stages 1 to 12 in k, of which stage 0 is known.
-
-    Parameters
-    ----------
-    time : float [s]
-        Time at the start of the step.
-    h : float [s]
-        Step size.
-    y : array (m,)
-        State and works at the start of the step.
-    new : array (m,)
-        State and works at its end.
-    k : array (16, m)
-        Slopes of the stages.
-    between : array (m,)
-        Intermediate state.
-    n : int
-        Length of the state without the works.
-    model : tuple
-        See above.
-    p : array (parameters,)
-        See above.
-    """
+def attempt(time, h, y, n, model, space):
+    """Take one step from y to the new state: stages 1 to 12, of which stage 0 is known."""
     for s in range(1, STAGES + 1):
-        at = new if s == STAGES else between
-        combine(s, y, h, k, y.shape[0] if s == STAGES else n, at)
-        evaluate(time + C[s] * h, at, model, p, k[s])
+        at = space[NEW] if s == STAGES else space[BETWEEN]
+        combine(s, y, h, y.shape[0] if s == STAGES else n, space, at)
+        evaluate(time + C[s] * h, at, model, space, space[SLOPES][s])
 
 
 @njit(**HELPER)
-def error_of(y, new, k, h, tolerance):
-    """Return the estimated error of a step as a share of the tolerance (Hairer et al., II.5, equation 10.17).
-
-    Parameters
-    ----------
-    y : array (m,)
-        State and works at the start of the step.
-    new : array (m,)
-        State and works at its end.
-    k : array (16, m)
-        Slopes of the stages.
-    h : float [s]
-        Step size.
-    tolerance : float
-        Relative tolerance.
-    """
+def error_of(y, h, tolerance, space):
+    """Return the estimated error of a step as a share of the relative tolerance (Hairer et al., II.5, equation 10.17)."""
+    new, slopes = space[NEW], space[SLOPES]
     fifth, third = 0.0, 0.0
     for i in range(y.shape[0]):
         e5, e3 = 0.0, 0.0
         for j in range(STAGES + 1):
-            e5 += k[j, i] * E5[j]
-            e3 += k[j, i] * E3[j]
+            e5 += slopes[j, i] * E5[j]
+            e3 += slopes[j, i] * E3[j]
         scale = tolerance * (ABSOLUTE + max(abs(y[i]), abs(new[i])))
         fifth += (e5 / scale) ** 2
         third += (e3 / scale) ** 2
@@ -210,84 +170,38 @@ def change_of(error):
 
 
 @njit(**HELPER)
-def interpolant(time, h, y, new, k, between, n, model, p, f):
-    """Compute the coefficients f (7, m) of the dense output of a step.
-
-    Parameters
-    ----------
-    time : float [s]
-        Time at the start of the step.
-    h : float [s]
-        Step size.
-    y : array (m,)
-        State and works at the start of the step.
-    new : array (m,)
-        State and works at its end.
-    k : array (16, m)
-        Slopes of the stages.
-    between : array (m,)
-        Intermediate state.
-    n : int
-        Length of the state without the works.
-    model : tuple
-        See above.
-    p : array (parameters,)
-        See above.
-    f : array (7, m)
-        Coefficients of the dense output.
-    """
-    m = y.shape[0]
+def interpolant(time, h, y, n, model, space):
+    """Compute the dense output of a step: its coefficients (7, m)."""
+    slopes, f, new = space[SLOPES], space[DENSE], space[NEW]
     for s in range(STAGES + 1, STAGES + 4):
-        combine(s, y, h, k, n, between)
-        evaluate(time + C[s] * h, between, model, p, k[s])
-    for i in range(m):
+        combine(s, y, h, n, space, space[BETWEEN])
+        evaluate(time + C[s] * h, space[BETWEEN], model, space, slopes[s])
+    for i in range(y.shape[0]):
         over = new[i] - y[i]
         f[0, i] = over
-        f[1, i] = h * k[0, i] - over
-        f[2, i] = 2.0 * over - h * (k[STAGES, i] + k[0, i])
+        f[1, i] = h * slopes[0, i] - over
+        f[2, i] = 2.0 * over - h * (slopes[STAGES, i] + slopes[0, i])
         for r in range(POWERS - 3):
             total = 0.0
             for j in range(STAGES + 4):
-                total += D[r, j] * k[j, i]
+                total += D[r, j] * slopes[j, i]
             f[3 + r, i] = h * total
 
 
 @njit(**HELPER)
-def inside(share, f, y, n, out):
-    """Evaluate the first n of the state at a share of the step.
-
-    Parameters
-    ----------
-    share : float
-        Place within the step, 0 to 1.
-    f : array (7, m)
-        Coefficients of the dense output.
-    y : array (m,)
-        State and works at the start of the step.
-    n : int
-        Length of the state without the works.
-    out : array
-        Result.
-    """
-    rest = 1.0 - share
+def inside(share, y, n, space):
+    """Evaluate the first n of the state within the step, on the dense output."""
+    f, x, rest = space[DENSE], space[STATE], 1.0 - share
     for i in range(n):
         value = f[POWERS - 1, i] * share
         for r in range(POWERS - 2, -1, -1):
             value = (value + f[r, i]) * (rest if (POWERS - 1 - r) % 2 else share)
-        out[i] = y[i] + value
+        x[i] = y[i] + value
 
 
 @njit(**HELPER)
 def cubic_summit(y0, y1, a, b):
-    """Return the maximum of the cubic with these values and slopes (per interval) at its ends.
-
-    Parameters
-    ----------
-    y0, y1 : float
-        Values at both ends.
-    a, b : float
-        Slopes there, per interval.
-    """
+    """Return the maximum of the cubic with values y0, y1 and slopes a, b (per interval) at its ends."""
     p, q = a + b - 2.0 * (y1 - y0), 3.0 * (y1 - y0) - 2.0 * a - b
     below = sqrt(max(q * q - 3.0 * p * a, 0.0)) - q
     best = max(y0, y1)

@@ -9,7 +9,7 @@ from optlink.clearance.compiled import motion
 from optlink.clearance.compiled.machine import code_of, engine
 from optlink.clearance.contact_laws import SLOWEST
 from optlink.clearance.integration import BUSY, DEEPEST, Block, Impact, Integration, Stalled
-from optlink.linkage.vector2d import Array
+from optlink.clearance.reference_signal import ReferenceSignal
 
 ROWS = 4096
 """Most rows of a call."""
@@ -30,14 +30,13 @@ class CompiledIntegration(Integration):
         equations, gaps = self.equations, len(self.equations.gaps)
         code = code_of(equations)
         self._advance = engine().advance
-        reference = equations.drive.reference if equations.drive.servo is not None else None
-        speeds = np.zeros(2) if reference is None else np.array([reference.start, reference.speed])
-        harmonics = np.zeros(0, dtype=complex) if reference is None else reference.harmonics
-        series = np.ascontiguousarray(np.column_stack([harmonics.real, harmonics.imag]), dtype=float)
-        self._model = (*code.addresses, code.constants, speeds, series)
+        reference = equations.drive.reference
+        if equations.drive.servo is None or reference is None:
+            reference = ReferenceSignal(0.0, 0.0)
+        series = np.column_stack([reference.harmonics.real, reference.harmonics.imag])
+        self._model = (*code.addresses, code.constants, np.array([reference.start, reference.speed]), series)
         self._limits = np.array([DEEPEST * gap.radius for gap in equations.gaps])
-        self._clock, self._contact = np.zeros(5), np.zeros(gaps)
-        self._peaks = np.zeros(2 * gaps + 1)
+        self._clock, self._contact, self._peaks = np.zeros(4), np.zeros(gaps), np.zeros(2 * gaps + 1)
         self._gained = np.zeros(len(equations.losses))  # works since the last restart: the error of works is relative to them
         self._before = self.works.copy()
         self._space = motion.workspace(2 * equations.size, 2 * equations.size + len(equations.losses), gaps)
@@ -59,6 +58,12 @@ class CompiledIntegration(Integration):
         Stalled
             The integration cannot continue.
         """
+        reasons = {
+            motion.STUCK: "the integrator cannot continue",
+            motion.INFINITE: "the motion is no longer finite",
+            motion.DEEP: "the penetration of the journal is too large",
+            motion.BUSY: f"more than {BUSY} contacts begin and end within {self.step:.3g} s",
+        }
         while rows:
             block, status = self._call(min(rows, ROWS))
             rows -= len(block.time)
@@ -66,53 +71,31 @@ class CompiledIntegration(Integration):
                 yield block
             if self.stop():
                 raise KeyboardInterrupt
-            self._refuse(status)
+            if status == motion.DEEP:
+                self._check()  # names the joint
+            if status in reasons:
+                raise Stalled(reasons[status])
 
     def _call(self, rows: int) -> tuple[Block, int]:
-        n, k = 2 * self.equations.size, len(self.equations.gaps)
+        n, k, parameters = 2 * self.equations.size, len(self.equations.gaps), self._space[-1]
         y = np.concatenate([self.state, self._gained])
-        modes, entered = self.modes.copy(), self.entered.copy()
-        states, works = np.empty((rows, n)), np.empty((rows, len(self._gained)))
-        every, approach, events = np.empty((rows, k)), np.empty((rows, k)), np.empty((EVENTS, 6))
+        out, contacts, events = np.empty((rows, len(y))), np.empty((rows, 2 * k)), np.empty((EVENTS, 6))
+        parameters[0], parameters[4 : 4 + k], parameters[4 + k :] = self.further, self.entered, self.modes
         self._clock[motion.AHEAD] = self.ahead
         status, done, written = self._advance(
-            self._model, self.equations.closing, self.row, rows, self.step, self.tolerance, float(self.further),
+            self._model, self.equations.closing, n, self.row, self.step, self.tolerance,
             self.equations.tree.driven, self._limits, STEPS, BUSY, SLOWEST,
-            y, self._before, self._clock, modes, entered, self._contact, self._peaks,
-            self._space, states, works, every, approach, events,
+            y, self._clock, self._contact, self._peaks, self._space, out, contacts, events,
         )  # fmt: skip
         times = (self.row + np.arange(1.0, done + 1.0)) * self.step
-        block = Block(times, states[:done], every[:done], approach[:done], works[:done])
+        block = Block(times, out[:done, :n], contacts[:done, k:], contacts[:done, :k], self._before + out[:done, n:])
         self.row, self.ahead = self.row + done, float(self._clock[motion.AHEAD])
         self.state, self._gained = y[:n].copy(), y[n:].copy()
         self.works = self._before + self._gained
-        self.modes, self.entered = modes, entered
-        for event in events[:written]:
-            self._record(event)
+        self.entered, self.modes = parameters[4 : 4 + k].copy(), parameters[4 + k :].copy()
+        for gap, begins, *figures in events[:written].tolist():
+            self._record(int(gap), begins > 0.0, *figures)
         return block, int(status)
-
-    def _record(self, event: Array) -> None:
-        """Record the start or end of a contact."""
-        gap, time, rate = int(event[motion.GAP]), float(event[motion.TIME]), float(event[motion.RATE])
-        self.switches += 1
-        if event[motion.BEGINS]:
-            self.open[gap] = Impact(gap, time, float(event[motion.ANGLE]), rate, 0.0, np.nan, np.nan)
-        else:
-            deepest = float(event[motion.DEPTH])
-            self.finished.append(self.open.pop(gap)._replace(penetration=deepest, end=time, departure=-rate))
-
-    def _refuse(self, status: int) -> None:
-        """Raise for a call that ended because the integration cannot continue."""
-        if status == motion.DEEP:
-            self._check()
-        reasons = {
-            motion.STUCK: "the integrator cannot continue",
-            motion.INFINITE: "the motion is no longer finite",
-            motion.DEEP: "the penetration of the journal is too large",
-            motion.BUSY: f"more than {BUSY} contacts begin and end within {self.step:.3g} s",
-        }
-        if status in reasons:
-            raise Stalled(reasons[status])
 
     def take_peaks(self) -> tuple[float, ...]:
         """Return the maxima since the last call: penetrations [m] and normal forces [N] of all gaps, torque [N m]."""
@@ -124,4 +107,4 @@ class CompiledIntegration(Integration):
     @property
     def lasting(self) -> tuple[Impact, ...]:
         """The contacts that have not ended."""
-        return tuple(one._replace(penetration=max(one.penetration, float(self._contact[gap]))) for gap, one in self.open.items())
+        return tuple(impact.deepened(float(self._contact[gap])) for gap, impact in self.open.items())

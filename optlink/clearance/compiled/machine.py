@@ -44,25 +44,16 @@ def cache_folder() -> Path:
 
 @dataclass(frozen=True)
 class MachineCode:
-    """Equations of a machine for the compiled engine.
-
-    Parameters
-    ----------
-    text : str
-        Source of the functions `rhs`, `gaps`, `watch`, `project`.
-    constants : array
-        Their argument `c`.
-    """
+    """Equations of a machine for the compiled engine: source of FUNCTIONS, and their argument `c`."""
 
     text: str
     constants: Array
 
     @cached_property
-    def addresses(self) -> tuple[int, int, int, int]:
+    def addresses(self) -> tuple[int, ...]:
         """Addresses of the compiled functions; the first use compiles them or reads the cache."""
         module = _module(self.text, _key(self.text))
-        rhs, gaps, watch, project = (getattr(module, name).address for name in FUNCTIONS)
-        return rhs, gaps, watch, project
+        return tuple(getattr(module, name).address for name in FUNCTIONS)
 
 
 def code_of(equations: Equations) -> MachineCode:
@@ -75,13 +66,8 @@ def code_of(equations: Equations) -> MachineCode:
     """
     x, p = equations.x, casadi.vertcat(equations.further, equations.command, equations.entered, equations.modes)
     depth, rate, _, normal, normal_rate, _, torque, torque_rate = equations.watched
-    functions = {
-        "rhs": ([x, p], equations.rates),
-        "gaps": ([x, p], [depth, rate]),
-        "watch": ([x, p], [normal, normal_rate, torque, torque_rate]),
-        "project": ([x, p], [_projection(equations)]),
-    }
-    return MachineCode(*written(functions))
+    outputs = equations.rates, [depth, rate], [normal, normal_rate, torque, torque_rate], [_projection(equations)]
+    return MachineCode(*written({name: ([x, p], values) for name, values in zip(FUNCTIONS, outputs, strict=True)}))
 
 
 def engine() -> Any:
@@ -151,7 +137,8 @@ def _module(text: str, key: str) -> ModuleType:
 
 def _stored(text: str, name: str) -> Path:
     """Write a source file unless it is there; other processes may do the same at the same time."""
-    for folder in (cache_folder(), Path(tempfile.gettempdir()) / f"optlink-{_user()}"):
+    user = str(os.getuid()) if hasattr(os, "getuid") else os.environ.get("USERNAME", "user")
+    for folder in (cache_folder(), Path(tempfile.gettempdir()) / f"optlink-{user}"):
         path = folder / name
         with contextlib.suppress(OSError):
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -172,7 +159,3 @@ def _replace(path: Path, text: str) -> None:
         with contextlib.suppress(OSError):
             os.unlink(temporary)
         raise
-
-
-def _user() -> str:
-    return str(os.getuid()) if hasattr(os, "getuid") else os.environ.get("USERNAME", "user")

@@ -1,19 +1,28 @@
-"""Maxima of penetrations, normal forces and torque over a step, between its ends as well as at them. Compiled by numba."""
+"""Maxima of penetrations, normal forces and torque over a step, between its ends as well as at them. Compiled by numba.
+
+Watched quantities are the normal forces of the gaps and, after them, the magnitude of the torque. In `peaks` the largest
+penetrations stand before their maxima.
+"""
 
 from numba import njit
 
 from optlink.clearance.compiled.dop853 import (
-    CONSTANTS,
+    FIRST,
+    FORCES,
     HELPER,
-    WATCH,
-    call,
+    LAST,
+    NEW,
+    NODES,
+    SELECTED,
+    SPARE,
+    STATE,
     copy,
     cubic_summit,
+    forces,
     inside,
     interpolant,
-    servo_reference,
 )
-from optlink.clearance.compiled.switches import penetration, root
+from optlink.clearance.compiled.switches import penetrations_at, root
 
 PARTS = 8
 """Parts of a step in which the maximum of a force is sought."""
@@ -27,29 +36,11 @@ EQUAL = 1e-13
 
 @njit(**HELPER)
 def quantity(w, j, gaps):
-    """Value and slope of a watched quantity: normal force of gap j, or for j = gaps the magnitude of the torque.
-
-    Parameters
-    ----------
-    w : array
-        Forces, their rates, torque, its rate.
-    j : int
-        Index of the quantity.
-    gaps : int
-        Number of gaps.
-    """
+    """Value and slope of watched quantity j, from forces, their rates, torque and its rate."""
     if j < gaps:
         return w[j], w[gaps + j]
     torque, rate = w[2 * gaps], w[2 * gaps + 1]
     return (torque, rate) if torque >= 0.0 else (-torque, -rate)
-
-
-@njit(**HELPER)
-def _watched(time, share, f, y, n, model, p, x, out):
-    """Forces, torque and their rates at a share of a step."""
-    inside(share, f, y, n, x)
-    servo_reference(time, model, p)
-    call(model[WATCH], x, p, model[CONSTANTS], out)
 
 
 @njit(**HELPER)
@@ -68,33 +59,33 @@ def _promising(first, last, j, gaps, h, best):
 
 @njit(**HELPER)
 def _force_peaks(time, h, y, n, gaps, model, space, peaks):
-    """Update the maxima of the selected forces and of the torque within a step, from its dense output."""
-    _, f, _, _, x, _, _, _, _, nodes, first, last, selected, p = space
+    """Update the maxima of the selected quantities within a step, from its dense output: by the Illinois method on the slope."""
+    nodes, selected, part = space[FORCES], space[SELECTED], h / PARTS
     for i in range(1, PARTS):
-        _watched(time + i * h / PARTS, i / PARTS, f, y, n, model, p, x, nodes[i])
-    copy(first, nodes[0])
-    copy(last, nodes[PARTS])
+        inside(i / PARTS, y, n, space)
+        forces(time + i * h / PARTS, space[STATE], model, space, nodes[i])
+    copy(space[FIRST], nodes[0])
+    copy(space[LAST], nodes[PARTS])
     spare = nodes[PARTS + 1]
     for j in range(gaps + 1):
         if selected[j] == 0.0:
             continue
-        place = gaps + j if j < gaps else 2 * gaps
         for i in range(PARTS + 1):
-            peaks[place] = max(peaks[place], quantity(nodes[i], j, gaps)[0])
+            peaks[gaps + j] = max(peaks[gaps + j], quantity(nodes[i], j, gaps)[0])
         for i in range(PARTS):
             v0, s0 = quantity(nodes[i], j, gaps)
             v1, s1 = quantity(nodes[i + 1], j, gaps)
-            part = h / PARTS
-            if not (s0 > 0.0 and s1 < 0.0 and cubic_summit(v0, v1, s0 * part, s1 * part) > peaks[place] * (1.0 + EQUAL)):
+            if not (s0 > 0.0 and s1 < 0.0 and cubic_summit(v0, v1, s0 * part, s1 * part) > peaks[gaps + j] * (1.0 + EQUAL)):
                 continue
             low, high, a, b, side = i / PARTS, (i + 1) / PARTS, s0, s1, 0
             for r in range(40):
                 at = 0.5 * (low + high) if r % 8 == 7 else low + a * (high - low) / (a - b)
                 if not low < at < high or high - low < 1e-10:
                     break
-                _watched(time + at * h, at, f, y, n, model, p, x, spare)
+                inside(at, y, n, space)
+                forces(time + at * h, space[STATE], model, space, spare)
                 value, slope = quantity(spare, j, gaps)
-                peaks[place] = max(peaks[place], value)
+                peaks[gaps + j] = max(peaks[gaps + j], value)
                 if abs(slope) * h < 1e-12 * value:
                     break
                 if slope > 0.0:
@@ -109,60 +100,33 @@ def _force_peaks(time, h, y, n, gaps, model, space, peaks):
 
 @njit(**HELPER)
 def maxima(time, h, parts, dense, modes, contact, peaks, y, n, model, space):
-    """Update the maxima of penetrations, forces and torque over a step; return whether its dense output is known then.
+    """Update the largest penetrations of the contacts and all maxima over a step; return whether its dense output is known then.
 
-    Parameters
-    ----------
-    time : float [s]
-        Time at the start of the step.
-    h : float [s]
-        Step size.
-    parts : int
-        Parts of the step.
-    dense : bool
-        Whether the dense output is known.
-    modes : array (gaps,)
-        1 in contact, 0 apart.
-    contact : array (gaps,)
-        Largest penetrations of the contacts [m].
-    peaks : array (2 gaps + 1,)
-        Maxima.
-    y : array (m,)
-        State and works at the start of the step.
-    n : int
-        Length of the state without the works.
-    model : tuple
-        See above.
-    space : tuple of arrays
-        See `motion.workspace`.
+    `dense`: whether it is known before.
     """
-    k, f, new, between, x, _, _, spare, nodes, _, first, last, selected, p = space
-    gaps, some = modes.shape[0], False
-    servo_reference(time + h, model, p)
-    call(model[WATCH], new, p, model[CONSTANTS], last)
+    nodes, spare, last, selected = space[NODES], space[SPARE], space[LAST], space[SELECTED]
+    gaps, some, turns = modes.shape[0], False, False
+    forces(time + h, space[NEW], model, space, last)
     for j in range(gaps + 1):
         selected[j] = 0.0
-        if j < gaps and modes[j] == 0.0:
-            continue
-        place = gaps + j if j < gaps else 2 * gaps
-        if _promising(first, last, j, gaps, h, peaks[place]):
-            selected[j], some = 1.0, True
-        peaks[place] = max(peaks[place], quantity(last, j, gaps)[0])
-    turns = False
+        if j == gaps or modes[j] > 0.0:
+            if _promising(space[FIRST], last, j, gaps, h, peaks[gaps + j]):
+                selected[j], some = 1.0, True
+            peaks[gaps + j] = max(peaks[gaps + j], quantity(last, j, gaps)[0])
     for j in range(gaps):
         if modes[j] > 0.0:
             for i in range(parts):
                 contact[j] = max(contact[j], nodes[i + 1, j])
                 turns = turns or (nodes[i, gaps + j] > 0.0 and nodes[i + 1, gaps + j] < 0.0)
     if (some or turns) and not dense:
-        interpolant(time, h, y, new, k, between, n, model, p, f)
+        interpolant(time, h, y, n, model, space)
         dense = True
     for j in range(gaps):
         if modes[j] > 0.0:
-            for i in range(parts if turns else 0):
+            for i in range(parts):
                 if nodes[i, gaps + j] > 0.0 and nodes[i + 1, gaps + j] < 0.0:
-                    top = root(i / parts, (i + 1) / parts, gaps + j, -1.0, f, y, n, model, p, x, spare)
-                    penetration(top, f, y, n, model, p, x, spare)
+                    top = root(i / parts, (i + 1) / parts, gaps + j, -1.0, y, n, model, space)
+                    penetrations_at(top, y, n, model, space, spare)
                     contact[j] = max(contact[j], spare[j])
             peaks[j] = max(peaks[j], contact[j])
     if some:

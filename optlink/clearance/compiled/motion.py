@@ -11,102 +11,103 @@ import numpy as np
 from numba import njit
 
 from optlink.clearance.compiled.dop853 import (
-    CONSTANTS,
+    BETWEEN,
     ENTRY,
-    GAPS,
+    FIRST,
+    LAST,
+    NEW,
+    NODES,
+    NOW,
+    PARAMETERS,
     POWERS,
-    PROJECT,
+    SLOPES,
     STAGES,
-    WATCH,
+    STATE,
     attempt,
-    call,
     change_of,
     copy,
     error_of,
     evaluate,
+    forces,
     inside,
     interpolant,
+    penetrations,
+    project,
 )
 from optlink.clearance.compiled.maxima import PARTS, maxima, quantity
-from optlink.clearance.compiled.switches import SUBINTERVALS, first_switch, may_switch, nodes_of, parts_of, to_switch
+from optlink.clearance.compiled.switches import SUBINTERVALS, examine, first_switch, to_switch
 from optlink.linkage.vector2d import Array
 
-FIRST = 0.05
+START = 0.05
 """Share of a row that is the first trial step at the start of a contact."""
 
 DONE, FULL, PAUSED, STUCK, DEEP, BUSY, INFINITE = range(7)
 """Why a call ended."""
 
-AHEAD, TRIAL, REJECTED, SWITCHED, TOO_DEEP = range(5)
-"""Places in `clock`: time since the last row [s], next step size [s], steps rejected in succession, switches since the last row,
-gap that is too deep."""
+AHEAD, TRIAL, REJECTED, SWITCHED = range(4)
+"""Places in `clock`: time since the last row [s], next step size [s], steps rejected in turn, switches since the last row."""
 
 GAP, BEGINS, TIME, ANGLE, RATE, DEPTH = range(6)
 """Columns of `events`: gap, 1 begin or 0 end, time [s], crank angle [rad], rate of the penetration [m/s], the largest one [m]."""
 
 
 def workspace(n: int, m: int, gaps: int) -> tuple[Array, ...]:
-    """Return the intermediate arrays of `advance`, which allocates nothing.
+    """Return the arrays `space` of `advance`, which allocates nothing.
 
-    Parameters
-    ----------
-    n, m : int
-        Length of the state, and with the works.
+    In the order of their places: slopes of the stages; coefficients of the dense output; state and works at the end of the step,
+    at an intermediate time, and on the dense output; penetrations and rates now, at the ends of the parts of the step, and
+    elsewhere; forces and torque with their rates at places of the step, at its start, and at its end; which of them may have a
+    maximum within it; parameters.
     """
     w, q = 2 * gaps, 2 * gaps + 2
-    sizes = [(STAGES + 4, m), (POWERS, m), m, m, m, w, w, w, (SUBINTERVALS + 1, w), (PARTS + 2, q), q, q, gaps + 1, 4 + w]
+    sizes = [(STAGES + 4, m), (POWERS, m), m, m, m, w, (SUBINTERVALS + 1, w), w, (PARTS + 2, q), q, q, gaps + 1, 4 + w]
     return tuple(np.zeros(size) for size in sizes)
 
 
 @njit(cache=True, **ENTRY)
 def advance(
-    model, closing, row, rows, step, tolerance, further, driven, limits, most_steps, most_switches, slowest,
-    y, offset, clock, modes, entered, contact, peaks, space, out_x, out_works, out_modes, out_entered, events,
+    model, closing, n, row, step, tolerance, driven, limits, most_steps, most_switches, slowest,
+    y, clock, contact, peaks, space, out, out_contacts, events,
 ):  # fmt: skip
-    """Integrate rows of a motion; returns why it ended, the number of rows and of events written.
+    """Integrate the rows of `out`; return why it ended, and the numbers of rows and events written.
 
     Parameters
     ----------
-    model : tuple
-        See `dop853`.
     closing : int
         Number of closing equations.
-    row, rows : int
-        Number of the first row, and of the rows to integrate.
-    step, tolerance, further : float
-        Time between rows [s]; relative tolerance; feedback correction [rad].
+    n : int
+        Length of the state without the works.
+    row : int
+        Number of the row at which the call begins.
+    step, tolerance : float
+        Time between rows [s]; relative tolerance.
     driven : int
         Index of the crank angle.
-    limits : array (k,)
+    limits : array (gaps,)
         Penetrations [m] that end the motion.
     most_steps, most_switches : int
         Steps of a call, and switches within a row.
     slowest : float
         Least approach speed [m/s].
-    y, offset, clock, modes, entered, contact, peaks : arrays, changed in place
-        State and works; works before them; see AHEAD; modes, approach speeds and penetrations of the contacts; maxima.
-    space : tuple of arrays
-        From `workspace`.
-    out_x, out_works, out_modes, out_entered, events : arrays
-        Results of the rows, and switches.
+    y, clock, contact, peaks, space : arrays, changed in place
+        State and works; see AHEAD; largest penetrations of the contacts; maxima; intermediate arrays and parameters.
+    out, out_contacts, events : arrays
+        Results: states and works, approach speeds and modes of the gaps at the rows; switches.
     """
-    gaps, n, m = modes.shape[0], out_x.shape[1], y.shape[0]
-    k, f, new, between, x, now, then, _, nodes, _, first, last, _, p = space
-    p[0] = further
+    p, now, first, new, x, between = space[PARAMETERS], space[NOW], space[FIRST], space[NEW], space[STATE], space[BETWEEN]
+    gaps, rows = contact.shape[0], out.shape[0]
+    entered, modes = p[4 : 4 + gaps], p[4 + gaps :]
     begin, end = row * step, rows * step
     t, h, done, written, steps = clock[AHEAD], clock[TRIAL], 0, 0, 0
     fresh, status = True, DONE
     while done < rows:
         if fresh:  # after a switch, and at the start
-            for j in range(gaps):
-                p[4 + j], p[4 + gaps + j] = entered[j], modes[j]
-            evaluate(begin + t, y, model, p, k[0])
-            call(model[GAPS], y, p, model[CONSTANTS], now)
-            call(model[WATCH], y, p, model[CONSTANTS], first)
+            evaluate(begin + t, y, model, space, space[SLOPES][0])
+            penetrations(y, model, space, now)
+            forces(begin + t, y, model, space, first)
             for j in range(gaps + 1):
                 if j == gaps or modes[j] > 0.0:
-                    place = gaps + j if j < gaps else 2 * gaps
-                    peaks[place] = max(peaks[place], quantity(first, j, gaps)[0])
+                    peaks[gaps + j] = max(peaks[gaps + j], quantity(first, j, gaps)[0])
             fresh = False
         if steps >= most_steps:
             status = PAUSED
@@ -118,12 +119,12 @@ def advance(
             if side * now[j] > 0.0 and side * now[gaps + j] > 0.0:
                 switch = j
         if switch < 0:
-            h = min(h if h > 0.0 else FIRST * step, SUBINTERVALS * step)
+            h = min(h if h > 0.0 else START * step, SUBINTERVALS * step)
             trial, whole = h, t + h * (1.0 + 1e-9) >= end
             if whole:
                 h = end - t
-            attempt(begin + t, h, y, new, k, between, n, model, p)
-            error = error_of(y, new, k, h, tolerance)
+            attempt(begin + t, h, y, n, model, space)
+            error = error_of(y, h, tolerance, space)
             if not error <= 1.0:
                 h *= change_of(error)
                 clock[REJECTED] += 1.0
@@ -135,25 +136,13 @@ def advance(
             after = h * change_of(error)
             if whole:
                 after = max(after, trial)
-            parts = parts_of(h, step)
-            dense = parts > 1
-            if dense:
-                interpolant(begin + t, h, y, new, k, between, n, model, p, f)
-            call(model[GAPS], new, p, model[CONSTANTS], then)
-            nodes_of(parts, y, n, model, space)
-            if may_switch(parts, h, modes, nodes):
-                if not dense:
-                    interpolant(begin + t, h, y, new, k, between, n, model, p, f)
-                    dense = True
-                share, switch = first_switch(parts, h, modes, y, n, model, space)
-                if switch >= 0:
-                    length = to_switch(begin + t, share * h, h, switch, 1.0 - 2.0 * modes[switch], y, n, model, space)
-                    after, h, whole = max(after, h), length, False
-                    parts = parts_of(h, step)
-                    dense = parts > 1
-                    if dense:
-                        interpolant(begin + t, h, y, new, k, between, n, model, p, f)
-                    nodes_of(parts, y, n, model, space)
+            parts = examine(begin + t, h, step, y, n, model, space)
+            share, switch, dense = first_switch(begin + t, h, parts, modes, y, n, model, space)
+            if switch >= 0:
+                length = to_switch(begin + t, share * h, h, switch, 1.0 - 2.0 * modes[switch], y, n, model, space)
+                after, h, whole = max(after, h), length, False
+                parts = examine(begin + t, h, step, y, n, model, space)
+                dense = parts > 1
             dense = maxima(begin + t, h, parts, dense, modes, contact, peaks, y, n, model, space)
             later = end if whole else t + h
             while done < rows and ((done + 1) * step <= later or (whole and done + 1 == rows)):
@@ -162,34 +151,28 @@ def advance(
                     copy(new, x)
                 else:
                     if not dense:
-                        interpolant(begin + t, h, y, new, k, between, n, model, p, f)
+                        interpolant(begin + t, h, y, n, model, space)
                         dense = True
-                    inside((at - t) / h, f, y, m, x)
-                for i in range(m - n):
-                    out_works[done, i] = offset[i] + x[n + i]
+                    inside((at - t) / h, y, y.shape[0], space)
+                copy(x, out[done])
                 if closing:
-                    call(model[PROJECT], x, p, model[CONSTANTS], out_x[done])
-                else:
-                    for i in range(n):
-                        out_x[done, i] = x[i]
-                copy(modes, out_modes[done])
-                copy(entered, out_entered[done])
+                    project(x, model, space, out[done])
+                copy(p[4:], out_contacts[done])
                 done += 1
                 clock[SWITCHED] = 0.0
             t, h = later, after
             copy(new, y)
-            copy(k[STAGES], k[0])
+            copy(space[SLOPES][STAGES], space[SLOPES][0])
+            copy(space[NODES][parts], now)
+            copy(space[LAST], first)
             if closing:
-                call(model[PROJECT], new, p, model[CONSTANTS], between)
-                for i in range(n):
-                    y[i] = between[i]
-                evaluate(begin + t, y, model, p, k[0])
-                call(model[GAPS], y, p, model[CONSTANTS], then)
-            copy(then, now)
-            copy(last, first)
+                project(new, model, space, between)
+                copy(between[:n], y)
+                evaluate(begin + t, y, model, space, space[SLOPES][0])
+                penetrations(y, model, space, now)
             for j in range(gaps):
                 if now[j] > limits[j] and modes[j] > 0.0:
-                    clock[TOO_DEEP], status = j, DEEP
+                    status = DEEP
             if status == DEEP:
                 break
         if switch >= 0:
@@ -201,7 +184,7 @@ def advance(
             modes[switch] = 1.0 if starts else 0.0
             if starts:
                 entered[switch], contact[switch] = max(now[gaps + switch], slowest), 0.0
-                h = min(h, FIRST * step)
+                h = min(h, START * step)
             clock[SWITCHED] += 1.0
             fresh = True
             if clock[SWITCHED] > most_switches:

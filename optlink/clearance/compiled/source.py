@@ -16,36 +16,25 @@ from optlink.linkage.vector2d import Array
 LITERALS = (0.0, 0.5, 1.0, 2.0)
 """Magnitudes of constants that stay literals: casadi creates them itself when it differentiates and simplifies."""
 
+UNARY = ("acos", "asin", "atan", "ceil", "cos", "cosh", "exp", "floor", "log", "sin", "sinh", "sqrt", "tan", "tanh")
+BINARY = ("atan2", "fmod", "hypot")
+"""Functions of the module `math` that casadi has under the same name."""
+
 OPERATIONS: dict[int, str] = {
+    **{getattr(casadi, f"OP_{name.upper()}"): f"{name}({{0}})" for name in UNARY},
+    **{getattr(casadi, f"OP_{name.upper()}"): f"{name}({{0}}, {{1}})" for name in BINARY},
     casadi.OP_ASSIGN: "{0}",
     casadi.OP_ADD: "{0} + {1}",
     casadi.OP_SUB: "{0} - {1}",
     casadi.OP_MUL: "{0} * {1}",
     casadi.OP_DIV: "{0} / {1}",
     casadi.OP_NEG: "-{0}",
-    casadi.OP_EXP: "exp({0})",
-    casadi.OP_LOG: "log({0})",
     casadi.OP_POW: "{0} ** {1}",
-    casadi.OP_SQRT: "sqrt({0})",
     casadi.OP_SQ: "{0} * {0}",
     casadi.OP_TWICE: "2.0 * {0}",
     casadi.OP_INV: "1.0 / {0}",
-    casadi.OP_SIN: "sin({0})",
-    casadi.OP_COS: "cos({0})",
-    casadi.OP_TAN: "tan({0})",
-    casadi.OP_ASIN: "asin({0})",
-    casadi.OP_ACOS: "acos({0})",
-    casadi.OP_ATAN: "atan({0})",
-    casadi.OP_ATAN2: "atan2({0}, {1})",
-    casadi.OP_SINH: "sinh({0})",
-    casadi.OP_COSH: "cosh({0})",
-    casadi.OP_TANH: "tanh({0})",
-    casadi.OP_HYPOT: "hypot({0}, {1})",
     casadi.OP_FABS: "abs({0})",
     casadi.OP_SIGN: "1.0 if {0} > 0.0 else -1.0 if {0} < 0.0 else 0.0",
-    casadi.OP_FLOOR: "floor({0})",
-    casadi.OP_CEIL: "ceil({0})",
-    casadi.OP_FMOD: "fmod({0}, {1})",
     casadi.OP_FMIN: "{0} if {0} < {1} else {1}",
     casadi.OP_FMAX: "{0} if {0} > {1} else {1}",
     casadi.OP_LT: "1.0 if {0} < {1} else 0.0",
@@ -59,15 +48,15 @@ OPERATIONS: dict[int, str] = {
 }
 """casadi operation -> Python expression of its operands."""
 
-HEADER = '''"""Equations of a machine with joint clearance, written by optlink for its compiled engine; safe to delete."""
+HEADER = f'''"""Equations of a machine with joint clearance, written by optlink for its compiled engine; safe to delete."""
 
-from math import acos, asin, atan, atan2, ceil, cos, cosh, exp, floor, fmod, hypot, log, sin, sinh, sqrt, tan, tanh
+from math import {", ".join(sorted(UNARY + BINARY))}
 
 from numba import cfunc, types
 
 _P = types.CPointer(types.float64)
 _SIGNATURE = types.void(_P, _P, _P, _P)
-_OPTIONS = {"cache": True, "error_model": "numpy"}
+_OPTIONS = {{"cache": True, "error_model": "numpy"}}
 '''
 
 
@@ -76,13 +65,10 @@ class Unsupported(ValueError):
 
 
 def written(functions: Mapping[str, tuple[Sequence[Any], Sequence[Any]]]) -> tuple[str, Array]:
-    """Return the source of a module, and the constants `c` of its functions.
+    """Return the source of a module, and the constants `c` of its functions, given by name as (inputs, outputs).
 
-    Parameters
-    ----------
-    functions : mapping of name to (inputs, outputs)
-        At most two vectors of symbols, x and p, and the expressions. The function `name(x, p, c, o)` writes the values of the
-        expressions to `o`, one after another.
+    The inputs are at most two vectors of symbols, x and p. The function `name(x, p, c, o)` writes the values of the outputs to
+    `o`, one after another.
 
     Raises
     ------
@@ -104,28 +90,24 @@ def _lines(inputs: Sequence[Any], outputs: Sequence[Any], constants: list[float]
     lines, values = [], {}
     for k in range(function.n_instructions()):
         code, to, sources = function.instruction_id(k), function.instruction_output(k), function.instruction_input(k)
+        target, base = f"w{to[0]}", f"w{sources[0]}" if sources else ""
         if code == casadi.OP_INPUT:
-            lines.append(f"w{to[0]} = {'xp'[sources[0]]}[{sources[1]}]")
+            expression = f"{'xp'[sources[0]]}[{sources[1]}]"
         elif code == casadi.OP_OUTPUT:
-            lines.append(f"o[{to[1]}] = w{sources[0]}")
+            target, expression = f"o[{to[1]}]", base
         elif code == casadi.OP_CONST:
-            value = float(function.instruction_constant(k))
-            values[to[0]] = value
-            lines.append(f"w{to[0]} = {_constant(value, constants)}")
+            values[to[0]] = value = float(function.instruction_constant(k))
+            expression = repr(value)
+            if abs(value) not in LITERALS:
+                expression = f"c[{len(constants)}]"
+                constants.append(value)
         elif code == casadi.OP_CONSTPOW:
             power = values[sources[1]]
-            base = f"w{sources[0]}"
-            lines.append(f"w{to[0]} = {f'{base} * sqrt({base})' if power == 1.5 else f'{base} ** {power!r}'}")
+            expression = f"{base} * sqrt({base})" if power == 1.5 else f"{base} ** {power!r}"
         elif code in OPERATIONS:
-            lines.append(f"w{to[0]} = {OPERATIONS[code].format(*(f'w{source}' for source in sources))}")
+            expression = OPERATIONS[code].format(*(f"w{source}" for source in sources))
         else:
             names = [name for name in vars(casadi) if name.startswith("OP_") and getattr(casadi, name) == code]
             raise Unsupported(f"{' or '.join(names)} of casadi")
+        lines.append(f"{target} = {expression}")
     return lines
-
-
-def _constant(value: float, constants: list[float]) -> str:
-    if abs(value) in LITERALS:
-        return repr(value)
-    constants.append(value)
-    return f"c[{len(constants) - 1}]"

@@ -130,7 +130,7 @@ def page(comparison: Comparison) -> StoredStudy:
         valid=comparison.finished,
         conclusion=conclusions.comparison(comparison),
         status=shown.status.lines,
-        sections=[PageSection("Figures", (shown.parts,)), PageSection("Chart", chart_plotly.charts(charts(comparison)))],
+        sections=[PageSection("Figures", (shown.parts,)), PageSection("Charts", chart_plotly.charts(charts(comparison)))],
         moving=no_animation,
         by=f"event-driven integration from {len(comparison.starts)} crank angles, seed {comparison.seed}",
     )

@@ -31,9 +31,9 @@ MAX_REACTIONS = 10  # largest number of joint reactions
 MAX_FRAME_JOINTS = 4  # largest number of joints of the frame whose forces are shown by components
 
 
-def _curve(run: Simulation, name: str, factor: float, words: str, colour: str, *style: Any, **more: Any) -> Curve:
+def _curve(run: Simulation, name: str, factor: float, words: str, colour: str, **style: Any) -> Curve:
     """Return a column times a factor, the display unit per SI unit, over time as a curve."""
-    return Curve(run["time_s"], run[name] * factor, words, colour, *style, **more, gid=name)
+    return Curve(run["time_s"], run[name] * factor, words, colour, gid=name, **style)
 
 
 def largest(columns: Mapping[str, Array], names: Iterable[str]) -> float:
@@ -110,7 +110,7 @@ def bodies(run: Simulation) -> list[ChartSpec]:
     curves = []
     for k, (label, name) in enumerate(shown.items()):
         width, dash = look(k, len(shown))
-        curves.append(_curve(run, name, 1.0, label, colours[name], width, dash))
+        curves.append(_curve(run, name, 1.0, label, colours[name], width=width, dash=dash))
     panels, heading = [Panel(Axis("angular velocity [rad/s]"), curves, 1.6)], f"{run.problem.model.title}: rotation of the bodies"
     return [ChartSpec("bodies", "Rotation of the bodies", panels, Axis(TIME), heading)] if curves else []
 
@@ -158,10 +158,12 @@ def energy(run: Simulation) -> list[ChartSpec]:
         above.append(_curve(run, name, shown.factor, f"work of {what}", colour))
     for name, words, colour in zip(stored, ("kinetic energy", "potential energy"), BODIES[3:], strict=False):
         if largest(run.columns, [name]) > 0.0:
-            above.append(_curve(run, name, shown.factor, words, colour, 1.2, "dashdot"))
+            above.append(_curve(run, name, shown.factor, words, colour, width=1.2, dash="dashdot"))
     panels = [Panel(Axis(f"energy [{shown.unit}]"), above, 2.0)]
     if all(name in columns for name in run.figures if name.endswith(".work_J")):
-        above.append(_curve(run, "energy.gained_J", shown.factor, "gain of kinetic and potential energy", TARGET, 1.4, "dash"))
+        above.append(
+            _curve(run, "energy.gained_J", shown.factor, "gain of kinetic and potential energy", TARGET, width=1.4, dash="dash")
+        )
         missing = np.abs(columns["energy.gained_J"] - sum(columns[name] for name in works)) / turnover
         share = Curve(columns["time_s"], np.maximum(missing, 1e-17), "imbalance", MUTED, 1.2, legend=False, gid="imbalance")
         limits = 1e-17, max(1e-8, 10.0 * np.max(missing))

@@ -24,10 +24,7 @@ def coarse_block(count: int) -> int:
 class Blocks:
     """Blocks of few points, fewer in small grids, about as long along every axis; they depend on the grid alone.
 
-    Parameters
-    ----------
-    most : int, optional
-        Largest number of points of a block. Default: `MAX_BLOCK_POINTS`.
+    `most`: largest number of points of a block, by default `MAX_BLOCK_POINTS`.
     """
 
     def __init__(self, grid: Grid, most: int | None = None) -> None:

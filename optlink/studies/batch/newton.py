@@ -81,14 +81,7 @@ def active_set_groups(sides: NDArray[np.int8]) -> list[tuple[Index, Index]]:
 def batch_newton(nlp: BatchNLP, problem: BatchProblem, x: Array, multipliers: Array, sides: NDArray[np.int8]) -> BatchOptima:
     """Find the optima of neighbouring problems.
 
-    Parameters
-    ----------
-    x : array (points, n)
-        Starting points, scaled.
-    multipliers : array (points, n + m)
-        Starting values.
-    sides : array (points, n + m)
-        First active sets, see `BatchOptima`.
+    `x` (points, n) are scaled; `multipliers` and `sides` (points, n + m), the latter the first active sets as in `BatchOptima`.
     """
     start, x, multipliers, sides = x, x.copy(), multipliers.copy(), sides.copy()
     objective, optimal = np.full(len(x), np.nan), np.zeros(len(x), dtype=bool)

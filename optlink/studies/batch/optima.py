@@ -50,20 +50,9 @@ class GridOptima:
 class GridSearch:
     """Optima at the points of a grid.
 
-    Parameters
-    ----------
-    problem : function of points to BatchProblem
-        Parameters and bounds at points of the grid; the scale of the objective in them is replaced.
-    search : function of a point to Solution
-        Search that depends on the point alone.
-    large : Blocks
-        A few large blocks.
-    search_many : function of a point to a list of Solution
-        Distinct optima, best first, that depend on the point alone.
-    coarse : GridSearch, optional
-        Search of the same grid with larger blocks, whose optima are taken where its searches agree.
-
-    Each optimum of a large block has a number like a block, from the number of blocks on.
+    `search` returns the solution of a point, `search_many` its distinct optima, best first; both depend on the point alone.
+    `large`: a few large blocks; each of their optima has a number like a block, from the number of blocks on. `coarse`: search
+    of the same grid with larger blocks, whose optima are taken where its searches agree.
     """
 
     def __init__(

@@ -18,13 +18,7 @@ POINTS_PER_NODE = 6  # least number of points of a block for each of its nodes
 
 
 def block_nodes(ends: list[tuple[int, int]]) -> list[Index] | None:
-    """Return the places of the nodes of a block along every axis, close to Chebyshev's; None if its points are too few for them.
-
-    Parameters
-    ----------
-    ends : list of (int, int)
-        First and last place of the block along every axis.
-    """
+    """Return the places of the nodes of a block along every axis, close to Chebyshev's; None if it has too few points."""
     sizes = [last - first + 1 for first, last in ends]
     for most in NODES:
         counts = [min(most, size) for size in sizes]
@@ -50,27 +44,13 @@ class Prediction:
 
     @classmethod
     def through(cls, nodes: list[Index], optima: BatchOptima) -> Self | None:
-        """Return the polynomials; None if a node has no optimum, or another active set than the others.
-
-        Parameters
-        ----------
-        nodes : list of array
-            Places along each axis.
-        optima : BatchOptima
-            At all nodes, the last axis varying fastest.
-        """
+        """Return the polynomials; None if a node has no optimum, or another active set than the others."""
         if not np.all(optima.optimal) or np.any(optima.sides != optima.sides[0]):
             return None
         return cls(nodes, np.hstack([optima.x, optima.multipliers]), optima.sides[0])
 
     def at(self, places: tuple[Index, ...]) -> tuple[Array, Array]:
-        """Return scaled designs (points, n) and multipliers (points, n + m), each the same in any batch.
-
-        Parameters
-        ----------
-        places : tuple of array (points,)
-            Places of the points along each axis.
-        """
+        """Return scaled designs (points, n) and multipliers (points, n + m), each the same in any batch."""
         weights = [_lagrange(nodes, place) for nodes, place in zip(self.nodes, places, strict=True)]
         values = np.zeros((len(places[0]), self.values.shape[1]))
         for value, factors in zip(self.values, itertools.product(*weights), strict=True):

@@ -37,20 +37,7 @@ def _parsed(name: str) -> re.Match[str] | None:
 
 
 def cycle_objective(problem: ProblemFile, name: str, number: int) -> ParetoObjective:
-    """Return the objective of a name.
-
-    Parameters
-    ----------
-    name : str
-        Term, dimension, limit or "objective".
-    number : int
-        Number of the objective, for the name of its limit.
-
-    Raises
-    ------
-    InputError
-        If there is no such objective.
-    """
+    """Return the objective of a name."""
     task = task_of(problem)
     if name == FILE_OBJECTIVE:
         if not task.single:
@@ -106,12 +93,7 @@ def epsilon_problem(
 
     A limit of the file on the same side of the term of an objective is removed; all others remain.
 
-    Parameters
-    ----------
-    goals : mapping of int to float
-        Minimised objectives: index, and the reference value in the unit of the objective.
-    bounds : mapping of int to value with unit
-        Constrained objectives: index, and bound.
+    `goals`: reference values of the minimised objectives in their units, by index; `bounds` of the constrained ones.
     """
     raw = {key: copy.deepcopy(value) for key, value in problem.raw.items() if key != "expected"}
     task = task_of(problem)
@@ -168,14 +150,7 @@ def _remaining_side(problem: ProblemFile, name: str, objectives: Sequence[Pareto
 def cycle_figures(problem: ProblemFile, objectives: Sequence[ParetoObjective], values: Mapping[str, float]) -> tuple[float, ...]:
     """Return the values of all objectives of a machine by ordinary inverse dynamics; NaN if the crank cannot turn fully.
 
-    Parameters
-    ----------
-    values : mapping of str to float [SI]
-        Dimensions; those not named have their value in the file.
-
-    Returns
-    -------
-    tuple of float, each in the unit of its objective
+    `values` [SI] replace dimensions of the file.
     """
     task = task_of(problem)
     cycle = Cycle(task, values)

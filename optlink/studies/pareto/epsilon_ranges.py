@@ -52,13 +52,7 @@ class EpsilonRanges(ABC):
     @staticmethod
     @abstractmethod
     def objective(problem: ProblemFile, name: str, number: int) -> ParetoObjective:
-        """Return the objective of a name, the `number`-th of the front.
-
-        Raises
-        ------
-        InputError
-            If there is no such objective.
-        """
+        """Return the objective of a name, the `number`-th of the front."""
 
     @cached_property
     def constrained(self) -> tuple[int, ...]:
@@ -67,13 +61,7 @@ class EpsilonRanges(ABC):
 
     @cached_property
     def fixed(self) -> dict[int, Axis]:
-        """Values of the limits with a requested range, by the index of the objective.
-
-        Raises
-        ------
-        InputError
-            For invalid ranges, or an objective that requires one.
-        """
+        """Values of the limits with a requested range, by the index of the objective."""
         values = {}
         for k in self.constrained:
             objective = self.objectives[k]
@@ -101,11 +89,6 @@ class EpsilonRanges(ABC):
         """Return the problem with one minimised objective, the grid of the limits of the others, and the machines at the ends.
 
         The machines (dimensions [SI]) are empty if no ends were searched, and for a law.
-
-        Raises
-        ------
-        NoExtreme
-            If an end cannot be found.
         """
         ranges, anchors = self._ends(once) if self.open else ({}, ())
         axes = {**self.fixed, **ranges}
@@ -113,27 +96,11 @@ class EpsilonRanges(ABC):
 
     @abstractmethod
     def figures(self, problem: ProblemFile, values: Mapping[str, float], error: float) -> tuple[float, ...]:
-        """Return the objectives of a point of the front in their units.
-
-        Parameters
-        ----------
-        problem : ProblemFile
-            Problem at a point of the grid.
-        values : mapping of str to float [SI]
-            Design variables.
-        error : float [SI]
-            Minimised objective.
-        """
+        """Return the objectives of a point of the front in their units."""
 
     @abstractmethod
     def reference(self, base: ProblemFile, once: Once) -> tuple[str, tuple[float, ...] | None]:
-        """Return the reference of the front: its name, and its objectives if it has any.
-
-        Parameters
-        ----------
-        base : ProblemFile
-            Problem of the grid.
-        """
+        """Return the reference of the front: its name, and its objectives if it has any."""
 
     @abstractmethod
     def _ends(self, once: Once) -> tuple[dict[int, Axis], tuple[Mapping[str, float], ...]]:

@@ -33,18 +33,7 @@ SIDE_DISTANCE = 1e-3  # relative distance between the sides of a limit with one 
 
 
 def law_objective(problem: ProblemFile, name: str, number: int) -> ParetoObjective:
-    """Return the objective of a name: "error", a side of a limit, or a design variable.
-
-    Parameters
-    ----------
-    number : int
-        Number of the objective; its limit has a name of the file.
-
-    Raises
-    ------
-    InputError
-        If there is no such objective.
-    """
+    """Return the objective of a name: "error", a side of a limit, or a design variable."""
     task = problem.spec
     if name == ERROR:
         return ParetoObjective(name, ERROR, task.objective_unit, 1)
@@ -72,13 +61,7 @@ def law_objective(problem: ProblemFile, name: str, number: int) -> ParetoObjecti
 
 
 def limit_in_file(problem: ProblemFile, key: str) -> Raw | None:
-    """Return the value in the file at one side of a limit, or None.
-
-    Parameters
-    ----------
-    key : str
-        Key of the limit, including its side.
-    """
+    """Return the value in the file at one side of a limit, or None."""
     above, _, side = key.rpartition(".")
     entry = problem.at(above)
     if isinstance(entry, Mapping):
@@ -89,15 +72,7 @@ def limit_in_file(problem: ProblemFile, key: str) -> Raw | None:
 
 
 def tightest_bound(problem: ProblemFile, objective: ParetoObjective) -> Raw:
-    """Return the tightest bound that can be stated, whether or not a linkage satisfies it.
-
-    Parameters
-    ----------
-    problem : ProblemFile
-        With a law.
-    objective : ParetoObjective
-        With a `key`.
-    """
+    """Return the tightest bound that can be stated, whether or not a linkage satisfies it."""
     above = objective.key.rpartition(".")[0]
     name = above.rpartition(".")[2]
     opposite: float | None = None
@@ -125,16 +100,7 @@ def tightest_bound(problem: ProblemFile, objective: ParetoObjective) -> Raw:
 
 
 def law_figure(task: DesignProblem, objective: ParetoObjective, design: Mapping[str, float]) -> float:
-    """Return the value that a limit constrains, in the unit of the objective.
-
-    Parameters
-    ----------
-    task : DesignProblem
-        States that side of the limit.
-    objective : ParetoObjective
-        With a `key`.
-    design : mapping of str to float [SI]
-    """
+    """Return the value that a limit constrains, in the unit of the objective."""
     above, _, side = objective.key.rpartition(".")
     name = above.removeprefix("mechanism.")
     if above.startswith("mechanism."):
@@ -151,11 +117,6 @@ def without_varied_limits(problem: ProblemFile, objectives: Sequence[ParetoObjec
     """Return the problem of a law without the limits that its objectives vary.
 
     Bounds of a dimension remain; its search starts from their middle.
-
-    Parameters
-    ----------
-    objectives : sequence of ParetoObjective
-        Objectives with a `key`.
     """
     for objective in objectives:
         above, _, side = objective.key.rpartition(".")

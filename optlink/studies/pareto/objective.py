@@ -53,30 +53,12 @@ class ParetoObjective:
         return Term.model_validate(dict(self.term))
 
     def worsened(self, value: float, by: float) -> float:
-        """Return a value that is worse by an amount.
-
-        Parameters
-        ----------
-        value, by : float [unit of the objective]
-        """
+        """Return a value that is worse by an amount."""
         return value + self.sense * by
 
 
 def range_values(objective: ParetoObjective, count: int) -> Axis:
-    """Return the values of the requested range of an objective.
-
-    Parameters
-    ----------
-    objective : ParetoObjective
-        With a `span`.
-    count : int
-        Number of values, unless the range states it.
-
-    Raises
-    ------
-    InputError
-        If the range is not valid.
-    """
+    """Return the values of the requested range of an objective."""
     return read_axis(
         f"{objective.key}={objective.span}"
         if ":" in objective.span or "step" in objective.span

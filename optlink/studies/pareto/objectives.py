@@ -27,18 +27,7 @@ EXAMPLES = (
 
 
 def read_objectives(problem: ProblemFile, objectives: str) -> tuple[ParetoObjective, ...]:
-    """Read two or three objectives, separated by commas; `NAME=LOW..HIGH UNIT` restricts an objective to a range.
-
-    Parameters
-    ----------
-    objectives : str
-        For example "peak torque, guide force in F".
-
-    Raises
-    ------
-    InputError
-        For unknown objectives, fewer than two or more than three, or objectives without a trade-off.
-    """
+    """Read two or three objectives, separated by commas; `NAME=LOW..HIGH UNIT` restricts an objective to a range."""
     if not objectives.strip():
         raise InputError("two or three objectives are missing", EXAMPLES, problem.file, OPTION)
     parts = [part.strip() for part in objectives.split(",")]

@@ -79,23 +79,7 @@ class Allocation:
 def least_cost(weights: Array, costs: Array) -> tuple[Array, float]:
     """Minimise the cost sum c/t of tolerances t subject to weights @ t^2 <= 1.
 
-    Parameters
-    ----------
-    weights : array (limits, tolerances)
-        Non-negative, no column of zeros.
-    costs : array (tolerances,)
-        Positive cost coefficients.
-
-    Returns
-    -------
-    t : array (tolerances,)
-    gap : float
-        Relative duality gap of the cost.
-
-    Raises
-    ------
-    SolverError
-        If the programme is not solved.
+    `weights` (limits, tolerances) without a column of zeros. Returns the tolerances and the relative duality gap of their cost.
     """
     import cvxpy as module
 
@@ -122,27 +106,7 @@ def allocate(
 ) -> Allocation:
     """Return the tolerances of least cost with which a study keeps its limit with a required yield.
 
-    Parameters
-    ----------
-    study : LinearAnalysis
-        Its tolerances are the reference; those without effect keep their values.
-    target_yield : float
-        Required yield, between 0 and 1.
-    costs : mapping of str to float
-        Cost coefficients by name of the deviation. Default: those of the deviations.
-    samples : int
-        Samples of the final verification.
-    seed : int
-        Seed of the search; the verification uses the next one.
-    runs : function, optional
-        From `optlink.execution.runner.pool`, for the verification.
-
-    Raises
-    ------
-    InputError
-        For measured deviations, which cannot be allocated, or a design that violates the limit as drawn.
-    SolverError
-        If the least cost is not proven.
+    The search uses the samples of `seed`, the verification those of the next one.
     """
     measured = [d.name for d in study.deviations if d.values]
     if measured:

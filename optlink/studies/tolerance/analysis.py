@@ -73,7 +73,9 @@ def _linear(result: Tolerance) -> dict[str, Any]:
 
 def _robust(result: Tolerance) -> dict[str, Any] | None:
     """Return the robust design beside the nominal optimum."""
-    return result.robust and {
+    if result.robust is None:
+        return None
+    return {
         **dict(entries(result.robust)),
         "monte_carlo_of_the_nominal_design": result.unrobust,
         "the_nominal_design_yields_more": result.nominal_yields_more,

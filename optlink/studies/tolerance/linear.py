@@ -66,13 +66,7 @@ class LinearAnalysis:
 def linear_analysis(
     problem: ProblemFile, nominal: Nominal, deviations: Sequence[Deviation], limit: float | None
 ) -> LinearAnalysis:
-    """Return the linear analysis with exact derivatives at the nominal design.
-
-    Parameters
-    ----------
-    limit : float [rad or m], optional
-        Largest absolute judged value.
-    """
+    """Return the linear analysis with exact derivatives at the nominal design."""
     sizes = list(dict.fromkeys(d.size for d in deviations))
     slopes = output_sensitivity(nominal.mechanism, nominal.sizes, nominal.crank_angles, nominal.output, sizes).by
     by = nominal.sign * np.array([slopes[d.size] for d in deviations])

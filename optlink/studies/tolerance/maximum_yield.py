@@ -50,27 +50,7 @@ def maximise_yield(
 ) -> RobustDesign:
     """Return the design with the largest yield, searched from the nominal optimum and a robust design and compared with both.
 
-    Parameters
-    ----------
-    problem : ProblemFile
-        With a motion law.
-    tolerances : sequence of str
-        See `optlink.studies.tolerance.analysis.tolerance`.
-    limit : float [rad]
-        Largest error anywhere along the span.
-    samples : int
-        Samples for the comparison of the designs found.
-    seed : int
-        Seed of these samples; the search uses the next one.
-    shape : str
-        Default distribution of tolerances.
-    runs : function, optional
-        From `optlink.execution.runner.pool`, for the searches and the samples. Default: the present process.
-
-    Raises
-    ------
-    InputError
-        If there is no motion law, no validated design, or a tolerance is invalid.
+    `limit` [rad] of the error along the span; `samples` of `seed` compare the designs, the search uses those of the next one.
     """
     redesign = RobustSearch(problem, tolerances, shape)
     file = redesign.problem.override({"requirement.robust": None})

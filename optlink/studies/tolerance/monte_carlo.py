@@ -192,16 +192,7 @@ class SampleTask:
 def monte_carlo(
     study: LinearAnalysis, samples: int, seed: int, progress: Progress | None = None, runs: Runs | None = None
 ) -> MonteCarlo:
-    """Assemble and move random linkages exactly, and return their statistics; memory does not grow with their number.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of the Sobol points.
-    progress : function of the completed fraction, optional
-    runs : function, optional
-        From `optlink.execution.runner.pool`, which changes nothing in the result. Default: the present process.
-    """
+    """Assemble and move random linkages exactly, and return their statistics; memory does not grow with their number."""
     begin = time.perf_counter()
     nominal, limit = study.nominal, study.limit
     middle = float(np.max(np.abs(nominal.base)))
@@ -248,12 +239,7 @@ def _parts(task: SampleTask, progress: Progress | None, runs: Runs | None) -> It
 
 
 def largest_errors(nominal: Nominal, deviations: Sequence[Deviation], batch: Array) -> Array:
-    """Return the largest absolute judged value of each linkage (samples,) [SI]; NaN if it cannot be assembled at some angle.
-
-    Parameters
-    ----------
-    batch : array (samples, deviations) [SI]
-    """
+    """Return the largest absolute judged value of each linkage (samples,) [SI]; NaN if it cannot be assembled at some angle."""
     return np.concatenate([np.max(np.abs(nominal.base + change), axis=1) for _, change in _moved(nominal, deviations, batch)])
 
 

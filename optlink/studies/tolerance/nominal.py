@@ -92,19 +92,7 @@ def nominal_design(
 ) -> Nominal:
     """Return the nominal linkage, optimised first if it has design variables, and its judged output.
 
-    Parameters
-    ----------
-    output : str, optional
-        Body (its angle), "P.x", "P.y" of a point, or "error" of a motion law (its default).
-    crank_angles : array (angles,) [rad], optional
-        Default: the span of a motion law, the points of a path, otherwise a revolution.
-    design : mapping of str to float [SI], optional
-        Design variables. Default: the optimum.
-
-    Raises
-    ------
-    InputError
-        For an unknown output, no valid design, or a linkage that cannot be assembled at a crank angle.
+    By default the output is the error over the span of a motion law, or is given at the points of a path, or over a revolution.
     """
     file, values, angles = _design(problem, design)
     mechanism, pivots = with_deviating_pivots(file.model.mechanism, file.model.linkage)

@@ -17,16 +17,6 @@ def read_tolerances(problem: ProblemFile, texts: Sequence[str], shape: str = NOR
     """Return tolerances by name from texts NAME=TOLERANCE; without texts, those of the file.
 
     Files of measured deviations are read from the working folder.
-
-    Parameters
-    ----------
-    shape : str
-        Default distribution; measured deviations and clearances have their own.
-
-    Raises
-    ------
-    InputError
-        If there are no tolerances, or one is invalid.
     """
     entries: dict[str, ToleranceEntry] = {} if texts else dict(problem.model.tolerances)
     if not texts and not entries:
@@ -57,18 +47,7 @@ def identified(problem: ProblemFile, texts: Sequence[str], shape: str, *, robust
 
 
 def read_deviations(problem: ProblemFile, nominal: Nominal, texts: Sequence[str], shape: str = NORMAL) -> tuple[Deviation, ...]:
-    """Return the deviations of a nominal linkage; see `read_tolerances`.
-
-    Parameters
-    ----------
-    shape : str
-        Default distribution.
-
-    Raises
-    ------
-    InputError
-        If there are no tolerances, or one is invalid.
-    """
+    """Return the deviations of a nominal linkage; see `read_tolerances`."""
     entries = read_tolerances(problem, texts, shape)
     try:
         quantities, output = problem.model.mechanism.quantities, nominal.output

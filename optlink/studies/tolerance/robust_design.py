@@ -64,24 +64,7 @@ class RobustDesign:
 
 
 def robust(problem: ProblemFile, tolerances: Sequence[str], sigmas: float | None = 3.0, *, shape: str = NORMAL) -> RobustDesign:
-    """Minimise the largest error over the span, including its scatter.
-
-    Parameters
-    ----------
-    problem : ProblemFile
-        With a motion law.
-    tolerances : sequence of str
-        See `optlink.studies.tolerance.analysis.tolerance`.
-    sigmas : float, optional
-        Standard deviations added to the absolute mean error; None: the worst case is added.
-    shape : str
-        Default distribution of tolerances.
-
-    Raises
-    ------
-    InputError
-        If there is no motion law, no validated design, or an argument is invalid.
-    """
+    """Minimise the largest error over the span, including its scatter."""
     if sigmas is not None and not 0.0 <= sigmas <= MAX_SIGMAS:
         remedy = f"Give 0 to {MAX_SIGMAS:g} standard deviations, or worst, margin or yield"
         raise InputError("out of range", remedy, key="--robust", value=sigmas)
@@ -92,22 +75,6 @@ def most_reliable(problem: ProblemFile, tolerances: Sequence[str], limit: float,
     """Return the design that keeps a limit of its error with the largest number of standard deviations.
 
     Its number of standard deviations is that for which the minimised value equals the limit.
-
-    Parameters
-    ----------
-    problem : ProblemFile
-        With a motion law.
-    tolerances : sequence of str
-        See `optlink.studies.tolerance.analysis.tolerance`.
-    limit : float [rad]
-        Largest error anywhere along the span.
-    shape : str
-        Default distribution of tolerances.
-
-    Raises
-    ------
-    InputError
-        As `robust`, or if no nominal design keeps the limit.
     """
     redesign = RobustSearch(problem, tolerances, shape)
     before = redesign.least(0.0)
@@ -126,13 +93,7 @@ def most_reliable(problem: ProblemFile, tolerances: Sequence[str], limit: float,
 
 
 def check_law(problem: ProblemFile) -> None:
-    """Check that the problem has an error over a span.
-
-    Raises
-    ------
-    InputError
-        If it is not a motion law of a four-bar.
-    """
+    """Check that the problem has an error over a span."""
     if not problem.model.has_error:
         message = "robust design supports motion laws of a four-bar only"
         raise InputError(message, "Analyse its designs without --robust", problem.file, "--robust")
@@ -158,15 +119,7 @@ class RobustSearch:
             raise InputError([replace(fault, key=key) for fault, key in zip(error.faults, keys, strict=True)]) from None
 
     def least(self, sigmas: float | None, start: Mapping[str, float] | None = None) -> RobustDesign:
-        """Minimise the largest error including its scatter.
-
-        Parameters
-        ----------
-        sigmas : float or None
-            Number of standard deviations; None: the worst case.
-        start : mapping of str to float [SI], optional
-            Starting design. Default: the nominal optimum.
-        """
+        """Minimise the largest error including its scatter."""
         problem = self.problem.override({"requirement.robust": WORST if sigmas is None else f"{sigmas!r} sigma"})
         result = completed(solve(problem, begin=self.nominal if start is None else start))
         return RobustDesign(result, dict(self.nominal), sigmas, validate(problem, self.nominal).objective)

@@ -18,14 +18,7 @@ CONFIDENCE = 0.95
 def sample_deviations(deviations: Sequence[Deviation], samples: int, seed: int, begin: int = 0) -> Iterator[Array]:
     """Yield deviations [SI] in batches (samples, deviations) of scrambled Sobol points; memory does not grow with their number.
 
-    Parameters
-    ----------
-    samples : int
-        Number of the last sample.
-    seed : int
-        Seed of the scrambling.
-    begin : int
-        Number of samples to skip, a multiple of `BATCH`.
+    `begin`: number of samples to skip, a multiple of `BATCH`.
 
     References
     ----------
@@ -44,15 +37,6 @@ def sample_deviations(deviations: Sequence[Deviation], samples: int, seed: int, 
 def wilson(good: int, count: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
     """Return the Wilson confidence interval of a proportion.
 
-    Parameters
-    ----------
-    good : int
-        Number of successes.
-    count : int
-        Number of independent samples.
-    confidence : float
-        Confidence level, between 0 and 1.
-
     References
     ----------
     E. B. Wilson, Probable inference, the law of succession, and statistical inference, J. Am. Stat. Assoc. 22 (1927).
@@ -68,13 +52,7 @@ def wilson(good: int, count: int, confidence: float = CONFIDENCE) -> tuple[float
 
 
 def read_yield(text: str) -> float:
-    """Read a yield such as "99.7 %" or 0.997.
-
-    Raises
-    ------
-    InputError
-        If it is not between 0 and 1.
-    """
+    """Read a yield such as "99.7 %" or 0.997."""
     number = text.strip()
     try:
         share = float(number.removesuffix("%")) / (100.0 if number.endswith("%") else 1.0)
@@ -86,13 +64,7 @@ def read_yield(text: str) -> float:
 
 
 def read_sigmas(text: str) -> float | str:
-    """Read a number of standard deviations, or "worst", "margin" or "yield"; also "3 sigma" or "worst case" as in problem files.
-
-    Raises
-    ------
-    InputError
-        If the text is neither.
-    """
+    """Read a number of standard deviations, "3 sigma", "worst", "worst case", "margin" or "yield"."""
     word = text.strip().removesuffix(" case")
     if word in ("worst", "margin", "yield"):
         return word
@@ -103,13 +75,7 @@ def read_sigmas(text: str) -> float | str:
 
 
 def read_costs(texts: Sequence[str]) -> dict[str, float]:
-    """Read cost coefficients by name from texts such as "coupler=2".
-
-    Raises
-    ------
-    InputError
-        If a text is not a positive coefficient.
-    """
+    """Read cost coefficients by name from texts such as "coupler=2"."""
     costs: dict[str, float] = {}
     for text in texts:
         name, _, value = text.partition("=")

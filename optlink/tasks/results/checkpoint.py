@@ -1,34 +1,36 @@
 """Checkpoints of clearance simulations, control comparisons and tunings: what an interrupted run needs to resume."""
 
 from collections.abc import Mapping
-from typing import Any, Literal, TypeVar, get_args
-
-from pydantic import Field
+from dataclasses import asdict, dataclass
+from typing import Any, ClassVar, TypeVar
 
 from optlink.errors import InputError
-from optlink.io import checked, with_check_sum
-from optlink.problem.base_model import Never, Number, Record
+from optlink.io import checked, finite, with_check_sum
+from optlink.problem.base_model import Never, Number
+from optlink.problem.document import adapter
 from optlink.version import VERSION
 
-C = TypeVar("C", bound="CheckpointRecord")
+C = TypeVar("C", bound="Checkpoint")
 
 
-class CheckpointRecord(Record):
-    """The common entries of the checkpoints: version of optlink, problem and options of the run."""
+@dataclass(frozen=True, kw_only=True)
+class Checkpoint:
+    """The common entries of the checkpoints: problem and options of the run."""
 
-    format: str = Field(alias="schema")
-    optlink: str = VERSION
+    schema: ClassVar[str]
+
     problem_hash: str
     points: int
     tolerance: float
     design: dict[str, float] | None
 
     def document(self) -> dict[str, Any]:
-        """Return the JSON document, with its check sum."""
-        return with_check_sum(super().document())
+        """Return the JSON document, with its check sum; NaN stays, as the end of a contact that lasts."""
+        return with_check_sum({"schema": self.schema, "optlink": VERSION, **asdict(self)})
 
 
-class RevolutionState(Record):
+@dataclass(frozen=True)
+class RevolutionState:
     """State of a clearance simulation between two revolutions: of its integrators and of its statistics."""
 
     closed_loop: dict[str, Any]
@@ -36,13 +38,15 @@ class RevolutionState(Record):
     statistics: dict[str, Any]
 
 
-class ClearanceCheckpoint(CheckpointRecord):
+@dataclass(frozen=True, kw_only=True)
+class ClearanceCheckpoint(Checkpoint):
     """Options of a clearance simulation, its complete revolutions, and its state after them.
 
     `before`: of a complete run the state before its last revolution, which is simulated again if its results were not written.
     """
 
-    format: Literal["optlink/clearance-checkpoint/5"] = Field("optlink/clearance-checkpoint/5", alias="schema")
+    schema = "optlink/clearance-checkpoint/5"
+
     speed_rad_s: float
     start_rad: float
     control: str
@@ -60,12 +64,9 @@ class ClearanceCheckpoint(CheckpointRecord):
             return self.state
         return self.before if revolutions == self.revolutions else None
 
-    def document(self) -> dict[str, Any]:
-        """Return the JSON document, with its check sum; NaN stays, as the end of a contact that lasts."""
-        return with_check_sum(self.model_dump(warnings=False))
 
-
-class RunsCheckpoint(CheckpointRecord):
+@dataclass(frozen=True, kw_only=True)
+class RunsCheckpoint(Checkpoint):
     """Options of many runs, and how many of them are `complete`."""
 
     speed: float | None
@@ -76,29 +77,38 @@ class RunsCheckpoint(CheckpointRecord):
     complete: int
     total: int
 
+    def document(self) -> dict[str, Any]:
+        """Return the JSON document, with its check sum; null where a number is not finite."""
+        return with_check_sum(finite({"schema": self.schema, "optlink": VERSION, **asdict(self)}))
 
-class RunRecord(Record):
+
+@dataclass(frozen=True)
+class CompleteRun:
     """A complete run: control, index of its start, figures [SI]."""
 
     control: str
     start: int
-    unit: Literal["m", "rad"]
+    unit: str
     finished: bool
     figures: dict[str, float]
 
 
+@dataclass(frozen=True, kw_only=True)
 class ComparisonCheckpoint(RunsCheckpoint):
     """Complete runs of a comparison of control."""
 
-    format: Literal["optlink/comparison-checkpoint/3"] = Field("optlink/comparison-checkpoint/3", alias="schema")
+    schema = "optlink/comparison-checkpoint/3"
+
     kinds: list[str]
-    runs: list[RunRecord]
+    runs: list[CompleteRun]
 
 
+@dataclass(frozen=True, kw_only=True)
 class TuningCheckpoint(RunsCheckpoint):
     """Cost and scatter of the parameters of the problem, then of every complete evaluation."""
 
-    format: Literal["optlink/tuning-checkpoint/3"] = Field("optlink/tuning-checkpoint/3", alias="schema")
+    schema = "optlink/tuning-checkpoint/3"
+
     control: str
     names: list[str]
     evaluations: int
@@ -116,10 +126,9 @@ def read_checkpoint(kind: type[C], document: Mapping[str, Any], options: Mapping
     Raises
     ------
     InputError
-        If the checkpoint is that of other options or of another version, or damaged.
+        If the checkpoint is that of other options or of another version, or was changed.
     """
-    [schema] = get_args(kind.model_fields["format"].annotation)
-    for name, value in {"schema": schema, "optlink": VERSION, **options}.items():
+    for name, value in {"schema": kind.schema, "optlink": VERSION, **options}.items():
         if document.get(name) != value:
             own = {
                 "schema": "has another format",
@@ -133,4 +142,4 @@ def read_checkpoint(kind: type[C], document: Mapping[str, Any], options: Mapping
     content = checked(document)
     if content is None:
         raise InputError("the checkpoint was changed since it was written", "Start again without --resume", key="resume")
-    return kind.model_validate(content)
+    return adapter(kind).validate_python(content)  # type: ignore[no-any-return]

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Annotated, Any, ClassVar
 
@@ -25,15 +25,16 @@ RUNNING_IN = 5
 
 
 def _read_impacts(rows: Iterable[Iterable[Any]]) -> tuple[Impact, ...]:
-    return tuple(Impact(*(math.nan if value is None else value for value in row)) for row in rows)
+    return tuple(Impact._make(math.nan if value is None else value for value in row) for row in rows)
 
 
 Impacts = Annotated[tuple[Impact, ...], PlainValidator(_read_impacts), WithJsonSchema({"type": "array"})]
 
 
 def _prediction(result: "ClearanceSimulation") -> dict[str, Any] | None:
-    found = result.prediction
-    return found and {"chaotic": found.chaotic, "parted_revolutions": found.parted, "watched": found.watched}
+    if (found := result.prediction) is None:
+        return None
+    return {"chaotic": found.chaotic, "parted_revolutions": found.parted, "watched": found.watched}
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -80,8 +81,8 @@ class ClearanceSimulation(Tabled):
     message: str
     notes: tuple[str, ...]
     tolerance: float
-    integrator: str = "cvodes"
-    measured: Columns = field(default_factory=dict)
+    integrator: str
+    measured: Columns
 
     @property
     def finished(self) -> bool:

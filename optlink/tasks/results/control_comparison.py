@@ -105,12 +105,12 @@ class Tuning(Document):
     tried: Columns
     costs: Costs
     scatters: Column
-    control: str = "inverse+pid"
-    starts: int = 1
-    seed: int = 0
-    revolutions: int = 11
-    unit: str = "m"
-    check: tuple[Trials, Trials] | None = None
+    control: str
+    starts: int
+    seed: int
+    revolutions: int
+    unit: str
+    check: tuple[Trials, Trials] | None
 
     @property
     def other_starts(self) -> dict[str, float] | None:
