@@ -25,7 +25,7 @@ from optlink.tasks.results.cycle import CycleResult, analysis_of, task_of
 from optlink.tasks.results.evidence import tally
 from optlink.tasks.results.rotation import cannot_turn
 from optlink.units import factor
-from optlink.validation.check import Check, Validation
+from optlink.validation.check import Check
 from optlink.validation.cycle import validate_cycle
 
 if TYPE_CHECKING:
@@ -148,9 +148,9 @@ def _search(problem: ProblemFile, search: Search) -> CycleResult:
     equal = continuum(nlp, winner, chosen) if result.usable else None
     timer.lap("solve")
     measured = analysis_of(task, winner.design)
-    verification = validate_cycle(task, winner.design, winner.objective, measured)
-    verification = with_optimality(verification, winner)
-    checks = (*verification.checks, *(_agreement(solutions) if len(solutions) > 1 else ()))
+    verification = with_optimality(validate_cycle(task, winner.design, winner.objective, measured), winner)
+    if len(solutions) > 1:
+        verification = verification.with_checks(_agreement(solutions))
     timer.lap("validate")
     cycle_result = CycleResult(
         problem=problem,
@@ -158,7 +158,7 @@ def _search(problem: ProblemFile, search: Search) -> CycleResult:
         backend=chosen,
         design=dict(winner.design),
         objective=winner.objective,
-        validation=Validation(checks, verification.objective),
+        validation=verification,
         seconds=timer.seconds,
         seed=seed,
         starts=result.starts,

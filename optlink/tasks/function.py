@@ -298,7 +298,7 @@ def _search(problem: ProblemFile, search: Search) -> FunctionResult:
         backend=next(name for name, item in searches.items() if item is chosen),
         design=winner.design,
         objective=winner.solution.objective,
-        validation=replace(winner.validation, checks=(*winner.validation.checks, *checks)),
+        validation=winner.validation.with_checks(checks),
         seconds=search.timer.seconds | {"solve": search.timer.seconds["solve"] - validating, "validate": validating},
         seed=search.seed,
         starts=chosen.starts,

@@ -185,7 +185,7 @@ def _compared(problem: ProblemFile, search: Search, one: Callable[[ProblemFile, 
         solutions[name] = solution
     gaps = multistart.compare(*solutions.values())
     checks = agreement("design", gaps, SAME_DESIGN, f"<= {SAME_DESIGN:.0e} of the size")
-    judged = replace(best, validation=replace(best.validation, checks=(*best.validation.checks, *checks)))
+    judged = replace(best, validation=best.validation.with_checks(checks))
     return replace(
         winner,
         designs=(judged, *winner.designs[1:]) if judged.valid else (),

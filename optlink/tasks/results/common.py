@@ -92,8 +92,8 @@ def with_optimality(checked: Validation, solution: Solution) -> Validation:
     met = solution.violation <= FEASIBLE
     feasible = Check(LIMITS_CHECK, met, solution.violation, f"<= {FEASIBLE:.0e}", "")
     if not met:
-        return replace(checked, checks=checked.checks if checked.failed else (*checked.checks, feasible))
-    return replace(checked, checks=(*checked.checks, feasible, _stationary(solution)))
+        return checked if checked.failed else checked.with_checks([feasible])
+    return checked.with_checks([feasible, _stationary(solution)])
 
 
 def _stationary(solution: Solution) -> Check:
@@ -351,7 +351,7 @@ class SingleResult(Document):
 
     def with_checks(self, checks: Sequence[Check]) -> Self:
         """Return the result with further checks."""
-        return self.with_best(validation=replace(self.validation, checks=(*self.validation.checks, *checks)))
+        return self.with_best(validation=self.validation.with_checks(checks))
 
 
 def better(result: SingleResult) -> tuple[bool, bool, float]:

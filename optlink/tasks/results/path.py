@@ -414,7 +414,7 @@ class PathResult(Document):
 
     def with_checks(self, checks: Sequence[Check]) -> Self:
         """Return the result with further checks of its designs, in order; designs that fail one are no longer valid."""
-        flagged = [replace(d, validation=replace(d.validation, checks=(*d.validation.checks, *checks))) for d in self.designs]
+        flagged = [replace(design, validation=design.validation.with_checks(checks)) for design in self.designs]
         good = tuple(design for design in flagged if design.valid)
         nearest = next((design for design in flagged if not design.valid), self.nearest)
         return replace(self, designs=good, nearest=None if good else nearest)
