@@ -9,7 +9,7 @@ import time
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -42,9 +42,6 @@ from optlink.tasks.results.fit import Fit, law_fit
 from optlink.tasks.results.rotation import cannot_turn
 from optlink.units import KINDS, show
 from optlink.validation import Check, validate as validate_law
-
-if TYPE_CHECKING:
-    from optlink.tasks.function_search import FunctionCandidate
 
 SAME_DESIGN = 1e-6  # difference of equal designs, as a share of the frame
 EXTREME_SHARE = 0.99  # fraction of the largest error that counts as an extreme value
@@ -311,17 +308,13 @@ def _search(problem: ProblemFile, search: Search) -> FunctionResult:
         together=conflict[1],
         first=points.step,
         rejected=best_rejected(
-            (_rejected(problem, item.rejected) for item in searches.values()),
+            (
+                RejectedDesign(problem, one.design, one.solution.objective, one.validation.failures)
+                for one in filter(None, (item.rejected for item in searches.values()))
+            ),
             winner.solution.objective if winner.verified else math.inf,
         ),
     )
-
-
-def _rejected(problem: ProblemFile, candidate: FunctionCandidate | None) -> RejectedDesign | None:
-    """Return a candidate that failed a check as a rejected design."""
-    if candidate is None:
-        return None
-    return RejectedDesign(problem, candidate.design, candidate.solution.objective, candidate.validation.failures)
 
 
 Conflict = tuple[tuple[Relaxation, ...], tuple[Relaxation, ...]]

@@ -267,7 +267,9 @@ class DesignCollection:
                 self.insert(design)
             else:
                 failures -= 1
-                self.nearest = min(filter(None, (self.nearest, design)), key=_failing)
+                self.nearest = min(
+                    filter(None, (self.nearest, design)), key=lambda one: (len(one.validation.failures), one.objective)
+                )
 
     def _better(self, design: PathDesign) -> bool:
         """Return whether a design has a lower objective than the best valid one."""
@@ -370,10 +372,6 @@ def _allowed_cost(task: PathProblem) -> float:
     if task.requirement.kind != "path" or has_several_dyads(task):  # candidates of several dyads have not converged
         return math.inf
     return COUNTED_RATIO**2 * float(np.sum((task.data.roots * task.data.tolerances) ** 2)) / task.whole**2
-
-
-def _failing(design: PathDesign) -> tuple[int, float]:
-    return sum(not check.passed for check in design.validation.checks), design.objective
 
 
 def _rank(design: PathDesign) -> tuple[float, float]:

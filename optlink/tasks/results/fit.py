@@ -20,7 +20,6 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.linkage.fourbar import LENGTHS, classify
 from optlink.linkage.motion import sweep
@@ -216,7 +215,8 @@ def path_fit(
     if task.pointed:
         places = targets[:, 0] + 1j * targets[:, 1]
         of = "the size of the path" if measured.turned is None else "the distance of the poses"
-        fits = [_sized(distances, _diameter(places), "m", of, links)]
+        diameter = max(float(np.max(np.abs(places - place))) for place in places)
+        fits = [_sized(distances, diameter, "m", of, links)]
         if measured.turned is not None:
             fits.append(_sized(measured.turned, _rotation(task), "rad", "the rotation of the poses"))
     else:
@@ -270,11 +270,6 @@ def law_fit(problem: ProblemFile, values: Mapping[str, float], error: Array, sol
     measured = (*start_reasons(task, values, fit.error), *law_mode_reasons(problem, values, fit.error))
     limits = () if solution is None else solution.displayed_limits
     return replace(fit, reasons=(*measured, *active_reasons(limits), *fixed_reasons(task.quantities, values, solution, task)))
-
-
-def _diameter(places: NDArray[np.complex128]) -> float:
-    """Return the largest distance of two points."""
-    return max(float(np.max(np.abs(places - place))) for place in places)
 
 
 def _rotation(task: PathProblem) -> float:
