@@ -163,9 +163,11 @@ def test_the_command_compares_stores_and_draws(tmp_path, slider, plain):
     assert len(document["measured"]["difference_m"]) == POINTS + 1
     page = call("report", tmp_path / "out", "--out", tmp_path / "page.html")
     assert page.exit_code == 0, page.output
-    assert "measured minus simulated" in (tmp_path / "page.html").read_text()
-    written(file, time_s=phase / SPEED, displacement_mm=1e3 * values + 1.0)  # another content: another problem
-    assert call("report", tmp_path / "out", "--out", tmp_path / "page.html").exit_code == 2
+    text = (tmp_path / "page.html").read_text()
+    assert "measured minus simulated" in text
+    file.unlink()  # the result contains the series
+    assert call("report", tmp_path / "out", "--out", tmp_path / "page.html").exit_code == 0
+    assert (tmp_path / "page.html").read_text() == text
 
 
 @pytest.mark.parametrize(
