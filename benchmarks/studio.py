@@ -253,7 +253,7 @@ class RandomDrags:
 
     def _judge(self, k: int) -> None:
         from optlink import validate
-        from optlink.tasks.results.analysis import Analysis
+        from optlink.tasks.analyze import Analysis
 
         for message in self.sent:
             json.dumps(message, allow_nan=False)

@@ -21,14 +21,13 @@ if TYPE_CHECKING:
     from optlink.problem.templates import new
     from optlink.report.stored import read_result
     from optlink.studio import explore
-    from optlink.tasks.analyze import analyze
+    from optlink.tasks.analyze import Analysis, analyze
     from optlink.tasks.balance import balance
     from optlink.tasks.batch import analyze_batch
     from optlink.tasks.clearance import InverseMotion, inverse_model, simulate_clearance
     from optlink.tasks.control_comparison import compare, tune
     from optlink.tasks.function import FunctionResult, read_design
     from optlink.tasks.programme import Programme, build
-    from optlink.tasks.results.analysis import Analysis
     from optlink.tasks.results.balance import Balance
     from optlink.tasks.results.clearance import ClearanceSimulation
     from optlink.tasks.results.common import DesignResult
@@ -46,14 +45,13 @@ _NAMES = {
     "optlink.problem.templates": ("new",),
     "optlink.report.stored": ("read_result",),
     "optlink.studio": ("explore",),
-    "optlink.tasks.analyze": ("analyze",),
+    "optlink.tasks.analyze": ("Analysis", "analyze"),
     "optlink.tasks.balance": ("balance",),
     "optlink.tasks.batch": ("analyze_batch",),
     "optlink.tasks.clearance": ("InverseMotion", "inverse_model", "simulate_clearance"),
     "optlink.tasks.control_comparison": ("compare", "tune"),
     "optlink.tasks.function": ("FunctionResult", "read_design"),
     "optlink.tasks.programme": ("Programme", "build"),
-    "optlink.tasks.results.analysis": ("Analysis",),
     "optlink.tasks.results.balance": ("Balance",),
     "optlink.tasks.results.clearance": ("ClearanceSimulation",),
     "optlink.tasks.results.common": ("DesignResult",),

@@ -47,12 +47,7 @@ def data_files(name: str) -> dict[str, Path]:
 
 
 def folder(path: Path, option: str = "--out") -> Path:
-    """Create an output folder and check that it is writable, before any computation.
-
-    Parameters
-    ----------
-    option : str
-        Command-line option that the error message names.
+    """Create an output folder and check that it is writable, before any computation; `option` names it in the error message.
 
     Raises
     ------
@@ -136,13 +131,7 @@ def shown_name(name: str) -> str:
 
 
 def write_json(path: Path, document: dict[str, Any]) -> None:
-    """Write a JSON document.
-
-    Parameters
-    ----------
-    document : dict
-        Document of plain Python values.
-    """
+    """Write a document of plain Python values."""
     with whole(path) as temporary:
         temporary.write_text(
             json.dumps(document, indent=2, ensure_ascii=False) + "\n", encoding="utf-8", errors="backslashreplace"
@@ -159,13 +148,7 @@ def read_object(path: Path) -> dict[str, Any] | None:
 
 
 def check_sum(data: bytes, begin: int = 0) -> str:
-    """Return the check sum of data; it detects a changed file, not a forged one.
-
-    Parameters
-    ----------
-    begin : int, optional
-        Value of the check sum of the data before.
-    """
+    """Return the check sum of data, continued from that of the data before; it detects a changed file, not a forged one."""
     return f"{zlib.crc32(data, begin):08x}"
 
 
@@ -293,13 +276,7 @@ def finite(value: Any) -> Any:
 
 
 def head(schema: str, problem: Any, status: str) -> dict[str, Any]:
-    """Return the common first entries of every JSON document about a problem file.
-
-    Parameters
-    ----------
-    schema : str
-        Name of the document's schema.
-    """
+    """Return the common first entries of every JSON document about a problem file."""
     return {
         "schema": schema,
         "optlink": VERSION,
@@ -370,11 +347,6 @@ class Registry(dict[str, Item]):
 
     def add(self, name: str, item: Item) -> Item:
         """Register a part.
-
-        Parameters
-        ----------
-        name : str
-        item : Item
 
         Raises
         ------

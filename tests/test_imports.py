@@ -24,7 +24,7 @@ NOT_FOR_A_LAW = {
     "optlink.dynamics.flywheel",
     "optlink.problem.cycle",
     "optlink.problem.path",
-    "optlink.tasks.results.analysis",
+    "optlink.tasks.analyze",
 }
 HEAVY = {"casadi", "matplotlib", "cvxpy", "plotly", "scipy.optimize", "scipy.stats", "pint"}
 

@@ -22,8 +22,7 @@ from optlink.problem.file import dump
 from optlink.problem.function import DesignProblem
 from optlink.problem.mechanism import FourBarSection
 from optlink.problem.targets.expression import parse as parse_expression
-from optlink.tasks.analyze import analyze
-from optlink.tasks.results.analysis import Analysis
+from optlink.tasks.analyze import Analysis, analyze
 from optlink.units import factor, parse
 from tests import synthesis_oracle as oracle
 from tests.solved import solution

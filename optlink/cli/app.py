@@ -65,10 +65,7 @@ def _options(
 class VisibleStream:
     """A stream that writes control characters visibly: texts of files and names do not steer the terminal.
 
-    Parameters
-    ----------
-    stream : text stream
-        Tables and bars are written to it directly, as they have escape sequences of their own; their texts are escaped before.
+    Tables and bars, which have escape sequences of their own, are written to `rich_proxied_file`; their texts are escaped before.
     """
 
     def __init__(self, stream: Any) -> None:
@@ -125,12 +122,9 @@ def main() -> None:
 
 
 def needed(group: typer.Typer, words: Sequence[str]) -> typer.Typer:
-    """Return a group with the command of a command line; of the others with names and summaries alone, as building takes time.
+    """Return a group with the command of `words` built, of the others names and summaries alone, as building takes time.
 
-    Parameters
-    ----------
-    words : sequence of str
-        Command line, without the words that lead to the group; without a command, for the overview of all.
+    `words` is the command line behind the name of the group; without a command, nothing is built.
     """
     first = COMMANDS.get(words[0], words[0]) if words else None
     short = copy.copy(group)

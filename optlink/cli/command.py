@@ -84,13 +84,7 @@ class Group(TyperGroup):
     get_short_help_str = Command.get_short_help_str
 
     def main(self, *arguments: Any, **options: Any) -> Any:
-        """Run the command line; one that cannot be used is reported as other invalid input is.
-
-        Parameters
-        ----------
-        *arguments, **options
-            As for `typer.core.TyperGroup.main`.
-        """
+        """Run the command line; one that cannot be used is reported as other invalid input is."""
         words = next(iter(arguments), None) or options.get("args") or sys.argv[1:]
         try:
             with reported("--json" in words):
@@ -155,11 +149,5 @@ class App(typer.Typer):
         super().__init__(cls=Group, rich_markup_mode=None, **options)  # its tables cut words on a narrow terminal
 
     def command(self, name: str | None = None, **options: Any) -> Callable[[Function], Function]:
-        """Register a command.
-
-        Parameters
-        ----------
-        **options
-            As for `typer.Typer.command`.
-        """
+        """Register a command with the options of `typer.Typer.command`."""
         return super().command(name, **{"cls": Command, **options})

@@ -27,13 +27,7 @@ def template_names(incomplete: str) -> list[str]:
 
 
 def keys(context: typer.Context, incomplete: str) -> list[str]:
-    """Return the keys of the problem on the command line, each with "=", for --set.
-
-    Parameters
-    ----------
-    incomplete : str
-        Beginning of a key.
-    """
+    """Return the keys of the problem on the command line that begin with `incomplete`, each with "=", for --set."""
     import tomllib
 
     text = str(context.params.get("problem") or next(iter(context.args), ""))  # the arguments of an unfinished line

@@ -44,12 +44,7 @@ def reported(as_json: bool, options: Mapping[str, tuple[str, str]] | None = None
     """Print an error as a message on standard error (and as JSON on request), and exit with its code.
 
     An interrupted command ends with the exit code 130, also if it has shown complete results. Errors of the output streams are
-    passed on.
-
-    Parameters
-    ----------
-    options : mapping of str to (str, str), optional
-        Option and its value as typed, by the names of its parameter: a library function names the parameter, and the value [SI].
+    passed on. `options` gives, by the parameter that a library function names, the option and its value as typed.
     """
     global printed  # noqa: PLW0603
     printed = bool(_kept) and printed
@@ -129,13 +124,7 @@ def print_json(document: dict[str, Any]) -> None:
 
 
 def print_failure(message: str, faults: list[dict[str, Any]]) -> None:
-    """Print a failure as JSON.
-
-    Parameters
-    ----------
-    faults : list of dict
-        Fields of each `Fault`, JSON compatible.
-    """
+    """Print a failure as JSON, with the fields of each `Fault`."""
     print_json({"schema": "optlink/error/1", "status": "error", "message": message, "faults": faults})
 
 
@@ -150,26 +139,10 @@ def deliver(
     details: bool = True,
     state: str = "",
 ) -> None:
-    """Write result files, print JSON or a table, and exit unless all is well.
+    """Write result files, print JSON or a table, and exit with `code` unless it is 0.
 
-    Parameters
-    ----------
-    result : Any
-        Result with `to_dict`, and `columns` if there is a `csv`.
-    kind : str
-        Kind of result, see `optlink.report.registry`.
-    as_json : bool
-        Whether to print JSON instead of a table.
-    out : Path or None
-        Folder for the files; after an interrupt it gets result.json only.
-    csv : Path or None, optional
-        File for the columns.
-    code : int
-        Exit code.
-    details : bool, optional
-        Whether to print all tables of a design, not its short text alone.
-    state : str, optional
-        File in the folder from which the run can be resumed: it is removed when all files are written.
+    After an interrupt the folder gets result.json only. Without `details` a design is printed as its short text. `state` is the
+    file in the folder from which the run can be resumed: it is removed when all files are written.
     """
     from optlink.report.registry import table_of, view_of
 
@@ -278,14 +251,7 @@ def _bar(what: str) -> Iterator[Callable[[float, str], None]]:
 def progress_bar(*columns: ProgressColumn, what: str, **options: Any) -> Iterator[tuple[Progress, TaskID]]:
     """Show a bar with its remaining time on standard error; none if that is not a terminal, or of a quiet command.
 
-    Parameters
-    ----------
-    *columns : ProgressColumn
-        Between the bar and the remaining time.
-    what : str
-        Before the bar.
-    **options
-        As for `rich.progress.Progress.add_task`.
+    The text `what` precedes the bar, `columns` follow it; the options are those of `rich.progress.Progress.add_task`.
     """
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -332,15 +298,7 @@ def design_of(problem: str, design: list[str] | None) -> list[str] | None:
 
 
 def read_design_option(file: ProblemFile, design: list[str] | None, varied: Collection[str] = ()) -> dict[str, float] | None:
-    """Read the design of `--design` [SI]; None without the option.
-
-    Parameters
-    ----------
-    design : list of str or None
-        "NAME=VALUE", or the path of a result.json.
-    varied : collection of str
-        Names that the design may leave out.
-    """
+    """Read the design of `--design` [SI], which may leave `varied` out; None without the option."""
     if not design:
         return None
     from optlink.tasks.function import read_design
@@ -349,20 +307,7 @@ def read_design_option(file: ProblemFile, design: list[str] | None, varied: Coll
 
 
 def quantity(text: str | None, kind: str, option: str) -> float | None:
-    """Read an option that is a number with a unit [SI]; None without the option.
-
-    Parameters
-    ----------
-    kind : str
-        Kind of quantity, a key of `optlink.units.KINDS`.
-    option : str
-        Name of the option in error messages.
-
-    Raises
-    ------
-    InputError
-        If the text is no such quantity.
-    """
+    """Read an option that is a number with a unit [SI], of a kind in `optlink.units.KINDS`; None without the option."""
     if text is None:
         return None
     from optlink.problem.quantity import input_of, read_scalar
@@ -377,14 +322,7 @@ def given(**options: Any) -> dict[str, Any]:
 
 
 def refuse(options: Mapping[str, object], message: str, remedy: str, file: str | None = None) -> None:
-    """Raise an error for the first of these options that is used: it would have no effect.
-
-    Parameters
-    ----------
-    options : mapping of str to object
-        Values by option; None and False count as unused.
-    file : str, optional
-        Named in the error message.
+    """Raise an error for the first of these options that is used, neither None nor False: it would have no effect.
 
     Raises
     ------
@@ -403,16 +341,6 @@ def places(out: Path | None, command: str, problem: str, csv: Path | None = None
     """Check before any work that results can be written, and lock their folder until the command ends.
 
     A new folder is removed again if the input is invalid.
-
-    Parameters
-    ----------
-    problem : str
-        Name of the problem, or its file.
-
-    Raises
-    ------
-    InputError
-        If nothing can be written, or the folder holds or receives the results of another command or problem.
     """
     if out is None:
         unused = {"--format": None if pictures == "png" else pictures, "--film": film}
@@ -426,13 +354,7 @@ def places(out: Path | None, command: str, problem: str, csv: Path | None = None
 
 
 def study_place(out: Path, command: str, problem: str) -> None:
-    """Lock an existing folder for a study until the command ends; it may hold the study to be resumed.
-
-    Parameters
-    ----------
-    problem : str
-        Name of the problem, or its file.
-    """
+    """Lock an existing folder for a study until the command ends; it may hold the study to be resumed."""
     from optlink.cli.run_folder import check_owner
     from optlink.io import locked
 

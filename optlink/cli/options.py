@@ -70,46 +70,17 @@ def share_number(text: object) -> float:
 
 
 def option(metavar: str, text: str, *names: str, **more: Any) -> Any:
-    """Declare an option with a value.
-
-    Parameters
-    ----------
-    metavar : str
-        What stands for the value.
-    text : str
-        Help.
-    *names : str
-        Names; default: that of the parameter.
-    **more
-        As for `typer.Option`.
-    """
+    """Declare an option with a value; without `names` it has that of the parameter."""
     return typer.Option(*names, metavar=metavar, help=text, **more)
 
 
 def number(text: str, *names: str, metavar: str = "N") -> Any:
-    """Declare an option that takes a whole number.
-
-    Parameters
-    ----------
-    text : str
-        Help.
-    *names : str
-        Names; default: that of the parameter.
-    """
+    """Declare an option that takes a whole number; without `names` it has that of the parameter."""
     return option(metavar, text, *names, parser=whole_number)
 
 
 def flag(text: str, *names: str, **more: Any) -> Any:
-    """Declare an option without a value.
-
-    Parameters
-    ----------
-    text : str
-        Help.
-    *names : str
-    **more
-        As for `typer.Option`.
-    """
+    """Declare an option without a value."""
     return typer.Option(*names, help=text, **more)
 
 

@@ -15,12 +15,7 @@ RESULT = "result.json"
 
 
 def check_owner(path: Path, command: str, problem: str) -> None:
-    """Refuse a folder that holds the result of another command or another problem.
-
-    Parameters
-    ----------
-    problem : str
-        Name of a problem, or its file.
+    """Refuse a folder that holds the result of another command or another problem, given by its name or file.
 
     Raises
     ------
@@ -53,18 +48,8 @@ def earlier_result(path: Path) -> dict[str, Any]:
 def run_folder(path: Path, command: str, problem: str) -> Iterator[None]:
     """Lock an existing folder for a run; afterwards remove files of an earlier run that this one did not rewrite.
 
-    Only files unchanged since the earlier run are removed, and only if this run has written its result.
-
-    Parameters
-    ----------
-    problem : str
-        Name of a problem, or its file.
-
-    Raises
-    ------
-    InputError
-        If another run holds the folder, it contains a result of another command or problem, or the name of its result is a link
-        out of it.
+    Only files unchanged since the earlier run are removed, and only if this run has written its result. A folder of another run,
+    command or problem is refused, and one whose result is a link out of it.
     """
     with locked(path):
         check_link(path / RESULT)

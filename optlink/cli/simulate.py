@@ -93,8 +93,7 @@ def simulate(
     with_clearance = file.model.has_clearance and not ideal
     if not with_clearance:
         of_gaps: dict[str, Any] = {"--revolutions": revolutions, "--control": control, "--tolerance": tolerance}
-        of_gaps |= {"--measured": measured}
-        of_gaps |= {"--integrator": integrator, "--resume": resume, "--tune": tune}
+        of_gaps |= {"--measured": measured, "--integrator": integrator, "--resume": resume, "--tune": tune}
         message = f"{'joints count as ideal' if ideal else 'no joint has clearance'}, so the option has no effect"
         console.refuse(of_gaps, message, "Leave --ideal out" if ideal else f'Give one: --set "{CLEARANCE_EXAMPLE}"', file.file)
     comparing = control == COMPARE
@@ -124,6 +123,8 @@ def simulate(
             ideal_run = run(file, time, progress=progress, flywheel=inertia, **common, **console.given(rows=points))
         _deliver(ideal_run, "simulation", ideal_run.ending.value, as_json, out, csv)
         return
+    from optlink.report.files import CHECKPOINT
+
     whole_revolutions = _revolutions(file, revolutions, time, common["speed"])
     compiling = functools.partial(console.working, "Compiling the equations of motion (cached for the next time)")
     common |= {"compiling": compiling, **console.given(points=points, tolerance=tolerance, integrator=integrator)}
@@ -133,14 +134,12 @@ def simulate(
 
         parallel = {"workers": cores()} | parallel
     if comparing:
-        from optlink.report.files import CHECKPOINT
         from optlink.tasks.control_comparison import compare
 
         with _kept(out, resume, "runs", "comparing") as store:
             compared = compare(file, whole_revolutions, **common, **parallel, **store)
         _deliver(compared, "control comparison", compared.status, as_json, out, state=CHECKPOINT)
     elif tune:
-        from optlink.report.files import CHECKPOINT
         from optlink.tasks.control_comparison import tune as search
 
         with _kept(out, resume, "evaluations", "tuning") as store:
@@ -151,26 +150,21 @@ def simulate(
         _deliver(tuned, "tuning", tuned.status, as_json, out, state=CHECKPOINT)
     else:
         from optlink.io import write_json
-        from optlink.report.files import CHECKPOINT, checkpoint
+        from optlink.report.files import checkpoint, stream
         from optlink.tasks.clearance import simulate_clearance
 
         begun = checkpoint(out) if resume else None
         done = 0 if begun is None else _rows_done(begun, whole_revolutions, out)
         keep = None if out is None else functools.partial(write_json, out / CHECKPOINT)
         common |= {"control": control or "none", "flywheel": inertia, "checkpoint": keep, "resume": begun}
-        with _streamed(csv, done) as stream, console.share("simulating") as progress:
-            result = simulate_clearance(file, whole_revolutions, progress=progress, stream=stream, **common)
+        table = contextlib.nullcontext() if csv is None else stream(csv, done)
+        with table as rows, console.share("simulating") as progress:
+            result = simulate_clearance(file, whole_revolutions, progress=progress, stream=rows, **common)
         _deliver(result, "clearance", result.ending.value, as_json, out)
 
 
 def _series(measured: Path | None) -> list[str]:
-    """Return the change of the problem that names the file of a measured series.
-
-    Raises
-    ------
-    InputError
-        If there is no such file.
-    """
+    """Return the change of the problem that names the file of a measured series."""
     if measured is None:
         return []
     if not measured.is_file():
@@ -179,13 +173,7 @@ def _series(measured: Path | None) -> list[str]:
 
 
 def _rows_done(begun: Mapping[str, Any], revolutions: int, out: Path | None) -> int:
-    """Return the number of rows of a simulation before those that follow; the last revolution is simulated again.
-
-    Raises
-    ------
-    InputError
-        If the results of so many revolutions are already in the folder.
-    """
+    """Return the number of rows of a simulation before those that follow; the last revolution is simulated again."""
     from optlink.cli.run_folder import earlier_result
 
     result = {} if out is None else earlier_result(out)
@@ -234,7 +222,6 @@ def _kept(out: Path | None, resume: bool, parts: str, what: str) -> Iterator[dic
 
 
 def _revolutions(file: ProblemFile, revolutions: int | None, duration: float | None, speed: float | None) -> int:
-    """Return the number of revolutions."""
     if revolutions is not None and duration is not None:
         raise InputError("revolutions and a duration are given", "Give one of the two", key="--duration")
     if revolutions is not None:
@@ -250,15 +237,3 @@ def _revolutions(file: ProblemFile, revolutions: int | None, duration: float | N
         what = f"{duration:.6g} s are {exact:.6g} revolutions"
         print(f"Note: {what}; with clearance whole revolutions are simulated: {count}", file=sys.stderr)
     return count
-
-
-@contextlib.contextmanager
-def _streamed(csv: Path | None, done: int) -> Iterator[Any]:
-    """Provide a table that is written during the simulation."""
-    if csv is None:
-        yield None
-        return
-    from optlink.report.files import stream
-
-    with stream(csv, done) as rows:
-        yield rows

@@ -85,9 +85,9 @@ def solve(
 
     file = console.load(problem, changes)
     if not (_automatic(file) if certify is None else certify):
-        possible = certify is None and file.task != "analysis" and design_task(file).certified
-        remedy = "Add --certify, or leave it out" if possible else "Leave it out"
-        if file.task != "analysis" and not design_task(file).divisible:
+        task, searched = design_task(file), file.task != "analysis"
+        remedy = "Add --certify, or leave it out" if certify is None and searched and task.certified else "Leave it out"
+        if searched and not task.divisible:
             console.refuse(where, "only multistart searches and certificates use several processes", remedy, file.file)
         console.refuse(limits, "the option applies to a certificate of the global optimum only", remedy, file.file)
     seconds = console.quantity(time_limit, "time", "--time-limit")

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, TypeAlias, cast
 from optlink.errors import InputError, Status
 from optlink.problem.file import ProblemFile
 from optlink.report.causes import causes, why_invalid
-from optlink.tasks.analyze import analyze
-from optlink.tasks.results.analysis import Analysis
+from optlink.tasks.analyze import Analysis, analyze
 from optlink.tasks.run import solve, validate
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from optlink.linkage.vector2d import TURN, Array
 from optlink.report.drawing import Sketch
 from optlink.report.names import NamePlaces, place_names
 from optlink.report.shapes import Part
-from optlink.tasks.results.analysis import Analysis
+from optlink.tasks.analyze import Analysis
 
 FLIP = np.array([1.0, -1.0])
 STEPS = 360  # positions per revolution

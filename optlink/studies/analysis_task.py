@@ -18,10 +18,9 @@ from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import nearest
 from optlink.studies.grid import Axis, Grid
 from optlink.studies.sweep_task import FiguresTask, MachineFigures
-from optlink.tasks.analyze import analyze
+from optlink.tasks.analyze import Analysis, analyze
 from optlink.tasks.batch import analyze_batch, batch_extremes, reaction_parts
 from optlink.tasks.machine import crank_speed, machine_of
-from optlink.tasks.results.analysis import Analysis
 from optlink.units import factor
 
 CHUNK = 2000  # designs per chunk

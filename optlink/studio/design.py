@@ -14,8 +14,8 @@ from optlink.report.format import single_units
 from optlink.report.views import conclusions
 from optlink.solvers.solution import LimitState, Solution
 from optlink.studio.kinds import kind_of
+from optlink.tasks.analyze import Analysis
 from optlink.tasks.machine import machine_of
-from optlink.tasks.results.analysis import Analysis
 from optlink.tasks.results.balance import Balance
 from optlink.validation.check import Check
 

@@ -1,21 +1,28 @@
-"""Analyse a machine over its cycle: motion, reactions, torque and work at constant crank speed."""
+"""Analyse a machine over its cycle: motion, reactions, torque and work at constant crank speed, and the result."""
+
+from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, ClassVar
 
 import numpy as np
 
 from optlink.dynamics.columns import FAULTS, MotionColumns, pin_columns, tabulated, unbounded_reactions
-from optlink.dynamics.flywheel import flywheel
+from optlink.dynamics.flywheel import Flywheel, flywheel
+from optlink.dynamics.inverse import acting_on
 from optlink.dynamics.machine import Machine, slider_names
-from optlink.dynamics.strokes import acting_loads
+from optlink.dynamics.strokes import StrokeLoad, acting_loads
 from optlink.dynamics.work import Work
 from optlink.errors import InputError
 from optlink.linkage.alignment import AlignedPosition, angles_text, positions_text
 from optlink.linkage.extrema import distinct
-from optlink.linkage.stroke import Ranges, Travel, range_end_reason, travels
+from optlink.linkage.stroke import Ranges, Travel, range_end_reason, travels, within_cycle
 from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.arguments import typed
+from optlink.problem.document import Source, Tabled
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import check_range
 from optlink.tasks.machine import (
@@ -29,12 +36,217 @@ from optlink.tasks.machine import (
     starting_angle,
     table_angles,
 )
-from optlink.tasks.results.analysis import Analysis
-from optlink.tasks.results.extremes import Extremes
+from optlink.tasks.results.extremes import Extremes, distances
+from optlink.tasks.results.strokes import stroke_records
 
 MAX_POINTS = 1_000_000
 GRID = 720  # positions among which extremes are bracketed
 SINGULAR_WIDTH = 1e-6  # rad from a singular position: rates and forces are rounding errors there
+
+
+FLYWHEEL = ("mean_speed", "mean_torque", "fluctuation", "allowed", "inertia")
+
+
+def _singular_documents(ranges: Ranges) -> list[dict[str, Any]]:
+    """Return the positions at which the motion is not determined; `followed`: the mechanism is continued through it."""
+    return [
+        {
+            "crank_angle_deg": math.degrees(position.crank_angle),
+            "joint": position.group.joint,
+            "alignment_deg": math.degrees(position.angle),
+            "followed": position.followed,
+        }
+        for position in (*ranges.singular, *ranges.followed)
+    ]
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class Analysis(Tabled):
+    """Result of the analysis of a machine over its cycle.
+
+    `columns` by name (unit at the end), each an array over the sampled crank angles: `pandas.DataFrame(run.columns)`;
+    `meanings` describe them; `extremes` are refined to their exact crank angles when they are read, one-sided at load jumps;
+    `unbounded`: columns of reactions that grow without bound towards change points through which the motion is continued;
+    `swings` of bodies and `strokes` of sliders (by slider name); `rms_torque`: torque of the drive [N m], root mean square over a
+    cycle, by which the heating of a motor is rated; NaN unless the crank turns fully; `design`: the given values [SI]; `asked`:
+    requested crank angle steps per revolution, or step [rad].
+    """
+
+    kind = "analysis"
+    stored = ("asked", "speed", "design")
+    shown: ClassVar[Mapping[str, Source]] = {
+        "sound": "sound",
+        "notes": "notes",
+        "groups": lambda result: [
+            {"kind": group.kind, "joint": group.joint, "bodies": [link.body for link in group.links]}
+            for group in result.machine.mechanism.groups
+        ],
+        "sizes": "machine.sizes",
+        "speed_rad_s": "speed",
+        "full_rotation": "full",
+        "reachable_deg": lambda result: [list(map(math.degrees, ends)) for ends in result.ranges.ranges],
+        "reactions": lambda result: reaction_conventions(result.machine),
+        "strokes": lambda result: result.documents(result.strokes, "m"),
+        "swings": lambda result: result.documents(result.swings, "rad"),
+        "extremes": lambda result: {
+            name: {"min": low, "max": high, "min_at_deg": math.degrees(low_at), "max_at_deg": math.degrees(high_at)}
+            for name, (low, low_at, high, high_at) in result.extremes.items()
+        },
+        "load_jumps_deg": lambda result: result.within(result.jumps),
+        "work_J": "work",
+        "singular_deg": lambda result: result.within(result.singular),
+        "singular_positions": lambda result: _singular_documents(result.ranges),
+        "cycle_deg": lambda result: math.degrees(result.cycle) if result.full else None,
+        "unbounded": "unbounded",
+        "jammed_deg": lambda result: result.within(result.jammed),
+        "undefined_deg": lambda result: result.within(result.undefined),
+        "meanings": "meanings",
+        "columns": "columns",
+        "flywheel?": lambda result: (
+            result.flywheel and {**{name: getattr(result.flywheel, name) for name in FLYWHEEL}, "mean_speed_over": "crank angle"}
+        ),
+        "design?": lambda result: dict(result.design) or None,
+        "rms_torque_Nm?": lambda result: result.rms_torque if math.isfinite(result.rms_torque) else None,
+    }
+
+    problem: ProblemFile
+    machine: Machine
+    speed: float
+    ranges: Ranges
+    low: float
+    high: float
+    columns: Mapping[str, Array]
+    meanings: Mapping[str, str]
+    extremes: Extremes
+    swings: Mapping[str, Travel]
+    strokes: Mapping[str, Travel]
+    jumps: Array
+    work: float
+    singular: Array
+    jammed: Array
+    undefined: Array
+    notes: tuple[str, ...]
+    flywheel: Flywheel | None = None
+    unbounded: tuple[str, ...] = ()
+    rms_torque: float = math.nan
+    design: Mapping[str, float] = field(default_factory=dict)
+    asked: tuple[int, float | None] = (360, None)
+
+    @classmethod
+    def restored(cls, problem: ProblemFile, values: Mapping[str, Any]) -> Analysis:
+        """Return the same analysis again.
+
+        Parameters
+        ----------
+        problem : ProblemFile
+        values : mapping of str to object
+            The attributes that `stored` names.
+        """
+        points, step = values["asked"]
+        return analyze(problem, points, step, values["speed"], values["design"] or None)
+
+    @property
+    def full(self) -> bool:
+        """Whether the crank turns fully."""
+        return self.ranges.full
+
+    @property
+    def cycle(self) -> float:
+        """Crank rotation [rad] after which motion and loads repeat, if the crank turns fully."""
+        return self.machine.cycle
+
+    @property
+    def extent(self) -> str:
+        """Interval over which works and strokes are counted, in words."""
+        if not self.full:
+            return "over the range"
+        return "per revolution" if self.cycle == TURN else "per cycle"
+
+    @property
+    def mean_torque(self) -> float:
+        """Torque of the drive [N m], mean over a cycle: its work by the crank rotation; NaN unless the crank turns fully."""
+        return self.work / math.copysign(self.cycle, self.speed) if self.full else math.nan
+
+    @property
+    def mean_power(self) -> float:
+        """Power of the drive [W], mean over a cycle; NaN unless the crank turns fully."""
+        return self.mean_torque * self.speed
+
+    def within(self, crank_angles: Array) -> list[float]:
+        """Return crank angles [deg], without duplicates, reduced to one cycle if the crank turns fully."""
+        angles = [within_cycle(at, self.cycle) if self.full else float(at) for at in crank_angles]
+        return sorted({round(math.degrees(at), 9) for at in angles})
+
+    @property
+    def sound(self) -> bool:
+        """Whether the motion is determined and every position has finite reactions."""
+        return self.singular.size == 0 and self.jammed.size == 0 and self.undefined.size == 0
+
+    @property
+    def status(self) -> str:
+        """Short verdict."""
+        if self.ranges.singular:
+            return "motion not determined beyond a singular position"
+        if not self.sound:
+            return "no finite reactions at some positions"
+        return "analysed, but for reactions at change points" if self.unbounded else "analysed"
+
+    @property
+    def figures(self) -> dict[str, float]:
+        """Summary figures by name: extremes, strokes, swings, time ratios, work."""
+        figures = {}
+        for name, extreme in self.extremes.items():
+            figures[f"{name}.min"], figures[f"{name}.max"] = extreme.least, extreme.largest
+        for name, travel in self.strokes.items():
+            figures[f"{name}.stroke_m"] = travel.span
+            figures[f"{name}.time_ratio"] = travel.time_ratio
+        for name, travel in self.swings.items():
+            figures[f"{name}.swing_rad"] = travel.span
+            figures[f"{name}.swing_time_ratio" if name in self.strokes else f"{name}.time_ratio"] = travel.time_ratio
+        figures[f"input.work_{self.extent.replace('the ', '').replace(' ', '_')}_J"] = self.work
+        return {name: value for name, value in figures.items() if math.isfinite(value)}
+
+    @cached_property
+    def acting(self) -> tuple[StrokeLoad, ...]:
+        """Loads that act in one stroke only; empty if the crank cannot turn fully."""
+        return acting_loads(self.machine, self.speed) if self.full else ()
+
+    def documents(self, travels: Mapping[str, Travel], unit: str) -> dict[str, dict[str, Any]]:
+        """Return strokes or swings as JSON, in `unit`.
+
+        Parameters
+        ----------
+        travels : mapping of str to Travel
+            [m, rad]
+        unit : "m" or "rad"
+        """
+        return {
+            name: {
+                f"span_{unit}": travel.span,
+                f"low_{unit}": travel.low,
+                f"high_{unit}": travel.high,
+                "low_at_deg": math.degrees(travel.low_at),
+                "high_at_deg": math.degrees(travel.high_at),
+                "dead_centres_deg": [math.degrees(at) for at in travel.dead_centres],
+                "time_ratio": travel.time_ratio,
+                **stroke_records(travel, self.speed, self.acting),
+            }
+            for name, travel in travels.items()
+        }
+
+
+def reaction_conventions(machine: Machine) -> dict[str, str]:
+    """Return for every joint which body acts on which, as defined for the columns."""
+    conventions = {}
+    for point, (by, on) in acting_on(machine).items():
+        bodies = machine.mechanism.pins[point]
+        if len(bodies) == 2:
+            conventions[point] = f"{by} on {on}"
+        else:
+            conventions |= {f"{point}.{body}": f"pin on {body}" for body in (on, *(b for b in bodies if b != on))}
+    for guide in machine.mechanism.guides:
+        conventions[guide.name] = f"{guide.on} on {guide.slider}, normal to the left of the line"
+    return conventions
 
 
 @typed
@@ -99,7 +311,8 @@ def analyze(
     swings: dict[str, Travel] = {}
     strokes: dict[str, Travel] = {}
     unbounded: tuple[str, ...] = ()
-    grid = even = _even(low, high, ranges.full, cycle)
+    count = GRID * (max(1, round(cycle / TURN)) if ranges.full else 1)
+    grid = even = np.asarray(low + (high - low) / count * np.arange(count + 1), dtype=float)
     if ranges.singular:  # two branches continue the motion: it is not determined as a whole
         singular = _undetermined(columns, singular, ranges.singular, low, high)
     else:
@@ -187,28 +400,19 @@ def _undetermined(columns: dict[str, Array], rows: Array, positions: Iterable[Al
     angles = np.radians(columns["crank_angle_deg"])
     exact = np.array([low + (position.crank_angle - low) % TURN for position in positions])
     exact = np.where(exact - low > TURN - SINGULAR_WIDTH, low, exact)
-    distances = np.abs(np.remainder(angles[:, None] - exact + math.pi, TURN) - math.pi)
-    singular = np.any(distances <= SINGULAR_WIDTH, axis=1)
+    singular = np.any(distances(angles, exact, TURN) <= SINGULAR_WIDTH, axis=1)
     for name, column in columns.items():
         if name == "input.work_J":
             columns[name] = np.full(column.shape, np.nan)
         elif not name.endswith(PLACES):
             columns[name] = np.where(singular, np.nan, column)
-    remaining = rows[np.all(np.abs(rows[:, None] - exact) > SINGULAR_WIDTH, axis=1)] if rows.size else rows
+    remaining = rows[np.all(np.abs(rows[:, None] - exact) > SINGULAR_WIDTH, axis=1)]
     return distinct(np.concatenate([remaining, exact[exact <= high + SINGULAR_WIDTH]]))
 
 
 def _beyond(rows: Array, positions: Iterable[AlignedPosition], cycle: float) -> Array:
     """Return crank angles [rad] of rows without finite reactions other than positions through which the motion is continued."""
-    for position in positions:
-        rows = rows[np.abs(np.remainder(rows - position.crank_angle + 0.5 * cycle, cycle) - 0.5 * cycle) > SINGULAR_WIDTH]
-    return rows
-
-
-def _even(low: float, high: float, full: bool, cycle: float) -> Array:
-    """Return the crank angles [rad] between which extremes are sought."""
-    count = GRID * (max(1, round(cycle / TURN)) if full else 1)
-    return np.asarray(low + (high - low) / count * np.arange(count + 1), dtype=float)
+    return rows[np.all(distances(rows, [position.crank_angle for position in positions], cycle) > SINGULAR_WIDTH, axis=1)]
 
 
 def _least_forces(record: MotionColumns, angles: Array, pins: Iterable[tuple[str, str, str]]) -> Array:
@@ -225,17 +429,9 @@ def _least_forces(record: MotionColumns, angles: Array, pins: Iterable[tuple[str
 
 
 def chord_shares(force: Array) -> Array:
-    """Return the places, shares (..., n - 1) between samples (2, ..., n), where the chord of a force is closest to zero.
+    """Return where, as shares (..., n - 1) between samples (2, ..., n), the chord of a force is closest to zero.
 
-    Parameters
-    ----------
-    force : array (2, ..., n)
-        Its two components.
-
-    Returns
-    -------
-    shares : array (..., n - 1)
-        Also below 0 and above 1; NaN where the force does not change.
+    Shares may lie below 0 or above 1; they are NaN where the force does not change.
     """
     change = np.diff(force, axis=-1)
     with np.errstate(all="ignore"):
@@ -243,13 +439,7 @@ def chord_shares(force: Array) -> Array:
 
 
 def quick_stroke_notes(problem: ProblemFile, machine: Machine, speed: float) -> list[str]:
-    """Return a note for every load that acts in the quick stroke although the file does not specify "quick".
-
-    Parameters
-    ----------
-    speed : float [rad/s]
-        Crank speed.
-    """
+    """Return a note for every load that acts in the quick stroke although the file does not specify "quick"."""
     notes = []
     for item in acting_loads(machine, speed):
         if item.pace == "quick" and problem.model.loads[item.load].stroke != "quick":

@@ -3,14 +3,14 @@
 import importlib
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from optlink.balancing import optimum as search
 from optlink.balancing.certificate import GAP
-from optlink.balancing.socp import NOTHING, BalancingProgramme, version
+from optlink.balancing.socp import NOTHING, BalanceBound, BalancingProgramme, Price, version
 from optlink.dynamics.columns import MotionColumns
 from optlink.dynamics.counterweights import BalanceMeasure, Effects, quantities, quantities_of, with_counterweight
 from optlink.dynamics.inertia import Inertia, Parameters
@@ -35,30 +35,28 @@ from optlink.tasks.machine import (
     start_value_notes,
     table_angles,
 )
-from optlink.tasks.results.balance import ACTIVE, AddedCounterweight, Balance, FittedSpring, MeasureChange, TradeOff, TradePoint
-from optlink.tasks.results.balance_limits import active_limit, relaxed_limit
+from optlink.tasks.protocol import Progress
+from optlink.tasks.results.balance import (
+    ACTIVE,
+    ActiveLimit,
+    AddedCounterweight,
+    Balance,
+    FittedSpring,
+    MeasureChange,
+    RelaxedLimit,
+    TradeOff,
+    TradePoint,
+)
 from optlink.units import percent
 
-Progress = Callable[[float], None]
+Goal = Sequence[tuple[BalanceMeasure, float]]
+"""Measures to minimise together, with their weights."""
 
 # --- the problem ------------------------------------------------------------------------------------------------------------
 
 
 def positions(problem: ProblemFile, machine: Machine, speed: float) -> Array:
-    """Return the crank angles [rad] at which a machine is balanced; a cycle without its end, which equals its start.
-
-    Parameters
-    ----------
-    problem : ProblemFile
-        With a section [balance].
-    speed : float [rad/s]
-        Crank speed.
-
-    Raises
-    ------
-    InputError
-        If the mechanism has singular positions.
-    """
+    """Return the crank angles [rad] at which a machine is balanced; a cycle without its end, which equals its start."""
     section, start = problem.model.balance, problem.model.drive.start.value
     assert section is not None
     ranges, low, high = motion_range(problem, machine, start)
@@ -141,7 +139,7 @@ def balance(
     minimise: str | None = None,
     trade: str | None = None,
     points: int = 25,
-    progress: Progress | None = None,
+    progress: Progress = None,
     design: Mapping[str, float] | None = None,
 ) -> Balance:
     """Optimise counterweights and springs for a measure of a machine, with a lower bound from the dual.
@@ -190,13 +188,13 @@ def balance(
     programme = task.programme
     solution = search.optimum(programme, goal)
     seconds["optimum"] = time.perf_counter() - begin
-    before = _before(task, goal)
+    before = programme.before(goal[0][0]) if len(goal) == 1 else sum(weight for _, weight in goal)
     common: dict[str, Any] = {name: getattr(task, name) for name in ("problem", "angles", "speed", "about")}
     common |= {"goal": tuple(goal), "before": before, "solver": version(), "seconds": seconds}
     common["iterations"] = solution.certificate.iterations
     if solution.certificate.status == "infeasible":
         return Balance(
-            status=Status.INFEASIBLE, conflict=tuple(relaxed_limit(item) for item in search.conflict(task.programme)), **common
+            status=Status.INFEASIBLE, conflict=tuple(_relaxed_limit(item) for item in search.conflict(task.programme)), **common
         )
     if solution.certificate.status != "optimal":
         return Balance(status=Status.STALLED, **common)
@@ -228,7 +226,7 @@ def balance(
         machine=balanced,
         rows=rows,
         disagreement=disagreement,
-        limits=tuple(active_limit(price, after, scale) for price in solution.prices),
+        limits=tuple(_active_limit(price, after, scale) for price in solution.prices),
         trade=curve,
         notes=(*_notes(task, goal, status, slack, heavier, added, excess), *(curve.notes if curve else ())),
         exact=solution.exact,
@@ -251,7 +249,7 @@ def _pair(text: str, task: _Task) -> tuple[BalanceMeasure, BalanceMeasure]:
     return _measure(first, "--trade", task), _measure(second, "--trade", task)
 
 
-def _check(task: _Task, goal: Sequence[tuple[BalanceMeasure, float]], pair: Sequence[BalanceMeasure], points: int) -> None:
+def _check(task: _Task, goal: Goal, pair: Sequence[BalanceMeasure], points: int) -> None:
     """Refuse measures that are zero already: they cannot be reduced, and no relative value is defined."""
     check_range("--points", points, 3, 1000)
     if len(pair) == 2 and pair[0] == pair[1]:
@@ -262,25 +260,13 @@ def _check(task: _Task, goal: Sequence[tuple[BalanceMeasure, float]], pair: Sequ
             raise InputError(message, "Choose another measure, or give the bodies masses", task.problem.file, "balance.minimise")
 
 
-def _before(task: _Task, goal: Sequence[tuple[BalanceMeasure, float]]) -> float:
-    if len(goal) == 1:
-        return task.programme.before(goal[0][0])
-    return sum(weight for _, weight in goal)
-
-
 # --- check by inverse dynamics ------------------------------------------------------------------------------------------------
 
 
-def balanced_problem(
+def _balanced_problem(
     problem: ProblemFile, machine: Machine, added: Sequence[AddedCounterweight], springs: Sequence[FittedSpring]
 ) -> ProblemFile:
-    """Return the problem with the counterweights in its bodies and the springs among its loads.
-
-    Parameters
-    ----------
-    machine : Machine
-        Machine without counterweights.
-    """
+    """Return the problem of `machine` with the counterweights added to its bodies and the springs to its loads."""
     changes: dict[str, object] = {"balance": None}
     for counterweight in added:
         inertia = with_counterweight(machine.inertias.get(counterweight.body, Inertia()), counterweight.parameters)
@@ -303,32 +289,18 @@ def _verified(
     task: _Task, added: Sequence[AddedCounterweight], springs: Sequence[FittedSpring]
 ) -> tuple[ProblemFile, Machine, tuple[MeasureChange, ...], float]:
     """Return the balanced problem, its machine, measures before and after by inverse dynamics, and the disagreement."""
-    balanced = balanced_problem(task.problem, task.machine, added, springs)
+    balanced = _balanced_problem(task.problem, task.machine, added, springs)
     machine = machine_of(balanced)
     observed = quantities(task.machine)
     initial = quantities_of(task.moving, observed, task.about)
     now = quantities_of(machine.moving(task.angles, task.speed), observed, task.about)
     disagreement = _disagreement(task, observed, now, task.parameters(added, springs))
-    return balanced, machine, measure_changes(observed, initial, now), disagreement
-
-
-def measure_changes(
-    observed: Sequence[BalanceMeasure], before: Sequence[Array], after: Sequence[Array]
-) -> tuple[MeasureChange, ...]:
-    """Return the root mean square and the largest value of quantities before and after balancing.
-
-    Parameters
-    ----------
-    observed : sequence of BalanceMeasure
-        Quantities.
-    before, after : sequence of array (positions, 1 or 2) [SI]
-        Their values before and after.
-    """
-    measures = (
-        [BalanceMeasure(measure.kind, how, measure.joint, measure.on) for how in ("rms", "largest")] for measure in observed
-    )
-    every = zip(measures, before, after, strict=True)
-    return tuple(MeasureChange(measure, measure.value(old), measure.value(new)) for pair, old, new in every for measure in pair)
+    changes = []
+    for quantity, before, after in zip(observed, initial, now, strict=True):
+        for how in ("rms", "largest"):
+            measure = BalanceMeasure(quantity.kind, how, quantity.joint, quantity.on)
+            changes.append(MeasureChange(measure, measure.value(before), measure.value(after)))
+    return balanced, machine, tuple(changes), disagreement
 
 
 def _disagreement(task: _Task, measured: Sequence[BalanceMeasure], amounts: Sequence[Array], parameters: Array) -> float:
@@ -342,10 +314,57 @@ def _disagreement(task: _Task, measured: Sequence[BalanceMeasure], amounts: Sequ
     return worst
 
 
+# --- limits -----------------------------------------------------------------------------------------------------------------
+
+SHOWN: dict[str, tuple[str, float, float]] = {
+    "mass": ("kg", 1.0, 0.01),
+    "length": ("mm", 1e3, 1e-3),
+    "stiffness": ("N/m", 1.0, 0.0),
+    "force": ("N", 1.0, 0.0),
+    "measure": ("", 1.0, 0.0),
+}
+"""Kinds of limits: display unit, value in it of one in SI, step of the shadow price [SI]; zero: one per cent of the limit."""
+
+
+def _shown(limit: Price | BalanceBound) -> tuple[str, str, float, float]:
+    """Return sense, display unit, factor from SI to it, and step [SI] of a limit."""
+    unit, factor, step = SHOWN[limit.kind]
+    if limit.kind == "measure":
+        unit = "N m" if "moment" in limit.name or "torque" in limit.name else "N"
+    return "at most" if limit.sense > 0 else "at least", unit, factor, step or 0.01 * abs(limit.bound)
+
+
+def _active_limit(price: Price, after: float, scale: float) -> ActiveLimit:
+    """Return a limit at the optimum with its shadow price.
+
+    `after` is the scaled objective of the balanced machine, `scale` the objective over the scaled one.
+    """
+    sense, unit, factor, step = _shown(price)
+    return ActiveLimit(
+        price.name,
+        sense,
+        price.bound * factor,
+        price.value * factor,
+        unit,
+        abs(price.bound - price.value) <= ACTIVE * max(abs(price.bound), 1e-12),
+        price.price * scale / factor,
+        step * factor,
+        price.price * step / after if after > NOTHING else 0.0,
+        price.depends_on,
+    )
+
+
+def _relaxed_limit(item: search.Conflict) -> RelaxedLimit:
+    """Return a limit that conflicts with others, with the values that it would need."""
+    sense, unit, factor, _ = _shown(item.bound)
+    bound, single, together = (value * factor for value in (item.bound.bound, item.alone, item.together))
+    return RelaxedLimit(item.bound.name, sense, bound, single, together, unit)
+
+
 # --- the trade-off -----------------------------------------------------------------------------------------------------------
 
 
-def _trade(task: _Task, first: BalanceMeasure, second: BalanceMeasure, count: int, progress: Progress | None) -> TradeOff:
+def _trade(task: _Task, first: BalanceMeasure, second: BalanceMeasure, count: int, progress: Progress) -> TradeOff:
     programme = task.programme
     front = search.curve(programme, first, second, count)
     scales = programme.before(first), programme.before(second)
@@ -393,7 +412,7 @@ def _heavier(machine: Machine, added: Sequence[AddedCounterweight], springs: Seq
 
 def _notes(
     task: _Task,
-    goal: Sequence[tuple[BalanceMeasure, float]],
+    goal: Goal,
     status: Status,
     slack: float,
     heavier: Machine,
@@ -421,7 +440,7 @@ def _notes(
     return notes
 
 
-def _between(task: _Task, goal: Sequence[tuple[BalanceMeasure, float]], heavier: Machine) -> list[str]:
+def _between(task: _Task, goal: Goal, heavier: Machine) -> list[str]:
     """Return notes on higher values between the positions, for largest amounts that are minimised or limited."""
     largest = [m for m in (*(m for m, _ in goal), *(m for m, _ in task.limited)) if m.of == "largest"]
     if not largest:

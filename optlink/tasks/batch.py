@@ -100,10 +100,11 @@ def analyze_batch(
     drive = problem.model.drive
     direction = crank_speed(problem, speed)
     follows = problem.model.mechanism.follows
-    check_repeats(problem, machine_of(problem))
-    revolutions = math.lcm(_longest_cycle(problem, arrays) if follows else 1, machine_of(problem).revolutions or 1)
+    given = machine_of(problem)
+    check_repeats(problem, given)
+    revolutions = math.lcm(_longest_cycle(problem, arrays) if follows else 1, given.revolutions or 1)
     angles = drive.start.value + np.copysign(TURN, direction) * np.arange(revolutions * points) / points
-    available = MotionColumns(machine_of(problem).moving(angles[:1], direction)).columns
+    available = MotionColumns(given.moving(angles[:1], direction)).columns
     for name in columns:
         check_choice("columns", name, available, "no such column", problem.file)
     result = Columns()
@@ -172,14 +173,8 @@ def batch_extremes(
 ) -> tuple[dict[str, Array], NDArray[np.bool_]]:
     """Return exact extremes of columns over the revolution for many designs at once, as those of `optlink.analyze`.
 
-    Parameters
-    ----------
-    problem : ProblemFile
-        Its machine has no loads that jump (`Machine.switching`) or have corners (`Machine.cornered`).
-    designs : mapping of quantity to array (designs,) [SI]
-        Quantities that are not named keep their value.
-    columns : sequence of str
-        Names as in `Analysis.columns`, or `B.f_N` for the magnitude of a reaction; no angles of bodies.
+    The machine must have no loads that jump (`Machine.switching`) or have corners (`Machine.cornered`). Columns are those of
+    `Analysis.columns` except angles of bodies, or `B.f_N` for the magnitude of a reaction.
 
     Returns
     -------
@@ -187,18 +182,14 @@ def batch_extremes(
     clear : array (designs,) of bool
         Designs that are clear of singular positions, and have the least of each reaction beside its smallest sample. The
         extremes of the others are meaningless.
-
-    Raises
-    ------
-    InputError
-        As `analyze_batch`.
     """
     arrays = _read(problem, designs)
     count = len(next(iter(arrays.values())))
     drive = problem.model.drive
     direction, start = crank_speed(problem), drive.start.value
-    check_repeats(problem, machine_of(problem))
-    step, revolutions = TURN / GRID, machine_of(problem).revolutions or 1
+    given = machine_of(problem)
+    check_repeats(problem, given)
+    step, revolutions = TURN / GRID, given.revolutions or 1
     first_angle = min(start, start + math.copysign(TURN * revolutions, direction))
     grid = np.asarray(first_angle + step * np.arange(GRID * revolutions + 1), dtype=float)
     extremes = {name: np.full((count, 2), np.nan) for name in columns}

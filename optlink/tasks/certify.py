@@ -24,7 +24,7 @@ from optlink.solvers.global_search.lagrangian import Guess, LagrangianBounds
 from optlink.solvers.global_search.quadratic import least_squares
 from optlink.tasks.function import FunctionResult
 from optlink.tasks.function_search import certified_by_default
-from optlink.tasks.protocol import completed
+from optlink.tasks.protocol import Proving, completed
 from optlink.tasks.results.certificate import (
     GLOBAL,
     GLOBAL_GAP,
@@ -43,8 +43,6 @@ if TYPE_CHECKING:
     from optlink.tasks.results.path import PathResult
 
 Certified = TypeVar("Certified", FunctionResult, "PathResult")
-Progress = Callable[[float, float], None]
-"""Receives the share of the bounds that is done, and the present gap (NaN without a design)."""
 
 ACTIVE = 1e-6  # slack of a limit, and share of the bounds from one, below which it counts as active at the best design
 NEAR_LARGEST = 1e-3  # share below the largest deviation within which others are as large
@@ -62,13 +60,7 @@ def automatic(problem: ProblemFile) -> bool:
 
 
 def check_problem(problem: ProblemFile) -> None:
-    """Raise if no lower bound is available for a problem, before it is searched.
-
-    Raises
-    ------
-    InputError
-        If it has none.
-    """
+    """Raise if no lower bound is available for a problem, before it is searched."""
     model = problem.model
     if not (isinstance(model, DesignProblem) and model.error_bounded) and not _of_path(problem):
         box_problem(problem.variants()[0])
@@ -87,10 +79,6 @@ def _of_path(problem: ProblemFile) -> bool:
 def check_options(gap: float, time_limit: float) -> None:
     """Raise if an option of the proof is out of range.
 
-    Parameters
-    ----------
-    time_limit : float [s]
-
     Raises
     ------
     InputError
@@ -107,7 +95,7 @@ def certify(
     result: Certified,
     gap: float = GLOBAL_GAP,
     time_limit: float = math.inf,
-    progress: Progress | None = None,
+    progress: Proving = None,
     seed: int = 0,
     boxes: float = math.inf,
     original: ProblemFile | None = None,
@@ -116,31 +104,9 @@ def certify(
 ) -> Certified:
     """Compute a lower bound of the objective over all designs by branch and bound; a better design replaces that of the result.
 
-    Parameters
-    ----------
-    result : FunctionResult or PathResult
-        From `optlink.solve`, with or without a design.
-    gap : float
-        Relative optimality gap at which the search ends.
-    time_limit : float [s]
-    progress : function of (share, gap), optional
-    seed : int
-        Seed of searches for a better design.
-    boxes : float
-        Largest number of boxes.
-    original : ProblemFile, optional
-        The problem whose open assembly modes are searched too; `result` has the best ones. Default: that of `result`.
-    runs : function, optional
-        From `optlink.execution.runner.pool`, for a long search; it changes nothing in the result. Default: the present process.
-
-    Returns
-    -------
-    FunctionResult or PathResult, with its `certificate`
-
-    Raises
-    ------
-    InputError
-        If `gap` or `time_limit` is out of range, or no lower bound is available for this kind of problem.
+    The search ends at the relative `gap`, after `time_limit` [s] or that many `boxes`. It includes the assembly modes that
+    `original` (by default the problem of the result) leaves open. `runs` shares a long search and changes nothing in the result.
+    A `gap` or `time_limit` out of range is refused, and a problem without a lower bound.
     """
     check_options(gap, time_limit)
     model, problem = result.problem.model, original or result.problem
@@ -162,7 +128,7 @@ class _Search:
     runs: Runs | None = None
     improved: bool = False
 
-    def run(self, seconds: float, boxes: float, progress: Progress | None) -> Any:
+    def run(self, seconds: float, boxes: float, progress: Proving) -> Any:
         """Search every assembly mode, each with the best design found so far."""
         begin = time.perf_counter()
         variants = self.original.variants()
@@ -267,7 +233,7 @@ class _Search:
 
     # --- the finding -----------------------------------------------------------------------------------------------
 
-    def _report(self, progress: Progress | None, searches: list[BranchAndBound], k: int, search: BranchAndBound) -> None:
+    def _report(self, progress: Proving, searches: list[BranchAndBound], k: int, search: BranchAndBound) -> None:
         if progress is None:
             return
         volume = float(np.prod(search.bounder.high - search.bounder.low))
@@ -330,7 +296,7 @@ class _Search:
 class _ErrorSearch(_Search):
     """The search of a function whose largest error is minimised: over start angles, with all link lengths at once."""
 
-    def run(self, seconds: float, boxes: float, progress: Progress | None) -> Any:
+    def run(self, seconds: float, boxes: float, progress: Proving) -> Any:
         """Search all assembly modes."""
         begin = time.perf_counter()
         model, share = self.original.model, GAP_SHARE * self.gap
@@ -351,7 +317,7 @@ class _PathSearch(_Search):
 
     failed = 0
 
-    def run(self, seconds: float, boxes: float, progress: Progress | None) -> Any:
+    def run(self, seconds: float, boxes: float, progress: Proving) -> Any:
         """Search all assembly modes."""
         from optlink.problem.path import PathProblem
         from optlink.solvers.global_search.timed_path import TimedPathBounds

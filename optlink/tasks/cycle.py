@@ -12,7 +12,7 @@ import numpy as np
 from optlink.errors import InputError, Status
 from optlink.execution import interrupts
 from optlink.linkage.vector2d import Array
-from optlink.problem.cycle.model import Bound, CycleProblem
+from optlink.problem.cycle.model import CycleProblem
 from optlink.problem.file import ProblemFile
 from optlink.problem.function import EPIGRAPH
 from optlink.problem.quantity import input_of
@@ -25,7 +25,7 @@ from optlink.tasks.results.cycle import CycleResult, analysis_of, task_of
 from optlink.tasks.results.evidence import tally
 from optlink.tasks.results.rotation import cannot_turn
 from optlink.units import factor
-from optlink.validation.check import Check, Validation
+from optlink.validation.check import Check
 from optlink.validation.cycle import validate_cycle
 
 if TYPE_CHECKING:
@@ -82,12 +82,7 @@ class CycleTask(DesignTask[CycleResult]):
         return build_programme(trace, groups[0])
 
     def place(self, problem: ProblemFile, nlp: NLP, x: Array) -> None:
-        """Move the exchange points to the peaks of limits and of the objective; see `DesignTask.place`.
-
-        Parameters
-        ----------
-        x : array (n,)
-        """
+        """Move the exchange points to the peaks of limits and of the objective; see `DesignTask.place`."""
         from optlink.optimization.cycle_nlp import CycleNLP
         from optlink.solvers.semi_infinite import peaks
 
@@ -98,10 +93,6 @@ class CycleTask(DesignTask[CycleResult]):
         """Validate given dimensions; those not named have their value in the file.
 
         Another value of a fixed dimension is a failed check.
-
-        Parameters
-        ----------
-        design : mapping of str to float [SI]
         """
         return min((_validated(variant, design) for variant in possible_modes(problem)), key=better)
 
@@ -157,9 +148,9 @@ def _search(problem: ProblemFile, search: Search) -> CycleResult:
     equal = continuum(nlp, winner, chosen) if result.usable else None
     timer.lap("solve")
     measured = analysis_of(task, winner.design)
-    verification = validate_cycle(task, winner.design, winner.objective, measured)
-    verification = with_optimality(verification, winner)
-    checks = (*verification.checks, *(_agreement(solutions) if len(solutions) > 1 else ()))
+    verification = with_optimality(validate_cycle(task, winner.design, winner.objective, measured), winner)
+    if len(solutions) > 1:
+        verification = verification.with_checks(_agreement(solutions))
     timer.lap("validate")
     cycle_result = CycleResult(
         problem=problem,
@@ -167,7 +158,7 @@ def _search(problem: ProblemFile, search: Search) -> CycleResult:
         backend=chosen,
         design=dict(winner.design),
         objective=winner.objective,
-        validation=Validation(checks, verification.objective),
+        validation=verification,
         seconds=timer.seconds,
         seed=seed,
         starts=result.starts,
@@ -216,10 +207,7 @@ def _explained(result: CycleSearchResult, names: Sequence[str]) -> CycleSearchRe
 def _first_starts(problem: ProblemFile, samples: StartSequence, count: int) -> list[StartGroup]:
     """Return starting points: dimensions that move like the first ones in which every output with a stroke reciprocates.
 
-    Raises
-    ------
-    InputError
-        If such an output reciprocates in none of the dimensions that turn fully.
+    An output that reciprocates in none of the dimensions that turn fully is refused.
     """
     from optlink.solvers.cycle_starts import start_groups
 
@@ -314,7 +302,8 @@ def _refined(nlp: CycleNLP, solutions: dict[str, Solution]) -> tuple[CycleNLP, d
             if bound.term.integral:
                 size = factor(bound.interval.unit, bound.interval.kind or "")
                 validated = values[bound.key] * size
-                gaps.append(abs(cycle.figure(bound.term) - validated) / max(abs(validated), *map(abs, _ends(bound))))
+                ends = [abs(end) for end in (bound.interval.low, bound.interval.high) if end]
+                gaps.append(abs(cycle.figure(bound.term) - validated) / max(abs(validated), *ends, 1e-300))
         if max(gaps) <= INTEGRAL_TOLERANCE:
             break
         nodes *= 2
@@ -327,16 +316,12 @@ def _refined(nlp: CycleNLP, solutions: dict[str, Solution]) -> tuple[CycleNLP, d
     return nlp, solutions
 
 
-def _ends(bound: Bound) -> list[float]:
-    """Return the limits of a figure [SI] other than zero, the reference of relative accuracy."""
-    return [value for value in (bound.interval.low, bound.interval.high) if value] or [1e-300]
-
-
 def _agreement(solutions: Mapping[str, Solution]) -> tuple[Check, ...]:
     """Check that both solvers found the same objective, and the same dimensions unless several are equally good."""
     from optlink.solvers.multistart import SAME_DESIGN, compare
 
     first, second = solutions.values()
-    same, count = compare(first, second), len(first.design)
+    count = len(first.design)
     gap = float(np.max(np.abs(first.x[:count] - second.x[:count])))
-    return agreement("sizes", same.same, (same.objective, gap), SAME_DESIGN, f"<= {SAME_DESIGN:.0e}", "of the size")
+    gaps = replace(compare(first, second), design=gap)
+    return agreement("sizes", gaps, SAME_DESIGN, f"<= {SAME_DESIGN:.0e}", "of the size")

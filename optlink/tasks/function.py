@@ -9,7 +9,7 @@ import time
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,28 +26,23 @@ from optlink.problem.assignment import parse_assignments
 from optlink.problem.document import Source
 from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import fixed_design, started
-from optlink.problem.quantity import Quantity, input_of, read_quantity
+from optlink.problem.quantity import Quantity, check_choice, input_of, read_quantity
 from optlink.problem.targets.expression import Expression
 from optlink.solvers import multistart
 from optlink.solvers.function_exchange import ALONG, error_at, error_function, place_at_peaks
 from optlink.solvers.solution import EXACTLY_MET, Relaxation, Solution
 from optlink.synthesis.freudenstein import FirstStep
-from optlink.tasks.machine import check_names, turning_machine
+from optlink.tasks.machine import UNKNOWN_QUANTITY, turning_machine
 from optlink.tasks.modes import best_mode
 from optlink.tasks.protocol import DesignTask, Search, agreement, part
-from optlink.tasks.results.common import ROUNDED, SingleResult, better
+from optlink.tasks.results.common import ROUNDED, RejectedDesign, SingleResult, best_rejected, better
 from optlink.tasks.results.default_margins import margin_notes
 from optlink.tasks.results.evidence import Evidence, evidence
 from optlink.tasks.results.fit import Fit, law_fit
-from optlink.tasks.results.rejected import RejectedDesign, best_rejected
 from optlink.tasks.results.rotation import cannot_turn
 from optlink.units import KINDS, show
 from optlink.validation import Check, validate as validate_law
 
-if TYPE_CHECKING:
-    from optlink.tasks.function_search import FunctionCandidate
-
-Start = NDArray[np.float64]
 SAME_DESIGN = 1e-6  # difference of equal designs, as a share of the frame
 EXTREME_SHARE = 0.99  # fraction of the largest error that counts as an extreme value
 MIN_CURVATURE = 1e-7  # least curvature, for an objective scaled to 1, of a unique optimum
@@ -118,7 +113,7 @@ class FunctionResult(SingleResult):
     @property
     def strokes(self) -> dict[str, Any]:
         """Strokes of every output, as JSON; empty if the crank does not turn fully."""
-        from optlink.tasks.results.analysis import stroke_document
+        from optlink.tasks.results.strokes import stroke_document
 
         machine = turning_machine(self.problem, self.design)
         return {} if machine is None else stroke_document(machine, self.problem.spec.span)
@@ -216,13 +211,7 @@ class FunctionTask(DesignTask[FunctionResult]):
     free_example = 'coupler = { start = "400 mm", bounds = ["100 mm", "900 mm"] }'
 
     def check(self, problem: ProblemFile) -> None:
-        """Refuse a problem without a requirement.
-
-        Raises
-        ------
-        InputError
-            If it has none.
-        """
+        """Refuse a problem without a requirement."""
         _ = problem.spec
 
     def search(self, problem: ProblemFile, search: Search) -> FunctionResult:
@@ -245,21 +234,11 @@ class FunctionTask(DesignTask[FunctionResult]):
         return build(problem.spec)
 
     def place(self, problem: ProblemFile, nlp: NLP, x: Array) -> None:
-        """Move the exchange points to the peaks of the error; see `DesignTask.place`.
-
-        Parameters
-        ----------
-        x : array (n,)
-        """
+        """Move the exchange points to the peaks of the error; see `DesignTask.place`."""
         place_at_peaks(problem.spec, nlp, x)
 
     def validate(self, problem: ProblemFile, design: Mapping[str, float]) -> FunctionResult:
-        """Validate a given design, in the better assembly mode if the file leaves it open; see `DesignTask.validate`.
-
-        Parameters
-        ----------
-        design : mapping of str to float [m, rad]
-        """
+        """Validate a given design, in the better assembly mode if the file leaves it open; see `DesignTask.validate`."""
         begin = time.perf_counter()
         results = []
         for variant in problem.variants():
@@ -307,8 +286,7 @@ def _search(problem: ProblemFile, search: Search) -> FunctionResult:
     if len(search.names) > 1:
         backends = multistart.reconcile(nlp, backends)
         winner = min([winner, *(chosen.judge(solution) for solution in backends.values())], key=lambda candidate: candidate.rank)
-        gaps = multistart.compare(*backends.values())
-        checks = agreement("design", gaps.same, (gaps.objective, gaps.design), SAME_DESIGN, "<= 1e-06 frame")
+        checks = agreement("design", multistart.compare(*backends.values()), SAME_DESIGN, "<= 1e-06 frame")
     search.timer.lap("solve")
     validating = sum(item.validating for item in searches.values())
     return FunctionResult(
@@ -317,7 +295,7 @@ def _search(problem: ProblemFile, search: Search) -> FunctionResult:
         backend=next(name for name, item in searches.items() if item is chosen),
         design=winner.design,
         objective=winner.solution.objective,
-        validation=replace(winner.validation, checks=(*winner.validation.checks, *checks)),
+        validation=winner.validation.with_checks(checks),
         seconds=search.timer.seconds | {"solve": search.timer.seconds["solve"] - validating, "validate": validating},
         seed=search.seed,
         starts=chosen.starts,
@@ -330,23 +308,19 @@ def _search(problem: ProblemFile, search: Search) -> FunctionResult:
         together=conflict[1],
         first=points.step,
         rejected=best_rejected(
-            (_rejected(problem, item.rejected) for item in searches.values()),
+            (
+                RejectedDesign(problem, one.design, one.solution.objective, one.validation.failures)
+                for one in filter(None, (item.rejected for item in searches.values()))
+            ),
             winner.solution.objective if winner.verified else math.inf,
         ),
     )
 
 
-def _rejected(problem: ProblemFile, candidate: FunctionCandidate | None) -> RejectedDesign | None:
-    """Return a candidate that failed a check as a rejected design."""
-    if candidate is None:
-        return None
-    return RejectedDesign(problem, candidate.design, candidate.solution.objective, candidate.validation.failures)
-
-
 Conflict = tuple[tuple[Relaxation, ...], tuple[Relaxation, ...]]
 
 
-def _explained(nlp: NLP, seed: int, exactly: bool) -> tuple[Start | None, Solution | None, Conflict]:
+def _explained(nlp: NLP, seed: int, exactly: bool) -> tuple[Array | None, Solution | None, Conflict]:
     """Return a feasible point, or the nearest design and the conflicting limits, if no start led to a feasible design."""
     from optlink.solvers.infeasibility import Explanation, explain
 
@@ -408,7 +382,7 @@ def read_design(problem: ProblemFile, assignments: list[str], varied: Collection
     assigned = parse_assignments([text for text in assignments if not text.endswith(".json")], "--design")
     for key, value in (*stored, *assigned.items()):
         name = key.removeprefix("mechanism.")
-        check_names(problem, [name], quantities)
+        check_choice("--design", name, quantities, UNKNOWN_QUANTITY, problem.file)
         if isinstance(value, dict | list):
             remedy = f'Give one value, such as {name}="{show(quantities[name].value, quantities[name].kind)}"'
             raise InputError("a given design has no bounds", remedy, problem.file, f"--design {name}", value)
@@ -420,11 +394,6 @@ def read_design(problem: ProblemFile, assignments: list[str], varied: Collection
 
 def check_complete(problem: ProblemFile, names: Collection[str]) -> None:
     """Refuse a design without a value for each of the design variables.
-
-    Parameters
-    ----------
-    names : collection of str
-        Quantities that have a value.
 
     Raises
     ------

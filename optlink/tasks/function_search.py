@@ -28,14 +28,13 @@ from optlink.solvers import multistart
 from optlink.solvers.contract import BACKENDS, CLOSE
 from optlink.solvers.function_exchange import add_peak_errors
 from optlink.solvers.solution import Solution
+from optlink.tasks.protocol import Progress
 from optlink.tasks.results.common import ROUNDED, Optimum, inexact, verified, with_optimality
 from optlink.tasks.results.evidence import evidence, tally
 from optlink.validation import Validation, validate as validate_law
 
 if TYPE_CHECKING:
     from optlink.synthesis.freudenstein import FirstStep
-
-Progress = Callable[[float], None] | None
 
 STARTS_PER_ROUND = 24  # random starts between evaluations of the evidence
 MAX_RANDOM_STARTS = 144  # their largest number by default
@@ -116,12 +115,7 @@ class StartSequence:
 def start_sequence(problem: DesignProblem, nlp: NLP, seed: int, begin: Mapping[str, float] | None) -> StartSequence:
     """Return the sequence of starts: convex first designs and the given start; then random fits of a function and Sobol points.
 
-    Parameters
-    ----------
-    seed : int
-        Seed of the Sobol points.
-    begin : mapping of str to float [SI], or None
-        Design variables of the only starting point.
+    `begin` [SI] is the only start if it is given.
     """
     if begin is not None:
         return StartSequence([SearchStart(nlp.x_of(dict(begin)), random=False, close=False)], lambda: iter(()), None)
@@ -146,12 +140,7 @@ def start_sequence(problem: DesignProblem, nlp: NLP, seed: int, begin: Mapping[s
 
 
 def near_optimum(problem: DesignProblem, design: Mapping[str, float], backend: str) -> Solution:
-    """Return the local optimum near a design, over the whole range.
-
-    Parameters
-    ----------
-    design : mapping of str to float [m, rad]
-    """
+    """Return the local optimum near a design [m, rad], over the whole range."""
     nlp = build(problem)
     return FunctionSearch(problem, nlp, backend).everywhere(multistart.solve_from(nlp, nlp.x_of(design), CLOSE))
 
@@ -197,10 +186,7 @@ class FunctionSearch:
     def advance(self, start: SearchStart, solution: Solution | None = None) -> None:
         """Search from a start, refine the solution over the whole range and validate it.
 
-        Parameters
-        ----------
-        solution : Solution, optional
-            The solution at the design positions, if it is known already.
+        `solution` is that at the design positions, if it is known already.
         """
         nlp = self.nlp
         nlp.set_exchange_points(np.zeros(nlp.exchange_count))
@@ -265,13 +251,7 @@ class FunctionSearch:
         return min(candidate, self.judge(self.everywhere(again, other)), key=lambda one: one.rank)
 
     def everywhere(self, solution: Solution, backend: str = "") -> Solution:
-        """Return a solution whose largest error is that of the whole range, where it is the objective.
-
-        Parameters
-        ----------
-        backend : str, optional
-            Default: the back end of the search.
-        """
+        """Return a solution whose largest error is that of the whole range, where it is the objective."""
         return add_peak_errors(self.problem, self.nlp, solution, backend or self.backend) if self.problem.everywhere else solution
 
     @property
@@ -319,22 +299,10 @@ class FunctionSearch:
         progress: Progress,
         runs: Runs | None = None,
     ) -> bool:
-        """Search from the first starts and random ones.
+        """Search from the first starts and random ones; return whether it was interrupted (Ctrl-C).
 
-        Parameters
-        ----------
-        count : int, optional
-            Total number of starts. Default: until the evidence suffices.
-        rescue : function
-            Returns a feasible point (n,) if no first start led to one, or None.
-        progress : function of the completed fraction, optional
-        runs : function, optional
-            From `optlink.execution.runner.pool`, for the searches from random starts. Default: the present process.
-
-        Returns
-        -------
-        bool
-            Whether it was interrupted (Ctrl-C); complete searches are kept, if there are any.
+        Without a total `count` of starts, the search ends when the evidence suffices. `rescue` returns a feasible point (n,), if
+        no first start led to one, or None. Interrupted, it keeps complete searches, if there are any.
         """
         total = count or len(starts.first) + self._most
         try:
@@ -362,13 +330,7 @@ class FunctionSearch:
         return False
 
     def coarse(self, starts: list[SearchStart], runs: Runs | None) -> Iterator[Solution | None]:
-        """Yield the solutions at the design positions from starts, each as soon as possible; None for each without processes.
-
-        Parameters
-        ----------
-        runs : function, optional
-            From `optlink.execution.runner.pool`.
-        """
+        """Yield the solutions at the design positions from starts, each as soon as possible; None for each without processes."""
         if runs is None:
             yield from itertools.repeat(None, len(starts))
             return

@@ -2,7 +2,7 @@
 
 import math
 import weakref
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -24,18 +24,14 @@ MIN_SPEED, MAX_SPEED = 1e-9, 1e6  # rad/s
 MIN_DURATION, MAX_DURATION = 1e-9, 1e7  # s
 MAX_PERIODS = 200_000  # of the fastest process within a revolution: minutes of computing time
 POLE_TURNS = 50  # revolutions in which poles of loads are sought, from the start on
+UNKNOWN_QUANTITY = "unknown quantity of the design"
 RATES = ("omega", "v", "w")  # variables of a load that are not known before the motion under a torque
 SAME_RANGE = 1e-9  # rad, difference of the ends of ranges that are the same
 MARGIN = 1e-3  # fraction of a limited range omitted at either end: speeds are infinite at a dead position
 
 
 def turning_machine(problem: ProblemFile, design: Mapping[str, float]) -> Machine | None:
-    """Return the machine of a design if its crank turns fully, else None.
-
-    Parameters
-    ----------
-    design : mapping of str to float [SI]
-    """
+    """Return the machine of a design [SI] if its crank turns fully, else None."""
     if not all(math.isfinite(value) for value in design.values()):
         return None
     try:
@@ -45,30 +41,10 @@ def turning_machine(problem: ProblemFile, design: Mapping[str, float]) -> Machin
     return machine if machine.ranges.full else None
 
 
-def check_names(problem: ProblemFile, names: Iterable[str], valid: Collection[str]) -> None:
-    """Refuse names that are not quantities of a design.
-
-    Parameters
-    ----------
-    valid : collection of str
-        The valid names.
-
-    Raises
-    ------
-    InputError
-        If a name is unknown.
-    """
-    for name in names:
-        check_choice("--design", name, valid, "unknown quantity of the design", problem.file)
-
-
 def check_design(problem: ProblemFile, design: Mapping[str, float] | None) -> None:
     """Refuse a design with names that the problem does not know, or with a value that is not finite.
 
-    Parameters
-    ----------
-    design : mapping of str to float [SI] or None
-        The angles phi0 and psi0 of a motion law may be in it although they follow from the lengths, as in `result.design`.
+    The angles phi0 and psi0 of a motion law may be in it although they follow from the lengths, as in `result.design`.
 
     Raises
     ------
@@ -76,7 +52,8 @@ def check_design(problem: ProblemFile, design: Mapping[str, float] | None) -> No
         If there is one.
     """
     follow = () if problem.task in ("path", "cycle") else ("phi0", "psi0")
-    check_names(problem, design or {}, dict.fromkeys((*problem.model.quantities, *follow)))
+    for name in design or {}:
+        check_choice("--design", name, (*problem.model.quantities, *follow), UNKNOWN_QUANTITY, problem.file)
     for name, value in (design or {}).items():
         if not math.isfinite(value):
             raise InputError("not a finite number", "Give one in SI units", problem.file, f"design.{name}", value)
@@ -89,18 +66,7 @@ def start_value_notes(problem: ProblemFile, design: Mapping[str, object] | None 
 
 
 def machine_of(problem: ProblemFile, design: Mapping[str, Value] | None = None) -> Machine:
-    """Return the machine of a problem at a given design.
-
-    Parameters
-    ----------
-    design : mapping of str to float or array [SI], optional
-        Design variables. Default: fixed values and starting values of the file.
-
-    Raises
-    ------
-    InputError
-        If the machine cannot be built.
-    """
+    """Return the machine of a problem at a given design [SI], numbers or arrays; by default at the values of the file."""
     if design is None and id(problem) in _machines:
         return _machines[id(problem)]
     with input_of(problem.file):
@@ -112,14 +78,7 @@ def machine_of(problem: ProblemFile, design: Mapping[str, Value] | None = None) 
 
 
 def crank_speed(problem: ProblemFile, speed: float | None = None, key: str = "speed") -> float:
-    """Return the constant speed of the crank [rad/s].
-
-    Parameters
-    ----------
-    speed : float [rad/s], optional
-        In place of that of the problem.
-    key : str
-        Key of the drive that states the speed of the problem.
+    """Return the constant speed of the crank [rad/s]: `speed`, else that of the drive under `key`.
 
     Raises
     ------
@@ -139,15 +98,7 @@ def crank_speed(problem: ProblemFile, speed: float | None = None, key: str = "sp
 def starting_speed(problem: ProblemFile, speed: float | None = None) -> float:
     """Return the crank speed at the start of a simulation [rad/s]: under a torque, zero if none is stated.
 
-    Parameters
-    ----------
-    speed : float [rad/s], optional
-        In place of that of the problem: `drive.initial_speed`, else `drive.speed`.
-
-    Raises
-    ------
-    InputError
-        If it is out of range, or zero without a torque.
+    `speed` replaces that of the problem, `drive.initial_speed`, else `drive.speed`.
     """
     drive = problem.model.drive
     if drive.torque is None:
@@ -159,11 +110,6 @@ def starting_speed(problem: ProblemFile, speed: float | None = None) -> float:
 
 def duration_of(problem: ProblemFile, duration: float | None = None) -> float | None:
     """Return the simulated time [s]; None if neither the argument nor the problem states it.
-
-    Parameters
-    ----------
-    duration : float [s], optional
-        In place of that of the problem.
 
     Raises
     ------
@@ -183,16 +129,7 @@ def duration_of(problem: ProblemFile, duration: float | None = None) -> float | 
 def check_pace(problem: ProblemFile, speed: float, processes: Mapping[str, tuple[str, float]]) -> None:
     """Refuse a revolution that lasts so much longer than the fastest process of the machine that it would take hours.
 
-    Parameters
-    ----------
-    speed : float [rad/s]
-    processes : mapping of str to (str, float [s])
-        By the key that determines it: the process, and its period.
-
-    Raises
-    ------
-    InputError
-        With the key.
+    `processes` has each process and its period [s] by the key that determines it.
     """
     turn = TURN / abs(speed)
     for key, (process, period) in processes.items():
@@ -209,11 +146,7 @@ def _of_drive(problem: ProblemFile, key: str, message: str, remedy: str) -> Inpu
 
 
 def with_flywheel(machine: Machine, inertia: float) -> Machine:
-    """Return the machine with a flywheel on its crank, balanced about the crank pivot.
-
-    Parameters
-    ----------
-    inertia : float [kg m^2]
+    """Return the machine with a flywheel of this inertia [kg m^2] on its crank, balanced about the crank pivot.
 
     Raises
     ------
@@ -234,11 +167,6 @@ def starting_angle(problem: ProblemFile, machine: Machine, design: Mapping[str, 
 
     A crank that cannot turn fully moves in the range in which its requirement begins: there it starts if the file does not state
     `drive.start`, and the default lies outside that range.
-
-    Parameters
-    ----------
-    design : mapping of str to float [SI] or None
-        Values of design variables. Default: their starting values.
     """
     model, ranges = problem.model, machine.ranges
     start = model.drive.start.value
@@ -253,16 +181,7 @@ def starting_angle(problem: ProblemFile, machine: Machine, design: Mapping[str, 
 
 
 def motion_range(problem: ProblemFile, machine: Machine, start: float) -> tuple[Ranges, float, float]:
-    """Return the reachable crank ranges, and the limits [rad] of the motion that contains `start`.
-
-    If the crank turns fully, the motion is one cycle from `start` on.
-
-    Parameters
-    ----------
-    problem : ProblemFile
-        Names the file in error messages.
-    start : float [rad]
-        Crank angle.
+    """Return the reachable crank ranges, and the limits [rad] of the motion with `start`: one cycle if the crank turns fully.
 
     Raises
     ------
@@ -287,13 +206,7 @@ def motion_range(problem: ProblemFile, machine: Machine, start: float) -> tuple[
 
 
 def check_repeats(problem: ProblemFile, machine: Machine) -> None:
-    """Refuse a machine whose crank turns fully, but whose loads do not repeat after whole revolutions.
-
-    Raises
-    ------
-    InputError
-        With the key of the load.
-    """
+    """Refuse a machine whose crank turns fully, but whose loads do not repeat after whole revolutions."""
     if machine.ranges.full:
         with input_of(problem.file):
             problem.model.check_repeats(machine)
@@ -302,17 +215,10 @@ def check_repeats(problem: ProblemFile, machine: Machine) -> None:
 def check_regular(problem: ProblemFile, ranges: Ranges, what: str) -> None:
     """Refuse mechanisms with singular positions, continued or not: reactions may grow without bound towards them.
 
-    Parameters
-    ----------
-    problem : ProblemFile
-        Names the file in error messages.
-    what : str
-        End of the error message.
-
     Raises
     ------
     InputError
-        If there is a singular position.
+        If there is a singular position; its message ends with `what`.
     """
     positions = (*ranges.singular, *ranges.followed)
     if positions:
@@ -324,20 +230,7 @@ def check_regular(problem: ProblemFile, ranges: Ranges, what: str) -> None:
 def table_angles(start: float, low: float, high: float, speed: float, full: bool, points: int, step: float | None) -> Array:
     """Return the crank angles [rad] of the table: one cycle from the start in the direction of rotation, or through the range.
 
-    Parameters
-    ----------
-    start : float [rad]
-        First crank angle if the crank turns fully.
-    low, high : float [rad]
-        Limits of the motion. A limited range is shortened by `MARGIN` at either end.
-    speed : float [rad/s]
-        Crank speed; only its sign matters.
-    full : bool
-        Whether the crank turns fully.
-    points : int
-        Steps per revolution, or over the limited range.
-    step : float [rad], optional
-        Step instead of `points`.
+    There are `points` steps per revolution, or over the range, shortened by `MARGIN` at either end; else steps of `step`.
     """
     direction = 1.0 if speed > 0.0 else -1.0
     if not full:
@@ -355,16 +248,8 @@ def table_angles(start: float, low: float, high: float, speed: float, full: bool
 def pole_notes(machine: Machine, start: float, revolutions: float, speed: float, steady: bool) -> Iterator[str]:
     """Yield a note for every load that grows without bound at a crank angle that the motion passes.
 
-    An integrator may step over such a position, where the work of the load is finite but the load is not.
-
-    Parameters
-    ----------
-    start : float [rad]
-        First crank angle.
-    speed : float [rad/s]
-        Crank speed.
-    steady : bool
-        Whether the speed is constant; else loads that depend on speeds are left out.
+    An integrator may step over such a position, where the work of the load is finite but the load is not. Unless the speed is
+    `steady`, loads that depend on speeds are left out.
     """
     loads = []
     for load in machine.loads:

@@ -15,11 +15,7 @@ R = TypeVar("R", bound=SingleResult)
 
 
 def best_mode(problem: ProblemFile, search: Search, one: Callable[[ProblemFile, Search], R]) -> R:
-    """Return the best result over the assembly modes, with the starts and optima of all.
-
-    Parameters
-    ----------
-    one : function of a problem with definite assembly modes and a search
+    """Return the best result over the assembly modes, with the starts and optima of all; `one` searches a mode.
 
     Raises
     ------
@@ -48,10 +44,7 @@ def best_mode(problem: ProblemFile, search: Search, one: Callable[[ProblemFile, 
 def possible_modes(problem: ProblemFile) -> list[ProblemFile]:
     """Return the problem with definite assembly modes, one for each combination in which its sections are consistent.
 
-    Raises
-    ------
-    InputError
-        If there is no such combination.
+    If there is none, the error of the first combination is raised.
     """
     variants, refused = list[ProblemFile](), list[InputError]()
     for change in problem.model.mechanism.variants(problem.model.linkage):

@@ -61,16 +61,14 @@ class PathTask(DesignTask[PathResult]):
         """Return linkages that pass the points or poses; see `DesignTask.search`."""
         if search.backend == "both":
             return _compared(problem, search, self.search)
-        seed, timer = search.seed, search.timer
-        rounds = SearchRounds(problem, search)
+        timer, rounds = search.timer, SearchRounds(problem, search)
         timer.lap("build")
         rounds.run()
         timer.lap("search, polish and validate")
         collection = rounds.collection
         task = path_model(problem)
-        notes = [*([task.target_points.note] if task.target_points.note else []), *rounds.notes]
-        reason = None if collection.designs or rounds.interrupted else rounds.explained(seed)
-        limits = () if reason is None else reason.conflict
+        notes = [*filter(None, [task.target_points.note]), *rounds.notes]
+        reason = None if collection.designs or rounds.interrupted else rounds.explained()
         coverage, near = collection.evidence(), collection.nearest
         if rounds.better is not None and not collection.no_worse(rounds.better):
             error = math.sqrt(float(np.mean(rounds.better.measured.distances**2)))
@@ -88,13 +86,13 @@ class PathTask(DesignTask[PathResult]):
             designs=tuple(collection.designs),
             nearest=near if near is None or reason is None else replace(near, status=Status.INFEASIBLE),
             backend=_method(collection),
-            seed=seed,
+            seed=search.seed,
             starts=rounds.searcher.exploration.starts,
             evidence=coverage,
             seconds=timer.seconds,
             interrupted=rounds.interrupted,
             notes=tuple(notes),
-            conflict=limits,
+            conflict=() if reason is None else reason.conflict,
             together=() if reason is None else reason.together,
             rejected=collection.rejected,
         )
@@ -115,21 +113,11 @@ class PathTask(DesignTask[PathResult]):
         return build_path_nlp(task, -1 if task.requirement.rotation == "clockwise" else 1)
 
     def place(self, problem: ProblemFile, nlp: NLP, x: Array) -> None:
-        """Move the exchange points to the peaks of limits and of the transmission angle; see `DesignTask.place`.
-
-        Parameters
-        ----------
-        x : array (n,)
-        """
+        """Move the exchange points to the peaks of limits and of the transmission angle; see `DesignTask.place`."""
         place_at_peaks(path_model(problem), nlp, x)
 
     def unknowns(self, problem: ProblemFile, nlp: NLP, design: Mapping[str, float]) -> Array:
-        """Return the scaled unknowns; free crank angles are those with the least deviation.
-
-        Parameters
-        ----------
-        design : mapping of str to float [SI]
-        """
+        """Return the scaled unknowns; free crank angles are those with the least deviation."""
         from optlink.validation.timing import passing
 
         task = path_model(problem)
@@ -141,11 +129,6 @@ class PathTask(DesignTask[PathResult]):
         """Validate a given design; with free timing, at the crank angles with the least deviation.
 
         If the problem leaves the assembly mode open, valid designs come first, then the one with the least objective.
-
-        Parameters
-        ----------
-        design : mapping of str to float [m, rad]
-            All design variables; further quantities replace those of the file.
         """
         from optlink.validation.timing import passing
 
@@ -201,8 +184,8 @@ def _compared(problem: ProblemFile, search: Search, one: Callable[[ProblemFile, 
             solution = again if solution is None else multistart.best([solution, again])
         solutions[name] = solution
     gaps = multistart.compare(*solutions.values())
-    checks = agreement("design", gaps.same, (gaps.objective, gaps.design), SAME_DESIGN, f"<= {SAME_DESIGN:.0e} of the size")
-    judged = replace(best, validation=replace(best.validation, checks=(*best.validation.checks, *checks)))
+    checks = agreement("design", gaps, SAME_DESIGN, f"<= {SAME_DESIGN:.0e} of the size")
+    judged = replace(best, validation=best.validation.with_checks(checks))
     return replace(
         winner,
         designs=(judged, *winner.designs[1:]) if judged.valid else (),
@@ -217,9 +200,10 @@ class SearchRounds:
     def __init__(self, problem: ProblemFile, options: Search) -> None:
         files = problem.variants()
         self.searcher = Searcher([path_model(file) for file in files], options.seed)
-        self.collection = DesignCollection(Polisher(files, options.backend, alone=len(options.names) > 1), options.designs)
+        self.collection = DesignCollection(Polisher(files, options.backend, len(options.names) > 1), options.designs)
         self.problem, self.options, self.interrupted = problem, options, False
-        self.compound = has_several_dyads(path_model(problem))
+        self.task = path_model(problem)
+        self.compound = has_several_dyads(self.task)
         self.notes: list[str] = []
         self.better: PathDesign | None = None  # the best four-bar, if no linkage that repeats its curve satisfies all limits
 
@@ -247,7 +231,7 @@ class SearchRounds:
     def _share(self) -> None:
         """Let several processes share the search from where it is long enough to pay for their start."""
         exploration, polisher = self.searcher.exploration, self.collection.polisher
-        if self.compound and len(path_model(self.problem).free) >= SLOW_VARIABLES:  # a long search, unless a design is exact
+        if self.compound and len(self.task.free) >= SLOW_VARIABLES:  # a long search, unless a design is exact
             long = exploration.rounds > 0 and not any(candidate.cost <= PERFECT for candidate in exploration.candidates[:1])
         else:
             long = exploration.rounds >= SHARED_FROM_ROUND
@@ -264,22 +248,16 @@ class SearchRounds:
         left = math.ceil((starts - exploration.starts) / PER_ROUND) if starts else self._most - exploration.rounds
         return max(1, min(left, SHARED_BATCH_ROUNDS))
 
-    def explained(self, seed: int, *, exactly: bool = False) -> Explanation | None:
+    def explained(self, *, exactly: bool = False) -> Explanation | None:
         """Return limits of the linkage that conflict, or refine a design that meets all of them, regardless of its deviations.
 
         All assembly modes and senses of rotation are tried, those of the nearest design first. The order of the points and their
         tolerances are kept while limits are relaxed. If no design is valid although limits are met within the tolerance of a
         solution, limits that are missed by less count as conflicting (`exactly`).
-
-        Parameters
-        ----------
-        exactly : bool
-            See `optlink.solvers.infeasibility.explain`.
         """
-        polisher, near = self.collection.polisher, self.collection.nearest
-        task = path_model(self.problem)
-        senses = {"counter-clockwise": (1,), "clockwise": (-1,)}.get(task.requirement.rotation or "", (1, -1))
-        keys = [(k, sense) for sense in (senses if task.data.offsets is None else (1,)) for k in range(len(polisher.files))]
+        polisher, near, seed = self.collection.polisher, self.collection.nearest, self.options.seed
+        senses = {"counter-clockwise": (1,), "clockwise": (-1,)}.get(self.task.requirement.rotation or "", (1, -1))
+        keys = [(k, sense) for sense in (senses if self.task.data.offsets is None else (1,)) for k in range(len(polisher.files))]
         nearest = None if near is None or near.solution is None else near.solution
         if nearest is not None:
             keys.sort(key=lambda key: polisher.programmes.get(key) is not nearest.nlp)
@@ -302,7 +280,7 @@ class SearchRounds:
                     self.collection.insert(valid)
                     break
         if possible and not (exactly or self.collection.designs):
-            return self.explained(seed, exactly=True)
+            return self.explained(exactly=True)
         return reason if reason is not None and reason.conflict and not possible else None
 
     def _grow(self) -> None:
@@ -311,8 +289,8 @@ class SearchRounds:
 
         part = contained_four_bar(self.problem)
         if part is None:
-            if path_model(self.problem).requirement.kind == "path":
-                self.notes.append(NO_FOUR_BAR.format(path_model(self.problem).requirement.point))
+            if self.task.requirement.kind == "path":
+                self.notes.append(NO_FOUR_BAR.format(self.task.requirement.point))
             return
         options, polisher = self.options, self.collection.polisher
         shared = polisher.runs is not None

@@ -24,10 +24,17 @@ from optlink.synthesis.batch import Batch
 from optlink.synthesis.batch_search import Candidate, Exploration, acceptable
 from optlink.synthesis.growth import ContainedFourBar, grow_from_four_bar
 from optlink.synthesis.levenberg_marquardt import minimise
-from optlink.tasks.results.common import OPTIMALITY_CHECK, ROUNDED, inexact, with_optimality
+from optlink.tasks.results.common import (
+    BETTER,
+    OPTIMALITY_CHECK,
+    ROUNDED,
+    RejectedDesign,
+    best_rejected,
+    inexact,
+    with_optimality,
+)
 from optlink.tasks.results.evidence import Evidence, evidence, tally
 from optlink.tasks.results.path import PathDesign
-from optlink.tasks.results.rejected import BETTER, RejectedDesign, best_rejected
 from optlink.validation.path import validate_path
 
 TRIES = 6  # candidates refined in the first round per requested design, while too few are valid
@@ -66,7 +73,7 @@ class PolishTask:
 
     def __call__(self, index: int) -> dict[str, Any]:
         """Return the fields of a refined and validated design, without problem and programme."""
-        design = built(_polisher, self.polisher).polish(self.candidates[index], near=self.near)
+        design = built(Polisher, self.polisher).polish(self.candidates[index], near=self.near)
         parts = {field.name: getattr(design, field.name) for field in fields(design) if field.name != "problem"}
         return parts | {"solution": None if design.solution is None else design.solution.parts}
 
@@ -78,36 +85,22 @@ class Polisher:
     `runs`: processes that refine several candidates at a time, if any.
     """
 
-    def __init__(self, files: list[ProblemFile], backend: str, *, alone: bool = False) -> None:
+    def __init__(self, files: list[ProblemFile], backend: str, alone: bool = False) -> None:
         self.files, self.backend, self.alone = files, backend, alone
-        minimax = path_model(files[0]).measure == "max" and not alone
-        self.method = MINIMAX if minimax else backend
+        self.task = path_model(files[0])
+        self.method = MINIMAX if self.task.measure == "max" and not alone else backend
         self.programmes: dict[tuple[int, int], NLP] = {}
         self.runs: Runs | None = None
 
     def programme(self, variant: int, direction: int) -> NLP:
-        """Return the NLP of a variant.
-
-        Parameters
-        ----------
-        variant : int
-            Index of the file with definite assembly modes.
-        direction : int
-            Crank direction, +1 or -1; ignored with prescribed timing.
-        """
-        key = (variant, direction if path_model(self.files[variant]).data.offsets is None else 1)
+        """Return the NLP of a file with definite assembly modes; the crank direction, +1 or -1, matters with free timing only."""
+        key = (variant, direction if self.task.data.offsets is None else 1)
         if key not in self.programmes:
             self.programmes[key] = build_path_nlp(path_model(self.files[variant]), key[1])
         return self.programmes[key]
 
     def polish(self, candidate: Candidate, *, near: bool = False) -> PathDesign:
-        """Return the nearest local optimum with all limits, validated.
-
-        Parameters
-        ----------
-        near : bool
-            Whether the candidate itself satisfies its limits everywhere.
-        """
+        """Return the nearest local optimum with all limits, validated; `near`: the candidate meets its limits everywhere."""
         file, start = self.files[candidate.variant], self._scaled_point(candidate)
         task, minimax = path_model(file), self.method == MINIMAX
         solution = solve_semi_infinite(task, start, self.method, near=near)
@@ -140,13 +133,7 @@ class Polisher:
         return objective
 
     def each(self, candidates: Sequence[Candidate], *, near: bool = False) -> Iterator[PathDesign]:
-        """Yield the refined designs of candidates in order; see `polish`. The caller may leave the iterator at any of them.
-
-        Parameters
-        ----------
-        near : bool
-            See `polish`.
-        """
+        """Yield the refined designs of candidates in order; see `polish`. The caller may leave the iterator at any of them."""
         if self.runs is None:
             yield from (self.polish(candidate, near=near) for candidate in candidates)
             return
@@ -162,15 +149,7 @@ class Polisher:
         return feasible(validated_design(self.files[candidate.variant], start))
 
     def from_feasible(self, variant: int, nlp: NLP, x: Array) -> Iterator[PathDesign]:
-        """Yield the local optimum near a point that meets all limits at the positions of its NLP, then the point itself.
-
-        Parameters
-        ----------
-        variant : int
-            Index of the file with definite assembly modes.
-        x : array (n,)
-            Scaled point.
-        """
+        """Yield the local optimum near a point that meets all limits at the positions of its NLP, then the point itself."""
         file, start = self.files[variant], multistart.solution_at(nlp, nlp.lifted(x), "found by the analysis of limits")
         yield validated_design(file, solve_semi_infinite(path_model(file), start, self.backend))
         yield feasible(validated_design(file, start))
@@ -178,16 +157,10 @@ class Polisher:
     def _scaled_point(self, candidate: Candidate) -> Solution:
         """Return a candidate as a point of its NLP."""
         nlp = self.programme(candidate.variant, candidate.direction)
-        timed = path_model(self.files[candidate.variant]).data.offsets is None
-        x = np.concatenate([candidate.x, candidate.t]) if timed else candidate.x
+        x = candidate.x if self.task.data.offsets is not None else np.concatenate([candidate.x, candidate.t])
         if len(nlp.variables) > len(x):
             x = np.append(x, 0.0)  # the largest deviation; `given` sets it
         return multistart.solution_at(nlp, np.clip(x, nlp.x_low, nlp.x_high), FOUND)
-
-
-def _polisher(files: list[ProblemFile], backend: str, alone: bool) -> Polisher:
-    """Return a polisher for `PolishTask`."""
-    return Polisher(files, backend, alone=alone)
 
 
 def feasible(design: PathDesign) -> PathDesign:
@@ -198,13 +171,7 @@ def feasible(design: PathDesign) -> PathDesign:
 
 
 def validated_design(file: ProblemFile, solution: Solution) -> PathDesign:
-    """Return a solution of the NLP as a validated design.
-
-    Parameters
-    ----------
-    file : ProblemFile
-        With definite assembly modes.
-    """
+    """Return a solution of the NLP as a validated design."""
     task = path_model(file)
     values, angles = solved_values(task, solution.design, solution.x)
     checked = with_optimality(validate_path(task, values, angles, solution.objective), solution)
@@ -212,28 +179,22 @@ def validated_design(file: ProblemFile, solution: Solution) -> PathDesign:
 
 
 class DesignCollection:
-    """Distinct valid designs, best first, and the optima of all refined candidates.
+    """The `requested` best distinct valid designs, and the optima of all refined candidates.
 
     Candidates are refined after every round, so that a search of few rounds collects a subset of what a longer one with
     the same seed collects: more starts never give a worse design.
-
-    Parameters
-    ----------
-    requested : int
-        Number of distinct designs.
     """
 
     def __init__(self, polisher: Polisher, requested: int) -> None:
-        self.polisher, self.requested = polisher, requested
+        self.polisher, self.requested, self.task = polisher, requested, polisher.task
         self.designs: list[PathDesign] = []
         self.nearest: PathDesign | None = None
         self._ends: dict[Candidate, PathDesign] = {}
-        self._tries = COMPOUND_TRIES if has_several_dyads(path_model(polisher.files[0])) else PER_ROUND
-        self._failures = (
-            (COMPOUND_TRIES, 1) if has_several_dyads(path_model(polisher.files[0])) else (TRIES * requested, REORDERED)
-        )
-        self._allowed = _allowed_cost(path_model(polisher.files[0]))
-        self._exact_cost = ROUNDED**2 * len(path_model(polisher.files[0]).data.columns)
+        self._compound = has_several_dyads(self.task)
+        self._tries = COMPOUND_TRIES if self._compound else PER_ROUND
+        self._failures = (COMPOUND_TRIES, 1) if self._compound else (TRIES * requested, REORDERED)
+        self._allowed = _allowed_cost(self.task)
+        self._exact_cost = ROUNDED**2 * len(self.task.data.columns)
         self._first = True
         self._accepted = 1.0  # share of the starting points that end in the order of the points and within the limits
         self._idle = 0  # rounds in a row whose reordered candidates improved no design
@@ -262,9 +223,7 @@ class DesignCollection:
     @property
     def grade(self) -> str:
         """How well the best design fits at the points; exact without design and for linkages of several dyads."""
-        if not self.designs or has_several_dyads(self.designs[0].task):
-            return "exact"
-        fit = self.designs[0].fit
+        fit = self.designs[0].fit if self.designs and not self._compound else None
         return "exact" if fit is None else fit.at_points
 
     @property
@@ -280,7 +239,7 @@ class DesignCollection:
         in their order, and where the best design misses them. Any crank passes three points in their order, in one direction or
         the other.
         """
-        data = path_model(self.polisher.files[0]).data
+        data = self.task.data
         if data.offsets is not None or len(data.columns) <= ANY_ORDER:
             return 1.0
         share = min(1.0, self._accepted / MOST_IN_ORDER)
@@ -308,7 +267,9 @@ class DesignCollection:
                 self.insert(design)
             else:
                 failures -= 1
-                self.nearest = min(filter(None, (self.nearest, design)), key=_failing)
+                self.nearest = min(
+                    filter(None, (self.nearest, design)), key=lambda one: (len(one.validation.failures), one.objective)
+                )
 
     def _better(self, design: PathDesign) -> bool:
         """Return whether a design has a lower objective than the best valid one."""
@@ -395,13 +356,7 @@ class DesignCollection:
 
 
 def no_worse_fit(design: PathDesign, reference: PathDesign) -> bool:
-    """Return whether a design is no worse than another one for the same points, within rounding.
-
-    Parameters
-    ----------
-    reference : PathDesign
-        Reference.
-    """
+    """Return whether a design is no worse than another one for the same points, within rounding."""
     return design.exact or design.error <= reference.error * (1.0 + ROUNDING)
 
 
@@ -417,10 +372,6 @@ def _allowed_cost(task: PathProblem) -> float:
     if task.requirement.kind != "path" or has_several_dyads(task):  # candidates of several dyads have not converged
         return math.inf
     return COUNTED_RATIO**2 * float(np.sum((task.data.roots * task.data.tolerances) ** 2)) / task.whole**2
-
-
-def _failing(design: PathDesign) -> tuple[int, float]:
-    return sum(not check.passed for check in design.validation.checks), design.objective
 
 
 def _rank(design: PathDesign) -> tuple[float, float]:
@@ -440,19 +391,10 @@ STEPS = 120
 def designs_from_four_bar(
     part: ContainedFourBar, four_bars: Sequence[PathDesign], polisher: Polisher, seed: int
 ) -> list[PathDesign]:
-    """Return valid designs derived from designs of the four-bar, best first; empty if its curve cannot be repeated.
+    """Return valid designs derived from those of the four-bar, best first; empty if its curve cannot be repeated.
 
     If no local search ends at an optimum as good as the best four-bar, the starts themselves and the feasible designs
-    at which the searches stalled are included.
-
-    Parameters
-    ----------
-    four_bars : sequence of PathDesign
-        Valid designs of `part.file`.
-    polisher : Polisher
-        For the whole linkage.
-    seed : int
-        Seed of the random dimensions.
+    at which the searches stalled are included. `polisher` is for the whole linkage.
     """
     if not four_bars:
         return []
@@ -461,9 +403,7 @@ def designs_from_four_bar(
     begun: list[Candidate] = []
     ended: list[Candidate] = []
     for variant, file in enumerate(files):
-        task = file.model
-        assert isinstance(task, PathProblem)
-        batch = Batch(task)
+        batch = Batch(path_model(file))
         grown = [
             grow_from_four_bar(
                 replace(part, file=part_design.problem), batch, part_design.values, part_design.crank_angles, STARTS, rng

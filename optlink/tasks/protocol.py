@@ -20,6 +20,7 @@ from optlink.validation.check import Check
 if TYPE_CHECKING:
     from optlink.linkage.vector2d import Array
     from optlink.optimization.nlp import NLP
+    from optlink.solvers.multistart import Agreement
     from optlink.tasks.results.balance import Balance
     from optlink.tasks.results.common import DesignResult
 
@@ -27,6 +28,8 @@ R = TypeVar("R", bound="DesignResult | Balance")
 MAX_DESIGNS = 50
 Progress = Callable[[float], None] | None
 """Receives the share of the work that is done, from 0 to 1."""
+Proving = Callable[[float, float], None] | None
+"""Receives the share of the bounds that is done, and the present gap (NaN without a design)."""
 
 
 class Timer:
@@ -42,41 +45,21 @@ class Timer:
         self.seconds[stage], self._last = now - self._last, now
 
 
-def agreement(
-    what: str, same: bool, gaps: tuple[float, float], nearest_design: float, limit: str, unit: str = ""
-) -> tuple[Check, ...]:
+def agreement(what: str, gaps: Agreement, nearest_design: float, limit: str, unit: str = "") -> tuple[Check, ...]:
     """Check that two back ends found the same objective, and the same design unless several are equally good.
 
-    Parameters
-    ----------
-    what : str
-        "design" or "sizes".
-    same : bool
-        Whether the objectives agree.
-    gaps : (float, float)
-        Relative difference of the objectives, and difference of the designs.
-    nearest_design : float
-        Difference up to which two designs are the same.
-    limit : str
-        The same, for display.
-    unit : str
-        Unit of the difference of the designs.
+    Up to `nearest_design`, shown as `limit`, two designs are the same.
     """
-    equal = gaps[1] <= nearest_design
-    words = "" if equal or not same else " (two of equal value)"
+    equal = gaps.design <= nearest_design
+    words = "" if equal or not gaps.same else " (two of equal value)"
     return (
-        Check("both back ends agree: objective", same, gaps[0], "<= 1e-06", ""),
-        Check(f"both back ends agree: {what}{words}", same, gaps[1], limit if equal else "-", unit),
+        Check("both back ends agree: objective", gaps.same, gaps.objective, "<= 1e-06", ""),
+        Check(f"both back ends agree: {what}{words}", gaps.same, gaps.design, limit if equal else "-", unit),
     )
 
 
 def part(progress: Progress, k: int, count: int) -> Progress:
-    """Return the progress function of the k-th of several searches.
-
-    Parameters
-    ----------
-    progress : function of the completed fraction, optional
-    """
+    """Return the progress function of the k-th of several searches."""
     return None if progress is None else lambda share: progress((k + share) / count)
 
 

@@ -12,7 +12,7 @@ from optlink.io import Registry
 from optlink.problem.arguments import typed
 from optlink.problem.file import ProblemFile
 from optlink.problem.file_errors import SECTIONS
-from optlink.tasks.protocol import DesignTask, Progress, Search
+from optlink.tasks.protocol import DesignTask, Progress, Proving, Search
 
 if TYPE_CHECKING:
     from optlink.optimization.nlp import NLP
@@ -21,9 +21,6 @@ if TYPE_CHECKING:
     from optlink.tasks.results.common import DesignResult
     from optlink.tasks.results.cycle import CycleResult
     from optlink.tasks.results.path import PathResult
-
-Proving = Callable[[float, float], None]
-"""Receives the share of the bounds that is done, and the present gap."""
 
 INCOMPLETE_BOXES, MAX_UNKNOWNS = 10_000, 3  # boxes, and most design variables, of a certificate after an incomplete search
 
@@ -68,7 +65,7 @@ def solve(
     certify: bool | None = None,
     gap: float = 1e-6,
     time_limit: float = math.inf,
-    proving: Proving | None = None,
+    proving: Proving = None,
     engine: str = "local",
     workers: int | None = None,
     scheduler: str | None = None,

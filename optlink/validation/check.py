@@ -100,6 +100,10 @@ class Validation:
         """Names of the checks that did not pass."""
         return tuple(check.name for check in self.failures)
 
+    def with_checks(self, checks: Iterable[Check]) -> Validation:
+        """Return the validation with further checks."""
+        return replace(self, checks=(*self.checks, *checks))
+
 
 @dataclass(frozen=True)
 class Validations:

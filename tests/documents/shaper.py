@@ -12,8 +12,7 @@ from scipy.optimize import brentq
 
 import optlink
 from optlink.dynamics.inertia import Inertia
-from optlink.tasks.analyze import analyze
-from optlink.tasks.results.analysis import Analysis
+from optlink.tasks.analyze import Analysis, analyze
 from tests.documents.faults import Fault
 
 CRANK, ROCKER, COUPLER, PIVOT, RAM_LINE = 0.125, 0.6, 0.15, 0.275, 0.575

@@ -26,8 +26,7 @@ from optlink.report.labels import Label, place_labels
 from optlink.report.registry import view_of
 from optlink.report.views import analysis, analysis_charts, analysis_forces
 from optlink.report.views.analysis_curves import CycleCurves
-from optlink.tasks.analyze import analyze
-from optlink.tasks.results.analysis import Analysis
+from optlink.tasks.analyze import Analysis, analyze
 from tests.tiers import mostly_slow
 
 BAR = {"mass": "2 kg", "inertia": "uniform bar"}

@@ -21,8 +21,7 @@ import numpy as np
 import pytest
 
 import optlink
-from optlink.tasks.analyze import analyze
-from optlink.tasks.results.analysis import Analysis
+from optlink.tasks.analyze import Analysis, analyze
 
 POINTS = 480
 PHI = np.arange(POINTS + 1) * (2.0 * np.pi / POINTS)

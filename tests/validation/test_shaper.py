@@ -22,8 +22,7 @@ from typer.testing import CliRunner
 import optlink
 from optlink.cli.app import app
 from optlink.dynamics.columns import MotionColumns
-from optlink.tasks.analyze import analyze
-from optlink.tasks.results.analysis import Analysis
+from optlink.tasks.analyze import Analysis, analyze
 
 DATA = Path(__file__).resolve().parent.parent / "data"
 STEP = math.radians(15.0)

@@ -23,8 +23,7 @@ import optlink
 from optlink.cli.app import app
 from optlink.dynamics.inertia import Wrench
 from optlink.dynamics.inverse import reactions, required_wrench
-from optlink.tasks.analyze import analyze
-from optlink.tasks.results.analysis import Analysis
+from optlink.tasks.analyze import Analysis, analyze
 
 TABLE = Path(__file__).resolve().parent.parent / "data" / "six_bar_15deg.csv"
 STEP = math.radians(15.0)

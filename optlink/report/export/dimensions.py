@@ -19,7 +19,7 @@ from optlink.report.html.theme import readable
 from optlink.report.scene import FLIP, Scene, scene
 from optlink.report.shapes import finite, hull, in_line
 from optlink.report.style import GROUND
-from optlink.tasks.results.analysis import Analysis
+from optlink.tasks.analyze import Analysis
 
 POSITIONS = 24  # positions from which the clearest is drawn
 OFFSETS = (1.2, 2.2, 3.3, 4.6, 6.0)  # distances of a dimension line from what it measures, in heights of a ground pivot

@@ -22,7 +22,7 @@ from optlink.linkage.vector2d import TURN, Array
 from optlink.report.format import round_below
 from optlink.report.scene import scene
 from optlink.report.shapes import hull, in_line
-from optlink.tasks.results.analysis import Analysis
+from optlink.tasks.analyze import Analysis
 
 if TYPE_CHECKING:
     from ezdxf.document import Drawing

@@ -17,8 +17,7 @@ from optlink.linkage.vector2d import Vector
 from optlink.problem.quantity import LARGEST_ANGLE, LONGEST, SHORTEST, check_range
 from optlink.report.files import check_target, write_csv
 from optlink.report.report_model import ReportModel
-from optlink.tasks.analyze import MAX_POINTS, analyze
-from optlink.tasks.results.analysis import Analysis
+from optlink.tasks.analyze import MAX_POINTS, Analysis, analyze
 
 SCHEMA = "optlink/geometry/1"
 FORCES = ("_N", "_Nm", "_J", "_W")

@@ -17,7 +17,7 @@ from optlink.report.format import pretty
 from optlink.report.scene import Scene, scene
 from optlink.report.shapes import zigzag
 from optlink.report.style import Scale, scale
-from optlink.tasks.results.analysis import Analysis
+from optlink.tasks.analyze import Analysis
 
 STACKED_RATIO = 0.45  # ratio of height to width below which the quantities are shown below the drawing
 

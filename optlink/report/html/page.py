@@ -25,8 +25,8 @@ from optlink.report.views import (
 )
 from optlink.report.views.analysis_curves import CycleCurves
 from optlink.studies.sensitivity import Sensitivities, of_solution
+from optlink.tasks.analyze import Analysis
 from optlink.tasks.function import FunctionResult
-from optlink.tasks.results.analysis import Analysis
 from optlink.tasks.results.cycle import CycleResult
 from optlink.tasks.results.path import PathDesign, PathResult
 

@@ -20,8 +20,7 @@ from optlink.report.html.shell import MAX_BYTES, STEPS, PageContent, PageSection
 from optlink.report.shapes import even
 from optlink.report.table_spec import Paragraph
 from optlink.report.views import problem_tables
-from optlink.tasks.analyze import analyze
-from optlink.tasks.results.analysis import Analysis
+from optlink.tasks.analyze import Analysis, analyze
 from optlink.version import VERSION
 
 MAX_DRAWINGS = 60  # largest number of selectable points with a drawing of their own

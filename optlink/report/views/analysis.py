@@ -22,7 +22,7 @@ from optlink.report.view import View
 from optlink.report.views import analysis_charts, analysis_forces
 from optlink.report.views.analysis_charts import output
 from optlink.report.views.analysis_curves import ROUNDING, CycleCurves
-from optlink.tasks.results.analysis import Analysis
+from optlink.tasks.analyze import Analysis
 
 FRAMES = 80
 

@@ -8,7 +8,7 @@ from optlink.dynamics.columns import MotionColumns, pin_columns
 from optlink.dynamics.work import Work
 from optlink.linkage.motion import continuous
 from optlink.linkage.vector2d import Array
-from optlink.tasks.results.analysis import Analysis
+from optlink.tasks.analyze import Analysis
 
 POINTS = 720
 MAX_TABLE_ROWS = 2000  # largest number of analysis rows that are added to the points of the curves

@@ -30,13 +30,13 @@ from optlink.report.table_spec import (
 from optlink.units import percent
 
 if TYPE_CHECKING:
-    from optlink.tasks.results.analysis import Analysis
+    from optlink.tasks.analyze import Analysis
     from optlink.tasks.simulate import Simulation
 
 
 def machine(file: ProblemFile) -> Iterator[TableSpec]:
     """List the bodies, joints, Assur groups, masses, loads and drive of a machine, and the directions of its joint reactions."""
-    from optlink.tasks.results.analysis import reaction_conventions
+    from optlink.tasks.analyze import reaction_conventions
 
     model = file.model
     built = model.machine(slow=model.slow_assumed)

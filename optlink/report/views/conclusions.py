@@ -18,8 +18,8 @@ from optlink.studies.pareto.epsilon_constraint import Pareto
 from optlink.studies.sensitivity import Sensitivities
 from optlink.studies.sweep import Sweep
 from optlink.studies.tolerance.analysis import Tolerance
+from optlink.tasks.analyze import Analysis
 from optlink.tasks.function import FunctionResult
-from optlink.tasks.results.analysis import Analysis
 from optlink.tasks.results.balance import Balance
 from optlink.tasks.results.clearance import ClearanceSimulation
 from optlink.tasks.results.control_comparison import Comparison

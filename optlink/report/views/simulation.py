@@ -22,7 +22,7 @@ from optlink.report.view import View
 from optlink.report.views import analysis_tables, conclusions
 from optlink.report.views.analysis_charts import MAX_BODIES, look, together
 from optlink.report.views.analysis_curves import ROUNDING
-from optlink.tasks.results.analysis import reaction_conventions
+from optlink.tasks.analyze import reaction_conventions
 from optlink.tasks.simulate import Simulation
 from optlink.units import percent
 

@@ -384,18 +384,11 @@ class Balance(Document):
     def design(self) -> dict[str, float]:
         """Masses and centres of the counterweights [kg, m] and stiffnesses of the springs [N/m], by name."""
         design: dict[str, float] = {}
-        for counterweight in self.added:
-            along, across = counterweight.place
-            design |= {
-                f"{counterweight.body}.mass": counterweight.mass,
-                f"{counterweight.body}.along": along,
-                f"{counterweight.body}.across": across,
-            }
+        for weight in self.added:
+            design |= {f"{weight.body}.{name}": getattr(weight, name) for name in ("mass", "along", "across")}
         for spring in self.springs:
-            design |= {
-                f"{spring.specification.name}.stiffness": spring.stiffness,
-                f"{spring.specification.name}.free_length": spring.free,
-            }
+            name = spring.specification.name
+            design |= {f"{name}.stiffness": spring.stiffness, f"{name}.free_length": spring.free}
         return design
 
     @property

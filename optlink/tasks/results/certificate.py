@@ -28,15 +28,7 @@ SCHEMA = "optlink/certificate/2"
 
 
 def exact(problem: ProblemFile, objective: float) -> bool:
-    """Return whether an objective is zero to rounding, so that no design can be better.
-
-    Parameters
-    ----------
-    problem : ProblemFile
-        A function or path problem.
-    objective : float
-        Infinite without a design.
-    """
+    """Return whether an objective is zero to rounding, so that no design can be better."""
     model: Any = problem.model
     scale = 1.0 if isinstance(model, DesignProblem) else model.whole
     error = objective if model.measure != "sum of squares" else math.sqrt(max(objective, 0.0))
@@ -47,20 +39,8 @@ def exact(problem: ProblemFile, objective: float) -> bool:
 class Cover:
     """The boxes of one assembly mode into which the bounds were divided, all of them discarded in the end.
 
-    Parameters
-    ----------
-    assembly : object
-        Assembly mode, in the words of the problem file.
-    low, high : array (boxes, n)
-        Corners [SI].
-    test : array of int (boxes,)
-        Index, in `TESTS`, of the test that discards the box.
-    multipliers : array (boxes, limits)
-        Of the limits, in the order of `limits`.
-    limits : tuple of str
-        Key of the limit of every multiplier.
-    sides : mapping of str to int
-        Assembly mode of every dyad that has two, +1 or -1, by its joint; empty if read from a file.
+    `low`, `high` (boxes, n) are their corners [SI]; `test` (boxes,) is the index, in `TESTS`, of the test that discards each;
+    `multipliers` (boxes, limits) are in the order of the keys `limits`. `sides`: see `sides_of`; empty if read from a file.
     """
 
     assembly: Any
@@ -70,11 +50,6 @@ class Cover:
     multipliers: Array
     limits: tuple[str, ...]
     sides: Mapping[str, int] = field(default_factory=dict)
-
-    @property
-    def names(self) -> list[str]:
-        """Names of the tests."""
-        return [TESTS[k] for k in self.test]
 
 
 MOST_DRAWN = 3_000
@@ -125,25 +100,10 @@ History = Annotated[
 class Certificate:
     """Lower bound of the objective over all designs within the bounds.
 
-    Parameters
-    ----------
-    status : str
-        "global": no design is better by more than a millionth; "within gap": nor by more than the requested gap;
-        "not closed": stopped before; "infeasible": no design is feasible.
-    objective : float
-        Of the best known design; infinite if there is none.
-    lower_bound : float
-        No feasible design has a smaller objective; infinite if there is none.
-    asked : float
-        Requested relative gap.
-    boxes, open_boxes : int
-        Boxes bounded, and boxes left.
-    improved : bool
-        Whether the search found a better design than it was given.
-    history : array (k, 3)
-        Boxes bounded, lower bound, objective of the best known design.
-    covers : tuple of Cover
-        Empty if there are too many boxes; without multipliers if it was read from a result.
+    `status`: "global", no design is better by more than a millionth; "within gap", nor by more than the requested gap `asked`;
+    "not closed", stopped before; "infeasible", no design is feasible. `objective` of the best known design and `lower_bound` are
+    infinite without a design. `improved`: the search found a better design than it was given. `history` (k, 3): boxes bounded,
+    lower bound, objective. `covers` is empty if there are too many boxes, and without multipliers if it was read from a result.
     """
 
     status: str
@@ -214,10 +174,7 @@ class Certificate:
 def message(status: Status, certificate: Certificate | None, refuted: str) -> str:
     """Describe how a search ended: by its certificate where that proves more than the status of the local search.
 
-    Parameters
-    ----------
-    refuted : str
-        Which limits exclude each other, if it is known.
+    `refuted` states which limits exclude each other, if it is known.
     """
     proof = certificate.text if certificate is not None and certificate.closed else ""
     if refuted:
@@ -236,33 +193,13 @@ def share_text(share: float) -> str:
     return (shown.rstrip("0").rstrip(".") if digits else shown) + " %"
 
 
-def _cover_document(cover: Cover) -> dict[str, Any]:
-    """Return the boxes of a cover as plain data, with the multipliers above zero."""
-    return {
-        "assembly": cover.assembly,
-        "low": cover.low.tolist(),
-        "high": cover.high.tolist(),
-        "test": cover.names,
-        "limits": list(cover.limits),
-        "multipliers": [{str(k): float(row[k]) for k in np.flatnonzero(row > 0.0)} for row in cover.multipliers],
-    }
-
-
 def sides_of(linkage: Mechanism) -> dict[str, int]:
     """Return the assembly mode of every dyad that has two, +1 or -1, by its joint."""
     return {group.joint: group.side for group in linkage.groups if isinstance(group, ModalDyad)}
 
 
 def certificate_document(certificate: Certificate, result: Any) -> dict[str, Any]:
-    """Return a certificate as a document of its own, with everything that its check needs: the numbers of the problem too.
-
-    Parameters
-    ----------
-    certificate : Certificate
-        With its covers.
-    result : FunctionResult or PathResult
-        The design that it certifies.
-    """
+    """Return a certificate as a document of its own, with everything that its check needs: the numbers of the problem too."""
     from optlink.tasks.results.certificate_numbers import finite, numbers_of  # its import takes time
 
     modes = [{"assembly": cover.assembly, "sides": dict(cover.sides)} for cover in certificate.covers]
@@ -279,5 +216,15 @@ def certificate_document(certificate: Certificate, result: Any) -> dict[str, Any
         "asked": certificate.asked,
         "unknowns": list(certificate.unknowns),
         "design": dict(result.design) if certificate.proven else None,
-        "covers": [_cover_document(cover) for cover in certificate.covers],
+        "covers": [
+            {
+                "assembly": cover.assembly,
+                "low": cover.low.tolist(),
+                "high": cover.high.tolist(),
+                "test": [TESTS[k] for k in cover.test],
+                "limits": list(cover.limits),
+                "multipliers": [{str(k): float(row[k]) for k in np.flatnonzero(row > 0.0)} for row in cover.multipliers],
+            }
+            for cover in certificate.covers
+        ],
     }

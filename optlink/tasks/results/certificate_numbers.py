@@ -24,13 +24,7 @@ Numbers = dict[str, Any]
 
 
 def numbers_of(problem: ProblemFile) -> Numbers:
-    """Return the numbers of a problem, without its assembly modes, as plain data.
-
-    Parameters
-    ----------
-    problem : ProblemFile
-        With a lower bound over boxes, see `optlink.optimization.box_models.box_problem`.
-    """
+    """Return the numbers of a problem with a lower bound over boxes, without its assembly modes, as plain data."""
     model: Any = problem.model
     quantities = {
         name: {"value": quantity.value, "low": quantity.bounds[0], "high": quantity.bounds[1], "free": quantity.free}
@@ -91,14 +85,17 @@ def _of_law(model: DesignProblem) -> Numbers:
         "kind": "law",
         "offsets": model.law.offsets.tolist(),
         "span": model.span,
+        **_EMPTY,
         "start": start if start in DEAD_CENTRES and "phi0" not in model.quantities else None,
         "law": _law(model.law),
         "output": "rocker",
-        **_NO_POINTS,
     }
 
 
-_NO_POINTS: Numbers = {"slides": False, "point": "", "body": "", "radian": 1.0, "targets": [], "roots": [], "tolerances": []}
+_EMPTY: Numbers = {
+    **{"start": None, "law": None, "output": "", "slides": False, "point": "", "body": "", "radian": 1.0},
+    **{"targets": [], "roots": [], "tolerances": []},
+}
 
 
 def _of_positions(model: PathProblem) -> Numbers:
@@ -109,10 +106,7 @@ def _of_positions(model: PathProblem) -> Numbers:
         "kind": requirement.kind,
         "offsets": data.offsets.tolist(),
         "span": float(data.offsets[-1] - data.offsets[0]),
-        "start": None,
-        "law": None,
-        "output": "",
-        **_NO_POINTS,
+        **_EMPTY,
     }
     if requirement.kind == "function":
         return numbers | {"law": _law(model.law), "output": str(requirement.output), "slides": model.slides}

@@ -1,6 +1,6 @@
 """Common interface of search results: validity, optimality checks, JSON document."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, ClassVar, Protocol, Self
@@ -11,13 +11,13 @@ from optlink.problem.file import ProblemFile
 from optlink.solvers.solution import FEASIBLE, STATIONARY, LimitState, Relaxation, Solution
 from optlink.tasks.results.certificate import Certificate, message
 from optlink.tasks.results.conflict import refutation
-from optlink.tasks.results.rejected import RejectedDesign, best_rejected
 from optlink.validation.check import MEASURED, MEASURED_ROBUST, Check, Validation
 
 ROUNDED = 2e-7
 """Root mean square of the deviations, as a share of the size of the curve or in rad, below which a design is as good as exact:
 targets with six decimals leave that much."""
 OPTIMALITY_CHECK, LIMITS_CHECK = "optimality (KKT residual)", "all limits met (scaled)"  # names of checks
+BETTER = 1e-6  # relative difference by which the objective of a better optimum is less
 INEXACT = frozenset({OPTIMALITY_CHECK, LIMITS_CHECK, MEASURED, MEASURED_ROBUST})
 """Checks that a design may fail because its search ended too early: it is refined and measured again."""
 
@@ -30,6 +30,47 @@ class Optimum:
     objective: Number
     count: int
     assembly: str = ""
+
+
+@dataclass(frozen=True)
+class RejectedDesign:
+    """A better optimum that was not accepted: the problem with its assembly modes, design and objective [SI], failed checks."""
+
+    shown: ClassVar[Mapping[str, Source]] = {
+        "design": lambda rejected: rejected.problem.model.displayed(rejected.design),
+        **{name: name for name in ("objective", "assembly", "failed")},
+    }
+
+    problem: ProblemFile
+    design: Mapping[str, Number]
+    objective: Number
+    failed: tuple[Check, ...]
+
+    @property
+    def assembly(self) -> Any:
+        """Assembly modes, in the words of the problem file."""
+        return self.problem.raw["mechanism"].get("assembly", "left")
+
+    @property
+    def note(self) -> str:
+        """The note for the user: objective, design, and the first failed check."""
+        model, first = self.problem.model, self.failed[0]
+        objective = model.shown_objective(self.objective)
+        sizes = [(name, *model.display(name)) for name in model.free]
+        design = ", ".join(f"{name} {self.design[name] * size:z.4f} {shown}".rstrip() for name, size, shown in sizes)
+        more = f", and {len(self.failed) - 1} more" if len(self.failed) > 1 else ""
+        return (
+            f"a better optimum was found but not accepted: {objective.value:.4g} {objective.unit}".rstrip()
+            + f' ({design}; assembly {self.assembly}); it fails the check "{first.name}" '
+            + f"({first.value:.4g} {first.unit}".rstrip()
+            + f", required {first.limit}){more}"
+        )
+
+
+def best_rejected(designs: Iterable[RejectedDesign | None], objective: float) -> RejectedDesign | None:
+    """Return the best of some rejected designs if it is better than the objective of the accepted one, else None."""
+    better = [one for one in designs if one is not None and one.objective < objective * (1.0 - BETTER)]
+    return min(better, key=lambda one: one.objective, default=None)
 
 
 def verified(status: Status, validation: Validation) -> bool:
@@ -46,17 +87,12 @@ def with_optimality(checked: Validation, solution: Solution) -> Validation:
     """Return a validation with the checks of feasibility and stationarity by the NLP, without mere consequences of failed ones.
 
     A design that breaks a limit is no optimum; one that fails a measured check need not be told that it breaks a limit.
-
-    Parameters
-    ----------
-    checked : Validation
-        Measured checks.
     """
     met = solution.violation <= FEASIBLE
     feasible = Check(LIMITS_CHECK, met, solution.violation, f"<= {FEASIBLE:.0e}", "")
     if not met:
-        return replace(checked, checks=checked.checks if checked.failed else (*checked.checks, feasible))
-    return replace(checked, checks=(*checked.checks, feasible, _stationary(solution)))
+        return checked if checked.failed else checked.with_checks([feasible])
+    return checked.with_checks([feasible, _stationary(solution)])
 
 
 def _stationary(solution: Solution) -> Check:
@@ -186,12 +222,6 @@ class DesignResult(Protocol):
         ...
 
 
-def iteration_figures(solution: Solution) -> dict[str, Any]:
-    """Return what the document states of the solution of one solver, without its design."""
-    names = ("status", "objective", "iterations", "kkt", "violation", "message")
-    return {name: getattr(solution, name) for name in names}
-
-
 def of_solution(name: str) -> Callable[[Any], Any]:
     """Return the source of a figure of the solution, which a design that was not searched lacks."""
     return lambda result: getattr(result.solution, name, None)
@@ -199,10 +229,15 @@ def of_solution(name: str) -> Callable[[Any], Any]:
 
 SEARCHED: Mapping[str, Source] = {"message": "message", "valid": "valid", "notes": "notes"}
 """Computed entries of the document of every search."""
+FIGURES = ("status", "objective", "iterations", "kkt", "violation", "message")
 FOUND: Mapping[str, Source] = {
     "rejected?": "rejected",
     "backends?": lambda result: (
-        {name: {"design": result.displayed(one.design)} | iteration_figures(one) for name, one in result.backends.items()} or None
+        {
+            name: {"design": result.displayed(one.design), **{figure: getattr(one, figure) for figure in FIGURES}}
+            for name, one in result.backends.items()
+        }
+        or None
     ),
 }
 """Computed entries of designs that are not the best one."""
@@ -315,7 +350,7 @@ class SingleResult(Document):
 
     def with_checks(self, checks: Sequence[Check]) -> Self:
         """Return the result with further checks."""
-        return self.with_best(validation=replace(self.validation, checks=(*self.validation.checks, *checks)))
+        return self.with_best(validation=self.validation.with_checks(checks))
 
 
 def better(result: SingleResult) -> tuple[bool, bool, float]:

@@ -124,15 +124,7 @@ class OpposedLimit:
 
 
 def refutation(limits: Sequence[Relaxation], what: str = "linkage") -> str:
-    """State in words which limits exclude each other, and what is possible instead; empty without limits.
-
-    Parameters
-    ----------
-    limits : sequence of Relaxation
-        Each limit relaxed alone.
-    what : str
-        What does not exist.
-    """
+    """State which limits, each relaxed alone, exclude each other, and what is possible instead; empty without limits."""
     opposed = opposed_limits(limits)
     if not opposed:
         return ""
@@ -163,17 +155,16 @@ def opposed_limits(items: Sequence[Relaxation]) -> list[OpposedLimit]:
 
 
 def outward(side: Relaxation, digits: int) -> float:
-    """Round a relaxed value away from its limit value.
-
-    Parameters
-    ----------
-    digits : int
-        Significant digits.
-    """
+    """Round a relaxed value to significant digits, away from its limit value."""
     if not math.isfinite(side.relaxed) or side.relaxed == 0.0:
         return side.relaxed
-    rounding, sign = (ROUND_CEILING, 1.0) if side.relaxed > side.bound else (ROUND_FLOOR, -1.0)
-    return float(Context(digits, rounding).create_decimal_from_float(side.relaxed + sign * MARGIN * abs(side.relaxed)))
+    up = side.relaxed > side.bound
+    return rounded(side.relaxed + (MARGIN if up else -MARGIN) * abs(side.relaxed), digits, up)
+
+
+def rounded(value: float, digits: int, up: bool) -> float:
+    """Round a value to significant digits in one direction."""
+    return float(Context(digits, ROUND_CEILING if up else ROUND_FLOOR).create_decimal_from_float(value))
 
 
 def _number(value: float) -> str:

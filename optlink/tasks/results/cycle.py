@@ -14,10 +14,10 @@ from optlink.problem.document import Number, Source
 from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import fixed_design
 from optlink.problem.quantity import Unusable
-from optlink.tasks.analyze import analyze
-from optlink.tasks.results.analysis import Analysis, stroke_document
+from optlink.tasks.analyze import Analysis, analyze
 from optlink.tasks.results.common import SingleResult
 from optlink.tasks.results.fit import Fit, transmission_fit
+from optlink.tasks.results.strokes import stroke_document
 from optlink.units import KINDS, factor, percent
 from optlink.validation.check import Validation
 from optlink.validation.cycle import Cycle, validate_cycle
@@ -183,13 +183,7 @@ def task_of(problem: ProblemFile) -> CycleProblem:
 
 
 def analysis_of(task: CycleProblem, values: Mapping[str, float]) -> Cycle | None:
-    """Return a design in motion, or None if it cannot be built.
-
-    Parameters
-    ----------
-    values : mapping of str to float [SI]
-        Quantities; those not named have their value in the file.
-    """
+    """Return a design [SI] in motion, with the values of the file where it has none; None if it cannot be built."""
     try:
         return Cycle(task, values)
     except Unusable:

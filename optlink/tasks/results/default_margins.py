@@ -25,15 +25,7 @@ def margin_notes(
 ) -> tuple[str, ...]:
     """Return a note if the default length margin excludes a better optimum, with its value and gain; empty if it does not.
 
-    Parameters
-    ----------
-    design : mapping of str to float [m, rad]
-    limits : iterable of LimitState
-        Limits of the optimum with their shadow prices.
-    objective : float
-        Of the design [SI].
-    relaxed : function of ProblemFile
-        Returns the objective [SI] of the local optimum near the design in a problem with other margins.
+    `relaxed` returns the objective [SI] of the local optimum near the design in a problem with other margins.
     """
     if KEY in problem.raw.get("limits", {}):
         return ()

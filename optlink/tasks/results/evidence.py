@@ -8,13 +8,7 @@ Item = TypeVar("Item")
 
 
 def tally(items: Iterable[tuple[Item, int]], alike: Callable[[Item, Item], bool]) -> list[tuple[Item, int]]:
-    """Return distinct items in order, each with the sum of the counts of all items like it.
-
-    Parameters
-    ----------
-    items : iterable of (item, count)
-    alike : function of two items
-    """
+    """Return distinct items in order, each with the sum of the counts of all items like it."""
     distinct: list[tuple[Item, int]] = []
     for item, count in items:
         for k, (first, total) in enumerate(distinct):
@@ -59,21 +53,13 @@ def percent(share: float) -> str:
 
 
 def evidence(counts: Sequence[int]) -> Evidence:
-    """Estimate the optima that a multistart search missed from the hits of every distinct optimum.
+    """Estimate the optima that a multistart search missed from the hits (none zero) of every distinct optimum, the best first.
 
     Both estimates assume independent random starts, and `missed` also that the size of an optimum's region of attraction
     says nothing about its objective. Each is the larger one of two: that of Good and Chao counts the optima found once and
     twice, that of Boender and Rinnooy Kan takes all divisions of the starts among the optima as equally likely beforehand. So
-    a search that reached one optimum n times is not certain: `missed` is 1 / (n - 1).
-
-    Parameters
-    ----------
-    counts : sequence of int
-        Searches that ended at each distinct optimum, the best optimum first; none is zero.
-
-    Returns
-    -------
-    Evidence; both estimates are 1 where there is no optimum, or hardly more starts than optima
+    a search that reached one optimum n times is not certain: `missed` is 1 / (n - 1). Both are 1 where there is no optimum, or
+    hardly more starts than optima.
 
     References
     ----------

@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from optlink.dynamics.columns import ANGLE, MotionColumns, pin_columns
 from optlink.dynamics.machine import Machine
@@ -20,6 +21,11 @@ from optlink.linkage.zeros import zeros
 
 CHANGE_POINT_WIDTH = 1e-5  # rad from a passed change point: reactions are inaccurate there
 WORK = "input.work_J"
+
+
+def distances(angles: Array, positions: ArrayLike, cycle: float) -> Array:
+    """Return the distances (angles, positions) [rad] of crank angles from positions, either way round the cycle."""
+    return np.asarray(np.abs(np.remainder(angles[:, None] - np.asarray(positions) + 0.5 * cycle, cycle) - 0.5 * cycle))
 
 
 class Extreme(NamedTuple):
@@ -136,8 +142,7 @@ class Extremes(Mapping[str, Extreme]):
         """Columns (rows, n) at crank angles; by default all."""
         names, pins = self._all
         record = MotionColumns((machine or self._machine).moving(angles, self._speed, side=side))
-        passed = np.array([position.crank_angle for position in self._ranges.followed])
-        cycle, unknown = self._machine.mechanism.cycle, None
+        passed, unknown = [position.crank_angle for position in self._ranges.followed], None
         values = np.empty((len(names) if rows is None else len(rows), len(angles)))
         for row, name in zip(values, names if rows is None else [names[k] for k in rows], strict=True):
             if name in pins:
@@ -148,8 +153,8 @@ class Extremes(Mapping[str, Extreme]):
                 row[:] = record[name]
             if name in pins or name in record.reaction_names:
                 if unknown is None:
-                    distances = np.abs(np.remainder(angles[:, None] - passed + 0.5 * cycle, cycle) - 0.5 * cycle)
-                    unknown = record.singular | np.any(distances < CHANGE_POINT_WIDTH, axis=1)
+                    near = distances(angles, passed, self._machine.mechanism.cycle) < CHANGE_POINT_WIDTH
+                    unknown = record.singular | np.any(near, axis=1)
                 row[unknown] = np.nan
         return values
 

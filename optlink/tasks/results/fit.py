@@ -20,7 +20,6 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.linkage.fourbar import LENGTHS, classify
 from optlink.linkage.motion import sweep
@@ -34,8 +33,10 @@ from optlink.tasks.results.remedies import (
     PoorFitReason,
     curve_distances,
     fixed_reasons,
+    in_degrees,
     law_mode_reasons,
     path_mode_reasons,
+    rms,
     start_reasons,
 )
 
@@ -165,7 +166,7 @@ class TransmissionFit(Fit):
     def text(self) -> str:
         """The grade with its figure."""
         advised = f", below {math.degrees(FAIR_ANGLE):z.0f} deg" if self.grade == "poor" else ""
-        return f"{self.grade} transmission: least transmission angle is {_degrees(self.angle)}{advised}"
+        return f"{self.grade} transmission: least transmission angle is {in_degrees(self.angle)}{advised}"
 
 
 def transmission_fit(
@@ -176,22 +177,9 @@ def transmission_fit(
     solution: Solution | None = None,
     task: Problem | None = None,
 ) -> TransmissionFit | None:
-    """Grade a design whose transmission angle is optimised; return None if it has no transmission angle.
+    """Grade a design by its least transmission angle [rad]; return None if it has none.
 
-    Parameters
-    ----------
-    least : float [rad]
-        Least distance of the transmission angle from 0 and 180 deg over the motion.
-    quantities : mapping of str to Quantity
-        Dimensions.
-    values : mapping of str to float [m, rad]
-        All quantities.
-    limits : sequence of LimitState
-        Limits of the optimum with their multipliers; empty for a given design.
-    solution : Solution, optional
-        The optimum; None for a given design.
-    task : Problem, optional
-        Its model.
+    A given design has no optimum: no `limits` with multipliers, and no `solution`.
     """
     if not math.isfinite(least):
         return None
@@ -201,10 +189,6 @@ def transmission_fit(
         return fit
     remaining = [limit for limit in limits if not any(words in f"{limit.key} {limit.name}" for words in TRANSMISSION_KEYS)]
     return replace(fit, reasons=(*active_reasons(remaining), *fixed_reasons(quantities, values, solution, task)))
-
-
-def _rms(values: Array) -> float:
-    return math.sqrt(float(np.mean(np.abs(values) ** 2)))
 
 
 def path_fit(
@@ -218,21 +202,7 @@ def path_fit(
 ) -> Fit | None:
     """Grade a path, motion or function design; return None for transmission (see `transmission_fit`) or a design without motion.
 
-    Parameters
-    ----------
-    problem : ProblemFile
-        With definite assembly modes.
-    values : mapping of str to float [m, rad]
-        All quantities.
-    crank_angles : array (points,) [rad]
-    measured : MeasuredDeviations
-        Deviations of the design at these crank angles.
-    between : array (segments,) [m], optional
-        Excursions of the curve between the points.
-    limits : sequence of LimitState
-        Limits of the optimum with their multipliers; empty for a given design.
-    solution : Solution, optional
-        The optimum; None for a given design.
+    `between` are the excursions [m] of the curve between the points. A given design has no `limits` and no `solution`.
     """
     from optlink.problem.path import PathProblem
 
@@ -245,7 +215,8 @@ def path_fit(
     if task.pointed:
         places = targets[:, 0] + 1j * targets[:, 1]
         of = "the size of the path" if measured.turned is None else "the distance of the poses"
-        fits = [_sized(distances, _diameter(places), "m", of, links)]
+        diameter = max(float(np.max(np.abs(places - place))) for place in places)
+        fits = [_sized(distances, diameter, "m", of, links)]
         if measured.turned is not None:
             fits.append(_sized(measured.turned, _rotation(task), "rad", "the rotation of the poses"))
     else:
@@ -269,7 +240,7 @@ def path_fit(
         *_crowded(task, crank_angles),
         *_timed(task, values, crank_angles, measured),
         *_placed(task, values, measured),
-        *path_mode_reasons(problem, values, crank_angles, _rms(distances), "m" if task.pointed else str(task.unit)),
+        *path_mode_reasons(problem, values, crank_angles, rms(distances), "m" if task.pointed else str(task.unit)),
     ]
     reasons += [*active_reasons(limits), *fixed_reasons(_quantities(task), values, solution, task), *_kind(task, values)]
     return Fit(worst.error, worst.size, worst.unit, worst.of, tuple(reasons))
@@ -281,21 +252,11 @@ def _sized(errors: Array, size: float, unit: str, of: str, links: Sequence[float
     An angle error in radians is the error of the end of a lever, relative to its length.
     """
     whole, name = (1.0, "a radian") if unit == "rad" else (max(links, default=0.0), "the longest link")
-    return Fit(_rms(errors), *((whole, unit, name) if size <= NO_RANGE * whole else (size, unit, of)))
+    return Fit(rms(errors), *((whole, unit, name) if size <= NO_RANGE * whole else (size, unit, of)))
 
 
 def law_fit(problem: ProblemFile, values: Mapping[str, float], error: Array, solution: Solution | None = None) -> Fit | None:
-    """Grade a function design of a four-bar; return None if it has no position at some point of the law.
-
-    Parameters
-    ----------
-    values : mapping of str to float [m, rad]
-        Quantities of the design.
-    error : array (positions,) [rad]
-        Error of the output.
-    solution : Solution, optional
-        The optimum with its multipliers; None for a given design.
-    """
+    """Grade a function design of a four-bar by its error (positions,) [rad]; return None if it has no position at some point."""
     if not np.all(np.isfinite(error)):
         return None
     task, law = problem.spec, problem.spec.law
@@ -309,11 +270,6 @@ def law_fit(problem: ProblemFile, values: Mapping[str, float], error: Array, sol
     measured = (*start_reasons(task, values, fit.error), *law_mode_reasons(problem, values, fit.error))
     limits = () if solution is None else solution.displayed_limits
     return replace(fit, reasons=(*measured, *active_reasons(limits), *fixed_reasons(task.quantities, values, solution, task)))
-
-
-def _diameter(places: NDArray[np.complex128]) -> float:
-    """Return the largest distance of two points."""
-    return max(float(np.max(np.abs(places - place))) for place in places)
 
 
 def _rotation(task: PathProblem) -> float:
@@ -335,7 +291,9 @@ def _rotating(task: PathProblem, values: Mapping[str, float]) -> Iterator[PoorFi
     turned, needed = float(np.ptp(np.unwrap(angle))), _rotation(task)
     if needed > turned:
         kind = _four_bar(task, values) or "linkage"
-        reason = f"the poses turn through {_degrees(needed)}, the {task.body} of this {kind} through {_degrees(turned)} at most"
+        reason = (
+            f"the poses turn through {in_degrees(needed)}, the {task.body} of this {kind} through {in_degrees(turned)} at most"
+        )
         suggestion = 'allow double-cranks, whose coupler turns fully (limits.crank = "double-crank"), or ' * (
             kind == "crank-rocker"
         )
@@ -348,7 +306,7 @@ def _timed(
     """Detect a curve that passes the points, but at crank angles other than those prescribed."""
     if task.requirement.kind != "path" or task.data.offsets is None:
         return
-    near, error = _rms(curve_distances(task, values, angles)), _rms(measured.distances)
+    near, error = rms(curve_distances(task, values, angles)), rms(measured.distances)
     if near < MAX_TIMED_ERROR * error:
         reason = f"the curve passes the points at an rms distance of {_length(near)}, but at other crank angles"
         yield PoorFitReason(reason, 'free the timing: requirement.timing = "free"')
@@ -379,11 +337,11 @@ def _placed(task: PathProblem, values: Mapping[str, float], measured: MeasuredDe
     path, goal = generated - np.mean(generated), targets - np.mean(targets)
     rotation = np.sum(goal * path.conj())
     turned = path * (rotation / abs(rotation)) if turn and abs(rotation) > 0.0 and task.requirement.kind == "path" else path
-    moved, error = _rms(goal - turned), _rms(measured.distances)
+    moved, error = rms(goal - turned), rms(measured.distances)
     if moved < MAX_DISPLACED_ERROR * error:
         place = f"({_length(values.get('A.x', 0.0))}, {_length(values.get('A.y', 0.0))})"
         fixed = [f"the crank pivot is fixed at {place}"] * pivot
-        fixed += [f"the frame's direction is fixed at {_degrees(values.get('direction', 0.0))}"] * turn
+        fixed += [f"the frame's direction is fixed at {in_degrees(values.get('direction', 0.0))}"] * turn
         gain = f"moved as a whole, this linkage has an rms error of {_length(moved)} instead of {_length(error)}"
         keys = ["mechanism.pivot"] * pivot + ["mechanism.direction"] * turn
         yield PoorFitReason(f"{' and '.join(fixed)}; {gain}", f"free {' and '.join(keys)} by bounds")
@@ -428,7 +386,3 @@ def _kind(task: PathProblem, values: Mapping[str, float]) -> Iterator[PoorFitRea
 
 def _length(value: float) -> str:
     return f"{1e3 * value:.3g} mm"
-
-
-def _degrees(value: float) -> str:
-    return f"{math.degrees(value):.4g} deg"

@@ -25,13 +25,12 @@ from optlink.problem.mechanism import FourBarSection
 from optlink.problem.path import START, PathProblem
 from optlink.solvers.solution import LimitState, Relaxation, Solution
 from optlink.tasks.machine import turning_machine
-from optlink.tasks.results.analysis import stroke_document
 from optlink.tasks.results.certificate import Certificate, message
-from optlink.tasks.results.common import FOUND, ROUNDED, SEARCHED, of_solution, verified
+from optlink.tasks.results.common import FOUND, ROUNDED, SEARCHED, RejectedDesign, of_solution, verified
 from optlink.tasks.results.conflict import refutation
 from optlink.tasks.results.evidence import INCOMPLETE, Evidence
 from optlink.tasks.results.fit import Fit, path_fit, transmission_fit
-from optlink.tasks.results.rejected import RejectedDesign
+from optlink.tasks.results.strokes import stroke_document
 from optlink.units import DISPLAYED
 from optlink.validation.between import excursions
 from optlink.validation.check import Check, Validation
@@ -414,7 +413,7 @@ class PathResult(Document):
 
     def with_checks(self, checks: Sequence[Check]) -> Self:
         """Return the result with further checks of its designs, in order; designs that fail one are no longer valid."""
-        flagged = [replace(d, validation=replace(d.validation, checks=(*d.validation.checks, *checks))) for d in self.designs]
+        flagged = [replace(design, validation=design.validation.with_checks(checks)) for design in self.designs]
         good = tuple(design for design in flagged if design.valid)
         nearest = next((design for design in flagged if not design.valid), self.nearest)
         return replace(self, designs=good, nearest=None if good else nearest)

@@ -47,18 +47,13 @@ class PoorFitReason:
 def start_reasons(task: DesignProblem, values: Mapping[str, float], error: float) -> Iterator[PoorFitReason]:
     """Yield the start of a law as a reason if it is the default, or if the same linkage is better from another crank angle.
 
-    Parameters
-    ----------
-    values : mapping of str to float [m, rad]
-        Quantities of the design.
-    error : float [rad]
-        Root mean square error of the design.
+    `error` is the root mean square error of the design [rad].
     """
     requirement, law = task.requirement, task.requirement.law
     own = isinstance(law, Function) or (isinstance(law, Table) and not law.from_start)
     if own or (isinstance(requirement.start, Quantity) and requirement.start.free):
         return
-    start = requirement.start if isinstance(requirement.start, str) else _degrees(requirement.start.value)
+    start = requirement.start if isinstance(requirement.start, str) else in_degrees(requirement.start.value)
     default = "start" not in requirement.model_fields_set
     reason = f"the law starts at the {start}, the default of requirement.from" if default else f"the law starts at {start}"
     angles = np.linspace(0.0, TURN, STARTS, endpoint=False)
@@ -66,8 +61,8 @@ def start_reasons(task: DesignProblem, values: Mapping[str, float], error: float
     best = int(np.argmin(np.where(np.isfinite(errors), errors, np.inf)))
     gain = math.isfinite(errors[best]) and errors[best] < BETTER * error
     if gain:
-        reason += f"; from {_degrees(angles[best])} the same linkage has an rms error of {_degrees(errors[best])}"
-        reason += f" instead of {_degrees(error)}"
+        reason += f"; from {in_degrees(angles[best])} the same linkage has an rms error of {in_degrees(errors[best])}"
+        reason += f" instead of {in_degrees(error)}"
     if gain or default:
         yield PoorFitReason(reason, FREE_START)
 
@@ -89,20 +84,13 @@ def _errors(task: DesignProblem, values: Mapping[str, float], starts: Array) -> 
 def law_mode_reasons(problem: ProblemFile, values: Mapping[str, float], error: float) -> Iterator[PoorFitReason]:
     """Yield the assembly mode of a four-bar as a reason if the same lengths follow the law better in the other mode.
 
-    Parameters
-    ----------
-    problem : ProblemFile
-        Of a law.
-    values : mapping of str to float [m, rad]
-        Quantities of the design.
-    error : float [rad]
-        Root mean square error of the design.
+    `error` is the root mean square error of the design [rad].
     """
 
     def measured(variant: ProblemFile) -> float:
         task = variant.spec
         mirrored = task.design({name: values[name] for name in task.quantities})
-        return _rms(error_at(task, mirrored, task.law.offsets))
+        return rms(error_at(task, mirrored, task.law.offsets))
 
     yield from _mode_reasons(problem, error, "rad", measured)
 
@@ -112,19 +100,8 @@ def path_mode_reasons(
 ) -> Iterator[PoorFitReason]:
     """Yield the assembly modes of a linkage as a reason if the same sizes are better for a path or a law in other modes.
 
-    The crank angle at which the task begins and the output there follow where they are free.
-
-    Parameters
-    ----------
-    problem : ProblemFile
-        Of a path or a law.
-    values : mapping of str to float [m, rad]
-        Quantities of the design.
-    crank_angles : array (points,) [rad]
-    error : float [m or rad]
-        Root mean square error of the design.
-    unit : str
-        "m" or "rad".
+    The crank angle at which the task begins and the output there follow where they are free. `error` is the root mean square
+    error of the design, in `unit` (m or rad).
     """
     from optlink.problem.path import START, PathProblem
 
@@ -132,7 +109,7 @@ def path_mode_reasons(
         task = variant.model
         assert isinstance(task, PathProblem)
         if task.pointed and task.data.offsets is None:
-            return _rms(curve_distances(task, values, crank_angles))
+            return rms(curve_distances(task, values, crank_angles))
         begins = np.linspace(0.0, TURN, STARTS, endpoint=False) if START in task.free else [values.get(START, 0.0)]
         errors = [_deviation(task, {**values, START: float(begin)}) for begin in begins]
         return min(filter(math.isfinite, errors), default=math.inf)
@@ -149,23 +126,18 @@ def _deviation(task: PathProblem, values: Mapping[str, float]) -> float:
 
     measured = deviations(task, values, task.crank_angles(values, None))
     if ZERO not in task.free:
-        return _rms(measured.distances)
+        return rms(measured.distances)
     error = measured.generated[:, 0] - task.prescribed_outputs(values)
     if task.slides:
         return float(np.std(error))
     middle = np.angle(np.mean(np.exp(1j * error)))
-    return _rms(np.remainder(error - middle + math.pi, TURN) - math.pi)
+    return rms(np.remainder(error - middle + math.pi, TURN) - math.pi)
 
 
 def curve_distances(task: PathProblem, values: Mapping[str, float], crank_angles: Array) -> Array:
     """Return the distance [m] of every point of a path from the curve of a linkage, at any crank angle.
 
-    Parameters
-    ----------
-    values : mapping of str to float [m, rad]
-        All quantities.
-    crank_angles : array (points,) [rad]
-        Crank angles of the design; the curve of a crank that need not turn fully is that between them.
+    The curve of a crank that need not turn fully is that between the first and last of `crank_angles` [rad].
     """
     begin = float(crank_angles[0])
     end = begin + TURN if task.limits.crank != "span" else float(crank_angles[-1])
@@ -186,10 +158,10 @@ def _mode_reasons(
             variant = problem.override({**problem.located, **change})
         except InputError:  # a mode that the problem does not permit
             continue
-        rms = measured(variant)
-        if rms < min(best, BETTER * error):
+        other_error = measured(variant)
+        if other_error < min(best, BETTER * error):
             pairs = zip(linkage.groups, variant.model.linkage.groups, strict=True)
-            best, changed = rms, {one.joint: _mode(change, one.joint) for one, other in pairs if one != other}
+            best, changed = other_error, {one.joint: _mode(change, one.joint) for one, other in pairs if one != other}
     if not changed:
         return
     modes = " and ".join(f"{joint} {mode}" for joint, (_, mode) in changed.items())
@@ -203,12 +175,13 @@ def _mode(change: Mapping[str, str], joint: str) -> tuple[str, str]:
     return key, f"to the {mode}" if mode else change[key]
 
 
-def _rms(values: Array) -> float:
-    return math.sqrt(float(np.mean(values**2)))
+def rms(values: Array) -> float:
+    """Return the root mean square of numbers, also complex ones."""
+    return math.sqrt(float(np.mean(np.abs(values) ** 2)))
 
 
 def _shown(value: float, unit: str) -> str:
-    return _degrees(value) if unit == "rad" else f"{1e3 * value:.4g} mm"
+    return in_degrees(value) if unit == "rad" else f"{1e3 * value:.4g} mm"
 
 
 def fixed_reasons(
@@ -217,19 +190,7 @@ def fixed_reasons(
     solution: Solution | None = None,
     task: Problem | None = None,
 ) -> Iterator[PoorFitReason]:
-    """Yield the fixed dimensions as a reason; of an optimum, the one with the largest effect comes first.
-
-    Parameters
-    ----------
-    quantities : mapping of str to Quantity
-        Dimensions.
-    values : mapping of str to float [m, rad]
-        Quantities of the design.
-    solution : Solution, optional
-        The optimum, with its multipliers.
-    task : Problem, optional
-        Its model.
-    """
+    """Yield the fixed dimensions as a reason; of an optimum (`solution`), the one with the largest effect comes first."""
     effects = {} if solution is None or task is None else fixed_effects(solution, task)
     fixed = [name for name, quantity in quantities.items() if not quantity.free]
     fixed.sort(key=lambda name: -abs(effects.get(name, 0.0)))
@@ -275,5 +236,6 @@ def fixed_effects(solution: Solution, task: Problem) -> dict[str, float]:
     return effects
 
 
-def _degrees(value: float) -> str:
+def in_degrees(value: float) -> str:
+    """Format an angle [rad]."""
     return f"{math.degrees(value):.4g} deg"

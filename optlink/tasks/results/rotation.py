@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Mapping
-from decimal import ROUND_CEILING, ROUND_FLOOR, Context
 from typing import NamedTuple
 
 from optlink.linkage.dyad_types import RRP, RRR
@@ -13,11 +12,11 @@ from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.mechanism import FRAME, Link, Mechanism
 from optlink.problem.mechanism import DyadsSection, FourBarSection
 from optlink.problem.quantity import Quantity
+from optlink.tasks.results.conflict import DIGITS, rounded
 
 SHORTEST = {"full rotation": ("crank",), "double-crank": ("frame",), "": ("crank", "frame")}
 """Possible shortest links by `limits.crank`; empty: without this limit."""
 INSIDE = 1e-4  # share of the longest link by which a changed bound goes beyond the least change, at first
-DIGITS = 4
 
 
 class Length(NamedTuple):
@@ -43,14 +42,8 @@ Loop = Mapping[str, Length]  # by the names of `LENGTHS`
 def cannot_turn(section: FourBarSection | DyadsSection, mechanism: Mechanism, crank: str, least_angle: float) -> tuple[str, ...]:
     """Return a sentence that no sizes within the bounds let the crank turn, with the change that does; else nothing.
 
-    The first loop of the mechanism decides: crank, a link, and a link or slider on the frame.
-
-    Parameters
-    ----------
-    crank : str
-        `limits.crank` of the problem; empty if it has none.
-    least_angle : float [rad]
-        Least angle of the two links of a joint off alignment.
+    The first loop of the mechanism decides: crank, a link, and a link or slider on the frame. `crank` is `limits.crank` of the
+    problem, empty if it has none; `least_angle` [rad] the least angle of the two links of a joint off alignment.
     """
     quantities = section.quantities
     if crank not in SHORTEST:
@@ -124,15 +117,7 @@ def _slider_conflict(group: RRP, mechanism: Mechanism, quantities: Mapping[str, 
 
 
 def four_bar_conflict(loop: Loop, crank: str, least_angle: float) -> str:
-    """Return which inequality of Grashof fails for all sizes, and the change that helps; empty if none does.
-
-    Parameters
-    ----------
-    crank : str
-        As for `cannot_turn`.
-    least_angle : float [rad]
-        Least angle of coupler and rocker off alignment.
-    """
+    """Return which inequality of Grashof fails for all sizes, and the change that helps; empty if none does."""
     missed = [(shortest, violation) for shortest in SHORTEST[crank] if (violation := _violation(loop, shortest)) is not None]
     if len(missed) < len(SHORTEST[crank]):
         return ""
@@ -209,5 +194,4 @@ def _angle(violation: Violation, sizes: Mapping[str, float]) -> float:
 
 def _outward(value: float, upper: bool) -> float:
     """Return a length with few digits [m], rounded so that the bound becomes wider."""
-    rounding = ROUND_CEILING if upper else ROUND_FLOOR
-    return float(Context(DIGITS, rounding).create_decimal_from_float(1e3 * value)) * 1e-3
+    return rounded(1e3 * value, DIGITS, upper) * 1e-3
