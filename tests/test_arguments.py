@@ -42,6 +42,7 @@ ACCEPTED = {
     optlink.load: {"problem": "crank-rocker"},
     optlink.new: {"name": "law"},
     optlink.read: {"raw": dict(LAW.raw)},
+    optlink.read_result: {"path": "nothing.json"},
     optlink.read_design: {"problem": LAW, "assignments": ["coupler=400 mm", "rocker=230 mm"]},
     optlink.explore: {"problem": LAW},
     optlink.shipped: {},

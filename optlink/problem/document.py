@@ -133,7 +133,14 @@ class Document(Summary):
 
     @classmethod
     def restored(cls, problem: ProblemFile, values: Mapping[str, Any]) -> Self:
-        """Return the result for the fields in a document."""
+        """Return the result for the fields in a document.
+
+        Parameters
+        ----------
+        problem : ProblemFile
+        values : mapping of str to object
+            The fields by name, as in the document.
+        """
         result: Self = adapter(cls).validate_python({**values, "problem": problem}, context={"problem": problem})
         return result
 

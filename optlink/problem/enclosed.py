@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from optlink.problem.quantity import Unusable
-from optlink.problem.targets.target_points import read_file
+from optlink.problem.targets.target_points import enclosed, file_kind, read_file, split_enclosed
 from optlink.problem.tolerances import read_tolerance
 
 
@@ -29,35 +29,40 @@ def references(raw: Any, within: str = "") -> Iterator[tuple[dict[str, Any], str
             yield from references(value, within or key)
 
 
-def name_of(value: str) -> str:
-    """Return the name of the file in a value, which may be followed by its content."""
-    return value.partition("\n")[0]
-
-
 def enclosing(raw: Mapping[str, Any], folder: Path, known: Mapping[str, str]) -> tuple[dict[str, Any], dict[str, str]]:
     """Return the tables of a problem with the contents of files in place of their names, and the contents by name.
 
     Files that are not `known` are read; one that cannot be read keeps its name, so that the reader of its key refuses it.
     """
-    enclosed: dict[str, Any] = copy.deepcopy(dict(raw))
+    tables: dict[str, Any] = copy.deepcopy(dict(raw))
     contents: dict[str, str] = {}
-    for table, key, suffix in [*references(enclosed)]:
+    for table, key, suffix in [*references(tables)]:
         source = table[key] if suffix else read_tolerance(table[key], folder).source
-        name, inside, content = source.partition("\n")
-        if not inside:
+        name, content = split_enclosed(source)
+        if not content and name in known:
+            content = known[name]
+        elif not content:
             try:
-                content = known[name] if name in known else _text(read_file({suffix or "csv": name}, suffix or "csv", folder)[1])
-            except Unusable:
+                content = _text(read_file({suffix or "csv": name}, suffix or "csv", folder)[1])
+            except (Unusable, UnicodeDecodeError):
                 continue
-        contents[name], table[key] = content, f"{name}\n{content}"
-    return enclosed, contents
+        contents[name], table[key] = content, enclosed(name, content)
+    return tables, contents
 
 
 def _text(data: bytes) -> str:
-    """Return the text of a file; of one that is not UTF-8, with UTF-8 as the encoding that it declares."""
+    """Return the text of a file; of one that is not UTF-8, with UTF-8 as the encoding that it declares.
+
+    Raises
+    ------
+    UnicodeDecodeError
+        If it is no text.
+    """
+    wide = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    if not wide and (file_kind(data) or b"\0" in data):
+        raise UnicodeDecodeError("utf-8", data[:1], 0, 1, "no text")
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError:
-        wide = data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
-        text = data.decode("utf-16" if wide else "latin-1", errors="replace")
+        text = data.decode("utf-16" if wide else "latin-1")
         return re.sub(r"""(<\?xml[^>]*encoding=)["'][^"']*["']""", r'\1"UTF-8"', text, count=1)

@@ -9,9 +9,10 @@ from typing import Any
 
 from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.vector2d import TURN
-from optlink.problem.enclosed import name_of, references
+from optlink.problem.enclosed import references
 from optlink.problem.file import ProblemFile
 from optlink.problem.machine.model import Problem
+from optlink.problem.targets.target_points import split_enclosed
 from optlink.problem.tolerances import read_tolerance
 
 REQUIREMENTS = ("requirement", "objective", "limits", "expected")
@@ -54,7 +55,8 @@ def with_files_beside(file: ProblemFile) -> tuple[ProblemFile, dict[str, bytes]]
     files: dict[str, bytes] = {}
     for table, key, suffix in [*references(raw)]:
         source = table[key] if suffix else read_tolerance(table[key], file.folder).text
-        data, path = file.files[name_of(source)].encode(), Path(name_of(source))
+        name_in_file, _ = split_enclosed(source)
+        data, path = file.files[name_in_file].encode(), Path(name_in_file)
         stem, suffix_ = f"design-{path.stem[:60].lower()}", suffix or "csv"
         name, number = f"{stem}.{suffix_}", 1
         while files.get(name, data) != data:

@@ -15,6 +15,7 @@ from optlink.problem.base_model import in_folder
 from optlink.problem.mechanism import DyadsSection, FourBarSection
 from optlink.problem.quantity import Quantity, Unusable, below, check_keys, check_name, is_number, nearest
 from optlink.problem.targets.csv_table import read_columns
+from optlink.problem.targets.target_points import enclosed, split_enclosed
 from optlink.units import parse, plain
 
 NORMAL, CONTACT, MEASURED = "normal", "contact", "measured"
@@ -130,7 +131,7 @@ class ToleranceEntry:
     @property
     def source(self) -> str:
         """The text as in the file: with the content of an enclosed file."""
-        return f"{self.text}\n{self.content}" if self.content else self.text
+        return enclosed(self.text, self.content) if self.content else self.text
 
     @property
     def raw(self) -> dict[str, Any]:
@@ -166,8 +167,8 @@ def read_tolerance(raw: object, folder: Path) -> ToleranceEntry:
         remedy = f'Write "0.1 mm", "0.1 mm uniform", "parts.csv" or {{ {", ".join(f"{key} = ..." for key in KEYS)} }}'
         raise Unusable("expected a tolerance with its unit", remedy, "", raw)
     text = raw.strip().strip("\"'").strip()
-    name, enclosed, content = raw.partition("\n")
-    if enclosed and ToleranceEntry(name).measured:
+    name, content = split_enclosed(raw)
+    if content and ToleranceEntry(name).measured:
         return ToleranceEntry(name, content=content)
     quantity, _, word = text.rpartition(" ")
     numbered = any(letter.isdigit() for letter in quantity)

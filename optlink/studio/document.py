@@ -13,10 +13,11 @@ from pathlib import Path
 from typing import Any
 
 from optlink.errors import InputError
-from optlink.problem.enclosed import name_of, references
+from optlink.problem.enclosed import references
 from optlink.problem.file import MAX_BYTES, ProblemFile, load, read, shipped
 from optlink.problem.fixed_design import file_key
 from optlink.problem.quantity import check_choice
+from optlink.problem.targets.target_points import split_enclosed
 from optlink.problem.templates import template, templates
 from optlink.report import toml_text
 from optlink.studies.toml_keys import exact_text
@@ -46,7 +47,7 @@ class Document:
     @property
     def files(self) -> list[str]:
         """Other files that the problem file names."""
-        return [name_of(table[key]) for table, key, _ in references(dict(self.problem.raw))]
+        return [split_enclosed(table[key])[0] for table, key, _ in references(dict(self.problem.raw))]
 
     def message(self) -> dict[str, Any]:
         """Return the document as plain data, for `of`."""
@@ -160,7 +161,7 @@ def from_text(text: str, title: str) -> Document:
     if len(text.encode(errors="replace")) > MAX_BYTES:
         raise InputError(f"the text is longer than {MAX_BYTES:,} bytes", "Open a shorter file", file)
     raw = tables(text, file)
-    file_reference = next((name_of(table[key]) for table, key, _ in references(raw)), None)
+    file_reference = next((split_enclosed(table[key])[0] for table, key, _ in references(raw)), None)
     if file_reference is not None:
         remedy = f"Open it from its folder: optlink studio {file}"
         raise InputError("a problem that is opened in the page cannot read other files", remedy, file, value=file_reference)

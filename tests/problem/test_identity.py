@@ -367,7 +367,7 @@ def test_no_other_function_of_problems_reads_a_file():
     assert readers == {
         "target_points.read_file",
         "file._read_toml",
-        "base_model.read_document",
+        "document.read_document",
         "templates.template",
         "overview.overview",
     }

@@ -180,7 +180,7 @@ def test_a_full_disk_is_reported_and_leaves_no_files(tmp_path, monkeypatch):
 
 def test_the_page_of_a_balancing_problem_says_that_it_shows_the_machine_before() -> None:
     problem = optlink.load("balance-four-bar")
-    (note,) = report_model_of(problem, solve_or_validate(problem)).notes
+    (note,) = report_model_of(solve_or_validate(problem)).notes
     assert "before balancing" in note
 
 

@@ -53,7 +53,7 @@ EVIL = "<script>window.caught = 1</script><img src=x onerror='window.caught = 2'
 
 def subject(name: str, given: dict[str, float] | None = None, **changes: object) -> ReportModel:
     file = optlink.load(name, changes)
-    return report_model_of(file, solve_or_validate(file, design=given))
+    return report_model_of(solve_or_validate(file, design=given))
 
 
 @functools.cache
@@ -325,7 +325,7 @@ def evil_problem(folder: Path) -> Path:
 
 def test_markup_in_texts_is_escaped(tmp_path):
     file = optlink.load(evil_problem(tmp_path))
-    about = report_model_of(file, solve_or_validate(file, design={"coupler": 0.41286542, "rocker": 0.23224617}))
+    about = report_model_of(solve_or_validate(file, design={"coupler": 0.41286542, "rocker": 0.23224617}))
     read = Reader(page(about))
     assert read.scripts == 4
     assert read.handlers == []
@@ -385,6 +385,11 @@ def test_a_stored_result_gives_the_page_of_its_problem(results, tmp_path, name):
         assert "optimality (KKT residual)" in text
 
 
+def summed(document: dict) -> dict:
+    """The document with the check sum of what it contains."""
+    return with_check_sum({key: value for key, value in document.items() if key != "crc32"})
+
+
 def test_results_that_cannot_be_shown(results, tmp_path):
     good = json.loads(results("crank-rocker").read_text())
     changed = "the result was changed since it was written"
@@ -395,9 +400,9 @@ def test_results_that_cannot_be_shown(results, tmp_path):
         "hash": ({**good, "problem_hash": "0" * 16}, changed),
         "design": ({**good, "state": {}}, changed),
         "sum": ({key: value for key, value in good.items() if key != "crc32"}, changed),
-        "other reading": (with_check_sum(good | {"problem_hash": "0" * 16}), "read its problem otherwise"),
-        "lacking": (with_check_sum({key: value for key, value in good.items() if key != "seconds"}), "lacks or misreads seconds"),
-        "misread": (with_check_sum(good | {"seconds": 7}), "lacks or misreads seconds"),
+        "other reading": (summed(good | {"problem_hash": "0" * 16}), "read its problem otherwise"),
+        "lacking": (summed({key: value for key, value in good.items() if key != "seconds"}), "lacks or misreads seconds"),
+        "misread": (summed(good | {"seconds": 7}), "lacks or misreads seconds"),
         "list": ([good], "not a result"),
     }
     for name, (document, words) in bad.items():
@@ -600,7 +605,7 @@ return [...document.querySelectorAll(".js-plotly-plot")].map((chart) => [...char
 def test_labels_of_points_do_not_overlap_on_a_telephone(driver, tmp_path):
     """Of the crank angles along the hodographs of a six-bar, of which some lie close together."""
     file, path = optlink.load("six-bar"), tmp_path / "a.html"
-    write_page(report_model_of(file, solve_or_validate(file)), path)
+    write_page(report_model_of(solve_or_validate(file)), path)
     driver.execute_cdp_cmd(
         "Emulation.setDeviceMetricsOverride", {"width": 375, "height": 800, "deviceScaleFactor": 1, "mobile": True}
     )
@@ -651,7 +656,7 @@ def test_charts_on_paper_do_not_overlap(driver, tmp_path):
     """Neither the names of many rows, nor a legend and the panel above it."""
     (tmp_path / "press.toml").write_text(optlink.new("quick-return-press"))
     file, path = optlink.load(tmp_path / "press.toml"), tmp_path / "a.html"
-    write_page(report_model_of(file, solve_or_validate(file)), path)
+    write_page(report_model_of(solve_or_validate(file)), path)
     opened(driver, path)
     assert driver.execute_script(OVERLAPS) == []
     driver.execute_script("window.dispatchEvent(new Event('beforeprint'))")
@@ -662,7 +667,7 @@ def test_charts_on_paper_do_not_overlap(driver, tmp_path):
 def test_texts_do_not_run_in_a_browser(driver, tmp_path):
     file = optlink.load(evil_problem(tmp_path))
     path = tmp_path / "a.html"
-    write_page(report_model_of(file, solve_or_validate(file, design={"coupler": 0.41286542, "rocker": 0.23224617})), path)
+    write_page(report_model_of(solve_or_validate(file, design={"coupler": 0.41286542, "rocker": 0.23224617})), path)
     complaints, asked = opened(driver, path)
     assert (complaints, asked) == ([], [])
     assert driver.execute_script("return window.caught === undefined")

@@ -101,7 +101,8 @@ def test_sensitivities_of_dependent_limits_are_those_of_an_increase() -> None:
     file = optlink.load("law-slider-crank").override(
         {"limits.transmission_angle": {"min": "30 deg"}, "limits.alignment": "30 deg"}
     )
-    rows = of_solution(file, result.solution)
+    found = of_solution(file, result.solution)
+    rows = found.displayed
     tightened = [slider(30.0 + STEP, 30.0), slider(30.0, 30.0 + STEP)]
     for key, other in zip(("limits.transmission_angle.min", "limits.alignment"), tightened, strict=True):
         row = rows[key]
@@ -110,8 +111,8 @@ def test_sensitivities_of_dependent_limits_are_those_of_an_increase() -> None:
         assert row.design["rod.length"] == pytest.approx(longer / STEP, rel=1e-3)
         assert row.below.value == pytest.approx(30.0, abs=1e-9)
         assert row.above.value > 40.0
-    assert rows.notes[0].startswith("active limits depend on one another: derivatives are of an increase of ")
-    more, less = charts(rows)[0].panels[0].traces
+    assert found.notes[0].startswith("active limits depend on one another: derivatives are of an increase of ")
+    more, less = charts(found)[0].panels[0].traces
     tightened_only = [row.parameter.key in ("limits.transmission_angle.min", "limits.alignment") for row in rows.moving[:3]]
     assert less.y.tolist() == [0.0 if only else -effect for only, effect in zip(tightened_only, more.y, strict=True)]
 

@@ -145,7 +145,7 @@ def test_a_copy_is_reported(kind: str, tmp_path: Path) -> None:
     result = pickle.loads(pickle.dumps(made("law" if kind == "function" else kind)))
     view_of(kind).write(result, tmp_path)
     assert any(tmp_path.iterdir())
-    assert "<svg" in page(report_model_of(result.problem, result, (), ()))
+    assert "<svg" in page(report_model_of(result))
 
 
 def test_a_result_is_shown_in_notebooks(result: Any) -> None:

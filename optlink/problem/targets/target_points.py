@@ -104,10 +104,25 @@ def file_kind(data: bytes) -> str:
     return next((words for start, words in BINARY.items() if data.startswith(start)), "")
 
 
+ENCLOSED = "data:"
+"""Beginning of a value that encloses a file, as stored results do: then its name and, from the next line on, its content."""
+
+
+def split_enclosed(value: str) -> tuple[str, str]:
+    """Return name and content of an enclosed file, or the name of another file and an empty text."""
+    name, _, content = value.removeprefix(ENCLOSED).partition("\n") if value.startswith(ENCLOSED) else (value, "", "")
+    return name, content
+
+
+def enclosed(name: str, content: str) -> str:
+    """Return the value that encloses a file."""
+    return f"{ENCLOSED}{name}\n{content}"
+
+
 def read_file(raw: Mapping[str, Any], key: str, folder: Path) -> tuple[str, bytes]:
     """Return the display name and the bytes of a file; devices and pipes are refused.
 
-    A text of several lines is an enclosed file, as results contain them: its name, then its content.
+    It may be enclosed in the value itself, see `ENCLOSED`.
 
     Parameters
     ----------
@@ -122,11 +137,11 @@ def read_file(raw: Mapping[str, Any], key: str, folder: Path) -> tuple[str, byte
         when the file cannot be read or is too large.
     """
     name = raw[key]
+    if isinstance(name, str) and name.startswith(ENCLOSED):
+        title, content = split_enclosed(name)
+        return shortened(title), content.encode()
     if not isinstance(name, str) or not name.strip() or "\0" in name:
         raise Unusable(f"expected the name of a file ending in .{key}", f'Write {key} = "curve.{key}"', key, name)
-    title, enclosed, content = name.partition("\n")
-    if enclosed:
-        return shortened(title), content.encode()
     path, remedy = folder / name, "Give the path relative to the problem file"
     try:
         if not path.is_file():

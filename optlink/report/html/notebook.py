@@ -44,8 +44,11 @@ def _linkage(moving: Moving, title: str) -> str:
 def _moving(result: Any) -> Moving | None:
     """Return the moving linkage of a result; None if it has none, or cannot be assembled."""
     try:
-        about = (view_of(result.kind).page or report_model_of)(result)
-        return animation_of(about, STEPS) if isinstance(about, ReportModel) else about.moving(STEPS)
+        page = view_of(result.kind).page
+        if page is None:
+            return animation_of(report_model_of(result), STEPS)
+        about = page(result)
+        return None if isinstance(about, ReportModel) else about.moving(STEPS)
     except InputError:  # a design that cannot be assembled, a study without a design
         return None
 
