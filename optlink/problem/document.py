@@ -165,7 +165,8 @@ class Document(Summary):
         if not hidden:
             del properties["state"]
         optional = {key.rstrip("?") for key in cls.shown if key.endswith("?")}
-        return {"title": cls.__name__, **_closed(properties, optional), "$defs": whole.get("$defs", {})}
+        schema = {"title": cls.__name__, **_closed(properties, optional), "$defs": whole.get("$defs", {})}
+        return finite(schema)  # type: ignore[no-any-return]
 
     @classmethod
     def schema(cls) -> str:
@@ -300,7 +301,7 @@ def read_document(path: Path) -> dict[str, Any]:
         document = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
         reason = getattr(error, "strerror", None) or "it is not a JSON document"
-        remedy = "Give a result.json that --out wrote, the folder it is in, or a problem"
+        remedy = "Give a stored result.json, the folder it is in, or a problem"
         raise InputError(f"cannot read a result: {reason}", remedy, str(path)) from None
     if not isinstance(document, dict):
         raise InputError("not a result of optlink", "Give a result.json that --out wrote", str(path))

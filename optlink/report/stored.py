@@ -60,6 +60,8 @@ def read_result(path: str | Path) -> Document:
     if folder and not place.exists():
         remedy = "Give a folder that --out wrote; resume an interrupted study with --resume"
         raise InputError(f"the folder contains no {RESULT}", remedy, text)
+    if not place.exists():
+        raise InputError("no such file", "Give a stored result.json, the folder it is in, or a problem", key="path", value=text)
     document = read_document(place)
     load_extensions()
     schema = document.get("schema")

@@ -194,7 +194,20 @@ class Sweep(GridStudy):
 
     @classmethod
     def from_dict(cls, document: Mapping[str, Any], path: Path) -> Self:
-        """Return the sweep that a document holds; a large table is read from its file, which lies beside the document."""
+        """Return the sweep that a document holds; a large table is read from its file, which lies beside the document.
+
+        Parameters
+        ----------
+        document : mapping
+            From `to_dict`.
+        path : Path
+            File of the document.
+
+        Raises
+        ------
+        InputError
+            As `Document.from_dict`, and if a large table is missing.
+        """
         result = super().from_dict(document, path)
         if result.data is not None:
             return result

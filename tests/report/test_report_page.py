@@ -459,7 +459,7 @@ def test_the_hash_of_a_problem_is_the_same_in_every_process():
         (("crank-rocker", "-o", "a.pdf"), ".html"),
         (("crank-rocker", "-o", "nowhere/a.html"), "there is no folder"),
         (("crank-roker", "-o", "a.html"), "crank-rocker"),
-        (("gone.json", "-o", "a.html"), "No such file"),
+        (("gone.json", "-o", "a.html"), "no such file"),
     ],
 )
 def test_bad_input_is_reported(tmp_path, monkeypatch, arguments, words):
