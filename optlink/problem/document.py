@@ -8,16 +8,18 @@ that ends the key; null where there is no finite value.
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import fields, is_dataclass, replace
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from types import NoneType
+from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import TypeAdapter, ValidationError
+from pydantic import AfterValidator, BeforeValidator, PlainValidator, TypeAdapter, ValidationError, WithJsonSchema
 
 from optlink.errors import InputError, UnknownName, nearest
 from optlink.io import SUM, Summary, checked, finite, head, with_check_sum
@@ -29,6 +31,42 @@ VERSION_OF_SCHEMAS = 3
 AGAIN = "Solve it again with this version, or use the version of optlink that wrote it"
 HEAD = ("schema", "optlink", "problem", "title", "problem_hash", "overrides")
 """First entries of a document, which follow from its problem."""
+
+
+def _array(value: Any) -> NDArray[np.float64]:
+    if not isinstance(value, list) or not all(
+        issubclass(kind, (int, float, NoneType)) and kind is not bool for kind in set(map(type, value))
+    ):
+        raise ValueError("this is not a list of numbers")
+    return np.array(value, dtype=np.float64)  # None becomes NaN
+
+
+def _rows(value: Any) -> NDArray[np.float64]:
+    nested = isinstance(value, list) and bool(value) and all(isinstance(row, list) for row in value)
+    return np.array([_array(row) for row in value]) if nested else _array(value)
+
+
+def _equally_long(columns: dict[str, NDArray[np.float64]]) -> dict[str, NDArray[np.float64]]:
+    if len({len(values) for values in columns.values()}) > 1:
+        raise ValueError("its columns differ in length")
+    return columns
+
+
+_NUMBER: dict[str, Any] = {"anyOf": [{"type": "number"}, {"type": "null"}]}
+Number = Annotated[float, BeforeValidator(lambda value: math.nan if value is None else value), WithJsonSchema(_NUMBER)]
+"""A number, or null where it is not finite."""
+Never = Annotated[float, BeforeValidator(lambda value: math.inf if value is None else value), WithJsonSchema(_NUMBER)]
+"""A number, or null where it is infinite."""
+_LIST = {"type": "array", "items": _NUMBER}
+Column = Annotated[NDArray[np.float64], PlainValidator(_array), WithJsonSchema(_LIST)]
+"""An array of numbers; null where one is not finite."""
+Rows = Annotated[
+    NDArray[np.float64], PlainValidator(_rows), WithJsonSchema({"anyOf": [_LIST, {"type": "array", "items": _LIST}]})
+]
+"""A column, or a table of equally long rows."""
+Columns = Annotated[dict[str, Column], AfterValidator(_equally_long)]
+"""A table: arrays of equal length by name."""
+
 
 Source = str | Callable[[Any], Any]
 """An attribute of a result, or a function of it."""
@@ -241,3 +279,22 @@ def read_problem(document: Mapping[str, Any], path: Path) -> ProblemFile:
         message = f"version {document['optlink']} read its problem otherwise than version {VERSION}"
         raise InputError(message, AGAIN, str(path), "problem_hash", document["problem_hash"])
     return replace(problem, overrides=document["overrides"])
+
+
+def read_document(path: Path) -> dict[str, Any]:
+    """Read the JSON object of a result file.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read or is not a JSON object.
+    """
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        reason = getattr(error, "strerror", None) or "it is not a JSON document"
+        remedy = "Give a result.json that --out wrote, the folder it is in, or a problem"
+        raise InputError(f"cannot read a result: {reason}", remedy, str(path)) from None
+    if not isinstance(document, dict):
+        raise InputError("not a result of optlink", "Give a result.json that --out wrote", str(path))
+    return document

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 from optlink.errors import InputError
 from optlink.io import load_extensions
 from optlink.problem.arguments import typed
-from optlink.problem.base_model import read_document
-from optlink.problem.document import Document
+from optlink.problem.document import Document, read_document
 from optlink.report.format import single_units
 from optlink.report.registry import KINDS, result_class, view_of
 

@@ -19,7 +19,7 @@ from optlink.io import Summary
 from optlink.linkage.vector2d import Array
 from optlink.optimization.constraints import Scale, SIScale
 from optlink.optimization.multipliers import ACTIVE, LEAST_PRICE, SAME_SUM, MultiplierSet, active_sides
-from optlink.problem.base_model import Column, Never, Number
+from optlink.problem.document import Column, Never, Number
 from optlink.units import in_si
 
 if TYPE_CHECKING:

@@ -40,8 +40,7 @@ class Axis:
     """One parameter of a sweep and its values, in `unit` as written (empty for a plain number)."""
 
     shown: ClassVar[Mapping[str, Source]] = {
-        "key": "key",
-        "unit": "unit",
+        **{name: name for name in ("key", "unit")},
         "first": lambda axis: axis.values[0],
         "last": lambda axis: axis.values[-1],
         "values": lambda axis: len(axis.values),
@@ -186,12 +185,6 @@ class Grid:
         """Return the changes of the problem file at a point."""
         return {axis.key: axis.raw(i) for axis, i in zip(self.axes, self.place(index), strict=True)}
 
-    def corners(self) -> Iterator[int]:
-        """Yield the points at the first and the last values of all axes."""
-        yield 0
-        if self.count > 1:
-            yield self.count - 1
-
 
 @contextlib.contextmanager
 def _of_axis(axis: Axis) -> Iterator[None]:
@@ -243,6 +236,6 @@ def read_grid(problem: ProblemFile, vary: Sequence[str]) -> Grid:
         for at in {axis.values.index(end) for end in (min(axis.values), max(axis.values))}:
             with _of_axis(axis):
                 problem.override({axis.key: axis.raw(at)})
-    for corner in grid.corners():
+    for corner in sorted({0, grid.count - 1}):  # the first and the last values of all axes
         problem.override(grid.changes(corner))
     return grid

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from optlink.linkage.vector2d import TURN, Array
 from optlink.optimization.multipliers import MultiplierSet
 from optlink.optimization.nlp import NLP
-from optlink.problem.base_model import Number
+from optlink.problem.document import Number
 from optlink.problem.function import EPIGRAPH
 from optlink.solvers.solution import STATIONARY, Solution, Stationarity, stationarity
 from optlink.studies.parameters import Parameter

@@ -13,7 +13,7 @@ from pydantic import Field
 
 from optlink.optimization.constraints import Scale, SIScale
 from optlink.optimization.nlp import NLP
-from optlink.problem.base_model import Number
+from optlink.problem.document import Number
 from optlink.problem.limits import MARGIN_KEYS
 from optlink.units import in_si
 

@@ -16,8 +16,7 @@ from pydantic import AfterValidator
 
 from optlink.errors import InputError, Status
 from optlink.problem.arguments import typed
-from optlink.problem.base_model import Number
-from optlink.problem.document import Document, Source
+from optlink.problem.document import Document, Number, Source
 from optlink.problem.file import ProblemFile
 from optlink.solvers.solution import Solution
 from optlink.studies.cycle_parameters import CycleParameters

@@ -193,11 +193,6 @@ class OptimumTask(SweepTask):
         """Return the value of the column for a minimised value [SI]."""
         return self.template.model.shown_objective(objective).value
 
-    @cached_property
-    def objective_factor(self) -> float:
-        """Factor from the minimised value [SI] to its column, negative of a maximised one."""
-        return self.template.model.objective_display[0]
-
     def optimum(self, point: int, outcome: FoundOptimum) -> list[str]:
         """Return the row of an optimum; design and objective are empty unless the search is optimal or stalled."""
         usable = outcome.status in (Status.OPTIMAL, Status.STALLED)

@@ -18,8 +18,7 @@ from optlink.execution import interrupts
 from optlink.linkage.continuation import continue_through_singularities
 from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.arguments import typed
-from optlink.problem.base_model import Columns, Number
-from optlink.problem.document import Source, Tabled
+from optlink.problem.document import Columns, Number, Source, Tabled
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import check_range
 from optlink.tasks.machine import (

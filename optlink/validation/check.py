@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from optlink.linkage.motion import Motion
 from optlink.linkage.vector2d import Array
-from optlink.problem.base_model import Number
+from optlink.problem.document import Number
 from optlink.problem.interval import Interval
 from optlink.problem.limits import Limits, Moved, TransmissionLimit, limits_in_file
 from optlink.problem.quantity import Quantity

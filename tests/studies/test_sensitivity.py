@@ -21,9 +21,21 @@ from optlink.studies.motion_sensitivity import output_names, output_sensitivity
 from optlink.studies.sensitivity import sensitivities as sensitivities_in_si
 
 
+class Displayed:
+    """A result whose rows are in display units, in which these tests state what they expect."""
+
+    def __init__(self, result):
+        self.result = result
+
+    def __getitem__(self, key):
+        return self.result.displayed[key]
+
+    def __getattr__(self, name):
+        return getattr(self.result.displayed if name in ("rows", "moving", "values", "units") else self.result, name)
+
+
 def sensitivities(*arguments, **options):
-    """Return the sensitivities in display units, in which these tests state what they expect."""
-    return sensitivities_in_si(*arguments, **options).displayed
+    return Displayed(sensitivities_in_si(*arguments, **options))
 
 
 LIMIT = "limits.transmission_angle.max"

@@ -51,8 +51,8 @@ class GridSearch:
     """Optima at the points of a grid.
 
     `search` returns the solution of a point, `search_many` its distinct optima, best first; both depend on the point alone.
-    `large`: a few large blocks; each of their optima has a number like a block, from the number of blocks on. `coarse`: search
-    of the same grid with larger blocks, whose optima are taken where its searches agree.
+    `large`: a few large blocks; each of their optima has a number like a block, from the number of blocks on. `coarse`: search of
+    the same grid with larger blocks, whose optima are taken where its searches agree.
     """
 
     def __init__(

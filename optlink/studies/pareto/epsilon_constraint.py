@@ -206,16 +206,20 @@ def pareto(
     if objective_list[first].span:
         message, remedy = "all objectives have ranges", "One of them is minimised: leave its range out"
         raise InputError(message, remedy, problem.file, OPTION, objectives)
-    count = _points(points, len(objective_list) - 1)
+    count = POINTS[len(objective_list) - 1] if points is None else points
+    if count < 2:
+        raise InputError("out of range", "Give 2 points or more", key="--points", value=points)
     check_backend(backend)
     ranges = RANGES[problem.task](problem, objective_list, first, count, backend)
-    _most(ranges.shape)
+    if (total := math.prod(ranges.shape)) > MAX_POINTS:
+        size = " x ".join(f"{length:,}" for length in ranges.shape) + (f" = {total:,}" if len(ranges.shape) > 1 else "")
+        raise InputError(f"{size} points exceed the limit of a front, {MAX_POINTS:,}", "Give fewer", key="--points")
     check(engine, workers, scheduler)
     keep = TemporaryFolder() if out is None else None
     place = keep.path if keep is not None else Path(str(out))
     with Store(place, _about(problem, objective_list, count, backend), resume=resume) as store:
         ahead = ranges.searches
-        once = _Once(store, None if progress is None else lambda completed: progress(completed, ahead + math.prod(ranges.shape)))
+        once = _Once(store, None if progress is None else lambda completed: progress(completed, ahead + total))
         try:
             base, grid, anchors = ranges.search(once)
         except NoExtreme:
@@ -238,9 +242,8 @@ def pareto(
         store.drop()
         rows = [dict(zip(task.columns, row, strict=True)) for row in store.finished_rows(task.columns)]
         designs = [point for row in rows if row["valid"] == "true" for point in [_point(task, ranges, row)] if point is not None]
-        costs = np.array([p.values for p in designs]).reshape(-1, len(objective_list)) * [
-            objective.sense for objective in objective_list
-        ]
+        senses = [objective.sense for objective in objective_list]
+        costs = np.array([p.values for p in designs]).reshape(-1, len(senses)) * senses
         non_dominated = np.flatnonzero(undominated(costs))
         non_dominated = non_dominated[np.lexsort(costs[non_dominated].T[::-1])]
         corner, bend = (ends(costs[non_dominated]), knee(costs[non_dominated])) if len(non_dominated) else ((), None)
@@ -267,19 +270,6 @@ def pareto(
             engine=engine,
             workers=workers,
         )
-
-
-def _points(points: int | None, constrained: int) -> int:
-    count = POINTS[constrained] if points is None else points
-    if count < 2:
-        raise InputError("out of range", "Give 2 points or more", key="--points", value=points)
-    return count
-
-
-def _most(shape: Sequence[int]) -> None:
-    if math.prod(shape) > MAX_POINTS:
-        size = " x ".join(f"{count:,}" for count in shape) + (f" = {math.prod(shape):,}" if len(shape) > 1 else "")
-        raise InputError(f"{size} points exceed the limit of a front, {MAX_POINTS:,}", "Give fewer", key="--points")
 
 
 def _about(problem: ProblemFile, objectives: tuple[ParetoObjective, ...], count: int, backend: str) -> dict[str, Any]:
@@ -322,7 +312,7 @@ def _point(task: OptimumTask, ranges: EpsilonRanges, row: Mapping[str, str]) -> 
     columns = {name: f"{name}_{quantity.display[1]}" for name, quantity in task.free.items()}
     design = {column: float(row[column]) for column in columns.values()}
     values = {name: design[columns[name]] * quantity.si_per_unit for name, quantity in task.free.items()}
-    measured = ranges.figures(task.template, values, float(row[task.objective_column]) / task.objective_factor)
+    measured = ranges.figures(task.template, values, float(row[task.objective_column]) / task.template.model.objective_display[0])
     return ParetoPoint(measured, design, row["active"], "") if np.all(np.isfinite(measured)) else None
 
 
@@ -332,4 +322,4 @@ def _marked(
     marks = [objective.best for objective, end in zip(objectives, corner, strict=True) if end == number]
     if bend is not None and bend[0] == number:
         marks.append("knee")
-    return ParetoPoint(point.values, point.design, point.active, ", ".join(marks))
+    return replace(point, mark=", ".join(marks))

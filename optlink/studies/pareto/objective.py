@@ -59,8 +59,5 @@ class ParetoObjective:
 
 def range_values(objective: ParetoObjective, count: int) -> Axis:
     """Return the values of the requested range of an objective."""
-    return read_axis(
-        f"{objective.key}={objective.span}"
-        if ":" in objective.span or "step" in objective.span
-        else f"{objective.key}={objective.span}:{count}"
-    )
+    stated = ":" in objective.span or "step" in objective.span
+    return read_axis(f"{objective.key}={objective.span}" + ("" if stated else f":{count}"))

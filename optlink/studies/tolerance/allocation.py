@@ -18,8 +18,7 @@ import numpy as np
 from optlink.errors import InputError, SolverError
 from optlink.execution.worker import Runs
 from optlink.linkage.vector2d import Array
-from optlink.problem.base_model import Column
-from optlink.problem.document import Source
+from optlink.problem.document import Column, Source
 from optlink.studies.tolerance.linear import LinearAnalysis
 from optlink.studies.tolerance.monte_carlo import MonteCarlo, monte_carlo
 
@@ -39,14 +38,12 @@ class Allocation:
     """
 
     shown: ClassVar[Mapping[str, Source]] = {
-        "target_yield": "target_yield",
+        **{name: name for name in ("target_yield", "cost", "achieved")},
         "tolerances_SI": "sizes",
         "cost_coefficients": "coefficients",
-        "cost": "cost",
         "cost_of_specified": "before",
         "duality_gap": "gap",
         "without_effect": "free",
-        "achieved": "achieved",
         "check": "monte_carlo",
     }
 

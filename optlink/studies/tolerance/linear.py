@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from optlink.linkage.vector2d import Array
-from optlink.problem.base_model import Rows
+from optlink.problem.document import Rows
 from optlink.problem.file import ProblemFile
 from optlink.problem.tolerances import Deviation
 from optlink.studies.motion_sensitivity import output_sensitivity

@@ -15,8 +15,7 @@ from pydantic import PlainValidator, WithJsonSchema
 from optlink.execution.runner import ordered
 from optlink.execution.worker import Runs
 from optlink.linkage.vector2d import Array
-from optlink.problem.base_model import Column
-from optlink.problem.document import Source
+from optlink.problem.document import Column, Source
 from optlink.problem.tolerances import Deviation
 from optlink.studies.tolerance.linear import LinearAnalysis
 from optlink.studies.tolerance.nominal import Nominal
@@ -43,20 +42,14 @@ class MonteCarlo:
     """
 
     shown: ClassVar[Mapping[str, Source]] = {
-        "samples": "samples",
-        "seed": "seed",
+        **{name: name for name in ("samples", "seed", "mean", "sigma", "least", "most", "seconds")},
         "cannot_be_assembled": "stuck",
-        "mean": "mean",
-        "sigma": "sigma",
         "sigma_standard_error": "sigma_error",
-        "least": "least",
-        "most": "most",
         "stays_below": "quantiles",
         "histogram": lambda sampled: dict(zip(("edges", "counts"), sampled.histogram, strict=True)),
         "yield": "share",
         "yield_interval_95_percent": lambda sampled: sampled.interval if sampled.good >= 0 else None,
         "yield_by_the_linear_model": "linear_share",
-        "seconds": "seconds",
     }
 
     samples: int

@@ -11,7 +11,7 @@ import numpy as np
 from optlink.errors import InputError
 from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.vector2d import Array, Value, cross, dot, unit
-from optlink.problem.base_model import Column, Number
+from optlink.problem.document import Column, Number
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import check_choice
 from optlink.problem.tolerances import with_deviating_pivots

@@ -10,8 +10,7 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 from optlink.errors import InputError
-from optlink.problem.base_model import Number
-from optlink.problem.document import Source
+from optlink.problem.document import Number, Source
 from optlink.problem.file import ProblemFile
 from optlink.problem.robust import MAX_SIGMAS, WORST
 from optlink.problem.tolerances import NORMAL

@@ -15,8 +15,7 @@ from optlink.dynamics.inertia import Parameters
 from optlink.dynamics.machine import Machine
 from optlink.errors import Status
 from optlink.linkage.vector2d import Array
-from optlink.problem.base_model import Column, Never, Number
-from optlink.problem.document import Document, Source
+from optlink.problem.document import Column, Document, Never, Number, Source
 from optlink.problem.file import ProblemFile
 from optlink.solvers.solution import Relaxation
 from optlink.tasks.machine import machine_of

@@ -15,7 +15,7 @@ from optlink.errors import Status
 from optlink.linkage.dyad_types import ModalDyad
 from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.vector2d import Array
-from optlink.problem.base_model import Never, Rows
+from optlink.problem.document import Never, Rows
 from optlink.problem.file import ProblemFile
 from optlink.problem.function import DesignProblem
 from optlink.solvers.global_search.lagrangian import TESTS

@@ -6,8 +6,7 @@ from typing import Any, ClassVar, TypeVar
 
 from optlink.errors import InputError
 from optlink.io import checked, finite, with_check_sum
-from optlink.problem.base_model import Never, Number
-from optlink.problem.document import adapter
+from optlink.problem.document import Never, Number, adapter
 from optlink.version import VERSION
 
 C = TypeVar("C", bound="Checkpoint")

@@ -15,8 +15,7 @@ from optlink.clearance.output import Output
 from optlink.clearance.statistics import Prediction
 from optlink.dynamics.ending import Ending
 from optlink.dynamics.machine import Machine
-from optlink.problem.base_model import Columns, Number
-from optlink.problem.document import Source, Tabled
+from optlink.problem.document import Columns, Number, Source, Tabled
 from optlink.problem.file import ProblemFile
 from optlink.tasks.machine import machine_of, with_flywheel
 

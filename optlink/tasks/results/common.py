@@ -6,8 +6,7 @@ from functools import cached_property
 from typing import Any, ClassVar, Protocol, Self
 
 from optlink.errors import Status
-from optlink.problem.base_model import Number
-from optlink.problem.document import Document, Source
+from optlink.problem.document import Document, Number, Source
 from optlink.problem.file import ProblemFile
 from optlink.solvers.solution import FEASIBLE, STATIONARY, LimitState, Relaxation, Solution
 from optlink.tasks.results.certificate import Certificate, message

@@ -8,8 +8,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 from pydantic import AfterValidator
 
-from optlink.problem.base_model import Column, Columns, Never, Number
-from optlink.problem.document import Document, Source
+from optlink.problem.document import Column, Columns, Document, Never, Number, Source
 from optlink.problem.file import ProblemFile
 from optlink.tasks.results.clearance import ClearanceSimulation
 

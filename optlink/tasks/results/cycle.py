@@ -8,10 +8,9 @@ from typing import Any, ClassVar
 
 from optlink.dynamics.machine import Machine
 from optlink.errors import InputError, Status
-from optlink.problem.base_model import Number
 from optlink.problem.cycle.model import CycleProblem, StrokeProblem
 from optlink.problem.cycle.terms import Term
-from optlink.problem.document import Source
+from optlink.problem.document import Number, Source
 from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import fixed_design
 from optlink.problem.quantity import Unusable

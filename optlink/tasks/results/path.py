@@ -18,8 +18,7 @@ from optlink.linkage.extrema import extremes
 from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import TURN, Array
-from optlink.problem.base_model import Column, Number
-from optlink.problem.document import Document, Source, entries
+from optlink.problem.document import Column, Document, Number, Source, entries
 from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import fixed_design, started
 from optlink.problem.mechanism import FourBarSection
