@@ -69,7 +69,8 @@ def build_path_nlp(problem: PathProblem, direction: int = 1, *, movable: bool = 
     size, share, free, data = problem.size, problem.whole, problem.free, problem.data
     fixed = tuple(name for name in problem.quantities if name not in free)
     free_timing = data.offsets is None
-    count, measure = len(data.columns), error_measures(problem.unit, problem.width)[problem.measure]
+    single = problem.requirement.kind == "transmission"  # every dyad has a transmission angle of its own
+    count, measure = len(data.columns), error_measures(problem.unit, 1 if single else problem.width)[problem.measure]
     minimax = measure.name == "max"
     variables = [path_variable(problem, name) for name in free]
     if free_timing:
@@ -117,6 +118,12 @@ def build_path_nlp(problem: PathProblem, direction: int = 1, *, movable: bool = 
             rows, options = limited.at(angle, origin if along else 0.0), {"place": angle, "periodic": not along}
             return {k: replace(row, value=rows[k], **options) for k, row in enumerate(placed) if row.over_span == over_span}
 
+        def below_largest(error: Any, label: str) -> list[ConstraintRow]:
+            """Return the rows that keep an error, or each of several transmission cosines, below the largest one."""
+            squares = [part * part for part in casadi.vertsplit(error)] if single else [casadi.sumsqr(error)]
+            heights = [(x[-1] * x[-1] - square / share**2) / (p[0] * p[0]) for square in squares]
+            return [ConstraintRow(EPIGRAPH, label, height, 0.0, math.inf, PLAIN) for height in heights]
+
         for over_span in kinds:
             for angle in _fixed_positions(problem, angles, over_span):
                 rows += limits_at(angle, over_span).values()
@@ -129,8 +136,7 @@ def build_path_nlp(problem: PathProblem, direction: int = 1, *, movable: bool = 
             rows += [exchanged[j] for j in range(len(placed))]
             if has_sampled_objective(problem):
                 further.append(watched.at(TURN * p[exchanged_from + k], 0.0, 0.0))
-                largest = (x[-1] * x[-1] - casadi.sumsqr(further[-1])) / (p[0] * p[0])
-                rows.append(ConstraintRow(EPIGRAPH, "transmission angle at another crank angle", largest, 0.0, math.inf, PLAIN))
+                rows += below_largest(further[-1], "transmission angle at another crank angle")
         if free_timing:
             steps = [(b - a) * direction for a, b in itertools.pairwise(angles)]
             rows += [
@@ -146,8 +152,7 @@ def build_path_nlp(problem: PathProblem, direction: int = 1, *, movable: bool = 
                 label, scale = f"distance from point {i + 1}", SquareRootScale("mm", 1e3 * size)
                 rows.append(ConstraintRow("requirement.points", label, square, -math.inf, (tolerance / size) ** 2, scale))
             if minimax:
-                largest = (x[-1] * x[-1] - casadi.sumsqr(error) / share**2) / (p[0] * p[0])
-                rows.append(ConstraintRow(EPIGRAPH, f"deviation at point {i + 1}", largest, 0.0, math.inf, PLAIN))
+                rows += below_largest(error, f"deviation at point {i + 1}")
         vector = casadi.vertcat(*errors, *further)
         f = x[-1] if minimax else casadi.sumsqr(vector) / (share**2 * (count if measure.name == "rms" else 1))
         g = casadi.vertcat(*[row.value for row in rows]) if rows else casadi.SX(0, 1)
@@ -181,7 +186,7 @@ def build_path_nlp(problem: PathProblem, direction: int = 1, *, movable: bool = 
         factor=share if minimax else share**2,
         helpers=frozenset(helpers),
         place_expression=casadi.vertcat(*(0.0 if row.place is None else row.place for row in rows)),
-        exchange_rows=(first, len(placed) + has_sampled_objective(problem)),
+        exchange_rows=(first, len(placed) + residual.numel_out(0) * has_sampled_objective(problem)),
         constants=(*constants, *moving),
         mapped=mapped,
         recipe={"builder": "path", "direction": direction},
@@ -303,8 +308,8 @@ class _Positions:
 
 
 def objective_excess(problem: PathProblem, values: Mapping[str, Value], largest: float, shares: Array) -> Array:
-    """Return the excess (n,) of the transmission cosines over the objective at shares of the revolution; -inf where undefined."""
+    """Return the excesses (dyads, n) of the transmission cosines over the objective along the revolution; -inf if undefined."""
     with np.errstate(all="ignore"):
         cosines = problem.deviation(problem.linkage.pose(values, unit(TURN * shares)), values, ())
-        size = np.sqrt(sum(cosine * cosine for cosine in cosines)) + 0.0 * shares
-    return np.where(np.isfinite(size), size - largest, -np.inf)
+        sizes = np.array([np.abs(cosine) + 0.0 * shares for cosine in cosines])
+    return np.where(np.isfinite(sizes), sizes - largest, -np.inf)

@@ -59,7 +59,8 @@ def deviations(problem: PathProblem, design: Mapping[str, float], crank_angles: 
     kind, turned = problem.requirement.kind, None
     if kind == "transmission":
         generated = transmission_angles(motion, problem.linkage)
-        square, distances = np.sum(np.cos(generated) ** 2, axis=1), np.max(np.abs(np.cos(generated)), axis=1)
+        distances = np.max(np.abs(np.cos(generated)), axis=1)
+        square = distances**2 if problem.measure == "max" else np.sum(np.cos(generated) ** 2, axis=1)
     elif kind == "function":
         output = str(problem.requirement.output)
         travel = np.asarray(motion.slide(output).value if problem.slides else motion.body_angle(output).value, dtype=float)
@@ -88,14 +89,13 @@ def deviations(problem: PathProblem, design: Mapping[str, float], crank_angles: 
 
 
 def _worst_cosine(problem: PathProblem, design: Mapping[str, float]) -> float:
-    """Return the largest root of the sum of the squared cosines of all transmission angles over the revolution."""
+    """Return the largest cosine of the transmission angle of any dyad over the revolution."""
 
-    def size(angles: Array) -> Array:
-        cosines = np.cos(transmission_angles(sweep(problem.linkage, design, angles), problem.linkage))
-        return np.asarray(np.sqrt(np.sum(cosines**2, axis=1)))[None, :]
+    def sizes(angles: Array) -> Array:
+        return np.abs(np.cos(transmission_angles(sweep(problem.linkage, design, angles), problem.linkage))).T
 
     grid = np.linspace(0.0, TURN, POSITIONS + 1)
-    return float(maxima(size, grid, periodic=True)[1][0]) if np.all(np.isfinite(size(grid))) else math.nan
+    return float(np.max(maxima(sizes, grid, periodic=True)[1])) if np.all(np.isfinite(sizes(grid))) else math.nan
 
 
 def transmission_angles(motion: Motion, mechanism: Mechanism) -> Array:

@@ -251,6 +251,33 @@ def test_best_transmission_is_the_worst_of_the_revolution() -> None:
     assert result.best.least_transmission == pytest.approx(math.acos(35.0 / 200.0), abs=1e-9)
 
 
+def test_the_worst_angle_of_several_dyads_counts() -> None:
+    """Of a toggle press: that of the programme of its cycle, which has its own formula and its own search."""
+    links = {
+        "crank": {"joints": ["A", "B"], "length": "60 mm"},
+        "rod": {"joints": ["B", "C"], "length": {"bounds": ["300 mm", "600 mm"]}},
+        "upper": {"joints": ["D", "C"], "length": "300 mm"},
+        "lower": {"joints": ["C", "E"], "length": {"bounds": ["200 mm", "400 mm"]}},
+        "ram": {"joints": ["E"]},
+    }
+    ground = {"D": ["0 mm", "0 mm"], "A": [{"bounds": ["300 mm", "700 mm"]}, {"bounds": ["-450 mm", "-100 mm"]}]}
+    guides = {"F": {"slider": "ram", "through": "D", "direction": "-90 deg"}}
+    assembly = {"C": "left of B-D", "E": "forward"}
+    mechanism = {"type": "dyads", "ground": ground, "links": links, "guides": guides, "assembly": assembly}
+    best = solve(optlink.read({"title": "t", "mechanism": mechanism, "requirement": {"kind": "transmission"}}))
+    assert best.valid
+    goal = {"quantity": "pressure angle", "sense": "minimise", "measure": "peak"}
+    drive = {"body": "crank", "speed": "60 rpm"}
+    cycle = optlink.solve(optlink.read({"title": "t", "mechanism": mechanism, "drive": drive, "objective": goal}))
+    assert isinstance(cycle, optlink.CycleResult)
+    assert cycle.valid
+    assert math.acos(best.objective) == pytest.approx(0.5 * math.pi - cycle.objective, abs=1e-9)
+    assert best.best.least_transmission == pytest.approx(math.acos(best.objective), abs=1e-9)
+    linkage = best.best.task.linkage
+    angles = transmission_angles(sweep(linkage, best.design, np.linspace(0.0, TURN, 20_001)), linkage)
+    assert np.max(np.abs(np.cos(angles))) == pytest.approx(best.objective, abs=1e-7)
+
+
 def test_one_value_for_several_dyads_is_one_parameter() -> None:
     """Its price in a study is that of the number in the file: of the rows of every dyad together."""
     nlp = build_path_nlp(optlink.load("law-six-bar", {"limits.pressure_angle.E": "40 deg"}).model)
