@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import datetime
 import enum
 import functools
 import json
@@ -272,6 +273,8 @@ def finite(value: Any) -> Any:
         value = value.item()
     if isinstance(value, enum.Enum):
         return value.value
+    if isinstance(value, datetime.date | datetime.time):
+        return value.isoformat()
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 

@@ -266,10 +266,10 @@ def progress_bar(*columns: ProgressColumn, what: str, **options: Any) -> Iterato
 # --- input -------------------------------------------------------------------------------------------------------------------
 
 
-def load(problem: str, changes: list[str] | None, *, definite: bool = True) -> ProblemFile:
+def load(problem: str, changes: list[str] | None, *, definite: bool = False) -> ProblemFile:
     """Load a problem with the changes of `--set`: a shipped one by name, a file, or that of a stored result.
 
-    The problem of a result has the assembly modes of its design, if `definite`.
+    With `definite`, the problem of a result has the assembly modes of its design.
     """
     from optlink.problem.assignment import parse_assignments
     from optlink.problem.file import load as read
@@ -285,16 +285,30 @@ def load(problem: str, changes: list[str] | None, *, definite: bool = True) -> P
     return file.override(assignments) if assignments else file
 
 
-def design_of(problem: str, design: list[str] | None) -> list[str] | None:
-    """Return the values of `--design`; without them, of a stored result that has a design, its file."""
+def given_design(
+    file: ProblemFile, problem: str, changes: list[str] | None, design: list[str] | None, varied: Collection[str] = ()
+) -> dict[str, float] | None:
+    """Return the design of `--design` [SI]; without it that of the stored result which is named in place of a problem.
+
+    Quantities of a result that `--set` changes have the values stated there. None if there is no design.
+    """
     from optlink.report.files import is_result
 
     if design or not is_result(problem):
-        return design
-    from optlink.io import read_object
+        return read_design_option(file, design, varied)
+    from optlink.problem.assignment import parse_assignments
+    from optlink.problem.fixed_design import quantity_key
+    from optlink.report.stored import read_result
 
-    path = Path(problem) / "result.json" if os.path.isdir(problem) else Path(problem)
-    return [str(path)] if "design" in (read_object(path) or {}) else None
+    result = read_result(problem)
+    values = getattr(result, "design", None) or getattr(getattr(result, "solution", None), "design", {})
+    changed = [key.removeprefix("mechanism.") for key in (*parse_assignments(changes or []), *varied)]
+    kept = {}
+    for name in (name for name in file.model.quantities if name in values):
+        key = quantity_key(file.model, name).removeprefix("mechanism.")
+        if not any(f"{key}.".startswith(f"{one}.") or f"{one}.".startswith(f"{key}.") for one in changed):
+            kept[name] = values[name]
+    return kept or None
 
 
 def read_design_option(file: ProblemFile, design: list[str] | None, varied: Collection[str] = ()) -> dict[str, float] | None:

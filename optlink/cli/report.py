@@ -109,7 +109,8 @@ def _report_model(
     from optlink.report.files import is_result
     from optlink.report.report_model import report_model_of, solve_or_validate
 
-    if output.exists() and os.path.exists(text) and os.path.samefile(output, text):
+    place = os.path.join(text, "result.json") if os.path.isdir(text) else text
+    if output.exists() and os.path.exists(place) and os.path.samefile(output, place):
         raise InputError("this would overwrite the input file", "Choose another name", key="--out", value=str(output))
     if is_result(text):
         from optlink.problem.assignment import parse_assignments

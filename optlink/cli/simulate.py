@@ -86,10 +86,10 @@ def simulate(
     out: Out = None,
 ) -> None:
     """Simulate a machine in time, under a torque or at constant speed, with joint clearance and control."""
-    file = console.load(problem, [*(changes or []), *_series(measured)])
+    file = console.load(problem, [*(changes or []), *_series(measured)], definite=True)
     if torque is not None:
         file = file.override({"drive.torque": torque, "drive.servo": None})
-    values = console.read_design_option(file, console.design_of(problem, design))
+    values = console.given_design(file, problem, changes, design)
     with_clearance = file.model.has_clearance and not ideal
     if not with_clearance:
         of_gaps: dict[str, Any] = {"--revolutions": revolutions, "--control": control, "--tolerance": tolerance}

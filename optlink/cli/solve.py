@@ -135,9 +135,12 @@ def _validate(
     from optlink.tasks.modes import possible_modes
     from optlink.tasks.run import validate as check
 
-    file = console.load(problem, changes, definite=False)
-    design = console.design_of(problem, design) or []
-    values, hashes = read_design(file, design), [document.get("problem_hash") for _, document in _documents(design)]
+    file = console.load(problem, changes)
+    own = None if design else console.given_design(file, problem, changes, design)
+    if own is not None:  # the file of the result is compared with what is measured
+        design = [str(Path(problem) / "result.json" if Path(problem).is_dir() else problem)]
+    values = read_design(file, design) if own is None else own
+    hashes = [document.get("problem_hash") for _, document in _documents(design)]
     file = next((mode for mode in possible_modes(file) if mode.hash in hashes), file)  # of a result file
     result = check(_in_mode(file, design), values)
     failed = _contradictions(design, file, result)
@@ -218,8 +221,8 @@ def analyze(
 
     if step is not None:
         console.refuse({"--points": points}, "--step sets the rows of the table", "Give one of the two")
-    file = console.load(problem, changes)
-    values = console.read_design_option(file, console.design_of(problem, design))
+    file = console.load(problem, changes, definite=True)
+    values = console.given_design(file, problem, changes, design)
     console.places(out, "analyze", problem, csv)
     turn, rate = console.quantity(step, "angle", "--step"), console.quantity(speed, "angular velocity", "--speed")
     result = run(file, step=turn, speed=rate, design=values, **console.given(points=points))
@@ -246,8 +249,8 @@ def balance(
     """Optimise counterweights and springs: least shaking force, torque or reactions, with a lower bound and shadow prices."""
     from optlink.tasks.balance import balance as run
 
-    file = console.load(problem, changes)
-    values = console.read_design_option(file, design)
+    file = console.load(problem, changes, definite=True)
+    values = console.given_design(file, problem, changes, design)
     console.places(out, "balance", problem, csv)
     with console.share("balancing") as progress:
         result = run(file, minimise, trade, points, progress, values)

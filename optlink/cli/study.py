@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -64,12 +64,13 @@ def sensitivity(
     console.places(out, "sensitivity", problem)
     from optlink.studies.reoptimise_task import check_backend
 
-    file = console.load(problem, changes)
+    file = console.load(problem, changes, definite=output is not None)
     check_backend(backend)
     if output is not None:
         remedy = "Leave --check out; it re-optimises"
         console.refuse({"--check": check}, "the sensitivity of an output involves no optimisation", remedy, file.file)
-        _output(file, output, DEFAULT_ANGLES if angles is None else angles, design, as_json, out)
+        given = console.given_design(file, problem, changes, design)
+        _output(file, output, DEFAULT_ANGLES if angles is None else angles, given, as_json, out)
         return
     console.refuse({"--angles": angles}, "the option applies to --quantity only", "Add for example --quantity rocker", file.file)
     if design:
@@ -101,19 +102,21 @@ def _crank_angles(text: str) -> Any:
         raise InputError(message, remedy, key="--angles", value=text) from None
 
 
-def _output(file: ProblemFile, output: str, angles: str, design: list[str] | None, as_json: bool, out: Path | None) -> None:
+def _output(
+    file: ProblemFile, output: str, angles: str, design: Mapping[str, float] | None, as_json: bool, out: Path | None
+) -> None:
     """Print the derivatives of an output by every dimension."""
     import numpy as np
 
     from optlink.problem.quantity import check_choice
     from optlink.studies.motion_sensitivity import OutputStudy, output_names
-    from optlink.tasks.function import read_design, solve
+    from optlink.tasks.function import solve
     from optlink.tasks.protocol import completed
 
     crank = _crank_angles(angles)
     sizes = {key: quantity.value for key, quantity in file.model.mechanism.quantities.items()}
     if design:
-        sizes |= {key: value for key, value in read_design(file, design).items() if key in sizes}
+        sizes |= {key: value for key, value in design.items() if key in sizes}
     elif file.model.free and file.task != "path" and file.task != "cycle":
         sizes |= {key: value for key, value in completed(solve(file)).design.items() if key in sizes}
     names = output_names(file.model.linkage)
@@ -169,9 +172,9 @@ def sweep(
     """Solve, analyse or simulate a problem at every point of a grid, on one machine or a cluster; resumable."""
     from optlink.studies.sweep import sweep as run
 
-    file = console.load(problem, changes)
+    file = console.load(problem, changes, definite=analyze or simulate)
     varied = {text.partition("=")[0].strip().removeprefix("mechanism.") for text in vary or []}
-    values = console.read_design_option(file, design, varied)
+    values = console.given_design(file, problem, changes, design, varied) if design or analyze or simulate else None
     if column and not analyze:
         raise InputError("the option applies to an analysis", "Add --analyze", key="--column", value=column[0])
     if analyze and simulate:
@@ -222,8 +225,8 @@ def tolerance(
     from optlink.studies.tolerance.analysis import tolerance as run
     from optlink.studies.tolerance.sampling import read_costs, read_sigmas, read_yield
 
-    file = console.load(problem, changes)
-    values = console.read_design_option(file, design)
+    file = console.load(problem, changes, definite=True)
+    values = None if robust is not None and not design else console.given_design(file, problem, changes, design)
     if cost and allocate is None:
         raise InputError("the option applies to --allocate only", 'Add for example --allocate "99 %"', key="--cost")
     crank = None if angles is None else _crank_angles(angles)

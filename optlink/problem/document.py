@@ -127,7 +127,7 @@ class Document(Summary):
             problem = read_problem(content, path)
             values = {name: content["state"][name] if name in hidden else content[name] for name in stored_fields(cls)}
             return cls.restored(problem, values)
-        except (KeyError, ValidationError) as error:
+        except (KeyError, TypeError, AttributeError, ValueError) as error:  # of another version, whatever its check sum
             message = f"this is not what version {VERSION} writes: it lacks or misreads {_place(error)}"
             raise InputError(message, AGAIN, str(path)) from None
 
@@ -231,9 +231,11 @@ def _closed(properties: dict[str, Any], optional: Collection[str] = ()) -> dict[
     return {"type": "object", "properties": properties, "required": required, "additionalProperties": False}
 
 
-def _place(error: KeyError | ValidationError) -> str:
+def _place(error: Exception) -> str:
     """Return the key of a document at which its reading failed."""
-    return ".".join(map(str, error.errors()[0]["loc"])) if isinstance(error, ValidationError) else str(error.args[0])
+    if isinstance(error, ValidationError):
+        return ".".join(map(str, error.errors()[0]["loc"]))
+    return str(error.args[0]) if isinstance(error, KeyError) else "an entry"
 
 
 def stored_problem(problem: ProblemFile) -> dict[str, Any]:

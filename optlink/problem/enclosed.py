@@ -64,5 +64,14 @@ def _text(data: bytes) -> str:
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError:
-        text = data.decode("utf-16" if wide else "latin-1")
+        declared = re.match(rb"""\s*<\?xml[^>]*encoding=["']([\w.-]+)""", data)
+        text = data.decode("utf-16" if wide else _known(declared[1].decode()) if declared else "latin-1", errors="replace")
         return re.sub(r"""(<\?xml[^>]*encoding=)["'][^"']*["']""", r'\1"UTF-8"', text, count=1)
+
+
+def _known(encoding: str) -> str:
+    """Return the name of an encoding, or "latin-1" for one that Python does not know."""
+    try:
+        return codecs.lookup(encoding).name
+    except LookupError:
+        return "latin-1"

@@ -7,7 +7,7 @@ import itertools
 import json
 import os
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -40,6 +40,7 @@ from optlink.problem.machine.model import Problem
 from optlink.problem.nearby import read_near
 from optlink.problem.overview import linkage_type
 from optlink.problem.quantity import input_of, nearest
+from optlink.problem.targets.target_points import split_enclosed
 from optlink.problem.tolerances import with_tolerance
 from optlink.units import in_si, is_unit, split
 
@@ -197,11 +198,21 @@ class ProblemFile:
         changes = _with_units(raw, _without_arrays(changes))
         _change(raw, changes, self.file)
         earlier = {key: value for key, value in self.overrides.items() if key not in changes}
-        return replace(self.with_tables(raw), overrides={**earlier, **changes})
+        anew = {split_enclosed(text)[0] for text in _texts(changes)}  # a file that is named anew is read anew
+        known = {name: content for name, content in self.files.items() if name not in anew}
+        return replace(replace(self, files=known).with_tables(raw), overrides={**earlier, **changes})
 
     def with_tables(self, raw: Mapping[str, Any]) -> ProblemFile:
         """Return the problem of other nested tables, with the same name and files."""
         return read(raw, self.name, self.file, self.folder, self.files)
+
+
+def _texts(value: Any) -> Iterator[str]:
+    """Yield the texts in nested tables and lists."""
+    if isinstance(value, str):
+        yield value
+    for item in value.values() if isinstance(value, Mapping) else value if isinstance(value, list | tuple) else ():
+        yield from _texts(item)
 
 
 WORDS = ("title", "source", "about", "report", "expected")
@@ -416,7 +427,8 @@ def _without_arrays(raw: Any, depth: int = 0) -> Any:
     if isinstance(raw, np.generic | np.ndarray):
         return raw.tolist()
     if isinstance(raw, Mapping) and depth < DEEPEST:
-        return {key: _without_arrays(value, depth + 1) for key, value in raw.items()}
+        stated = ((key, value) for key, value in raw.items() if value is not None or depth == 0)
+        return {key: _without_arrays(value, depth + 1) for key, value in stated}
     return [_without_arrays(value, depth + 1) for value in raw] if type(raw) in (list, tuple) and depth < DEEPEST else raw
 
 

@@ -214,7 +214,7 @@ def text_fault(data: bytes, error: UnicodeDecodeError, file: str) -> Fault:
 def toml_fault(message: str, file: str, text: str = "") -> Fault:
     """Return the fault of a file that is not valid TOML; the message of the parser ends with the place in brackets."""
     if text.lstrip().startswith("{"):
-        remedy = "Give the problem; `optlink validate PROBLEM --design FILE` takes a result, `report` and `export` read it itself"
+        remedy = "Give the problem; the other commands take a result too, and `optlink show FILE --toml` prints the problem in it"
         return Fault("this is JSON, not a problem file in TOML", remedy, file)
     if kind := file_kind(text[:8].encode()):
         return Fault(f"this is {kind}", TOML_FILE, file)

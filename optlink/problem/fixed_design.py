@@ -27,6 +27,7 @@ def fixed_design(file: ProblemFile, values: Mapping[str, float]) -> ProblemFile:
     values : mapping of str to float [m, rad]
         Value of every quantity of the mechanism.
     """
+    file = file.override(file.located) if file.located else file  # a mode by the place of a joint is that of the start
     raw: dict[str, Any] = copy.deepcopy({key: value for key, value in file.raw.items() if key not in REQUIREMENTS})
     for name, quantity in file.model.mechanism.quantities.items():
         write(raw["mechanism"], name, f"{values[name] / quantity.si_per_unit!r} {quantity.display[1]}")
@@ -54,9 +55,9 @@ def with_files_beside(file: ProblemFile) -> tuple[ProblemFile, dict[str, bytes]]
     raw: dict[str, Any] = copy.deepcopy(dict(file.raw))
     files: dict[str, bytes] = {}
     for table, key, suffix in [*references(raw)]:
-        source = table[key] if suffix else read_tolerance(table[key], file.folder).text
-        name_in_file, _ = split_enclosed(source)
-        data, path = file.files[name_in_file].encode(), Path(name_in_file)
+        source = table[key] if suffix else read_tolerance(table[key], file.folder).source
+        name_in_file, content = split_enclosed(source)
+        data, path = (content or file.files[name_in_file]).encode(), Path(name_in_file)
         stem, suffix_ = f"design-{path.stem[:60].lower()}", suffix or "csv"
         name, number = f"{stem}.{suffix_}", 1
         while files.get(name, data) != data:

@@ -58,10 +58,11 @@ def read_result(path: str | Path) -> Document:
     folder = os.path.isdir(text)
     place = Path(text) / RESULT if folder else Path(text)
     if folder and not place.exists():
-        remedy = "Give a folder that --out wrote; resume an interrupted study with --resume"
+        remedy = "Give the folder of a finished command; continue an interrupted study first"
         raise InputError(f"the folder contains no {RESULT}", remedy, text)
-    if not place.exists():
-        raise InputError("no such file", "Give a stored result.json, the folder it is in, or a problem", key="path", value=text)
+    if not place.is_file():
+        message = "this is not a regular file" if place.exists() else "no such file"
+        raise InputError(message, "Give a stored result.json, the folder it is in, or a problem", key="path", value=text)
     document = read_document(place)
     load_extensions()
     schema = document.get("schema")

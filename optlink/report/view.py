@@ -86,7 +86,7 @@ class View:
         written = [folder / "result.json"]
         write_json(written[0], result.to_dict())
         certificate = getattr(result, "certificate", None)
-        if certificate is not None and certificate.covers:
+        if certificate is not None and certificate.covers and all(cover.whole for cover in certificate.covers):
             from optlink.tasks.results.certificate import certificate_document
 
             written.append(folder / "certificate.json")

@@ -189,3 +189,65 @@ def test_files_of_a_problem_are_enclosed(tmp_path, monkeypatch):
         assert again.problem.hash == problem.hash
         assert again.to_dict() == result.to_dict()
         assert page(report_model_of(again)) == page(report_model_of(result)) if encoding == "utf-8" else True
+
+
+def sizes(*words: str) -> dict[str, float]:
+    done = run("analyze", *words, "--points", "12", "--json")
+    assert done.exit_code in (0, 1), done.stderr
+    return json.loads(done.stdout)["sizes"]
+
+
+def test_a_change_of_a_result_counts(tmp_path, monkeypatch):
+    """Of a fixed length, and of one that was found; all others are those of the result."""
+    monkeypatch.chdir(tmp_path)
+    design = ("--design", "coupler=420 mm", "--design", "rocker=240 mm")
+    assert run("validate", "crank-rocker", *design, "--out", "given").exit_code in (0, 1)
+    assert sizes("given", "--set", "mechanism.crank=90 mm")["crank"] == 0.09
+    both = sizes("given", "--set", "mechanism.coupler=450 mm", "--set", "mechanism.frame=480 mm")
+    assert (both["coupler"], both["rocker"], both["frame"]) == (0.45, 0.24, 0.48)
+    for words in (("tolerance", "given", "--tolerance", "coupler=0.1 mm", "--samples", "0"),):
+        done = json.loads(run("study", *words, "--json").stdout)
+        assert (done["sizes_SI"]["coupler"], done["sizes_SI"]["rocker"]) == (0.42, 0.24)
+    words = ("given", "--analyze", "--column", "rocker.swing_rad", "--vary", "mechanism.frame=500, 501 mm")
+    swept = run("study", "sweep", *words, "--json")
+    swing = optlink.analyze(optlink.load("crank-rocker"), design={"coupler": 0.42, "rocker": 0.24}).swings["rocker"].span
+    assert json.loads(swept.stdout)["data"]["rocker.swing_rad"][0] == pytest.approx(swing, rel=1e-9)
+
+
+def test_a_file_that_is_named_anew_is_read_anew(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("mine.toml").write_text(optlink.shipped()["crank-rocker"].read_text(encoding="utf-8"), encoding="utf-8")
+    Path("parts.csv").write_text("coupler_mm\n0.1\n-0.1\n", encoding="utf-8")
+    problem = optlink.load("mine.toml", {"tolerances": {"coupler": "parts.csv"}})
+    Path("parts.csv").write_text("coupler_mm\n0.3\n-0.3\n", encoding="utf-8")
+    assert problem.override({"mechanism.frame": "490 mm"}).model.deviations[0].tolerance == 1e-4
+    assert problem.override({"tolerances.coupler": "parts.csv"}).model.deviations[0].tolerance == 3e-4
+
+
+@pytest.mark.slow
+def test_solutions_of_both_back_ends_have_the_programme_of_their_mode(tmp_path):
+    result = optlink.solve(optlink.load("path-crank-rocker"), "both", starts=60)
+    (tmp_path / "result.json").write_text(json.dumps(result.to_dict()), encoding="utf-8")
+    again = read_result(tmp_path)
+    for name, one in result.backends.items():
+        other = again.backends[name]
+        assert other.nlp.values(other.x, other.p)[0] == one.nlp.values(one.x, one.p)[0]
+
+
+def test_what_is_drawn_of_a_proof_is_no_certificate(tmp_path):
+    result = optlink.solve(optlink.load("crank-rocker"))
+    (tmp_path / "result.json").write_text(json.dumps(result.to_dict()), encoding="utf-8")
+    (tmp_path / "again").mkdir()
+    view_of("function").write(read_result(tmp_path), tmp_path / "again")
+    assert not (tmp_path / "again" / "certificate.json").exists()
+    assert (tmp_path / "again" / "boxes.png").exists()
+
+
+def test_a_drawing_in_another_code_is_enclosed(tmp_path):
+    text = '<?xml version="1.0" encoding="windows-1251"?><svg xmlns="http://www.w3.org/2000/svg" width="100mm" height="100mm" '
+    text += 'viewBox="0 0 100 100"><path id="кривая" d="M 10 10 L 40 20 L 30 60 Z"/></svg>'
+    (tmp_path / "k.svg").write_bytes(text.encode("windows-1251"))
+    template = optlink.load("path-arc5").raw
+    requirement = {"kind": "path", "point": "P", "points": {"svg": "k.svg", "path": "кривая", "points": 6}}
+    problem = optlink.read({**template, "requirement": requirement}, folder=tmp_path)
+    assert optlink.read({**problem.raw}, files=problem.files).hash == problem.hash

@@ -110,7 +110,9 @@ ENCLOSED = "data:"
 
 def split_enclosed(value: str) -> tuple[str, str]:
     """Return name and content of an enclosed file, or the name of another file and an empty text."""
-    name, _, content = value.removeprefix(ENCLOSED).partition("\n") if value.startswith(ENCLOSED) else (value, "", "")
+    if not value.startswith(ENCLOSED) or "\n" not in value:
+        return value, ""
+    name, _, content = value.removeprefix(ENCLOSED).partition("\n")
     return name, content
 
 
@@ -137,7 +139,7 @@ def read_file(raw: Mapping[str, Any], key: str, folder: Path) -> tuple[str, byte
         when the file cannot be read or is too large.
     """
     name = raw[key]
-    if isinstance(name, str) and name.startswith(ENCLOSED):
+    if isinstance(name, str) and name.startswith(ENCLOSED) and "\n" in name:
         title, content = split_enclosed(name)
         return shortened(title), content.encode()
     if not isinstance(name, str) or not name.strip() or "\0" in name:

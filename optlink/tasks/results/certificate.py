@@ -15,7 +15,7 @@ from optlink.errors import Status
 from optlink.linkage.dyad_types import ModalDyad
 from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.vector2d import Array
-from optlink.problem.document import Never, Rows
+from optlink.problem.document import Never, Number, Rows
 from optlink.problem.file import ProblemFile
 from optlink.problem.function import DesignProblem
 from optlink.solvers.global_search.lagrangian import TESTS
@@ -41,6 +41,7 @@ class Cover:
 
     `low`, `high` (boxes, n) are their corners [SI]; `test` (boxes,) is the index, in `TESTS`, of the test that discards each;
     `multipliers` (boxes, limits) are in the order of the keys `limits`. `sides`: see `sides_of`; empty if read from a file.
+    `whole`: with multipliers, which the boxes that a result contains for drawing lack.
     """
 
     assembly: Any
@@ -50,6 +51,7 @@ class Cover:
     multipliers: Array
     limits: tuple[str, ...]
     sides: Mapping[str, int] = field(default_factory=dict)
+    whole: bool = True
 
 
 MOST_DRAWN = 3_000
@@ -79,7 +81,7 @@ def _read_drawn(documents: list[dict[str, Any]]) -> tuple[Cover, ...]:
             for end in ("low", "high")
         )
         test = np.array(document["test"].split(), dtype=np.int8)
-        covers.append(Cover(document["assembly"], low, high, test, np.zeros((len(test), 0)), ()))
+        covers.append(Cover(document["assembly"], low, high, test, np.zeros((len(test), 0)), (), whole=False))
     return tuple(covers)
 
 
@@ -140,7 +142,7 @@ class Certificate:
 
     @computed_field  # type: ignore[prop-decorator]
     @property
-    def gap(self) -> float:
+    def gap(self) -> Number:
         """Share of the objective by which a design could be better; 0 for an objective of 0, NaN without a design."""
         if not math.isfinite(self.objective):
             return math.nan

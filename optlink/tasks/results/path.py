@@ -18,7 +18,7 @@ from optlink.linkage.extrema import extremes
 from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import TURN, Array
-from optlink.problem.document import Column, Document, Number, Source, entries
+from optlink.problem.document import Column, Document, Number, Source, adapter, entries
 from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import fixed_design, started
 from optlink.problem.mechanism import FourBarSection
@@ -301,6 +301,20 @@ class PathResult(Document):
     certificate: Certificate | None = None
     backends: dict[str, Solution] = field(default_factory=dict)
     rejected: RejectedDesign | None = None
+
+    @classmethod
+    def restored(cls, problem: ProblemFile, values: Mapping[str, Any]) -> Self:
+        """Return the result for the fields in a document; the solutions of the back ends are those of its best design.
+
+        Parameters
+        ----------
+        problem : ProblemFile
+        values : mapping of str to object
+            The fields by name, as in the document.
+        """
+        result = super().restored(problem, {**values, "backends": {}})
+        context = {"problem": problem, "present": result.definite}
+        return replace(result, backends=adapter(dict[str, Solution]).validate_python(values["backends"], context=context))
 
     @property
     def hits(self) -> int:
