@@ -207,12 +207,13 @@ class ProblemFile:
         return read(raw, self.name, self.file, self.folder, self.files)
 
 
-def _texts(value: Any) -> Iterator[str]:
-    """Yield the texts in nested tables and lists."""
+def _texts(value: Any, depth: int = 0) -> Iterator[str]:
+    """Yield the texts in nested tables and lists, without those that are nested too deep to be read."""
     if isinstance(value, str):
         yield value
-    for item in value.values() if isinstance(value, Mapping) else value if isinstance(value, list | tuple) else ():
-        yield from _texts(item)
+    nested = depth < DEEPEST and isinstance(value, Mapping | list | tuple)
+    for item in (value.values() if isinstance(value, Mapping) else value) if nested else ():
+        yield from _texts(item, depth + 1)
 
 
 WORDS = ("title", "source", "about", "report", "expected")

@@ -216,7 +216,7 @@ def test_all_faults_are_reported(crank_rocker):
     ("content", "words"),
     [
         (b"title = ", "not valid TOML"),
-        (b'{"schema": "optlink/result/3"}', "this is JSON.*--design"),
+        (b'{"schema": "optlink/result/3"}', "this is JSON.*optlink show FILE --toml"),
         ("title = 'x'".encode("utf-16"), "byte 0 .it is UTF-16"),
         ("title = 'x'".encode("utf-16-le"), "NUL characters"),
         (b"title = 'x'\r[mechanism]\r", "carriage returns"),

@@ -398,7 +398,7 @@ def test_a_folder_without_a_result(tmp_path):
     done = run("report", str(tmp_path), "-o", str(tmp_path / "a.html"))
     assert done.exit_code == 2
     assert "the folder contains no result.json" in done.stderr
-    assert "--resume" in done.stderr
+    assert "continue an interrupted study first" in done.stderr
 
 
 @pytest.mark.slow
