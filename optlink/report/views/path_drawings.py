@@ -178,7 +178,7 @@ def curve(view: PathView) -> ChartSpec:
             traces.append(Curve(at, np.interp(at, shown.crank, error), "", LIMIT, mode="markers", size=3.5, gid="positions"))
         panels.append(Panel(Axis(f"generated minus target [{shown.name.rpartition('[')[2]}"), traces))
     heading = title_of(view, 7.0, view.task.title, wrapped(figures(view), 7.0, "; "))
-    title = "Transmission angle" if shown.target is None else "OutputCurves over the range"
+    title = "Transmission angle" if shown.target is None else "Output over the range"
     return ChartSpec("curve", title, panels, _crank(view, shown), heading, warning=not view.design.valid)
 
 
