@@ -1,6 +1,6 @@
 """Results as documents: each writes everything that it holds, with the problem that it is about, and is read from that alone.
 
-A document has the fields of the result under their names, and further entries for people, `shown`, which are computed from them:
+A document has the fields of the result under their names, and further entries, `shown`, which are computed from them:
 a design in display units, a verdict in words. A field whose name such an entry takes stands under `state`. All is SI, or the unit
 that ends the key; null where there is no finite value.
 """
@@ -80,7 +80,7 @@ class Document(Summary):
     shown: ClassVar[Mapping[str, Source]] = {}
     """Computed entries by key; one whose key ends in "?" is left out if it is None."""
     stored: ClassVar[tuple[str, ...] | None] = None
-    """Fields from which the others are computed again when it is read, see `restored`. Default: all are stored."""
+    """Fields from which the others are computed again when it is read, see `_restored`. Default: all are stored."""
     notebook: ClassVar[Callable[[Any], str | None] | None] = None
     """Renderer of notebooks, which the package installs, as results do not depend on reports."""
 
@@ -126,21 +126,14 @@ class Document(Summary):
         try:
             problem = read_problem(content, path)
             values = {name: content["state"][name] if name in hidden else content[name] for name in stored_fields(cls)}
-            return cls.restored(problem, values)
+            return cls._restored(problem, values)
         except (KeyError, TypeError, AttributeError, ValueError) as error:  # of another version, whatever its check sum
             message = f"this is not what version {VERSION} writes: it lacks or misreads {_place(error)}"
             raise InputError(message, AGAIN, str(path)) from None
 
     @classmethod
-    def restored(cls, problem: ProblemFile, values: Mapping[str, Any]) -> Self:
-        """Return the result for the fields in a document.
-
-        Parameters
-        ----------
-        problem : ProblemFile
-        values : mapping of str to object
-            The fields by name, as in the document.
-        """
+    def _restored(cls, problem: ProblemFile, values: Mapping[str, Any]) -> Self:
+        """Return the result for the fields in a document."""
         result: Self = adapter(cls).validate_python({**values, "problem": problem}, context={"problem": problem})
         return result
 
@@ -215,7 +208,7 @@ def entries(item: Any) -> Iterator[tuple[str, Any]]:
 
 
 def plain(value: Any) -> Any:
-    """Return a value for people as tables and lists: of parts that have computed entries these, of others their fields."""
+    """Return a value as tables and lists: of parts that have computed entries these, of others their fields."""
     if isinstance(getattr(type(value), "shown", None), Mapping):
         return dict(entries(value))
     if is_dataclass(value) and not isinstance(value, type):

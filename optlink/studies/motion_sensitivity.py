@@ -57,7 +57,7 @@ class OutputStudy(Document):
     crank_angles: Array
 
     @classmethod
-    def restored(cls, problem: ProblemFile, values: Mapping[str, Any]) -> Self:
+    def _restored(cls, problem: ProblemFile, values: Mapping[str, Any]) -> Self:
         """Return the study for the values in a document."""
         return cls(problem, values["output"], values["sizes"], np.array(values["crank_angles"]))
 

@@ -133,15 +133,8 @@ class Analysis(Tabled):
     asked: tuple[int, float | None] = (360, None)
 
     @classmethod
-    def restored(cls, problem: ProblemFile, values: Mapping[str, Any]) -> Analysis:
-        """Return the same analysis again.
-
-        Parameters
-        ----------
-        problem : ProblemFile
-        values : mapping of str to object
-            The attributes that `stored` names.
-        """
+    def _restored(cls, problem: ProblemFile, values: Mapping[str, Any]) -> Analysis:
+        """Return the same analysis again."""
         points, step = values["asked"]
         return analyze(problem, points, step, values["speed"], values["design"] or None)
 

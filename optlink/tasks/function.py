@@ -336,7 +336,7 @@ def _stored(text: str, quantities: Mapping[str, Quantity]) -> list[tuple[str, ob
     """Return the assignments of a result.json, one per quantity (phi0 and psi0 only if not derived)."""
     try:
         document = json.loads(Path(text).read_text(encoding="utf-8"))
-        state = document.get("state", {}) if checked(document) is not None else {}  # of a changed file the entries for people
+        state = document.get("state", {}) if checked(document) is not None else {}  # of a changed file the displayed design
         best = (state.get("designs") or [document.get("nearest") or {}])[0] if "designs" in state else {}
         exact = state.get("design") or best.get("values")  # [SI]
         if isinstance(exact, dict):

@@ -303,16 +303,9 @@ class PathResult(Document):
     rejected: RejectedDesign | None = None
 
     @classmethod
-    def restored(cls, problem: ProblemFile, values: Mapping[str, Any]) -> Self:
-        """Return the result for the fields in a document; the solutions of the back ends are those of its best design.
-
-        Parameters
-        ----------
-        problem : ProblemFile
-        values : mapping of str to object
-            The fields by name, as in the document.
-        """
-        result = super().restored(problem, {**values, "backends": {}})
+    def _restored(cls, problem: ProblemFile, values: Mapping[str, Any]) -> Self:
+        """Return the result for the fields in a document; the solutions of the back ends are those of its best design."""
+        result = super()._restored(problem, {**values, "backends": {}})
         context = {"problem": problem, "present": result.definite}
         return replace(result, backends=adapter(dict[str, Solution]).validate_python(values["backends"], context=context))
 
