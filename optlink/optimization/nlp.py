@@ -1,7 +1,4 @@
-"""build(problem) -> NLP: one scaled nonlinear programme with exact derivatives and a label and unit for every row.
-
-The formulas are those of `linkage`, `objectives` and `constraints`, traced once with casadi symbols.
-"""
+"""NLP: one scaled nonlinear programme with exact derivatives and a label and unit for every row; see `programme.build`."""
 
 import math
 from collections.abc import Mapping
@@ -13,20 +10,15 @@ import casadi
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.linkage.fourbar import LENGTHS
-from optlink.linkage.vector2d import TURN, Array, turn, unit
-from optlink.optimization.constraints import DEGREES, ConstraintRow, Scale, rows as limit_rows
+from optlink.linkage.vector2d import TURN, Array
+from optlink.optimization.constraints import DEGREES, ConstraintRow, Scale
 from optlink.optimization.mapped_terms import MappedTerms
-from optlink.optimization.objectives import MEASURES, ErrorMeasure, output_error
-from optlink.optimization.output_derivatives import ErrorDerivatives
+from optlink.optimization.objectives import ErrorMeasure
 from optlink.problem.fixed_design import quantity_key
-from optlink.problem.function import EPIGRAPH, DesignProblem, StartPosition
-from optlink.problem.limits import Reach
+from optlink.problem.function import EPIGRAPH
 from optlink.problem.machine.model import Problem
 from optlink.problem.quantity import Quantity
-from optlink.problem.robust import EXPECTED, SMOOTHED, residuals
-from optlink.problem.targets.expression import Expression
-from optlink.symbolic import BufferedFunction, CompiledFunction, packed, symbols_in_numpy, unpacked
+from optlink.symbolic import BufferedFunction, CompiledFunction, packed, unpacked
 
 
 @dataclass(frozen=True)
@@ -271,6 +263,10 @@ class NLP:
         """Set the last exchange points (at most `exchange_count`): crank rotations [rad], or shares of the motion or stroke."""
         self.p[len(self.p) - len(offsets) :] = offsets
 
+    def spread_exchange_points(self) -> None:
+        """Set the exchange points to evenly spaced shares, half-way between the positions of a grid."""
+        self.set_exchange_points((np.arange(self.exchange_count) + 0.5) / max(1, self.exchange_count))
+
     def limit(self, entry: int, low: float | None, high: float | None) -> None:
         """Move bounds (scaled; None: not) of a component of x, or from n on of a row, in place; `rows` keep the original."""
         ends = (low, self.lower, self.x_low, self.low), (high, self.upper, self.x_high, self.high)
@@ -305,122 +301,7 @@ def _symmetric(function: Any) -> CompiledFunction:
 SMALLEST_SCALE = 1e-6  # least scale of the objective: for an exact solution, rounding errors must not be magnified
 
 
-EXCHANGE_POINTS = 12  # positions that are moved to the maxima of the error
-
-
-def _traced(problem: DesignProblem, values: dict[str, Any], counted: dict[str, Any], start: StartPosition) -> tuple[Any, Any]:
-    """Trace the residuals at one position: those of `optlink.problem.robust.residuals`.
-
-    Returns a function of (known quantities and crank rotation from the start, tabulated output), and the known quantities.
-    """
-    names = [*values, *counted]
-    inputs, tabulated = casadi.SX.sym("inputs", len(names) + 5), casadi.SX.sym("tabulated")
-    known = {name: inputs[i] for i, name in enumerate(names)}
-    at = StartPosition((inputs[-5], inputs[-4]), inputs[-3], inputs[-2])
-    error, slopes, robust = output_error(problem, known, at, inputs[-1], tabulated), [], problem.requirement.robust
-    if robust is not None:
-        slopes = ErrorDerivatives(problem).symbolic(known, turn(at.crank, unit(inputs[-1])))
-    deviations = [replace(d, tolerance=known.get(f"tolerances.{d.name}", d.tolerance)) for d in problem.deviations]
-    parts = residuals(robust, deviations, error, slopes, known.get(SMOOTHING, 0.0))
-    residual = casadi.Function("error", [inputs, tabulated], [casadi.vertcat(*parts)])
-    return residual, casadi.vertcat(*values.values(), *counted.values(), *start.crank, start.phi0, start.psi0)
-
-
 def boxed(quantity: Quantity, variable: Variable) -> tuple[float, float, float]:
     """Return the scaled bounds and starting value of a design variable."""
     low, high = quantity.bounds
     return variable.scaled(low), variable.scaled(high), variable.scaled(quantity.value)
-
-
-SPAN = "requirement.span"
-"""Name of the parameter that is the crank rotation of a law."""
-SMOOTHING = "smoothing"
-
-
-def build(problem: DesignProblem, *, movable: bool = False) -> NLP:
-    """Build the nonlinear programme of a function synthesis problem.
-
-    Lengths are scaled by the frame (its start, if it is a design variable), angles by 1 rad, the objective by its value at the
-    start. `movable`: the crank rotation of a law that is an expression is a parameter, `SPAN`.
-    """
-    size = problem.quantities["frame"].value
-    sizes = {name: size if name in LENGTHS else 1.0 for name in problem.quantities}
-    free = problem.free
-    fixed = tuple(name for name in problem.quantities if name not in free)
-    measure = MEASURES[problem.measure]
-    minimax = measure.name == "max"
-    robust, counted = problem.requirement.robust, problem.counted
-    if robust is not None and robust.text == EXPECTED:
-        measure = replace(measure, width=1 + len(problem.deviations))
-
-    x = casadi.SX.sym("x", len(free) + minimax)
-    many = EXCHANGE_POINTS * problem.everywhere * (1 if robust is None else 2)  # with scatter the error is flatter
-    spanned = movable and isinstance(problem.requirement.law, Expression)
-    constant = len(fixed) + len(counted) + spanned
-    smoothing = 1 + constant if robust is not None and robust.text != EXPECTED else 0
-    constant += smoothing > 0
-    p = casadi.SX.sym("p", 1 + constant + many)
-    values = {name: x[i] * sizes[name] for i, name in enumerate(free)}
-    values |= {name: p[1 + i] * sizes[name] for i, name in enumerate(fixed)}
-    tolerances = {name: p[1 + len(fixed) + i] * size for i, name in enumerate(counted)}
-    with symbols_in_numpy():
-        start = problem.start_position(values)
-        exchange, position = [p[1 + constant + i] for i in range(many)], casadi.SX.sym("position", 2)
-        if smoothing:
-            tolerances[SMOOTHING] = p[smoothing]
-        span = p[1 + len(fixed) + len(counted)] if spanned else problem.span
-        offsets = problem.law.offsets.tolist()
-        if spanned:
-            offsets = [span * (offset / problem.span) for offset in offsets]
-        residual, known = _traced(problem, values, tolerances, start)
-        z = casadi.SX.sym("z", residual.numel_out(0), len(offsets) + many)
-        columns = casadi.horzsplit(z)
-        rows = limit_rows(problem, values, Reach(start.phi0, span, problem.sense), size)
-        if minimax:
-            labels = [f"error {math.degrees(offset):.4g} deg from the start" for offset in problem.law.offsets]
-            labels += [f"error at its peak {i + 1}" for i in range(many)]
-            # scaled by the objective: otherwise all rows of a small error would count as active
-            for label, column in zip(labels, columns, strict=True):
-                rows.append(ConstraintRow(EPIGRAPH, f"positive {label}", (x[-1] - column[0]) / p[0], 0.0, math.inf, DEGREES))
-                rows.append(ConstraintRow(EPIGRAPH, f"negative {label}", (x[-1] + column[-1]) / p[0], 0.0, math.inf, DEGREES))
-        f = x[-1] if minimax else casadi.sumsqr(z) / (len(columns) if measure.name == "rms" else 1)
-        g = casadi.vertcat(*[row.value for row in rows]) if rows else casadi.SX(0, 1)
-        angles = casadi.SX(casadi.horzcat(*offsets, *exchange))
-        senses = casadi.SX(casadi.horzcat(*problem.law.tabulated.tolist(), *[0.0] * many))
-        mapped = MappedTerms(x, p, (residual,), known, len(free), (angles,), (senses,), (z,), f / p[0], g)
-        f, g, vector = mapped.expanded([mapped.f, g, casadi.vec(z)])
-
-    variables, constants = (
-        [scaled_variable(problem, name, size, periodic=problem.is_periodic(name)) for name in names] for names in (free, fixed)
-    )
-    constants += [Variable(name, size, Scale("mm", 1e3 * size)) for name in counted]
-    constants += [Variable(SPAN, 1.0, DEGREES)] if spanned else []
-    box = [boxed(problem.quantities[v.name], v) for v in variables]
-    if minimax:
-        variables.append(Variable(EPIGRAPH, 1.0, DEGREES))
-        box.append((0.0, math.inf, 1.0))
-    low, high, at = np.array(box).reshape(-1, 3).T.copy()
-    values_fixed = [*(problem.quantities[name].value / sizes[name] for name in fixed), *(t / size for t in counted.values())]
-    values_fixed += [problem.span] * spanned + [SMOOTHED] * (smoothing > 0)
-    return NLP(
-        variables=tuple(variables),
-        fixed=fixed,
-        rows=tuple(replace(row, value=g[k]) for k, row in enumerate(rows)),
-        measure=measure,
-        x_start=at,
-        x_low=low,
-        x_high=high,
-        p=np.array([1.0, *values_fixed, *np.zeros(many)]),
-        x_symbol=x,
-        p_symbol=p,
-        f_expression=f,
-        g_expression=g,
-        residual_expression=vector,
-        constants=tuple(constants),
-        smoothing=smoothing,
-        exchange_rows=(len(rows) - 2 * many * minimax, 2 * minimax),
-        position_symbol=position,
-        position_expression=residual(casadi.vertcat(known, position[0]), position[1]),
-        mapped=mapped,
-        recipe={"builder": "law"},
-    )

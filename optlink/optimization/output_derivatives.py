@@ -1,6 +1,7 @@
-"""Exact derivatives of an output with respect to dimensions, and the error of a law with its scatter."""
+"""Exact derivatives of outputs and errors with respect to dimensions, and the error of a law with its scatter."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -8,12 +9,11 @@ import casadi
 import numpy as np
 
 from optlink.linkage.mechanism import Mechanism
-from optlink.linkage.vector2d import Array, Value, Vector, cross, turn, unit
-from optlink.optimization.objectives import output_error
+from optlink.linkage.vector2d import Array, Value, Vector, cross, unit
 from optlink.problem.function import DesignProblem
 from optlink.problem.robust import EXPECTED, residuals, sizes_of
 from optlink.problem.targets.law import Table
-from optlink.problem.tolerances import Deviation, with_deviating_pivots
+from optlink.problem.tolerances import with_deviating_pivots
 from optlink.symbolic import NumpyEvaluator, symbols_in_numpy
 
 
@@ -35,44 +35,63 @@ def output_derivatives(
 
 
 class ErrorDerivatives:
-    """Derivatives of the error of a law (prescribed minus actual) with respect to the dimension of every deviation."""
+    """Components of the deviation at one position, and their derivatives with respect to the dimension of every deviation."""
 
     def __init__(self, problem: DesignProblem) -> None:
-        self.deviations: tuple[Deviation, ...] = problem.deviations
-        mechanism, self._pivots = with_deviating_pivots(problem.mechanism, problem.linkage)
-        self._names = [*problem.mechanism.quantities, *self._pivots]
+        linkage, self._pivots = with_deviating_pivots(problem.mechanism, problem.linkage)
+        start = {problem.start_name, problem.base_name}
+        self._names = list(dict.fromkeys([*problem.quantities, *start, *self._pivots]))
         symbols = {name: casadi.SX.sym(name) for name in self._names}
-        crank = casadi.SX.sym("crank direction", 2)
-        by = list(dict.fromkeys(d.size for d in self.deviations))
+        angle, more = casadi.SX.sym("crank angle"), [casadi.SX.sym(f"target {k}") for k in range(problem.data.columns.shape[1])]
+        by = list(dict.fromkeys(d.size for d in problem.deviations))
         with symbols_in_numpy():
-            _, slopes = output_derivatives(mechanism, symbols, (crank[0], crank[1]), "rocker", by)
-        self._inputs, self._outputs = [*symbols.values(), crank[0], crank[1]], [-slope for slope in slopes]
-        self._place = [by.index(d.size) for d in self.deviations]
+            parts = problem.deviation(linkage.pose(symbols, unit(angle)), symbols, tuple(more))
+            slopes = [casadi.jacobian(part, symbols[name]) for part in parts for name in by]
+        self._inputs, self._outputs, self._count = [*symbols.values(), angle, *more], [*parts, *slopes], len(parts)
+        self._place = [by.index(d.size) for d in problem.deviations]
+        self._each = len(by)
 
-    def _arguments(self, values: Mapping[str, Value], crank: Vector) -> list[Value]:
-        return [*(values.get(name, self._pivots.get(name, 0.0)) for name in self._names), *crank]
+    def _arguments(self, values: Mapping[str, Value], angle: Value, target: tuple[Value, ...]) -> list[Value]:
+        return [*(values.get(name, self._pivots.get(name, 0.0)) for name in self._names), angle, *target]
 
-    def symbolic(self, values: Mapping[str, Value], crank: Vector) -> list[Any]:
-        """Return the derivatives as symbols, one for each deviation [SI]."""
+    def _split(self, outputs: Any) -> tuple[list[Any], list[list[Any]]]:
+        parts = [outputs[k] for k in range(self._count)]
+        first = [self._count + k * self._each for k in range(self._count)]
+        return parts, [[outputs[begin + i] for i in self._place] for begin in first]
+
+    def symbolic(self, values: Mapping[str, Value], angle: Any, target: tuple[Any, ...]) -> tuple[list[Any], list[list[Any]]]:
+        """Return the components at a crank angle, and for each its derivatives [1/SI] by every deviation, as symbols."""
         function = casadi.Function("slopes", [casadi.vertcat(*self._inputs)], [casadi.vertcat(*self._outputs)])
-        outputs = function(casadi.vertcat(*self._arguments(values, crank)))
-        return [outputs[i] for i in self._place]
+        return self._split(function(casadi.vertcat(*self._arguments(values, angle, target))))
 
     @cached_property
     def _numeric(self) -> NumpyEvaluator:
         return NumpyEvaluator(self._inputs, self._outputs)
 
-    def numeric(self, values: Mapping[str, Value], crank: Vector) -> list[Array]:
-        """Return the derivatives as arrays, one for each deviation [SI]; dimensions broadcast with the direction of the crank."""
-        outputs = self._numeric(*self._arguments(values, crank))
-        return [outputs[i] for i in self._place]
+    def numeric(
+        self, values: Mapping[str, Value], angle: Value, target: tuple[Value, ...]
+    ) -> tuple[list[Array], list[list[Array]]]:
+        """Return the same as arrays; dimensions broadcast with the crank angle."""
+        return self._split(self._numeric(*self._arguments(values, angle, target)))
+
+
+def traced_residuals(
+    problem: DesignProblem, known: Mapping[str, Any], angle: Any, target: tuple[Any, ...], smoothed: Value
+) -> list[Any]:
+    """Return the residuals of a robust problem at one position as symbols, see `optlink.problem.robust.residuals`.
+
+    `known` has the quantities and, by their keys, the tolerances that count.
+    """
+    deviations = [replace(d, tolerance=known.get(f"tolerances.{d.name}", d.tolerance)) for d in problem.deviations]
+    (error,), (slopes,) = ErrorDerivatives(problem).symbolic(known, angle, target)
+    return residuals(problem.robust, deviations, error, slopes, smoothed)
 
 
 class ErrorResiduals:
-    """Residuals of a problem's objective on numpy arrays: the error, or its combination with the scatter of a robust design."""
+    """Residuals of the objective of a law on numpy arrays: the error (prescribed minus actual), or the error with its scatter."""
 
     def __init__(self, problem: DesignProblem) -> None:
-        self.problem, self.robust = problem, problem.requirement.robust
+        self.problem, self.robust = problem, problem.robust
         self.slopes = None if self.robust is None else ErrorDerivatives(problem)
 
     def objective(self, values: Mapping[str, Value]) -> Array:
@@ -85,10 +104,8 @@ class ErrorResiduals:
         return np.asarray(np.sqrt(square / len(law.offsets)) if measure == "rms" else square, dtype=float)
 
     def band(self, values: Mapping[str, Value], offsets: Array) -> tuple[Array, Array]:
-        """Return the lower and upper end [rad] of the error at offsets (n,); for an expected square, one standard deviation."""
-        source = self.problem.requirement.law
-        tabulated = source.at(offsets) if isinstance(source, Table) else np.zeros(len(offsets))
-        mean, *rest = parts = self.parts(values, offsets, tabulated)
+        """Return the lower and upper end [rad or m] of the error at offsets (n,); for an expected square one standard deviation."""
+        mean, *rest = parts = self.parts(values, offsets, _tabulated(self.problem, offsets))
         if self.robust is not None and self.robust.text == EXPECTED:
             sigma = np.sqrt(np.sum(np.square(rest), axis=0))
             return mean - sigma, mean + sigma
@@ -98,7 +115,40 @@ class ErrorResiduals:
         """Return the residuals at crank rotations [rad] from the start (`optlink.problem.robust.residuals`)."""
         problem = self.problem
         with np.errstate(all="ignore"):
-            start = problem.start_position(values)
-            error = output_error(problem, values, start, offsets, tabulated)
-            slopes = [] if self.slopes is None else self.slopes.numeric(values, turn(start.crank, unit(offsets)))
-            return residuals(self.robust, problem.deviations, error, slopes)
+            values = problem.complete(values)
+            angle, target = values[problem.start_name] + offsets, (offsets, tabulated)
+            if self.slopes is None:
+                return [-part for part in problem.deviation(problem.linkage.pose(values, unit(angle)), values, target)]
+            (error,), (slopes,) = self.slopes.numeric(values, angle, target)
+            return residuals(self.robust, problem.deviations, -error, [-slope for slope in slopes])
+
+
+def _tabulated(problem: DesignProblem, offsets: Array) -> Array:
+    """Return the output of a table at crank rotations [rad] from the start; zeros for an expression or function."""
+    source = problem.requirement.law
+    return source.at(offsets) if isinstance(source, Table) else np.zeros(len(offsets))
+
+
+def error_at(problem: DesignProblem, design: Mapping[str, float], offsets: Array) -> Array:
+    """Return prescribed minus actual output of a law [rad or m] at crank rotations (n,) [rad] from the start.
+
+    An angle is in (-pi, pi].
+    """
+    values = problem.complete({name: design.get(name, quantity.value) for name, quantity in problem.quantities.items()})
+    with np.errstate(all="ignore"):
+        pose = problem.linkage.pose(values, unit(values[problem.start_name] + offsets))
+        (error,) = problem.deviation(pose, values, (offsets, _tabulated(problem, offsets)))
+    return np.asarray(-error + 0.0 * offsets, dtype=float)
+
+
+def error_function(problem: DesignProblem) -> Callable[[Mapping[str, float], Array], Array]:
+    """Return the error [rad or m] as a function of design and crank rotations, for a robust largest error with its scatter."""
+    if problem.robust is None or problem.measure != "max":
+        return lambda design, offsets: error_at(problem, design, offsets)
+    judge = ErrorResiduals(problem)
+
+    def widened(design: Mapping[str, float], offsets: Array) -> Array:
+        lower, upper = judge.band(design, offsets)
+        return np.where(np.abs(upper) >= np.abs(lower), upper, lower)
+
+    return widened

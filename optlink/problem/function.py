@@ -11,7 +11,7 @@ from pydantic import BeforeValidator, Field
 
 from optlink.linkage.assur import EITHER
 from optlink.linkage.fourbar import dead_centre, lengths_of
-from optlink.linkage.vector2d import TURN, Value, Vector, angle, unit
+from optlink.linkage.vector2d import TURN, Value, Vector, angle, angle_from, unit
 from optlink.problem.base_model import Section, in_folder
 from optlink.problem.limits import COUPLER_JOINT, MARGIN_KEYS, Limits, Reach, check_limits
 from optlink.problem.machine.model import Problem
@@ -172,13 +172,54 @@ class DesignProblem(Problem):
 
     @property
     def everywhere(self) -> bool:
-        """Whether the largest error is taken over the whole range, not only at the design positions: for functions."""
-        return self.requirement.measure == "max" and isinstance(self.requirement.law, Function)
+        """Whether the largest error is taken over the whole range, not only at the design positions: unless it is a table."""
+        return self.requirement.measure == "max" and not isinstance(self.requirement.law, Table)
 
     @property
     def error_bounded(self) -> bool:
         """Whether a lower bound of the largest error over all linkages is available: of a function, without tolerances."""
-        return self.everywhere and self.requirement.robust is None
+        return self.everywhere and self.requirement.robust is None and isinstance(self.requirement.law, Function)
+
+    start_name: ClassVar[str] = "phi0"
+    base_name: ClassVar[str] = "psi0"
+    law_given: ClassVar[bool] = True
+    pointed: ClassVar[bool] = False
+    closed: ClassVar[bool] = False
+    timing: ClassVar[str] = "from start"
+    unit: ClassVar[str] = "rad"
+    width: ClassVar[int] = 1
+    whole: ClassVar[float] = 1.0
+    centre: ClassVar[tuple[float, float]] = (0.0, 0.0)
+    four_bar: ClassVar[bool] = True
+
+    @property
+    def robust(self) -> Any:
+        return self.requirement.robust
+
+    @property
+    def movable_span(self) -> bool:
+        return isinstance(self.requirement.law, Expression)
+
+    @property
+    def size(self) -> float:
+        return self.quantities["frame"].value
+
+    @cached_property
+    def data(self) -> Any:
+        from optlink.problem.path import _plain
+
+        return _plain(np.column_stack([self.law.offsets, self.law.tabulated]), self.law.offsets)
+
+    def complete(self, values: Mapping[str, Value]) -> dict[str, Value]:
+        start = self.start_position(values)
+        return {**values, "phi0": start.phi0, "psi0": start.psi0}
+
+    def deviation(self, pose: Any, values: Mapping[str, Value], target: Any) -> list[Value]:
+        prescribed = self.law.target(*target, values["phi0"], values["psi0"])
+        return [angle_from(unit(prescribed), pose.direction("rocker"))]
+
+    def crank_angles(self, values: Mapping[str, Value], angles: Any) -> Any:
+        return values["phi0"] + self.law.offsets
 
     def start_position(self, values: Mapping[str, Value]) -> StartPosition:
         """Return the start of the requirement for given quantities; elementwise, NaN where it does not exist."""

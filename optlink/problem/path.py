@@ -65,6 +65,33 @@ class PathProblem(Problem):
     """Limits of the design."""
 
     task: ClassVar[str] = "path"
+    start_name: ClassVar[str] = START
+    base_name: ClassVar[str] = ZERO
+    movable_span: ClassVar[bool] = False
+    robust: ClassVar[None] = None
+    counted: ClassVar[dict[str, float]] = {}
+
+    @property
+    def law_given(self) -> bool:
+        return self.requirement.kind == "function"
+
+    @property
+    def four_bar(self) -> bool:
+        return isinstance(self.mechanism, FourBarSection)
+
+    @property
+    def span(self) -> float:
+        return self.rotation_of_law
+
+    @property
+    def everywhere(self) -> bool:
+        """Whether the largest deviation is taken over a range, not only at positions: of a law unless it is a table; of cosines."""
+        if self.measure != "max":
+            return False
+        return self.requirement.kind == "transmission" or (self.law_given and not isinstance(self.requirement.law, Table))
+
+    def complete(self, values: Mapping[str, Value]) -> dict[str, Value]:
+        return dict(values)
 
     def check(self) -> None:
         """Check that the sections are consistent.

@@ -123,14 +123,10 @@ def _read_recipe(recipe: Any, info: ValidationInfo) -> Callable[[], NLP]:
 def _built_again(problem: ProblemFile, recipe: Mapping[str, Any]) -> NLP:
     model: Any = problem.model
     match recipe:
-        case {"builder": "law"}:
-            from optlink.optimization.nlp import build
-
-            return build(model)
         case {"builder": "path", "direction": direction}:
-            from optlink.optimization.path_nlp import build_path_nlp
+            from optlink.optimization.programme import build
 
-            return build_path_nlp(model, direction)
+            return build(model, direction)
     from optlink.optimization.cycle_nlp import build_cycle_again
 
     return build_cycle_again(model, recipe)

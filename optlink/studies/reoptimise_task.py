@@ -22,7 +22,8 @@ from optlink.linkage.vector2d import Array
 from optlink.optimization.batch_nlp import BatchNLP
 from optlink.optimization.constraints import rows as limit_rows
 from optlink.optimization.multipliers import ACTIVE
-from optlink.optimization.nlp import NLP, SPAN, build
+from optlink.optimization.nlp import NLP
+from optlink.optimization.programme import SPAN, build
 from optlink.problem.file import ProblemFile
 from optlink.problem.function import DesignProblem
 from optlink.problem.quantity import check_choice

@@ -15,7 +15,7 @@ from optlink.optimization.constraints import position_rows, rows as limit_rows
 from optlink.optimization.cycle_nlp import CycleNLP
 from optlink.optimization.cycle_signals import TracedCycle
 from optlink.optimization.nlp import NLP
-from optlink.optimization.path_nlp import build_path_nlp, constant_values, has_position_limits
+from optlink.optimization.programme import build, constant_values, has_position_limits
 from optlink.problem.cycle.model import CycleProblem
 from optlink.problem.file import ProblemFile
 from optlink.problem.limits import Reach
@@ -23,7 +23,7 @@ from optlink.problem.machine.model import Problem
 from optlink.problem.path import PathProblem
 from optlink.solvers import multistart
 from optlink.solvers.contract import MINIMAX
-from optlink.solvers.path_exchange import solve_semi_infinite
+from optlink.solvers.exchange import solve_semi_infinite
 from optlink.solvers.semi_infinite import EXACTLY, exchange, peaks
 from optlink.solvers.solution import Solution, stationarity
 from optlink.studies.continuation import follow_optimum
@@ -61,11 +61,9 @@ class FunctionFollower:
             if near is None or near.nlp is nlp:
                 return programme.solve(near, BACKEND)[0]
             return multistart.solve_from(nlp, start_of(nlp, near), BACKEND)
-        from optlink.solvers.function_exchange import add_peak_errors
-
-        nlp.set_exchange_points(np.zeros(nlp.exchange_count))
+        nlp.spread_exchange_points()
         solution = multistart.solve_from(nlp, start_of(nlp, near), BACKEND)
-        return add_peak_errors(task, nlp, solution, BACKEND) if solution.usable else solution
+        return solve_semi_infinite(task, solution, BACKEND, near=solution.status is Status.OPTIMAL) if solution.usable else solution
 
 
 class PathFollower:
@@ -80,7 +78,7 @@ class PathFollower:
 
     def _build(self, task: PathProblem) -> None:
         """Build the programme of a problem; it serves all problems with the same limits."""
-        self.task, self.nlp = task, build_path_nlp(task, self.direction, movable=True)
+        self.task, self.nlp = task, build(task, self.direction, movable=True)
         multistart.prepare(self.nlp, BACKEND)
 
     def follow(self, problem: ProblemFile, near: Solution | None) -> Solution:

@@ -16,7 +16,7 @@ from optlink.linkage.dyad_types import ModalDyad
 from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.vector2d import TURN, Array, unit
 from optlink.optimization.constraints import position_rows, rows as limit_rows
-from optlink.optimization.path_nlp import path_variable
+from optlink.optimization.programme import path_variable
 from optlink.problem.limits import MARGIN_KEYS, Reach
 from optlink.problem.mechanism import FourBarSection
 from optlink.problem.path import START, PathProblem

@@ -23,7 +23,7 @@ from optlink.linkage.dyad_types import RRR
 from optlink.linkage.mechanism import FRAME, Link, Mechanism, Pose
 from optlink.linkage.vector2d import Array, unit
 from optlink.optimization.constraints import rows as limit_rows
-from optlink.optimization.path_nlp import limit_excesses
+from optlink.optimization.programme import limit_excesses
 from optlink.problem.file import ProblemFile
 from optlink.problem.limits import Reach
 from optlink.problem.path import PathProblem

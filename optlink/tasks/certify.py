@@ -373,7 +373,7 @@ def _local(result: FunctionResult | PathResult, variant: ProblemFile, start: dic
         return replace(candidate, starts=result.starts, optima=result.optima, counts=result.counts)
     from optlink.solvers import multistart
     from optlink.solvers.contract import BACKENDS
-    from optlink.solvers.path_exchange import solve_semi_infinite
+    from optlink.solvers.exchange import solve_semi_infinite
     from optlink.tasks.path_search import Polisher, path_model, validated_design
 
     polisher = Polisher([variant], result.backend if result.backend in BACKENDS else "ipopt")

@@ -19,8 +19,9 @@ from optlink.execution import interrupts
 from optlink.io import checked
 from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.vector2d import Array
-from optlink.optimization.nlp import NLP, build
+from optlink.optimization.nlp import NLP
 from optlink.optimization.objectives import MEASURES
+from optlink.optimization.programme import build
 from optlink.problem.arguments import typed
 from optlink.problem.assignment import parse_assignments
 from optlink.problem.document import Source
@@ -29,7 +30,8 @@ from optlink.problem.fixed_design import fixed_design, started
 from optlink.problem.quantity import Quantity, check_choice, input_of, read_quantity
 from optlink.problem.targets.expression import Expression
 from optlink.solvers import multistart
-from optlink.solvers.function_exchange import ALONG, error_at, error_function, place_at_peaks
+from optlink.optimization.output_derivatives import error_at, error_function
+from optlink.solvers.exchange import place_at_peaks
 from optlink.solvers.solution import EXACTLY_MET, Relaxation, Solution
 from optlink.synthesis.freudenstein import FirstStep
 from optlink.tasks.machine import UNKNOWN_QUANTITY, turning_machine
@@ -43,6 +45,7 @@ from optlink.tasks.results.rotation import cannot_turn
 from optlink.units import KINDS, show
 from optlink.validation import Check, validate as validate_law
 
+ALONG = 2001  # positions along the span at which alternations are counted
 SAME_DESIGN = 1e-6  # difference of equal designs, as a share of the frame
 EXTREME_SHARE = 0.99  # fraction of the largest error that counts as an extreme value
 MIN_CURVATURE = 1e-7  # least curvature, for an objective scaled to 1, of a unique optimum
@@ -324,7 +327,7 @@ def _explained(nlp: NLP, seed: int, exactly: bool) -> tuple[Array | None, Soluti
     """Return a feasible point, or the nearest design and the conflicting limits, if no start led to a feasible design."""
     from optlink.solvers.infeasibility import Explanation, explain
 
-    nlp.set_exchange_points(np.zeros(nlp.exchange_count))
+    nlp.spread_exchange_points()
     reason = explain(nlp, seed, exactly=exactly)
     if not isinstance(reason, Explanation):
         return reason, None, ((), ())

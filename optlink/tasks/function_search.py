@@ -21,12 +21,13 @@ from optlink.execution.runner import ordered
 from optlink.execution.worker import Runs
 from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.vector2d import TURN, Array
-from optlink.optimization.nlp import NLP, build
+from optlink.optimization.nlp import NLP
+from optlink.optimization.programme import build
 from optlink.problem.function import DesignProblem
 from optlink.problem.targets.function import Function
 from optlink.solvers import multistart
 from optlink.solvers.contract import BACKENDS, CLOSE
-from optlink.solvers.function_exchange import add_peak_errors
+from optlink.solvers.exchange import solve_semi_infinite
 from optlink.solvers.solution import Solution
 from optlink.tasks.protocol import Progress
 from optlink.tasks.results.common import ROUNDED, Optimum, inexact, verified, with_optimality
@@ -168,7 +169,7 @@ class LocalSearchTask:
 
     def __call__(self, index: int) -> list[dict[str, Any]]:
         """Return the fields of the solutions of a piece, without the programme."""
-        self.nlp.set_exchange_points(np.zeros(self.nlp.exchange_count))
+        self.nlp.spread_exchange_points()
         return [multistart.solve_from(self.nlp, self.nlp.lifted(x), name).parts for x, name in self.pieces[index]]
 
 
@@ -189,7 +190,7 @@ class FunctionSearch:
         `solution` is that at the design positions, if it is known already.
         """
         nlp = self.nlp
-        nlp.set_exchange_points(np.zeros(nlp.exchange_count))
+        nlp.spread_exchange_points()
         method = self._method(start)
         if solution is None:
             solution = multistart.solve_from(nlp, nlp.lifted(start.x), method, track=self.track and self.starts == 0)
@@ -252,7 +253,10 @@ class FunctionSearch:
 
     def everywhere(self, solution: Solution, backend: str = "") -> Solution:
         """Return a solution whose largest error is that of the whole range, where it is the objective."""
-        return add_peak_errors(self.problem, self.nlp, solution, backend or self.backend) if self.problem.everywhere else solution
+        if not (self.problem.everywhere and solution.usable):
+            return solution
+        near = solution.status is Status.OPTIMAL
+        return solve_semi_infinite(self.problem, solution, backend or self.backend, near=near)
 
     @property
     def result(self) -> FunctionCandidate:

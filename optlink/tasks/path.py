@@ -11,12 +11,12 @@ from optlink.errors import InputError, Status
 from optlink.execution import interrupts
 from optlink.linkage.vector2d import Array
 from optlink.optimization.nlp import NLP
-from optlink.optimization.path_nlp import angle_name, build_path_nlp
+from optlink.optimization.programme import angle_name, build
 from optlink.problem.file import ProblemFile
 from optlink.solvers import multistart
 from optlink.solvers.contract import FOUND, LEAST_SQUARES
 from optlink.solvers.infeasibility import Explanation, explain, feasible_point
-from optlink.solvers.path_exchange import place_at_peaks, solve_semi_infinite
+from optlink.solvers.exchange import place_at_peaks, solve_semi_infinite
 from optlink.synthesis.batch_search import PER_ROUND, PERFECT, Searcher
 from optlink.tasks.path_search import DesignCollection, Polisher, designs_from_four_bar, has_several_dyads, path_model
 from optlink.tasks.protocol import DesignTask, Search, Timer, agreement, completed, part
@@ -110,7 +110,7 @@ class PathTask(DesignTask[PathResult]):
             message = "the crank may pass the points in either direction: each has its own programme"
             remedy = 'Choose one: problem.override({"requirement.rotation": "clockwise"})'
             raise InputError(message, remedy, problem.file, "requirement.rotation")
-        return build_path_nlp(task, -1 if task.requirement.rotation == "clockwise" else 1)
+        return build(task, -1 if task.requirement.rotation == "clockwise" else 1)
 
     def place(self, problem: ProblemFile, nlp: NLP, x: Array) -> None:
         """Move the exchange points to the peaks of limits and of the transmission angle; see `DesignTask.place`."""
@@ -265,7 +265,7 @@ class SearchRounds:
         possible = False
         for k, sense in keys:
             nlp = polisher.programme(k, sense)
-            nlp.set_exchange_points((np.arange(nlp.exchange_count) + 0.5) / nlp.exchange_count)
+            nlp.spread_exchange_points()
             kept = replace(nlp, states=nlp.states | {"requirement.points"})
             points = [nearest.x, nlp.x_start] if nearest is not None and nearest.nlp is nlp else None
             known = reason is not None or possible

@@ -13,12 +13,12 @@ from optlink.execution.runner import ordered
 from optlink.execution.worker import Runs, built, packed
 from optlink.linkage.vector2d import Array
 from optlink.optimization.nlp import NLP
-from optlink.optimization.path_nlp import build_path_nlp, solved_values
+from optlink.optimization.programme import build, solved_values
 from optlink.problem.file import ProblemFile
 from optlink.problem.path import PathProblem
 from optlink.solvers import multistart
 from optlink.solvers.contract import BACKENDS, FOUND, MINIMAX
-from optlink.solvers.path_exchange import best_slow_stroke, solve_semi_infinite
+from optlink.solvers.exchange import best_slow_stroke, solve_semi_infinite
 from optlink.solvers.solution import Solution
 from optlink.synthesis.batch import Batch
 from optlink.synthesis.batch_search import Candidate, Exploration, acceptable
@@ -96,7 +96,7 @@ class Polisher:
         """Return the NLP of a file with definite assembly modes; the crank direction, +1 or -1, matters with free timing only."""
         key = (variant, direction if self.task.data.offsets is None else 1)
         if key not in self.programmes:
-            self.programmes[key] = build_path_nlp(path_model(self.files[variant]), key[1])
+            self.programmes[key] = build(path_model(self.files[variant]), key[1])
         return self.programmes[key]
 
     def polish(self, candidate: Candidate, *, near: bool = False) -> PathDesign:
@@ -126,7 +126,7 @@ class Polisher:
         def objective(other: ProblemFile) -> float:
             solution, angles = design.solution, design.crank_angles
             assert solution is not None
-            nlp = build_path_nlp(path_model(other), 1 if angles[-1] >= angles[0] else -1)
+            nlp = build(path_model(other), 1 if angles[-1] >= angles[0] else -1)
             start = multistart.solution_at(nlp, solution.x, solution.message)
             return solve_semi_infinite(path_model(other), start, self.method, near=True).objective
 

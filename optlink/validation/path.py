@@ -82,6 +82,8 @@ def deviations(problem: PathProblem, design: Mapping[str, float], crank_angles: 
         objective = float(np.max(np.sqrt(square * weights)))
         if kind == "transmission" and not isinstance(problem.mechanism, FourBarSection):
             objective = _worst_cosine(problem, design)
+        elif problem.everywhere:
+            objective = _largest_error(problem, design, float(crank_angles[0]) - problem.law.offsets[0])
     else:
         objective = float(np.sum(square * weights))
         objective = math.sqrt(objective / len(targets)) if problem.measure == "rms" else objective
@@ -96,6 +98,20 @@ def _worst_cosine(problem: PathProblem, design: Mapping[str, float]) -> float:
 
     grid = np.linspace(0.0, TURN, POSITIONS + 1)
     return float(np.max(maxima(sizes, grid, periodic=True)[1])) if np.all(np.isfinite(sizes(grid))) else math.nan
+
+
+def _largest_error(problem: PathProblem, design: Mapping[str, float], begin: float) -> float:
+    """Return the largest error [rad or m] of a law over its span, with the crank at `begin` [rad] at its start."""
+    output, base = str(problem.requirement.output), float(design.get(ZERO, 0.0))
+
+    def sizes(offsets: Array) -> Array:
+        motion = sweep(problem.linkage, design, begin + offsets)
+        travel = np.asarray(motion.slide(output).value if problem.slides else motion.body_angle(output).value, dtype=float)
+        error = travel - problem.law.curve(offsets, begin, base)
+        return np.abs(error if problem.slides else np.remainder(error + math.pi, TURN) - math.pi)[None]
+
+    grid = np.sort(np.linspace(0.0, problem.span, POSITIONS + 1))
+    return float(np.max(maxima(sizes, grid)[1])) if np.all(np.isfinite(sizes(grid))) else math.nan
 
 
 def transmission_angles(motion: Motion, mechanism: Mechanism) -> Array:

@@ -329,7 +329,7 @@ def test_ipopt_passes_an_interrupt_on(monkeypatch):
             return {"iter_count": 1, "return_status": "User_Requested_Stop"}
 
     problem = optlink.load("crank-rocker").spec
-    from optlink.optimization.nlp import build
+    from optlink.optimization.programme import build
 
     nlp = build(problem)
     monkeypatch.setattr(ipopt, "compiled", lambda *_: Solver())

@@ -22,8 +22,9 @@ from optlink.linkage import dyads, fourbar, vector2d
 from optlink.linkage.jet import _CHAIN, Jet
 from optlink.linkage.mechanism import BodyPoint, Mechanism
 from optlink.optimization import constraints, objectives
-from optlink.optimization.nlp import NLP, build
+from optlink.optimization.nlp import NLP
 from optlink.optimization.objectives import MEASURES
+from optlink.optimization.programme import build
 from optlink.problem.function import DesignProblem, StartPosition
 from optlink.problem.targets.expression import FUNCTIONS, parse
 from optlink.symbolic import symbols_in_numpy

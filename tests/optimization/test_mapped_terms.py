@@ -11,10 +11,10 @@ import pytest
 import optlink
 from optlink.optimization.cycle_nlp import build_cycle
 from optlink.optimization.cycle_signals import TracedCycle
-from optlink.optimization.nlp import NLP, build
-from optlink.optimization.path_nlp import build_path_nlp
+from optlink.optimization.nlp import NLP
+from optlink.optimization.programme import build
 from optlink.problem.path import PathProblem
-from optlink.solvers.path_exchange import PER_ROW, _with_moving_peaks
+from optlink.solvers.exchange import PER_ROW, _with_moving_peaks
 from optlink.solvers.semi_infinite import with_following_peaks
 from optlink.tasks.results.cycle import task_of
 from tests.tiers import mostly_slow
@@ -107,10 +107,10 @@ def test_a_path_by_vectors_is_that_by_scalars(kind: str) -> None:
     name, changes = PATHS[kind]
     task = optlink.load(name, changes).variants()[0].model
     assert isinstance(task, PathProblem)
-    nlp = build_path_nlp(task)
+    nlp = build(task)
     same_derivatives(nlp)
     same_derivatives(pickle.loads(pickle.dumps(nlp)))
-    same_derivatives(build_path_nlp(task, -1, movable=True))
+    same_derivatives(build(task, -1, movable=True))
     if nlp.exchange_count:
         moving = _with_moving_peaks(nlp, PER_ROW * nlp.exchange_rows[1])
         moving.x_start[len(nlp.x_start) :] += 0.013

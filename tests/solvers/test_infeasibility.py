@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import optlink
-from optlink.optimization.nlp import build
+from optlink.optimization.programme import build
 from optlink.solvers.elastic_programme import limit_sides
 from optlink.solvers.infeasibility import Explanation, explain, tightest
 from optlink.tasks.results.conflict import outward

@@ -15,7 +15,7 @@ from optlink.errors import Status
 from optlink.optimization.constraints import PLAIN, ConstraintRow
 from optlink.optimization.nlp import NLP, Variable
 from optlink.optimization.objectives import error_measures
-from optlink.optimization.path_nlp import build_path_nlp
+from optlink.optimization.programme import build
 from optlink.problem.function import EPIGRAPH
 from optlink.solvers import contract, multistart
 from optlink.solvers.minimax import minimax
@@ -126,7 +126,7 @@ def test_largest_distance_is_no_more_than_the_best_known(name):
 
 def test_a_start_without_a_value_is_returned():
     (file,) = optlink.load("path-arc5", {"requirement.measure": "max", "mechanism.assembly": "left"}).variants()
-    nlp = build_path_nlp(file.model)
+    nlp = build(file.model)
     x = np.where(np.isfinite(nlp.x_high), nlp.x_high, 1.0)
     x[[v.name for v in nlp.variables].index("coupler")] = nlp.x_low[[v.name for v in nlp.variables].index("coupler")]
     end = minimax(nlp, x, nlp.p)

@@ -7,8 +7,7 @@ import pytest
 
 import optlink
 from optlink.errors import Status
-from optlink.optimization.nlp import build
-from optlink.optimization.path_nlp import build_path_nlp
+from optlink.optimization.programme import build
 from optlink.solvers import multistart
 from optlink.solvers.ipopt import compiled
 from optlink.solvers.multistart import LEAST_VIOLATION, OUT_OF_STEPS, solve_from
@@ -46,7 +45,7 @@ def test_a_search_is_not_resumed_where_little_is_to_be_expected(
 
 def test_an_optimum_far_below_the_start_is_not_searched_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """Newton's method confirms it at the new scale of the objective; from a point beside it the back end runs again."""
-    nlp = build_path_nlp(optlink.load("path-arc5").variants()[0].model)  # type: ignore[arg-type]
+    nlp = build(optlink.load("path-arc5").variants()[0].model)  # type: ignore[arg-type]
     best = solve_from(nlp, nlp.x_start, "ipopt")
     assert best.status is Status.OPTIMAL
     assert best.objective < 1e-3 * multistart.solution_at(nlp, nlp.x_start, "").objective
@@ -63,7 +62,7 @@ def test_an_optimum_far_below_the_start_is_not_searched_again(monkeypatch: pytes
 
 
 def test_the_hessian_taken_from_ipopt_is_that_of_the_programme() -> None:
-    generated, taken = (build_path_nlp(optlink.load("path-closed18").variants()[0].model) for _ in range(2))  # type: ignore[arg-type]
+    generated, taken = (build(optlink.load("path-closed18").variants()[0].model) for _ in range(2))  # type: ignore[arg-type]
     compiled(taken)
     multipliers = np.linspace(-1.0, 1.0, len(generated.rows))
     x = generated.x_start + 0.01

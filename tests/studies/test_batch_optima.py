@@ -11,7 +11,7 @@ import pytest
 import optlink
 from optlink.execution.runner import apart
 from optlink.optimization.batch_nlp import BatchNLP
-from optlink.optimization.nlp import build
+from optlink.optimization.programme import build
 from optlink.solvers import multistart
 from optlink.studies import reoptimise_task
 from optlink.studies.batch.blocks import MAX_BLOCK_POINTS, Blocks

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 import optlink
 from optlink.cli.app import app
 from optlink.errors import InputError
-from optlink.optimization.nlp import build
+from optlink.optimization.programme import build
 from optlink.problem.robust import read_robust
 from optlink.problem.tolerances import with_tolerance
 from optlink.studies.sensitivity import sensitivities

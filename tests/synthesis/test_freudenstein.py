@@ -13,7 +13,7 @@ from scipy.optimize import linprog, lsq_linear
 import optlink
 from optlink.linkage.fourbar import four_bar
 from optlink.linkage.motion import sweep
-from optlink.optimization.nlp import build
+from optlink.optimization.programme import build
 from optlink.synthesis import freudenstein, freudenstein_convex
 from optlink.synthesis.freudenstein import FirstStep
 from optlink.synthesis.freudenstein_fit import FitProblem, Keep

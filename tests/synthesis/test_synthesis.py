@@ -13,7 +13,7 @@ from scipy.optimize import least_squares
 import optlink
 from optlink.linkage.fourbar import LENGTHS, Inversion, grashof
 from optlink.linkage.vector2d import unit
-from optlink.optimization.path_nlp import build_path_nlp
+from optlink.optimization.programme import build
 from optlink.problem.path import STEP
 from optlink.synthesis import levenberg_marquardt, random_starts
 from optlink.synthesis.batch import INSIDE, WEIGHT, Batch
@@ -516,7 +516,7 @@ def test_programme_and_validator_measure_the_same(name: str, measure: str) -> No
     raw = TASKS[name]
     problem = model({**raw, "requirement": {**raw["requirement"], "measure": measure}})  # type: ignore[dict-item]
     batch = Batch(problem)
-    nlp = build_path_nlp(problem)
+    nlp = build(problem)
     x, t = sample(batch, 6, seed=8)
     for k in range(len(x)):
         values = {key: float(v[k, 0]) for key, v in batch.values(x).items()}
@@ -539,7 +539,7 @@ def test_programme_and_validator_measure_the_same(name: str, measure: str) -> No
 
 def test_the_programme_includes_order_and_full_revolutions() -> None:
     for direction in (1, -1):
-        nlp = build_path_nlp(model(TASKS["left, free"]), direction)
+        nlp = build(model(TASKS["left, free"]), direction)
         labels = [row.label for row in nlp.rows]
         assert sum(label.startswith("order of points") for label in labels) == len(SPOTS) - 1
         x = nlp.x_start.copy()

@@ -13,7 +13,7 @@ import pytest
 
 import optlink
 from optlink.execution.runner import pool
-from optlink.optimization.nlp import build
+from optlink.optimization.programme import build
 from optlink.solvers import contract, multistart
 from optlink.tasks.function_search import FunctionSearch, SearchStart, start_sequence
 from tests.solved import once

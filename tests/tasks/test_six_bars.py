@@ -11,12 +11,12 @@ import pytest
 
 import optlink
 from optlink.errors import Status
-from optlink.optimization.path_nlp import build_path_nlp
+from optlink.optimization.programme import build
 from optlink.problem.file import read
 from optlink.problem.path import PathProblem
-from optlink.solvers import path_exchange
+from optlink.solvers import exchange
 from optlink.solvers.multistart import solution_at
-from optlink.solvers.path_exchange import RowPeak, peaks
+from optlink.solvers.exchange import RowPeak, peaks
 from optlink.synthesis.batch import Batch
 from optlink.synthesis.batch_search import Candidate
 from optlink.synthesis.growth import contained_four_bar, grow_from_four_bar
@@ -42,12 +42,12 @@ def test_the_exchange_of_positions_ends_where_a_round_does_not_move(monkeypatch:
     """Every further round would repeat it, to the largest number of iterations."""
     file = optlink.load("path-watt-leg").variants()[0]
     task = path_model(file)
-    nlp = build_path_nlp(task, 1)
+    nlp = build(task, 1)
     start = solution_at(nlp, nlp.x_start, "")
     assert np.isfinite(start.objective)
     calls = []
-    monkeypatch.setattr(path_exchange, "_followed", lambda _nlp, at, *_rest: (calls.append(at) or at, False))
-    path_exchange.solve_semi_infinite(task, start, "ipopt", near=True)
+    monkeypatch.setattr(exchange, "_followed", lambda _nlp, at, *_rest: (calls.append(at) or at, False))
+    exchange.solve_semi_infinite(task, start, "ipopt", near=True)
     assert len(calls) == 1
 
 

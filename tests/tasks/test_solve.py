@@ -11,7 +11,7 @@ import pytest
 import optlink
 from optlink.errors import InputError, Status
 from optlink.linkage.fourbar import LENGTHS, crank_rocker_conditions, transmission_cosine
-from optlink.optimization.nlp import build
+from optlink.optimization.programme import build
 from optlink.solvers import multistart
 from optlink.solvers.infeasibility import Explanation, explain
 from optlink.solvers.solution import verified_solution

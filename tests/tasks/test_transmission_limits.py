@@ -12,7 +12,7 @@ from optlink.errors import InputError
 from optlink.linkage.dyad_types import transmitting
 from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import unit
-from optlink.optimization.path_nlp import build_path_nlp
+from optlink.optimization.programme import build
 from optlink.problem.path import PathProblem
 from optlink.studies.parameters import parameters
 from optlink.tasks.path import solve, validate
@@ -130,7 +130,7 @@ def test_pressure_angle_of_a_four_bar_of_dyads_is_that_of_the_four_bar() -> None
     computed = [next(c.value for c in r.validation.checks if c.name == "largest pressure angle") for r in (four_bar, dyads)]
     assert computed == pytest.approx([45.0, 45.0], abs=1e-6)
     assert dyads.objective == pytest.approx(four_bar.objective, rel=1e-9)
-    nlp = build_path_nlp(file.model)
+    nlp = build(file.model)
     values = nlp.values(nlp.x_of(design), nlp.p)[1]
     shown = [
         row.scale.to_display(float(value))
@@ -280,12 +280,12 @@ def test_the_worst_angle_of_several_dyads_counts() -> None:
 
 def test_one_value_for_several_dyads_is_one_parameter() -> None:
     """Its price in a study is that of the number in the file: of the rows of every dyad together."""
-    nlp = build_path_nlp(optlink.load("law-six-bar", {"limits.pressure_angle.E": "40 deg"}).model)
+    nlp = build(optlink.load("law-six-bar", {"limits.pressure_angle.E": "40 deg"}).model)
     single = {(one.key, one.name) for one in parameters(nlp) if "angle" in one.key}
     assert single == {(f"limits.transmission_angle.{side}", "transmission angle at C") for side in ("min", "max")} | {
         ("limits.pressure_angle.E.max", "pressure angle at E")
     }
-    nlp = build_path_nlp(optlink.load("law-six-bar").model)
+    nlp = build(optlink.load("law-six-bar").model)
     both = {one.key: one for one in parameters(nlp) if "transmission" in one.key}
     assert {one.name for one in both.values()} == {"transmission angle at C, E"}
     labels = {nlp.rows[entry - len(nlp.variables)].label for entry in both["limits.transmission_angle.min"].entries}

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from optlink.errors import InputError, Status
-from optlink.optimization.nlp import build
+from optlink.optimization.programme import build
 from optlink.problem.file import ProblemFile
 from optlink.solvers.infeasibility import tightest
 from optlink.studies.cycle_task import with_starting_values

@@ -19,7 +19,8 @@ from optlink.errors import InputError
 from optlink.execution.runner import ordered
 from optlink.execution.worker import Runs
 from optlink.linkage.vector2d import Array
-from optlink.optimization.nlp import NLP, build
+from optlink.optimization.nlp import NLP
+from optlink.optimization.programme import build
 from optlink.problem.file import ProblemFile
 from optlink.problem.tolerances import NORMAL, Deviation
 from optlink.studies.tolerance.linear import linear_analysis

@@ -16,7 +16,7 @@ from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.quantity import Quantity
 from optlink.problem.targets.function import Function
 from optlink.problem.targets.law import Table
-from optlink.solvers.function_exchange import error_at
+from optlink.optimization.output_derivatives import error_at
 from optlink.solvers.solution import Solution
 from optlink.units import show
 

@@ -9,8 +9,9 @@ import pytest
 
 import optlink
 from optlink.errors import Status
-from optlink.optimization.nlp import NLP, build
-from optlink.solvers import function_exchange, multistart
+from optlink.optimization.nlp import NLP
+from optlink.optimization.programme import build
+from optlink.solvers import exchange, multistart
 from optlink.solvers.solution import Solution
 from optlink.tasks.function_search import start_sequence
 
@@ -65,7 +66,7 @@ def largest_error(file: optlink.ProblemFile, design: dict[str, float]) -> float:
 def test_an_optimum_is_level_at_all_peaks(function: str, x: list[float], turned: float, swung: float, known: float) -> None:
     file = problem(function, x, turned, swung, "right" if math.isfinite(known) else "left")
     nlp, solution = at_positions(file)
-    level = function_exchange.add_peak_errors(file.spec, nlp, solution, "ipopt")
+    level = exchange.solve_semi_infinite(file.spec, solution, "ipopt", near=True)
     assert level.status is Status.OPTIMAL
     design = file.spec.design(level.design)
     error = largest_error(file, design)
@@ -84,8 +85,8 @@ def test_peaks_that_are_not_level_are_no_optimum(monkeypatch: pytest.MonkeyPatch
     """The error of a stalled design is that of the whole range, so that it is not compared with the error of other positions."""
     file = problem("sin(x)", [0.95, 2.09], -58, -50)
     nlp, solution = at_positions(file)
-    monkeypatch.setattr(function_exchange, "EXCHANGES", 1)
-    stalled = function_exchange.add_peak_errors(file.spec, nlp, solution, "ipopt")
+    monkeypatch.setattr(exchange, "EXCHANGES", 1)
+    stalled = exchange.solve_semi_infinite(file.spec, solution, "ipopt", near=True)
     assert stalled.status is Status.STALLED
     assert stalled.objective > solution.objective
     assert stalled.objective == pytest.approx(largest_error(file, file.spec.design(stalled.design)), rel=1e-7)

@@ -1,4 +1,6 @@
-"""Exchange method for limits over a whole range: exchange points move to the violated positions, and the search resumes.
+"""Exchange method for limits and largest errors over a whole range: exchange points move to the peaks, and the search resumes.
+
+The heights of peaks are excesses: over a limit, in the unit of its row; over the largest error, as a share of it.
 
 References
 ----------
@@ -13,9 +15,12 @@ import numpy as np
 from optlink.errors import Status
 from optlink.linkage.extrema import Function, maxima
 from optlink.linkage.fourbar import lengths_of, time_ratio
-from optlink.linkage.vector2d import Array
+from optlink.linkage.vector2d import Array, unit
+from optlink.optimization.constraints import position_rows
 from optlink.optimization.nlp import NLP
-from optlink.optimization.path_nlp import build_path_nlp, has_sampled_objective, limit_excesses, objective_excess, solved_values
+from optlink.optimization.output_derivatives import ErrorResiduals
+from optlink.optimization.programme import build, has_levels, has_position_limits, level_excesses, limit_excesses, solved_values
+from optlink.problem.function import EPIGRAPH
 from optlink.problem.path import PathProblem
 from optlink.solvers import contract, multistart as local
 from optlink.solvers.newton import polish
@@ -24,11 +29,14 @@ from optlink.solvers.solution import Solution
 
 POSITIONS = 1441  # positions along the required motion at which limits are sampled
 EXCEEDED = 2e-9  # permitted excess over a limit, in the unit of its row: less than the validator's tolerance
-EXCHANGES = 16  # rounds
-RADIUS, SMALLEST, LARGEST = 0.3, 1e-3, 10.0  # scaled units: trust-region radius of the first round, and its range
+LEVELLED, NO_ERROR = 1e-8, 1e-12  # permitted excess over the largest error, as a share of it, and in scaled units
+LEAST_LEVEL = 1e-9  # scaled units: excesses over a smaller error are shares of this one
+EXCHANGES = 40  # rounds
+RADIUS, SMALLEST, LARGEST = 0.3, 1e-6, 10.0  # scaled units: trust-region radius of the first round, and its range
 GROWTH, ALL_BUT = 2.5, 0.9  # of the radius after a step of at least that share of it
 TRACKED_PEAK = 0.1  # in the unit of the row: a peak this far below its limit may exceed it in the next round
 MOVING_PEAK = 0.02  # the same for peaks whose positions are unknowns of the NLP
+TRACKED_LEVEL, MOVING_LEVEL = 0.3, 0.05  # the same for peaks of the error, as shares of the largest one
 REACH, FARTHEST = 0.02, 0.1  # share of the motion by which such a position may move in a round of the first radius, and at most
 PER_ROW = 2  # such positions of a row that the programme has at least
 EDGE = 1e-3  # share of the motion: this close to its ends the derivative at a peak need not vanish
@@ -40,40 +48,55 @@ RESTORED = 0.5  # share of a violation: a step that leaves at most this much of 
 
 @dataclass(frozen=True)
 class RowPeak:
-    """A local maximum of a row, at a share of the required motion."""
+    """A local maximum of a row, at a share of the motion over which it applies; `level`: of the largest error, not a limit."""
 
     at: float
     height: float
     row: int
+    level: bool = False
+
+    @property
+    def tracked(self) -> bool:
+        """Whether it may exceed the limit or level in the next round."""
+        return self.height > -(TRACKED_LEVEL if self.level else TRACKED_PEAK)
+
+    @property
+    def moving(self) -> bool:
+        """Whether its position is an unknown of the NLP."""
+        near = MOVING_LEVEL if self.level else MOVING_PEAK
+        return self.height > -near and EDGE < self.at < 1.0 - EDGE
 
 
 def solve_semi_infinite(task: PathProblem, start: Solution, backend: str, *, near: bool = False) -> Solution:
-    """Return an optimum near a start that satisfies its limits also between the positions of the NLP.
+    """Return an optimum near a start at which limits and the largest error hold also between the positions of the NLP.
 
-    In every round the exchange points move to where limits are exceeded or nearly so, and the NLP is solved within a radius, in
-    which these positions hardly move; a step is accepted only if the merit over all positions decreases. The penalty of the merit
-    is raised where it would reject a step that restores feasibility: near an exact design the objective alone is a poor measure.
-    `near`: the start satisfies its limits everywhere, so that the first search stays within the radius too.
+    In every round the exchange points move to where limits or the largest error are exceeded or nearly so, and the NLP is solved
+    within a radius, in which these positions hardly move; a step is accepted only if the merit over all positions decreases. The
+    penalty of the merit is raised where it would reject a step that restores feasibility: near an exact design the objective
+    alone is a poor measure. `near`: the start satisfies its limits everywhere, or is an optimum at the positions of the NLP, so
+    that the first search stays within the radius too.
     """
     nlp = start.nlp
     if not nlp.exchange_count:
         return start if start.status is Status.OPTIMAL else local.solve_from(nlp, start.x, backend, persistent=False)
-    nlp.set_exchange_points((np.arange(nlp.exchange_count) + 0.5) / nlp.exchange_count)
+    nlp.spread_exchange_points()
     solution = local.solution_at(nlp, start.x, start.message)
     if not near and solution.status is not Status.OPTIMAL:
         solution = local.solve_from(nlp, start.x, backend, persistent=False, continuations=0)
-    radius, tops, violated = RADIUS, _tops(task, solution), list[RowPeak]()
+    course = _Course(task)
+    radius, tops, violated = RADIUS, course.tops(solution), list[RowPeak]()
     worst, penalty = math.inf, 0.0
     for _ in range(EXCHANGES):
         if not math.isfinite(solution.objective):
             break
         nlp.set_exchange_points(_places(tops, nlp.exchange_count))
-        solution = local.solution_at(nlp, solution.x, solution.message)
+        before, solution = solution.x[-1], local.solution_at(nlp, solution.x, solution.message)
+        tops = _levelled(tops, before, solution.x[-1])
         if (solution.status is Status.OPTIMAL and tops[0].height <= 0.0) or radius < SMALLEST:
             break
         begun = solution.x
         moved, limited = _followed(nlp, solution, len(task.free), radius, backend, tops, violated)
-        there = _tops(task, moved)
+        there = course.tops(moved)
         penalty = max(penalty, _needed_penalty(solution, tops, moved, there))
         if _merit(moved, there, penalty) < _merit(solution, tops, penalty):
             solution, tops, violated, worst = moved, there, [], math.inf
@@ -84,16 +107,16 @@ def solve_semi_infinite(task: PathProblem, start: Solution, backend: str, *, nea
             radius, violated, worst = 0.25 * radius, [], math.inf
         if math.isfinite(moved.objective) and np.max(np.abs(moved.x - begun)) < ROUNDING:
             break  # it stays where it is: further rounds would repeat this one
-    converged = tops[0].height <= 0.0 or not solution.usable
-    return (
-        solution if converged else replace(solution, status=Status.STALLED, message="limits are exceeded between the positions")
-    )
+    if tops[0].height <= 0.0 or not solution.usable:
+        return solution
+    what = "the largest errors did not become level" if tops[0].level else "limits are exceeded between the positions"
+    return replace(solution, status=Status.STALLED, message=what)
 
 
 def place_at_peaks(task: PathProblem, nlp: NLP, x: Array) -> None:
     """Move the exchange points, if there are any, to the peaks of the limits of a design."""
     if nlp.exchange_count:
-        nlp.set_exchange_points(_places(_tops(task, local.solution_at(nlp, x, "")), nlp.exchange_count))
+        nlp.set_exchange_points(_places(_Course(task).tops(local.solution_at(nlp, x, "")), nlp.exchange_count))
 
 
 def best_slow_stroke(task: PathProblem, solution: Solution, backend: str) -> Solution:
@@ -111,7 +134,7 @@ def best_slow_stroke(task: PathProblem, solution: Solution, backend: str) -> Sol
     stroke = "backward" if forward >= 1.0 else "forward"
     if stroke not in nlp.cache:
         limits = task.limits.model_copy(update={"time_ratio": replace(ratio, stroke=stroke)})
-        nlp.cache[stroke] = build_path_nlp(task.model_copy(update={"limits": limits}), sense)
+        nlp.cache[stroke] = build(task.model_copy(update={"limits": limits}), sense)
     start = local.solution_at(nlp.cache[stroke], solution.x, solution.message)
     other = local.solution_at(nlp, local.solve_from(start.nlp, start.x, backend).x, solution.message)
     return local.best([solution, other]) if other.status is Status.OPTIMAL else solution
@@ -126,7 +149,7 @@ def _followed(
     no peak needs are fixed, so that one programme serves many sets of peaks.
     """
     each = nlp.exchange_rows[1]
-    chosen = [top for top in tops if top.height > -MOVING_PEAK and EDGE < top.at < 1.0 - EDGE]
+    chosen = [top for top in tops if top.moving]
     positions = [[top.at for top in chosen if top.row == row] for row in range(each)]
     per_row = PER_ROW
     while per_row < max(map(len, positions)) and 2 * per_row * each <= nlp.exchange_count:
@@ -137,12 +160,13 @@ def _followed(
     others = iter(at for at in _places([*tops, *violated], nlp.exchange_count) if at not in used.values())
     places = np.array([used[slot] if slot in used else next(others, 0.0) for slot in range(nlp.exchange_count)])
     nlp.set_exchange_points(places)
-    key = f"following {many} peaks"
+    whole = len([top for top in tops if top.level and top.tracked]) > nlp.exchange_count  # no room for all peaks of the error
+    key = f"following {many} peaks" + (" and all positions" if whole else "")
     if key not in nlp.cache:
-        nlp.cache[key] = _with_moving_peaks(nlp, many)
+        nlp.cache[key] = _with_moving_peaks(nlp, many, whole=whole)
     moving: NLP = nlp.cache[key]
     moving.p[:] = nlp.p
-    for k, j in enumerate(_moving_rows(nlp)):
+    for k, j in enumerate(_moving_rows(nlp, whole=whole)):
         moving.limit(len(moving.variables) + k, nlp.low[j], nlp.high[j])
     n, fixed = len(start.x), np.array([slot not in used for slot in range(many)])
     x, reach = np.append(start.x, places[:many]), min(REACH * max(1.0, radius / RADIUS), FARTHEST)
@@ -156,70 +180,105 @@ def _followed(
     for k, free in enumerate(fixed):
         moving.limit(len(x) + first + k, -math.inf if free else 0.0, math.inf if free else 0.0)
     p = local.scaled_parameters(moving, x)
-    end = polish(moving, contract.backend(backend)(moving, x, p), p)
+    method = contract.CLOSE if backend == contract.MINIMAX else backend  # its last unknowns are places, not the largest error
+    end = polish(moving, contract.backend(method)(moving, x, p), p)
     step = np.abs(end.x - x)
     limited = bool(np.any(step[:count] > ALL_BUT * radius) or np.any(step[n:] > ALL_BUT * reach))
     return local.solution_at(nlp, nlp.wrapped(end.x[:n]), end.message), limited
 
 
-def _with_moving_peaks(nlp: NLP, many: int) -> NLP:
+def _with_moving_peaks(nlp: NLP, many: int, *, whole: bool = False) -> NLP:
     """Return the NLP with the positions of peaks as unknowns, one row after the other, and without its fixed positions."""
     first, each = nlp.exchange_rows
-    return with_moving_rows(nlp, _moving_rows(nlp), [first + slot * each + slot % each for slot in range(many)])
+    slots = [first + slot * each + slot % each for slot in range(many)]
+    return with_moving_rows(nlp, _moving_rows(nlp, whole=whole), slots)
 
 
-def _moving_rows(nlp: NLP) -> list[int]:
-    """Return the rows without those at fixed positions."""
+def _moving_rows(nlp: NLP, *, whole: bool = False) -> list[int]:
+    """Return the rows without those of limits at fixed positions, and of the error without those between its ends.
+
+    `whole`: the error has more peaks than there are exchange points, so that its fixed positions are kept.
+    """
     first, each = nlp.exchange_rows
-    names = {(row.limit, row.label) for row in nlp.rows[first : first + each]}
-    return [j for j, row in enumerate(nlp.rows) if j >= first or (row.limit, row.label) not in names]
+    block = nlp.rows[first : first + each]
+    names, levels = {(row.limit, row.label) for row in block}, sum(row.limit == EPIGRAPH for row in block)
+    last = first + each * nlp.exchange_count
+    errors = [j for j, row in enumerate(nlp.rows) if j >= last and row.limit == EPIGRAPH]
+    between = set(errors[levels:-levels]) if levels and not whole else set()
+    kept = (j for j, row in enumerate(nlp.rows) if j >= first or (row.limit, row.label) not in names)
+    return [j for j in kept if j not in between]
 
 
 def _violation(solution: Solution, tops: list[RowPeak]) -> float:
     """Return the largest violation of a limit, at the positions of the NLP or between them."""
-    return max(solution.violation, tops[0].height, 0.0)
+    return max(solution.violation, *(top.height for top in tops if not top.level), 0.0)
+
+
+def _largest(solution: Solution, tops: list[RowPeak]) -> float:
+    """Return the objective, with the largest error between the positions too."""
+    return solution.objective * (1.0 + max((top.height for top in tops if top.level), default=0.0))
 
 
 def _merit(solution: Solution, tops: list[RowPeak], penalty: float) -> float:
     """Return the objective plus the penalty of its violation, `VIOLATION_PENALTY` times the objective or more."""
-    violation = _violation(solution, tops)
-    factor = max(VIOLATION_PENALTY * abs(solution.objective), penalty)
-    return solution.objective + factor * violation if math.isfinite(violation) else math.inf
+    violation, objective = _violation(solution, tops), _largest(solution, tops)
+    factor = max(VIOLATION_PENALTY * abs(objective), penalty)
+    return objective + factor * violation if math.isfinite(violation) else math.inf
 
 
 def _needed_penalty(solution: Solution, tops: list[RowPeak], moved: Solution, there: list[RowPeak]) -> float:
     """Return a penalty with which a step that restores feasibility decreases the merit; 0 for any other step."""
     before, after = _violation(solution, tops), _violation(moved, there)
-    if not (0.0 < before < math.inf and after <= RESTORED * before and solution.objective < moved.objective < math.inf):
+    begun, ended = _largest(solution, tops), _largest(moved, there)
+    if not (0.0 < before < math.inf and after <= RESTORED * before and begun < ended < math.inf):
         return 0.0
-    return 2.0 * (moved.objective - solution.objective) / (before - after)
+    return 2.0 * (ended - begun) / (before - after)
 
 
-def _tops(task: PathProblem, solution: Solution) -> list[RowPeak]:
-    """Return the peaks where limits are exceeded or nearly so, largest first."""
-    return peaks(excess_over(task, solution), np.linspace(0.0, 1.0, POSITIONS), TRACKED_PEAK) or [RowPeak(0.0, -math.inf, 0)]
+def _levelled(tops: list[RowPeak], before: float, now: float) -> list[RowPeak]:
+    """Return the peaks, those of the error with their excess over another largest error, largest first."""
+    scale = max(before, LEAST_LEVEL) / max(now, LEAST_LEVEL)
+    shift = ((before - now) * (1.0 + LEVELLED)) / max(now, LEAST_LEVEL)
+    moved = [replace(top, height=top.height * scale + shift) if top.level else top for top in tops]
+    return sorted(moved, key=lambda top: -top.height)
 
 
 def _places(tops: list[RowPeak], count: int) -> Array:
     """Return the positions of the first peaks, and evenly spaced ones where there is room."""
     chosen: list[float] = []
-    for at in [*(top.at for top in tops if top.height > -TRACKED_PEAK), *((np.arange(count) + 0.5) / count).tolist()]:
+    for at in [*(top.at for top in tops if top.tracked), *((np.arange(count) + 0.5) / count).tolist()]:
         if len(chosen) < count and all(abs(at - other) > PEAK_SEPARATION for other in chosen):
             chosen.append(at)
     return np.array(chosen + chosen[:1] * (count - len(chosen)))
 
 
-def excess_over(task: PathProblem, solution: Solution) -> Function:
-    """Return the excess over limits and sampled objective, minus the permitted one, as a function of shares of the motion."""
-    values, angles = solved_values(task, solution.design, solution.x)
+class _Course:
+    """Limits and largest error of a problem along the motion over which they apply."""
 
-    def excess(shares: Array) -> Array:
-        over = limit_excesses(task, values, angles, shares)
-        if has_sampled_objective(task):
-            over = np.vstack([over, objective_excess(task, values, float(solution.x[-1]), shares)])
-        return over - EXCEEDED
+    def __init__(self, task: PathProblem) -> None:
+        self.task, self.limited, self.levels = task, has_position_limits(task), has_levels(task)
+        self.errors = ErrorResiduals(task) if self.levels and task.law_given else None
 
-    return excess
+    def tops(self, solution: Solution) -> list[RowPeak]:
+        """Return the peaks where limits or the largest error are exceeded or nearly so, largest first."""
+        grid, found = np.linspace(0.0, 1.0, POSITIONS), list[RowPeak]()
+        values, angles = solved_values(self.task, solution.design, solution.x)
+        first = 0
+        if self.limited:
+            found += peaks(lambda shares: limit_excesses(self.task, values, angles, shares) - EXCEEDED, grid, TRACKED_PEAK)
+            first = len(position_rows(self.task, self.task.linkage.pose(values, unit(angles[0]))))
+        if self.levels:
+            whole = self.task.whole
+            largest = float(solution.x[-1])
+            size = max(largest, LEAST_LEVEL)
+
+            def excess(shares: Array) -> Array:
+                over = level_excesses(self.task, self.errors, values, largest * whole, shares) / whole
+                return (over - LEVELLED * largest - NO_ERROR) / size
+
+            tops = peaks(excess, grid, TRACKED_LEVEL)
+            found += [replace(top, row=first + top.row, level=True) for top in tops]
+        return sorted(found, key=lambda top: -top.height) or [RowPeak(0.0, -math.inf, 0)]
 
 
 def peaks(heights: Function, grid: Array, near: float = 0.0) -> list[RowPeak]:
