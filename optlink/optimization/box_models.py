@@ -23,6 +23,7 @@ from optlink.problem.file import ProblemFile
 from optlink.problem.function import DesignProblem, StartPosition
 from optlink.problem.limits import Reach
 from optlink.problem.mechanism import FourBarSection
+from optlink.problem.targets.law import Law
 
 if TYPE_CHECKING:
     from optlink.problem.path import PathProblem
@@ -53,6 +54,8 @@ class DesignBoxes:
     """
 
     problem: DesignProblem | PathProblem
+    further: Array = field(default_factory=lambda: np.zeros(0))
+    """Crank rotations [rad] from the start of a law at which its error counts too, those of the peaks of a largest error."""
     low: Array = field(init=False)
     high: Array = field(init=False)
     limits: tuple[str, ...] = ()
@@ -60,6 +63,11 @@ class DesignBoxes:
     def __post_init__(self) -> None:
         bounds = [self.problem.quantities[name].bounds for name in self.problem.free]
         self.low, self.high = np.array(bounds, dtype=float).reshape(-1, 2).T.copy()
+
+    @property
+    def law(self) -> Law:
+        """The law at all positions."""
+        return Law(self.problem.law.source, np.concatenate([self.problem.law.offsets, self.further]))
 
     @property
     def measure(self) -> str:
@@ -72,9 +80,10 @@ class DesignBoxes:
         values |= dict(zip(self.problem.free, TaylorModel.unknowns(low, high), strict=True))
         with np.errstate(all="ignore"):
             if isinstance(self.problem, DesignProblem):
-                residuals, rows = _function(self.problem, values, low.shape[1])
+                residuals, rows = _function(self.problem, self.law, values, low.shape[1])
             else:
-                residuals, rows = _timed(self.problem, values, low.shape[1])
+                law = self.law if self.problem.law_given else None
+                residuals, rows = _timed(self.problem, law, values, low.shape[1])
         labelled: list[tuple[str, TaylorModel]] = []
         count = low.shape[1]
         for row in rows:
@@ -90,8 +99,10 @@ class DesignBoxes:
         return BoxModels(residuals, slacks, periodic=getattr(self.problem, "unit", "rad") == "rad")
 
 
-def box_problem(problem: ProblemFile) -> DesignBoxes:
+def box_problem(problem: ProblemFile, further: Array | None = None) -> DesignBoxes:
     """Return a problem with definite assembly modes in the form in which it can be bounded over boxes.
+
+    `further`: see `DesignBoxes`.
 
     Raises
     ------
@@ -101,7 +112,7 @@ def box_problem(problem: ProblemFile) -> DesignBoxes:
     model = problem.model
     if isinstance(model, DesignProblem):
         if model.requirement.robust is None:
-            return DesignBoxes(model)
+            return DesignBoxes(model, np.zeros(0) if further is None else further)
         reason = "the objective of a robust design has none"
     else:
         from optlink.problem.path import PathProblem
@@ -113,7 +124,7 @@ def box_problem(problem: ProblemFile) -> DesignBoxes:
         elif model.requirement.kind == "transmission" and not _four_bar(model):
             reason = "among transmission problems, only those of four-bars have one"
         else:
-            return DesignBoxes(model)
+            return DesignBoxes(model, np.zeros(0) if further is None else further)
     raise InputError(Fault(f"no certificate of the global optimum: {reason}", "Leave --certify out", problem.file, "--certify"))
 
 
@@ -124,9 +135,9 @@ def _four_bar(problem: PathProblem) -> bool:
 Evaluated = tuple[TaylorModel, list[ConstraintRow]]
 
 
-def _function(problem: DesignProblem, values: dict[str, Any], count: int) -> Evaluated:
+def _function(problem: DesignProblem, law: Law, values: dict[str, Any], count: int) -> Evaluated:
     """Return the residuals (boxes, positions, 1) and the limits of a function synthesis problem."""
-    start, law = problem.start_position(values), problem.law
+    start = problem.start_position(values)
     residuals = output_error(
         problem, values, start, TaylorModel.constant(law.offsets, count), TaylorModel.constant(law.tabulated, count)
     )
@@ -161,11 +172,11 @@ def _known_within(model: TaylorModel, most: float) -> TaylorModel:
     return TaylorModel(model.coefficients, np.where(beyond, np.inf, model.remainder), model.count)
 
 
-def _timed(problem: PathProblem, values: dict[str, Any], count: int) -> Evaluated:
+def _timed(problem: PathProblem, law: Law | None, values: dict[str, Any], count: int) -> Evaluated:
     """Return the residuals (boxes, positions, components) and the limits of a problem with prescribed crank angles."""
-    from optlink.problem.path import START
+    from optlink.problem.path import START, _plain
 
-    data = problem.data
+    data = problem.data if law is None else _plain(np.column_stack([law.offsets, law.tabulated]), law.offsets)
     assert data.offsets is not None
     start = values[START] if problem.timing == "from start" else TaylorModel.constant(0.0, count)
     pose = problem.linkage.pose(values, unit(start + TaylorModel.constant(data.offsets, count)))
@@ -177,7 +188,9 @@ def _timed(problem: PathProblem, values: dict[str, Any], count: int) -> Evaluate
             cosines[2] = _known_within(cosines[2], problem.radian * np.pi)
     shape = next(iter(values[name] for name in problem.free)).remainder.shape[0], len(data.offsets)
     residuals = _joined(cosines, shape, count) * data.roots[:, None]
-    span, sense = float(data.offsets[-1] - data.offsets[0]), 1 if data.offsets[-1] >= data.offsets[0] else -1
+    assert problem.data.offsets is not None
+    span = float(problem.data.offsets[-1] - problem.data.offsets[0])
+    sense = 1 if span >= 0.0 else -1
     rows = _limits(problem, values, Reach(start + float(data.offsets[0]), span, sense))
     if not _four_bar(problem):
         turns = problem.limits.crank != "span"

@@ -135,7 +135,7 @@ class _Search:
         searches: list[BranchAndBound] = []
         interrupted = False
         try:
-            problems = [box_problem(variant) for variant in variants]
+            problems = [box_problem(variant, self._peaks) for variant in variants]
             for variant, problem in zip(variants, problems, strict=True):
                 better = functools.partial(self._improve, variant, problem)
                 searches.append(self._branches(LagrangianBounds(problem), math.inf, better))
@@ -168,6 +168,15 @@ class _Search:
         share = GAP_SHARE * self.gap
         share = share * (2.0 - share) if self._square else share
         return BranchAndBound(bounds, best, share, better, batch, 2 * FEW, divisible=True, runs=self.runs)
+
+    @property
+    def _peaks(self) -> Array | None:
+        """Crank rotations [rad] from the start at which the error of the best design is largest, where its whole range counts."""
+        model, solution = self.result.problem.model, self.result.solution
+        if solution is None or not (model.everywhere and model.law_given):
+            return None
+        count = solution.nlp.exchange_count
+        return np.unique(solution.p[len(solution.p) - count :]) * model.span
 
     # --- the best known design -------------------------------------------------------------------------------------
 

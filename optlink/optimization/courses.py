@@ -1,0 +1,229 @@
+"""What holds over a range of crank angles: limits, errors of laws, quantities of the machine; each at one position, and in numbers.
+
+A course is traced by the programme at one crank angle, and evaluated by the exchange along its motion.
+"""
+
+import itertools
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from optlink.linkage.mechanism import Pose
+from optlink.linkage.vector2d import TURN, Array, Value, unit
+from optlink.optimization.constraints import PLAIN, ConstraintRow, Scale, position_rows
+from optlink.optimization.cycle_constraints import SIGNS, scaled_limit
+from optlink.optimization.cycle_signals import TracedCycle
+from optlink.optimization.nlp import Variable
+from optlink.optimization.output_derivatives import ErrorResiduals
+from optlink.problem.cycle.terms import Goal, Term
+from optlink.problem.function import EPIGRAPH
+from optlink.problem.path import PathProblem
+from optlink.units import KINDS
+
+GRID = 36  # crank angles at which the assembly of a mechanism other than a four-bar is checked
+BETWEEN = 3  # positions between two points if full crank rotation is not required
+NODES = 48  # positions per revolution of quantities of the machine with an integral; half of it for extremes alone
+EXCHANGE_POINTS = 24  # further positions, moved by the exchange method to where a limit or the largest value is exceeded
+LEVEL_POINTS = 12  # the same for the largest error of a law alone; with scatter it is flatter, and has as many as others
+SIZE_POSITIONS = 72  # crank angles at which the size of a quantity is estimated
+EXCEEDED = 2e-9  # permitted excess over a limit, in the unit of its row: less than the validator's tolerance
+LEVELLED, NO_ERROR = 1e-8, 1e-12  # permitted excess over a largest value, as a share of it, and in scaled units
+LEAST_LEVEL = 1e-9  # scaled units: excesses over a smaller largest value are shares of this one
+
+
+def has_position_limits(problem: PathProblem) -> bool:
+    """Return whether limits at single crank angles (`position_rows`) apply; for a four-bar the extremes are known instead."""
+    return not problem.four_bar
+
+
+def has_course(part: PathProblem) -> bool:
+    """Return whether the largest deviation counts over a range: the error of a law that is a formula over its span, or the cosine
+    of the transmission angles over the revolution, whose extremes are known for a four-bar."""
+    return part.everywhere and not (part.requirement.kind == "transmission" and part.four_bar)
+
+
+class LimitCourse:
+    """Limits at single crank angles, over the whole revolution or along the motion of a requirement, `part`.
+
+    `over_span`: of the limits that apply over the span although the crank turns fully; None for all limits.
+    """
+
+    def __init__(self, problem: PathProblem, part: PathProblem | None, over_span: bool | None) -> None:
+        self.problem, self.part, self.over_span = problem, part, over_span
+
+    def rows(self, pose: Pose) -> list[ConstraintRow]:
+        """Return the limits at one position."""
+        return [row for row in position_rows(self.problem, pose) if self.over_span in (None, row.over_span)]
+
+    def motion(self, angles: Any) -> tuple[Any, Any]:
+        """Return the crank angle [rad] at which the motion begins, and its rotation, for the crank angles of the requirement."""
+        return (0.0, TURN) if self.part is None else (angles[0], angles[-1] - angles[0])
+
+    def fixed_positions(self, angles: Any) -> list[Any]:
+        """Return the crank angles [rad] at which the limits always apply."""
+        if self.part is None:
+            return list(np.linspace(0.0, TURN, GRID, endpoint=False))
+        between = [a + (b - a) * (k / (BETWEEN + 1)) for a, b in itertools.pairwise(angles) for k in range(BETWEEN + 1)]
+        return [*between, angles[-1]]
+
+    def heights(self, values: Mapping[str, Value], angles: Any, shares: Array) -> Array:
+        """Return the excess (rows, n) or (rows, designs, n) over every limit, in the units of the rows; -inf if undefined.
+
+        Positions without assembly exceed the row of the assembly margin. `values` [m, rad] and the crank angles [rad] of the
+        requirement are numbers or arrays (designs, 1); `shares` (n,) are positions as shares of the motion.
+        """
+        begin, whole = self.motion(angles)
+        with np.errstate(all="ignore"):
+            rows = self.rows(self.problem.linkage.pose(values, unit(begin + whole * shares)))
+            over = [np.maximum(row.low - row.value, row.value - row.high) for row in rows]
+            excesses = np.array(np.broadcast_arrays(*over, begin + shares)[:-1])
+        return np.where(np.isfinite(excesses), excesses, -np.inf)
+
+
+class ErrorCourse:
+    """The error of a law over its span, or the cosines of the transmission angles over the revolution."""
+
+    def __init__(self, part: PathProblem) -> None:
+        self.part = part
+
+    def motion(self, span: Any = None) -> tuple[Any, Any]:
+        """Return begin and rotation [rad], from the start; `span` replaces that of the law."""
+        return (0.0, self.part.span if span is None else span) if self.part.law_given else (0.0, TURN)
+
+    @cached_property
+    def _errors(self) -> ErrorResiduals:
+        return ErrorResiduals(self.part)
+
+    def sizes(self, values: Mapping[str, Value], shares: Array) -> Array:
+        """Return the errors (rows, n) in scaled units: one row for either sign of a law, one for the cosine of each dyad."""
+        begin, whole = self.motion()
+        offsets = begin + whole * shares
+        with np.errstate(all="ignore"):
+            if self.part.law_given:
+                lower, upper = self._errors.band(values, offsets)
+                sizes = np.array([-lower + 0.0 * shares, upper + 0.0 * shares])
+            else:
+                cosines = self.part.deviation(self.part.linkage.pose(values, unit(offsets)), values, ())
+                sizes = np.array([np.abs(cosine) + 0.0 * shares for cosine in cosines])
+        return np.where(np.isfinite(sizes), sizes, -np.inf) / self.part.whole
+
+
+class TermCourse:
+    """Quantities of the machine over the revolution: terms of the objective and limits under names of the user's choice.
+
+    `near`: a design [SI] at which the largest values of the terms are their units.
+    """
+
+    def __init__(self, problem: PathProblem, near: Mapping[str, float] | None) -> None:
+        self.problem, self.goals = problem, problem.goals
+        self.trace = TracedCycle(problem)
+        self.extremes = [goal for goal in self.goals if goal.extreme]
+        scaled = [scaled_limit(bound, problem.longest) for bound in problem.bounds]
+        self.limits = [limit for limit in scaled if limit.bound.term.extreme]
+        self.fixed_limits = [limit for limit in scaled if not limit.bound.term.extreme]
+        self.integral = any(term.integral for term in self.trace.terms)
+        self.sizes = self._sizes({} if near is None else near)
+        self.worths = [goal.weight / (scale or 1.0) for goal, scale in zip(self.goals, problem.scales, strict=True)]
+        self.levels = []
+        for goal, size in zip(self.extremes, self.sizes, strict=True):
+            kind = problem.kind(goal)
+            scale = Scale(KINDS[kind].si.replace("**", "^") if kind else "", size)
+            self.levels.append(Variable(f"{EPIGRAPH}: {goal.words}", size, scale))
+
+    @property
+    def fixed(self) -> Array:
+        """Crank angles [rad] at which the terms always count; even steps integrate smooth periodic functions best."""
+        count = NODES if self.integral else NODES // 2
+        return TURN * np.arange(count) / count
+
+    def _sizes(self, near: Mapping[str, float]) -> list[float]:
+        """Return the largest values [SI] of the terms of the objective at a design; their scale or 1 where they have none."""
+        angles = np.linspace(0.0, TURN, SIZE_POSITIONS, endpoint=False)
+        with np.errstate(all="ignore"):
+            signals = self.trace.signals(*self.trace.inputs(self.problem.complete(near)), angles)
+        sizes = []
+        for goal in self.extremes:
+            scale = self.problem.scales[self.goals.index(goal)]
+            size = float(np.max(np.sqrt(np.sum(np.square(self.parts(goal, signals)), axis=0))))
+            sizes.append(size if math.isfinite(size) and size > 0.0 else scale or 1.0)
+        return sizes
+
+    def parts(self, term: Term, signals: Any) -> list[Any]:
+        """Return the components of a term [SI] among the signals at one position, or at many."""
+        index = next(k for k, other in enumerate(self.trace.cyclic) if other is term)
+        first = sum(self.trace.widths[:index])
+        return [signals[first + k] for k in range(self.trace.widths[index])]
+
+    def figure(self, term: Term, values: Mapping[str, Any], nodes: Sequence[Any]) -> Any:
+        """Return a term with a single value [SI] from the quantities, and the signals at even steps of the revolution."""
+        if term.quantity == "length":
+            return values[str(term.of)]
+        if term.quantity == "total length":
+            return sum(values[name] for name in self.problem.lengths)
+        if term.quantity == "work":
+            return sum(signals[sum(self.trace.widths) - 1] for signals in nodes) * self.trace.direction * TURN / len(nodes)
+        each = [self.parts(term, signals) for signals in nodes]
+        if term.how == "mean":
+            return sum(parts[0] for parts in each) / len(nodes)
+        return np.sqrt(sum(part * part for parts in each for part in parts) / len(nodes))
+
+    def heights(self, values: Mapping[str, float], levels: Sequence[float], shares: Array) -> Iterator[tuple[Array, int]]:
+        """Yield the excesses (rows, n) of each limit, then of each term over its level, and the number of the level or -1."""
+        with np.errstate(all="ignore"):
+            signals = self.trace.signals(*self.trace.inputs(values), TURN * shares)
+        for limit in self.limits:
+            parts, term = self.parts(limit.bound.term, signals), limit.bound.term
+            if len(parts) > 1 and not term.nature.general:
+                rows = [np.hypot(*parts) / limit.size - limit.above]
+            else:
+                rows = [
+                    max_of(sign * part / limit.size, limit.below, limit.above)
+                    for part in parts
+                    for sign in ((1.0, -1.0) if term.how == "peak" else (1.0,))
+                ]
+            yield np.array(rows) - EXCEEDED, -1
+        for k, (goal, size) in enumerate(zip(self.extremes, self.sizes, strict=True)):
+            parts = self.parts(goal, signals)
+            if len(parts) > 1 and not goal.nature.general:
+                rows = [np.hypot(*parts) / size]
+            else:
+                rows = [sign * part / size for part in parts for sign in SIGNS[goal.how]]
+            yield above_level(np.array(rows), levels[k]), k
+
+
+def max_of(value: Array, low: float, high: float) -> Array:
+    """Return by how much values exceed the nearer of two bounds; negative inside."""
+    return np.maximum(low - value, value - high)
+
+
+def above_level(values: Array, level: float) -> Array:
+    """Return by how much values (scaled) exceed a level beyond rounding, as shares of it."""
+    return np.asarray((values - level * (1.0 + LEVELLED) - NO_ERROR) / max(abs(level), LEAST_LEVEL))
+
+
+def limit_courses(problem: PathProblem) -> list[LimitCourse]:
+    """Return the courses of limits at single crank angles: over the revolution, and along the motion of each requirement."""
+    if not has_position_limits(problem):
+        return []
+    if problem.limits.crank == "span":
+        return [LimitCourse(problem, part, None) for part in problem.parts]
+    along = [LimitCourse(problem, part, True) for part in problem.parts]
+    pose = problem.linkage.pose(problem.complete({}), unit(0.0))
+    with np.errstate(all="ignore"):
+        return [LimitCourse(problem, None, False), *(course for course in along if course.rows(pose))]
+
+
+def error_courses(problem: PathProblem) -> list[ErrorCourse]:
+    """Return the courses of the errors that count over a range."""
+    return [ErrorCourse(part) for part in problem.parts if has_course(part)]
+
+
+def exchange_count(problem: PathProblem) -> int:
+    """Return the number of exchange points of a programme."""
+    if has_position_limits(problem) or problem.goals or problem.bounds:
+        return EXCHANGE_POINTS
+    errors = error_courses(problem)
+    return (EXCHANGE_POINTS if problem.robust is not None else LEVEL_POINTS) if errors else 0
