@@ -270,9 +270,8 @@ class _Search:
         lower = 0.0 if self._exact else min(self._value(search.lower) for search in searches)
         closed = self._exact or all(search.closed for search in searches)
         kept = all(search.leaves.test and isinstance(search.bounder, LagrangianBounds) for search in searches)
-        kept = kept and not (
-            self.result.valid and getattr(self.result.problem.model, "everywhere", False)
-        )  # bounded at positions
+        if self.result.valid and self.result.problem.model.everywhere:  # bounded at positions, the peaks of the error among them
+            kept = kept and self._peaks is not None
         rows = [(boxes, self._value(low), self._value(best)) for boxes, low, best in joint_history(searches)]
         boxes, left = sum(item.boxes for item in searches), sum(len(item.open) + len(item.tiny) for item in searches)
         covers = tuple(_cover(item, file) for item, file in zip(searches, variants, strict=True)) if kept and closed else ()
@@ -299,6 +298,7 @@ class _Search:
             improved=self.improved,
             history=np.array(rows, dtype=float).reshape(-1, 3),
             covers=covers,
+            peaks=np.zeros(0) if self._peaks is None else self._peaks,
         )
 
 

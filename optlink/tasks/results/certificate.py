@@ -15,7 +15,7 @@ from optlink.errors import Status
 from optlink.linkage.dyad_types import ModalDyad
 from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.vector2d import Array
-from optlink.problem.document import Never, Number, Rows
+from optlink.problem.document import Column, Never, Number, Rows
 from optlink.problem.file import ProblemFile
 from optlink.problem.function import DesignProblem
 from optlink.solvers.global_search.lagrangian import TESTS
@@ -106,6 +106,7 @@ class Certificate:
     "not closed", stopped before; "infeasible", no design is feasible. `objective` of the best known design and `lower_bound` are
     infinite without a design. `improved`: the search found a better design than it was given. `history` (k, 3): boxes bounded,
     lower bound, objective. `covers` is empty if there are too many boxes, and without multipliers if it was read from a result.
+    `peaks`: crank rotations [rad] from the start at which the largest error of a law was bounded too, beside its positions.
     """
 
     status: str
@@ -118,6 +119,7 @@ class Certificate:
     improved: bool = False
     history: History = field(default_factory=lambda: np.zeros((0, 3)), repr=False)
     covers: DrawnCovers = field(default=(), repr=False)
+    peaks: Column = field(default_factory=lambda: np.zeros(0), repr=False)
 
     @computed_field  # type: ignore[prop-decorator]
     @property
@@ -205,7 +207,7 @@ def certificate_document(certificate: Certificate, result: Any) -> dict[str, Any
     from optlink.tasks.results.certificate_numbers import finite, numbers_of  # its import takes time
 
     modes = [{"assembly": cover.assembly, "sides": dict(cover.sides)} for cover in certificate.covers]
-    numbers = numbers_of(result.problem) | {"modes": modes}
+    numbers = numbers_of(result.problem, certificate.peaks) | {"modes": modes}
     problem = {"problem": result.problem.name, "problem_hash": result.problem.hash, "numbers": numbers}
     return {
         "schema": SCHEMA,

@@ -9,6 +9,7 @@ import numpy as np
 
 from optlink.linkage.dyad_types import JointedDyad
 from optlink.linkage.mechanism import Arm, Guide, Link, Mechanism
+from optlink.linkage.vector2d import Array
 from optlink.problem.file import ProblemFile
 from optlink.problem.function import DEAD_CENTRES, DesignProblem
 from optlink.problem.interval import Interval
@@ -23,8 +24,11 @@ if TYPE_CHECKING:
 Numbers = dict[str, Any]
 
 
-def numbers_of(problem: ProblemFile) -> Numbers:
-    """Return the numbers of a problem with a lower bound over boxes, without its assembly modes, as plain data."""
+def numbers_of(problem: ProblemFile, peaks: Array) -> Numbers:
+    """Return the numbers of a problem with a lower bound over boxes, without its assembly modes, as plain data.
+
+    `peaks`: see `Certificate`.
+    """
     model: Any = problem.model
     quantities = {
         name: {"value": quantity.value, "low": quantity.bounds[0], "high": quantity.bounds[1], "free": quantity.free}
@@ -36,7 +40,8 @@ def numbers_of(problem: ProblemFile) -> Numbers:
         "linkage": {"four_bar": isinstance(model.mechanism, FourBarSection), **_linkage(model.linkage)},
         "limits": _limits(model),
     }
-    return numbers | (_of_law(model) if isinstance(model, DesignProblem) else _of_positions(model))
+    numbers |= _of_law(model) if isinstance(model, DesignProblem) else _of_positions(model)
+    return numbers | {"offsets": [*numbers["offsets"], *peaks.tolist()]}
 
 
 def _linkage(linkage: Mechanism) -> Numbers:
