@@ -1,11 +1,11 @@
-"""What holds over a range of crank angles: limits, errors of laws, quantities of the machine; each at one position, and in numbers.
+"""What holds over a range of crank angles: limits, errors of laws, quantities of the machine; in symbols and in numbers.
 
 A course is traced by the programme at one crank angle, and evaluated by the exchange along its motion.
 """
 
 import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -13,12 +13,12 @@ import numpy as np
 
 from optlink.linkage.mechanism import Pose
 from optlink.linkage.vector2d import TURN, Array, Value, unit
-from optlink.optimization.constraints import PLAIN, ConstraintRow, Scale, position_rows
+from optlink.optimization.constraints import ConstraintRow, Scale, position_rows
 from optlink.optimization.cycle_constraints import SIGNS, scaled_limit
 from optlink.optimization.cycle_signals import TracedCycle
 from optlink.optimization.nlp import Variable
 from optlink.optimization.output_derivatives import ErrorResiduals
-from optlink.problem.cycle.terms import Goal, Term
+from optlink.problem.cycle.terms import Term
 from optlink.problem.function import EPIGRAPH
 from optlink.problem.path import PathProblem
 from optlink.units import KINDS
@@ -88,6 +88,13 @@ class ErrorCourse:
 
     def __init__(self, part: PathProblem) -> None:
         self.part = part
+
+    def level(self, problem: PathProblem) -> int:
+        """Return the number of its largest value among the unknowns of a programme; -1 if it is limited."""
+        if self.part.tolerance is not None:
+            return -1
+        levelled = [part for part in problem.parts if part.tolerance is None and part.measure == "max"]
+        return next(k for k, part in enumerate(levelled) if part is self.part)
 
     def motion(self, span: Any = None) -> tuple[Any, Any]:
         """Return begin and rotation [rad], from the start; `span` replaces that of the law."""
@@ -170,33 +177,37 @@ class TermCourse:
             return sum(parts[0] for parts in each) / len(nodes)
         return np.sqrt(sum(part * part for parts in each for part in parts) / len(nodes))
 
-    def heights(self, values: Mapping[str, float], levels: Sequence[float], shares: Array) -> Iterator[tuple[Array, int]]:
-        """Yield the excesses (rows, n) of each limit, then of each term over its level, and the number of the level or -1."""
+    @property
+    def order(self) -> list[int]:
+        """For each of the arrays that `heights` returns, the number of the largest value that it exceeds; -1 for a limit."""
+        return [-1] * len(self.limits) + list(range(len(self.extremes)))
+
+    def heights(self, values: Mapping[str, float], levels: Sequence[float], shares: Array) -> list[Array]:
+        """Return the excesses (rows, n) over each limit, then of each term over its largest value, at shares of a revolution."""
         with np.errstate(all="ignore"):
             signals = self.trace.signals(*self.trace.inputs(values), TURN * shares)
+        heights = []
         for limit in self.limits:
             parts, term = self.parts(limit.bound.term, signals), limit.bound.term
             if len(parts) > 1 and not term.nature.general:
                 rows = [np.hypot(*parts) / limit.size - limit.above]
             else:
-                rows = [
-                    max_of(sign * part / limit.size, limit.below, limit.above)
-                    for part in parts
-                    for sign in ((1.0, -1.0) if term.how == "peak" else (1.0,))
-                ]
-            yield np.array(rows) - EXCEEDED, -1
-        for k, (goal, size) in enumerate(zip(self.extremes, self.sizes, strict=True)):
+                signs = SIGNS["peak"] if term.how == "peak" else (1.0,)
+                rows = [_beyond(sign * part / limit.size, limit.below, limit.above) for part in parts for sign in signs]
+            heights.append(np.array(rows) - EXCEEDED)
+        for level, goal, size in zip(levels, self.extremes, self.sizes, strict=True):
             parts = self.parts(goal, signals)
             if len(parts) > 1 and not goal.nature.general:
                 rows = [np.hypot(*parts) / size]
             else:
                 rows = [sign * part / size for part in parts for sign in SIGNS[goal.how]]
-            yield above_level(np.array(rows), levels[k]), k
+            heights.append(above_level(np.array(rows), level))
+        return [np.where(np.isfinite(each), each, -np.inf) for each in heights]
 
 
-def max_of(value: Array, low: float, high: float) -> Array:
-    """Return by how much values exceed the nearer of two bounds; negative inside."""
-    return np.maximum(low - value, value - high)
+def _beyond(value: Array, low: float, high: float) -> Array:
+    """Return by how much values lie beyond two bounds; negative inside."""
+    return np.asarray(np.maximum(low - value, value - high))
 
 
 def above_level(values: Array, level: float) -> Array:

@@ -7,18 +7,16 @@ that is a maximum over the cycle, its largest value. Rows apply at the nodes of 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Any
 
 import casadi
 import numpy as np
-from numpy.typing import ArrayLike
 
 from optlink.linkage.vector2d import TURN, Array
 from optlink.optimization.cycle_constraints import EVENT, CycleTerms, WatchedTerm
 from optlink.optimization.cycle_signals import EventOrder, TracedCycle
 from optlink.optimization.nlp import NLP, boxed
-from optlink.optimization.objectives import ErrorMeasure
+from optlink.optimization.objectives import Figure
 from optlink.problem.cycle.model import CycleProblem
 from optlink.problem.function import EPIGRAPH
 from optlink.symbolic import CompiledFunction, symbols_in_numpy
@@ -30,23 +28,6 @@ SLOTS = (4, 6)  # ... least and most per stroke
 
 
 @dataclass(frozen=True)
-class Figure(ErrorMeasure):
-    """An objective with a single value."""
-
-    def sizes(self, residuals: ArrayLike) -> Array:
-        """Return the absolute value of the residuals."""
-        return np.asarray(np.abs(np.asarray(residuals, dtype=float)), dtype=float)
-
-    def of(self, residuals: ArrayLike) -> float:
-        """Return the value of the objective."""
-        return float(np.asarray(residuals, dtype=float).ravel()[0])
-
-    def slope(self, residuals: ArrayLike) -> float:
-        """Return the derivative of the objective with respect to that of the NLP."""
-        return 1.0
-
-
-@dataclass(frozen=True)
 class CycleNLP(NLP):
     """The NLP of cycle optimisation, with the `trace` and `structure` from which it was built."""
 
@@ -54,15 +35,10 @@ class CycleNLP(NLP):
     structure: EventOrder = field(default_factory=lambda: EventOrder((), (), ()))
     free: tuple[str, ...] = ()
     watched: tuple[WatchedTerm, ...] = ()
-    level_symbols: Any = None
     slots: int = 0  # of exchange points, all strokes together
     exchanged: tuple[Any, ...] = ()  # signals there
     nodes: int = 0  # per revolution
     scales: tuple[float, tuple[float, ...]] = (1.0, ())  # units: of length [m]; of each objective term [SI]
-
-    @cached_property
-    def _levels(self) -> CompiledFunction:
-        return self._compiled(*self.level_symbols)
 
     @property
     def traced(self) -> TracedCycle:
@@ -90,11 +66,7 @@ class CycleNLP(NLP):
             structure = self.traced.structure(self.design(x))
             if structure is not None and structure.like(self.structure):
                 x[count : count + events] = structure.angles
-        if self.level_symbols:
-            for k, values in enumerate(self._levels(x, self.p)):
-                largest = float(np.max(values))
-                x[count + events + k] = largest if math.isfinite(largest) else 1.0
-        return x
+        return super().lifted(x)
 
     @property
     def strokes(self) -> int:
@@ -193,6 +165,7 @@ def build_cycle(
         free=parts.free,
         watched=tuple(item for item in watched if item is not None),
         level_symbols=tuple(others[: len(heights)]),
+        first_level=count + events,
         slots=parts.slots,
         exchanged=tuple(others[len(heights) :]),
         nodes=nodes,

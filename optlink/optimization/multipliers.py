@@ -33,7 +33,7 @@ def active_sides(nlp: NLP, x: Array, point: NLPValues, within: float = ACTIVE) -
     values, low, high = np.concatenate([x, point.g]), nlp.lower, nlp.upper
     sign = (high - values <= within) * 1.0 - (values - low <= within)
     sign[: len(x)][nlp.around] = 0.0
-    sign[[k for k, variable in enumerate(nlp.variables) if variable.name == EPIGRAPH]] = 0.0
+    sign[[k for k, variable in enumerate(nlp.variables) if variable.name.startswith(EPIGRAPH)]] = 0.0
     return sign, low == high
 
 

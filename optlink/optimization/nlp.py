@@ -111,6 +111,9 @@ class NLP:
     exchange_rows: tuple[int, int] = (0, 0)  # index of the first row of the exchange points, number of rows per position
     cycle: bool = False  # of a machine cycle
     recipe: Mapping[str, Any] = field(default_factory=dict, compare=False)  # what it is built from, beside its problem
+    level_symbols: tuple[Any, ...] = ()  # for each unknown that is the largest value of a term, the values whose largest it is
+    first_level: int = 0  # index of the first of these unknowns
+    level_slopes: tuple[float, ...] = ()  # change of the objective [SI] with each
     mapped: MappedTerms | None = field(default=None, compare=False)  # the same programme by vectors of positions
     cache: dict[str, Any] = field(default_factory=dict, compare=False)  # functions compiled for this NLP by back ends
 
@@ -234,7 +237,7 @@ class NLP:
 
     def design(self, x: Array) -> dict[str, float]:
         """Return the design variables of the problem [SI] at x."""
-        return {v.name: v.value(float(y)) for v, y in zip(self.variables, x, strict=True) if v.name != EPIGRAPH}
+        return {v.name: v.value(float(y)) for v, y in zip(self.variables, x, strict=True) if not v.name.startswith(EPIGRAPH)}
 
     def x_of(self, values: Mapping[str, float], *, bounded: bool = True) -> Array:
         """Return x for values of the design variables [SI]; the epigraph variable takes its least value.
@@ -284,12 +287,19 @@ class NLP:
         """Return x with every angle that may be any moved by a revolution towards its bounds."""
         return x - TURN * self.around * ((x > self.x_high) * 1.0 - (x < self.x_low))
 
+    @cached_property
+    def _levels(self) -> CompiledFunction:
+        return self._compiled(*self.level_symbols)
+
     def lifted(self, x: Array) -> Array:
-        """Return the same design with the epigraph variable (if there is one) at the largest residual."""
-        if self.variables[-1].name != EPIGRAPH:
+        """Return the same design with every largest value that is an unknown at its least."""
+        if not self.level_symbols:
             return x
-        largest = float(np.max(self.measure.sizes(self._residuals(x, self.p)[0]))) / self.variables[-1].size
-        return np.append(x[:-1], largest if math.isfinite(largest) else 1.0)
+        x = x.copy()
+        for k, values in enumerate(self._levels(x, self.p)):
+            largest = float(np.max(values))
+            x[self.first_level + k] = largest if math.isfinite(largest) else 1.0
+        return x
 
 
 def _symmetric(function: Any) -> CompiledFunction:

@@ -42,6 +42,23 @@ class ErrorMeasure:
         return 0.5 / max(self.of(residuals), 1e-150) if self.name == "rms" else 1.0
 
 
+@dataclass(frozen=True)
+class Figure(ErrorMeasure):
+    """An objective with a single value."""
+
+    def sizes(self, residuals: ArrayLike) -> NDArray[np.float64]:
+        """Return the absolute value of the residuals."""
+        return np.asarray(np.abs(np.asarray(residuals, dtype=float)), dtype=float)
+
+    def of(self, residuals: ArrayLike) -> float:
+        """Return the value of the objective."""
+        return float(np.asarray(residuals, dtype=float).ravel()[0])
+
+    def slope(self, residuals: ArrayLike) -> float:
+        """Return the derivative of the objective with respect to that of the NLP."""
+        return 1.0
+
+
 def error_measures(unit: str, width: int = 1) -> dict[str, ErrorMeasure]:
     """Return every measure of residuals in a unit, by name; `width` is the number of components per position."""
     units = {"sum of squares": f"{unit}^2", "rms": unit, "max": unit}

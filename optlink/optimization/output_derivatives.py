@@ -104,7 +104,7 @@ class ErrorResiduals:
         return np.asarray(np.sqrt(square / len(law.offsets)) if measure == "rms" else square, dtype=float)
 
     def band(self, values: Mapping[str, Value], offsets: Array) -> tuple[Array, Array]:
-        """Return the lower and upper end [rad or m] of the error at offsets (n,); for an expected square one standard deviation."""
+        """Return the lower and upper end [rad or m] of the error at offsets (n,); for an expected square one sigma."""
         mean, *rest = parts = self.parts(values, offsets, _tabulated(self.problem, offsets))
         if self.robust is not None and self.robust.text == EXPECTED:
             sigma = np.sqrt(np.sum(np.square(rest), axis=0))

@@ -1,53 +1,55 @@
-"""build(problem, direction) -> NLP: the scaled nonlinear programme of a law, path, motion or transmission problem.
+"""build(problem, direction) -> NLP: the scaled nonlinear programme of a design problem with targets.
 
-Its variables are the design variables, without prescribed timing the crank angle of every point, and the largest deviation where
-this is minimised. Deviations and limits are traced once, at one crank angle, and apply at the positions of the requirement, at
-fixed crank angles and at exchange points, which move to where a limit or the largest deviation is exceeded.
+Its variables are the design variables, without prescribed timing the crank angle of every point, and the largest value of every
+term that is minimised at its peak. Deviations, limits and quantities of the machine are traced once, at one crank angle, and
+apply at the positions of the requirement, at fixed crank angles and at exchange points, which move to where a limit or a largest
+value is exceeded.
 """
 
 import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import casadi
 import numpy as np
 
-from optlink.linkage.vector2d import TURN, Array, Value, unit
-from optlink.optimization.constraints import (
-    DEGREES,
-    PLAIN,
-    ConstraintRow,
-    Scale,
-    SquareRootScale,
-    position_rows,
-    rows as limit_rows,
+from optlink.linkage.vector2d import TURN, Array, unit
+from optlink.optimization.constraints import DEGREES, PLAIN, ConstraintRow, Scale, SquareRootScale, rows as limit_rows
+from optlink.optimization.courses import (
+    ErrorCourse,
+    LimitCourse,
+    TermCourse,
+    exchange_count,
+    has_course,
+    limit_courses,
 )
+from optlink.optimization.cycle_constraints import heights_at, rows_below_level
 from optlink.optimization.mapped_terms import MappedTerms
 from optlink.optimization.nlp import NLP, Variable, boxed, scaled_variable
-from optlink.optimization.objectives import error_measures
-from optlink.optimization.output_derivatives import ErrorResiduals, traced_residuals
+from optlink.optimization.objectives import Figure, error_measures
+from optlink.optimization.output_derivatives import traced_residuals
 from optlink.problem.function import EPIGRAPH
 from optlink.problem.limits import Reach
 from optlink.problem.path import STEP, PathProblem
 from optlink.problem.robust import EXPECTED, SMOOTHED
 from optlink.symbolic import symbols_in_numpy
+from optlink.units import DISPLAYED
 
-GRID = 36  # crank angles at which the assembly of a mechanism other than a four-bar is checked
-EXCHANGE_POINTS = 24  # further ones, moved by the exchange method to where a limit is exceeded
-LEVEL_POINTS = 12  # the same for a largest error alone; twice as many with scatter, which makes it flatter
-BETWEEN = 3  # positions between two points if full crank rotation is not required
 EXACT = 1e-10  # share of the size of the curve: residual that counts as zero
 SPAN = "requirement.span"
 """Name of the parameter that is the crank rotation of a law."""
 TARGET = "target "
 """Beginning of the names of the parameters that are components of the targets."""
+SMOOTHED_BY = "smoothing"
+RowsAt = Callable[[Any], list[ConstraintRow]]
+"""Makes the rows of a course at a crank angle."""
 
 
-def angle_name(index: int) -> str:
+def angle_name(index: int, suffix: str = "") -> str:
     """Return the name of the variable that is the crank angle of a point; points count from 1."""
-    return f"crank angle of point {index + 1}"
+    return f"crank angle of point {index + 1}{suffix}"
 
 
 def path_variable(problem: PathProblem, name: str) -> Variable:
@@ -57,225 +59,193 @@ def path_variable(problem: PathProblem, name: str) -> Variable:
     return scaled_variable(problem, name, problem.size, periodic=problem.is_periodic(name), origin=origin)
 
 
-def has_position_limits(problem: PathProblem) -> bool:
-    """Return whether limits at single crank angles (`position_rows`) apply; for a four-bar the extremes are known instead."""
-    return not problem.four_bar
-
-
-def has_levels(problem: PathProblem) -> bool:
-    """Return whether the objective is the largest value over a range: the error of a law that is a formula over its span, or the
-    cosine of the transmission angles over the revolution, whose extremes are known for a four-bar."""
-    return problem.everywhere and not (problem.requirement.kind == "transmission" and problem.four_bar)
-
-
-def build(problem: PathProblem, direction: int = 1, *, movable: bool = False) -> NLP:
+def build(problem: PathProblem, direction: int = 1, *, movable: bool = False, near: Mapping[str, float] | None = None) -> NLP:
     """Build the nonlinear programme of a problem with definite assembly modes.
 
     `direction` is the sense of crank rotation from point to point without prescribed timing: +1 counter-clockwise, -1 clockwise.
     `movable`: points and poses, and the crank rotation of an expression, are parameters. The exchange points of the NLP are
-    shares of the motion over which limits and the largest error apply, see `required_motion` and `level_motion`.
+    shares of the motion over which limits and largest values apply, see `courses`. `near`: a design [SI] whose extreme values of
+    machine quantities are their units; by default that of the file.
     """
-    return _Builder(problem, direction, movable).nlp()
+    return _Builder(problem, direction, movable, near).nlp()
 
 
 class _Builder:
     """The expressions of a programme, in the order in which they are made."""
 
-    def __init__(self, problem: PathProblem, direction: int, movable: bool) -> None:
-        self.problem, self.size, self.share, data = problem, problem.size, problem.whole, problem.data
-        self.recipe = {"builder": "path", "direction": direction}
-        self.free_timing, self.count = data.offsets is None, len(data.columns)
-        self.single = problem.requirement.kind == "transmission"  # every dyad has a transmission angle of its own
-        robust = problem.robust
-        width = 1 if self.single else problem.width
-        if robust is not None and robust.text == EXPECTED:
-            width = 1 + len(problem.deviations)
-        self.measure = error_measures(problem.unit, width)[problem.measure]
-        self.minimax, self.signed = self.measure.name == "max", problem.width == 1 and not self.single
-        free = problem.free
+    def __init__(self, problem: PathProblem, direction: int, movable: bool, near: Mapping[str, float] | None) -> None:
+        self.problem, self.direction, self.movable = problem, direction, movable
+        self.recipe = {"builder": "path", "direction": direction} | ({"near": dict(near)} if near else {})
+        self.terms = TermCourse(problem, near) if problem.goals or problem.bounds else None
+        free, first, robust = problem.free, problem.parts[0], problem.robust
         fixed = [path_variable(problem, name) for name in problem.quantities if name not in free]
         self.fixed = tuple(v.name for v in fixed)
         self.variables = [path_variable(problem, name) for name in free]
-        self.variables += [Variable(angle_name(i), 1.0, DEGREES) for i in range(self.count if self.free_timing else 0)]
-        if self.minimax:
-            scale = DEGREES if problem.unit == "rad" else Scale(problem.unit, self.share)
-            self.variables.append(Variable(EPIGRAPH, self.share, scale))
-        self.moving = target_constants(problem) if movable and problem.pointed else []
-        self.spanned = movable and problem.movable_span
-        counted = [Variable(name, self.size, Scale("mm", 1e3 * self.size)) for name in problem.counted]
-        span = [Variable(SPAN, 1.0, DEGREES)] if self.spanned else []
-        self.constants = [*fixed, *counted, *span, *self.moving]
+        timed = [part for part in problem.parts if part.data.offsets is None]
+        angles = [angle_name(i, part.suffix) for part in timed for i in range(len(part.data.columns))]
+        self.variables += [Variable(name, 1.0, DEGREES) for name in angles]
+        self.first_level = len(self.variables)
+        for part in filter(_levelled, problem.parts):
+            scale = DEGREES if part.unit == "rad" else Scale(part.unit, part.whole)
+            self.variables.append(Variable(f"{EPIGRAPH}{part.suffix}", part.whole, scale))
+        self.variables += () if self.terms is None else self.terms.levels
+        self.helpers = frozenset({EPIGRAPH, *angles, *(v.name for v in self.variables[self.first_level :])})
+        self.moving = target_constants(first) if movable and first.pointed else []
+        self.spanned = movable and first.movable_span
+        counted = [Variable(name, problem.size, Scale("mm", 1e3 * problem.size)) for name in problem.counted]
+        self.constants = [*fixed, *counted, *([Variable(SPAN, 1.0, DEGREES)] if self.spanned else []), *self.moving]
         self.smoothing = 1 + len(self.constants) if robust is not None and robust.text != EXPECTED else 0
-        levels = has_levels(problem)
-        self.many = EXCHANGE_POINTS if has_position_limits(problem) or (levels and robust) else LEVEL_POINTS * levels
+        self.many = exchange_count(problem)
         self.exchanged_from = 1 + len(self.constants) + (self.smoothing > 0)
         self.x = casadi.SX.sym("x", len(self.variables))
         self.p = casadi.SX.sym("p", self.exchanged_from + self.many)
         given = {v.name: v.value(self.p[1 + i]) for i, v in enumerate(self.constants)}
-        values = {v.name: v.value(self.x[i]) for i, v in enumerate(self.variables[: len(free)])}
-        self.values: dict[str, Any] = values | {name: given[name] for name in self.fixed}
+        values: dict[str, Any] = {v.name: v.value(self.x[i]) for i, v in enumerate(self.variables[: len(free)])}
+        values |= {name: given[name] for name in self.fixed}
         self.tolerances = {v.name: given[v.name] for v in counted}
-        self.targets = [given[v.name] for v in self.moving]
-        self.span = given.get(SPAN)
+        self.targets, self.span = [given[v.name] for v in self.moving], given.get(SPAN)
         self.rows: list[ConstraintRow] = []
+        self.traced: list[_Positions] = []
         with symbols_in_numpy():
-            self.values = problem.complete(self.values)
-            self._trace()
-            self._time(direction)
+            self.values: dict[str, Any] = problem.complete(values)
+            smoothing = [self.p[self.smoothing]] if self.smoothing else []
+            self.known = casadi.vertcat(*self.values.values(), *self.tolerances.values(), *smoothing)
+            self.blocks: list[_Targets] = []
+            at, level = len(free), self.first_level
+            for part in problem.parts:
+                count = len(part.data.columns) if part.data.offsets is None else 0
+                largest = self.x[level] if _levelled(part) else None
+                self.blocks.append(_Targets(self, part, [self.x[at + i] for i in range(count)], largest))
+                at, level = at + count, level + _levelled(part)
             self._limit()
-            self._measure()
+            self._objective()
 
-    # --- one position ------------------------------------------------------------------------------------------------------
+    def inputs(self) -> tuple[Any, Any, dict[str, Any]]:
+        """Return symbols of what is known at one position: all inputs, the crank angle, and everything else by its name."""
+        names = [*self.values, *self.tolerances, *([SMOOTHED_BY] if self.smoothing else [])]
+        inputs = casadi.SX.sym("inputs", len(names) + 1)
+        return inputs, inputs[-1], {name: inputs[i] for i, name in enumerate(names)}
 
-    def _trace(self) -> None:
-        """Trace the residual and the limits at one crank angle.
+    def positions(self, function: Any) -> "_Positions":
+        """Return the positions of a further traced function."""
+        self.traced.append(_Positions(function))
+        return self.traced[-1]
 
-        Both are functions of what is known and a crank angle, and of the factor of the start angle that is added; the residual
-        also of the target.
-        """
-        problem, names = self.problem, list(self.values)
-        extra = [*self.tolerances, *([SMOOTHED_BY] if self.smoothing else [])]
-        inputs = casadi.SX.sym("inputs", len(names) + len(extra) + 1)
-        senses = casadi.SX.sym("senses", 1 + problem.data.columns.shape[1])
-        known = {name: inputs[i] for i, name in enumerate([*names, *extra])}
-        quantities = {name: known[name] for name in names}
-        start = quantities.get(problem.start_name)
-        angle = inputs[-1] + (senses[0] * start if start is not None else 0.0)
-        target = tuple(casadi.vertsplit(senses[1:]))
-        if problem.law_given:
-            target = (inputs[-1], *target[1:])  # the crank rotation itself, which may be an unknown
-        if problem.robust is None:
-            parts = problem.deviation(problem.linkage.pose(quantities, unit(angle)), quantities, target)
-        else:
-            parts = traced_residuals(problem, known, angle, target, known.get(SMOOTHED_BY, 0.0))
-        self.placed: list[ConstraintRow] = []
-        if has_position_limits(problem):
-            self.placed = position_rows(problem, problem.linkage.pose(quantities, unit(angle)))
-        residual = casadi.Function("residual", [inputs, senses], [casadi.vertcat(*parts)])
-        limits = casadi.Function("limits", [inputs, senses[0]], [casadi.vertcat(*[row.value for row in self.placed])])
-        smoothing = [self.p[self.smoothing]] if self.smoothing else []
-        self.known = casadi.vertcat(*self.values.values(), *self.tolerances.values(), *smoothing)
-        self.watched, self.limited = _Positions(residual), _Positions(limits)
-
-    # --- positions ---------------------------------------------------------------------------------------------------------
-
-    def _time(self, direction: int) -> None:
-        """Define the crank angles of the positions, from the start if there is one, and the errors there."""
-        problem, data = self.problem, self.problem.data
-        self.origin = 0.0 if self.free_timing or problem.timing != "from start" else 1.0  # factor of the start angle
-        if self.free_timing:
-            first = len(problem.free)
-            self.angles: list[Any] = [self.x[first + i] for i in range(self.count)]
-        else:
-            assert data.offsets is not None
-            self.angles = data.offsets.tolist()
-            direction = 1 if self.angles[-1] >= self.angles[0] else -1
-            if self.spanned:
-                self.angles = [self.span * (offset / problem.span) for offset in self.angles]
-        self.direction = direction
-        columns: Any = data.columns.tolist()
-        stretch: Any = 1.0
-        if self.moving:
-            width = data.columns.shape[1]
-            columns = [self.targets[width * k : width * (k + 1)] for k in range(self.count)]
-            stretch = casadi.vertcat(1.0, 1.0, self.targets[-1] / problem.radian) if problem.width == 3 else 1.0
-        errors = [self.watched.at(angle, self.origin, *row) for angle, row in zip(self.angles, columns, strict=True)]
-        self.errors = [error * root * stretch for error, root in zip(errors, data.roots.tolist(), strict=True)]
+    # --- limits ------------------------------------------------------------------------------------------------------------
 
     def _limit(self) -> None:
         """Add the rows of all limits: of the dimensions, at fixed positions, at exchange points, of the order of the points."""
-        problem, angles = self.problem, self.angles
-        span = self.direction * TURN if problem.closed and self.free_timing else angles[-1] - angles[0]
-        begin = angles[0] + self.values[problem.start_name] if self.origin else angles[0]
-        if problem.law_given:
-            begin, span = self.values[problem.start_name], self.span if self.spanned else problem.span
-        self.rows += limit_rows(problem, self.values, Reach(begin, span, self.direction), self.size)
-        kinds = sorted({row.over_span for row in self.placed})
-        for over_span in kinds:
-            for angle in _fixed_positions(problem, angles, over_span):
-                self.rows += self._limits_at(angle, over_span).values()
-        self.first, self.further = len(self.rows), list[Any]()
-        motion = level_motion(problem, self.span)
+        problem = self.problem
+        begin, span = self.blocks[0].reach
+        self.rows += limit_rows(problem, self.values, Reach(begin, span, self.blocks[0].direction), problem.size)
+        courses: list[tuple[Callable[[], tuple[Any, Any]], RowsAt]] = []
+        for course in limit_courses(problem):
+            angles = next((block.angles for block in self.blocks if block.part is course.part), None)
+            rows_at = self._limit_course(course, angles)
+            self.rows += [row for angle in course.fixed_positions(angles) for row in rows_at(angle)]
+            courses.append((lambda course=course, angles=angles: course.motion(angles), rows_at))
+        if self.terms is not None:
+            courses.append((lambda: (0.0, TURN), self._term_course(self.terms)))
+        for block in self.blocks:
+            if block.course is not None:
+                courses.append((lambda block=block: block.course.motion(self.span), block.rows_at))
+        self.first = len(self.rows)
         for k in range(self.many):
-            share, exchanged = self.p[self.exchanged_from + k], dict[int, ConstraintRow]()
-            for over_span in kinds:
-                begin, whole = required_motion(problem, angles, over_span=over_span)
-                exchanged |= self._limits_at(begin + whole * share, over_span)
-            self.rows += [exchanged[j] for j in range(len(self.placed))]
-            if motion is not None:
-                empty = [0.0] * problem.data.columns.shape[1]
-                self.further.append(self.watched.at(motion[0] + motion[1] * share, self.origin, *empty))
-                self.rows += self._below_largest(self.further[-1], "at its peak" if self.signed else "at another crank angle")
-        if self.free_timing:
-            steps = [(b - a) * self.direction for a, b in itertools.pairwise(angles)]
-            self.rows += [
-                ConstraintRow("requirement.points", f"order of points {i + 1} and {i + 2}", step, STEP, math.inf, DEGREES)
-                for i, step in enumerate(steps)
-            ]
-            passed = (angles[-1] - angles[0]) * self.direction
-            most = TURN - (0.0 if problem.meets_again else STEP)
-            label = "points within one revolution"
-            self.rows.append(ConstraintRow("requirement.points", label, passed, -math.inf, most, DEGREES))
+            for motion, rows_at in courses:
+                begin, whole = motion()
+                self.rows += rows_at(begin + whole * self.p[self.exchanged_from + k])
+        self.each = (len(self.rows) - self.first) // max(1, self.many)
+        for block in self.blocks:
+            self.rows += block.order()
 
-    def _limits_at(self, angle: Any, over_span: bool) -> dict[int, ConstraintRow]:
-        """Return the rows of the limits at a crank angle, by their numbers, which apply over the span or elsewhere."""
-        along = along_points(self.problem, over_span=over_span)
-        rows, options = self.limited.at(angle, self.origin if along else 0.0), {"place": angle, "periodic": not along}
-        return {k: replace(row, value=rows[k], **options) for k, row in enumerate(self.placed) if row.over_span == over_span}
+    def _limit_course(self, course: LimitCourse, angles: Any) -> RowsAt:
+        """Trace the limits of a course at one crank angle; return a function that makes their rows at others."""
+        inputs, place, known = self.inputs()
+        part = course.part
+        start = known.get(part.start_name) if part is not None and part.timing == "from start" else None
+        placed = course.rows(self.problem.linkage.pose(known, unit(place if start is None else place + start)))
+        values = casadi.vertcat(*[row.value for row in placed])
+        at = self.positions(casadi.Function("limits", [inputs, casadi.SX.sym("none", 0)], [values]))
+
+        def rows_at(angle: Any) -> list[ConstraintRow]:
+            z = at.at(angle)
+            return [replace(row, value=z[k], place=angle, periodic=part is None) for k, row in enumerate(placed)]
+
+        return rows_at
+
+    def _term_course(self, terms: TermCourse) -> RowsAt:
+        """Add the rows and figures of quantities of the machine; return a function that makes their rows at other angles."""
+        trace, levels = terms.trace, self.x[len(self.variables) - len(terms.levels) :]
+        inputs, place, known = self.inputs()
+        none = casadi.SX.sym("none", 0)
+        signals = trace.at(casadi.vertcat(*[known[name] for name in trace.names], place), none)
+        at = self.positions(casadi.Function("terms", [inputs, none], [signals]))
+        self.term_heights: list[list[Any]] = [[] for _ in terms.levels]
+
+        def rows_of(z: Any) -> list[ConstraintRow]:
+            rows = [row for limit in terms.limits for row in limit.rows_at(terms.parts(limit.bound.term, z))]
+            for k, (goal, size) in enumerate(zip(terms.extremes, terms.sizes, strict=True)):
+                parts = terms.parts(goal, z)
+                rows += rows_below_level(goal, size, levels[k], parts)
+                self.term_heights[k] += heights_at(goal, size, parts)
+            return rows
+
+        nodes = [at.at(angle) for angle in terms.fixed]
+        self.figure = lambda term: terms.figure(term, self.values, nodes)
+        self.rows += [limit.row(self.figure(limit.bound.term)) for limit in terms.fixed_limits]
+        self.rows += [row for z in nodes for row in rows_of(z)]
+        return lambda angle: rows_of(at.at(angle))
 
     # --- objective ---------------------------------------------------------------------------------------------------------
 
-    def _below_largest(self, error: Any, where: str) -> Iterator[ConstraintRow]:
-        """Yield the rows that keep an error, or each of several transmission cosines, below the largest one.
-
-        They are scaled by the objective: otherwise all rows of a small error would count as active. One component has a row for
-        either sign: its square would be stationary where it vanishes.
-        """
-        largest, parts = self.x[-1], casadi.vertsplit(error)
-        if self.signed:
-            upper, lower = largest - parts[0] / self.share, largest + parts[-1] / self.share
-            for sign, height in (("positive", upper), ("negative", lower)):
-                yield ConstraintRow(EPIGRAPH, f"{sign} error {where}", height / self.p[0], 0.0, math.inf, PLAIN)
+    def _objective(self) -> None:
+        """Define the objective: the measure of one requirement, or the weighted sum of several terms [SI]."""
+        problem, block = self.problem, self.blocks[0]
+        for one in self.blocks:
+            one.reduce()
+        heights = [(casadi.vertcat(*one.heights), one.part.whole * one.part.worth) for one in self.blocks if _levelled(one.part)]
+        if self.terms is None and len(self.blocks) == 1 and block.part.tolerance is None:
+            whole, levelled = block.part.whole, _levelled(block.part)
+            self.measure, self.residual, self.exact = block.measure, block.residual, EXACT * whole
+            self.factor = whole if levelled else whole**2
+            self.f = self.x[-1] if levelled else block.value / self.factor
+            self.heights = [(heights[0][0], whole)] if levelled else []
             return
-        for square in [part * part for part in parts] if self.single else [casadi.sumsqr(error)]:
-            height = (largest * largest - square / self.share**2) / (self.p[0] * self.p[0])
-            yield ConstraintRow(EPIGRAPH, f"deviation {where}", height, 0.0, math.inf, PLAIN)
-
-    def _measure(self) -> None:
-        """Add the rows of tolerances and of the largest deviation, and define the objective."""
-        problem, data = self.problem, self.problem.data
-        for i, (error, tolerance) in enumerate(zip(self.errors, data.tolerances.tolist(), strict=True)):
-            if math.isfinite(tolerance):
-                square = casadi.sumsqr(error[:2]) / (data.roots[i] * self.size) ** 2
-                label, scale = f"distance from point {i + 1}", SquareRootScale("mm", 1e3 * self.size)
-                most = (tolerance / self.size) ** 2
-                self.rows.append(ConstraintRow("requirement.points", label, square, -math.inf, most, scale))
-            if self.minimax:
-                self.rows += self._below_largest(error, f"at point {i + 1}")
-        self.residual = casadi.vertcat(*self.errors, *self.further)
-        mean = self.count if self.measure.name == "rms" else 1
-        self.f = self.x[-1] if self.minimax else casadi.sumsqr(self.residual) / (self.share**2 * mean)
+        total = casadi.SX(0.0)
+        for one in self.blocks:
+            if one.part.tolerance is None:
+                total += one.part.worth * one.value
+        if self.terms is not None:
+            levels = iter(casadi.vertsplit(self.x[len(self.variables) - len(self.terms.levels) :]))
+            sizes = iter(self.terms.sizes)
+            for goal, worth in zip(self.terms.goals, self.terms.worths, strict=True):
+                if goal.extreme:
+                    slope = worth * next(sizes)
+                    heights.append((casadi.vertcat(*self.term_heights[len(heights) - sum(map(_levelled, problem.parts))]), slope))
+                    total += slope * next(levels)
+                else:
+                    total += worth * (-1.0 if goal.sense == "maximise" else 1.0) * self.figure(goal)
+        self.f = self.residual = total
+        self.measure, self.factor, self.exact, self.heights = Figure("figure", problem.objective_unit), 1.0, 0.0, heights
 
     def nlp(self) -> NLP:
         """Return the programme."""
         problem, free = self.problem, self.problem.free
         g = casadi.vertcat(*[row.value for row in self.rows]) if self.rows else casadi.SX(0, 1)
-        used = [each for each in (self.watched, self.limited) if each.places]
-        at, places, senses, z = zip(*(each.terms for each in used), strict=True)
+        at, places, senses, z = zip(*(each.terms for each in self.traced if each.places), strict=True)
         mapped = MappedTerms(self.x, self.p, at, self.known, len(free), places, senses, z, self.f / self.p[0], g)
-        f, g, residual = mapped.expanded([mapped.f, g, self.residual])
-        between = (np.arange(self.many) + 0.5) / max(1, self.many)  # initially half-way between two positions of a grid
+        levels = [height for height, _ in self.heights]
+        f, g, residual, *levels = mapped.expanded([mapped.f, g, self.residual, *levels])
         box = [boxed(problem.quantities[v.name], v) for v in self.variables[: len(free)]]
-        if self.free_timing:
-            step = self.direction * TURN / self.count
-            box += [(-4.0 * math.pi, 4.0 * math.pi, step * i) for i in range(self.count)]
-        if self.minimax:
-            box.append((0.0, math.inf, 1.0))
+        for block in self.blocks:
+            step = block.direction * TURN / block.count
+            box += [(-4.0 * math.pi, 4.0 * math.pi, step * i) for i in range(block.count if block.free_timing else 0)]
+        signed = [] if self.terms is None else [goal.how != "peak" for goal in self.terms.extremes]
+        box += [(0.0, math.inf, 1.0)] * (len(self.variables) - len(box) - len(signed))
+        box += [(-math.inf if free_sign else 0.0, math.inf, 1.0) for free_sign in signed]
         x_low, x_high, x_start = np.array(box).reshape(-1, 3).T.copy()
-        helpers = {EPIGRAPH, *(angle_name(i) for i in range(self.count if self.free_timing else 0))}
-        position = casadi.SX.sym("position", 2)  # crank rotation from the start, tabulated output
-        one = [casadi.vertcat(self.known, position[0]), casadi.vertcat(1.0, position)] if problem.law_given else None
-        levels = self.watched.function.numel_out(0) if not self.signed else 2
+        between = (np.arange(self.many) + 0.5) / max(1, self.many)  # initially half-way between two positions of a grid
+        smoothing = [SMOOTHED] if self.smoothing else []
         return NLP(
             variables=tuple(self.variables),
             fixed=self.fixed,
@@ -284,29 +254,175 @@ class _Builder:
             x_start=x_start,
             x_low=x_low,
             x_high=x_high,
-            p=np.array(
-                [1.0, *constant_values(problem, self.constants), *([SMOOTHED] if self.smoothing else []), *between], dtype=float
-            ),
+            p=np.array([1.0, *constant_values(problem, self.constants), *smoothing, *between], dtype=float),
             x_symbol=self.x,
             p_symbol=self.p,
             f_expression=f,
             g_expression=g,
             residual_expression=residual,
-            exact=EXACT * self.share,
-            factor=self.share if self.minimax else self.share**2,
-            helpers=frozenset(helpers),
+            exact=self.exact,
+            factor=self.factor,
+            helpers=self.helpers,
             place_expression=casadi.vertcat(*(0.0 if row.place is None else row.place for row in self.rows)),
-            exchange_rows=(self.first, len(self.placed) + (levels if self.further else 0)),
+            exchange_rows=(self.first, self.each),
             constants=tuple(self.constants),
             smoothing=self.smoothing,
-            position_symbol=position,
-            position_expression=None if one is None else self.watched.function(*one),
+            level_symbols=tuple(levels),
+            first_level=self.first_level,
+            level_slopes=tuple(slope for _, slope in self.heights),
             mapped=mapped,
             recipe=self.recipe,
+            **self.blocks[0].one_position(),
         )
 
 
-SMOOTHED_BY = "smoothing"
+def _levelled(part: PathProblem) -> bool:
+    """Return whether the largest deviation of a requirement is minimised."""
+    return part.tolerance is None and part.measure == "max"
+
+
+class _Targets:
+    """The targets of one requirement: positions, the errors there, and what becomes of them.
+
+    `angles`: unknown crank angles of its points, if they are; `level`: the largest deviation, if it is minimised.
+    """
+
+    def __init__(self, of: _Builder, part: PathProblem, angles: list[Any], level: Any) -> None:
+        self.of, self.part, self.level = of, part, level
+        self.count, self.free_timing = len(part.data.columns), part.data.offsets is None
+        self.cosines = part.requirement.kind == "transmission"  # every dyad has a transmission angle of its own
+        self.signed = part.width == 1 and not self.cosines
+        width = 1 if self.cosines else part.width
+        if part.robust is not None and part.robust.text == EXPECTED:
+            width = 1 + len(part.deviations)
+        self.measure = error_measures(part.unit, width)[part.measure]
+        self.course = ErrorCourse(part) if has_course(part) else None
+        self.heights: list[Any] = []
+        self.further: list[Any] = []
+        self._trace()
+        self._time(angles)
+
+    def _trace(self) -> None:
+        """Trace the residual at a crank angle; the further inputs are the factor of the start angle, and the target."""
+        part = self.part
+        inputs, place, known = self.of.inputs()
+        senses = casadi.SX.sym("senses", 1 + part.data.columns.shape[1])
+        start = known.get(part.start_name)
+        angle = place + (senses[0] * start if start is not None else 0.0)
+        target = tuple(casadi.vertsplit(senses[1:]))
+        if part.law_given:
+            target = (place, *target[1:])  # the crank rotation itself, which may be an unknown
+        if part.robust is None:
+            parts = part.deviation(part.linkage.pose(known, unit(angle)), known, target)
+        else:
+            parts = traced_residuals(part, known, angle, target, known.get(SMOOTHED_BY, 0.0))
+        self.watched = self.of.positions(casadi.Function("residual", [inputs, senses], [casadi.vertcat(*parts)]))
+
+    def one_position(self) -> dict[str, Any]:
+        """Return symbols of a position of a law, its crank rotation and tabulated output, and the residual there."""
+        if not self.part.law_given:
+            return {}
+        position = casadi.SX.sym("position", 2)
+        inputs = casadi.vertcat(self.of.known, position[0]), casadi.vertcat(1.0, position)
+        return {"position_symbol": position, "position_expression": self.watched.function(*inputs)}
+
+    def _time(self, angles: list[Any]) -> None:
+        """Define the crank angles of the positions, from the start if there is one, and the errors there."""
+        part, data, of = self.part, self.part.data, self.of
+        self.origin = 0.0 if self.free_timing or part.timing != "from start" else 1.0  # factor of the start angle
+        self.direction, self.angles = of.direction, angles
+        if data.offsets is not None:
+            self.angles = data.offsets.tolist()
+            self.direction = 1 if self.angles[-1] >= self.angles[0] else -1
+            if of.spanned:
+                self.angles = [of.span * (offset / part.span) for offset in self.angles]
+        columns: Any = data.columns.tolist()
+        stretch: Any = 1.0
+        if of.moving:
+            width = data.columns.shape[1]
+            columns = [of.targets[width * k : width * (k + 1)] for k in range(self.count)]
+            stretch = casadi.vertcat(1.0, 1.0, of.targets[-1] / part.radian) if part.width == 3 else 1.0
+        errors = [self.watched.at(angle, self.origin, *row) for angle, row in zip(self.angles, columns, strict=True)]
+        self.errors = [error * root * stretch for error, root in zip(errors, data.roots.tolist(), strict=True)]
+
+    @property
+    def reach(self) -> tuple[Any, Any]:
+        """Crank angle [rad] at which the requirement begins, and its rotation."""
+        if self.part.law_given:
+            return self.of.values[self.part.start_name], self.of.span if self.of.spanned else self.part.span
+        begin = self.angles[0] + self.of.values[self.part.start_name] if self.origin else self.angles[0]
+        whole = self.part.closed and self.free_timing
+        return begin, self.direction * TURN if whole else self.angles[-1] - self.angles[0]
+
+    def order(self) -> Iterator[ConstraintRow]:
+        """Yield the rows that keep points without prescribed timing in order, within one revolution."""
+        if not self.free_timing:
+            return
+        key, suffix = f"{self.part.key}.points", self.part.suffix
+        for i, (a, b) in enumerate(itertools.pairwise(self.angles)):
+            label = f"order of points {i + 1} and {i + 2}{suffix}"
+            yield ConstraintRow(key, label, (b - a) * self.direction, STEP, math.inf, DEGREES)
+        passed, most = (self.angles[-1] - self.angles[0]) * self.direction, TURN - (0.0 if self.part.meets_again else STEP)
+        yield ConstraintRow(key, f"points within one revolution{suffix}", passed, -math.inf, most, DEGREES)
+
+    def rows_at(self, angle: Any) -> list[ConstraintRow]:
+        """Return the rows of the largest error, or of its limit, at a further crank angle."""
+        self.further.append(self.watched.at(angle, self.origin, *[0.0] * self.part.data.columns.shape[1]))
+        return list(self._below(self.further[-1], "at its peak" if self.signed else "at another crank angle"))
+
+    def _below(self, error: Any, where: str) -> Iterator[ConstraintRow]:
+        """Yield the rows that keep an error, or each of several transmission cosines, below the largest one or the tolerance.
+
+        One component has a row for either sign: its square would be stationary where it vanishes. Alone, the largest one scales
+        its rows: otherwise all rows of a small error would count as active.
+        """
+        parts, whole, most = casadi.vertsplit(error), self.part.whole, self.part.tolerance
+        squares = [part * part / whole**2 for part in parts] if self.cosines else [casadi.sumsqr(error) / whole**2]
+        if most is None:
+            scale = self.of.p[0] if len(self.of.variables) == self.of.first_level + 1 else 1.0
+            upper, lower = self.level - parts[0] / whole, self.level + parts[-1] / whole
+            if self.signed:
+                self.heights += [casadi.fabs(part) / whole for part in parts]
+                yield ConstraintRow(EPIGRAPH, f"positive error {where}", upper / scale, 0.0, math.inf, PLAIN)
+                yield ConstraintRow(EPIGRAPH, f"negative error {where}", lower / scale, 0.0, math.inf, PLAIN)
+                return
+            for square in squares:
+                self.heights.append(casadi.sqrt(square))
+                height = (self.level * self.level - square) / (scale * scale)
+                yield ConstraintRow(EPIGRAPH, f"deviation {where}", height, 0.0, math.inf, PLAIN)
+            return
+        key, bound, (factor, unit_of) = f"{self.part.key}.tolerance", most / whole, DISPLAYED[self.part.unit]
+        label = f"deviation{self.part.suffix}"
+        if self.signed:
+            for part, low, high in ((parts[0], -math.inf, bound), (parts[-1], -bound, math.inf)):
+                yield ConstraintRow(key, label, part / whole, low, high, Scale(unit_of, factor * whole))
+            return
+        for square in squares:
+            yield ConstraintRow(key, label, square, -math.inf, bound**2, SquareRootScale(unit_of, factor * whole))
+
+    def reduce(self) -> None:
+        """Reduce the deviations: rows of the tolerances, and of the largest one or the limited measure; `value` [SI]."""
+        data, part, of = self.part.data, self.part, self.of
+        for i, (error, tolerance) in enumerate(zip(self.errors, data.tolerances.tolist(), strict=True)):
+            if math.isfinite(tolerance):
+                square = casadi.sumsqr(error[:2]) / (data.roots[i] * part.size) ** 2
+                label, scale = f"distance from point {i + 1}{part.suffix}", SquareRootScale("mm", 1e3 * part.size)
+                most = (tolerance / part.size) ** 2
+                of.rows.append(ConstraintRow(f"{part.key}.points", label, square, -math.inf, most, scale))
+            if part.measure == "max":
+                of.rows += self._below(error, f"at point {i + 1}")
+        self.residual = casadi.vertcat(*self.errors, *self.further)
+        if part.measure == "max":
+            self.value = part.whole * self.level
+            return
+        self.value = casadi.sumsqr(self.residual) / (self.count if part.measure == "rms" else 1)
+        if part.measure == "rms" and not (of.terms is None and len(of.problem.parts) == 1 and part.tolerance is None):
+            if part.tolerance is not None:
+                factor, unit_of = DISPLAYED[part.unit]
+                scale, most = SquareRootScale(unit_of, factor * part.whole), (part.tolerance / part.whole) ** 2
+                row = self.value / part.whole**2
+                of.rows.append(ConstraintRow(f"{part.key}.tolerance", f"rms{part.suffix}", row, -math.inf, most, scale))
+            self.value = casadi.sqrt(self.value)
 
 
 class _Positions:
@@ -324,7 +440,8 @@ class _Positions:
     @property
     def terms(self) -> tuple[Any, ...]:
         """The function, its crank angles, other inputs and symbols; see `MappedTerms`."""
-        return self.function, *(casadi.SX(casadi.horzcat(*each)) for each in zip(*self.places, strict=True))
+        angles, senses, z = zip(*self.places, strict=True)
+        return self.function, casadi.SX(casadi.horzcat(*angles)), casadi.SX(casadi.horzcat(*senses)), casadi.horzcat(*z)
 
 
 # --- parameters --------------------------------------------------------------------------------------------------------------
@@ -357,7 +474,7 @@ def constant_values(problem: PathProblem, constants: Sequence[Variable]) -> list
     return [v.scaled(named[v.name]) for v in constants]
 
 
-# --- positions of limits and levels ---------------------------------------------------------------------------------------
+# --- solved programmes --------------------------------------------------------------------------------------------------------
 
 
 def solved_values(task: PathProblem, design: Mapping[str, float], x: Array) -> tuple[dict[str, float], Array]:
@@ -367,73 +484,3 @@ def solved_values(task: PathProblem, design: Mapping[str, float], x: Array) -> t
     free = len(task.free)
     free_angles = x[free : free + len(task.data.columns)] if task.data.offsets is None else None
     return values, task.crank_angles(values, free_angles)
-
-
-def required_motion(problem: PathProblem, angles: Any, *, over_span: bool = False) -> tuple[Any, Any]:
-    """Return the crank angle [rad] at which the motion with position limits begins, and its rotation; see `along_points`."""
-    along = along_points(problem, over_span=over_span)
-    return (angles[0], angles[-1] - angles[0]) if along else (0.0, TURN)
-
-
-def level_motion(problem: PathProblem, span: Any = None) -> tuple[float, Any] | None:
-    """Return begin and rotation [rad] of the range over which the largest error counts, from the start; None for positions."""
-    if not has_levels(problem):
-        return None
-    return (0.0, problem.span if span is None else span) if problem.law_given else (0.0, TURN)
-
-
-def along_points(problem: PathProblem, *, over_span: bool) -> bool:
-    """Return whether limits apply from the first point to the last instead of over the whole revolution.
-
-    `over_span`: they apply there even if the crank must turn fully.
-    """
-    return over_span or problem.limits.crank == "span"
-
-
-def _fixed_positions(problem: PathProblem, angles: list[Any], over_span: bool) -> list[Any]:
-    """Return the crank angles [rad] at which position limits always apply."""
-    if not along_points(problem, over_span=over_span):
-        return list(np.linspace(0.0, TURN, GRID, endpoint=False))
-    between = [a + (b - a) * (k / (BETWEEN + 1)) for a, b in itertools.pairwise(angles) for k in range(BETWEEN + 1)]
-    return [*between, angles[-1]]
-
-
-def limit_excesses(problem: PathProblem, values: Mapping[str, Value], angles: Any, shares: Array) -> Array:
-    """Return the excess (rows, n) or (rows, designs, n) over every position limit, in the units of the rows.
-
-    It is negative if satisfied, -inf if undefined; positions without assembly exceed the row of the assembly margin. `values` [m,
-    rad] and the crank angles [rad] of the points are numbers or arrays (designs, 1); `shares` (n,) are positions as shares of the
-    motion over which each limit applies, see `required_motion`.
-    """
-
-    def rows_over(over_span: bool) -> list[ConstraintRow]:
-        begin, whole = required_motion(problem, angles, over_span=over_span)
-        return position_rows(problem, problem.linkage.pose(values, unit(begin + whole * shares)))
-
-    with np.errstate(all="ignore"):
-        rows = rows_over(False)
-        if any(row.over_span for row in rows):
-            rows = [span_row if row.over_span else row for row, span_row in zip(rows, rows_over(True), strict=True)]
-        over = [np.maximum(row.low - row.value, row.value - row.high) for row in rows]
-        excesses = np.array(np.broadcast_arrays(*over, angles[0] + shares)[:-1])
-    return np.where(np.isfinite(excesses), excesses, -np.inf)
-
-
-def level_excesses(
-    problem: PathProblem, errors: ErrorResiduals | None, values: Mapping[str, Value], largest: float, shares: Array
-) -> Array:
-    """Return the excesses (rows, n) of the errors over the largest one along the range where it counts; -inf if undefined.
-
-    A row for either sign of the error of a law, one for the transmission cosine of each dyad.
-    """
-    motion = level_motion(problem)
-    assert motion is not None
-    offsets = motion[0] + motion[1] * shares
-    with np.errstate(all="ignore"):
-        if errors is not None:
-            lower, upper = errors.band(values, offsets)
-            sizes = np.array([-lower + 0.0 * shares, upper + 0.0 * shares])
-        else:
-            cosines = problem.deviation(problem.linkage.pose(values, unit(offsets)), values, ())
-            sizes = np.array([np.abs(cosine) + 0.0 * shares for cosine in cosines])
-    return np.where(np.isfinite(sizes), sizes - largest, -np.inf)

@@ -192,6 +192,17 @@ class DesignProblem(Problem):
     centre: ClassVar[tuple[float, float]] = (0.0, 0.0)
     four_bar: ClassVar[bool] = True
 
+    suffix: ClassVar[str] = ""
+    key: ClassVar[str] = "requirement"
+    tolerance: ClassVar[None] = None
+    worth: ClassVar[float] = 1.0
+    goals: ClassVar[tuple[Any, ...]] = ()
+    bounds: ClassVar[tuple[Any, ...]] = ()
+
+    @property
+    def parts(self) -> tuple[Any, ...]:
+        return (self,)
+
     @property
     def robust(self) -> Any:
         return self.requirement.robust
@@ -211,6 +222,7 @@ class DesignProblem(Problem):
         return _plain(np.column_stack([self.law.offsets, self.law.tabulated]), self.law.offsets)
 
     def complete(self, values: Mapping[str, Value]) -> dict[str, Value]:
+        values = {**{name: q.value for name, q in self.quantities.items()}, **values}
         start = self.start_position(values)
         return {**values, "phi0": start.phi0, "psi0": start.psi0}
 

@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from pydantic.fields import FieldInfo
@@ -71,6 +71,17 @@ class PathProblem(Problem):
     robust: ClassVar[None] = None
     counted: ClassVar[dict[str, float]] = {}
 
+    suffix: ClassVar[str] = ""
+    key: ClassVar[str] = "requirement"
+    tolerance: ClassVar[None] = None
+    worth: ClassVar[float] = 1.0
+    goals: ClassVar[tuple[Any, ...]] = ()
+    bounds: ClassVar[tuple[Any, ...]] = ()
+
+    @property
+    def parts(self) -> tuple[Any, ...]:
+        return (self,)
+
     @property
     def law_given(self) -> bool:
         return self.requirement.kind == "function"
@@ -91,7 +102,7 @@ class PathProblem(Problem):
         return self.requirement.kind == "transmission" or (self.law_given and not isinstance(self.requirement.law, Table))
 
     def complete(self, values: Mapping[str, Value]) -> dict[str, Value]:
-        return dict(values)
+        return {**{name: q.value for name, q in self.quantities.items()}, **values}
 
     def check(self) -> None:
         """Check that the sections are consistent.

@@ -15,11 +15,10 @@ import numpy as np
 from optlink.errors import Status
 from optlink.linkage.extrema import Function, maxima
 from optlink.linkage.fourbar import lengths_of, time_ratio
-from optlink.linkage.vector2d import Array, unit
-from optlink.optimization.constraints import position_rows
+from optlink.linkage.vector2d import Array
+from optlink.optimization.courses import EXCEEDED, LEAST_LEVEL, LEVELLED, TermCourse, above_level, error_courses, limit_courses
 from optlink.optimization.nlp import NLP
-from optlink.optimization.output_derivatives import ErrorResiduals
-from optlink.optimization.programme import build, has_levels, has_position_limits, level_excesses, limit_excesses, solved_values
+from optlink.optimization.programme import build, solved_values
 from optlink.problem.function import EPIGRAPH
 from optlink.problem.path import PathProblem
 from optlink.solvers import contract, multistart as local
@@ -28,9 +27,6 @@ from optlink.solvers.semi_infinite import with_moving_rows
 from optlink.solvers.solution import Solution
 
 POSITIONS = 1441  # positions along the required motion at which limits are sampled
-EXCEEDED = 2e-9  # permitted excess over a limit, in the unit of its row: less than the validator's tolerance
-LEVELLED, NO_ERROR = 1e-8, 1e-12  # permitted excess over the largest error, as a share of it, and in scaled units
-LEAST_LEVEL = 1e-9  # scaled units: excesses over a smaller error are shares of this one
 EXCHANGES = 40  # rounds
 RADIUS, SMALLEST, LARGEST = 0.3, 1e-6, 10.0  # scaled units: trust-region radius of the first round, and its range
 GROWTH, ALL_BUT = 2.5, 0.9  # of the radius after a step of at least that share of it
@@ -48,22 +44,22 @@ RESTORED = 0.5  # share of a violation: a step that leaves at most this much of 
 
 @dataclass(frozen=True)
 class RowPeak:
-    """A local maximum of a row, at a share of the motion over which it applies; `level`: of the largest error, not a limit."""
+    """A local maximum of a row at a share of its motion; `level`: number of the largest value to which it belongs, -1: a limit."""
 
     at: float
     height: float
     row: int
-    level: bool = False
+    level: int = -1
 
     @property
     def tracked(self) -> bool:
         """Whether it may exceed the limit or level in the next round."""
-        return self.height > -(TRACKED_LEVEL if self.level else TRACKED_PEAK)
+        return self.height > -(TRACKED_LEVEL if self.level >= 0 else TRACKED_PEAK)
 
     @property
     def moving(self) -> bool:
         """Whether its position is an unknown of the NLP."""
-        near = MOVING_LEVEL if self.level else MOVING_PEAK
+        near = MOVING_LEVEL if self.level >= 0 else MOVING_PEAK
         return self.height > -near and EDGE < self.at < 1.0 - EDGE
 
 
@@ -83,15 +79,15 @@ def solve_semi_infinite(task: PathProblem, start: Solution, backend: str, *, nea
     solution = local.solution_at(nlp, start.x, start.message)
     if not near and solution.status is not Status.OPTIMAL:
         solution = local.solve_from(nlp, start.x, backend, persistent=False, continuations=0)
-    course = _Course(task)
+    course = _courses(task, nlp)
     radius, tops, violated = RADIUS, course.tops(solution), list[RowPeak]()
     worst, penalty = math.inf, 0.0
     for _ in range(EXCHANGES):
         if not math.isfinite(solution.objective):
             break
         nlp.set_exchange_points(_places(tops, nlp.exchange_count))
-        before, solution = solution.x[-1], local.solution_at(nlp, solution.x, solution.message)
-        tops = _levelled(tops, before, solution.x[-1])
+        before, solution = solution.x, local.solution_at(nlp, solution.x, solution.message)
+        tops = _levelled(tops, before[nlp.first_level :], solution.x[nlp.first_level :])
         if (solution.status is Status.OPTIMAL and tops[0].height <= 0.0) or radius < SMALLEST:
             break
         begun = solution.x
@@ -109,14 +105,14 @@ def solve_semi_infinite(task: PathProblem, start: Solution, backend: str, *, nea
             break  # it stays where it is: further rounds would repeat this one
     if tops[0].height <= 0.0 or not solution.usable:
         return solution
-    what = "the largest errors did not become level" if tops[0].level else "limits are exceeded between the positions"
+    what = "the largest values did not become level" if tops[0].level >= 0 else "limits are exceeded between the positions"
     return replace(solution, status=Status.STALLED, message=what)
 
 
 def place_at_peaks(task: PathProblem, nlp: NLP, x: Array) -> None:
     """Move the exchange points, if there are any, to the peaks of the limits of a design."""
     if nlp.exchange_count:
-        nlp.set_exchange_points(_places(_Course(task).tops(local.solution_at(nlp, x, "")), nlp.exchange_count))
+        nlp.set_exchange_points(_places(_courses(task, nlp).tops(local.solution_at(nlp, x, "")), nlp.exchange_count))
 
 
 def best_slow_stroke(task: PathProblem, solution: Solution, backend: str) -> Solution:
@@ -160,7 +156,7 @@ def _followed(
     others = iter(at for at in _places([*tops, *violated], nlp.exchange_count) if at not in used.values())
     places = np.array([used[slot] if slot in used else next(others, 0.0) for slot in range(nlp.exchange_count)])
     nlp.set_exchange_points(places)
-    whole = len([top for top in tops if top.level and top.tracked]) > nlp.exchange_count  # no room for all peaks of the error
+    whole = len([top for top in tops if top.level >= 0 and top.tracked]) > nlp.exchange_count  # too many peaks
     key = f"following {many} peaks" + (" and all positions" if whole else "")
     if key not in nlp.cache:
         nlp.cache[key] = _with_moving_peaks(nlp, many, whole=whole)
@@ -211,12 +207,16 @@ def _moving_rows(nlp: NLP, *, whole: bool = False) -> list[int]:
 
 def _violation(solution: Solution, tops: list[RowPeak]) -> float:
     """Return the largest violation of a limit, at the positions of the NLP or between them."""
-    return max(solution.violation, *(top.height for top in tops if not top.level), 0.0)
+    return max(solution.violation, *(top.height for top in tops if top.level < 0), 0.0)
 
 
 def _largest(solution: Solution, tops: list[RowPeak]) -> float:
-    """Return the objective, with the largest error between the positions too."""
-    return solution.objective * (1.0 + max((top.height for top in tops if top.level), default=0.0))
+    """Return the objective, with the largest values between the positions too."""
+    nlp, objective = solution.nlp, solution.objective
+    for k, slope in enumerate(nlp.level_slopes):
+        excess = max((top.height for top in tops if top.level == k), default=0.0)
+        objective += slope * max(abs(float(solution.x[nlp.first_level + k])), LEAST_LEVEL) * max(excess, 0.0)
+    return objective
 
 
 def _merit(solution: Solution, tops: list[RowPeak], penalty: float) -> float:
@@ -235,11 +235,15 @@ def _needed_penalty(solution: Solution, tops: list[RowPeak], moved: Solution, th
     return 2.0 * (ended - begun) / (before - after)
 
 
-def _levelled(tops: list[RowPeak], before: float, now: float) -> list[RowPeak]:
-    """Return the peaks, those of the error with their excess over another largest error, largest first."""
-    scale = max(before, LEAST_LEVEL) / max(now, LEAST_LEVEL)
-    shift = ((before - now) * (1.0 + LEVELLED)) / max(now, LEAST_LEVEL)
-    moved = [replace(top, height=top.height * scale + shift) if top.level else top for top in tops]
+def _levelled(tops: list[RowPeak], before: Array, now: Array) -> list[RowPeak]:
+    """Return the peaks, those of largest values with their excess over others, largest first."""
+    moved = []
+    for top in tops:
+        if top.level >= 0:
+            was, level = float(before[top.level]), float(now[top.level])
+            height = top.height * max(abs(was), LEAST_LEVEL) + (was - level) * (1.0 + LEVELLED)
+            top = replace(top, height=height / max(abs(level), LEAST_LEVEL))
+        moved.append(top)
     return sorted(moved, key=lambda top: -top.height)
 
 
@@ -252,33 +256,61 @@ def _places(tops: list[RowPeak], count: int) -> Array:
     return np.array(chosen + chosen[:1] * (count - len(chosen)))
 
 
-class _Course:
-    """Limits and largest error of a problem along the motion over which they apply."""
+def _courses(task: PathProblem, nlp: NLP) -> "_Courses":
+    """Return the courses of a programme (cached)."""
+    if "courses" not in nlp.cache:
+        nlp.cache["courses"] = _Courses(task, nlp)
+    courses: _Courses = nlp.cache["courses"]
+    return courses
 
-    def __init__(self, task: PathProblem) -> None:
-        self.task, self.limited, self.levels = task, has_position_limits(task), has_levels(task)
-        self.errors = ErrorResiduals(task) if self.levels and task.law_given else None
+
+class _Courses:
+    """Limits and largest values of a problem along the motions over which they apply, in the order of the exchange rows."""
+
+    def __init__(self, task: PathProblem, nlp: NLP) -> None:
+        self.task, self.limits, self.errors = task, limit_courses(task), error_courses(task)
+        self.terms = TermCourse(task, nlp.recipe.get("near")) if task.goals or task.bounds else None
 
     def tops(self, solution: Solution) -> list[RowPeak]:
-        """Return the peaks where limits or the largest error are exceeded or nearly so, largest first."""
-        grid, found = np.linspace(0.0, 1.0, POSITIONS), list[RowPeak]()
+        """Return the peaks where limits or largest values are exceeded or nearly so, largest first."""
         values, angles = solved_values(self.task, solution.design, solution.x)
-        first = 0
-        if self.limited:
-            found += peaks(lambda shares: limit_excesses(self.task, values, angles, shares) - EXCEEDED, grid, TRACKED_PEAK)
-            first = len(position_rows(self.task, self.task.linkage.pose(values, unit(angles[0]))))
-        if self.levels:
-            whole = self.task.whole
-            largest = float(solution.x[-1])
-            size = max(largest, LEAST_LEVEL)
+        levels = solution.x[solution.nlp.first_level :]
+        grid, found, rows = np.linspace(0.0, 1.0, POSITIONS), list[RowPeak](), 0
 
-            def excess(shares: Array) -> Array:
-                over = level_excesses(self.task, self.errors, values, largest * whole, shares) / whole
-                return (over - LEVELLED * largest - NO_ERROR) / size
+        def search(heights: Function, level: int) -> None:
+            nonlocal rows
+            near = TRACKED_LEVEL if level >= 0 else TRACKED_PEAK
+            found.extend(replace(top, row=rows + top.row, level=level) for top in peaks(heights, grid, near))
+            rows += len(heights(grid[:1]))
 
-            tops = peaks(excess, grid, TRACKED_LEVEL)
-            found += [replace(top, row=first + top.row, level=True) for top in tops]
+        for course in self.limits:
+            own = self._angles(angles, course.part)
+            search(lambda shares, course=course, own=own: course.heights(values, own, shares) - EXCEEDED, -1)  # type: ignore[misc]
+        if self.terms is not None:
+            first = len(levels) - len(self.terms.levels)
+            for k, level in enumerate(self.terms.order):
+                number = first + level if level >= 0 else -1
+                search(lambda shares, k=k: self.terms.heights(values, levels[first:], shares)[k], number)  # type: ignore
+        for course in self.errors:
+            number = course.level(self.task)
+            most = float(levels[number]) if number >= 0 else course.part.tolerance / course.part.whole
+
+            def excess(shares: Array, course=course, most=most, number=number) -> Array:  # type: ignore[no-untyped-def]
+                sizes = course.sizes(values, shares)
+                return above_level(sizes, most) if number >= 0 else sizes - most - EXCEEDED
+
+            search(excess, number)
         return sorted(found, key=lambda top: -top.height) or [RowPeak(0.0, -math.inf, 0)]
+
+    def _angles(self, angles: Array, part: PathProblem | None) -> Array:
+        """Return the crank angles of one requirement among those of all."""
+        first = 0
+        for other in self.task.parts:
+            count = len(other.data.columns)
+            if other is part:
+                return angles[first : first + count]
+            first += count
+        return angles
 
 
 def peaks(heights: Function, grid: Array, near: float = 0.0) -> list[RowPeak]:

@@ -12,10 +12,11 @@ import numpy as np
 
 from optlink.linkage.vector2d import Array, unit
 from optlink.optimization.constraints import position_rows, rows as limit_rows
+from optlink.optimization.courses import has_position_limits
 from optlink.optimization.cycle_nlp import CycleNLP
 from optlink.optimization.cycle_signals import TracedCycle
 from optlink.optimization.nlp import NLP
-from optlink.optimization.programme import build, constant_values, has_position_limits
+from optlink.optimization.programme import build, constant_values
 from optlink.problem.cycle.model import CycleProblem
 from optlink.problem.file import ProblemFile
 from optlink.problem.limits import Reach
@@ -63,7 +64,9 @@ class FunctionFollower:
             return multistart.solve_from(nlp, start_of(nlp, near), BACKEND)
         nlp.spread_exchange_points()
         solution = multistart.solve_from(nlp, start_of(nlp, near), BACKEND)
-        return solve_semi_infinite(task, solution, BACKEND, near=solution.status is Status.OPTIMAL) if solution.usable else solution
+        return (
+            solve_semi_infinite(task, solution, BACKEND, near=solution.status is Status.OPTIMAL) if solution.usable else solution
+        )
 
 
 class PathFollower:
@@ -107,7 +110,7 @@ class PathFollower:
         anywhere = {(row.limit, row.label): row for row in placed}
         first, each = nlp.exchange_rows
         labels = [(row.limit, row.label) for row in nlp.rows[first : first + each] if row.limit not in nlp.helpers]
-        if [row.limit for row in rows] != [row.limit for row in nlp.rows[: len(rows)]] or list(anywhere) != labels:
+        if [row.limit for row in rows] != [row.limit for row in nlp.rows[: len(rows)]] or set(anywhere) != set(labels):
             return False
         nlp.p[1 : 1 + len(nlp.constants)] = constant_values(task, nlp.constants)
         _set_bounds(nlp, task)

@@ -9,6 +9,7 @@ import numpy as np
 from optlink.io import Registry
 from optlink.linkage.vector2d import Array
 from optlink.optimization.objectives import MEASURES
+from optlink.optimization.output_derivatives import error_at
 from optlink.optimization.programme import solved_values
 from optlink.problem.file import WORDS as PROSE, ProblemFile
 from optlink.problem.limits import MARGINS
@@ -16,7 +17,6 @@ from optlink.problem.machine.model import ShownObjective
 from optlink.problem.quantity import Quantity
 from optlink.problem.targets.expression import Expression
 from optlink.problem.targets.function import Function
-from optlink.optimization.output_derivatives import error_at
 from optlink.solvers.solution import Solution
 from optlink.studio.follow import CycleFollower, Follower, FunctionFollower, PathFollower
 from optlink.units import DISPLAYED

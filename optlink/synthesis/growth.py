@@ -23,7 +23,7 @@ from optlink.linkage.dyad_types import RRR
 from optlink.linkage.mechanism import FRAME, Link, Mechanism, Pose
 from optlink.linkage.vector2d import Array, unit
 from optlink.optimization.constraints import rows as limit_rows
-from optlink.optimization.programme import limit_excesses
+from optlink.optimization.courses import limit_courses
 from optlink.problem.file import ProblemFile
 from optlink.problem.limits import Reach
 from optlink.problem.path import PathProblem
@@ -213,7 +213,8 @@ def _apart(part: ProblemFile, values: Mapping[str, float], t: Array, batch: Batc
 def _slack(batch: Batch, x: Array, angles: Array, along: int) -> Array:
     """Return the least slack (designs,) of the limits at `along` crank angles, in the units of the rows; negative if violated."""
     task, values, at = batch.problem, batch.values(x), batch.crank_angles(x, angles)
-    slacks = [-np.max(limit_excesses(task, values, at.T[..., None], np.linspace(0.0, 1.0, along)), axis=(0, 2))]
+    shares, angles = np.linspace(0.0, 1.0, along), at.T[..., None]
+    slacks = [-np.max(course.heights(values, angles, shares), axis=(0, 2)) for course in limit_courses(task)]
     span = at[:, -1:] - at[:, :1]
     for row in limit_rows(task, values, Reach(at[:, :1], span, np.sign(span)), task.size):
         slacks += [np.minimum(row.value - row.low, row.high - row.value)[:, 0]]

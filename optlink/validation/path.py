@@ -82,7 +82,7 @@ def deviations(problem: PathProblem, design: Mapping[str, float], crank_angles: 
         objective = float(np.max(np.sqrt(square * weights)))
         if kind == "transmission" and not isinstance(problem.mechanism, FourBarSection):
             objective = _worst_cosine(problem, design)
-        elif problem.everywhere:
+        elif problem.everywhere and problem.law_given:
             objective = _largest_error(problem, design, float(crank_angles[0]) - problem.law.offsets[0])
     else:
         objective = float(np.sum(square * weights))
