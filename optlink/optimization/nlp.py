@@ -19,11 +19,12 @@ from optlink.optimization.constraints import DEGREES, ConstraintRow, Scale, rows
 from optlink.optimization.mapped_terms import MappedTerms
 from optlink.optimization.objectives import MEASURES, ErrorMeasure, output_error
 from optlink.optimization.output_derivatives import ErrorDerivatives
+from optlink.problem.design import EPIGRAPH, DesignProblem
 from optlink.problem.fixed_design import quantity_key
-from optlink.problem.function import EPIGRAPH, DesignProblem, StartPosition
 from optlink.problem.limits import Reach
 from optlink.problem.machine.model import Problem
 from optlink.problem.quantity import Quantity
+from optlink.problem.requirement import StartPosition
 from optlink.problem.robust import EXPECTED, SMOOTHED, residuals
 from optlink.problem.targets.expression import Expression
 from optlink.symbolic import BufferedFunction, CompiledFunction, packed, symbols_in_numpy, unpacked

@@ -25,10 +25,10 @@ from optlink.optimization.constraints import (
 from optlink.optimization.mapped_terms import MappedTerms
 from optlink.optimization.nlp import NLP, Variable, boxed, scaled_variable
 from optlink.optimization.objectives import error_measures
-from optlink.problem.function import EPIGRAPH
+from optlink.problem.design import EPIGRAPH, STEP, DesignProblem
 from optlink.problem.limits import Reach
 from optlink.problem.mechanism import FourBarSection
-from optlink.problem.path import START, STEP, PathProblem
+from optlink.problem.requirement import START
 from optlink.symbolic import symbols_in_numpy
 
 GRID = 36  # crank angles at which the assembly of a mechanism other than a four-bar is checked
@@ -42,24 +42,24 @@ def angle_name(index: int) -> str:
     return f"crank angle of point {index + 1}"
 
 
-def path_variable(problem: PathProblem, name: str) -> Variable:
+def path_variable(problem: DesignProblem, name: str) -> Variable:
     """Return the scaling of a quantity: lengths by the size of the curve, coordinates on the frame from its centre."""
     axis = name.rpartition(".")[2] if problem.quantities[name].kind == "coordinate" else ""
     origin = problem.centre["xy".index(axis)] if axis in ("x", "y") else 0.0
     return scaled_variable(problem, name, problem.size, periodic=problem.is_periodic(name), origin=origin)
 
 
-def has_position_limits(problem: PathProblem) -> bool:
+def has_position_limits(problem: DesignProblem) -> bool:
     """Return whether limits at single crank angles (`position_rows`) apply; for a four-bar the extremes are known instead."""
     return not isinstance(problem.mechanism, FourBarSection)
 
 
-def has_sampled_objective(problem: PathProblem) -> bool:
+def has_sampled_objective(problem: DesignProblem) -> bool:
     """Return whether the objective is the largest value over the revolution: the worst transmission of linkages but four-bars."""
     return problem.requirement.kind == "transmission" and problem.measure == "max" and has_position_limits(problem)
 
 
-def build_path_nlp(problem: PathProblem, direction: int = 1, *, movable: bool = False) -> NLP:
+def build_path_nlp(problem: DesignProblem, direction: int = 1, *, movable: bool = False) -> NLP:
     """Build the nonlinear programme of a path or motion synthesis problem with definite assembly modes.
 
     `direction` is the sense of crank rotation from point to point without prescribed timing: +1 counter-clockwise, -1 clockwise.
@@ -197,7 +197,7 @@ TARGET = "target "
 """Beginning of the names of the parameters that are components of the targets."""
 
 
-def target_constants(problem: PathProblem) -> list[Variable]:
+def target_constants(problem: DesignProblem) -> list[Variable]:
     """Return the components of the targets as parameters: each row of `data.columns`, and the length of a radian of poses."""
     size = problem.size
     constants = []
@@ -211,7 +211,7 @@ def target_constants(problem: PathProblem) -> list[Variable]:
     return constants
 
 
-def constant_values(problem: PathProblem, constants: Sequence[Variable]) -> list[float]:
+def constant_values(problem: DesignProblem, constants: Sequence[Variable]) -> list[float]:
     """Return the scaled values of `NLP.constants`: fixed quantities, then components of the targets."""
     quantities, numbers = problem.quantities, [*problem.data.columns.ravel().tolist(), problem.radian]
     first = next((i for i, v in enumerate(constants) if v.name.startswith(TARGET)), len(constants))
@@ -219,7 +219,7 @@ def constant_values(problem: PathProblem, constants: Sequence[Variable]) -> list
     return [*values, *(v.scaled(value) for v, value in zip(constants[first:], numbers, strict=False))]
 
 
-def solved_values(task: PathProblem, design: Mapping[str, float], x: Array) -> tuple[dict[str, float], Array]:
+def solved_values(task: DesignProblem, design: Mapping[str, float], x: Array) -> tuple[dict[str, float], Array]:
     """Return all quantities [m, rad] of a solved programme, and its crank angles (points,) [rad]; `design` has the free ones."""
     values = {name: quantity.value for name, quantity in task.quantities.items()}
     values |= {name: design[name] for name in task.free}
@@ -228,13 +228,13 @@ def solved_values(task: PathProblem, design: Mapping[str, float], x: Array) -> t
     return values, task.crank_angles(values, free_angles)
 
 
-def required_motion(problem: PathProblem, angles: Any, *, over_span: bool = False) -> tuple[Any, Any]:
+def required_motion(problem: DesignProblem, angles: Any, *, over_span: bool = False) -> tuple[Any, Any]:
     """Return the crank angle [rad] at which the motion with position limits begins, and its rotation; see `along_points`."""
     along = along_points(problem, over_span=over_span)
     return (angles[0], angles[-1] - angles[0]) if along else (0.0, TURN)
 
 
-def along_points(problem: PathProblem, *, over_span: bool) -> bool:
+def along_points(problem: DesignProblem, *, over_span: bool) -> bool:
     """Return whether limits apply from the first point to the last instead of over the whole revolution.
 
     `over_span`: they apply there even if the crank must turn fully.
@@ -242,7 +242,7 @@ def along_points(problem: PathProblem, *, over_span: bool) -> bool:
     return over_span or problem.limits.crank == "span"
 
 
-def _fixed_positions(problem: PathProblem, angles: list[Any], over_span: bool) -> list[Any]:
+def _fixed_positions(problem: DesignProblem, angles: list[Any], over_span: bool) -> list[Any]:
     """Return the crank angles [rad] at which position limits always apply."""
     if not along_points(problem, over_span=over_span):
         return list(np.linspace(0.0, TURN, GRID, endpoint=False))
@@ -250,7 +250,7 @@ def _fixed_positions(problem: PathProblem, angles: list[Any], over_span: bool) -
     return [*between, angles[-1]]
 
 
-def limit_excesses(problem: PathProblem, values: Mapping[str, Value], angles: Any, shares: Array) -> Array:
+def limit_excesses(problem: DesignProblem, values: Mapping[str, Value], angles: Any, shares: Array) -> Array:
     """Return the excess (rows, n) or (rows, designs, n) over every position limit, in the units of the rows.
 
     It is negative if satisfied, -inf if undefined; positions without assembly exceed the row of the assembly margin. `values` [m,
@@ -271,7 +271,7 @@ def limit_excesses(problem: PathProblem, values: Mapping[str, Value], angles: An
     return np.where(np.isfinite(excesses), excesses, -np.inf)
 
 
-def _traced(problem: PathProblem) -> tuple[Any, tuple[Any, list[ConstraintRow]]]:
+def _traced(problem: DesignProblem) -> tuple[Any, tuple[Any, list[ConstraintRow]]]:
     """Trace the residual and the limits at one crank angle.
 
     Both are functions of the quantities and a crank angle, and of the factor of the start angle that is added; the residual also
@@ -307,7 +307,7 @@ class _Positions:
         return self.function, *(casadi.SX(casadi.horzcat(*each)) for each in zip(*self.places, strict=True))
 
 
-def objective_excess(problem: PathProblem, values: Mapping[str, Value], largest: float, shares: Array) -> Array:
+def objective_excess(problem: DesignProblem, values: Mapping[str, Value], largest: float, shares: Array) -> Array:
     """Return the excesses (dyads, n) of the transmission cosines over the objective along the revolution; -inf if undefined."""
     with np.errstate(all="ignore"):
         cosines = problem.deviation(problem.linkage.pose(values, unit(TURN * shares)), values, ())

@@ -21,7 +21,7 @@ from optlink.linkage.extrema import maxima
 from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import Array
 from optlink.optimization.nlp import NLP
-from optlink.problem.function import EPIGRAPH, DesignProblem
+from optlink.problem.design import EPIGRAPH, DesignProblem
 from optlink.solvers import multistart
 from optlink.solvers.contract import CLOSE, MINIMAX, backend as solver
 from optlink.solvers.newton import polish

@@ -16,7 +16,7 @@ from optlink.linkage.fourbar import lengths_of, time_ratio
 from optlink.linkage.vector2d import Array
 from optlink.optimization.nlp import NLP
 from optlink.optimization.path_nlp import build_path_nlp, has_sampled_objective, limit_excesses, objective_excess, solved_values
-from optlink.problem.path import PathProblem
+from optlink.problem.design import DesignProblem
 from optlink.solvers import contract, multistart as local
 from optlink.solvers.newton import polish
 from optlink.solvers.semi_infinite import with_moving_rows
@@ -47,7 +47,7 @@ class RowPeak:
     row: int
 
 
-def solve_semi_infinite(task: PathProblem, start: Solution, backend: str, *, near: bool = False) -> Solution:
+def solve_semi_infinite(task: DesignProblem, start: Solution, backend: str, *, near: bool = False) -> Solution:
     """Return an optimum near a start that satisfies its limits also between the positions of the NLP.
 
     In every round the exchange points move to where limits are exceeded or nearly so, and the NLP is solved within a radius, in
@@ -90,13 +90,13 @@ def solve_semi_infinite(task: PathProblem, start: Solution, backend: str, *, nea
     )
 
 
-def place_at_peaks(task: PathProblem, nlp: NLP, x: Array) -> None:
+def place_at_peaks(task: DesignProblem, nlp: NLP, x: Array) -> None:
     """Move the exchange points, if there are any, to the peaks of the limits of a design."""
     if nlp.exchange_count:
         nlp.set_exchange_points(_places(_tops(task, local.solution_at(nlp, x, "")), nlp.exchange_count))
 
 
-def best_slow_stroke(task: PathProblem, solution: Solution, backend: str) -> Solution:
+def best_slow_stroke(task: DesignProblem, solution: Solution, backend: str) -> Solution:
     """Return the better one of a solution and the optimum near it whose slow stroke has the other direction.
 
     A time ratio that does not name its stroke divides the four-bars into two families. Near a ratio of 1 they almost meet, and
@@ -195,7 +195,7 @@ def _needed_penalty(solution: Solution, tops: list[RowPeak], moved: Solution, th
     return 2.0 * (moved.objective - solution.objective) / (before - after)
 
 
-def _tops(task: PathProblem, solution: Solution) -> list[RowPeak]:
+def _tops(task: DesignProblem, solution: Solution) -> list[RowPeak]:
     """Return the peaks where limits are exceeded or nearly so, largest first."""
     return peaks(excess_over(task, solution), np.linspace(0.0, 1.0, POSITIONS), TRACKED_PEAK) or [RowPeak(0.0, -math.inf, 0)]
 
@@ -209,7 +209,7 @@ def _places(tops: list[RowPeak], count: int) -> Array:
     return np.array(chosen + chosen[:1] * (count - len(chosen)))
 
 
-def excess_over(task: PathProblem, solution: Solution) -> Function:
+def excess_over(task: DesignProblem, solution: Solution) -> Function:
     """Return the excess over limits and sampled objective, minus the permitted one, as a function of shares of the motion."""
     values, angles = solved_values(task, solution.design, solution.x)
 

@@ -17,10 +17,10 @@ from optlink.optimization.cycle_signals import TracedCycle
 from optlink.optimization.nlp import NLP
 from optlink.optimization.path_nlp import build_path_nlp, constant_values, has_position_limits
 from optlink.problem.cycle.model import CycleProblem
+from optlink.problem.design import DesignProblem
 from optlink.problem.file import ProblemFile
 from optlink.problem.limits import Reach
 from optlink.problem.machine.model import Problem
-from optlink.problem.path import PathProblem
 from optlink.solvers import multistart
 from optlink.solvers.contract import MINIMAX
 from optlink.solvers.path_exchange import solve_semi_infinite
@@ -78,7 +78,7 @@ class PathFollower:
         self.direction = direction
         self._build(path_model(problem))
 
-    def _build(self, task: PathProblem) -> None:
+    def _build(self, task: DesignProblem) -> None:
         """Build the programme of a problem; it serves all problems with the same limits."""
         self.task, self.nlp = task, build_path_nlp(task, self.direction, movable=True)
         multistart.prepare(self.nlp, BACKEND)
@@ -99,7 +99,7 @@ class PathFollower:
             return solve_semi_infinite(task, start, backend, near=start.usable)
         return multistart.solve_from(nlp, x, backend)
 
-    def _bind(self, task: PathProblem) -> bool:
+    def _bind(self, task: DesignProblem) -> bool:
         """Set parameters, bounds and limits; return whether the limits of the programme are those of the problem."""
         nlp, n = self.nlp, len(self.nlp.variables)
         values = {name: quantity.value for name, quantity in task.quantities.items()}

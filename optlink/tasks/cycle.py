@@ -13,8 +13,8 @@ from optlink.errors import InputError, Status
 from optlink.execution import interrupts
 from optlink.linkage.vector2d import Array
 from optlink.problem.cycle.model import CycleProblem
+from optlink.problem.design import EPIGRAPH
 from optlink.problem.file import ProblemFile
-from optlink.problem.function import EPIGRAPH
 from optlink.problem.quantity import input_of
 from optlink.solvers.solution import Solution
 from optlink.tasks.analyze import quick_stroke_notes

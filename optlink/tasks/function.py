@@ -102,7 +102,7 @@ class FunctionResult(SingleResult):
     @property
     def assembly(self) -> str:
         """Assembly mode of the design."""
-        return self.problem.spec.mechanism.assembly
+        return str(self.problem.spec.mechanism.assembly)
 
     @property
     def tolerances(self) -> dict[str, float] | None:
@@ -161,7 +161,7 @@ class FunctionResult(SingleResult):
     def measure(self) -> str:
         """Name of the error measure, including the effect of tolerances if considered."""
         task = self.problem.spec.requirement
-        return task.measure if task.robust is None else task.robust.named(task.measure)
+        return str(task.measure if task.robust is None else task.robust.named(task.measure))
 
     @property
     def machine(self) -> ProblemFile:
@@ -301,7 +301,7 @@ def _search(problem: ProblemFile, search: Search) -> FunctionResult:
         starts=chosen.starts,
         solution=winner.solution,
         backends=backends if len(search.names) > 1 else {},
-        optima=chosen.distinct_optima(spec.mechanism.assembly) if search.begin is None else (),
+        optima=chosen.distinct_optima(str(spec.mechanism.assembly)) if search.begin is None else (),
         counts=tuple(chosen.counts) if chosen.random else (),
         interrupted=interrupted,
         conflict=conflict[0],

@@ -22,7 +22,7 @@ from optlink.execution.worker import Runs
 from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.vector2d import TURN, Array
 from optlink.optimization.nlp import NLP, build
-from optlink.problem.function import DesignProblem
+from optlink.problem.design import DesignProblem
 from optlink.problem.targets.function import Function
 from optlink.solvers import multistart
 from optlink.solvers.contract import BACKENDS, CLOSE
