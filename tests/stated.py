@@ -8,7 +8,7 @@ import numpy as np
 
 import optlink
 from optlink.linkage.fourbar import LENGTHS
-from optlink.problem.path import PathProblem
+from optlink.problem.design import DesignProblem
 
 Array = np.ndarray
 SPOTS = np.array([(20.0, 25.0), (28.0, 31.0), (33.0, 27.0), (30.0, 18.0), (22.0, 16.0)])  # mm, once round
@@ -103,8 +103,8 @@ def document(
     return {"title": "t", "mechanism": mechanism, "requirement": task, "limits": dict(limits or {})}
 
 
-def model(raw: Mapping[str, object]) -> PathProblem:
+def model(raw: Mapping[str, object]) -> DesignProblem:
     """The model of a problem with definite assembly modes."""
     (file,) = optlink.read(dict(raw)).variants()
-    assert isinstance(file.model, PathProblem)
+    assert isinstance(file.model, DesignProblem)
     return file.model

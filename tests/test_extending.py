@@ -19,11 +19,9 @@ from optlink.dynamics.dyad_balances import BALANCES
 from optlink.errors import InputError
 from optlink.linkage.assur import DYADS
 from optlink.problem.cycle.quantities import QUANTITIES
+from optlink.problem.design import DesignProblem
 from optlink.problem.file_errors import SECTIONS
-from optlink.problem.function import DesignProblem
 from optlink.problem.limits import LIMITS, Limits
-from optlink.problem.path import PathProblem
-from optlink.problem.path_requirement import PathLimits
 from optlink.report.registry import REGISTERED
 from optlink.solvers.contract import SOLVERS
 from optlink.studio import design as studio_design
@@ -31,7 +29,7 @@ from optlink.tasks.run import TASKS
 
 FOLDER = Path(__file__).parent / "extending"
 REGISTRIES = (LIMITS, QUANTITIES, SOLVERS, DYADS, BALANCES, SECTIONS, TASKS, REGISTERED)
-MODELS = (Limits, PathLimits, DesignProblem, PathProblem)
+MODELS = (Limits, DesignProblem)
 LONGEST = 60  # lines of an extension
 
 

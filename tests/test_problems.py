@@ -19,7 +19,6 @@ from optlink.dynamics import inverse as reactions_module
 from optlink.io import data_folder
 from optlink.linkage.mechanism import FRAME, Mechanism, Pose
 from optlink.problem.file import dump
-from optlink.problem.function import DesignProblem
 from optlink.problem.mechanism import FourBarSection
 from optlink.problem.targets.expression import parse as parse_expression
 from optlink.tasks.analyze import Analysis, analyze
@@ -30,7 +29,7 @@ from tests.solved import solution
 NAMES = sorted(optlink.shipped())
 LONG = ("function-exp", "function-log10", "function-sin", "crank-rocker-robust")
 """With both back ends they take three to twelve seconds."""
-DESIGNS = [name for name in NAMES if isinstance(optlink.load(name).model, DesignProblem)]
+DESIGNS = [name for name in NAMES if optlink.load(name).task == "function"]
 GENERATED = [name for name in NAMES if optlink.load(name).task == "path"]
 POINTED = [name for name in GENERATED if name.startswith(("path-", "motion-"))]
 MACHINES = [name for name in NAMES if name not in (*DESIGNS, *GENERATED) and optlink.load(name).task != "cycle"]

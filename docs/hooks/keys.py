@@ -29,10 +29,10 @@ from optlink.errors import InputError
 from optlink.problem.base_model import Section
 from optlink.problem.cycle.model import CycleProblem, StrokeProblem
 from optlink.problem.cycle.quantities import QUANTITIES
-from optlink.problem.function import DEAD_CENTRES, DesignProblem
+from optlink.problem.design import DesignProblem
 from optlink.problem.machine.model import Problem
 from optlink.problem.mechanism import DyadsSection, FourBarSection
-from optlink.problem.path import PathProblem
+from optlink.problem.requirement import DEAD_CENTRES, DEFAULT_KIND, Requirement
 from optlink.units import DEFINITIONS, KINDS, UnitProblem, factor
 
 DOCS = Path(__file__).resolve().parent.parent
@@ -41,8 +41,7 @@ LONGEST = 90  # characters of an example
 
 ROOTS: dict[type[Problem], tuple[str, str]] = {
     Problem: ("", "every problem"),
-    DesignProblem: ("law", "a four-bar for a motion law or function"),
-    PathProblem: ("points", "path, motion, function of dyads, transmission"),
+    DesignProblem: ("design", "laws, functions, paths, motions, transmission"),
     CycleProblem: ("cycle", "cycle optimisation of a machine"),
     StrokeProblem: ("stroke", "a stroke and a time ratio"),
 }
@@ -100,11 +99,10 @@ FORMS = {
     "Problem.tolerances": "names with text or tables",
     "Term.quantity": "one of the [quantities](#quantities)",
     "TermSection.quantity": "one of the [quantities](#quantities)",
-    "Requirement.law": "text or table",
-    "Requirement.robust": "text",
-    "Requirement.start": " or ".join(f"`{start}`" for start in DEAD_CENTRES) + ", or angle, fixed or free",
-    "PathRequirement.points": "list or table; for a function a whole number",
-    "PathRequirement.law": "table",
+    "FunctionRequirement.law": "text or table",
+    "FunctionRequirement.robust": "text",
+    "FunctionRequirement.start": " or ".join(f"`{start}`" for start in DEAD_CENTRES) + ", or angle, fixed or free",
+    "PathRequirement.points": "list or table",
     "StrokeRequirement.stroke": "length or angle, range of these, or table of `min`, `max`, `exactly`",
     "Goal.scale": "quantity",
     "Limit.min": "quantity",
@@ -134,15 +132,22 @@ class Part:
         if not self.path:
             return "At the top of the file" if self.root is Problem else f"At the top: {ROOTS[self.root][1]}"
         name = f"[[{self.path}]]" if self.many else f"[{self.path}]"
-        kind = {FourBarSection: 'type = "four-bar"', DyadsSection: 'type = "dyads"'}.get(self.model)
-        return name + (f", {kind}" if kind else f": {ROOTS[self.root][1]}" if self.root is not Problem else "")
+        key, kind = _variant(self.model)
+        return name + (f', {key} = "{kind}"' if kind else f": {ROOTS[self.root][1]}" if self.root is not Problem else "")
 
     @property
     def anchor(self) -> str:
         """Identifier of the heading, for links."""
-        kind = {FourBarSection: "four-bar", DyadsSection: "dyads"}.get(self.model, "")
-        words = [self.path.replace(".NAME", "").replace(".", "-") or "file", kind, ROOTS[self.root][0]]
+        kind = _variant(self.model)[1]
+        words = [self.path.replace(".NAME", "").replace(".", "-") or "file", kind or ROOTS[self.root][0]]
         return "-".join(word for word in words if word).lower()
+
+
+def _variant(model: type[Section]) -> tuple[str, str]:
+    """Key and word by which a file chooses this model among several of one table; empty where there is one."""
+    if issubclass(model, FourBarSection | DyadsSection):
+        return "type", typing.get_args(model.model_fields["type"].annotation)[0]
+    return ("kind", typing.get_args(model.model_fields["kind"].annotation)[0]) if issubclass(model, Requirement) else ("", "")
 
 
 def sections() -> list[Part]:
@@ -312,7 +317,8 @@ def _stated(model: type[Section], raw: Mapping[str, Any]) -> Iterator[tuple[type
         for suffix, inner, many in below:
             tables = raw[key] if many else raw[key].values() if suffix else [raw[key]]
             for table in tables:
-                if len(below) == 1 or table["type"] in typing.get_args(inner.model_fields["type"].annotation):
+                word, kind = _variant(inner)
+                if len(below) == 1 or table.get(word, DEFAULT_KIND) == kind:
                     yield from _stated(inner, table)
 
 

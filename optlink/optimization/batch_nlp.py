@@ -12,7 +12,7 @@ import numpy as np
 
 from optlink.linkage.vector2d import Array
 from optlink.optimization.nlp import NLP
-from optlink.problem.function import EPIGRAPH
+from optlink.problem.design import EPIGRAPH
 from optlink.problem.targets.law import Law
 from optlink.symbolic import NumpyEvaluator
 

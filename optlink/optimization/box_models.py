@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -19,14 +19,12 @@ from optlink.linkage.vector2d import TURN, Array, unit
 from optlink.optimization.constraints import FOUR_BAR, GENERAL, ConstraintRow, position_rows
 from optlink.optimization.objectives import output_error
 from optlink.optimization.taylor_model import TaylorModel, pairs
+from optlink.problem.design import DesignProblem
 from optlink.problem.file import ProblemFile
-from optlink.problem.function import DesignProblem, StartPosition
 from optlink.problem.limits import Reach
 from optlink.problem.mechanism import FourBarSection
+from optlink.problem.requirement import START, StartPosition, at_positions
 from optlink.problem.targets.law import Law
-
-if TYPE_CHECKING:
-    from optlink.problem.path import PathProblem
 
 GRID = 36  # crank angles at which limits of single positions apply
 TRIALS = 6.0 * (np.outer((0.7548776662466927, 0.5698402909980532), np.arange(1, 17)) % 1.0) - 3.0
@@ -53,7 +51,7 @@ class DesignBoxes:
     `low` and `high` (n,) are the bounds of the design variables; `limits` names the limit of every slack, once evaluated.
     """
 
-    problem: DesignProblem | PathProblem
+    problem: DesignProblem
     further: Array = field(default_factory=lambda: np.zeros(0))
     """Crank rotations [rad] from the start of a law at which its error counts too, those of the peaks of a largest error."""
     low: Array = field(init=False)
@@ -79,7 +77,7 @@ class DesignBoxes:
         values: dict[str, Any] = {name: quantity.value for name, quantity in self.problem.quantities.items()}
         values |= dict(zip(self.problem.free, TaylorModel.unknowns(low, high), strict=True))
         with np.errstate(all="ignore"):
-            if isinstance(self.problem, DesignProblem):
+            if self.problem.task == "function":
                 residuals, rows = _function(self.problem, self.law, values, low.shape[1])
             else:
                 law = self.law if self.problem.law_given else None
@@ -96,7 +94,7 @@ class DesignBoxes:
                     labelled += [(row.limit, column) for column in _columns(slack)]
         self.limits = tuple(limit for limit, _ in labelled)
         slacks = _joined([column for _, column in labelled], (len(low),), count)
-        return BoxModels(residuals, slacks, periodic=getattr(self.problem, "unit", "rad") == "rad")
+        return BoxModels(residuals, slacks, periodic=self.problem.unit == "rad")
 
 
 def box_problem(problem: ProblemFile, further: Array | None = None) -> DesignBoxes:
@@ -110,26 +108,17 @@ def box_problem(problem: ProblemFile, further: Array | None = None) -> DesignBox
         If no lower bound is available for this kind of problem.
     """
     model = problem.model
-    if isinstance(model, DesignProblem):
-        if model.requirement.robust is None:
-            return DesignBoxes(model, np.zeros(0) if further is None else further)
+    if not isinstance(model, DesignProblem):
+        reason = "only motion laws, functions, timed paths and transmission problems have one"
+    elif model.robust is not None:
         reason = "the objective of a robust design has none"
+    elif model.data.offsets is None:
+        reason = "the crank angles at the points are unknowns too"
+    elif model.requirement.kind == "transmission" and not model.four_bar:
+        reason = "among transmission problems, only those of four-bars have one"
     else:
-        from optlink.problem.path import PathProblem
-
-        if not isinstance(model, PathProblem):
-            reason = "only motion laws, functions, timed paths and transmission problems have one"
-        elif model.data.offsets is None:
-            reason = "the crank angles at the points are unknowns too"
-        elif model.requirement.kind == "transmission" and not _four_bar(model):
-            reason = "among transmission problems, only those of four-bars have one"
-        else:
-            return DesignBoxes(model, np.zeros(0) if further is None else further)
+        return DesignBoxes(model, np.zeros(0) if further is None else further)
     raise InputError(Fault(f"no certificate of the global optimum: {reason}", "Leave --certify out", problem.file, "--certify"))
-
-
-def _four_bar(problem: PathProblem) -> bool:
-    return isinstance(problem.mechanism, FourBarSection)
 
 
 Evaluated = tuple[TaylorModel, list[ConstraintRow]]
@@ -172,11 +161,9 @@ def _known_within(model: TaylorModel, most: float) -> TaylorModel:
     return TaylorModel(model.coefficients, np.where(beyond, np.inf, model.remainder), model.count)
 
 
-def _timed(problem: PathProblem, law: Law | None, values: dict[str, Any], count: int) -> Evaluated:
+def _timed(problem: DesignProblem, law: Law | None, values: dict[str, Any], count: int) -> Evaluated:
     """Return the residuals (boxes, positions, components) and the limits of a problem with prescribed crank angles."""
-    from optlink.problem.path import START, _plain
-
-    data = problem.data if law is None else _plain(np.column_stack([law.offsets, law.tabulated]), law.offsets)
+    data = problem.data if law is None else at_positions(np.column_stack([law.offsets, law.tabulated]), law.offsets)
     assert data.offsets is not None
     start = values[START] if problem.timing == "from start" else TaylorModel.constant(0.0, count)
     pose = problem.linkage.pose(values, unit(start + TaylorModel.constant(data.offsets, count)))
@@ -192,7 +179,7 @@ def _timed(problem: PathProblem, law: Law | None, values: dict[str, Any], count:
     span = float(problem.data.offsets[-1] - problem.data.offsets[0])
     sense = 1 if span >= 0.0 else -1
     rows = _limits(problem, values, Reach(start + float(data.offsets[0]), span, sense))
-    if not _four_bar(problem):
+    if not problem.four_bar:
         turns = problem.limits.crank != "span"
         over_span = position_rows(problem, pose)
         whole = over_span
@@ -209,7 +196,7 @@ def _timed(problem: PathProblem, law: Law | None, values: dict[str, Any], count:
     return residuals, rows
 
 
-def _limits(problem: DesignProblem | PathProblem, values: dict[str, Any], reach: Reach) -> list[ConstraintRow]:
+def _limits(problem: DesignProblem, values: dict[str, Any], reach: Reach) -> list[ConstraintRow]:
     """Return the limits that can be evaluated with Taylor models."""
     rows: list[ConstraintRow] = []
     for term in (*FOUR_BAR, *GENERAL) if isinstance(problem.mechanism, FourBarSection) else GENERAL:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -22,13 +21,11 @@ from optlink.linkage.fourbar import (
 )
 from optlink.linkage.mechanism import Dyad, Pose
 from optlink.linkage.vector2d import Value, magnitude
-from optlink.problem.function import DEAD_CENTRES, DesignProblem
+from optlink.problem.design import DesignProblem
 from optlink.problem.limits import COUPLER_JOINT, Alignment, Reach, limits_in_file
 from optlink.problem.mechanism import FourBarSection
+from optlink.problem.requirement import DEAD_CENTRES
 from optlink.units import in_si
-
-if TYPE_CHECKING:
-    from optlink.problem.path import PathProblem
 
 
 @dataclass(frozen=True)
@@ -142,9 +139,6 @@ SINE_SQUARED = SineSquared("deg")
 PLAIN = Scale("")
 
 
-AnyProblem: TypeAlias = "DesignProblem | PathProblem"
-
-
 @dataclass(frozen=True)
 class ConstraintRow:
     """One inequality (or equality if low = high) of the NLP.
@@ -163,7 +157,7 @@ class ConstraintRow:
     periodic: bool | None = None  # whether this motion is the whole revolution; None if it is no such position
 
 
-Term = Callable[[AnyProblem, Mapping[str, Value], Reach, float], Iterator[ConstraintRow]]
+Term = Callable[[DesignProblem, Mapping[str, Value], Reach, float], Iterator[ConstraintRow]]
 """(problem, values, requested crank angles, reference length [m]) -> rows"""
 
 
@@ -171,7 +165,7 @@ COSINE_ROUNDING = 1e-12  # cosines that differ by rounding alone
 ALIGNED = "coupler and rocker not in line"
 
 
-def full_rotation_rows(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: float) -> Iterator[ConstraintRow]:
+def full_rotation_rows(problem: DesignProblem, values: Mapping[str, Value], reach: Reach, size: float) -> Iterator[ConstraintRow]:
     """Yield the conditions for full rotation of the crank (linear, including the length margin)."""
     if problem.limits.crank == "span":
         return
@@ -188,14 +182,14 @@ def full_rotation_rows(problem: AnyProblem, values: Mapping[str, Value], reach: 
         yield ConstraintRow("limits.length_margin", label, (slack - least) / size, 0.0, math.inf, millimetres)
 
 
-def dead_centres(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: float) -> Iterator[ConstraintRow]:
+def dead_centres(problem: DesignProblem, values: Mapping[str, Value], reach: Reach, size: float) -> Iterator[ConstraintRow]:
     """Yield the conditions for the existence of the dead centre at which a law starts.
 
     At the inner dead centre, coupler and crank must differ in length: otherwise C coincides with A. For a crank with full
     rotation, Grashof's conditions imply both.
     """
-    begin = getattr(problem.requirement, "start", None)
-    if problem.limits.crank != "span" or begin not in DEAD_CENTRES or "phi0" in problem.quantities:
+    begin = problem.dead_centre
+    if problem.limits.crank != "span" or begin is None:
         return
     r, a, b, f = lengths_of(values)
     key, millimetres, margin = "limits.length_margin", Scale("mm", 1e3 * size), problem.limits.length_margin
@@ -239,7 +233,7 @@ def _chosen(condition: Value, one: Value, other: Value) -> Value:
     return np.where(condition, one, other) if np.ndim(condition) else one if condition else other
 
 
-def transmission_sides(problem: AnyProblem, joint: str = COUPLER_JOINT) -> Iterator[CosineLimit]:
+def transmission_sides(problem: DesignProblem, joint: str = COUPLER_JOINT) -> Iterator[CosineLimit]:
     """Yield the limits of the cosine of the transmission angle at an outer joint of a dyad, those of the alignment included.
 
     A side of the transmission limit that is looser than the alignment limit is left out (infinite). Beside one that is as tight
@@ -257,7 +251,7 @@ def transmission_sides(problem: AnyProblem, joint: str = COUPLER_JOINT) -> Itera
     yield CosineLimit("limits.alignment", -most, most, required)
 
 
-def transmission(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: float) -> Iterator[ConstraintRow]:
+def transmission(problem: DesignProblem, values: Mapping[str, Value], reach: Reach, size: float) -> Iterator[ConstraintRow]:
     """Yield the limits of the transmission angle at its exact extremes, as cosines.
 
     The cosines are rational in the lengths and finite even where the linkage cannot be assembled.
@@ -280,7 +274,7 @@ def transmission(problem: AnyProblem, values: Mapping[str, Value], reach: Reach,
                     yield ConstraintRow(limit.key, label, transmission_cosine(*lengths, cos_phi), low, high, COSINE)
 
 
-def registered(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: float) -> Iterator[ConstraintRow]:
+def registered(problem: DesignProblem, values: Mapping[str, Value], reach: Reach, size: float) -> Iterator[ConstraintRow]:
     """Yield the limits of `optlink.problem.limits` that the file states."""
     for term, interval in limits_in_file(problem.limits):
         low, high = interval.bounds
@@ -291,7 +285,7 @@ def registered(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, s
                 yield ConstraintRow(term.key, label, value, low, high, DEGREES if interval.kind == "angle" else PLAIN)
 
 
-def pivot_region_rows(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: float) -> Iterator[ConstraintRow]:
+def pivot_region_rows(problem: DesignProblem, values: Mapping[str, Value], reach: Reach, size: float) -> Iterator[ConstraintRow]:
     """Yield the limits of a rectangular region for the fixed pivots."""
     region = getattr(problem.limits, "pivots", None)  # of path synthesis
     if region is None:
@@ -311,13 +305,13 @@ FOUR_BAR: tuple[Term, ...] = (full_rotation_rows, dead_centres, transmission)
 GENERAL: tuple[Term, ...] = (registered, pivot_region_rows)
 
 
-def rows(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: float) -> list[ConstraintRow]:
+def rows(problem: DesignProblem, values: Mapping[str, Value], reach: Reach, size: float) -> list[ConstraintRow]:
     """Return every row of the problem's limits, except those at single crank angles (`position_rows`); arguments: see `Term`."""
     terms = (*FOUR_BAR, *GENERAL) if isinstance(problem.mechanism, FourBarSection) else GENERAL
     return [row for term in terms for row in term(problem, values, reach, size)]
 
 
-def position_rows(problem: PathProblem, pose: Pose) -> list[ConstraintRow]:
+def position_rows(problem: DesignProblem, pose: Pose) -> list[ConstraintRow]:
     """Return the limits at one crank angle of any mechanism: transmission angles, and alignment of every group."""
     required = "span" if problem.limits.crank == "span" else "revolution"
     result = []

@@ -19,8 +19,7 @@ from optlink.optimization.cycle_signals import TracedCycle
 from optlink.optimization.nlp import Variable
 from optlink.optimization.output_derivatives import ErrorResiduals
 from optlink.problem.cycle.terms import Term
-from optlink.problem.function import EPIGRAPH
-from optlink.problem.path import PathProblem
+from optlink.problem.design import EPIGRAPH, DesignProblem
 from optlink.units import KINDS
 
 GRID = 36  # crank angles at which the assembly of a mechanism other than a four-bar is checked
@@ -34,15 +33,9 @@ LEVELLED, NO_ERROR = 1e-8, 1e-12  # permitted excess over a largest value, as a 
 LEAST_LEVEL = 1e-9  # scaled units: excesses over a smaller largest value are shares of this one
 
 
-def has_position_limits(problem: PathProblem) -> bool:
+def has_position_limits(problem: DesignProblem) -> bool:
     """Return whether limits at single crank angles (`position_rows`) apply; for a four-bar the extremes are known instead."""
     return not problem.four_bar
-
-
-def has_course(part: PathProblem) -> bool:
-    """Return whether the largest deviation counts over a range: the error of a law that is a formula over its span, or the cosine
-    of the transmission angles over the revolution, whose extremes are known for a four-bar."""
-    return part.everywhere and not (part.requirement.kind == "transmission" and part.four_bar)
 
 
 class LimitCourse:
@@ -51,7 +44,7 @@ class LimitCourse:
     `over_span`: of the limits that apply over the span although the crank turns fully; None for all limits.
     """
 
-    def __init__(self, problem: PathProblem, part: PathProblem | None, over_span: bool | None) -> None:
+    def __init__(self, problem: DesignProblem, part: DesignProblem | None, over_span: bool | None) -> None:
         self.problem, self.part, self.over_span = problem, part, over_span
 
     def rows(self, pose: Pose) -> list[ConstraintRow]:
@@ -86,10 +79,10 @@ class LimitCourse:
 class ErrorCourse:
     """The error of a law over its span, or the cosines of the transmission angles over the revolution."""
 
-    def __init__(self, part: PathProblem) -> None:
+    def __init__(self, part: DesignProblem) -> None:
         self.part = part
 
-    def level(self, problem: PathProblem) -> int:
+    def level(self, problem: DesignProblem) -> int:
         """Return the number of its largest value among the unknowns of a programme; -1 if it is limited."""
         if self.part.tolerance is not None:
             return -1
@@ -117,6 +110,14 @@ class ErrorCourse:
                 sizes = np.array([np.abs(cosine) + 0.0 * shares for cosine in cosines])
         return np.where(np.isfinite(sizes), sizes, -np.inf) / self.part.whole
 
+    def heights(self, values: Mapping[str, float], level: float | None, shares: Array) -> Array:
+        """Return the excess (rows, n) of the errors over the largest one (scaled), else over the tolerance."""
+        sizes = self.sizes(values, shares)
+        if level is not None:
+            return above_level(sizes, level)
+        assert self.part.tolerance is not None
+        return np.asarray(sizes - self.part.tolerance / self.part.whole - EXCEEDED)
+
 
 class TermCourse:
     """Quantities of the machine over the revolution: terms of the objective and limits under names of the user's choice.
@@ -124,7 +125,7 @@ class TermCourse:
     `near`: a design [SI] at which the largest values of the terms are their units.
     """
 
-    def __init__(self, problem: PathProblem, near: Mapping[str, float] | None) -> None:
+    def __init__(self, problem: DesignProblem, near: Mapping[str, float] | None) -> None:
         self.problem, self.goals = problem, problem.goals
         self.trace = TracedCycle(problem)
         self.extremes = [goal for goal in self.goals if goal.extreme]
@@ -179,30 +180,31 @@ class TermCourse:
 
     @property
     def order(self) -> list[int]:
-        """For each of the arrays that `heights` returns, the number of the largest value that it exceeds; -1 for a limit."""
+        """For each limit and each largest value, its number among the largest values; -1 for a limit."""
         return [-1] * len(self.limits) + list(range(len(self.extremes)))
 
-    def heights(self, values: Mapping[str, float], levels: Sequence[float], shares: Array) -> list[Array]:
-        """Return the excesses (rows, n) over each limit, then of each term over its largest value, at shares of a revolution."""
+    def heights_of(self, k: int, values: Mapping[str, float], levels: Array, shares: Array) -> Array:
+        """Return the excess (rows, n) of a term over its limit or largest value over the revolution; `k`: see `order`."""
         with np.errstate(all="ignore"):
             signals = self.trace.signals(*self.trace.inputs(values), TURN * shares)
-        heights = []
-        for limit in self.limits:
+        if k < len(self.limits):
+            limit = self.limits[k]
             parts, term = self.parts(limit.bound.term, signals), limit.bound.term
+            signs = SIGNS["peak"] if term.how == "peak" else (1.0,)
             if len(parts) > 1 and not term.nature.general:
                 rows = [np.hypot(*parts) / limit.size - limit.above]
             else:
-                signs = SIGNS["peak"] if term.how == "peak" else (1.0,)
                 rows = [_beyond(sign * part / limit.size, limit.below, limit.above) for part in parts for sign in signs]
-            heights.append(np.array(rows) - EXCEEDED)
-        for level, goal, size in zip(levels, self.extremes, self.sizes, strict=True):
+            heights = np.array(rows) - EXCEEDED
+        else:
+            goal, size = self.extremes[k - len(self.limits)], self.sizes[k - len(self.limits)]
             parts = self.parts(goal, signals)
             if len(parts) > 1 and not goal.nature.general:
                 rows = [np.hypot(*parts) / size]
             else:
                 rows = [sign * part / size for part in parts for sign in SIGNS[goal.how]]
-            heights.append(above_level(np.array(rows), level))
-        return [np.where(np.isfinite(each), each, -np.inf) for each in heights]
+            heights = above_level(np.array(rows), levels[k - len(self.limits)])
+        return np.where(np.isfinite(heights), heights, -np.inf)
 
 
 def _beyond(value: Array, low: float, high: float) -> Array:
@@ -215,7 +217,7 @@ def above_level(values: Array, level: float) -> Array:
     return np.asarray((values - level * (1.0 + LEVELLED) - NO_ERROR) / max(abs(level), LEAST_LEVEL))
 
 
-def limit_courses(problem: PathProblem) -> list[LimitCourse]:
+def limit_courses(problem: DesignProblem) -> list[LimitCourse]:
     """Return the courses of limits at single crank angles: over the revolution, and along the motion of each requirement."""
     if not has_position_limits(problem):
         return []
@@ -227,12 +229,12 @@ def limit_courses(problem: PathProblem) -> list[LimitCourse]:
         return [LimitCourse(problem, None, False), *(course for course in along if course.rows(pose))]
 
 
-def error_courses(problem: PathProblem) -> list[ErrorCourse]:
+def error_courses(problem: DesignProblem) -> list[ErrorCourse]:
     """Return the courses of the errors that count over a range."""
-    return [ErrorCourse(part) for part in problem.parts if has_course(part)]
+    return [ErrorCourse(part) for part in problem.parts if part.everywhere]
 
 
-def exchange_count(problem: PathProblem) -> int:
+def exchange_count(problem: DesignProblem) -> int:
     """Return the number of exchange points of a programme."""
     if has_position_limits(problem) or problem.goals or problem.bounds:
         return EXCHANGE_POINTS

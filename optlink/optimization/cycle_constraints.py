@@ -18,7 +18,7 @@ from optlink.optimization.mapped_terms import MappedTerms
 from optlink.optimization.nlp import Variable, scaled_variable
 from optlink.problem.cycle.model import Bound
 from optlink.problem.cycle.terms import Goal, Term
-from optlink.problem.function import EPIGRAPH
+from optlink.problem.design import EPIGRAPH
 from optlink.units import KINDS, factor
 
 EVENT = "end of a stroke"

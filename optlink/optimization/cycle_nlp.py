@@ -18,7 +18,7 @@ from optlink.optimization.cycle_signals import EventOrder, TracedCycle
 from optlink.optimization.nlp import NLP, boxed
 from optlink.optimization.objectives import Figure
 from optlink.problem.cycle.model import CycleProblem
-from optlink.problem.function import EPIGRAPH
+from optlink.problem.design import EPIGRAPH
 from optlink.symbolic import CompiledFunction, symbols_in_numpy
 
 NODES = 48  # per revolution with integral terms; half of it with maxima only

@@ -25,7 +25,7 @@ from optlink.linkage.motion import Motion
 from optlink.linkage.stroke import Direction, slow_stroke
 from optlink.linkage.vector2d import TURN, Array, Value, dot, sign, unit
 from optlink.linkage.zeros import sign_changes, zeros
-from optlink.problem.cycle.model import CycleProblem
+from optlink.problem.cycle.model import MachineTerms
 from optlink.problem.cycle.quantities import guide_of
 from optlink.problem.cycle.terms import Term, output_of
 from optlink.problem.machine.load_curves import LoadTable
@@ -127,7 +127,7 @@ class TracedCycle:
 
     def __init__(
         self,
-        problem: CycleProblem,
+        problem: MachineTerms,
         values: Mapping[str, float] | None = None,
         slow: Mapping[str, Direction] | None = None,
     ) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.linkage.vector2d import Array
-from optlink.problem.function import EPIGRAPH
+from optlink.problem.design import EPIGRAPH
 
 if TYPE_CHECKING:
     from optlink.optimization.nlp import NLP, NLPValues

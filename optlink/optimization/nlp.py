@@ -14,8 +14,8 @@ from optlink.linkage.vector2d import TURN, Array
 from optlink.optimization.constraints import DEGREES, ConstraintRow, Scale
 from optlink.optimization.mapped_terms import MappedTerms
 from optlink.optimization.objectives import ErrorMeasure
+from optlink.problem.design import EPIGRAPH
 from optlink.problem.fixed_design import quantity_key
-from optlink.problem.function import EPIGRAPH
 from optlink.problem.machine.model import Problem
 from optlink.problem.quantity import Quantity
 from optlink.symbolic import BufferedFunction, CompiledFunction, packed, unpacked

@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from optlink.linkage.vector2d import Value, angle_from, turn, unit
-from optlink.problem.function import DesignProblem, StartPosition
+from optlink.problem.design import DesignProblem
+from optlink.problem.requirement import StartPosition
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import numpy as np
 
 from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.vector2d import Array, Value, Vector, cross, unit
-from optlink.problem.function import DesignProblem
+from optlink.problem.design import DesignProblem
 from optlink.problem.robust import EXPECTED, residuals, sizes_of
 from optlink.problem.targets.law import Table
 from optlink.problem.tolerances import with_deviating_pivots

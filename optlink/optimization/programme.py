@@ -22,7 +22,6 @@ from optlink.optimization.courses import (
     LimitCourse,
     TermCourse,
     exchange_count,
-    has_course,
     limit_courses,
 )
 from optlink.optimization.cycle_constraints import heights_at, rows_below_level
@@ -30,9 +29,8 @@ from optlink.optimization.mapped_terms import MappedTerms
 from optlink.optimization.nlp import NLP, Variable, boxed, scaled_variable
 from optlink.optimization.objectives import Figure, error_measures
 from optlink.optimization.output_derivatives import traced_residuals
-from optlink.problem.function import EPIGRAPH
+from optlink.problem.design import EPIGRAPH, STEP, DesignProblem
 from optlink.problem.limits import Reach
-from optlink.problem.path import STEP, PathProblem
 from optlink.problem.robust import EXPECTED, SMOOTHED
 from optlink.symbolic import symbols_in_numpy
 from optlink.units import DISPLAYED
@@ -52,14 +50,14 @@ def angle_name(index: int, suffix: str = "") -> str:
     return f"crank angle of point {index + 1}{suffix}"
 
 
-def path_variable(problem: PathProblem, name: str) -> Variable:
+def path_variable(problem: DesignProblem, name: str) -> Variable:
     """Return the scaling of a quantity: lengths by the size of the problem, coordinates on the frame from the curve's centre."""
     axis = name.rpartition(".")[2] if problem.quantities[name].kind == "coordinate" else ""
     origin = problem.centre["xy".index(axis)] if axis in ("x", "y") else 0.0
     return scaled_variable(problem, name, problem.size, periodic=problem.is_periodic(name), origin=origin)
 
 
-def build(problem: PathProblem, direction: int = 1, *, movable: bool = False, near: Mapping[str, float] | None = None) -> NLP:
+def build(problem: DesignProblem, direction: int = 1, *, movable: bool = False, near: Mapping[str, float] | None = None) -> NLP:
     """Build the nonlinear programme of a problem with definite assembly modes.
 
     `direction` is the sense of crank rotation from point to point without prescribed timing: +1 counter-clockwise, -1 clockwise.
@@ -73,7 +71,7 @@ def build(problem: PathProblem, direction: int = 1, *, movable: bool = False, ne
 class _Builder:
     """The expressions of a programme, in the order in which they are made."""
 
-    def __init__(self, problem: PathProblem, direction: int, movable: bool, near: Mapping[str, float] | None) -> None:
+    def __init__(self, problem: DesignProblem, direction: int, movable: bool, near: Mapping[str, float] | None) -> None:
         self.problem, self.direction, self.movable = problem, direction, movable
         self.recipe = {"builder": "path", "direction": direction} | ({"near": dict(near)} if near else {})
         self.terms = TermCourse(problem, near) if problem.goals or problem.bounds else None
@@ -138,21 +136,20 @@ class _Builder:
         problem = self.problem
         begin, span = self.blocks[0].reach
         self.rows += limit_rows(problem, self.values, Reach(begin, span, self.blocks[0].direction), problem.size)
-        courses: list[tuple[Callable[[], tuple[Any, Any]], RowsAt]] = []
+        courses: list[tuple[tuple[Any, Any], RowsAt]] = []  # begin and rotation of the motion
         for course in limit_courses(problem):
             angles = next((block.angles for block in self.blocks if block.part is course.part), None)
             rows_at = self._limit_course(course, angles)
             self.rows += [row for angle in course.fixed_positions(angles) for row in rows_at(angle)]
-            courses.append((lambda course=course, angles=angles: course.motion(angles), rows_at))
+            courses.append((course.motion(angles), rows_at))
         if self.terms is not None:
-            courses.append((lambda: (0.0, TURN), self._term_course(self.terms)))
+            courses.append(((0.0, TURN), self._term_course(self.terms)))
         for block in self.blocks:
             if block.course is not None:
-                courses.append((lambda block=block: block.course.motion(self.span), block.rows_at))
+                courses.append((block.course.motion(self.span), block.rows_at))
         self.first = len(self.rows)
         for k in range(self.many):
-            for motion, rows_at in courses:
-                begin, whole = motion()
+            for (begin, whole), rows_at in courses:
                 self.rows += rows_at(begin + whole * self.p[self.exchanged_from + k])
         self.each = (len(self.rows) - self.first) // max(1, self.many)
         for block in self.blocks:
@@ -191,8 +188,8 @@ class _Builder:
             return rows
 
         nodes = [at.at(angle) for angle in terms.fixed]
-        self.figure = lambda term: terms.figure(term, self.values, nodes)
-        self.rows += [limit.row(self.figure(limit.bound.term)) for limit in terms.fixed_limits]
+        self.nodes = nodes
+        self.rows += [limit.row(terms.figure(limit.bound.term, self.values, nodes)) for limit in terms.fixed_limits]
         self.rows += [row for z in nodes for row in rows_of(z)]
         return lambda angle: rows_of(at.at(angle))
 
@@ -224,7 +221,9 @@ class _Builder:
                     heights.append((casadi.vertcat(*self.term_heights[len(heights) - sum(map(_levelled, problem.parts))]), slope))
                     total += slope * next(levels)
                 else:
-                    total += worth * (-1.0 if goal.sense == "maximise" else 1.0) * self.figure(goal)
+                    total += (
+                        worth * (-1.0 if goal.sense == "maximise" else 1.0) * self.terms.figure(goal, self.values, self.nodes)
+                    )
         self.f = self.residual = total
         self.measure, self.factor, self.exact, self.heights = Figure("figure", problem.objective_unit), 1.0, 0.0, heights
 
@@ -276,7 +275,7 @@ class _Builder:
         )
 
 
-def _levelled(part: PathProblem) -> bool:
+def _levelled(part: DesignProblem) -> bool:
     """Return whether the largest deviation of a requirement is minimised."""
     return part.tolerance is None and part.measure == "max"
 
@@ -287,7 +286,7 @@ class _Targets:
     `angles`: unknown crank angles of its points, if they are; `level`: the largest deviation, if it is minimised.
     """
 
-    def __init__(self, of: _Builder, part: PathProblem, angles: list[Any], level: Any) -> None:
+    def __init__(self, of: _Builder, part: DesignProblem, angles: list[Any], level: Any) -> None:
         self.of, self.part, self.level = of, part, level
         self.count, self.free_timing = len(part.data.columns), part.data.offsets is None
         self.cosines = part.requirement.kind == "transmission"  # every dyad has a transmission angle of its own
@@ -296,7 +295,7 @@ class _Targets:
         if part.robust is not None and part.robust.text == EXPECTED:
             width = 1 + len(part.deviations)
         self.measure = error_measures(part.unit, width)[part.measure]
-        self.course = ErrorCourse(part) if has_course(part) else None
+        self.course = ErrorCourse(part) if part.everywhere else None
         self.heights: list[Any] = []
         self.further: list[Any] = []
         self._trace()
@@ -447,7 +446,7 @@ class _Positions:
 # --- parameters --------------------------------------------------------------------------------------------------------------
 
 
-def target_constants(problem: PathProblem) -> list[Variable]:
+def target_constants(problem: DesignProblem) -> list[Variable]:
     """Return the components of the targets as parameters: each row of `data.columns`, and the length of a radian of poses."""
     size = problem.size
     constants = []
@@ -461,7 +460,7 @@ def target_constants(problem: PathProblem) -> list[Variable]:
     return constants
 
 
-def constant_values(problem: PathProblem, constants: Sequence[Variable]) -> list[Any]:
+def constant_values(problem: DesignProblem, constants: Sequence[Variable]) -> list[Any]:
     """Return the scaled values of `NLP.constants`: fixed quantities, tolerances, the span of a law, components of the targets.
 
     They are arrays where the numbers of the problem are.
@@ -477,7 +476,7 @@ def constant_values(problem: PathProblem, constants: Sequence[Variable]) -> list
 # --- solved programmes --------------------------------------------------------------------------------------------------------
 
 
-def solved_values(task: PathProblem, design: Mapping[str, float], x: Array) -> tuple[dict[str, float], Array]:
+def solved_values(task: DesignProblem, design: Mapping[str, float], x: Array) -> tuple[dict[str, float], Array]:
     """Return all quantities [m, rad] of a solved programme, and its crank angles (points,) [rad]; `design` has the free ones."""
     values = {name: quantity.value for name, quantity in task.quantities.items()}
     values = task.complete(values | {name: design[name] for name in task.free})

@@ -64,6 +64,21 @@ SPELLED = ("balance", "control", "objective", "requirement")
 """Sections whose keys have such spellings; the names in them are never the user's."""
 
 
+ALSO_WRITTEN = {"requirement.from": "requirement.start", "requirement.start": "requirement.from"}
+"""Keys with two spellings that are both documented."""
+
+
+def written(key: str, raw: object) -> str:
+    """Return a dotted key in the spelling that the tables of a file have; unchanged if they have none of the two."""
+    head = ".".join(key.split(".")[:2])
+    other = ALSO_WRITTEN.get(head)
+    section, _, name = head.partition(".")
+    table = raw.get(section) if isinstance(raw, Mapping) else None
+    if other is None or not isinstance(table, Mapping) or name in table or other.partition(".")[2] not in table:
+        return key
+    return other + key[len(head) :]
+
+
 class Ends(list[Any]):
     """The two ends of a range, with the text of the file that states them."""
 
@@ -81,7 +96,7 @@ def with_spellings(raw: Mapping[str, Any]) -> dict[str, Any]:
         standard = {key: SPELLINGS.get(key, key) for key in table}
         renamed = {key: key if standard[key] != key and standard[key] in table else standard[key] for key in table}
         values = {
-            key: SPELLINGS.get(item, item) if key in ("sense", "from") and isinstance(item, str) else item
+            key: SPELLINGS.get(item, item) if key in ("sense", "from", "start") and isinstance(item, str) else item
             for key, item in table.items()
         }
         return {renamed[key]: one(item) if key == "terms" else item for key, item in values.items()}

@@ -20,7 +20,8 @@ from pydantic_core import PydanticKnownError, core_schema
 from optlink.errors import OPTIONS_NAMED, InputError, shown
 from optlink.io import data_files, load_extensions, shown_name
 from optlink.problem.arguments import typed
-from optlink.problem.base_model import DEEPEST, SPELLED, SPELLINGS, with_ranges, with_spellings
+from optlink.problem.base_model import DEEPEST, SPELLED, SPELLINGS, with_ranges, with_spellings, written
+from optlink.problem.design import DesignProblem
 from optlink.problem.enclosed import enclosing
 from optlink.problem.file_errors import (
     SECTIONS,
@@ -33,13 +34,13 @@ from optlink.problem.file_errors import (
     text_fault,
     toml_fault,
 )
-from optlink.problem.function import DesignProblem
 from optlink.problem.identity import identity
 from optlink.problem.limits import MARGINS, Alignment, four_bar_limits
 from optlink.problem.machine.model import Problem
 from optlink.problem.nearby import read_near
 from optlink.problem.overview import linkage_type
 from optlink.problem.quantity import input_of, nearest
+from optlink.problem.requirement import DEFAULT_KIND, REQUIREMENTS
 from optlink.problem.targets.target_points import split_enclosed
 from optlink.problem.tolerances import with_tolerance
 from optlink.units import in_si, is_unit, split
@@ -47,10 +48,7 @@ from optlink.units import in_si, is_unit, split
 MAX_BYTES = 1_000_000
 MOST_NESTED = 50
 STROKE = "stroke"
-REQUIREMENTS = ("function", "path", "motion", "transmission", STROKE)
-"""Kinds of requirements."""
-OTHER_KINDS = {"point", "timing", "mark", "angle_length", "closed", "stroke"}
-"""Keys of a requirement that no motion law has."""
+"""Kind of the requirement over the cycle of a machine."""
 SIDES = ("min", "max")
 RANGE_KEYS = {"start", "bounds", "exactly", *SIDES}
 """Keys of a table that states one quantity: a free one, or a range of it."""
@@ -115,7 +113,7 @@ class ProblemFile:
         InputError
             when the problem has no requirement.
         """
-        if isinstance(self.model, DesignProblem):
+        if isinstance(self.model, DesignProblem) and self.task == "function":
             return self.model
         remedy = "Add one, or use `optlink analyze`, `study sweep --analyze` or --simulate, `study sensitivity --quantity NAME`"
         raise InputError("the problem has no [requirement], so there is nothing to solve", remedy, self.file)
@@ -319,24 +317,19 @@ def _model(raw: Mapping[str, Any], file: str) -> type[Problem]:
     """Return the model of a file: that of a registered section, else of its requirement, objective or limits."""
     requirement: Any = raw.get("requirement")
     registered = [model for section, model in SECTIONS.items() if section in raw]
-    kind = requirement.get("kind", "function") if isinstance(requirement, dict) else None
-    if isinstance(requirement, dict) and not {"kind", "law"} & set(requirement) and OTHER_KINDS & set(requirement):
-        raise InputError("this key is missing", 'Add kind = "path", "motion" or "stroke"', file, "requirement.kind")
-    if kind is not None and kind not in REQUIREMENTS:
-        raise InputError("unknown kind", nearest(str(kind), REQUIREMENTS), file, "requirement.kind", kind)
+    kind = requirement.get("kind", DEFAULT_KIND) if isinstance(requirement, dict) else None
+    if isinstance(requirement, dict) and not {"kind", "law"} & set(requirement):
+        others = {key for one in REQUIREMENTS.values() for key in one.model_fields} | {STROKE}
+        if (others - set(REQUIREMENTS[DEFAULT_KIND].model_fields)) & set(requirement):
+            raise InputError("this key is missing", 'Add kind = "path", "motion" or "stroke"', file, "requirement.kind")
+    if kind is not None and kind not in (known := (*REQUIREMENTS, STROKE)):
+        raise InputError("unknown kind", nearest(str(kind), known), file, "requirement.kind", kind)
     if registered:
         return registered[0]
-    if kind == STROKE:
+    if kind is not None and kind not in REQUIREMENTS:
         from optlink.problem.cycle.model import StrokeProblem
 
         return StrokeProblem
-    if kind is not None and (kind != "function" or of_dyads(raw)):
-        if "robust" in requirement:
-            message = "robust design supports motion laws of a four-bar only"
-            raise InputError(message, "Leave it out; `optlink study tolerance` analyses any design", file, "requirement.robust")
-        from optlink.problem.path import PathProblem
-
-        return PathProblem
     if "objective" in raw and "requirement" not in raw:
         from optlink.problem.cycle.model import CycleProblem
 
@@ -484,7 +477,7 @@ def _change(raw: dict[str, Any], changes: Mapping[str, object], file: str) -> No
 
 def _assign(raw: dict[str, Any], key: str, value: object, file: str) -> None:
     if key.partition(".")[0] in SPELLED:
-        key = ".".join(SPELLINGS.get(step, step) for step in key.split("."))
+        key = written(".".join(SPELLINGS.get(step, step) for step in key.split(".")), raw)
     key, value = _whole(raw, key, with_ranges(value, tuple(key.split(".")), WORDS), file)
     section, _, name = key.partition(".")
     if section == "tolerances" and name and isinstance(raw.setdefault(section, {}), dict):
@@ -530,7 +523,7 @@ def _coordinate(path: tuple[str, ...], table: Any, step: str) -> int | None:
 def _at(raw: Mapping[str, Any], key: str) -> Any:
     """Return the value at a dotted key; None if there is none."""
     value: Any = raw
-    steps = key.split(".")
+    steps = written(key, raw).split(".")
     for depth, step in enumerate(steps):
         place = _coordinate(tuple(steps[:depth]), value, step)
         value = value[place] if place is not None else value.get(step) if isinstance(value, Mapping) else None

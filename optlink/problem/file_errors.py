@@ -13,18 +13,22 @@ import pydantic
 
 from optlink.errors import Fault
 from optlink.io import Registry
-from optlink.problem.base_model import Ends
-from optlink.problem.function import DesignProblem
+from optlink.problem.base_model import ALSO_WRITTEN, Ends, written
+from optlink.problem.design import DesignProblem
+from optlink.problem.limits import four_bar_limits
 from optlink.problem.machine.model import Problem
 from optlink.problem.mechanism import DyadsSection, FourBarSection
 from optlink.problem.quantity import Unusable, nearest
+from optlink.problem.requirement import DEFAULT_KIND, REQUIREMENTS, lacks
+from optlink.problem.targets.law import SLIDE
 from optlink.problem.targets.target_points import file_kind
 from optlink.units import split
 from optlink.unsupported import unsupported_key
 
 
 def as_written(fault: Fault, raw: object) -> Fault:
-    """Return a fault whose value is that of a quantity or a range with the value as it stands in the tables of the file."""
+    """Return a fault with its key, and the value of a quantity or range, as they stand in the tables of the file."""
+    fault = fault if fault.key is None else replace(fault, key=written(fault.key, raw))
     if isinstance(fault.value, Ends):
         return replace(fault, value=fault.value.text)
     if not isinstance(fault.value, str) or fault.key is None:
@@ -57,16 +61,21 @@ def of_dyads(raw: Mapping[str, Any]) -> bool:
 def known_keys(path: tuple[str | int, ...], *kinds: type[Problem]) -> list[str]:
     """Return the keys that models of these kinds (default: any kind) have at a path of sections, the outermost first."""
     from optlink.problem.cycle.model import CycleProblem, StrokeProblem
-    from optlink.problem.path import PathProblem
 
-    models: list[Any] = list(kinds) or [DesignProblem, PathProblem, CycleProblem, StrokeProblem, Problem, *SECTIONS.values()]
+    models: list[Any] = list(kinds) or [DesignProblem, CycleProblem, StrokeProblem, Problem, *SECTIONS.values()]
     for step in path:
-        fields = [f for model in models for name, f in model.model_fields.items() if step in (f.alias, name)]
+        fields = [field for model in models for name, field in model.model_fields.items() if step == name]
         if fields:  # otherwise the step is the name of a body, a point ...: the models stay the same
             models = [model for f in fields for model in _models(f.annotation)]
         if not models:
             return ["start", "bounds"]
-    return list(dict.fromkeys(field.alias or name for model in models for name, field in model.model_fields.items()))
+    return list(dict.fromkeys(key for model in models for key in keys_of(model)))
+
+
+def keys_of(model: type[pydantic.BaseModel]) -> list[str]:
+    """Return the keys of a model, in all their spellings."""
+    fields = ((name, field.validation_alias) for name, field in model.model_fields.items())
+    return [str(key) for name, also in fields for key in (also.choices if isinstance(also, pydantic.AliasChoices) else [name])]
 
 
 def keys_ending(raw: Mapping[str, Any], end: str, above: str = "") -> list[str]:
@@ -95,16 +104,14 @@ def _models(annotation: Any) -> Iterator[Any]:
 
 def _known(path: tuple[str | int, ...], model: type[Problem], raw: Mapping[str, Any]) -> list[str]:
     """Return the keys at a path of sections that are valid for the task of the file."""
-    from optlink.problem.path import PathProblem
-    from optlink.problem.path_requirement import inapplicable_keys
-
+    if path == ("requirement",) and model is DesignProblem:
+        return keys_of(REQUIREMENTS[raw["requirement"].get("kind", DEFAULT_KIND)])
     keys, dyads = known_keys(path, model), of_dyads(raw)
     if path == ("mechanism",):
         fields = (DyadsSection if dyads else FourBarSection).model_fields
         keys = [key for key in keys if key in fields]
-    if model is PathProblem and len(path) == 1:
-        others = inapplicable_keys(str(path[0]), raw["requirement"].get("kind", "function"), four_bar=not dyads)
-        keys = [key for key in keys if key not in others]
+    if path == ("limits",) and dyads and model is DesignProblem:
+        keys = [key for key in keys if key not in four_bar_limits()]
     return keys
 
 
@@ -116,6 +123,17 @@ def _nearest_key(path: list[str | int], model: type[Problem], raw: Mapping[str, 
         sections = (name for name in ("mechanism", "requirement", "limits", "drive") if name in model.model_fields)
         deeper = [f"{name}.{key}" for name in sections if name != path[0] and key in known_keys((name,), model)]
     return nearest(key, _known(tuple(path[:-1]), model, raw), deeper)
+
+
+def _needless(path: list[str | int], model: type[Problem], raw: Mapping[str, Any]) -> tuple[str, str]:
+    """Return message and remedy for a key that is written twice, that another kind of requirement has, or that is unknown."""
+    other, key = ALSO_WRITTEN.get(".".join(map(str, path))), str(path[-1])
+    if other is not None and other.partition(".")[2] in raw["requirement"]:
+        return f"{key} and {other.partition('.')[2]} are the same key", "Keep one of the two"
+    of_kind = lacks(raw["requirement"].get("kind", DEFAULT_KIND), key) if path[:-1] == ["requirement"] else None
+    if model is DesignProblem and of_kind is not None:
+        return of_kind
+    return UNKNOWN, _nearest_key(path, model, raw)
 
 
 def faults(error: pydantic.ValidationError, model: type[Problem], raw: Mapping[str, Any], file: str) -> Iterator[Fault]:
@@ -138,7 +156,7 @@ def _faults(error: pydantic.ValidationError, model: type[Problem], raw: Mapping[
     of_types = ("str", "Quantity", "function-before[<lambda>(), Quantity]", "[key]")
     for item in error.errors(include_url=False):
         path = [step for step in item["loc"] if step not in of_types]
-        if path[:1] == ["mechanism"] and path[1:2] in (["four-bar"], ["dyads"]):
+        if path[:1] in (["mechanism"], ["requirement"]) and len(path) > 1 and path[1] in ("four-bar", "dyads", *REQUIREMENTS):
             del path[1]  # the tag of the union type
         key = ".".join(map(str, path))
         value, problem = _plain(item["input"]), item.get("ctx", {}).get("error")
@@ -146,7 +164,7 @@ def _faults(error: pydantic.ValidationError, model: type[Problem], raw: Mapping[
             below = f".{problem.key}" if problem.key and not problem.key.startswith("[") else problem.key
             yield Fault(problem.message, problem.remedy, file, key + below, problem.value if problem.key else value)
         elif item["type"] == "extra_forbidden":
-            yield Fault(*(unsupported_key(key) or (UNKNOWN, _nearest_key(path, model, raw))), file, key)
+            yield Fault(*(unsupported_key(key) or _needless(path, model, raw)), file, key)
         elif item["type"] == "union_tag_invalid":
             linkage_type = raw["mechanism"].get("type")
             known = nearest(str(linkage_type), ("four-bar", "dyads"))
@@ -238,7 +256,7 @@ _EXAMPLES = {
     "mechanism": "Add the section [mechanism]",
     "requirement": "Add the section [requirement]",
     "balance.minimise": 'Add minimise = "rms shaking force"',
-    "requirement.law": 'Add law = "psi0 + 0.5*(phi - phi0)"',
+    "requirement.law": f'Add law = "psi0 + 0.5*(phi - phi0)", or for a slider {SLIDE}',
     "requirement.points": "Give a whole number from 1 to 10000, for example points = 30",
     "expected.source": "State the source of the expected values",
 }

@@ -1,4 +1,4 @@
-"""Limits of function and path synthesis, and their crank range: one entry of `LIMITS` per key of `[limits]` on the dimensions.
+"""Limits of design problems, and their crank range: one entry of `LIMITS` per key of `[limits]` on the dimensions.
 
 An entry contains the formula of the optimiser (`values`, elementwise on floats, arrays and symbols) and, written separately, the
 measurement of the validator in motion (`measure`).
@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal, Protocol
 import numpy as np
 
 from optlink.io import Registry
+from optlink.linkage.dyad_types import transmitting
 from optlink.linkage.fourbar import LENGTHS, lengths_of, swing, time_ratio
 from optlink.linkage.margins import LEAST_ALIGNMENT, LEAST_LENGTH_MARGIN, SMALLEST_ALIGNMENT, SMALLEST_LENGTH_MARGIN
 from optlink.linkage.mechanism import Mechanism
@@ -22,6 +23,7 @@ from optlink.problem.interval import (
     SIDES,
     AngleInterval,
     AnglesOfJoints,
+    CoordinateInterval,
     Interval,
     JointRanges,
     LargestAnglesOfJoints,
@@ -83,6 +85,15 @@ COUPLER_JOINT = "C"
 """Joint of coupler and rocker of a four-bar."""
 
 
+class RegionSection(Section):
+    """A rectangle of the plane: ranges of x and y."""
+
+    x: CoordinateInterval | None = None
+    """Range of x; default: unlimited."""
+    y: CoordinateInterval | None = None
+    """Range of y; default: unlimited."""
+
+
 class Limits(Margins):
     """Limits of a design problem."""
 
@@ -107,6 +118,8 @@ class Limits(Margins):
     """Length of the frame; four-bar only."""
     link_ratio: NumberInterval | None = None
     """Length of each moving link divided by that of the frame; four-bar only."""
+    pivots: RegionSection | None = None
+    """Rectangle that contains every point of the frame; not for a law of a four-bar, which has no position."""
 
     @property
     def transmission_range(self) -> str:
@@ -196,16 +209,21 @@ def check_transmission(angle: JointRanges | None, pressure: JointRanges | None, 
         transmission_limit(angle, pressure, joint)
 
 
-def check_limits(limits: Limits, joints: Sequence[str]) -> None:
-    """Refuse limits outside the physically possible range, and those that contradict the crank condition or each other.
-
-    `joints` are those of the dyads that have a transmission angle.
+def check_limits(limits: Limits, linkage: Mechanism, *, four_bar: bool) -> None:
+    """Refuse limits that the linkage cannot have, that are physically impossible, or contradict the crank or each other.
 
     Raises
     ------
     Unusable
         with the full key of the limit.
     """
+    joints = [group.joint for group in transmitting(linkage)]
+    for key in () if four_bar else four_bar_limits():
+        if key in limits.model_fields_set:
+            remedy = "Leave it out, and bound the lengths themselves"
+            raise Unusable("this limit applies to a four-bar only", remedy, f"limits.{key}")
+    if limits.crank == "double-crank" and not four_bar:
+        raise Unusable("only a four-bar can be a double-crank", 'Write crank = "full rotation"', "limits.crank", limits.crank)
     if limits.transmission_cosine is not None:
         remedy = "Give a range such as [-0.7071, 0.7071]"
         _check_range("transmission_cosine", limits.transmission_cosine, (-1.0, 1.0), remedy)

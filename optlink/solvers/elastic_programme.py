@@ -11,7 +11,7 @@ from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.vector2d import Array
 from optlink.optimization.constraints import DEGREES, PLAIN, ConstraintRow, Scale
 from optlink.optimization.nlp import NLP, Variable
-from optlink.problem.function import EPIGRAPH
+from optlink.problem.design import EPIGRAPH
 from optlink.solvers.solution import Relaxation
 
 FEASIBLE_SLACK = 1e-6  # total slack, in scaled units, below which a set of limits counts as feasible

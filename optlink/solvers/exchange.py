@@ -7,7 +7,9 @@ References
 R. Hettich, K. O. Kortanek, Semi-infinite programming: theory, methods, and applications, SIAM Review 35 (1993) 380-429.
 """
 
+import functools
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,11 +18,10 @@ from optlink.errors import Status
 from optlink.linkage.extrema import Function, maxima
 from optlink.linkage.fourbar import lengths_of, time_ratio
 from optlink.linkage.vector2d import Array
-from optlink.optimization.courses import EXCEEDED, LEAST_LEVEL, LEVELLED, TermCourse, above_level, error_courses, limit_courses
+from optlink.optimization.courses import EXCEEDED, LEAST_LEVEL, LEVELLED, LimitCourse, TermCourse, error_courses, limit_courses
 from optlink.optimization.nlp import NLP
 from optlink.optimization.programme import build, solved_values
-from optlink.problem.function import EPIGRAPH
-from optlink.problem.path import PathProblem
+from optlink.problem.design import EPIGRAPH, DesignProblem
 from optlink.solvers import contract, multistart as local
 from optlink.solvers.newton import polish
 from optlink.solvers.semi_infinite import with_moving_rows
@@ -44,7 +45,7 @@ RESTORED = 0.5  # share of a violation: a step that leaves at most this much of 
 
 @dataclass(frozen=True)
 class RowPeak:
-    """A local maximum of a row at a share of its motion; `level`: number of the largest value to which it belongs, -1: a limit."""
+    """A local maximum of a row at a share of its motion; `level`: number of the largest value to which it belongs, else -1."""
 
     at: float
     height: float
@@ -63,16 +64,16 @@ class RowPeak:
         return self.height > -near and EDGE < self.at < 1.0 - EDGE
 
 
-def solve_semi_infinite(task: PathProblem, start: Solution, backend: str, *, near: bool = False) -> Solution:
+def solve_semi_infinite(task: DesignProblem, start: Solution, backend: str, *, near: bool = False) -> Solution:
     """Return an optimum near a start at which limits and the largest error hold also between the positions of the NLP.
 
     In every round the exchange points move to where limits or the largest error are exceeded or nearly so, and the NLP is solved
     within a radius, in which these positions hardly move; a step is accepted only if the merit over all positions decreases. The
     penalty of the merit is raised where it would reject a step that restores feasibility: near an exact design the objective
-    alone is a poor measure. `near`: the start satisfies its limits everywhere, or is an optimum at the positions of the NLP, so
-    that the first search stays within the radius too.
+    alone is a poor measure. `near`: the start satisfies its limits everywhere, so that the first search stays within the radius
+    too, as from an optimum at the positions of the NLP.
     """
-    nlp = start.nlp
+    nlp, near = start.nlp, near or start.status is Status.OPTIMAL
     if not nlp.exchange_count:
         return start if start.status is Status.OPTIMAL else local.solve_from(nlp, start.x, backend, persistent=False)
     nlp.spread_exchange_points()
@@ -109,13 +110,13 @@ def solve_semi_infinite(task: PathProblem, start: Solution, backend: str, *, nea
     return replace(solution, status=Status.STALLED, message=what)
 
 
-def place_at_peaks(task: PathProblem, nlp: NLP, x: Array) -> None:
+def place_at_peaks(task: DesignProblem, nlp: NLP, x: Array) -> None:
     """Move the exchange points, if there are any, to the peaks of the limits of a design."""
     if nlp.exchange_count:
         nlp.set_exchange_points(_places(_courses(task, nlp).tops(local.solution_at(nlp, x, "")), nlp.exchange_count))
 
 
-def best_slow_stroke(task: PathProblem, solution: Solution, backend: str) -> Solution:
+def best_slow_stroke(task: DesignProblem, solution: Solution, backend: str) -> Solution:
     """Return the better one of a solution and the optimum near it whose slow stroke has the other direction.
 
     A time ratio that does not name its stroke divides the four-bars into two families. Near a ratio of 1 they almost meet, and
@@ -256,7 +257,12 @@ def _places(tops: list[RowPeak], count: int) -> Array:
     return np.array(chosen + chosen[:1] * (count - len(chosen)))
 
 
-def _courses(task: PathProblem, nlp: NLP) -> "_Courses":
+def _beyond_limits(course: LimitCourse, values: Mapping[str, float], angles: Array, shares: Array) -> Array:
+    """Return the excess over the limits of a course beyond the permitted one."""
+    return course.heights(values, angles, shares) - EXCEEDED
+
+
+def _courses(task: DesignProblem, nlp: NLP) -> "_Courses":
     """Return the courses of a programme (cached)."""
     if "courses" not in nlp.cache:
         nlp.cache["courses"] = _Courses(task, nlp)
@@ -267,7 +273,7 @@ def _courses(task: PathProblem, nlp: NLP) -> "_Courses":
 class _Courses:
     """Limits and largest values of a problem along the motions over which they apply, in the order of the exchange rows."""
 
-    def __init__(self, task: PathProblem, nlp: NLP) -> None:
+    def __init__(self, task: DesignProblem, nlp: NLP) -> None:
         self.task, self.limits, self.errors = task, limit_courses(task), error_courses(task)
         self.terms = TermCourse(task, nlp.recipe.get("near")) if task.goals or task.bounds else None
 
@@ -285,24 +291,18 @@ class _Courses:
 
         for course in self.limits:
             own = self._angles(angles, course.part)
-            search(lambda shares, course=course, own=own: course.heights(values, own, shares) - EXCEEDED, -1)  # type: ignore[misc]
+            search(functools.partial(_beyond_limits, course, values, own), -1)
         if self.terms is not None:
             first = len(levels) - len(self.terms.levels)
             for k, level in enumerate(self.terms.order):
-                number = first + level if level >= 0 else -1
-                search(lambda shares, k=k: self.terms.heights(values, levels[first:], shares)[k], number)  # type: ignore
-        for course in self.errors:
-            number = course.level(self.task)
-            most = float(levels[number]) if number >= 0 else course.part.tolerance / course.part.whole
-
-            def excess(shares: Array, course=course, most=most, number=number) -> Array:  # type: ignore[no-untyped-def]
-                sizes = course.sizes(values, shares)
-                return above_level(sizes, most) if number >= 0 else sizes - most - EXCEEDED
-
-            search(excess, number)
+                heights = functools.partial(self.terms.heights_of, k, values, levels[first:])
+                search(heights, first + level if level >= 0 else -1)
+        for error in self.errors:
+            number = error.level(self.task)
+            search(functools.partial(error.heights, values, float(levels[number]) if number >= 0 else None), number)
         return sorted(found, key=lambda top: -top.height) or [RowPeak(0.0, -math.inf, 0)]
 
-    def _angles(self, angles: Array, part: PathProblem | None) -> Array:
+    def _angles(self, angles: Array, part: DesignProblem | None) -> Array:
         """Return the crank angles of one requirement among those of all."""
         first = 0
         for other in self.task.parts:

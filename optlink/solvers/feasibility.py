@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from optlink.linkage.vector2d import Array
 from optlink.optimization.nlp import NLP
-from optlink.problem.function import EPIGRAPH
+from optlink.problem.design import EPIGRAPH
 from optlink.solvers.solution import FEASIBLE, violation
 
 INSIDE = 1e-3  # distance (scaled units) to aim for inside a limit: at the limit a dead centre may have no derivative

@@ -7,7 +7,7 @@ from scipy.optimize import fmin_slsqp
 
 from optlink.linkage.vector2d import Array
 from optlink.optimization.nlp import NLP, NLPValues
-from optlink.problem.function import EPIGRAPH
+from optlink.problem.design import EPIGRAPH
 from optlink.solvers.solution import Attempt
 
 # SLSQP cannot handle undefined values: a very large finite one makes its line search step back

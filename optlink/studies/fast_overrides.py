@@ -10,8 +10,8 @@ from typing import Any, TypeVar
 from pydantic import BaseModel
 
 from optlink.linkage.vector2d import Value
+from optlink.problem.design import DesignProblem
 from optlink.problem.file import SIDES
-from optlink.problem.function import DesignProblem
 from optlink.problem.interval import Interval
 from optlink.problem.quantity import Quantity
 from optlink.studies.grid import Axis

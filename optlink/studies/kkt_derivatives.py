@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from optlink.linkage.vector2d import TURN, Array
 from optlink.optimization.multipliers import MultiplierSet
 from optlink.optimization.nlp import NLP
+from optlink.problem.design import EPIGRAPH
 from optlink.problem.document import Number
-from optlink.problem.function import EPIGRAPH
 from optlink.solvers.solution import STATIONARY, Solution, Stationarity, stationarity
 from optlink.studies.parameters import Parameter
 from optlink.symbolic import CompiledFunction

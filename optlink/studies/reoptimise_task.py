@@ -24,8 +24,8 @@ from optlink.optimization.constraints import rows as limit_rows
 from optlink.optimization.multipliers import ACTIVE
 from optlink.optimization.nlp import NLP
 from optlink.optimization.programme import SPAN, build
+from optlink.problem.design import DesignProblem
 from optlink.problem.file import ProblemFile
-from optlink.problem.function import DesignProblem
 from optlink.problem.quantity import check_choice
 from optlink.solvers import multistart
 from optlink.solvers.contract import selectable
@@ -163,7 +163,7 @@ class ReoptimiseTask(OptimumTask):
         values = {v.name: v.origin + x[:, i] * v.size for i, v in enumerate(nlp.variables) if v.name not in nlp.helpers}
         if self.fast_override is not None:
             task = self.fast_override.model(self.grid.columns(points))
-            validations = validate_batch(task, task.designs(values), objective)
+            validations = validate_batch(task, task.complete(values), objective)
             valid = validations.valid
             failed = {k: validations.of(k).failed for k in np.flatnonzero(~valid).tolist()}
         else:

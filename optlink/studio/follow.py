@@ -18,10 +18,10 @@ from optlink.optimization.cycle_signals import TracedCycle
 from optlink.optimization.nlp import NLP
 from optlink.optimization.programme import build, constant_values
 from optlink.problem.cycle.model import CycleProblem
+from optlink.problem.design import DesignProblem
 from optlink.problem.file import ProblemFile
 from optlink.problem.limits import Reach
 from optlink.problem.machine.model import Problem
-from optlink.problem.path import PathProblem
 from optlink.solvers import multistart
 from optlink.solvers.contract import MINIMAX
 from optlink.solvers.exchange import solve_semi_infinite
@@ -64,9 +64,7 @@ class FunctionFollower:
             return multistart.solve_from(nlp, start_of(nlp, near), BACKEND)
         nlp.spread_exchange_points()
         solution = multistart.solve_from(nlp, start_of(nlp, near), BACKEND)
-        return (
-            solve_semi_infinite(task, solution, BACKEND, near=solution.status is Status.OPTIMAL) if solution.usable else solution
-        )
+        return solve_semi_infinite(task, solution, BACKEND) if solution.usable else solution
 
 
 class PathFollower:
@@ -79,7 +77,7 @@ class PathFollower:
         self.direction = direction
         self._build(path_model(problem))
 
-    def _build(self, task: PathProblem) -> None:
+    def _build(self, task: DesignProblem) -> None:
         """Build the programme of a problem; it serves all problems with the same limits."""
         self.task, self.nlp = task, build(task, self.direction, movable=True)
         multistart.prepare(self.nlp, BACKEND)
@@ -100,7 +98,7 @@ class PathFollower:
             return solve_semi_infinite(task, start, backend, near=start.usable)
         return multistart.solve_from(nlp, x, backend)
 
-    def _bind(self, task: PathProblem) -> bool:
+    def _bind(self, task: DesignProblem) -> bool:
         """Set parameters, bounds and limits; return whether the limits of the programme are those of the problem."""
         nlp, n = self.nlp, len(self.nlp.variables)
         values = {name: quantity.value for name, quantity in task.quantities.items()}

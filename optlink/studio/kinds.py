@@ -120,7 +120,7 @@ class _FunctionSynthesis(_Searched):
     def fixed_parts(self, model: Any, requirement: Mapping[str, Any]) -> list[Any]:
         task = model.requirement
         moving = {"span": isinstance(task.law, Expression)}
-        moving |= {"from": isinstance(task.start, Quantity), "psi0": isinstance(task.psi0, Quantity)}
+        moving |= {**dict.fromkeys(("from", "start"), isinstance(task.start, Quantity)), "psi0": isinstance(task.psi0, Quantity)}
         return [{key: value for key, value in requirement.items() if not moving.get(key)}, model.sense]
 
 

@@ -17,9 +17,10 @@ from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.vector2d import TURN, Array, unit
 from optlink.optimization.constraints import position_rows, rows as limit_rows
 from optlink.optimization.programme import path_variable
+from optlink.problem.design import DesignProblem
 from optlink.problem.limits import MARGIN_KEYS, Reach
 from optlink.problem.mechanism import FourBarSection
-from optlink.problem.path import START, PathProblem
+from optlink.problem.requirement import START
 from optlink.symbolic import NumpyEvaluator, symbols_in_numpy
 
 Variant = int | NDArray[np.int_]
@@ -38,7 +39,7 @@ class Batch:
     (designs,) is the index of each in `problems`.
     """
 
-    def __init__(self, problem: PathProblem, others: Sequence[PathProblem] = ()) -> None:
+    def __init__(self, problem: DesignProblem, others: Sequence[DesignProblem] = ()) -> None:
         self.problem, self.data = problem, problem.data
         self.problems = (problem, *others)
         self.names = problem.free

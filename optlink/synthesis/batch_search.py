@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from optlink.execution.runner import ordered
 from optlink.execution.worker import Runs, built, packed
 from optlink.linkage.vector2d import TURN, Array
-from optlink.problem.path import STEP, PathProblem
+from optlink.problem.design import STEP, DesignProblem
 from optlink.synthesis import random_starts as starts
 from optlink.synthesis.batch import Batch
 from optlink.synthesis.levenberg_marquardt import ZERO, FinalDesigns, minimise
@@ -91,7 +91,7 @@ class Searcher:
     of a longer one with the same seed.
     """
 
-    def __init__(self, variants: list[PathProblem], seed: int) -> None:
+    def __init__(self, variants: list[DesignProblem], seed: int) -> None:
         self.batch = Batch(variants[0], variants[1:])
         self.fit = SimilarityFit(self.batch)
         self.batches = [self.batch.of_variant(k) for k in range(len(variants))]
@@ -279,13 +279,13 @@ def acceptable(batch: Batch, ends: FinalDesigns) -> tuple[NDArray[np.bool_], NDA
     whole = angles[:, -1] - angles[:, 0]
     way = np.where(whole >= 0.0, 1, -1)
     proper = np.all(steps * way[:, None] >= STEP, axis=1) & (np.abs(whole) <= TURN + 1e-9)
-    rotation = {"counter-clockwise": 1, "clockwise": -1}.get(batch.problem.requirement.rotation)
+    rotation = {"counter-clockwise": 1, "clockwise": -1}.get(batch.problem.rotation)
     if rotation is not None and batch.free_timing:
         proper &= way == rotation
     return (ends.missed <= MISSED) & (proper | (not batch.free_timing)), way
 
 
-def nearest_in_order(problem: PathProblem, t: Array) -> Array:
+def nearest_in_order(problem: DesignProblem, t: Array) -> Array:
     """Return the crank angles (points,) [rad] nearest to `t` that pass the points in order within one revolution.
 
     Where the problem leaves the direction of the crank free, the direction with the smaller change is used.
@@ -293,7 +293,7 @@ def nearest_in_order(problem: PathProblem, t: Array) -> Array:
     from scipy.optimize import isotonic_regression
 
     least = 2.0 * STEP * np.arange(len(t))
-    rotation = {"counter-clockwise": 1.0, "clockwise": -1.0}.get(problem.requirement.rotation)
+    rotation = {"counter-clockwise": 1.0, "clockwise": -1.0}.get(problem.rotation)
     angles = []
     for way in (1.0, -1.0) if rotation is None else (rotation,):
         rising = isotonic_regression(way * t - least).x + least

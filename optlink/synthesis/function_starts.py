@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from optlink.linkage.fourbar import LENGTHS, transmission_cosine
 from optlink.linkage.vector2d import TURN, Array, unit
-from optlink.problem.function import DesignProblem
+from optlink.problem.design import DesignProblem
 from optlink.problem.quantity import Quantity
 from optlink.problem.targets.function import Function
 from optlink.synthesis.freudenstein import FirstStep, first_steps, fit_pairs

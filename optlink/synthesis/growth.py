@@ -24,9 +24,9 @@ from optlink.linkage.mechanism import FRAME, Link, Mechanism, Pose
 from optlink.linkage.vector2d import Array, unit
 from optlink.optimization.constraints import rows as limit_rows
 from optlink.optimization.courses import limit_courses
+from optlink.problem.design import DesignProblem
 from optlink.problem.file import ProblemFile
 from optlink.problem.limits import Reach
-from optlink.problem.path import PathProblem
 from optlink.synthesis import random_starts
 from optlink.synthesis.batch import Batch
 from optlink.synthesis.inner_four_bar import InnerFourBar, inner_four_bars
@@ -60,9 +60,9 @@ class ContainedFourBar:
 def contained_four_bar(problem: ProblemFile) -> ContainedFourBar | None:
     """Return the four-bar whose coupler curve the point of a path problem of a linkage of dyads can trace, or None."""
     task = problem.model
-    if not isinstance(task, PathProblem) or task.requirement.kind != "path" or "links" not in problem.raw["mechanism"]:
+    if not isinstance(task, DesignProblem) or task.requirement.kind != "path" or "links" not in problem.raw["mechanism"]:
         return None
-    mechanism, point = task.linkage, task.requirement.point
+    mechanism, point = task.linkage, task.point
     for loop in inner_four_bars(mechanism):
         if task.body in (loop.coupler.body, loop.rocker.body, loop.crank.body) and len(mechanism.groups) == 1:
             return None  # it is the four-bar itself
@@ -96,7 +96,7 @@ def _chain(
     return None
 
 
-def _pantograph(task: PathProblem, loop: InnerFourBar) -> tuple[Link, Link] | None:
+def _pantograph(task: DesignProblem, loop: InnerFourBar) -> tuple[Link, Link] | None:
     """Return the links from coupler and rocker to their common joint if they can be the parallelogram of a pantograph."""
     mechanism = task.linkage
     quantities = task.quantities
@@ -109,14 +109,14 @@ def _pantograph(task: PathProblem, loop: InnerFourBar) -> tuple[Link, Link] | No
         for (arm, e), (leg, f) in (pair := tuple(zip(group.links, group.outer, strict=True)), pair[::-1]):
             marked = (loop.coupler.body, e) in mechanism.marks and (loop.rocker.body, f) in mechanism.marks
             whole = {arm.start, arm.end} == {e, group.joint} and {leg.start, leg.end} == {f, group.joint}
-            if leg.body == task.body and (leg.body, task.requirement.point) in mechanism.marks and marked and whole:
+            if leg.body == task.body and (leg.body, task.point) in mechanism.marks and marked and whole:
                 return arm, leg
     return None
 
 
-def _reach(task: PathProblem, leg: Link) -> float:
+def _reach(task: DesignProblem, leg: Link) -> float:
     """Return the largest distance [m] of the point from the pin of its link that its bounds and the coupler length allow."""
-    mark = task.linkage.marks[leg.body, task.requirement.point]
+    mark = task.linkage.marks[leg.body, task.point]
     extents = [max(map(abs, task.quantities[str(name)].bounds)) for name in (mark.along, mark.across)]
     return min(math.hypot(*extents) + 2.0 * task.size, 1e3 * task.size)
 
@@ -202,10 +202,10 @@ def _farthest(x: Array, angles: Array, slack: Array, count: int) -> tuple[Array,
 def _apart(part: ProblemFile, values: Mapping[str, float], t: Array, batch: Batch, x: Array, angles: Array) -> Array:
     """Return the largest distance (designs,) of the traced points from those of the four-bar, relative to the curve size."""
     small, task = part.model, batch.problem
-    assert isinstance(small, PathProblem)
+    assert isinstance(small, DesignProblem)
     with np.errstate(all="ignore"):
-        px, py = small.linkage.pose(values, unit(t)).point(small.requirement.point)
-        qx, qy = task.linkage.pose(batch.values(x), unit(batch.crank_angles(x, angles))).point(task.requirement.point)
+        px, py = small.linkage.pose(values, unit(t)).point(small.point)
+        qx, qy = task.linkage.pose(batch.values(x), unit(batch.crank_angles(x, angles))).point(task.point)
         far = np.max(np.hypot(qx - px, qy - py), axis=1) / task.size
     return np.where(np.isfinite(far), far, np.inf)
 
@@ -236,7 +236,7 @@ def _enlarge(
     parallelogram J-E-G-F leads P = F + v u along O + s (Q - O), where u is the coupler direction and Q = J + v u / s its point.
     `sizes` is changed in place.
     """
-    mechanism, point = batch.problem.linkage, batch.problem.requirement.point
+    mechanism, point = batch.problem.linkage, batch.problem.point
     arm, leg = arms
     free = 1.0 if batch.free_timing else 0.0
     turned = free * AROUND * rng.standard_normal((SAMPLES, 1)) * (rng.random((SAMPLES, 1)) < 0.5)

@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.vector2d import TURN, Array, unit
-from optlink.problem.path import MARK, START, STEP
+from optlink.problem.design import STEP
+from optlink.problem.requirement import MARK, START
 from optlink.synthesis.batch import Batch
 from optlink.synthesis.inner_four_bar import inner_four_bars
 
@@ -104,7 +105,7 @@ def random_crank_angles(batch: Batch, count: int, rng: np.random.Generator) -> A
         steps[:, -1] = 0.0
     span = np.full((count, 1), TURN) if problem.closed else TURN * rng.uniform(0.1, 0.97, (count, 1))
     steps = np.maximum(steps / steps.sum(axis=1, keepdims=True) * span, 2.0 * STEP * (steps > 0.0))
-    rotation = problem.requirement.rotation
+    rotation = problem.rotation
     way = {"counter-clockwise": 1.0, "clockwise": -1.0}.get(rotation)
     ways = np.where(rng.random((count, 1)) < 0.5, 1.0, -1.0) if way is None else np.full((count, 1), way)
     turned = np.concatenate([np.zeros((count, 1)), np.cumsum(steps[:, : number - 1], axis=1)], axis=1)

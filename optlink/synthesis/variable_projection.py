@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.vector2d import TURN, Array, minus, unit
-from optlink.problem.path import START
+from optlink.problem.requirement import START
 from optlink.symbolic import NumpyEvaluator, symbols_in_numpy
 from optlink.synthesis.batch import Batch, Variant
 
@@ -41,7 +41,7 @@ class SimilarityFit:
             return [names.index(name) for name in wanted if name in names]
 
         quantities = problem.mechanism.quantities
-        point = problem.requirement.point if batch.four_bar else f"{problem.body}.{problem.requirement.point}"
+        point = problem.point if batch.four_bar else f"{problem.body}.{problem.point}"
         marks = (f"{point}.along", f"{point}.across")
         self.point = indices(marks) if set(marks) <= set(names) else []
         ground = {name: q for name, q in quantities.items() if q.kind == "coordinate" and name.rpartition(".")[2] in ("x", "y")}
@@ -87,7 +87,7 @@ class SimilarityFit:
             pose = mechanism.pose(values, unit(t))
             link = mechanism.link(problem.body)
             pivot = pose.point(mechanism.crank.start)
-            at = pose.point(link.start if self.point else problem.requirement.point)
+            at = pose.point(link.start if self.point else problem.point)
             arm, axis = minus(at, pivot), pose.direction(problem.body)
             outputs = [arm[0] / problem.size, arm[1] / problem.size, axis[0] + 0.0 * t, axis[1] + 0.0 * t]
             self._tape = NumpyEvaluator([*casadi.vertsplit(x), t, *batch.side_symbols.values()], outputs)

@@ -16,8 +16,8 @@ from optlink.execution import interrupts
 from optlink.execution.worker import Runs
 from optlink.linkage.vector2d import Array
 from optlink.optimization.box_models import DesignBoxes, box_problem
+from optlink.problem.design import DesignProblem
 from optlink.problem.file import ProblemFile
-from optlink.problem.function import DesignProblem
 from optlink.solvers.global_search.branch_and_bound import BATCH, FEW, Bounder, BranchAndBound, joint_history
 from optlink.solvers.global_search.function_certificate import CLOSED, INTERRUPTED, MOST, certify_function
 from optlink.solvers.global_search.lagrangian import Guess, LagrangianBounds
@@ -56,7 +56,7 @@ AUTOMATIC_BOXES = 2_000  # boxes of a certificate that is made by default; they 
 
 def automatic(problem: ProblemFile) -> bool:
     """Return whether the optimum of a problem is certified by default."""
-    return isinstance(problem.model, DesignProblem) and certified_by_default(problem.model)
+    return problem.task == "function" and certified_by_default(problem.spec)
 
 
 def check_problem(problem: ProblemFile) -> None:
@@ -68,12 +68,11 @@ def check_problem(problem: ProblemFile) -> None:
 
 def _of_path(problem: ProblemFile) -> bool:
     """Return whether a problem is a timed path that is bounded over the proportions of its four-bar."""
-    if isinstance(problem.model, DesignProblem):
+    if problem.task != "path":
         return False
-    from optlink.problem.path import PathProblem
     from optlink.solvers.global_search.timed_path import unsuitable
 
-    return isinstance(problem.model, PathProblem) and not unsuitable(problem.model)
+    return isinstance(problem.model, DesignProblem) and not unsuitable(problem.model)
 
 
 def check_options(gap: float, time_limit: float) -> None:
@@ -176,7 +175,7 @@ class _Search:
         if solution is None or not (model.everywhere and model.law_given):
             return None
         count = solution.nlp.exchange_count
-        return np.unique(solution.p[len(solution.p) - count :]) * model.span
+        return np.asarray(np.unique(solution.p[len(solution.p) - count :]) * model.span)
 
     # --- the best known design -------------------------------------------------------------------------------------
 
@@ -328,11 +327,10 @@ class _PathSearch(_Search):
 
     def run(self, seconds: float, boxes: float, progress: Proving) -> Any:
         """Search all assembly modes."""
-        from optlink.problem.path import PathProblem
         from optlink.solvers.global_search.timed_path import TimedPathBounds
 
         begin, interrupted = time.perf_counter(), False
-        assert isinstance(self.original.model, PathProblem)
+        assert isinstance(self.original.model, DesignProblem)
         bounds = TimedPathBounds(self.original.model)
         search = self._branches(bounds, self._squared, functools.partial(self._from_box, bounds), PATH_BOXES)
         try:

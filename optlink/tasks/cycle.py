@@ -13,8 +13,8 @@ from optlink.errors import InputError, Status
 from optlink.execution import interrupts
 from optlink.linkage.vector2d import Array
 from optlink.problem.cycle.model import CycleProblem
+from optlink.problem.design import EPIGRAPH
 from optlink.problem.file import ProblemFile
-from optlink.problem.function import EPIGRAPH
 from optlink.problem.quantity import input_of
 from optlink.solvers.solution import Solution
 from optlink.tasks.analyze import quick_stroke_notes
@@ -142,7 +142,7 @@ def _search(problem: ProblemFile, search: Search) -> CycleResult:
     )
     if not result.usable:
         result = _explained(result, names)
-    nlp, solutions = _refined(result.nlp, result.best)
+    nlp, solutions = _refined(task, result.nlp, result.best)
     winner = min(solutions.values(), key=rank)
     chosen = next(name for name, solution in solutions.items() if solution is winner)
     equal = continuum(nlp, winner, chosen) if result.usable else None
@@ -283,14 +283,14 @@ def _no_rotatable_design(problem: ProblemFile, seed: int, starts: int, seconds: 
     return replace(result, status=Status.INFEASIBLE, seconds=times, seed=seed, starts=starts, notes=notes)
 
 
-def _refined(nlp: CycleNLP, solutions: dict[str, Solution]) -> tuple[CycleNLP, dict[str, Solution]]:
+def _refined(task: CycleProblem, nlp: CycleNLP, solutions: dict[str, Solution]) -> tuple[CycleNLP, dict[str, Solution]]:
     """Double the positions until integrals agree with those of the validation, and continue the search."""
     from optlink.optimization.cycle_nlp import NODES, build_cycle
     from optlink.solvers import multistart
     from optlink.solvers.semi_infinite import exchange, peaks
 
     trace = nlp.traced
-    task, nodes = trace.problem, NODES
+    nodes = NODES
     while any(term.integral for term in trace.terms) and nodes < MAX_NODES:
         winner = multistart.best(list(solutions.values()))
         cycle = analysis_of(task, winner.design) if winner.usable else None

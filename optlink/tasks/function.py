@@ -21,6 +21,7 @@ from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.vector2d import Array
 from optlink.optimization.nlp import NLP
 from optlink.optimization.objectives import MEASURES
+from optlink.optimization.output_derivatives import error_at, error_function
 from optlink.optimization.programme import build
 from optlink.problem.arguments import typed
 from optlink.problem.assignment import parse_assignments
@@ -30,7 +31,6 @@ from optlink.problem.fixed_design import fixed_design, started
 from optlink.problem.quantity import Quantity, check_choice, input_of, read_quantity
 from optlink.problem.targets.expression import Expression
 from optlink.solvers import multistart
-from optlink.optimization.output_derivatives import error_at, error_function
 from optlink.solvers.exchange import place_at_peaks
 from optlink.solvers.solution import EXACTLY_MET, Relaxation, Solution
 from optlink.synthesis.freudenstein import FirstStep
@@ -105,7 +105,7 @@ class FunctionResult(SingleResult):
     @property
     def assembly(self) -> str:
         """Assembly mode of the design."""
-        return self.problem.spec.mechanism.assembly
+        return str(self.problem.spec.mechanism.assembly)
 
     @property
     def tolerances(self) -> dict[str, float] | None:
@@ -164,7 +164,7 @@ class FunctionResult(SingleResult):
     def measure(self) -> str:
         """Name of the error measure, including the effect of tolerances if considered."""
         task = self.problem.spec.requirement
-        return task.measure if task.robust is None else task.robust.named(task.measure)
+        return str(task.measure if task.robust is None else task.robust.named(task.measure))
 
     @property
     def machine(self) -> ProblemFile:
@@ -304,7 +304,7 @@ def _search(problem: ProblemFile, search: Search) -> FunctionResult:
         starts=chosen.starts,
         solution=winner.solution,
         backends=backends if len(search.names) > 1 else {},
-        optima=chosen.distinct_optima(spec.mechanism.assembly) if search.begin is None else (),
+        optima=chosen.distinct_optima(str(spec.mechanism.assembly)) if search.begin is None else (),
         counts=tuple(chosen.counts) if chosen.random else (),
         interrupted=interrupted,
         conflict=conflict[0],

@@ -23,7 +23,7 @@ from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.vector2d import TURN, Array
 from optlink.optimization.nlp import NLP
 from optlink.optimization.programme import build
-from optlink.problem.function import DesignProblem
+from optlink.problem.design import DesignProblem
 from optlink.problem.targets.function import Function
 from optlink.solvers import multistart
 from optlink.solvers.contract import BACKENDS, CLOSE
@@ -255,8 +255,7 @@ class FunctionSearch:
         """Return a solution whose largest error is that of the whole range, where it is the objective."""
         if not (self.problem.everywhere and solution.usable):
             return solution
-        near = solution.status is Status.OPTIMAL
-        return solve_semi_infinite(self.problem, solution, backend or self.backend, near=near)
+        return solve_semi_infinite(self.problem, solution, backend or self.backend)
 
     @property
     def result(self) -> FunctionCandidate:

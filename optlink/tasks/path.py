@@ -15,8 +15,8 @@ from optlink.optimization.programme import angle_name, build
 from optlink.problem.file import ProblemFile
 from optlink.solvers import multistart
 from optlink.solvers.contract import FOUND, LEAST_SQUARES
-from optlink.solvers.infeasibility import Explanation, explain, feasible_point
 from optlink.solvers.exchange import place_at_peaks, solve_semi_infinite
+from optlink.solvers.infeasibility import Explanation, explain, feasible_point
 from optlink.synthesis.batch_search import PER_ROUND, PERFECT, Searcher
 from optlink.tasks.path_search import DesignCollection, Polisher, designs_from_four_bar, has_several_dyads, path_model
 from optlink.tasks.protocol import DesignTask, Search, Timer, agreement, completed, part
@@ -106,7 +106,7 @@ class PathTask(DesignTask[PathResult]):
             If the crank may turn either way.
         """
         task = path_model(problem)
-        if task.data.offsets is None and task.requirement.rotation == "either":
+        if task.data.offsets is None and task.rotation == "either":
             message = "the crank may pass the points in either direction: each has its own programme"
             remedy = 'Choose one: problem.override({"requirement.rotation": "clockwise"})'
             raise InputError(message, remedy, problem.file, "requirement.rotation")
@@ -256,7 +256,7 @@ class SearchRounds:
         solution, limits that are missed by less count as conflicting (`exactly`).
         """
         polisher, near, seed = self.collection.polisher, self.collection.nearest, self.options.seed
-        senses = {"counter-clockwise": (1,), "clockwise": (-1,)}.get(self.task.requirement.rotation or "", (1, -1))
+        senses = {"counter-clockwise": (1,), "clockwise": (-1,)}.get(self.task.rotation, (1, -1))
         keys = [(k, sense) for sense in (senses if self.task.data.offsets is None else (1,)) for k in range(len(polisher.files))]
         nearest = None if near is None or near.solution is None else near.solution
         if nearest is not None:
@@ -290,7 +290,7 @@ class SearchRounds:
         part = contained_four_bar(self.problem)
         if part is None:
             if self.task.requirement.kind == "path":
-                self.notes.append(NO_FOUR_BAR.format(self.task.requirement.point))
+                self.notes.append(NO_FOUR_BAR.format(self.task.point))
             return
         options, polisher = self.options, self.collection.polisher
         shared = polisher.runs is not None

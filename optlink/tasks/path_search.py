@@ -14,8 +14,8 @@ from optlink.execution.worker import Runs, built, packed
 from optlink.linkage.vector2d import Array
 from optlink.optimization.nlp import NLP
 from optlink.optimization.programme import build, solved_values
+from optlink.problem.design import DesignProblem
 from optlink.problem.file import ProblemFile
-from optlink.problem.path import PathProblem
 from optlink.solvers import multistart
 from optlink.solvers.contract import BACKENDS, FOUND, MINIMAX
 from optlink.solvers.exchange import best_slow_stroke, solve_semi_infinite
@@ -52,13 +52,13 @@ SAME_COST = 1e-4  # relative difference of equal costs of candidates
 ROUNDING = 1e-9  # relative difference of equal errors of one coupler curve
 
 
-def path_model(file: ProblemFile) -> PathProblem:
+def path_model(file: ProblemFile) -> DesignProblem:
     """Return the model of a path or motion problem."""
-    assert isinstance(file.model, PathProblem)
+    assert isinstance(file.model, DesignProblem)
     return file.model
 
 
-def has_several_dyads(task: PathProblem) -> bool:
+def has_several_dyads(task: DesignProblem) -> bool:
     """Return whether a linkage has several dyads."""
     return len(task.linkage.groups) > 1
 
@@ -367,7 +367,7 @@ def _cost(design: PathDesign) -> float:
     return share if task.measure == "sum of squares" else share * len(task.data.columns)
 
 
-def _allowed_cost(task: PathProblem) -> float:
+def _allowed_cost(task: DesignProblem) -> float:
     """Return the largest batch cost near which a candidate can become a design within the tolerances of all points of a path."""
     if task.requirement.kind != "path" or has_several_dyads(task):  # candidates of several dyads have not converged
         return math.inf

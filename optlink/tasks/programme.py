@@ -16,8 +16,8 @@ from optlink.linkage.arguments import check_array, check_number
 from optlink.linkage.vector2d import Array
 from optlink.optimization.nlp import NLP, NLPValues
 from optlink.problem.arguments import typed
+from optlink.problem.design import EPIGRAPH
 from optlink.problem.file import ProblemFile
-from optlink.problem.function import EPIGRAPH
 from optlink.solvers.multistart import scaled_parameters
 from optlink.tasks.function import check_complete
 from optlink.tasks.machine import check_design

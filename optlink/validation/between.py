@@ -12,7 +12,7 @@ import numpy as np
 
 from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import TURN, Array
-from optlink.problem.path import PathProblem
+from optlink.problem.design import DesignProblem
 
 FEWEST = 3  # points: two have no curvature
 BETWEEN = 32  # positions between two points
@@ -20,7 +20,7 @@ REPEATED = 1e-9  # of the longest segment: a shorter one joins repeated points
 ALLOWED = 2.0  # sagittas of the circle through three points
 
 
-def excursions(problem: PathProblem, design: Mapping[str, float], crank_angles: Array) -> Array | None:
+def excursions(problem: DesignProblem, design: Mapping[str, float], crank_angles: Array) -> Array | None:
     """Return the excursion (segments,) [m] of the traced curve between each target point and the next; None for other tasks.
 
     The last segment of a closed curve leads back to its first point. NaN where the points say nothing about the curve: from a
@@ -34,7 +34,7 @@ def excursions(problem: PathProblem, design: Mapping[str, float], crank_angles: 
     first, last = crank_angles[0], crank_angles[-1]
     angles = np.append(crank_angles, first + np.sign(last - first) * TURN) if around else crank_angles
     at = angles[:-1, None] + np.diff(angles)[:, None] * np.linspace(0.0, 1.0, BETWEEN + 2)
-    traced = sweep(problem.linkage, design, at.ravel()).position(problem.requirement.point).reshape(*at.shape, 2)
+    traced = sweep(problem.linkage, design, at.ravel()).position(problem.point).reshape(*at.shape, 2)
     begin, chord = traced[:, :1], traced[:, -1:] - traced[:, :1]
     square = np.maximum(np.sum(chord**2, axis=-1, keepdims=True), 1e-300)
     along = np.clip(np.sum((traced - begin) * chord, axis=-1, keepdims=True) / square, 0.0, 1.0)

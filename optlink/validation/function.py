@@ -20,8 +20,9 @@ from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.vector2d import TURN, Array, Value, angle, minus, unit
-from optlink.problem.function import DEAD_CENTRES, DesignProblem
+from optlink.problem.design import DesignProblem
 from optlink.problem.limits import limits_in_file
+from optlink.problem.requirement import DEAD_CENTRES
 from optlink.problem.robust import EXPECTED, WORST
 from optlink.problem.targets.law import Table
 from optlink.validation.check import (
@@ -240,7 +241,7 @@ def _crank(tested: _Tested) -> Iterator[Checks]:
     where, groups = "the whole revolution" if tested.turns else "the span", tested.mechanism.groups
     for group in groups:
         yield alignment_check(group, len(groups) == 1, tested.required.least_squared_sine, limits, where)
-    if "phi0" not in tested.problem.quantities and tested.problem.requirement.start == DEAD_CENTRES[1]:
+    if tested.problem.dead_centre == DEAD_CENTRES[1]:
         gap, longest = np.abs(design["coupler"] - design["crank"]), np.max([design[name] for name in LENGTHS], axis=0)
         yield at_least("inner dead centre: C apart from A", gap * 1e3, limits.length_margin * longest * 1e3, "mm")
 
@@ -265,9 +266,9 @@ def _transmission(tested: _Tested) -> Iterator[Checks]:
 
 def _requirement(tested: _Tested) -> Iterator[Checks]:
     """Check the start of the requirement, and that it is defined at every design position."""
-    problem, start, design = tested.problem, tested.problem.requirement.start, tested.design
+    problem, start, design = tested.problem, tested.problem.dead_centre, tested.design
     begin = sweep(tested.mechanism, tested.sizes, tested.phi0)
-    if start in DEAD_CENTRES and "phi0" not in problem.quantities:
+    if start is not None:
         rate = np.abs(begin.body_rate("rocker")[:, 0])
         yield Checks("rocker at rest at its dead centre", rate <= 1e-6, rate, "<= 1e-06", "")
         extended = design["coupler"] + (1.0 if start == DEAD_CENTRES[0] else -1.0) * design["crank"]

@@ -13,8 +13,9 @@ from optlink.linkage.mechanism import FRAME, Guide, Mechanism
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.stroke import Travel, travels
 from optlink.linkage.vector2d import TURN, Array, Vector, cross, dot, unit
+from optlink.problem.design import STEP, DesignProblem
 from optlink.problem.mechanism import FourBarSection
-from optlink.problem.path import MARK, STEP, ZERO, PathProblem
+from optlink.problem.requirement import MARK, ZERO
 from optlink.units import DISPLAYED
 from optlink.validation.check import (
     POSITIONS,
@@ -49,7 +50,7 @@ class MeasuredDeviations:
     objective: float
 
 
-def deviations(problem: PathProblem, design: Mapping[str, float], crank_angles: Array) -> MeasuredDeviations:
+def deviations(problem: DesignProblem, design: Mapping[str, float], crank_angles: Array) -> MeasuredDeviations:
     """Move the mechanism to the crank angles [rad] and measure its deviations from the targets, weighted as in the problem.
 
     The problem has definite assembly modes; the design [m, rad] has all quantities.
@@ -69,7 +70,7 @@ def deviations(problem: PathProblem, design: Mapping[str, float], crank_angles: 
         error = error if problem.slides else np.remainder(error + math.pi, TURN) - math.pi
         generated, distances, square = travel[:, None], np.abs(error), error**2
     else:
-        point = problem.requirement.point
+        point = problem.point
         generated = motion.position(point) if point in motion.pose.points else np.full((len(targets), 2), np.nan)
         distances = np.hypot(*(generated - targets[:, :2]).T)
         square = distances**2
@@ -90,7 +91,7 @@ def deviations(problem: PathProblem, design: Mapping[str, float], crank_angles: 
     return MeasuredDeviations(generated, distances, turned, objective)
 
 
-def _worst_cosine(problem: PathProblem, design: Mapping[str, float]) -> float:
+def _worst_cosine(problem: DesignProblem, design: Mapping[str, float]) -> float:
     """Return the largest cosine of the transmission angle of any dyad over the revolution."""
 
     def sizes(angles: Array) -> Array:
@@ -100,7 +101,7 @@ def _worst_cosine(problem: PathProblem, design: Mapping[str, float]) -> float:
     return float(np.max(maxima(sizes, grid, periodic=True)[1])) if np.all(np.isfinite(sizes(grid))) else math.nan
 
 
-def _largest_error(problem: PathProblem, design: Mapping[str, float], begin: float) -> float:
+def _largest_error(problem: DesignProblem, design: Mapping[str, float], begin: float) -> float:
     """Return the largest error [rad or m] of a law over its span, with the crank at `begin` [rad] at its start."""
     output, base = str(problem.requirement.output), float(design.get(ZERO, 0.0))
 
@@ -144,7 +145,7 @@ def _direction(motion: Motion, guide: Guide) -> Vector:
 
 
 def validate_path(
-    problem: PathProblem, design: Mapping[str, float], crank_angles: Array, objective: float | None = None
+    problem: DesignProblem, design: Mapping[str, float], crank_angles: Array, objective: float | None = None
 ) -> Validation:
     """Validate a design at the crank angles of its points [rad], or show where it fails.
 
@@ -164,7 +165,7 @@ def validate_path(
 class _Tested:
     """A design in motion: the sweeps shared by the checks."""
 
-    def __init__(self, problem: PathProblem, design: Mapping[str, float], crank_angles: Array) -> None:
+    def __init__(self, problem: DesignProblem, design: Mapping[str, float], crank_angles: Array) -> None:
         self.problem, self.design, self.crank_angles = problem, dict(design), crank_angles
         self.mechanism = problem.linkage
         self.turns = problem.limits.crank != "span"
@@ -235,7 +236,7 @@ def _circuit(tested: _Tested) -> Iterator[Check]:
         yield Check("one branch: every joint on one side", least > 0.0, least, "> 0", "mm")
     step = abs(motion.crank_angle[1] - motion.crank_angle[0])
     worst = 0.0
-    for name in dict.fromkeys((*(group.joint for group in tested.mechanism.groups), tested.problem.requirement.point)):
+    for name in dict.fromkeys((*(group.joint for group in tested.mechanism.groups), tested.problem.point)):
         if name not in motion.pose.points:
             continue
         courses = motion.position(name), motion.velocity(name), motion.acceleration(name)
@@ -269,7 +270,7 @@ def _order(tested: _Tested) -> Iterator[Check]:
         whole = math.degrees(float(np.sum(steps)))
         most = 360.0 if problem.meets_again else 360.0 - gap  # only a repeated point may lie there
         yield Check("points met within one revolution", whole <= most + 1e-6, whole, f"<= {most:.6g}", "deg")
-    sense = problem.requirement.rotation
+    sense = problem.rotation
     rotation = {"counter-clockwise": 1.0, "clockwise": -1.0}.get(sense)
     if rotation is not None:
         yield Check(f"crank turns {sense}", way == rotation, way, f"= {rotation:g}", "")

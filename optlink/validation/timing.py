@@ -11,7 +11,8 @@ import numpy as np
 
 from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import TURN, Array
-from optlink.problem.path import MARK, STEP, PathProblem
+from optlink.problem.design import STEP, DesignProblem
+from optlink.problem.requirement import MARK
 
 GRID = 720  # crank angles of the coarse search
 REFINED_ANGLES = 25  # crank angles per point and round of the refinement
@@ -20,25 +21,25 @@ SHRINK = 6.0
 FAR = 1e3  # sizes of the curve: distance assigned to a position that does not exist
 
 
-def passing(problem: PathProblem, design: Mapping[str, float]) -> Array:
+def passing(problem: DesignProblem, design: Mapping[str, float]) -> Array:
     """Return the crank angles [rad] at which a design best passes the targets, monotonic, within one revolution.
 
     The problem has definite assembly modes; the design [m, rad] has all quantities.
     """
     if problem.data.offsets is not None or not problem.pointed:
         return problem.crank_angles(design, None)
-    rotation = {"counter-clockwise": 1.0, "clockwise": -1.0}.get(problem.requirement.rotation)
+    rotation = {"counter-clockwise": 1.0, "clockwise": -1.0}.get(problem.rotation)
     directions = [_one_way(problem, design, way) for way in ((1.0, -1.0) if rotation is None else (rotation,))]
     angles = min(directions, key=lambda each: each[1])[0]
     return np.asarray(angles - TURN * np.round(angles[0] / TURN))
 
 
-def _squares(problem: PathProblem, design: Mapping[str, float], angles: Array) -> Array:
+def _squares(problem: DesignProblem, design: Mapping[str, float], angles: Array) -> Array:
     """Return the weighted squares of the deviations of every point (points, k) at crank angles (points, k) or (points,)."""
     data, at = problem.data, np.atleast_2d(angles.T).T
     motion = sweep(problem.linkage, design, at.ravel())
     far = (FAR * problem.size) ** 2
-    places = motion.position(problem.requirement.point).reshape(*at.shape, 2)
+    places = motion.position(problem.point).reshape(*at.shape, 2)
     square = np.sum((places - data.columns[:, None, :2]) ** 2, axis=-1)
     if problem.requirement.kind == "motion":
         turned = np.asarray(motion.body_angle(problem.body).value).reshape(at.shape) + design[MARK]
@@ -47,7 +48,7 @@ def _squares(problem: PathProblem, design: Mapping[str, float], angles: Array) -
     return np.asarray(np.where(np.isfinite(square), square, far) * data.roots[:, None] ** 2)
 
 
-def _one_way(problem: PathProblem, design: Mapping[str, float], way: float) -> tuple[Array, float]:
+def _one_way(problem: DesignProblem, design: Mapping[str, float], way: float) -> tuple[Array, float]:
     """Return the best crank angles in one direction of the crank, and their objective.
 
     The best starting point on a grid by dynamic programming over all of them at once, then the best course from there, refined

@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from optlink.problem.design import add_limit
 from optlink.problem.interval import NumberInterval
 from optlink.problem.limits import LimitTerm
-from optlink.problem.path import add_limit
 
 
 def values(problem, sizes, reach, limit):

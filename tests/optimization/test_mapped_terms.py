@@ -13,7 +13,7 @@ from optlink.optimization.cycle_nlp import build_cycle
 from optlink.optimization.cycle_signals import TracedCycle
 from optlink.optimization.nlp import NLP
 from optlink.optimization.programme import build
-from optlink.problem.path import PathProblem
+from optlink.problem.design import DesignProblem
 from optlink.solvers.exchange import PER_ROW, _with_moving_peaks
 from optlink.solvers.semi_infinite import with_following_peaks
 from optlink.tasks.results.cycle import task_of
@@ -106,7 +106,7 @@ PATHS = {
 def test_a_path_by_vectors_is_that_by_scalars(kind: str) -> None:
     name, changes = PATHS[kind]
     task = optlink.load(name, changes).variants()[0].model
-    assert isinstance(task, PathProblem)
+    assert isinstance(task, DesignProblem)
     nlp = build(task)
     same_derivatives(nlp)
     same_derivatives(pickle.loads(pickle.dumps(nlp)))

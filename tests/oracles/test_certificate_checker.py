@@ -18,7 +18,7 @@ import pytest
 
 import optlink
 from optlink.optimization.box_models import box_problem
-from optlink.problem.function import DesignProblem
+from optlink.problem.design import DesignProblem
 from optlink.tasks.results.certificate import certificate_document, sides_of
 from optlink.tasks.results.certificate_numbers import numbers_of
 from optlink.validation.function import validate

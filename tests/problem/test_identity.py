@@ -22,11 +22,10 @@ from optlink.cli.app import app
 from optlink.errors import InputError
 from optlink.problem.base_model import InFolder
 from optlink.problem.cycle.model import CycleProblem, StrokeProblem
+from optlink.problem.design import DesignProblem
 from optlink.problem.file import WORDS, read
-from optlink.problem.function import DesignProblem
 from optlink.problem.identity import identity
 from optlink.problem.machine.model import Problem
-from optlink.problem.path import PathProblem
 from optlink.studies.pareto.epsilon_constraint import pareto
 from optlink.studies.sweep import sweep
 from optlink.studies.tolerance.analysis import tolerance
@@ -349,7 +348,7 @@ def sections(annotation: Any, named: bool = False) -> Iterator[tuple[type[pydant
 
 
 def test_every_key_that_can_read_a_file_is_among_the_cases():
-    models = (Problem, DesignProblem, PathProblem, CycleProblem, StrokeProblem)
+    models = (Problem, DesignProblem, CycleProblem, StrokeProblem)
     keys = {key for model in models for key in fields(model)}
     assert keys == {case.field for case in CASES.values()}
 

@@ -84,7 +84,7 @@ def test_an_optimum_is_level_at_all_peaks(function: str, x: list[float], turned:
 def test_peaks_that_are_not_level_are_no_optimum(monkeypatch: pytest.MonkeyPatch) -> None:
     """The error of a stalled design is that of the whole range, so that it is not compared with the error of other positions."""
     file = problem("sin(x)", [0.95, 2.09], -58, -50)
-    nlp, solution = at_positions(file)
+    _, solution = at_positions(file)
     monkeypatch.setattr(exchange, "EXCHANGES", 1)
     stalled = exchange.solve_semi_infinite(file.spec, solution, "ipopt", near=True)
     assert stalled.status is Status.STALLED

@@ -16,7 +16,7 @@ from optlink.optimization.constraints import PLAIN, ConstraintRow
 from optlink.optimization.nlp import NLP, Variable
 from optlink.optimization.objectives import error_measures
 from optlink.optimization.programme import build
-from optlink.problem.function import EPIGRAPH
+from optlink.problem.design import EPIGRAPH
 from optlink.solvers import contract, multistart
 from optlink.solvers.minimax import minimax
 

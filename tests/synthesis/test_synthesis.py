@@ -14,7 +14,7 @@ import optlink
 from optlink.linkage.fourbar import LENGTHS, Inversion, grashof
 from optlink.linkage.vector2d import unit
 from optlink.optimization.programme import build
-from optlink.problem.path import STEP
+from optlink.problem.design import STEP
 from optlink.synthesis import levenberg_marquardt, random_starts
 from optlink.synthesis.batch import INSIDE, WEIGHT, Batch
 from optlink.synthesis.batch_search import PERFECT, Searcher

@@ -258,10 +258,11 @@ def test_every_example_of_the_reference_page_is_solved(example):
 
 
 def test_the_reference_page_lists_every_key():
-    from optlink.problem.path_requirement import PathLimits, PathRequirement
+    from optlink.problem.limits import Limits
+    from optlink.problem.requirement import PathRequirement
 
     assert len(EXAMPLES) >= 6
-    for section in (PathRequirement, PathLimits):
+    for section in (PathRequirement, Limits):
         for name, field in section.model_fields.items():
             key = field.alias or name
             assert f"`{key}`" in PAGE or re.search(rf"\b{key} = ", PAGE), f"{key} of {section.__name__} is not documented"

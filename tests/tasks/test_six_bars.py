@@ -12,11 +12,11 @@ import pytest
 import optlink
 from optlink.errors import Status
 from optlink.optimization.programme import build
+from optlink.problem.design import DesignProblem
 from optlink.problem.file import read
-from optlink.problem.path import PathProblem
 from optlink.solvers import exchange
-from optlink.solvers.multistart import solution_at
 from optlink.solvers.exchange import RowPeak, peaks
+from optlink.solvers.multistart import solution_at
 from optlink.synthesis.batch import Batch
 from optlink.synthesis.batch_search import Candidate
 from optlink.synthesis.growth import contained_four_bar, grow_from_four_bar
@@ -62,7 +62,7 @@ def test_a_six_bar_contains_the_curve_of_its_four_bar(watt: bool) -> None:
     four_bars = solve(part.file, starts=STARTS).designs
     count = 0
     for file, four_bar in itertools.product(task.file.variants(), four_bars):
-        assert isinstance(file.model, PathProblem)
+        assert isinstance(file.model, DesignProblem)
         batch = Batch(file.model)
         contained = replace(part, file=four_bar.problem)
         x, t = grow_from_four_bar(contained, batch, four_bar.values, four_bar.crank_angles, 5, np.random.default_rng(0))

@@ -13,7 +13,7 @@ from optlink.linkage.dyad_types import transmitting
 from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import unit
 from optlink.optimization.programme import build
-from optlink.problem.path import PathProblem
+from optlink.problem.design import DesignProblem
 from optlink.studies.parameters import parameters
 from optlink.tasks.path import solve, validate
 from optlink.validation.path import transmission_angles
@@ -143,7 +143,7 @@ def test_pressure_angle_of_a_four_bar_of_dyads_is_that_of_the_four_bar() -> None
 def test_named_dyads_have_specific_limits_and_others_the_general_one() -> None:
     def limits(changes: Raw) -> dict[str, tuple[float, float]]:
         model = optlink.load("law-six-bar", {f"limits.{key}": value for key, value in changes.items()}).model
-        assert isinstance(model, PathProblem)
+        assert isinstance(model, DesignProblem)
         computed = {}
         for joint in ("C", "E"):
             limit = model.limits.transmission_at(joint)

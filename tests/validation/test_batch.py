@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from optlink.problem.function import DesignProblem
+from optlink.problem.design import DesignProblem
 from optlink.studies.fast_overrides import copy_model
 from optlink.validation import validate, validate_batch
 from optlink.validation.check import Validation

@@ -11,7 +11,7 @@ import pytest
 
 from optlink.errors import InputError
 from optlink.linkage.fourbar import LENGTHS
-from optlink.problem.path import PathProblem
+from optlink.problem.design import DesignProblem
 from optlink.validation.path import deviations, validate_path
 from optlink.validation.timing import passing
 from tests import synthesis_oracle as oracle
@@ -57,12 +57,12 @@ def quantities(design: Mapping[str, float]) -> dict[str, float]:
     return computed | {"P.along": 1e-3 * design["along"], "P.across": 1e-3 * design["across"]}
 
 
-def planted(limits: Mapping[str, object] = LOOSE, **more: Any) -> PathProblem:
+def planted(limits: Mapping[str, object] = LOOSE, **more: Any) -> DesignProblem:
     return model(document(four_bar_section("left"), more.pop("points", PLANTED), limits, **more))
 
 
 def failed(
-    problem: PathProblem, design: Mapping[str, float], angles: Array, objective: float | None = None, **more: float
+    problem: DesignProblem, design: Mapping[str, float], angles: Array, objective: float | None = None, **more: float
 ) -> set[str]:
     proof = validate_path(problem, quantities(design) | more, angles, objective)
     kinds = {next(kind for word, kind in CHECKS.items() if word in check.name) for check in proof.checks if not check.passed}

@@ -18,7 +18,7 @@ from optlink.linkage.fourbar import LENGTHS, Inversion, dead_centre, four_bar, g
 from optlink.linkage.jet import Jet
 from optlink.linkage.mechanism import Link, Mechanism
 from optlink.optimization import constraints
-from optlink.problem.function import DesignProblem
+from optlink.problem.design import DesignProblem
 from optlink.validation import Validation, validate
 
 OPTIMUM = {"coupler": 0.41286541580, "rocker": 0.23224617124}

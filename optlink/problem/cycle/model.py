@@ -67,35 +67,32 @@ class CycleLimits(Alignment):
         return dict(self.__pydantic_extra__ or {})
 
 
-class CycleProblem(Problem):
-    """A problem file with an objective over the cycle: input of `solve`. Immutable."""
+class MachineTerms(Problem):
+    """A problem with quantities of the machine in its objective, or limited under names of one's choice. Immutable."""
 
-    objective: Objective
-    """Objective over the cycle."""
-    limits: CycleLimits = CycleLimits()
-    """Limits on quantities of the cycle, each under a name of your choice, and the least distance from positions where the
-    mechanism locks."""
-
-    task: ClassVar[str] = "cycle"
+    objective: Objective | None = None
+    """Objective of quantities of the machine."""
+    limits: Alignment = Alignment()
+    """Limits of the design."""
 
     @cached_property
     def goals(self) -> tuple[Goal, ...]:
-        """The terms of the objective."""
-        return self.objective.goals
+        """The quantities of the machine that are minimised or maximised."""
+        return () if self.objective is None else self.objective.goals
+
+    @property
+    def named_limits(self) -> dict[str, Limit]:
+        """Limits of quantities of the machine by their names."""
+        return {}
 
     @cached_property
     def bounds(self) -> tuple[Bound, ...]:
-        """The limits with their bounds."""
+        """The limits of quantities of the machine with their bounds."""
         bounds = []
-        for name, limit in self.limits.named.items():
+        for name, limit in self.named_limits.items():
             with below(f"limits.{name}"):
                 bounds.append(Bound(name, limit, limit.interval(self.linkage, self.quantities), f"limits.{name}"))
-        return (*bounds, *self.limits.transmission_bounds(self._joints))
-
-    @property
-    def _joints(self) -> list[str]:
-        """Joints of the dyads that have a transmission angle."""
-        return [group.joint for group in transmitting(self.linkage)]
+        return tuple(bounds)
 
     @cached_property
     def lengths(self) -> tuple[str, ...]:
@@ -106,6 +103,77 @@ class CycleProblem(Problem):
     def scales(self) -> tuple[float | None, ...]:
         """Scale of each objective term [SI]; None if the file gives none."""
         return tuple(None if goal.scale is None else read_figure(goal.scale, self.kind(goal), "scale")[0] for goal in self.goals)
+
+    @property
+    def single(self) -> bool:
+        """Whether the objective is one quantity of the machine, in its own unit."""
+        return self.objective is not None and not self.objective.terms
+
+    def kind(self, term: Term) -> str:
+        """Return the physical kind of a term."""
+        if term.quantity == "length":
+            return self.quantities[str(term.of)].kind
+        return term.kind(self.linkage)
+
+    def inertias(self, values: Mapping[str, Value]) -> dict[str, Inertia]:
+        """Return mass properties of all bodies for dimensions that may be symbols [SI]; centroids and bars follow the lengths."""
+        sizes = {**sizes_of(self.mechanism.quantities), **values}
+        return {name: body.inertia_of(name, self.linkage, sizes) for name, body in self.bodies.items()}
+
+    def check_terms(self) -> None:
+        """Check the quantities of the machine and their elements.
+
+        Raises
+        ------
+        Unusable
+            with the full key of the cause.
+        """
+        terms = (*self.goals, *self.named_limits.values())
+        if any(term.nature.cyclic or term.ended or term.quantity == "work" for term in terms) and self.drive.speed.value == 0.0:
+            remedy = "Give the constant speed of the cycle"
+            raise Unusable("the crank speed is zero", remedy, "drive.speed", str(self.drive.speed))
+        for k, goal in enumerate(self.goals):
+            with below("objective" if self.single else f"objective.terms.{k}"):
+                check_term(goal, self.linkage, self.quantities)
+                if goal.scale is not None and read_figure(goal.scale, self.kind(goal), "scale")[0] <= 0.0:
+                    raise Unusable("a scale must be positive", "Give one above zero", "scale", goal.scale)
+        for name, limit in self.named_limits.items():
+            with below(f"limits.{name}"):
+                check_term(limit, self.linkage, self.quantities)
+        if self.mechanism.friction and any(_forced(term) for term in terms):
+            guide = next(iter(self.mechanism.friction))
+            message = "guide friction is not differentiable where the normal force changes sign"
+            remedy = "Optimise without friction, then `optlink analyze` the result with friction"
+            raise Unusable(message, remedy, f"mechanism.guides.{guide}.friction", self.mechanism.friction[guide])
+        if not self.bodies and not self.loads and any(_forced(goal) for goal in self.goals):
+            raise Unusable("no masses and no loads are given, so there are no forces", "Add [bodies] or [loads]", "objective")
+
+
+class CycleProblem(MachineTerms):
+    """A problem file with an objective over the cycle: input of `solve`. Immutable."""
+
+    objective: Objective
+    """Objective over the cycle."""
+    limits: CycleLimits = CycleLimits()
+    """Limits on quantities of the cycle, each under a name of your choice, and the least distance from positions where the
+    mechanism locks."""
+
+    task: ClassVar[str] = "cycle"
+
+    @property
+    def named_limits(self) -> dict[str, Limit]:
+        """Limits of quantities of the machine by their names."""
+        return self.limits.named
+
+    @cached_property
+    def bounds(self) -> tuple[Bound, ...]:
+        """The limits with their bounds."""
+        return (*super().bounds, *self.limits.transmission_bounds(self._joints))
+
+    @property
+    def _joints(self) -> list[str]:
+        """Joints of the dyads that have a transmission angle."""
+        return [group.joint for group in transmitting(self.linkage)]
 
     @property
     def unit_kind(self) -> str:
@@ -123,22 +191,6 @@ class CycleProblem(Problem):
         size, unit = display_unit(self.unit_kind) if self.unit_kind else (1.0, "")
         return (-size if self.single and self.goals[0].sense == "maximise" else size), unit
 
-    @property
-    def single(self) -> bool:
-        """Whether the objective is one term, in its own unit."""
-        return not self.objective.terms
-
-    def kind(self, term: Term) -> str:
-        """Return the physical kind of a term."""
-        if term.quantity == "length":
-            return self.quantities[str(term.of)].kind
-        return term.kind(self.linkage)
-
-    def inertias(self, values: Mapping[str, Value]) -> dict[str, Inertia]:
-        """Return mass properties of all bodies for dimensions that may be symbols [SI]; centroids and bars follow the lengths."""
-        sizes = {**sizes_of(self.mechanism.quantities), **values}
-        return {name: body.inertia_of(name, self.linkage, sizes) for name, body in self.bodies.items()}
-
     def check_output(self) -> None:
         """Check the output of the requirement: this problem has none."""
 
@@ -151,28 +203,10 @@ class CycleProblem(Problem):
             with the full key of the cause.
         """
         check_one_mode(self.mechanism)
-        mechanism = self.linkage
-        if self.drive.speed.value == 0.0:
-            remedy = "Give the constant speed of the cycle"
-            raise Unusable("the crank speed is zero", remedy, "drive.speed", str(self.drive.speed))
-        for k, goal in enumerate(self.goals):
-            with below("objective" if self.single else f"objective.terms.{k}"):
-                check_term(goal, mechanism, self.quantities)
-                if goal.scale is not None and read_figure(goal.scale, self.kind(goal), "scale")[0] <= 0.0:
-                    raise Unusable("a scale must be positive", "Give one above zero", "scale", goal.scale)
-        for name, limit in self.limits.named.items():
-            with below(f"limits.{name}"):
-                check_term(limit, mechanism, self.quantities)
+        self.check_terms()
         self.check_output()
         check_transmission(self.limits.transmission_angle, self.limits.pressure_angle, self._joints)
         _ = self.bounds
-        if self.mechanism.friction and any(_forced(term) for term in (*self.goals, *self.limits.named.values())):
-            guide = next(iter(self.mechanism.friction))
-            message = "guide friction is not differentiable where the normal force changes sign"
-            remedy = "Optimise without friction, then `optlink analyze` the result with friction"
-            raise Unusable(message, remedy, f"mechanism.guides.{guide}.friction", self.mechanism.friction[guide])
-        if not self.bodies and not self.loads and any(_forced(goal) for goal in self.goals):
-            raise Unusable("no masses and no loads are given, so there are no forces", "Add [bodies] or [loads]", "objective")
         super().check()
         self.check_repeats(self.machine(slow=self.slow_assumed))
 

@@ -3,7 +3,7 @@
 import datetime
 from collections.abc import Mapping, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, ClassVar, NamedTuple, Self
+from typing import TYPE_CHECKING, Annotated, NamedTuple, Self
 
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field
@@ -182,8 +182,10 @@ class Problem(Section):
         """Return the crank angle [rad] at which the motion of a design begins."""
         return float(self.drive.start.value)
 
-    has_error: ClassVar[bool] = False
-    """Whether a design has an error over the span of a motion law."""
+    @property
+    def has_error(self) -> bool:
+        """Whether a design has an error over the span of a motion law."""
+        return False
 
     def shares_programme(self, keys: Sequence[str]) -> bool:
         """Return whether one programme serves all values of keys of the file, including the side of a limit."""

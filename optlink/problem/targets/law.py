@@ -241,7 +241,7 @@ def read_output_law(raw: object, folder: Path) -> Source:
 
 def _has_slide(raw: Mapping[str, Any], folder: Path) -> bool:
     """Return whether the CSV file of a table has a column of a slide; refuse one that has a column of an angle, too."""
-    if "csv" not in raw:
+    if "csv" not in raw or "phi" in raw or "psi" in raw:
         return False
     table = read_csv(raw, folder, MAX_ROWS)
     slides, angles = (

@@ -158,7 +158,7 @@ def graded_status(line: Sequence[Inline], fit: Fit | None, tail: str) -> Iterato
 def _design(outcome: FunctionResult) -> TableSpec:
     requirement = outcome.problem.spec.requirement
     default = "" if "start" in requirement.model_fields_set else ", the default start"
-    derived = {"phi0": f"at the {requirement.start}{default}", "psi0": "the rocker angle there"}
+    derived = {"phi0": f"at the {outcome.problem.spec.dead_centre}{default}", "psi0": "the rocker angle there"}
     rows = dimension_rows(outcome.problem.spec, outcome.design, derived)
     rows.append(("assembly", outcome.assembly, "", quiet(f"joint C lies to the {outcome.assembly} of B -> D")))
     return table("Design" if not outcome.conflict else NEAREST_DESIGN, "<><<", rows)

@@ -268,7 +268,7 @@ def _distances(view: PathView) -> Panel:
 def _directions(view: PathView) -> Panel:
     """Return the components along and across the curve, to the left of the motion; x and y where the velocity vanishes."""
     miss = view.generated - view.targets
-    speed = view.direction * view.at.velocity(view.task.requirement.point)
+    speed = view.direction * view.at.velocity(view.task.point)
     fast = np.linalg.norm(speed, axis=1)
     largest = np.nanmax(np.linalg.norm(miss, axis=1))
     unit = fitting(largest, view.sketch.scale)

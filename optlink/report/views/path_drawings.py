@@ -14,7 +14,7 @@ from PIL import Image
 
 from optlink.linkage.dyad_types import transmitting
 from optlink.linkage.vector2d import TURN
-from optlink.problem.path import PathProblem
+from optlink.problem.design import DesignProblem
 from optlink.problem.targets.function import Function
 from optlink.report.animation import film
 from optlink.report.chart_spec import Array, Axis, ChartSpec, Curve, Panel, crank_angle
@@ -155,7 +155,7 @@ def output(view: PathView) -> OutputCurves:
         generated = np.degrees(transmission_angles(view.motion, task.linkage))
         return OutputCurves(np.degrees(view.motion.crank_angle), generated, None, "transmission angle [deg]", joints)
     fine = view.design.problem.override({"requirement.points": OUTPUT_POSITIONS}).model
-    assert isinstance(fine, PathProblem)
+    assert isinstance(fine, DesignProblem)
     angles = fine.crank_angles(values, None)
     travel = deviations(fine, values, angles).generated[:, 0]
     target = fine.prescribed_outputs(values)
@@ -184,8 +184,8 @@ def curve(view: PathView) -> ChartSpec:
 
 def function_values(view: PathView) -> list[ChartSpec]:
     """Return the prescribed and the generated y(x) of a function; nothing for a law of the crank angle or a transmission."""
-    function = view.task.requirement.law
-    if view.task.requirement.kind != "function" or not isinstance(function, Function):
+    function = getattr(view.task.requirement, "law", None)
+    if not isinstance(function, Function):
         return []
     shown = output(view)
     assert shown.target is not None

@@ -9,7 +9,7 @@ import numpy as np
 from optlink.errors import Status
 from optlink.linkage.cognates import Cognate, CouplerLinkage
 from optlink.linkage.vector2d import TURN
-from optlink.problem.path import PathProblem
+from optlink.problem.design import DesignProblem
 from optlink.report.format import fixed, number, precise, significant, times
 from optlink.report.table_spec import Line, Paragraph, Row, Summary, TableSpec, bad, noted, quiet, strong, summary, table
 from optlink.report.views.certificate_view import certificate_lines, certificate_table, certified
@@ -126,7 +126,7 @@ def _objective(design: PathDesign) -> TableSpec:
     return table("Objective", "<><<", rows)
 
 
-def measure(task: PathProblem) -> str:
+def measure(task: DesignProblem) -> str:
     """Return the name of the measure of the deviations, with a note if it is weighted."""
     return task.measure + (", weighted" if task.target_points.weights is not None else "")
 

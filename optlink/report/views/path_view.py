@@ -9,7 +9,7 @@ import numpy as np
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.file import ProblemFile
-from optlink.problem.path import MARK
+from optlink.problem.requirement import MARK
 from optlink.report.causes import marked, why_invalid
 from optlink.report.drawing import Sketch
 from optlink.report.files import verdict
@@ -92,7 +92,7 @@ class PathView:
 
     def position(self, motion: Motion) -> Array:
         """Return the positions of the coupler point [m], shape (positions, 2)."""
-        return motion.position(self.task.requirement.point)
+        return motion.position(self.task.point)
 
     @property
     def colour(self) -> str:

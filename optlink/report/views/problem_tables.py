@@ -7,14 +7,12 @@ import numpy as np
 
 from optlink.problem.base_model import Section
 from optlink.problem.cycle.model import CycleProblem
+from optlink.problem.design import DesignProblem
 from optlink.problem.file import ProblemFile
-from optlink.problem.function import POSITIONS, DesignProblem
 from optlink.problem.interval import Interval
+from optlink.problem.limits import RegionSection
 from optlink.problem.mechanism import FourBarSection
-from optlink.problem.path import MARK, START, ZERO, PathProblem
-from optlink.problem.path_requirement import RegionSection, inapplicable_keys
 from optlink.problem.quantity import Quantity
-from optlink.problem.targets.law import Table
 from optlink.problem.targets.target_points import TargetPoints
 from optlink.report.table_spec import Part, Summary, TableSpec, quiet, summary, table
 
@@ -28,17 +26,17 @@ def problem(file: ProblemFile) -> Summary:
     parts: list[Part] = []
     if isinstance(model.mechanism, FourBarSection):
         parts.append(_section("mechanism", model.mechanism, {"assembly": file.mode()}))
-    if isinstance(model, DesignProblem | PathProblem):
+    if isinstance(model, DesignProblem):
         over = {"transmission_over": model.limits.transmission_range}
-        task = effective_values(model) if isinstance(model, PathProblem) else _effective(model)
-        hidden, hidden_limits = _inapplicable(model) if isinstance(model, PathProblem) else ((), ())
-        parts.append(_section("requirement", model.requirement, task, leave_out=hidden))
-        parts.append(_section("limits", model.limits, over, leave_out=hidden_limits))
+        task = effective_values(model)
+        for name, section, instead in (("requirement", model.requirement, task), ("limits", model.limits, over)):
+            hidden = {key for key in type(section).model_fields if f"{name}.{key}" in model.inapplicable}
+            parts.append(_section(name, section, instead, leave_out=hidden))
     if isinstance(model, CycleProblem):
         from optlink.report.views.cycle_tables import cycle_problem
 
         parts.append(cycle_problem(model))
-    if not isinstance(model, DesignProblem | PathProblem) or model.bodies or model.loads:
+    if not isinstance(model, DesignProblem) or model.bodies or model.loads:
         from optlink.report.views.analysis_tables import machine
 
         parts += machine(file)
@@ -55,40 +53,10 @@ def problem(file: ProblemFile) -> Summary:
     return summary(model.title, [*about, quiet(f"Source: {model.source or 'none is given'}")], *parts)
 
 
-def _effective(model: DesignProblem) -> dict[str, str]:
-    """Return the effective values of optional keys of a motion law or function of a four-bar."""
-    task = model.requirement
-    values = {"span": f"{math.degrees(model.span):g} deg", "points": _positions(task.law)}
-    keys = {"start": "phi0", "psi0": "psi0"}
-    values |= {key: str(model.quantities[name]) for key, name in keys.items() if name in model.quantities}
-    return {key: text for key, text in values.items() if key not in task.model_fields_set}
-
-
-def _inapplicable(model: PathProblem) -> tuple[Collection[str], Collection[str]]:
-    """Return the keys of the requirement and of the limits that do not apply to the kind of problem."""
-    kind, four_bar = model.requirement.kind, isinstance(model.mechanism, FourBarSection)
-    task = inapplicable_keys("requirement", kind, four_bar=four_bar)
-    if kind not in ("path", "motion"):
-        task |= {"point", "rotation", "points" if kind == "transmission" else "psi0" if model.slides else "zero"}
-    return task, inapplicable_keys("limits", kind, four_bar=four_bar)
-
-
-def effective_values(model: PathProblem) -> dict[str, str]:
-    """Return the effective values of optional keys of a path or motion synthesis problem."""
-    values = {"timing": model.timing, "measure": model.measure, "closed": str(model.closed).lower()}
-    values["angle_length"] = f"{1e3 * model.radian:.6g} mm" if model.requirement.kind == "motion" else "none"
-    added = {key: str(model.quantities[key]) for key in (START, MARK) if key in model.quantities}
-    if model.requirement.kind == "function":
-        values["span"] = f"{math.degrees(model.rotation_of_law):g} deg"
-        values["points"] = _positions(model.requirement.law)
-    if ZERO in model.quantities:
-        added["zero" if model.slides else "psi0"] = str(model.quantities[ZERO])
-    return {key: text for key, text in (values | added).items() if key not in model.requirement.model_fields_set}
-
-
-def _positions(law: object) -> str:
-    """Return the default positions of a law."""
-    return f"its {len(law.phi)} rows" if isinstance(law, Table) else str(POSITIONS)
+def effective_values(model: DesignProblem) -> dict[str, str]:
+    """Return the effective values of optional keys of the requirement."""
+    stated = model.requirement.model_fields_set
+    return {key: text for key, text in model.requirement.effective(model).items() if key not in stated}
 
 
 def _section(

@@ -12,7 +12,7 @@ import numpy as np
 from optlink.execution import interrupts
 from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.vector2d import TURN, Array
-from optlink.problem.function import DesignProblem
+from optlink.problem.design import DesignProblem
 from optlink.problem.targets.function import Function
 from optlink.solvers.global_search.branch_and_bound import Boxes, BranchAndBound
 from optlink.solvers.global_search.function_bounds import FunctionBounds, followed

@@ -29,8 +29,9 @@ from numpy.typing import NDArray
 from optlink.linkage.vector2d import Array
 from optlink.optimization.constraints import transmission_sides
 from optlink.optimization.taylor_model import TINY, UNIT, UPWARD, TaylorModel, pairs
+from optlink.problem.design import DesignProblem
 from optlink.problem.mechanism import FourBarSection
-from optlink.problem.path import START, PathProblem
+from optlink.problem.requirement import START
 from optlink.solvers.global_search.column_fit import SLACK, ColumnFit, Complex, as_real, changes
 from optlink.solvers.global_search.lagrangian import OPEN, TESTS, BoxRecord
 
@@ -40,7 +41,7 @@ WIDE = 0.126  # share of the bounds beyond which a box is halved along its wides
 OMEGA = 1  # index of omega
 
 
-def unsuitable(problem: PathProblem) -> str:
+def unsuitable(problem: DesignProblem) -> str:
     """Return why a problem is not one that `TimedPathBounds` can bound; empty if it is."""
     if not isinstance(problem.mechanism, FourBarSection):
         return "the mechanism is not a four-bar"
@@ -52,7 +53,7 @@ def unsuitable(problem: PathProblem) -> str:
         return "the crank need not turn fully"
     if problem.mechanism.follows:
         return "the assembly mode continues through change points"
-    point = problem.requirement.point
+    point = problem.point
     fixed = [
         name for name in ("crank", "coupler", "rocker", "frame", f"{point}.along", f"{point}.across") if name not in problem.free
     ]
@@ -73,7 +74,7 @@ class TimedPathBounds:
         where `unsuitable` returns a reason.
     """
 
-    def __init__(self, problem: PathProblem) -> None:
+    def __init__(self, problem: DesignProblem) -> None:
         reason = unsuitable(problem)
         if reason:
             raise ValueError(reason)
@@ -110,7 +111,7 @@ class TimedPathBounds:
 
     def _largest(self, free: set[str]) -> float:
         """Return a bound of the pivot and the crank, as parts of the column f too, in terms of the size of the curve."""
-        quantities, point, ratio = self.problem.quantities, self.problem.requirement.point, self.problem.limits.link_ratio
+        quantities, point, ratio = self.problem.quantities, self.problem.point, self.problem.limits.link_ratio
         arm = math.hypot(*(max(abs(b) for b in quantities[f"{point}.{n}"].bounds) for n in ("along", "across")))
         longest = max(quantities[name].bounds[1] for name in ("crank", "frame"))
         stretch = longest / quantities["coupler"].bounds[0]  # of crank and frame over the coupler
@@ -177,7 +178,7 @@ class TimedPathBounds:
         if START in self.problem.free:
             values[START] = start
         arm = complex(linear[-2], linear[-1]) * np.exp(-1j * values.get("direction", 0.0)) * self.unit
-        point_name = self.problem.requirement.point
+        point_name = self.problem.point
         return values | {f"{point_name}.along": float(arm.real), f"{point_name}.across": float(arm.imag)}
 
     # --- boxes ----------------------------------------------------------------------------------------------------

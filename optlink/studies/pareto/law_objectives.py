@@ -5,8 +5,8 @@ from collections.abc import Mapping, Sequence
 
 from optlink.errors import InputError
 from optlink.optimization.constraints import rows as limit_rows
+from optlink.problem.design import DesignProblem
 from optlink.problem.file import SIDES, ProblemFile
-from optlink.problem.function import DesignProblem
 from optlink.problem.interval import Interval, StrokeRatio
 from optlink.problem.quantity import nearest, range_example
 from optlink.studies.pareto.objective import OPTION, ParetoObjective

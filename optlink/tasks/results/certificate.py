@@ -17,7 +17,6 @@ from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.vector2d import Array
 from optlink.problem.document import Column, Never, Number, Rows
 from optlink.problem.file import ProblemFile
-from optlink.problem.function import DesignProblem
 from optlink.solvers.global_search.lagrangian import TESTS
 from optlink.version import VERSION
 
@@ -30,7 +29,7 @@ SCHEMA = "optlink/certificate/2"
 def exact(problem: ProblemFile, objective: float) -> bool:
     """Return whether an objective is zero to rounding, so that no design can be better."""
     model: Any = problem.model
-    scale = 1.0 if isinstance(model, DesignProblem) else model.whole
+    scale = model.whole
     error = objective if model.measure != "sum of squares" else math.sqrt(max(objective, 0.0))
     return bool(error <= EXACT * scale)
 

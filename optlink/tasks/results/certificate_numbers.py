@@ -10,8 +10,8 @@ import numpy as np
 from optlink.linkage.dyad_types import JointedDyad
 from optlink.linkage.mechanism import Arm, Guide, Link, Mechanism
 from optlink.linkage.vector2d import Array
+from optlink.problem.design import DesignProblem
 from optlink.problem.file import ProblemFile
-from optlink.problem.function import DEAD_CENTRES, DesignProblem
 from optlink.problem.interval import Interval
 from optlink.problem.limits import limits_in_file
 from optlink.problem.mechanism import FourBarSection
@@ -19,7 +19,7 @@ from optlink.problem.targets.function import Function
 from optlink.problem.targets.law import Law, SlideExpression, Table
 
 if TYPE_CHECKING:
-    from optlink.problem.path import PathProblem
+    pass
 
 Numbers = dict[str, Any]
 
@@ -40,7 +40,7 @@ def numbers_of(problem: ProblemFile, peaks: Array) -> Numbers:
         "linkage": {"four_bar": isinstance(model.mechanism, FourBarSection), **_linkage(model.linkage)},
         "limits": _limits(model),
     }
-    numbers |= _of_law(model) if isinstance(model, DesignProblem) else _of_positions(model)
+    numbers |= _of_law(model) if model.task == "function" else _of_positions(model)
     return numbers | {"offsets": [*numbers["offsets"], *peaks.tolist()]}
 
 
@@ -85,13 +85,12 @@ def _guide(linkage: Mechanism, guide: Guide) -> Numbers:
 
 def _of_law(model: DesignProblem) -> Numbers:
     """Return the requirement of a motion law of a four-bar."""
-    start = model.requirement.start
     return {
         "kind": "law",
         "offsets": model.law.offsets.tolist(),
         "span": model.span,
         **_EMPTY,
-        "start": start if start in DEAD_CENTRES and "phi0" not in model.quantities else None,
+        "start": model.dead_centre,
         "law": _law(model.law),
         "output": "rocker",
     }
@@ -103,7 +102,7 @@ _EMPTY: Numbers = {
 }
 
 
-def _of_positions(model: PathProblem) -> Numbers:
+def _of_positions(model: DesignProblem) -> Numbers:
     """Return the requirement of a problem with prescribed crank angles."""
     data, requirement = model.data, model.requirement
     assert data.offsets is not None
@@ -139,7 +138,7 @@ def _law(law: Law) -> Numbers:
     return {"kind": "expression", "text": expression.text, "unit": unit}
 
 
-def _limits(model: DesignProblem | PathProblem) -> Numbers:
+def _limits(model: DesignProblem) -> Numbers:
     limits = model.limits
     transmission = {
         joint: limit for joint in (group.joint for group in model.linkage.groups) if (limit := limits.transmission_at(joint))

@@ -24,6 +24,7 @@ import numpy as np
 from optlink.linkage.fourbar import LENGTHS, classify
 from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import TURN, Array
+from optlink.problem.design import STEP, DesignProblem
 from optlink.problem.document import Source
 from optlink.problem.mechanism import FourBarSection
 from optlink.problem.quantity import Quantity
@@ -43,7 +44,6 @@ from optlink.tasks.results.remedies import (
 if TYPE_CHECKING:
     from optlink.problem.file import ProblemFile
     from optlink.problem.machine.model import Problem
-    from optlink.problem.path import PathProblem
     from optlink.validation.path import MeasuredDeviations
 
 EXACT, GOOD, FAIR = 1e-9, 0.01, 0.05  # largest relative errors of these grades; beyond, a fit is poor
@@ -204,10 +204,8 @@ def path_fit(
 
     `between` are the excursions [m] of the curve between the points. A given design has no `limits` and no `solution`.
     """
-    from optlink.problem.path import PathProblem
-
     task = problem.model
-    assert isinstance(task, PathProblem)
+    assert isinstance(task, DesignProblem)
     targets, distances = task.data.columns, measured.distances
     if task.requirement.kind == "transmission" or not np.all(np.isfinite(distances)):
         return None
@@ -272,16 +270,16 @@ def law_fit(problem: ProblemFile, values: Mapping[str, float], error: Array, sol
     return replace(fit, reasons=(*measured, *active_reasons(limits), *fixed_reasons(task.quantities, values, solution, task)))
 
 
-def _rotation(task: PathProblem) -> float:
+def _rotation(task: DesignProblem) -> float:
     return float(np.ptp(np.unwrap(np.arctan2(task.data.columns[:, 3], task.data.columns[:, 2]))))
 
 
-def _four_bar(task: PathProblem, values: Mapping[str, float]) -> str:
+def _four_bar(task: DesignProblem, values: Mapping[str, float]) -> str:
     """Return the Grashof type of a four-bar; an empty text for other mechanisms."""
     return classify(*(values[n] for n in LENGTHS)).inversion.value if isinstance(task.mechanism, FourBarSection) else ""
 
 
-def _rotating(task: PathProblem, values: Mapping[str, float]) -> Iterator[PoorFitReason]:
+def _rotating(task: DesignProblem, values: Mapping[str, float]) -> Iterator[PoorFitReason]:
     """Detect poses that rotate farther than the body over its whole motion."""
     if task.requirement.kind != "motion" or task.limits.crank == "span":
         return
@@ -301,7 +299,7 @@ def _rotating(task: PathProblem, values: Mapping[str, float]) -> Iterator[PoorFi
 
 
 def _timed(
-    task: PathProblem, values: Mapping[str, float], angles: Array, measured: MeasuredDeviations
+    task: DesignProblem, values: Mapping[str, float], angles: Array, measured: MeasuredDeviations
 ) -> Iterator[PoorFitReason]:
     """Detect a curve that passes the points, but at crank angles other than those prescribed."""
     if task.requirement.kind != "path" or task.data.offsets is None:
@@ -312,10 +310,8 @@ def _timed(
         yield PoorFitReason(reason, 'free the timing: requirement.timing = "free"')
 
 
-def _crowded(task: PathProblem, angles: Array) -> Iterator[PoorFitReason]:
+def _crowded(task: DesignProblem, angles: Array) -> Iterator[PoorFitReason]:
     """Detect an order of points that the curve does not follow: several occur at nearly the same crank angle."""
-    from optlink.problem.path import STEP
-
     if task.data.offsets is not None or not task.pointed:
         return
     close = np.flatnonzero(np.abs(np.diff(angles)) <= 2.0 * STEP)
@@ -325,7 +321,7 @@ def _crowded(task: PathProblem, angles: Array) -> Iterator[PoorFitReason]:
         yield PoorFitReason(reason, "check the order of requirement.points, or smooth them")
 
 
-def _placed(task: PathProblem, values: Mapping[str, float], measured: MeasuredDeviations) -> Iterator[PoorFitReason]:
+def _placed(task: DesignProblem, values: Mapping[str, float], measured: MeasuredDeviations) -> Iterator[PoorFitReason]:
     """Detect a fixed frame where a rigid displacement of the linkage would reduce the error."""
     if not isinstance(task.mechanism, FourBarSection) or not task.pointed:
         return
@@ -368,14 +364,14 @@ def active_reasons(limits: Sequence[LimitState]) -> Iterator[PoorFitReason]:
             yield PoorFitReason(f"{limit.name} is {word} ({bound})", f"{remedy} {' and '.join(together)}")
 
 
-def _quantities(task: PathProblem) -> dict[str, Quantity]:
+def _quantities(task: DesignProblem) -> dict[str, Quantity]:
     """Return the dimensions of a mechanism, including the default frame position of a four-bar."""
     nowhere = {f"A.{axis}": Quantity(0.0, "coordinate", "mm") for axis in "xy"} | {"direction": Quantity(0.0, "angle", "deg")}
     dimensions = task.mechanism.quantities
     return dimensions if not (task.pointed and isinstance(task.mechanism, FourBarSection)) else nowhere | dimensions
 
 
-def _kind(task: PathProblem, values: Mapping[str, float]) -> Iterator[PoorFitReason]:
+def _kind(task: DesignProblem, values: Mapping[str, float]) -> Iterator[PoorFitReason]:
     """Detect a restriction to four-bars of one kind."""
     kind, crank = _four_bar(task, values), task.limits.crank
     if kind and crank != "span":

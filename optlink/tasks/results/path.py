@@ -18,11 +18,12 @@ from optlink.linkage.extrema import extremes
 from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import TURN, Array
+from optlink.problem.design import DesignProblem
 from optlink.problem.document import Column, Document, Number, Source, adapter, entries
 from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import fixed_design, started
 from optlink.problem.mechanism import FourBarSection
-from optlink.problem.path import START, PathProblem
+from optlink.problem.requirement import START
 from optlink.solvers.solution import LimitState, Relaxation, Solution
 from optlink.tasks.machine import turning_machine
 from optlink.tasks.results.certificate import Certificate, message
@@ -72,9 +73,9 @@ class PathDesign(Summary):
     solution: Solution | None = None
 
     @property
-    def task(self) -> PathProblem:
+    def task(self) -> DesignProblem:
         """The model of the problem."""
-        assert isinstance(self.problem.model, PathProblem)
+        assert isinstance(self.problem.model, DesignProblem)
         return self.problem.model
 
     @property
@@ -183,9 +184,9 @@ class PathDesign(Summary):
     @property
     def coupler_linkage(self) -> CouplerLinkage | None:
         """The four-bar with its coupler point as plain numbers."""
-        if not isinstance(self.task.mechanism, FourBarSection) or self.task.requirement.point not in self.task.mechanism.points:
+        if not isinstance(self.task.mechanism, FourBarSection) or self.task.point not in self.task.mechanism.points:
             return None
-        point, values = self.task.requirement.point, self.values
+        point, values = self.task.point, self.values
         x, y, direction = (values.get(name, 0.0) for name in ("A.x", "A.y", "direction"))
         sizes = {name: values[name] for name in LENGTHS}
         along, across = values[f"{point}.along"], values[f"{point}.across"]

@@ -13,18 +13,17 @@ import numpy as np
 from optlink.errors import InputError
 from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import TURN, Array
+from optlink.optimization.output_derivatives import error_at
 from optlink.problem.quantity import Quantity
 from optlink.problem.targets.function import Function
 from optlink.problem.targets.law import Table
-from optlink.optimization.output_derivatives import error_at
 from optlink.solvers.solution import Solution
 from optlink.units import show
 
 if TYPE_CHECKING:
+    from optlink.problem.design import DesignProblem
     from optlink.problem.file import ProblemFile
-    from optlink.problem.function import DesignProblem
     from optlink.problem.machine.model import Problem
-    from optlink.problem.path import PathProblem
 
 BETTER = 0.9  # fraction of the error below which another start or mode counts as a reason
 STARTS = 72  # start angles of a law that are tried
@@ -53,7 +52,7 @@ def start_reasons(task: DesignProblem, values: Mapping[str, float], error: float
     own = isinstance(law, Function) or (isinstance(law, Table) and not law.from_start)
     if own or (isinstance(requirement.start, Quantity) and requirement.start.free):
         return
-    start = requirement.start if isinstance(requirement.start, str) else in_degrees(requirement.start.value)
+    start = task.dead_centre or in_degrees(requirement.start.value)
     default = "start" not in requirement.model_fields_set
     reason = f"the law starts at the {start}, the default of requirement.from" if default else f"the law starts at {start}"
     angles = np.linspace(0.0, TURN, STARTS, endpoint=False)
@@ -103,25 +102,26 @@ def path_mode_reasons(
     The crank angle at which the task begins and the output there follow where they are free. `error` is the root mean square
     error of the design, in `unit` (m or rad).
     """
-    from optlink.problem.path import START, PathProblem
+    from optlink.problem.design import DesignProblem
+    from optlink.problem.requirement import START
 
     def measured(variant: ProblemFile) -> float:
         task = variant.model
-        assert isinstance(task, PathProblem)
+        assert isinstance(task, DesignProblem)
         if task.pointed and task.data.offsets is None:
             return rms(curve_distances(task, values, crank_angles))
         begins = np.linspace(0.0, TURN, STARTS, endpoint=False) if START in task.free else [values.get(START, 0.0)]
         errors = [_deviation(task, {**values, START: float(begin)}) for begin in begins]
         return min(filter(math.isfinite, errors), default=math.inf)
 
-    assert isinstance(problem.model, PathProblem)
+    assert isinstance(problem.model, DesignProblem)
     if problem.model.requirement.kind in ("path", "function"):  # of poses the body would have to be placed again
         yield from _mode_reasons(problem, error, unit, measured)
 
 
-def _deviation(task: PathProblem, values: Mapping[str, float]) -> float:
+def _deviation(task: DesignProblem, values: Mapping[str, float]) -> float:
     """Return the root mean square deviation of a design with prescribed crank angles, its output at the start the best one."""
-    from optlink.problem.path import ZERO
+    from optlink.problem.requirement import ZERO
     from optlink.validation.path import deviations
 
     measured = deviations(task, values, task.crank_angles(values, None))
@@ -134,14 +134,14 @@ def _deviation(task: PathProblem, values: Mapping[str, float]) -> float:
     return rms(np.remainder(error - middle + math.pi, TURN) - math.pi)
 
 
-def curve_distances(task: PathProblem, values: Mapping[str, float], crank_angles: Array) -> Array:
+def curve_distances(task: DesignProblem, values: Mapping[str, float], crank_angles: Array) -> Array:
     """Return the distance [m] of every point of a path from the curve of a linkage, at any crank angle.
 
     The curve of a crank that need not turn fully is that between the first and last of `crank_angles` [rad].
     """
     begin = float(crank_angles[0])
     end = begin + TURN if task.limits.crank != "span" else float(crank_angles[-1])
-    curve = sweep(task.linkage, values, np.linspace(begin, end, POSITIONS)).position(task.requirement.point)
+    curve = sweep(task.linkage, values, np.linspace(begin, end, POSITIONS)).position(task.point)
     gaps = [np.hypot(*(curve - place).T) for place in task.data.columns[:, :2]]
     return np.array([np.min(gap) if np.all(np.isfinite(gap)) else math.inf for gap in gaps])
 

@@ -1,0 +1,921 @@
+"""Requirements of a design problem: one class per kind, with its keys, its checks, its targets and the deviation from them."""
+
+import functools
+import itertools
+import math
+import operator
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Protocol
+
+import numpy as np
+from pydantic import AliasChoices, BeforeValidator, Discriminator, Field, Tag
+
+from optlink.io import Registry
+from optlink.linkage.dyad_types import RRR, Transmitting, transmitting
+from optlink.linkage.fourbar import dead_centre, lengths_of
+from optlink.linkage.mechanism import FRAME, Mechanism, Pose
+from optlink.linkage.vector2d import TURN, Array, Value, Vector, angle, angle_from, dot, minus, turn, unit
+from optlink.problem.base_model import Section, in_folder
+from optlink.problem.limits import Limits
+from optlink.problem.machine.model import MAX_SHIFT
+from optlink.problem.mechanism import moving_points
+from optlink.problem.quantity import (
+    Angle,
+    Coordinate,
+    FixedAngle,
+    FixedLength,
+    Quantity,
+    Unusable,
+    check_name,
+    nearest,
+    read_quantity,
+)
+from optlink.problem.robust import Robustness, check_robust
+from optlink.problem.targets.expression import Expression
+from optlink.problem.targets.function import Function
+from optlink.problem.targets.law import (
+    Law,
+    SlideExpression,
+    Table,
+    begins_at_psi0,
+    check_rotation,
+    is_periodic,
+    read_output_law,
+    rotation,
+)
+from optlink.problem.targets.points import read_points
+from optlink.problem.targets.target_points import COINCIDENT, TargetPoints, closed
+from optlink.problem.tolerances import Deviation
+
+START, MARK, ZERO = "start", "mark", "zero"
+"""Names of quantities that a requirement adds to those of dyads; a law of a four-bar section adds phi0 and psi0."""
+
+DEAD_CENTRES = ("outer dead centre", "inner dead centre")
+POSITIONS = 60  # default number of design positions of an expression or a function
+FINE = 721  # positions at which a law is checked and its travel computed
+GRID = 36  # crank angles at which the transmission of a mechanism other than a four-bar is evaluated
+ABSURD = 1e3  # rad; a larger output angle indicates an input error or a pole
+TRIAL_STARTS = ((0.3, 0.5), (0.9, 1.2), (1.7, 2.1))
+"""Starts [rad], crank and output, at which a law is checked where the start is not known yet."""
+
+Measure = Literal["sum of squares", "rms", "max"]
+
+
+@dataclass(frozen=True, eq=False)
+class TargetArrays:
+    """Targets at each position, as arrays.
+
+    `columns` (positions, k): x, y [m] and, for poses, cosine and sine of the angle; for a law crank rotation [rad] and tabulated
+    output [rad or m]; `roots` (positions,): square roots of the weights; `offsets` (positions,) [rad]: prescribed crank angles,
+    or None; `tolerances` (positions,) [m], infinite where there is none.
+    """
+
+    columns: Array
+    roots: Array
+    offsets: Array | None
+    tolerances: Array
+
+
+@dataclass(frozen=True)
+class StartPosition:
+    """Start of a law: crank direction, crank angle [rad] and prescribed output [rad or m] there."""
+
+    crank: Vector
+    phi0: Value
+    psi0: Value
+
+
+class Designed(Protocol):
+    """What a requirement needs to know of its design problem."""
+
+    @property
+    def mechanism(self) -> Any:
+        """The section of the linkage: a four-bar, or dyads."""
+        ...
+
+    @property
+    def linkage(self) -> Mechanism:
+        """Kinematic model of the linkage."""
+        ...
+
+    @property
+    def limits(self) -> Limits:
+        """Limits of the design."""
+        ...
+
+    @property
+    def deviations(self) -> tuple[Deviation, ...]:
+        """Manufacturing deviations of dimensions."""
+        ...
+
+    @property
+    def four_bar(self) -> bool:
+        """Whether the linkage is a four-bar by its lengths."""
+        ...
+
+    @property
+    def quantities(self) -> dict[str, Quantity]:
+        """Quantities of the mechanism and of the requirement."""
+        ...
+
+    @property
+    def law(self) -> Law:
+        """The law at its design positions."""
+        ...
+
+    @property
+    def size(self) -> float:
+        """Length [m] that deviations are related to."""
+        ...
+
+    def complete(self, values: Mapping[str, Value]) -> dict[str, Value]:
+        """Return every quantity [SI], with those that follow from others."""
+        ...
+
+
+class Requirement(Section):
+    """What the design must do; base of all kinds, whose methods take the design problem."""
+
+    if TYPE_CHECKING:
+        kind: str  # a key of each kind
+
+    pointed: ClassVar[bool] = False
+    """Whether points in the plane are prescribed."""
+
+    law_given: ClassVar[bool] = False
+    """Whether an output follows a law."""
+
+    def ranged(self, problem: Designed) -> bool:
+        """Return whether its largest deviation counts over a range of crank angles, not at positions."""
+        return False
+
+    @property
+    def timed(self) -> str:
+        """Timing: "given" for prescribed crank angles, "from start" for angles relative to a common start, "free" for any."""
+        return "given"
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether the positions form a closed curve."""
+        return False
+
+    @property
+    def by_angle(self) -> bool:
+        """Whether the objective is the cosine of an angle, by which it is shown."""
+        return False
+
+    @property
+    def targets(self) -> TargetPoints:
+        """The target points; none for a law or transmission."""
+        return TargetPoints(points=())
+
+    def task(self, problem: Designed) -> str:
+        """Return the name of the search: "function" for laws of a four-bar section, else "path"."""
+        return "path"
+
+    def names(self, problem: Designed) -> tuple[str, str]:
+        """Return the names of the quantities at the common start: crank angle and output."""
+        return START, ZERO
+
+    def dead_centre(self, problem: Designed) -> str | None:
+        """Return the dead centre at which the requirement starts; None if it starts at a crank angle."""
+        return None
+
+    def check(self, problem: Designed) -> None:
+        """Check that the requirement is consistent with the mechanism.
+
+        Raises
+        ------
+        Unusable
+            with the full key of the cause.
+        """
+
+    def check_with_limits(self, problem: Designed) -> None:
+        """Check what depends on limits, which have been checked by themselves.
+
+        Raises
+        ------
+        Unusable
+            with the full key of the cause.
+        """
+
+    def quantities(self, problem: Designed) -> dict[str, Quantity]:
+        """Return the quantities that the requirement adds to those of the mechanism."""
+        return {}
+
+    def derived(self, problem: Designed, values: Mapping[str, Value]) -> dict[str, Value]:
+        """Return the values [SI] that follow from those of all quantities; elementwise."""
+        return {}
+
+    def is_periodic(self, problem: Designed, name: str) -> bool:
+        """Return whether values of an angle a revolution apart are one design."""
+        return True
+
+    def sense(self, problem: Designed) -> int:
+        """Return the sense of crank rotation that is required: +1 counter-clockwise, -1 clockwise, 0 for that of the drive."""
+        return 0
+
+    def size(self, problem: Designed) -> float | None:
+        """Return the size [m] of what is prescribed, else None."""
+        return None
+
+    def radian(self, problem: Designed) -> float:
+        """Return the length [m] equivalent to one radian of a pose."""
+        return problem.size
+
+    def unit(self, problem: Designed) -> str:
+        """Return the SI unit of a deviation: empty for cosines."""
+        return "m"
+
+    def width(self, problem: Designed) -> int:
+        """Return the number of components of the deviation at one position."""
+        raise NotImplementedError
+
+    def data(self, problem: Designed) -> TargetArrays:
+        """Return the targets as arrays."""
+        raise NotImplementedError
+
+    def deviation(self, problem: Designed, pose: Pose, values: Mapping[str, Value], target: tuple[Value, ...]) -> list[Value]:
+        """Return actual minus prescribed output at one position, elementwise; `target` is a row of `TargetArrays.columns`."""
+        raise NotImplementedError
+
+    def inapplicable(self, problem: Designed) -> set[str]:
+        """Return the keys of the requirement and its limits, "requirement.zero", that do not apply to this mechanism."""
+        return set()
+
+    def effective(self, problem: Designed) -> dict[str, str]:
+        """Return the effective values of optional keys, for display."""
+        return {}
+
+
+REQUIREMENTS: Registry[type[Requirement]] = Registry()
+"""Classes of requirements by their kind."""
+
+
+# --- the output follows a law -----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class LawOf:
+    """Names and defaults of a law, by the way in which the linkage is written.
+
+    `start`, `base`: names of the crank angle and of the output at the start; `key`: that of the start in the file; `output`,
+    `dead_centre`: defaults; `tied`: whether the output at the start is by default the actual one; `free`: half range of a free
+    start angle [rad]; `positions`: least and largest number.
+    """
+
+    start: str
+    base: str
+    key: str
+    output: str | None
+    dead_centre: str | None
+    tied: bool
+    free: float
+    positions: tuple[int, int]
+
+
+OF_FOUR_BAR = LawOf("phi0", "psi0", "from", "rocker", DEAD_CENTRES[0], True, TURN, (1, 10_000))
+OF_DYADS = LawOf(START, ZERO, "start", None, None, False, math.pi, (2, 400))
+
+
+def _read_start(raw: object) -> str | Quantity:
+    if isinstance(raw, str) and not any(character.isdigit() for character in raw):
+        if raw not in DEAD_CENTRES:
+            raise Unusable("unknown start", nearest(raw, DEAD_CENTRES) + ', or an angle such as "60 deg"')
+        return raw
+    return read_quantity(raw, "angle")
+
+
+class FunctionRequirement(Requirement):
+    """The output follows a law or a function while the crank rotates through the span."""
+
+    kind: Literal["function"] = "function"
+    """Kind of requirement."""
+    law: Annotated[Any, in_folder(read_output_law)]
+    """Output over crank angle: an expression in phi, phi0, psi0, for a slide `{ slide = "s0 + 40*(1 - cos(phi))", unit = "mm" }`;
+    a table of phi and psi, or phi and s, or a CSV file; or a function y(x), with x proportional to the crank angle."""
+    output: str | None = None
+    """Output of the law: a guide (its slide) or a body (its angle); default: the rocker of a four-bar."""
+    start: Annotated[Any, BeforeValidator(_read_start), Field(validation_alias=AliasChoices("start", "from"))] = None
+    """Start of the span, also written `from`: a dead centre of the rocker of a four-bar, or the crank angle, fixed or free;
+    default: the outer dead centre of a four-bar (for a function: any angle), any angle of dyads."""
+    psi0: Angle | None = None
+    """Angle of the output body at the start of a law, or at the least y of a function, fixed or free; default: for a law of a
+    four-bar the angle there, else free."""
+    zero: Coordinate | None = None
+    """Slide at the start of a law (s0), or at the least y of a function, fixed or free; default: free."""
+    span: FixedAngle | None = None
+    """Crank rotation over which an expression applies, negative clockwise; a table or function defines it itself."""
+    points: Annotated[int, Field(strict=True, ge=1, le=OF_FOUR_BAR.positions[1])] | None = None
+    """Number of evenly spaced positions after the start; default: the rows of a table, else 60."""
+    measure: Measure = "sum of squares"
+    """Measure that combines all errors into the objective; `max` is the largest error."""
+    robust: Robustness = None
+    """Effect of `[tolerances]` on the objective: `"3 sigma"` or `"worst case"` with the measure `max`, `"expected value"` with
+    the sum of squares or rms; default: none."""
+
+    law_given: ClassVar[bool] = True
+
+    def ranged(self, problem: Designed) -> bool:
+        """Return whether its largest error counts over the whole span: that of a formula."""
+        return not isinstance(self.law, Table)
+
+    @property
+    def timed(self) -> str:
+        """Timing: relative to a common start."""
+        return "from start"
+
+    @property
+    def slides(self) -> bool:
+        """Whether the output is a slider, not the angle of a body."""
+        return getattr(self.law, "kind", "angle") == "coordinate"
+
+    @property
+    def based(self) -> bool:
+        """Whether the law is relative to the output at the start (psi0, s0), not to the frame."""
+        return self.law.from_start if isinstance(self.law, Table) else "psi0" in self.law.names
+
+    @property
+    def of_frame(self) -> bool:
+        """Whether a table defines the start, as it is measured from the frame."""
+        return isinstance(self.law, Table) and not self.law.from_start
+
+    @property
+    def rotation(self) -> float:
+        """Crank rotation [rad] of the law, negative clockwise."""
+        return rotation(self.law, self.span)
+
+    def of(self, problem: Designed) -> LawOf:
+        """Return names and defaults for the way in which the linkage is written."""
+        return OF_FOUR_BAR if problem.four_bar else OF_DYADS
+
+    def task(self, problem: Designed) -> str:
+        """Return the name of the search."""
+        return "function" if problem.four_bar else "path"
+
+    def names(self, problem: Designed) -> tuple[str, str]:
+        """Return the names of the quantities at the common start: crank angle and output."""
+        return self.of(problem).start, self.of(problem).base
+
+    def output_of(self, problem: Designed) -> str:
+        """Return the name of the output."""
+        return self.output or self.of(problem).output or ""
+
+    def dead_centre(self, problem: Designed) -> str | None:
+        """Return the dead centre at which the law starts; None if it starts at a crank angle."""
+        if self.start is None and not self.of_frame and not isinstance(self.law, Function):
+            return self.of(problem).dead_centre
+        return self.start if isinstance(self.start, str) else None
+
+    def tied(self, problem: Designed) -> bool:
+        """Return whether the prescribed output at the start is the actual one."""
+        return self.of(problem).tied and self.of(problem).base not in problem.quantities
+
+    def quantities(self, problem: Designed) -> dict[str, Quantity]:
+        """Return the start angle of the crank and the output there, where they are not derived."""
+        of, quantities = self.of(problem), {}
+        anywhere = Quantity(0.0, "angle", "deg", -of.free, of.free)
+        if isinstance(self.start, Quantity):
+            quantities[of.start] = self.start
+        elif self.of_frame:
+            quantities[of.start] = Quantity(self.law.phi[0], "angle", "deg")
+        elif self.dead_centre(problem) is None or isinstance(self.law, Function):
+            quantities[of.start] = anywhere
+        if (stated := self.zero if self.slides else self.psi0) is not None:
+            quantities[of.base] = stated
+        elif self.based and self.slides:
+            lengths = [one.value for one in problem.mechanism.quantities.values() if one.kind == "length"]
+            far = 10.0 * max([self.travel(problem), *lengths])
+            quantities[of.base] = Quantity(0.0, "coordinate", "mm", -far, far)
+        elif self.based and (isinstance(self.law, Function) or not of.tied):
+            quantities[of.base] = anywhere
+        return quantities
+
+    def start_position(self, problem: Designed, values: Mapping[str, Value]) -> StartPosition:
+        """Return the start of the law for given quantities; elementwise, NaN where it does not exist."""
+        of = self.of(problem)
+        dead = self.dead_centre(problem) if of.start not in problem.quantities else None
+        if dead is None:
+            phi0 = values[of.start]
+            crank = unit(phi0)
+        else:
+            limit = dead_centre(*lengths_of(values), problem.mechanism.side, outer=dead == DEAD_CENTRES[0])
+            crank, phi0 = limit.crank, limit.phi
+        if not self.tied(problem):
+            return StartPosition(crank, phi0, values.get(of.base, 0.0))
+        pose = problem.linkage.pose(values, crank).direction(self.output_of(problem)) if dead is None else limit.rocker
+        return StartPosition(crank, phi0, angle(pose))
+
+    def derived(self, problem: Designed, values: Mapping[str, Value]) -> dict[str, Value]:
+        """Return the start angle of the crank at a dead centre, and the output there if it is the actual one."""
+        of, start = self.of(problem), None
+        if of.start not in problem.quantities or self.tied(problem):
+            start = self.start_position(problem, values)
+        derived = {} if start is None else {of.start: start.phi0}
+        return {**derived, of.base: start.psi0} if start is not None and self.tied(problem) else derived
+
+    def is_periodic(self, problem: Designed, name: str) -> bool:
+        """Return whether values of an angle a revolution apart are one design; not those that the law contains as such."""
+        names = dict(zip(self.names(problem), ("phi0", "psi0"), strict=True))
+        return name not in names or is_periodic(self.law, names[name])
+
+    def sense(self, problem: Designed) -> int:
+        """Return the sense of crank rotation of a law of a four-bar: that of its span."""
+        return (1 if self.rotation > 0.0 else -1) if problem.four_bar else 0
+
+    def law_of(self, problem: Designed) -> Law:
+        """Return the law at its design positions.
+
+        If psi0 is the actual output at the start and the law prescribes just this there, the error is zero by definition, and
+        the start position is left out. For a robust design it is kept, as the built linkage deviates there too.
+        """
+        source, points = self.law, self.points
+        begin = int(self.tied(problem) and self.robust is None and begins_at_psi0(source))
+        first = source.phi[0] if isinstance(source, Table) and source.from_start else 0.0
+        if isinstance(source, Table) and points is None:
+            return Law(source, source.offsets[begin:])
+        count = points or POSITIONS
+        return Law(source, first + (self.rotation - first) * (np.arange(begin, count + 1) / count))
+
+    def travel(self, problem: Designed) -> float:
+        """Return the prescribed travel of the output [rad or m], with the crank at its start angle."""
+        begin = self.start.value if isinstance(self.start, Quantity) else 0.0
+        offsets = np.linspace(problem.law.offsets[0], problem.law.offsets[-1], FINE)
+        return float(np.ptp(problem.law.curve(offsets, begin, 0.0)))
+
+    def prescribed(self, problem: Designed, values: Mapping[str, Value], offset: Value, tabulated: Value) -> Value:
+        """Return the prescribed output [rad or m] at a crank rotation from the start; elementwise."""
+        of = self.of(problem)
+        return problem.law.target(offset, tabulated, values[of.start], values.get(of.base, 0.0))
+
+    def size(self, problem: Designed) -> float | None:
+        """Return the travel [m] of a slider, else the frame of a four-bar."""
+        if self.slides and (travel := self.travel(problem)) > 0.0:
+            return travel
+        return float(problem.mechanism.frame.value) if problem.four_bar else None
+
+    def unit(self, problem: Designed) -> str:
+        """Return the SI unit of a deviation."""
+        return "m" if self.slides else "rad"
+
+    def width(self, problem: Designed) -> int:
+        """Return the number of components of the deviation at one position."""
+        return 1
+
+    def data(self, problem: Designed) -> TargetArrays:
+        """Return crank rotation and tabulated output of every position."""
+        law = problem.law
+        return at_positions(np.column_stack([law.offsets, law.tabulated]), law.offsets)
+
+    def deviation(self, problem: Designed, pose: Pose, values: Mapping[str, Value], target: tuple[Value, ...]) -> list[Value]:
+        """Return actual minus prescribed slide [m] or angle [rad]."""
+        output, prescribed = self.output_of(problem), self.prescribed(problem, values, *target)
+        if self.slides:
+            guide = next(guide for guide in problem.linkage.guides if guide.name == output)
+            return [pose.slide(guide) - prescribed]
+        return [angle_from(unit(prescribed), pose.direction(output))]
+
+    def check(self, problem: Designed) -> None:
+        """Check output, start and law.
+
+        Raises
+        ------
+        Unusable
+            with the full key of the cause.
+        """
+        law, of = self.law, self.of(problem)
+        if problem.four_bar and problem.mechanism.placed:
+            message = "a motion law does not depend on the position of the linkage"
+            raise Unusable(message, "Leave pivot and direction out", "mechanism.pivot")
+        self._check_output(problem)
+        check_rotation(law, self.span, of.key, self.start)
+        if isinstance(law, Function) and isinstance(self.start, str):
+            raise Unusable(
+                "the start of a function must be a crank angle, fixed or free",
+                f'Write {of.key} = {{ start = "50 deg", bounds = ["0 deg", "180 deg"] }}, or leave it out: '
+                "then it is a design variable",
+                f"requirement.{of.key}",
+                self.start,
+            )
+        if self.of_frame and self.psi0 is not None:
+            message = "a table measured from the frame has no psi0"
+            raise Unusable(message, "Leave psi0 out", "requirement.psi0", str(self.psi0))
+        least, most = of.positions
+        if self.points is not None and not least <= self.points <= most:
+            remedy = f"Give a whole number from {least} to {most}, or leave it out"
+            raise Unusable("not a number of positions", remedy, "requirement.points", self.points)
+        turns = problem.quantities.get(of.start)
+        if problem.four_bar and turns is not None and max(abs(bound) for bound in turns.bounds) > TURN * (1.0 + 1e-9):
+            message = "the start angle lies beyond one revolution"
+            raise Unusable(message, "Give it within -360 deg ... 360 deg", f"requirement.{of.key}", str(turns))
+
+    def check_with_limits(self, problem: Designed) -> None:
+        """Check robustness, dead centres and values of the law.
+
+        Raises
+        ------
+        Unusable
+            with the full key of the cause.
+        """
+        of = self.of(problem)
+        if problem.four_bar and problem.limits.pivots is not None:
+            message = "a motion law does not depend on the position of the linkage"
+            raise Unusable(message, "Leave pivots out", "limits.pivots")
+        check_robust(self.robust, self.measure, len(problem.deviations))
+        if problem.limits.crank == "double-crank" and of.start not in problem.quantities:
+            remedy = f'Start at an angle: {of.key} = "60 deg"'
+            raise Unusable("a double-crank has no dead centres", remedy, f"requirement.{of.key}", self.dead_centre(problem))
+        self._check_values(problem)
+
+    def _check_output(self, problem: Designed) -> None:
+        """Check that the output exists and that its keys apply to it."""
+        linkage, output, of = problem.linkage, self.output_of(problem), self.of(problem)
+        if self.slides and not linkage.guides:
+            remedy = 'Write an angle, such as output = "60 deg", or law = "psi0 + 0.5*(phi - phi0)"'
+            of_function = isinstance(self.law, Function)
+            place = ("requirement.law.output", f"{1e3 * self.law.output:g} mm") if of_function else ("requirement.law", None)
+            raise Unusable("this linkage has no guide whose slide could follow a law", remedy, *place)
+        outputs = [guide.name for guide in linkage.guides] if self.slides else [link.body for link in linkage.links[1:]]
+        outputs = outputs if of.output is None else [of.output]
+        if output not in outputs:
+            remedy = nearest(output, outputs) if output else f"Write output = one of: {', '.join(outputs)}"
+            what = "guide" if self.slides else "body that turns"
+            raise Unusable(f"the output is the name of a {what}", remedy, "requirement.output", self.output)
+        if self.zero is not None and not self.slides:
+            message = "this key applies to a slider only"
+            raise Unusable(message, "Write psi0 for the angle of a body", "requirement.zero", str(self.zero))
+        if self.psi0 is not None and self.slides:
+            message = "this key applies to a rotating body only"
+            raise Unusable(message, "Write zero for a slide", "requirement.psi0", str(self.psi0))
+        for key in ("zero", "psi0"):
+            if (value := getattr(self, key)) is not None and not self.based and not of.tied:
+                remedy = f"Leave it out, or add {'s0' if key == 'zero' else 'psi0'} to the law"
+                raise Unusable("the law does not depend on it", remedy, f"requirement.{key}", str(value))
+        if not problem.four_bar and isinstance(self.start, str):
+            message = "a start at a dead centre is supported for a four-bar by its lengths only"
+            raise Unusable(message, 'Write start = "60 deg", or leave it out', "requirement.start", self.start)
+        if not problem.four_bar and self.robust is not None:
+            message = "robust design supports motion laws of a four-bar only"
+            remedy = "Leave it out; `optlink study tolerance` analyses any design"
+            raise Unusable(message, remedy, "requirement.robust", str(self.robust))
+
+    def _check_values(self, problem: Designed) -> None:
+        """Check that an expression has plausible values over the span for some start, and moves the output."""
+        law, (start, base) = self.law, self.names(problem)
+        if isinstance(law, Table):
+            return
+        values = problem.complete({})
+        stated = (self.start.value, *self.start.bounds) if isinstance(self.start, Quantity) else ()
+        begins = stated or ((values[start],) if start not in problem.quantities else ())
+        starts = [(float(begin), float(values.get(base, 0.0))) for begin in begins]
+        if not starts or not np.all(np.isfinite(starts)):
+            starts = [(begin, 0.0 if self.slides else turned) for begin, turned in TRIAL_STARTS]
+        defects = [self._defect(law, begin, turned) for begin, turned in starts]
+        if all(defects):
+            span, begin = (f"{np.degrees(turned):.6g} deg" for turned in (self.rotation, starts[0][0]))
+            message = f"the law {defects[0]} on the span, {span} from {begin} on"
+            raise Unusable(message, "Change the law, the span or the start", "requirement.law", law.text)
+        if not problem.four_bar and not self.travel(problem) > 1e-9:
+            raise Unusable("the law does not move the output", "Change the law", "requirement.law", law.text)
+
+    def _defect(self, law: Expression | SlideExpression | Function, phi0: float, psi0: float) -> str | None:
+        """Return the defect of a law along the span, or None; poles of even order are found near the largest value."""
+        low, high = 0.0, 1.0
+        for _ in range(5):
+            share = np.linspace(low, high, FINE)
+            values = {"phi": phi0 + self.rotation * share, "phi0": phi0, "psi0": psi0}
+            if worry := law.hazards(values):
+                return worry
+            size = np.abs(np.asarray(law(values), dtype=float) + 0.0 * share)
+            peak, step = float(share[int(np.argmax(size))]), (high - low) / (FINE - 1.0)
+            if np.max(size) > ABSURD and not self.slides:
+                return f"exceeds {ABSURD:g} rad"
+            low, high = max(0.0, peak - 2.0 * step), min(1.0, peak + 2.0 * step)
+        return None
+
+    def inapplicable(self, problem: Designed) -> set[str]:
+        """Return the keys of the other kind of output, and those of the other way to write a linkage."""
+        other = "requirement.psi0" if self.slides else "requirement.zero"
+        return {other, "requirement.output", "limits.pivots"} if problem.four_bar else {other, "requirement.robust"}
+
+    def effective(self, problem: Designed) -> dict[str, str]:
+        """Return the effective values of optional keys, for display."""
+        rows = f"its {len(self.law.phi)} rows" if isinstance(self.law, Table) else str(POSITIONS)
+        values = {"span": f"{math.degrees(self.rotation):g} deg", "points": rows}
+        names = dict(zip(self.names(problem), ("start", "zero" if self.slides else "psi0"), strict=True))
+        values |= {key: str(problem.quantities[name]) for name, key in names.items() if name in problem.quantities}
+        return values | ({"start": dead} if (dead := self.dead_centre(problem)) and "start" not in values else {})
+
+
+# --- a point or a body takes positions --------------------------------------------------------------------------------------
+
+
+def _read_timing(raw: object) -> object:
+    check_name(raw, ("free", "from start", "given"), "not a kind of timing")
+    return raw
+
+
+class PathRequirement(Requirement):
+    """A point passes the listed points in order."""
+
+    kind: Literal["path"]
+    """Kind of requirement."""
+    point: str = "P"
+    """The moving point that takes the positions; its body takes the angles."""
+    points: Annotated[Any, in_folder(read_points)] = None
+    """Points or poses: a list, a CSV file, a drawing or expressions."""
+    timing: Annotated[Literal["free", "from start", "given"] | None, BeforeValidator(_read_timing)] = None
+    """Crank angles at the points: `given`: prescribed; `from start`: prescribed except for a common offset; `free`: optimised, in
+    the order of the points. Default: `given` if the points have crank angles, else `free`."""
+    start: Angle | None = None
+    """Common offset of the crank angles, fixed or free; default: any angle."""
+    rotation: Literal["either", "counter-clockwise", "clockwise"] = "either"
+    """Sense of crank rotation with free timing."""
+    closed: bool | None = None
+    """Whether the last point leads back to the first one within the revolution; default: determined from the points."""
+    measure: Measure = "sum of squares"
+    """Measure that combines all deviations into the objective; `max` is the largest one."""
+
+    pointed: ClassVar[bool] = True
+
+    @property
+    def targets(self) -> TargetPoints:
+        """The target points."""
+        return self.points if isinstance(self.points, TargetPoints) else TargetPoints(points=())
+
+    @property
+    def timed(self) -> str:
+        """Timing: "given" for prescribed crank angles, "from start" for angles relative to a common start, "free" for any."""
+        return self.timing or ("free" if self.targets.crank is None else "given")
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether the points form a closed curve: the last step leads back to the first point."""
+        if self.closed is not None:
+            return self.closed
+        return len(self.targets.points) > 3 and closed(self.targets)
+
+    def quantities(self, problem: Designed) -> dict[str, Quantity]:
+        """Return the common start angle of the crank, where the timing has one."""
+        anywhere = Quantity(0.0, "angle", "deg", -math.pi, math.pi)
+        return {START: self.start or anywhere} if self.timed == "from start" else {}
+
+    @property
+    def centre(self) -> tuple[float, float]:
+        """Mean of the points [m]."""
+        x, y = np.mean(np.array(self.targets.points, dtype=float), axis=0)
+        return float(x), float(y)
+
+    def size(self, problem: Designed) -> float | None:
+        """Return the root mean square distance [m] of the points from their centre."""
+        spread = np.array(self.targets.points, dtype=float) - np.array(self.centre)
+        return float(np.sqrt(np.mean(np.sum(spread * spread, axis=1)))) or None
+
+    def width(self, problem: Designed) -> int:
+        """Return the number of components of the deviation at one position."""
+        return 2
+
+    def columns(self) -> Array:
+        """Return x, y [m] of every position, (positions, 2)."""
+        return np.array(self.targets.points, dtype=float)
+
+    def data(self, problem: Designed) -> TargetArrays:
+        """Return the targets as arrays."""
+        target, columns = self.targets, self.columns()
+        count = len(columns)
+        roots = np.ones(count) if target.weights is None else np.sqrt(np.array(target.weights))
+        tolerances = np.full(count, np.inf) if target.tolerances is None else np.array(target.tolerances)
+        prescribed = None if self.timed == "free" or target.crank is None else np.array(target.crank)
+        return TargetArrays(columns, roots, prescribed, tolerances)
+
+    def deviation(self, problem: Designed, pose: Pose, values: Mapping[str, Value], target: tuple[Value, ...]) -> list[Value]:
+        """Return actual minus prescribed x and y [m]."""
+        x, y = pose.point(self.point)
+        return [x - target[0], y - target[1]]
+
+    def check(self, problem: Designed) -> None:
+        """Check that points or poses, their timing and the body that takes them fit each other.
+
+        Raises
+        ------
+        Unusable
+            with the full key of the cause.
+        """
+        points, moving = self.targets, moving_points(problem.linkage)
+        if self.point not in moving:
+            remedy = nearest(self.point, moving)
+            if problem.four_bar and not problem.mechanism.points:
+                remedy = f'Give the coupler a point: mechanism.points = {{ {self.point} = ["60 mm", "20 mm"] }}. {remedy}'
+            raise Unusable("no moving body has such a point", remedy, "requirement.point", self.point)
+        self._check_angles(points)
+        count = len(points.points)
+        if not count:
+            example = 'points = [["20 mm", "5 mm"], ["25 mm", "8 mm"]], { csv = "curve.csv" } or { svg = "drawing.svg" }'
+            raise Unusable("the points are missing", f"Write {example}", "requirement.points")
+        least = 3 if self.closed else 2
+        if count < least:
+            message = f"{count} point{'s are' if count > 1 else ' is'} no {'closed curve' if self.closed else self.kind}"
+            raise Unusable(message, f"Give at least {least}", "requirement.points")
+        self._check_distinct(points)
+        self._check_timing(points)
+        shift = max(map(abs, self.centre))
+        if shift > MAX_SHIFT * problem.size:
+            message = (
+                f"the points lie {shift / problem.size:.1e} times their own size away from the origin, "
+                "so double precision does not resolve their shape"
+            )
+            raise Unusable(message, "Check the units, or move the origin near the points", "requirement.points")
+
+    def _check_timing(self, points: TargetPoints) -> None:
+        timing = self.timed
+        if timing != "free" and points.crank is None:
+            remedy = 'Write points = [{ x = "20 mm", y = "5 mm", crank = "30 deg" }, ...], or timing = "free"'
+            message = "the timing is prescribed, but the points have no crank angles"
+            raise Unusable(message, remedy, "requirement.timing", self.timing)
+        if timing != "free" and points.crank is not None:
+            _check_whole_revolution(points, points.crank)
+        if self.start is not None and timing != "from start":
+            message = "this key applies to points that are timed from a start only"
+            raise Unusable(message, 'Write timing = "from start", or leave start out', "requirement.start", str(self.start))
+        if self.rotation != "either" and timing != "free":
+            message = "the crank angles of the points already state the direction of the crank"
+            raise Unusable(message, 'Leave rotation out, or write timing = "free"', "requirement.rotation", self.rotation)
+
+    def _check_angles(self, points: TargetPoints) -> None:
+        """Refuse the angles of poses."""
+        if points.angles is not None:
+            raise Unusable("a path has no angles", 'Leave them out, or write kind = "motion"', "requirement.points")
+
+    def _check_distinct(self, points: TargetPoints) -> None:
+        """Accept a point that occurs twice: a curve may cross itself."""
+
+    def effective(self, problem: Designed) -> dict[str, str]:
+        """Return the effective values of optional keys, for display."""
+        values = {"timing": self.timed, "closed": str(self.is_closed).lower()}
+        return values | {key: str(problem.quantities[key]) for key in (START, MARK) if key in problem.quantities}
+
+
+class MotionRequirement(PathRequirement):
+    """A body takes the listed poses in order."""
+
+    kind: Literal["motion"]  # type: ignore[assignment]
+    """Kind of requirement."""
+    mark: Angle | None = None
+    """Angle from the direction of the body to that of the poses, fixed or free; default: free."""
+    angle_length: FixedLength | None = None
+    """Length that is equivalent to an angle error of one radian; default: the size of the curve."""
+
+    def quantities(self, problem: Designed) -> dict[str, Quantity]:
+        """Return the common start angle of the crank, where the timing has one, and the mark of the body."""
+        return {**super().quantities(problem), MARK: self.mark or Quantity(0.0, "angle", "deg", -math.pi, math.pi)}
+
+    def radian(self, problem: Designed) -> float:
+        """Return the length [m] equivalent to one radian of a pose."""
+        return problem.size if self.angle_length is None else self.angle_length.value
+
+    def width(self, problem: Designed) -> int:
+        """Return the number of components of the deviation at one position."""
+        return 3
+
+    def columns(self) -> Array:
+        """Return x, y [m], cosine and sine of every pose, (positions, 4)."""
+        assert self.targets.angles is not None
+        return np.column_stack([super().columns(), *unit(np.array(self.targets.angles))])
+
+    def deviation(self, problem: Designed, pose: Pose, values: Mapping[str, Value], target: tuple[Value, ...]) -> list[Value]:
+        """Return actual minus prescribed x and y, and the angle times `radian` [m]."""
+        turned = turn(pose.direction(carrier(problem.linkage, self.point)), unit(values[MARK]))
+        return [
+            *super().deviation(problem, pose, values, target),
+            self.radian(problem) * angle_from((target[2], target[3]), turned),
+        ]
+
+    def _check_angles(self, points: TargetPoints) -> None:
+        """Refuse points without angles."""
+        if points.angles is None:
+            remedy = 'Write points = [{ x = "20 mm", y = "5 mm", angle = "30 deg" }, ...]'
+            raise Unusable("a pose is a point and an angle, and the angles are missing", remedy, "requirement.points")
+
+    def _check_distinct(self, points: TargetPoints) -> None:
+        """Refuse a pose that occurs twice with free timing, unless it closes the motion: no revolution meets it twice."""
+        if self.timed != "free":
+            return
+        poses, count, loop = np.array(points.points), len(points.points), bool(self.closed or points.loop)
+        for j, i in itertools.combinations(range(count), 2):
+            if loop and (j, i) == (0, count - 1):
+                continue
+            assert points.angles is not None
+            turned = math.remainder(points.angles[i] - points.angles[j], math.tau)
+            if np.linalg.norm(poses[i] - poses[j]) <= COINCIDENT * points.size and abs(turned) <= COINCIDENT:
+                message = f"poses {j + 1} and {i + 1} are the same, but one revolution passes a pose only once"
+                raise Unusable(message, "Remove one of them, or prescribe crank angles for a dwell", "requirement.points")
+
+    def effective(self, problem: Designed) -> dict[str, str]:
+        """Return the effective values of optional keys, for display."""
+        return {**super().effective(problem), "angle_length": f"{1e3 * self.radian(problem):.6g} mm"}
+
+
+def _check_whole_revolution(points: TargetPoints, crank: tuple[float, ...]) -> None:
+    """Refuse a last point one revolution after the first, but elsewhere: the linkage is in the same position there."""
+    away = math.dist(points.points[0], points.points[-1])
+    if abs(crank[-1] - crank[0]) > math.tau * (1.0 - 1e-9) and away > COINCIDENT * points.size:
+        message = f"point {len(crank)}, at {math.degrees(crank[-1]):.6g} deg, lies one revolution after point 1, but elsewhere"
+        raise Unusable(message, "Give both the same position, or leave one of them out", "requirement.points")
+
+
+def carrier(linkage: Mechanism, point: str) -> str:
+    """Return the body that carries a moving point."""
+    owners = [body for body in linkage.owners.get(point, ()) if body != FRAME]
+    return owners[-1] if owners else ""
+
+
+# --- the best transmission --------------------------------------------------------------------------------------------------
+
+
+class TransmissionRequirement(Requirement):
+    """The worst cosine of the transmission angles over a revolution is minimised."""
+
+    kind: Literal["transmission"]
+    """Kind of requirement."""
+    measure: Measure = "max"
+    """Measure that combines the cosines of all positions into the objective; `max` is the largest one."""
+
+    @property
+    def by_angle(self) -> bool:
+        """Whether the objective is the cosine of one angle."""
+        return self.measure == "max"
+
+    def ranged(self, problem: Designed) -> bool:
+        """Return whether the largest cosine counts over the revolution: for a four-bar its extremes are known."""
+        return not problem.four_bar
+
+    def unit(self, problem: Designed) -> str:
+        """Return the SI unit of a deviation: none."""
+        return ""
+
+    def width(self, problem: Designed) -> int:
+        """Return the number of components of the deviation at one position: one for each dyad with a transmission angle."""
+        return len(transmitting(problem.linkage))
+
+    def data(self, problem: Designed) -> TargetArrays:
+        """Return the crank angles: of a four-bar those of the extreme transmission angles."""
+        offsets = np.array([0.0, math.pi]) if problem.four_bar else np.linspace(0.0, TURN, GRID, endpoint=False)
+        return at_positions(np.zeros((len(offsets), 1)), offsets)
+
+    def deviation(self, problem: Designed, pose: Pose, values: Mapping[str, Value], target: tuple[Value, ...]) -> list[Value]:
+        """Return the cosine of the transmission angle of each dyad."""
+        return [transmission_cosine(pose, group) for group in transmitting(problem.linkage)]
+
+    def check(self, problem: Designed) -> None:
+        """Check that a dyad has a transmission angle over a whole revolution.
+
+        Raises
+        ------
+        Unusable
+            with the full key of the cause.
+        """
+        if self.width(problem) == 0:
+            message = "no dyad of this mechanism has a transmission angle"
+            raise Unusable(message, "Take another requirement", "requirement.kind", self.kind)
+        if problem.limits.crank == "span":
+            message = "the transmission angle is optimised over a whole revolution"
+            raise Unusable(message, 'Write crank = "full rotation"', "limits.crank", "span")
+
+
+def at_positions(columns: Array, offsets: Array) -> TargetArrays:
+    """Return positions of equal weight without tolerances."""
+    return TargetArrays(columns, np.ones(len(columns)), offsets, np.full(len(columns), np.inf))
+
+
+def transmission_cosine(pose: Pose, group: Transmitting) -> Value:
+    """Return the cosine of the transmission angle of a group; not a number for two links that cannot close."""
+    if not isinstance(group, RRR):
+        return group.cosine(pose)
+    joint = pose.point(group.joint)
+    one, other = (minus(pose.point(pin), joint) for pin in group.outer)
+    return dot(one, other) / np.sqrt(dot(one, one) * dot(other, other))
+
+
+# --- the kinds --------------------------------------------------------------------------------------------------------------
+
+DEFAULT_KIND = "function"
+for _kind in (FunctionRequirement, PathRequirement, MotionRequirement, TransmissionRequirement):
+    REQUIREMENTS.add(_kind.__annotations__["kind"].__args__[0], _kind)
+
+
+def _kind_of(raw: object) -> str:
+    return str(raw.get("kind", DEFAULT_KIND)) if isinstance(raw, Mapping) else getattr(raw, "kind", DEFAULT_KIND)
+
+
+if TYPE_CHECKING:
+    AnyRequirement = Any  # one of the registered classes
+else:
+    _tagged = [Annotated[requirement, Tag(kind)] for kind, requirement in REQUIREMENTS.items()]
+    AnyRequirement = Annotated[functools.reduce(operator.or_, _tagged), Discriminator(_kind_of)]
+
+
+def lacks(kind: str, key: str) -> tuple[str, str] | None:
+    """Return message and remedy for a key that a kind of requirement does not have, but others have; None for any other key."""
+    others = [other for other, requirement in REQUIREMENTS.items() if key in requirement.model_fields]
+    return (f"a {kind} has no {key}", f'Leave it out, or write kind = "{others[0]}"') if others else None
