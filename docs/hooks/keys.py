@@ -101,6 +101,8 @@ FORMS = {
     "TermSection.quantity": "one of the [quantities](#quantities)",
     "FunctionRequirement.law": "text or table",
     "FunctionRequirement.robust": "text",
+    "FunctionRequirement.psi0": "angle, fixed or free, or `output at the start`",
+    "FunctionRequirement.zero": "coordinate, fixed or free, or `output at the start`",
     "FunctionRequirement.start": " or ".join(f"`{start}`" for start in DEAD_CENTRES) + ", or angle, fixed or free",
     "PathRequirement.points": "list or table",
     "StrokeRequirement.stroke": "length or angle, range of these, or table of `min`, `max`, `exactly`",

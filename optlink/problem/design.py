@@ -73,9 +73,8 @@ class DesignProblem(MachineTerms):
             with the full key of the cause.
         """
         check_one_mode(self.mechanism)
-        self.requirement.check(self)
         check_limits(self.limits, self.linkage, four_bar=self.four_bar)
-        self.requirement.check_with_limits(self)
+        self.requirement.check(self)
         super().check()
 
     @property

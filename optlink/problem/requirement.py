@@ -6,6 +6,7 @@ import math
 import operator
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Protocol
 
 import numpy as np
@@ -13,7 +14,8 @@ from pydantic import AliasChoices, BeforeValidator, Discriminator, Field, Tag
 
 from optlink.io import Registry
 from optlink.linkage.dyad_types import RRR, Transmitting, transmitting
-from optlink.linkage.fourbar import dead_centre, lengths_of
+from optlink.linkage.fourbar import DeadCentre, dead_centre, lengths_of
+from optlink.linkage.inner_four_bar import InnerFourBar, inner_four_bars
 from optlink.linkage.mechanism import FRAME, Mechanism, Pose
 from optlink.linkage.vector2d import TURN, Array, Value, Vector, angle, angle_from, dot, minus, turn, unit
 from optlink.problem.base_model import Section, in_folder
@@ -22,7 +24,6 @@ from optlink.problem.machine.model import MAX_SHIFT
 from optlink.problem.mechanism import moving_points
 from optlink.problem.quantity import (
     Angle,
-    Coordinate,
     FixedAngle,
     FixedLength,
     Quantity,
@@ -44,9 +45,7 @@ from optlink.problem.targets.law import (
     read_output_law,
     rotation,
 )
-from optlink.problem.targets.points import read_points
 from optlink.problem.targets.target_points import COINCIDENT, TargetPoints, closed
-from optlink.problem.tolerances import Deviation
 
 START, MARK, ZERO = "start", "mark", "zero"
 """Names of quantities that a requirement adds to those of dyads; a law of a four-bar section adds phi0 and psi0."""
@@ -89,45 +88,14 @@ class StartPosition:
 class Designed(Protocol):
     """What a requirement needs to know of its design problem."""
 
-    @property
-    def mechanism(self) -> Any:
-        """The section of the linkage: a four-bar, or dyads."""
-        ...
-
-    @property
-    def linkage(self) -> Mechanism:
-        """Kinematic model of the linkage."""
-        ...
-
-    @property
-    def limits(self) -> Limits:
-        """Limits of the design."""
-        ...
-
-    @property
-    def deviations(self) -> tuple[Deviation, ...]:
-        """Manufacturing deviations of dimensions."""
-        ...
-
-    @property
-    def four_bar(self) -> bool:
-        """Whether the linkage is a four-bar by its lengths."""
-        ...
-
-    @property
-    def quantities(self) -> dict[str, Quantity]:
-        """Quantities of the mechanism and of the requirement."""
-        ...
-
-    @property
-    def law(self) -> Law:
-        """The law at its design positions."""
-        ...
-
-    @property
-    def size(self) -> float:
-        """Length [m] that deviations are related to."""
-        ...
+    mechanism: Any
+    linkage: Mechanism
+    limits: Limits
+    tolerances: Mapping[str, Any]
+    four_bar: bool
+    quantities: dict[str, Quantity]
+    law: Law
+    size: float
 
     def complete(self, values: Mapping[str, Value]) -> dict[str, Value]:
         """Return every quantity [SI], with those that follow from others."""
@@ -183,16 +151,7 @@ class Requirement(Section):
         return None
 
     def check(self, problem: Designed) -> None:
-        """Check that the requirement is consistent with the mechanism.
-
-        Raises
-        ------
-        Unusable
-            with the full key of the cause.
-        """
-
-    def check_with_limits(self, problem: Designed) -> None:
-        """Check what depends on limits, which have been checked by themselves.
+        """Check that the requirement fits the mechanism and its limits, which have been checked by themselves.
 
         Raises
         ------
@@ -287,6 +246,13 @@ def _read_start(raw: object) -> str | Quantity:
     return read_quantity(raw, "angle")
 
 
+TIED = "output at the start"
+
+
+def _read_base(raw: object, kind: str) -> str | Quantity:
+    return TIED if raw == TIED else read_quantity(raw, kind)
+
+
 class FunctionRequirement(Requirement):
     """The output follows a law or a function while the crank rotates through the span."""
 
@@ -300,11 +266,11 @@ class FunctionRequirement(Requirement):
     start: Annotated[Any, BeforeValidator(_read_start), Field(validation_alias=AliasChoices("start", "from"))] = None
     """Start of the span, also written `from`: a dead centre of the rocker of a four-bar, or the crank angle, fixed or free;
     default: the outer dead centre of a four-bar (for a function: any angle), any angle of dyads."""
-    psi0: Angle | None = None
-    """Angle of the output body at the start of a law, or at the least y of a function, fixed or free; default: for a law of a
-    four-bar the angle there, else free."""
-    zero: Coordinate | None = None
-    """Slide at the start of a law (s0), or at the least y of a function, fixed or free; default: free."""
+    psi0: Annotated[Any, BeforeValidator(functools.partial(_read_base, kind="angle"))] = None
+    """Angle of the output body at the start of a law, or at the least y of a function: fixed, free, or that which the linkage
+    has there, `output at the start`; default: that for a law of a four-bar and for a start at a dead centre, else free."""
+    zero: Annotated[Any, BeforeValidator(functools.partial(_read_base, kind="coordinate"))] = None
+    """Slide at the start of a law (s0), or at the least y of a function: fixed, free, or `output at the start`; default: free."""
     span: FixedAngle | None = None
     """Crank rotation over which an expression applies, negative clockwise; a table or function defines it itself."""
     points: Annotated[int, Field(strict=True, ge=1, le=OF_FOUR_BAR.positions[1])] | None = None
@@ -368,9 +334,37 @@ class FunctionRequirement(Requirement):
             return self.of(problem).dead_centre
         return self.start if isinstance(self.start, str) else None
 
+    @property
+    def base(self) -> str | Quantity | None:
+        """Output at the start of the law as the file states it."""
+        base: str | Quantity | None = self.zero if self.slides else self.psi0
+        return base
+
     def tied(self, problem: Designed) -> bool:
         """Return whether the prescribed output at the start is the actual one."""
-        return self.of(problem).tied and self.of(problem).base not in problem.quantities
+        if self.base is not None or isinstance(self.law, Function):
+            return self.base == TIED
+        return self.of(problem).tied or (self.based and self.dead_centre(problem) is not None)
+
+    def loop(self, problem: Designed) -> InnerFourBar | None:
+        """Return the four-bar of dyads whose rocker is the output; None if there is none."""
+        loops = (loop for loop in inner_four_bars(problem.linkage) if loop.plain)
+        return next((loop for loop in loops if loop.rocker.body == self.output_of(problem)), None)
+
+    def _limit(self, problem: Designed, values: Mapping[str, Value], *, outer: bool) -> DeadCentre:
+        """Return the limit position of the output at which the law starts."""
+        if problem.four_bar:
+            return dead_centre(*lengths_of(values), problem.mechanism.side, outer)
+        loop = self.loop(problem)
+        assert loop is not None
+        return loop.dead_centre(values, outer=outer)
+
+    def actual(self, problem: Designed, pose: Pose) -> Value:
+        """Return the output in a pose: the slide [m] of a guide or the angle [rad] of a body."""
+        output = self.output_of(problem)
+        if not self.slides:
+            return angle(pose.direction(output))
+        return pose.slide(next(guide for guide in problem.linkage.guides if guide.name == output))
 
     def quantities(self, problem: Designed) -> dict[str, Quantity]:
         """Return the start angle of the crank and the output there, where they are not derived."""
@@ -382,30 +376,30 @@ class FunctionRequirement(Requirement):
             quantities[of.start] = Quantity(self.law.phi[0], "angle", "deg")
         elif self.dead_centre(problem) is None or isinstance(self.law, Function):
             quantities[of.start] = anywhere
-        if (stated := self.zero if self.slides else self.psi0) is not None:
-            quantities[of.base] = stated
-        elif self.based and self.slides:
+        if isinstance(self.base, Quantity):
+            quantities[of.base] = self.base
+        elif self.based and self.slides and not self.tied(problem):
             lengths = [one.value for one in problem.mechanism.quantities.values() if one.kind == "length"]
             far = 10.0 * max([self.travel(problem), *lengths])
             quantities[of.base] = Quantity(0.0, "coordinate", "mm", -far, far)
-        elif self.based and (isinstance(self.law, Function) or not of.tied):
+        elif self.based and not self.tied(problem):
             quantities[of.base] = anywhere
         return quantities
 
     def start_position(self, problem: Designed, values: Mapping[str, Value]) -> StartPosition:
         """Return the start of the law for given quantities; elementwise, NaN where it does not exist."""
         of = self.of(problem)
-        dead = self.dead_centre(problem) if of.start not in problem.quantities else None
-        if dead is None:
+        if of.start in problem.quantities:
             phi0 = values[of.start]
-            crank = unit(phi0)
+            crank, rocker = unit(phi0), None
         else:
-            limit = dead_centre(*lengths_of(values), problem.mechanism.side, outer=dead == DEAD_CENTRES[0])
-            crank, phi0 = limit.crank, limit.phi
+            limit = self._limit(problem, values, outer=self.dead_centre(problem) == DEAD_CENTRES[0])
+            crank, phi0, rocker = limit.crank, limit.phi, limit.rocker
         if not self.tied(problem):
             return StartPosition(crank, phi0, values.get(of.base, 0.0))
-        pose = problem.linkage.pose(values, crank).direction(self.output_of(problem)) if dead is None else limit.rocker
-        return StartPosition(crank, phi0, angle(pose))
+        if rocker is not None and problem.four_bar:  # of dyads the rocker may be directed from C to D
+            return StartPosition(crank, phi0, angle(rocker))
+        return StartPosition(crank, phi0, self.actual(problem, problem.linkage.pose(values, crank)))
 
     def derived(self, problem: Designed, values: Mapping[str, Value]) -> dict[str, Value]:
         """Return the start angle of the crank at a dead centre, and the output there if it is the actual one."""
@@ -470,11 +464,10 @@ class FunctionRequirement(Requirement):
 
     def deviation(self, problem: Designed, pose: Pose, values: Mapping[str, Value], target: tuple[Value, ...]) -> list[Value]:
         """Return actual minus prescribed slide [m] or angle [rad]."""
-        output, prescribed = self.output_of(problem), self.prescribed(problem, values, *target)
+        prescribed = self.prescribed(problem, values, *target)
         if self.slides:
-            guide = next(guide for guide in problem.linkage.guides if guide.name == output)
-            return [pose.slide(guide) - prescribed]
-        return [angle_from(unit(prescribed), pose.direction(output))]
+            return [self.actual(problem, pose) - prescribed]
+        return [angle_from(unit(prescribed), pose.direction(self.output_of(problem)))]
 
     def check(self, problem: Designed) -> None:
         """Check output, start and law.
@@ -509,20 +502,10 @@ class FunctionRequirement(Requirement):
         if problem.four_bar and turns is not None and max(abs(bound) for bound in turns.bounds) > TURN * (1.0 + 1e-9):
             message = "the start angle lies beyond one revolution"
             raise Unusable(message, "Give it within -360 deg ... 360 deg", f"requirement.{of.key}", str(turns))
-
-    def check_with_limits(self, problem: Designed) -> None:
-        """Check robustness, dead centres and values of the law.
-
-        Raises
-        ------
-        Unusable
-            with the full key of the cause.
-        """
-        of = self.of(problem)
         if problem.four_bar and problem.limits.pivots is not None:
             message = "a motion law does not depend on the position of the linkage"
             raise Unusable(message, "Leave pivots out", "limits.pivots")
-        check_robust(self.robust, self.measure, len(problem.deviations))
+        check_robust(self.robust, self.measure, len(problem.tolerances))
         if problem.limits.crank == "double-crank" and of.start not in problem.quantities:
             remedy = f'Start at an angle: {of.key} = "60 deg"'
             raise Unusable("a double-crank has no dead centres", remedy, f"requirement.{of.key}", self.dead_centre(problem))
@@ -537,7 +520,9 @@ class FunctionRequirement(Requirement):
             place = ("requirement.law.output", f"{1e3 * self.law.output:g} mm") if of_function else ("requirement.law", None)
             raise Unusable("this linkage has no guide whose slide could follow a law", remedy, *place)
         outputs = [guide.name for guide in linkage.guides] if self.slides else [link.body for link in linkage.links[1:]]
-        outputs = outputs if of.output is None else [of.output]
+        if of.output in outputs and output in outputs and output != of.output:
+            message = f"a law of a four-bar by its lengths is one of its {of.output}"
+            raise Unusable(message, "Leave output out, or write the linkage as dyads", "requirement.output", output)
         if output not in outputs:
             remedy = nearest(output, outputs) if output else f"Write output = one of: {', '.join(outputs)}"
             what = "guide" if self.slides else "body that turns"
@@ -552,10 +537,19 @@ class FunctionRequirement(Requirement):
             if (value := getattr(self, key)) is not None and not self.based and not of.tied:
                 remedy = f"Leave it out, or add {'s0' if key == 'zero' else 'psi0'} to the law"
                 raise Unusable("the law does not depend on it", remedy, f"requirement.{key}", str(value))
-        if not problem.four_bar and isinstance(self.start, str):
-            message = "a start at a dead centre is supported for a four-bar by its lengths only"
+        if self.base == TIED and isinstance(self.law, Function):
+            message = "psi0 of a function is the output at its least y, not at the start"
+            raise Unusable(message, "Give a value or a range, or leave it out: then it is free", "requirement.psi0", TIED)
+        if problem.four_bar:
+            return
+        if isinstance(self.start, str) and self.loop(problem) is None:
+            message = f"{output} is not the rocker of a four-bar with the crank, so its dead centres are not known"
             raise Unusable(message, 'Write start = "60 deg", or leave it out', "requirement.start", self.start)
-        if not problem.four_bar and self.robust is not None:
+        if isinstance(self.start, str) or self.tied(problem):
+            message = "a start that follows from the dimensions is supported for a four-bar by its lengths only"
+            key, value = ("start", self.start) if isinstance(self.start, str) else ("zero" if self.slides else "psi0", TIED)
+            raise Unusable(message, "Give a value or a range, or leave it out: then it is free", f"requirement.{key}", value)
+        if self.robust is not None:
             message = "robust design supports motion laws of a four-bar only"
             remedy = "Leave it out; `optlink study tolerance` analyses any design"
             raise Unusable(message, remedy, "requirement.robust", str(self.robust))
@@ -616,6 +610,13 @@ def _read_timing(raw: object) -> object:
     return raw
 
 
+def _read_points(raw: object, folder: Path) -> TargetPoints:
+    """Read points; the readers of drawings and curves are loaded for a file that has points only."""
+    from optlink.problem.targets.points import read_points
+
+    return read_points(raw, folder)
+
+
 class PathRequirement(Requirement):
     """A point passes the listed points in order."""
 
@@ -623,7 +624,7 @@ class PathRequirement(Requirement):
     """Kind of requirement."""
     point: str = "P"
     """The moving point that takes the positions; its body takes the angles."""
-    points: Annotated[Any, in_folder(read_points)] = None
+    points: Annotated[Any, in_folder(_read_points)] = None
     """Points or poses: a list, a CSV file, a drawing or expressions."""
     timing: Annotated[Literal["free", "from start", "given"] | None, BeforeValidator(_read_timing)] = None
     """Crank angles at the points: `given`: prescribed; `from start`: prescribed except for a common offset; `free`: optimised, in

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.linkage.dyad_types import RRR
+from optlink.linkage.inner_four_bar import InnerFourBar, inner_four_bars
 from optlink.linkage.mechanism import FRAME, Link, Mechanism, Pose
 from optlink.linkage.vector2d import Array, unit
 from optlink.optimization.constraints import rows as limit_rows
@@ -29,7 +30,6 @@ from optlink.problem.file import ProblemFile
 from optlink.problem.limits import Reach
 from optlink.synthesis import random_starts
 from optlink.synthesis.batch import Batch
-from optlink.synthesis.inner_four_bar import InnerFourBar, inner_four_bars
 
 Complex = NDArray[np.complex128]
 Values = dict[str, Array]

@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.linkage.fourbar import LENGTHS
+from optlink.linkage.inner_four_bar import inner_four_bars
 from optlink.linkage.vector2d import TURN, Array, unit
 from optlink.problem.design import STEP
 from optlink.problem.requirement import MARK, START
 from optlink.synthesis.batch import Batch
-from optlink.synthesis.inner_four_bar import inner_four_bars
 
 SPREAD = 0.35  # relative standard deviation of a dimension about its value in the file
 

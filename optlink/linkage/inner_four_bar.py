@@ -1,10 +1,14 @@
 """Find the four-bar within a linkage of dyads: its crank and a group of two links between the crank and the frame."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
 from optlink.linkage.dyad_types import RRR
+from optlink.linkage.fourbar import DeadCentre, dead_centre
 from optlink.linkage.mechanism import FRAME, Link, Mechanism
+from optlink.linkage.vector2d import Value, turn
 
 
 @dataclass(frozen=True)
@@ -37,6 +41,19 @@ class InnerFourBar:
         """Names of the coordinates of its two pivots."""
         one, other = self.crank.start, self.ground_pin
         return f"{one}.x", f"{one}.y", f"{other}.x", f"{other}.y"
+
+    def dead_centre(self, values: Mapping[str, Value], *, outer: bool) -> DeadCentre:
+        """Return a limit position of the rocker of a plain four-bar, with the directions of crank and rocker in the plane.
+
+        `values` are the dimensions [m], elementwise; `outer`: crank and coupler extended, else overlapping.
+        """
+        x, y, to_x, to_y = (values[name] for name in self.ground)
+        dx, dy = to_x - x, to_y - y
+        frame = np.sqrt(dx * dx + dy * dy)
+        axis, side = (dx / frame, dy / frame), self.group.side * (1 if self.group.outer[0] == self.pin else -1)
+        crank, coupler, rocker = (values[str(link.length)] for link in (self.crank, self.coupler, self.rocker))
+        limit = dead_centre(crank, coupler, rocker, frame, side, outer)
+        return DeadCentre(turn(limit.crank, axis), turn(limit.rocker, axis), limit.margin)
 
 
 def inner_four_bars(mechanism: Mechanism) -> Iterator[InnerFourBar]:
