@@ -60,7 +60,7 @@ SPELLINGS = {
 }
 """American spellings of keys and values, with those of the documentation."""
 
-SPELLED = ("balance", "control", "objective", "requirement")
+SPELLED = ("balance", "control", "objective", "requirement", "requirements")
 """Sections whose keys have such spellings; the names in them are never the user's."""
 
 
@@ -131,9 +131,10 @@ def with_ranges(raw: Any, path: tuple[str, ...] = (), skip: Collection[str] = ()
     ends = Ends(sides.values()) if len(sides) == 2 else None
     if ends is not None:
         ends.text = raw
-    if path[-1] == "bounds" or (path[0] == "requirement" and path[-1] == "x"):
+    required = path[0] in ("requirement", "requirements")
+    if path[-1] == "bounds" or (required and path[-1] == "x"):
         return ends or raw
-    if path[0] in ("mechanism", "requirement") and path[:2] not in LIMITED:
+    if (path[0] == "mechanism" or required) and path[:2] not in LIMITED:
         return {"bounds": ends} if ends else raw
     return ends if ends and path[0] == "limits" else sides
 

@@ -1,28 +1,33 @@
 """DesignProblem: a linkage with a requirement, of any kind. Its unknowns are the design variables, and free crank angles."""
 
+import contextlib
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
+from pydantic import PrivateAttr, model_validator
 from pydantic.fields import FieldInfo
 
 from optlink.linkage.assur import EITHER
+from optlink.linkage.dyad_types import transmitting
 from optlink.linkage.mechanism import Pose
 from optlink.linkage.vector2d import Array, Value
 from optlink.problem.cycle.model import MachineTerms
+from optlink.problem.cycle.terms import Goal, Limit, Objective
+from optlink.problem.interval import read_figure
 from optlink.problem.limits import LIMITS, MARGIN_KEYS, Limits, LimitTerm, Reach, check_limits, four_bar_limits
 from optlink.problem.machine.model import ShownObjective
 from optlink.problem.mechanism import FourBarSection, check_one_mode
-from optlink.problem.quantity import Quantity
+from optlink.problem.quantity import Quantity, Unusable, below
 from optlink.problem.requirement import AnyRequirement, StartPosition, TargetArrays, carrier
 from optlink.problem.robust import Robust
 from optlink.problem.targets.expression import Expression
 from optlink.problem.targets.function import Function
 from optlink.problem.targets.law import Law, SlideExpression
 from optlink.problem.targets.target_points import TargetPoints
-from optlink.units import DISPLAYED
+from optlink.units import DISPLAYED, KINDS, display_unit
 
 NUMBERS = ("mechanism.", "limits.", "tolerances.", "requirement.from", "requirement.start", "requirement.psi0")
 """Beginnings of the keys whose values are parameters of a programme."""
@@ -38,15 +43,33 @@ class DesignProblem(MachineTerms):
     Change it with `optlink.load(..., overrides)`.
     """
 
-    requirement: AnyRequirement
-    """Law or function, points, poses, or the best transmission."""
+    requirement: AnyRequirement = None
+    """Law or function, points, poses, or the best transmission; the first of several."""
+    requirements: tuple[AnyRequirement, ...] = ()
+    """Several requirements on one linkage, in place of one: those with a tolerance are limits, the others are minimised."""
     limits: Limits = Limits()
     """Limits of the design."""
+    _place: tuple[str, str] = PrivateAttr(("requirement", ""))  # key of the requirement, and the beginning of its quantities
+
+    @model_validator(mode="after")
+    def _first(self) -> Self:
+        if self.requirements and self.requirement is not None:
+            raise Unusable("there is one requirement and a list of them", "Move it into the list", "requirement")
+        if self.requirements:
+            vars(self)["requirement"] = self.requirements[0]
+        if self.requirement is None:
+            raise Unusable("there is no requirement", "Add the section [requirement]", "requirement")
+        return self
+
+    @property
+    def composed(self) -> bool:
+        """Whether anything but the deviations of one requirement is minimised or limited by a measure."""
+        return bool(self.requirements or self.requirement.tolerance is not None or self.objective or self.limits.named)
 
     @property
     def task(self) -> str:
         """Kind of task: "function" for laws of a four-bar section, else "path"."""
-        return str(self.requirement.task(self))
+        return "path" if self.composed else str(self.requirement.task(self))
 
     @property
     def has_error(self) -> bool:
@@ -74,8 +97,170 @@ class DesignProblem(MachineTerms):
         """
         check_one_mode(self.mechanism)
         check_limits(self.limits, self.linkage, four_bar=self.four_bar)
-        self.requirement.check(self)
+        for part in self.parts:
+            with part.keyed():
+                part.requirement.check(part)
+        if self.composed:
+            self._check_composition()
         super().check()
+
+    @contextlib.contextmanager
+    def keyed(self) -> Iterator[None]:
+        """Name the requirement of a part in the keys of errors."""
+        try:
+            yield
+        except Unusable as error:
+            if error.key.partition(".")[0] == "requirement":
+                error.key = self.key + error.key.removeprefix("requirement")
+            raise
+
+    def _check_composition(self) -> None:
+        """Check that what is minimised can be added, and that quantities of the machine belong to a whole revolution.
+
+        Raises
+        ------
+        Unusable
+            with the full key of the cause.
+        """
+        names = [name for name, _ in self._named]
+        for k, name in enumerate(names):
+            if name in names[:k]:
+                raise Unusable("two requirements have this name", "Give each another name", f"requirements.{k}.name", name)
+        for part in self.parts:
+            with part.keyed():
+                _ = part.tolerance, part.worth
+                if part.robust is not None:
+                    message = "tolerances of dimensions count where the deviations of one requirement are all that is minimised"
+                    raise Unusable(message, "Leave robust out", "requirement.robust", str(part.robust))
+        minimised = [part for part in self.parts if part.tolerance is None]
+        for part in minimised if len(minimised) + len(self.goals) > 1 else ():
+            if part.requirement.weight is None:
+                raise Unusable("several terms are minimised", "Give each a weight, or a tolerance", f"{part.key}.weight")
+        if minimised and self.single:
+            remedy = "Write it as a term with weight and scale: [[objective.terms]]"
+            raise Unusable("several terms are minimised", remedy, "objective.quantity", self.goals[0].quantity)
+        self.check_terms()
+        terms = [("objective", goal) for goal in self.goals] + [(bound.key, bound.term) for bound in self.bounds]
+        for key, term in terms:
+            if term.ended:
+                message = "a quantity at the ends of strokes is not supported beside the targets of a requirement"
+                raise Unusable(message, "State it in a problem with [objective] alone", f"{key}.quantity", term.quantity)
+            if (term.nature.cyclic or term.quantity == "work") and self.limits.crank == "span":
+                message = "a quantity of the machine belongs to a whole revolution of the crank"
+                raise Unusable(message, 'Write crank = "full rotation"', "limits.crank", "span")
+        if any(term.nature.forces or term.quantity == "work" for _, term in terms):
+            for load in self.machine(slow=self.slow_assumed).loads:
+                if load.switching:
+                    message = "a load that switches within the revolution is not supported beside the targets of a requirement"
+                    raise Unusable(message, "Use a load that is smooth over the revolution", f"loads.{load.name}")
+
+    # --- several requirements
+
+    @cached_property
+    def _named(self) -> list[tuple[str, Any]]:
+        """The requirements with their names: their kinds, numbered from the second one of a kind on."""
+        kinds: list[str] = []
+        named = []
+        for requirement in self.requirements:
+            kinds.append(requirement.kind)
+            count = kinds.count(requirement.kind)
+            named.append((requirement.name or (requirement.kind if count == 1 else f"{requirement.kind}{count}"), requirement))
+        return named
+
+    @cached_property
+    def parts(self) -> tuple[Self, ...]:
+        """The problem with each of its requirements alone, whose quantities have their short names there."""
+        if not self.requirements:
+            return (self,)
+        fields = {name: getattr(self, name) for name in type(self).model_fields}
+        parts = []
+        for k, (name, requirement) in enumerate(self._named):
+            changes = {"requirement": requirement, "requirements": (), "objective": None}
+            part = type(self).model_construct(**(fields | changes))
+            part._place = f"requirements.{k}", f"{name}."
+            parts.append(part)
+        return tuple(parts)
+
+    @property
+    def key(self) -> str:
+        """Key of the requirement in the file."""
+        return self._place[0]
+
+    @property
+    def prefix(self) -> str:
+        """Beginning of the names of the requirement's quantities in the whole problem, if there are several."""
+        return self._place[1]
+
+    @property
+    def suffix(self) -> str:
+        """What names the requirement in labels, if there are several."""
+        return f" of {self.prefix[:-1]}" if self.prefix else ""
+
+    def own(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the quantities of a part, with their short names, from those of the whole problem."""
+        return {name.removeprefix(self.prefix): value for name, value in values.items()} if self.prefix else dict(values)
+
+    @cached_property
+    def tolerance(self) -> float | None:
+        """Largest measure of the deviations [SI] of a requirement that is a limit; None for one that is minimised."""
+        raw = self.requirement.tolerance
+        if raw is None:
+            return None
+        if self.measure == "sum of squares":
+            raise Unusable("a tolerance limits the largest deviation or the rms", 'Write measure = "max"', "requirement.measure")
+        value = self._figure(raw, "tolerance")
+        if value <= 0.0:
+            raise Unusable("a tolerance must be positive", "Give one above zero", "requirement.tolerance", raw)
+        return value
+
+    @cached_property
+    def worth(self) -> float:
+        """Factor of the measure of the deviations [SI] in an objective of several terms; 1 if it is the only one."""
+        if self.requirement.weight is None:
+            return 1.0
+        raw, squared = self.requirement.scale, self.measure == "sum of squares"
+        if raw is not None and squared:
+            raise Unusable("a scale divides the largest deviation or the rms", 'Write measure = "rms"', "requirement.scale", raw)
+        scale = self.whole ** (2 if squared else 1) if raw is None else self._figure(raw, "scale")
+        if scale <= 0.0:
+            raise Unusable("a scale must be positive", "Give one above zero", "requirement.scale", raw)
+        return float(self.requirement.weight) / scale
+
+    def _figure(self, raw: object, key: str) -> float:
+        """Return a deviation [SI] that the requirement states under a key."""
+        with below("requirement"):
+            return read_figure(raw, {"m": "length", "rad": "angle"}.get(self.unit, ""), key)[0]
+
+    @cached_property
+    def goals(self) -> tuple[Goal, ...]:
+        """Quantities of the machine that are minimised or maximised; where nothing else is, the worst pressure angle."""
+        if self.objective is not None:
+            return self.objective.goals
+        if any(part.requirement.tolerance is None for part in self.parts):
+            return ()
+        turns = self.limits.crank != "span" and transmitting(self.linkage)
+        return Objective(quantity="pressure angle" if turns else "total length").goals
+
+    @property
+    def named_limits(self) -> dict[str, Limit]:
+        """Limits of quantities of the machine by their names."""
+        return {} if self.prefix else self.limits.named
+
+    @cached_property
+    def _sole(self) -> tuple[float, str, str]:
+        """Factor from SI to the displayed objective, its SI unit and its display unit; of a sum, a plain number."""
+        minimised = [part for part in self.parts if part.tolerance is None]
+        if len(minimised) == 1 and not self.goals:
+            part = minimised[0]
+            squared = part.measure == "sum of squares"
+            (factor, shown), unit = DISPLAYED[part.unit], part.unit
+            return (factor**2, f"{unit}^2", f"{shown}^2") if squared and unit else (factor, unit, shown)
+        if not minimised and len(self.goals) == 1 and self.goals[0].scale is None:
+            kind = self.kind(self.goals[0])
+            size, shown = display_unit(kind) if kind else (1.0, "")
+            sign = -1.0 if self.goals[0].sense == "maximise" else 1.0
+            return sign * size, KINDS[kind].si.replace("**", "^") if kind else "", shown
+        return 1.0, "", ""
 
     @property
     def inapplicable(self) -> set[str]:
@@ -87,8 +272,12 @@ class DesignProblem(MachineTerms):
 
     @cached_property
     def quantities(self) -> dict[str, Quantity]:
-        """Fixed quantities and design variables by name: those of the mechanism and those of the requirement."""
-        return {**self.mechanism.quantities, **self.requirement.quantities(self)}
+        """Fixed quantities and design variables by name: those of the mechanism and those of the requirements."""
+        if not self.requirements:
+            return {**self.mechanism.quantities, **self.requirement.quantities(self)}
+        each = ((part.prefix, part.requirement.quantities(part)) for part in self.parts)
+        own = {f"{prefix}{name}": quantity for prefix, quantities in each for name, quantity in quantities.items()}
+        return {**self.mechanism.quantities, **own}
 
     @property
     def start_name(self) -> str:
@@ -103,7 +292,8 @@ class DesignProblem(MachineTerms):
     def is_periodic(self, name: str) -> bool:
         """Return whether values of an angle that are a revolution apart are one design; not those that a law contains as such."""
         kind = self.quantities[name].kind if name in self.quantities else "angle"
-        return kind == "angle" and bool(self.requirement.is_periodic(self, name))
+        part = next((part for part in self.parts if part.prefix and name.startswith(part.prefix)), self.parts[0])
+        return kind == "angle" and bool(part.requirement.is_periodic(part, name.removeprefix(part.prefix)))
 
     def complete(self, values: Mapping[str, Value]) -> dict[str, Value]:
         """Return every quantity [SI] for values of the design variables, elementwise, with those that follow from others.
@@ -111,7 +301,10 @@ class DesignProblem(MachineTerms):
         These are the start angle of the crank at a dead centre, and the output there if a law starts from it.
         """
         full = {name: values.get(name, quantity.value) for name, quantity in self.quantities.items()}
-        return {**full, **self.requirement.derived(self, full)}
+        for part in self.parts:
+            derived = part.requirement.derived(part, part.own(full))
+            full |= {f"{part.prefix}{name}": value for name, value in derived.items()}
+        return full
 
     def design(self, values: Mapping[str, float]) -> dict[str, float]:
         """Return the complete design [SI] for values of the design variables."""
@@ -126,7 +319,9 @@ class DesignProblem(MachineTerms):
 
         0 for a dead centre that does not exist.
         """
-        begin = {**values, **self.requirement.derived(self, values)}.get(self.start_name)
+        first = self.parts[0]
+        own = first.own(values)
+        begin = {**own, **first.requirement.derived(first, own)}.get(first.start_name)
         if begin is None:
             return super().start(values)
         return float(begin) if math.isfinite(begin) else 0.0
@@ -224,7 +419,7 @@ class DesignProblem(MachineTerms):
     @property
     def measure(self) -> str:
         """Measure that reduces the deviations to one value: "sum of squares", "rms" or "max"."""
-        return str(self.requirement.measure)
+        return str(self.requirement.reduction)
 
     @property
     def unit(self) -> str:
@@ -243,12 +438,16 @@ class DesignProblem(MachineTerms):
 
     @property
     def objective_unit(self) -> str:
-        """SI unit of the objective."""
+        """SI unit of the objective; empty for a weighted sum, which is a plain number."""
+        if self.composed:
+            return self._sole[1]
         return f"{self.unit}^2" if self.measure == "sum of squares" and self.unit else self.unit
 
     @property
     def objective_display(self) -> tuple[float, str]:
         """Factor from SI to the displayed value of the objective, and the unit of that."""
+        if self.composed:
+            return self._sole[0], self._sole[2]
         if self.task == "function" and self.measure == "sum of squares":
             return 1.0, self.objective_unit
         factor, unit = DISPLAYED[self.unit]
@@ -257,7 +456,7 @@ class DesignProblem(MachineTerms):
     @property
     def by_angle(self) -> bool:
         """Whether the objective is shown as an angle: the largest cosine of a transmission angle, by its distance from 90 deg."""
-        return bool(self.requirement.by_angle)
+        return bool(self.requirement.by_angle) and not self.composed
 
     def shown_objective(self, objective: float) -> ShownObjective:
         """Return an objective, and how changes of it are shown; see `Problem.shown_objective`."""
@@ -362,33 +561,6 @@ class DesignProblem(MachineTerms):
         tolerances."""
         bounded = self.task == "function" and self.everywhere and self.robust is None
         return bounded and isinstance(self.requirement.law, Function)
-
-    # --- several requirements
-
-    @property
-    def parts(self) -> tuple[Self, ...]:
-        """The problem with each of its requirements alone."""
-        return (self,)
-
-    @property
-    def suffix(self) -> str:
-        """What names the requirement in labels, if there are several."""
-        return ""
-
-    @property
-    def key(self) -> str:
-        """Key of the requirement in the file."""
-        return "requirement"
-
-    @property
-    def tolerance(self) -> float | None:
-        """Largest measure of the deviations [SI] of a requirement that is a limit; None for one that is minimised."""
-        return None
-
-    @property
-    def worth(self) -> float:
-        """Factor of the measure of the deviations in the objective."""
-        return 1.0
 
     @property
     def counted(self) -> dict[str, float]:

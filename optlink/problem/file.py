@@ -317,6 +317,8 @@ def _model(raw: Mapping[str, Any], file: str) -> type[Problem]:
     """Return the model of a file: that of a registered section, else of its requirement, objective or limits."""
     requirement: Any = raw.get("requirement")
     registered = [model for section, model in SECTIONS.items() if section in raw]
+    if "requirements" in raw:
+        _check_requirements(raw["requirements"], file)
     kind = requirement.get("kind", DEFAULT_KIND) if isinstance(requirement, dict) else None
     if isinstance(requirement, dict) and not {"kind", "law"} & set(requirement):
         others = {key for one in REQUIREMENTS.values() for key in one.model_fields} | {STROKE}
@@ -330,11 +332,25 @@ def _model(raw: Mapping[str, Any], file: str) -> type[Problem]:
         from optlink.problem.cycle.model import StrokeProblem
 
         return StrokeProblem
-    if "objective" in raw and "requirement" not in raw:
+    if "objective" in raw and not {"requirement", "requirements"} & set(raw):
         from optlink.problem.cycle.model import CycleProblem
 
         return CycleProblem
-    return DesignProblem if "requirement" in raw or "limits" in raw else Problem
+    return DesignProblem if {"requirement", "requirements", "limits"} & set(raw) else Problem
+
+
+def _check_requirements(stated: Any, file: str) -> None:
+    """Refuse a list of requirements that is none, or one of a kind that has no place in it."""
+    if not isinstance(stated, list) or not stated or not all(isinstance(one, dict) for one in stated):
+        remedy = "Begin each requirement with [[requirements]], or write one as [requirement]"
+        raise InputError("not a list of requirements", remedy, file, "requirements")
+    for k, one in enumerate(stated):
+        kind = one.get("kind", DEFAULT_KIND)
+        if kind not in REQUIREMENTS:
+            remedy = nearest(str(kind), REQUIREMENTS)
+            if kind == STROKE:
+                remedy = 'Limit it: [limits] hub = { quantity = "stroke", of = "slider", exactly = "80 mm" } beside [objective]'
+            raise InputError("not a kind of requirement in a list", remedy, file, f"requirements.{k}.kind", kind)
 
 
 def _check_values(raw: Mapping[str, Any], file: str) -> None:

@@ -15,7 +15,7 @@ from optlink.errors import Fault
 from optlink.io import Registry
 from optlink.problem.base_model import ALSO_WRITTEN, Ends, written
 from optlink.problem.design import DesignProblem
-from optlink.problem.limits import four_bar_limits
+from optlink.problem.limits import Limits, four_bar_limits
 from optlink.problem.machine.model import Problem
 from optlink.problem.mechanism import DyadsSection, FourBarSection
 from optlink.problem.quantity import Unusable, nearest
@@ -106,6 +106,8 @@ def _known(path: tuple[str | int, ...], model: type[Problem], raw: Mapping[str, 
     """Return the keys at a path of sections that are valid for the task of the file."""
     if path == ("requirement",) and model is DesignProblem:
         return keys_of(REQUIREMENTS[raw["requirement"].get("kind", DEFAULT_KIND)])
+    if path[:1] == ("requirements",) and len(path) == 2 and isinstance(path[1], int):
+        return keys_of(REQUIREMENTS[raw["requirements"][path[1]].get("kind", DEFAULT_KIND)])
     keys, dyads = known_keys(path, model), of_dyads(raw)
     if path == ("mechanism",):
         fields = (DyadsSection if dyads else FourBarSection).model_fields
@@ -158,11 +160,17 @@ def _faults(error: pydantic.ValidationError, model: type[Problem], raw: Mapping[
         path = [step for step in item["loc"] if step not in of_types]
         if path[:1] in (["mechanism"], ["requirement"]) and len(path) > 1 and path[1] in ("four-bar", "dyads", *REQUIREMENTS):
             del path[1]  # the tag of the union type
+        if path[:1] == ["requirements"] and len(path) > 2 and path[2] in REQUIREMENTS:
+            del path[2]
         key = ".".join(map(str, path))
         value, problem = _plain(item["input"]), item.get("ctx", {}).get("error")
         if isinstance(problem, Unusable):
             below = f".{problem.key}" if problem.key and not problem.key.startswith("[") else problem.key
             yield Fault(problem.message, problem.remedy, file, key + below, problem.value if problem.key else value)
+        elif path[:1] == ["limits"] and model is DesignProblem and _unknown_limit(item, path):
+            if len(path) == 2 or item["type"] == "missing":
+                key = ".".join(map(str, path[:2]))
+                yield Fault(*(unsupported_key(key) or _needless(path[:2], model, raw)), file, key)
         elif item["type"] == "extra_forbidden":
             yield Fault(*(unsupported_key(key) or _needless(path, model, raw)), file, key)
         elif item["type"] == "union_tag_invalid":
@@ -174,6 +182,14 @@ def _faults(error: pydantic.ValidationError, model: type[Problem], raw: Mapping[
             yield Fault(MISSING, _example(key), file, key)
         else:
             yield Fault(*_wrong(item, path, key), file, key, value)
+
+
+def _unknown_limit(item: Any, path: list[str | int]) -> bool:
+    """Return whether an error is due to a key of the limits that neither is known nor limits a quantity of the machine."""
+    if path[1:2] and path[1] in Limits.model_fields:
+        return False
+    value = item["input"]
+    return item["type"] == "model_type" or (item["type"] in ("missing", "extra_forbidden") and "quantity" not in value)
 
 
 def _wrong(item: Any, path: list[str | int], key: str) -> tuple[str, str]:

@@ -15,7 +15,7 @@ from optlink.problem.machine.model import Problem
 from optlink.problem.targets.target_points import split_enclosed
 from optlink.problem.tolerances import read_tolerance
 
-REQUIREMENTS = ("requirement", "objective", "limits", "expected")
+REQUIREMENTS = ("requirement", "requirements", "objective", "limits", "expected")
 """Sections that state requirements; without them a problem is a machine."""
 
 
@@ -156,6 +156,9 @@ def quantity_key(problem: Problem, name: str) -> str:
     """
     if name.startswith("tolerances."):
         return name
+    for part in getattr(problem, "parts", ()):
+        if part.prefix and name.startswith(part.prefix):
+            return part.key + quantity_key(part, name.removeprefix(part.prefix)).removeprefix("requirement")
     if name in ("psi0", "start", "mark", "zero"):
         return "requirement.psi0" if name == "zero" and not getattr(problem, "slides", True) else f"requirement.{name}"
     return "requirement.from" if name == "phi0" else file_key(vars(problem.mechanism), name)

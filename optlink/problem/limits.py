@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Protocol
 
 import numpy as np
+from pydantic import ConfigDict, Field
 
 from optlink.io import Registry
 from optlink.linkage.dyad_types import transmitting
@@ -18,7 +19,8 @@ from optlink.linkage.margins import LEAST_ALIGNMENT, LEAST_LENGTH_MARGIN, SMALLE
 from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.motion import Motion
 from optlink.linkage.vector2d import Value
-from optlink.problem.base_model import Section
+from optlink.problem.base_model import Name, Section
+from optlink.problem.cycle.terms import Limit
 from optlink.problem.interval import (
     SIDES,
     AngleInterval,
@@ -95,8 +97,10 @@ class RegionSection(Section):
 
 
 class Limits(Margins):
-    """Limits of a design problem."""
+    """Limits of a design problem; further ones, on quantities of the machine, have names of the user's choice."""
 
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[Name, Limit] = Field(init=False)
     crank: Literal["full rotation", "double-crank", "span"] = "full rotation"
     """Crank rotation: full (a four-bar is then a crank-rocker or a double-crank), or only over the span of the requirement."""
     transmission_angle: AnglesOfJoints | None = None
@@ -120,6 +124,11 @@ class Limits(Margins):
     """Length of each moving link divided by that of the frame; four-bar only."""
     pivots: RegionSection | None = None
     """Rectangle that contains every point of the frame; not for a law of a four-bar, which has no position."""
+
+    @property
+    def named(self) -> dict[str, Limit]:
+        """The limits of quantities of the machine by their names."""
+        return dict(self.__pydantic_extra__ or {})
 
     @property
     def transmission_range(self) -> str:

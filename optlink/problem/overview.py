@@ -49,4 +49,6 @@ def linkage_type(raw: Mapping[str, Any]) -> str:
 def _purpose(raw: Mapping[str, Any]) -> str:
     if "requirement" in raw:
         return f"{raw['requirement'].get('kind', 'function')} design"
+    if "requirements" in raw:
+        return f"{' and '.join(dict.fromkeys(one.get('kind', 'function') for one in raw['requirements']))} design"
     return "cycle design" if "objective" in raw else "balancing" if "balance" in raw else "analysis"

@@ -18,7 +18,7 @@ from optlink.linkage.fourbar import DeadCentre, dead_centre, lengths_of
 from optlink.linkage.inner_four_bar import InnerFourBar, inner_four_bars
 from optlink.linkage.mechanism import FRAME, Mechanism, Pose
 from optlink.linkage.vector2d import TURN, Array, Value, Vector, angle, angle_from, dot, minus, turn, unit
-from optlink.problem.base_model import Section, in_folder
+from optlink.problem.base_model import Name, Section, in_folder
 from optlink.problem.limits import Limits
 from optlink.problem.machine.model import MAX_SHIFT
 from optlink.problem.mechanism import moving_points
@@ -26,11 +26,13 @@ from optlink.problem.quantity import (
     Angle,
     FixedAngle,
     FixedLength,
+    Number,
     Quantity,
     Unusable,
     check_name,
     nearest,
     read_quantity,
+    where,
 )
 from optlink.problem.robust import Robustness, check_robust
 from optlink.problem.targets.expression import Expression
@@ -108,6 +110,15 @@ class Requirement(Section):
     if TYPE_CHECKING:
         kind: str  # a key of each kind
 
+    name: Name | None = None
+    """Name of the requirement, which its quantities begin with if there are several; default: its kind."""
+    tolerance: Any = None
+    """Largest value of the measure, in its unit: the requirement is then a limit, and something else is optimised."""
+    weight: Annotated[Number, where(lambda w: w > 0.0, "a weight is positive", "Give one above zero")] | None = None
+    """Weight in an objective of several terms."""
+    scale: Any = None
+    """Divisor in an objective of several terms, in the unit of the measure; default: the size of the curve or 1 rad."""
+
     pointed: ClassVar[bool] = False
     """Whether points in the plane are prescribed."""
 
@@ -137,6 +148,12 @@ class Requirement(Section):
     def targets(self) -> TargetPoints:
         """The target points; none for a law or transmission."""
         return TargetPoints(points=())
+
+    @property
+    def reduction(self) -> str:
+        """Measure that reduces the deviations; a limit applies to the largest one unless the file states another."""
+        limited = self.tolerance is not None and "measure" not in self.model_fields_set
+        return "max" if limited else str(getattr(self, "measure", "max"))
 
     def task(self, problem: Designed) -> str:
         """Return the name of the search: "function" for laws of a four-bar section, else "path"."""
