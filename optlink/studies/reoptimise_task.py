@@ -38,8 +38,6 @@ from optlink.studies.grid import Grid
 from optlink.studies.sweep_task import FoundOptimum, OptimumTask
 from optlink.tasks.certify import automatic
 from optlink.tasks.protocol import completed
-from optlink.tasks.results.balance import Balance
-from optlink.tasks.results.path import PathResult
 from optlink.tasks.run import solve
 from optlink.validation import validate, validate_batch
 
@@ -293,9 +291,8 @@ class ParametricProgramme:
 
 def _separately(task: ProblemFile, backend: str) -> FoundOptimum:
     """Return the optimum of a problem that is built and searched separately."""
-    result = completed(solve(task, backend))
-    assert not isinstance(result, Balance)
-    result = result.oriented if isinstance(result, PathResult) else result
+    result: Any = completed(solve(task, backend))
+    result = result.oriented
     failed = tuple(item.name for item in result.conflict) or result.validation.failed
     limits = () if result.solution is None else active(result.solution)
     return FoundOptimum(result.design, result.objective, result.status, result.valid, failed, limits, SEARCHED)

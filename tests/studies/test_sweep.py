@@ -839,7 +839,7 @@ def test_the_command_prints_and_writes(tmp_path):
     done = run("crank-rocker", "--vary", f"{FRAME}:11", "--out", str(tmp_path), "--json")
     assert done.exit_code == 0
     document = json.loads(done.stdout)
-    assert document["schema"] == "optlink/sweep/3"
+    assert document["schema"] == "optlink/sweep/4"
     assert document["valid_points"] == 11
     assert float(document["best"]["mechanism.frame_mm"]) == 550.0
     assert {"result.json", "study.json", "sweep.csv", "sweep.png"} == {path.name for path in tmp_path.iterdir()}

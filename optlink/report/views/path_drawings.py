@@ -25,7 +25,7 @@ from optlink.report.views.function import function_chart
 from optlink.report.views.path_charts import MAX_NUMBERED, points_on
 from optlink.report.views.path_tables import cognate_sources
 from optlink.report.views.path_view import PathView, assembly, figures, objective, title_of, transmission, wrapped
-from optlink.tasks.results.path import PathResult
+from optlink.tasks.results.design import SynthesisResult
 from optlink.validation.design import deviations
 from optlink.validation.linkage_motion import transmission_angles
 
@@ -95,7 +95,7 @@ SCALE_RATIO = 4.0  # designs up to this multiple of the smallest size share one 
 
 
 @styled
-def designs(result: PathResult) -> Figure | None:
+def designs(result: SynthesisResult) -> Figure | None:
     """Draw the distinct designs side by side on one scale and name their cognates."""
     if len(result.designs) < 2:
         return None
