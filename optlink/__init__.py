@@ -26,14 +26,20 @@ if TYPE_CHECKING:
     from optlink.tasks.batch import analyze_batch
     from optlink.tasks.clearance import InverseMotion, inverse_model, simulate_clearance
     from optlink.tasks.control_comparison import compare, tune
-    from optlink.tasks.function import FunctionResult, read_design
+    from optlink.tasks.function import read_design
     from optlink.tasks.programme import Programme, build
     from optlink.tasks.results.balance import Balance
     from optlink.tasks.results.clearance import ClearanceSimulation
     from optlink.tasks.results.common import DesignResult
     from optlink.tasks.results.control_comparison import Comparison, Tuning
     from optlink.tasks.results.cycle import CycleResult
-    from optlink.tasks.results.path import PathDesign, PathResult
+    from optlink.tasks.results.design import (
+        FunctionResult as FunctionResult,
+        LinkageDesign,
+        PathDesign as PathDesign,
+        PathResult as PathResult,
+        SynthesisResult,
+    )
     from optlink.tasks.run import solve, validate
     from optlink.tasks.simulate import Simulation, simulate
 
@@ -50,14 +56,14 @@ _NAMES = {
     "optlink.tasks.batch": ("analyze_batch",),
     "optlink.tasks.clearance": ("InverseMotion", "inverse_model", "simulate_clearance"),
     "optlink.tasks.control_comparison": ("compare", "tune"),
-    "optlink.tasks.function": ("FunctionResult", "read_design"),
+    "optlink.tasks.function": ("read_design",),
     "optlink.tasks.programme": ("Programme", "build"),
     "optlink.tasks.results.balance": ("Balance",),
     "optlink.tasks.results.clearance": ("ClearanceSimulation",),
     "optlink.tasks.results.common": ("DesignResult",),
     "optlink.tasks.results.control_comparison": ("Comparison", "Tuning"),
     "optlink.tasks.results.cycle": ("CycleResult",),
-    "optlink.tasks.results.path": ("PathDesign", "PathResult"),
+    "optlink.tasks.results.design": ("LinkageDesign", "FunctionResult", "PathDesign", "PathResult", "SynthesisResult"),
     "optlink.tasks.run": ("solve", "validate"),
     "optlink.tasks.simulate": ("Simulation", "simulate"),
 }
@@ -70,17 +76,16 @@ __all__ = [
     "Comparison",
     "CycleResult",
     "DesignResult",
-    "FunctionResult",
     "InputError",
     "InverseMotion",
+    "LinkageDesign",
     "OptlinkError",
-    "PathDesign",
-    "PathResult",
     "ProblemFile",
     "Programme",
     "Simulation",
     "SolverError",
     "Status",
+    "SynthesisResult",
     "Tuning",
     "UnknownName",
     "__version__",

@@ -107,7 +107,7 @@ def crank_rocker() -> optlink.ProblemFile:
 
 
 @pytest.fixture(scope="session")
-def solved(crank_rocker: optlink.ProblemFile) -> optlink.FunctionResult:
+def solved(crank_rocker: optlink.ProblemFile) -> optlink.SynthesisResult:
     """The crank-rocker solved by both back ends, with iterates."""
     return optlink.solve(crank_rocker, "both", track=True)
 

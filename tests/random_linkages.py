@@ -16,7 +16,7 @@ import numpy as np
 import optlink
 from optlink.linkage.fourbar import LENGTHS
 from optlink.tasks.path import solve
-from optlink.tasks.results.path import PathDesign
+from optlink.tasks.results.design import LinkageDesign
 from tests import synthesis_oracle as oracle
 from tests.stated import ANGLE, document, four_bar_section, free
 from tests.synthesis_oracle import TURN
@@ -31,7 +31,7 @@ LIMIT = 1e-6  # share, rad or size by which a limit may be missed: the program a
 LEAST = math.radians(1e-4)  # by which a least transmission angle may differ; near 0 it has lost half its digits
 
 
-def four_bar_of(design: PathDesign) -> dict[str, float]:
+def four_bar_of(design: LinkageDesign) -> dict[str, float]:
     """A design as the oracle takes it."""
     values = design.values
     lengths = [1e3 * values[name] for name in ("frame", "crank", "coupler", "rocker")]
@@ -41,7 +41,7 @@ def four_bar_of(design: PathDesign) -> dict[str, float]:
     return oracle.four_bar(*lengths, **place, along=along, across=across, mode=design.task.side)
 
 
-def judged(design: PathDesign, expected: Array, *, closed: bool = False, timed: Array | None = None) -> oracle.Report:
+def judged(design: LinkageDesign, expected: Array, *, closed: bool = False, timed: Array | None = None) -> oracle.Report:
     """The oracle's report of a path design; `wanted` (points, 2): target points in mm."""
     return oracle.judge_path(four_bar_of(design), expected, design.crank_angles, closed=closed, timed=timed)
 
@@ -232,7 +232,7 @@ def _random_limits(rng: np.random.Generator) -> Raw:
     return limits
 
 
-def faults_of(design: PathDesign, task: RandomTask) -> list[str]:
+def faults_of(design: LinkageDesign, task: RandomTask) -> list[str]:
     """Everything that is wrong with a design that the program calls valid."""
     linkage, phi = four_bar_of(design), design.crank_angles
     report, result = _report(design, task, linkage), []
@@ -247,7 +247,7 @@ def faults_of(design: PathDesign, task: RandomTask) -> list[str]:
     return result + _wrong_figures(design, task, linkage, report) + _missed_limits(design, task, linkage)
 
 
-def _report(design: PathDesign, task: RandomTask, linkage: oracle.Design) -> oracle.Report:
+def _report(design: LinkageDesign, task: RandomTask, linkage: oracle.Design) -> oracle.Report:
     if task.wanted.shape[1] == 2:
         return judged(design, task.wanted, closed=task.closed, timed=task.crank)
     mark = design.values["mark"]
@@ -256,7 +256,7 @@ def _report(design: PathDesign, task: RandomTask, linkage: oracle.Design) -> ora
     )
 
 
-def _wrong_figures(design: PathDesign, task: RandomTask, linkage: oracle.Design, report: oracle.Report) -> list[str]:
+def _wrong_figures(design: LinkageDesign, task: RandomTask, linkage: oracle.Design, report: oracle.Report) -> list[str]:
     """Figures of the result that are not what the oracle measures."""
     places = oracle.direct(linkage, design.crank_angles).p
     squares = task.weights * report.errors**2
@@ -298,7 +298,7 @@ def transmission_range(linkage: oracle.Design, begin: float, end: float) -> tupl
     return float(np.min(angles)), float(np.max(angles))
 
 
-def _missed_limits(design: PathDesign, task: RandomTask, linkage: oracle.Design) -> list[str]:
+def _missed_limits(design: LinkageDesign, task: RandomTask, linkage: oracle.Design) -> list[str]:
     limits, result, size = task.limits, [], task.size
     begin, end = float(design.crank_angles[0]), float(design.crank_angles[-1])
     span, whole = transmission_range(linkage, begin, end), transmission_range(linkage, 0.0, TURN)
@@ -400,7 +400,7 @@ def random_law_task(seed: int, *, slides: bool) -> LawTask:
     return LawTask(raw, law, turned, travel, measure)
 
 
-def slider_crank_of(design: PathDesign) -> tuple[dict[str, float], float, float]:
+def slider_crank_of(design: LinkageDesign) -> tuple[dict[str, float], float, float]:
     """A slider-crank as the oracle takes it, and the crank angle and slide [mm] at the start."""
     values, raw = design.values, design.problem.raw["mechanism"]
     x, y = (1e3 * values[f"A.{axis}"] for axis in "xy")
@@ -418,7 +418,7 @@ def slider_crank_of(design: PathDesign) -> tuple[dict[str, float], float, float]
     return linkage, values["start"], 1e3 * values["zero"]
 
 
-def faults_of_slider(design: PathDesign, task: LawTask) -> list[str]:
+def faults_of_slider(design: LinkageDesign, task: LawTask) -> list[str]:
     """Everything that is wrong with a slider-crank called valid."""
     linkage, phi0, zero = slider_crank_of(design)
     phi, rises = task.offsets(POSITIONS + 1)
@@ -434,7 +434,7 @@ def faults_of_slider(design: PathDesign, task: LawTask) -> list[str]:
     return computed + _apart(figures, abs(task.travel))
 
 
-def faults_of_rocker(result: optlink.FunctionResult, task: LawTask) -> list[str]:
+def faults_of_rocker(result: optlink.SynthesisResult, task: LawTask) -> list[str]:
     """Everything that is wrong with a four-bar called valid; "max" is that of the whole range."""
     design = result.design
     lengths = [1e3 * design[name] for name in ("frame", "crank", "coupler", "rocker")]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.problem.file import ProblemFile, read
-from optlink.tasks.results.path import PathDesign
+from optlink.tasks.results.design import LinkageDesign
 from tests.synthesis_oracle import random_closed_curve
 
 Raw = dict[str, Any]
@@ -91,7 +91,7 @@ def _at(start: Complex, end: Complex, along: float, across: float) -> Complex:
     return start + (along + 1j * across) * np.exp(1j * np.angle(end - start))
 
 
-def positions(design: PathDesign, watt: bool, crank_angles: NDArray[np.float64]) -> dict[str, Complex]:
+def positions(design: LinkageDesign, watt: bool, crank_angles: NDArray[np.float64]) -> dict[str, Complex]:
     """Every joint, and the point P."""
     v, modes = design.values, design.assembly
     assert isinstance(modes, dict)
@@ -107,7 +107,7 @@ def positions(design: PathDesign, watt: bool, crank_angles: NDArray[np.float64])
     return {"A": a, "B": b, "C": c, "D": d, "E": e, "F": f, "G": g, "P": p}
 
 
-def faults_of_six_bar(design: PathDesign, task: SixBarTask) -> list[str]:
+def faults_of_six_bar(design: LinkageDesign, task: SixBarTask) -> list[str]:
     """What is wrong with a design that is called valid."""
     result = []
     moving = positions(design, task.watt, np.linspace(0.0, 2.0 * math.pi, MOVES))

@@ -15,7 +15,7 @@ from optlink.errors import InputError
 from optlink.io import locked
 from optlink.tasks.results.balance import Balance
 
-Solution = optlink.FunctionResult | optlink.PathResult | optlink.CycleResult | Balance
+Solution = optlink.SynthesisResult | optlink.SynthesisResult | optlink.CycleResult | Balance
 FOLDER: list[Path] = []
 """Folder of this run that all its processes share; none if it has one process. Set by `conftest.py`."""
 

@@ -100,7 +100,7 @@ def test_best_known_objective_is_reached_or_beaten(name):
             assert result.best.values[quantity] == pytest.approx(reference.value, abs=expected.length_tolerance.value)
 
 
-def judged(design: optlink.PathDesign) -> oracle.Report:
+def judged(design: optlink.LinkageDesign) -> oracle.Report:
     """A four-bar of optlink before the oracle."""
     task, result, data = design.task, design.coupler_linkage, design.task.data
     assert result is not None

@@ -47,7 +47,7 @@ def page() -> str:
 def picture() -> bytes:
     """Return the picture of the boxes of the crank-rocker as PNG."""
     found = optlink.solve(optlink.load("crank-rocker"))
-    assert isinstance(found, optlink.FunctionResult)
+    assert isinstance(found, optlink.SynthesisResult)
     drawn = pictures(certified(found))["boxes"]
     with apply_style(), io.BytesIO() as stream:
         drawn.savefig(stream, dpi=130)

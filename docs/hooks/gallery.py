@@ -22,7 +22,7 @@ from optlink.report.drawing import Sketch
 from optlink.report.report_model import report_model_of, solve_or_validate
 from optlink.report.style import TARGET, apply_style
 from optlink.report.views.path_view import PathView, best
-from optlink.tasks.results.path import PathResult
+from optlink.tasks.results.design import SynthesisResult
 
 if TYPE_CHECKING:
     from mkdocs.config.defaults import MkDocsConfig
@@ -120,7 +120,7 @@ def picture(name: str) -> bytes:
 
 def _view(outcome: Any) -> PathView | None:
     """Return the motion of a synthesised design; None for other results."""
-    return best(outcome) if isinstance(outcome, PathResult) else None
+    return best(outcome) if isinstance(outcome, SynthesisResult) else None
 
 
 def _pose_angle(motion: Motion) -> float:

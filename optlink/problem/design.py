@@ -173,7 +173,7 @@ class DesignProblem(MachineTerms):
         if not self.requirements:
             return (self,)
         fields = {name: getattr(self, name) for name in type(self).model_fields}
-        parts = []
+        parts: list[Any] = []
         for k, (name, requirement) in enumerate(self._named):
             changes = {"requirement": requirement, "requirements": (), "objective": None}
             part = type(self).model_construct(**(fields | changes))
@@ -339,7 +339,7 @@ class DesignProblem(MachineTerms):
         data: TargetArrays = self.requirement.data(self)
         return data
 
-    def crank_angles(self, values: Mapping[str, float], angles: Array | None) -> Array:
+    def crank_angles(self, values: Mapping[str, Value], angles: Array | None) -> Array:
         """Return the crank angle [rad] at each position; where the timing is free those of the design, `angles`."""
         offsets = self.data.offsets
         if offsets is None:

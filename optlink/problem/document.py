@@ -27,7 +27,7 @@ from optlink.problem.enclosed import enclosing
 from optlink.problem.file import ProblemFile, read
 from optlink.version import VERSION
 
-VERSION_OF_SCHEMAS = 3
+VERSION_OF_SCHEMAS = 4
 AGAIN = "Solve it again with this version, or use the version of optlink that wrote it"
 HEAD = ("schema", "optlink", "problem", "title", "problem_hash", "overrides")
 """First entries of a document, which follow from its problem."""

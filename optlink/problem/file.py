@@ -106,14 +106,14 @@ class ProblemFile:
 
     @property
     def spec(self) -> DesignProblem:
-        """The model of a function synthesis problem.
+        """The model of a design problem.
 
         Raises
         ------
         InputError
             when the problem has no requirement.
         """
-        if isinstance(self.model, DesignProblem) and self.task == "function":
+        if isinstance(self.model, DesignProblem):
             return self.model
         remedy = "Add one, or use `optlink analyze`, `study sweep --analyze` or --simulate, `study sensitivity --quantity NAME`"
         raise InputError("the problem has no [requirement], so there is nothing to solve", remedy, self.file)

@@ -158,7 +158,7 @@ def quantity_key(problem: Problem, name: str) -> str:
         return name
     for part in getattr(problem, "parts", ()):
         if part.prefix and name.startswith(part.prefix):
-            return part.key + quantity_key(part, name.removeprefix(part.prefix)).removeprefix("requirement")
+            return str(part.key) + quantity_key(part, name.removeprefix(part.prefix)).removeprefix("requirement")
     if name in ("psi0", "start", "mark", "zero"):
         return "requirement.psi0" if name == "zero" and not getattr(problem, "slides", True) else f"requirement.{name}"
     return "requirement.from" if name == "phi0" else file_key(vars(problem.mechanism), name)

@@ -13,7 +13,7 @@ from optlink.report.view import View
 REGISTERED: dict[str, View] = {}
 """Views of further kinds of results by the name of the kind."""
 KINDS = {
-    **dict.fromkeys(("function", "path", "cycle"), "solve"),
+    **dict.fromkeys(("design", "cycle"), "solve"),
     "analysis": "analyze",
     **dict.fromkeys(("simulation", "clearance"), "simulate"),
     "control comparison": "simulate --control compare",
@@ -23,6 +23,11 @@ KINDS = {
     "output sensitivity": "study sensitivity --quantity",
 }
 """Kinds of stored results, and the commands that write them."""
+
+
+def shown_as(result: Any) -> str:
+    """Return the name of the view of a result: its kind, of a synthesis that of its problem."""
+    return str(result.problem.task if result.kind == "design" else result.kind)
 
 
 def table_of(kind: str) -> Callable[[Any], Summary]:
@@ -89,6 +94,10 @@ def view_of(kind: str) -> View:
             from optlink.report.views import path
 
             return path.VIEW
+        case "design":
+            from optlink.tasks.results.design import SynthesisResult
+
+            return View(result=SynthesisResult)
         case "cycle":
             from optlink.report.views import cycle
 

@@ -16,12 +16,11 @@ from optlink.tasks.run import solve, validate
 if TYPE_CHECKING:
     from optlink.report.html.shell import StoredStudy
     from optlink.studies.sensitivity import Sensitivities
-    from optlink.tasks.function import FunctionResult
     from optlink.tasks.results.common import DesignResult
     from optlink.tasks.results.cycle import CycleResult
-    from optlink.tasks.results.path import PathResult
+    from optlink.tasks.results.design import SynthesisResult
 
-Outcome: TypeAlias = "FunctionResult | PathResult | CycleResult | Analysis"
+Outcome: TypeAlias = "SynthesisResult | CycleResult | Analysis"
 """What is stored, and shown in motion; an extension has results of its own."""
 
 

@@ -12,7 +12,7 @@ from optlink.io import load_extensions
 from optlink.problem.arguments import typed
 from optlink.problem.document import Document, read_document
 from optlink.report.format import single_units
-from optlink.report.registry import KINDS, result_class, view_of
+from optlink.report.registry import KINDS, result_class, shown_as, view_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from optlink.report.report_model import ReportModel
 
 RESULT = "result.json"
+FORMER = ("function", "path")
+"""Kinds of results of earlier versions, which are now those of a design."""
 
 
 @typed
@@ -37,7 +39,7 @@ def read_result(path: str | Path) -> Document:
     Returns
     -------
     Document
-        `FunctionResult`, `PathResult`, `CycleResult`, `Analysis`, `Simulation`, ..., by the kind of result.
+        `SynthesisResult`, `CycleResult`, `Analysis`, `Simulation`, ..., by the kind of result.
 
     Raises
     ------
@@ -75,8 +77,8 @@ def read_result(path: str | Path) -> Document:
 
 def _unknown(schema: object, kind: str, path: Path) -> InputError:
     """Return the error for a document of another schema."""
-    if kind in KINDS:
-        remedy = f"Run `{KINDS[kind]}` again, or use the version of optlink that wrote it"
+    if (command := KINDS.get(kind, "solve" if kind in FORMER else "")) != "":
+        remedy = f"Run `{command}` again, or use the version of optlink that wrote it"
         return InputError("the result has the format of another version", remedy, str(path), "schema", schema)
     commands = ", ".join(dict.fromkeys(KINDS.values()))
     remedy = f"Give what --out of one of these wrote: {commands}; or the problem itself"
@@ -95,7 +97,7 @@ def stored_page(result: Document, facts: Mapping[str, Any], path: str) -> Report
 
     if facts:
         result = replace(result, problem=result.problem.override(facts))  # type: ignore[type-var]
-    view = view_of(result.kind)
+    view = view_of(shown_as(result))
     if view.no_page:
         raise InputError("a result of this kind has no page", view.no_page, path, "schema", result.schema())
     if view.page is None:

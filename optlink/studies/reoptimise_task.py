@@ -39,8 +39,6 @@ from optlink.studies.grid import Grid
 from optlink.studies.sweep_task import FoundOptimum, OptimumTask
 from optlink.tasks.certify import automatic
 from optlink.tasks.protocol import completed
-from optlink.tasks.results.balance import Balance
-from optlink.tasks.results.path import PathResult
 from optlink.tasks.run import solve
 from optlink.validation import validate, validate_batch
 
@@ -163,13 +161,14 @@ class ReoptimiseTask(OptimumTask):
         values = {v.name: v.origin + x[:, i] * v.size for i, v in enumerate(nlp.variables) if v.name not in nlp.helpers}
         if self.fast_override is not None:
             task = self.fast_override.model(self.grid.columns(points))
-            validations = validate_batch(task, task.complete(values), objective)
+            validations = validate_batch(task, task.complete(values), objective=objective)
             valid = validations.valid
             failed = {k: validations.of(k).failed for k in np.flatnonzero(~valid).tolist()}
         else:
             tasks = [self.model(point) for point in points.tolist()]
             designs = [task.design({name: entries[k] for name, entries in values.items()}) for k, task in enumerate(tasks)]
-            single = [validate(task, *entries) for task, *entries in zip(tasks, designs, objective.tolist(), strict=True)]
+            given = zip(tasks, designs, objective.tolist(), strict=True)
+            single = [validate(task, design, objective=value) for task, design, value in given]
             valid, failed = (
                 np.array([outcome.valid for outcome in single]),
                 {k: outcome.failed for k, outcome in enumerate(single)},
@@ -216,7 +215,7 @@ class ReoptimiseTask(OptimumTask):
             if anew.valid:
                 return anew
         design = task.design(solution.design)
-        validation = validate(task, design, solution.objective)
+        validation = validate(task, design, objective=solution.objective)
         failed = validation.failed
         valid = solution.status is Status.OPTIMAL and not failed
         if solution.status is Status.INFEASIBLE:
@@ -293,9 +292,8 @@ class ParametricProgramme:
 
 def _separately(task: ProblemFile, backend: str) -> FoundOptimum:
     """Return the optimum of a problem that is built and searched separately."""
-    result = completed(solve(task, backend))
-    assert not isinstance(result, Balance)
-    result = result.oriented if isinstance(result, PathResult) else result
+    result: Any = completed(solve(task, backend))
+    result = result.oriented
     failed = tuple(item.name for item in result.conflict) or result.validation.failed
     limits = () if result.solution is None else active(result.solution)
     return FoundOptimum(result.design, result.objective, result.status, result.valid, failed, limits, SEARCHED)

@@ -16,8 +16,8 @@ from optlink.studio.document import Document, from_text
 from optlink.studio.picture import Picture
 from optlink.synthesis.batch_search import Candidate, Searcher
 from optlink.tasks.path_search import DesignCollection, Polisher, path_model
-from optlink.tasks.results.path import PathDesign
-from optlink.validation.path import validate_path
+from optlink.tasks.results.design import LinkageDesign
+from optlink.validation import validate as validate_path
 
 MAX_CURVE_POINTS = 10_000  # points of a curve
 POINTS = 16  # target points along it
@@ -99,11 +99,11 @@ class _TimeExceeded(Exception):
 class _TimedPolisher(Polisher):
     """A polisher that starts only refinements that will probably finish in the time `left` [s], and passes valid ones on."""
 
-    def __init__(self, files: list[ProblemFile], left: Callable[[], float], valid: Callable[[PathDesign], None]) -> None:
+    def __init__(self, files: list[ProblemFile], left: Callable[[], float], valid: Callable[[LinkageDesign], None]) -> None:
         super().__init__(files, "ipopt")
         self.left, self.valid, self._longest = left, valid, 0.0
 
-    def polish(self, candidate: Candidate, *, near: bool = False) -> PathDesign:
+    def polish(self, candidate: Candidate, *, near: bool = False) -> LinkageDesign:
         begun = self.left()
         if begun <= self._longest:
             raise _TimeExceeded
@@ -123,8 +123,8 @@ class CurveSearch:
         self._searcher = Searcher([path_model(file) for file in self._files], 0)
         self._polisher = _TimedPolisher(self._files, lambda: seconds - self._seconds, self._first)
         self._collection = DesignCollection(self._polisher, SHOWN_DESIGNS)
-        self._coarse: list[tuple[PathDesign, Candidate]] = []
-        self.designs: list[PathDesign] = []
+        self._coarse: list[tuple[LinkageDesign, Candidate]] = []
+        self.designs: list[LinkageDesign] = []
         self._show: Callable[[bool], None] = lambda done: None
 
     def run(self, show: Callable[[bool], None]) -> None:
@@ -150,7 +150,7 @@ class CurveSearch:
             self._better()
         self._better(done=True)
 
-    def _first(self, design: PathDesign) -> None:
+    def _first(self, design: LinkageDesign) -> None:
         if not self.designs:
             self.designs = [design]
             self._show(False)
@@ -169,7 +169,7 @@ class CurveSearch:
                 if len(self._coarse) == count:
                     return
 
-    def _rated(self, candidate: Candidate) -> PathDesign:
+    def _rated(self, candidate: Candidate) -> LinkageDesign:
         """Return a candidate, validated."""
         file, batch = self._files[candidate.variant], self._searcher.batches[candidate.variant]
         task = path_model(file)
@@ -177,7 +177,7 @@ class CurveSearch:
         scaled = zip(batch.names, batch.origin, batch.scale, candidate.x, strict=True)
         values |= {name: float(origin + scale * x) for name, origin, scale, x in scaled}
         checked = validate_path(task, values, candidate.t)
-        return PathDesign(file, values, candidate.t, checked.objective, Status.NOT_SEARCHED, checked)
+        return LinkageDesign(file, values, candidate.t, checked.objective, Status.NOT_SEARCHED, checked)
 
     def _better(self, *, done: bool = False) -> None:
         """Show the best designs, those of the optimiser before coarse ones, if they have changed."""
@@ -210,12 +210,12 @@ class CurveSearch:
         return Design(found.problem, found.values, UNVERIFIED, found.objective, found.solution, found.crank_angles)
 
 
-def _largest_error(design: PathDesign) -> float:
+def _largest_error(design: LinkageDesign) -> float:
     """Return the largest distance [m] of a target point from the coupler point: the error that is shown."""
     return float(np.max(design.measured.distances))
 
 
-def _item(design: PathDesign) -> dict[str, Any]:
+def _item(design: LinkageDesign) -> dict[str, Any]:
     displayed = Design(design.problem, design.values, crank_angles=design.crank_angles)
     scene = Picture(displayed.machine, displayed.start, displayed.speed).document()
     quantities = design.task.quantities.items()

@@ -7,7 +7,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,7 +22,6 @@ from optlink.solvers.global_search.branch_and_bound import BATCH, FEW, Bounder, 
 from optlink.solvers.global_search.function_certificate import CLOSED, INTERRUPTED, MOST, certify_function
 from optlink.solvers.global_search.lagrangian import Guess, LagrangianBounds
 from optlink.solvers.global_search.quadratic import least_squares
-from optlink.tasks.function import FunctionResult
 from optlink.tasks.function_search import certified_by_default
 from optlink.tasks.protocol import Proving, completed
 from optlink.tasks.results.certificate import (
@@ -40,9 +39,7 @@ from optlink.tasks.results.evidence import INCOMPLETE
 
 if TYPE_CHECKING:
     from optlink.solvers.global_search.timed_path import TimedPathBounds
-    from optlink.tasks.results.path import PathResult
-
-Certified = TypeVar("Certified", FunctionResult, "PathResult")
+    from optlink.tasks.results.design import SynthesisResult
 
 ACTIVE = 1e-6  # slack of a limit, and share of the bounds from one, below which it counts as active at the best design
 NEAR_LARGEST = 1e-3  # share below the largest deviation within which others are as large
@@ -91,7 +88,7 @@ def check_options(gap: float, time_limit: float) -> None:
 
 
 def certify(
-    result: Certified,
+    result: SynthesisResult,
     gap: float = GLOBAL_GAP,
     time_limit: float = math.inf,
     progress: Proving = None,
@@ -100,7 +97,7 @@ def certify(
     original: ProblemFile | None = None,
     *,
     runs: Runs | None = None,
-) -> Certified:
+) -> SynthesisResult:
     """Compute a lower bound of the objective over all designs by branch and bound; a better design replaces that of the result.
 
     The search ends at the relative `gap`, after `time_limit` [s] or that many `boxes`. It includes the assembly modes that
@@ -112,7 +109,7 @@ def certify(
     of_function = isinstance(model, DesignProblem) and model.error_bounded and result.valid and result.objective < MOST
     of_function = of_function and not exact(problem, result.objective)
     kind = _ErrorSearch if of_function else _PathSearch if _of_path(result.problem) else _Search
-    found: Certified = kind(result, problem, gap, seed, runs).run(time_limit, boxes, progress)
+    found: SynthesisResult = kind(result, problem, gap, seed, runs).run(time_limit, boxes, progress)
     return found
 
 
@@ -370,14 +367,15 @@ def _cover(search: BranchAndBound, variant: ProblemFile) -> Cover:
     )
 
 
-def _local(result: FunctionResult | PathResult, variant: ProblemFile, start: dict[str, float], seed: int) -> Any:
+def _local(result: SynthesisResult, variant: ProblemFile, start: dict[str, float], seed: int) -> Any:
     """Return the result with the local optimum near a point as its design; None if it is not valid."""
-    if isinstance(result, FunctionResult):
+    if isinstance(variant.model, DesignProblem):
         from optlink.tasks import function
 
         backend = result.backend if result.backend != "none" else "ipopt"
         candidate = completed(function.solve(variant, backend, seed=seed, begin=start))
-        return replace(candidate, starts=result.starts, optima=result.optima, counts=result.counts)
+        kept = {name: getattr(result, name) for name in ("problem", "starts", "optima", "evidence")}
+        return replace(candidate, designs=(*candidate.designs, *result.designs)[: max(1, len(result.designs))], **kept)
     from optlink.solvers import multistart
     from optlink.solvers.contract import BACKENDS
     from optlink.solvers.exchange import solve_semi_infinite

@@ -18,7 +18,7 @@ from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import input_of
 from optlink.solvers.solution import Solution
 from optlink.tasks.analyze import quick_stroke_notes
-from optlink.tasks.modes import best_mode, mode_of, possible_modes
+from optlink.tasks.modes import each_mode, mode_of, possible_modes
 from optlink.tasks.protocol import DesignTask, Search, agreement
 from optlink.tasks.results.common import Optimum, better, with_optimality
 from optlink.tasks.results.cycle import CycleResult, analysis_of, task_of
@@ -56,7 +56,8 @@ class CycleTask(DesignTask[CycleResult]):
 
     def search(self, problem: ProblemFile, search: Search) -> CycleResult:
         """Return the dimensions that minimise the objective within the limits; see `DesignTask.search`."""
-        result = best_mode(problem, search, _search)
+        results = each_mode(problem, search, _search)
+        result = min(results, key=better).merged(results) if len(results) > 1 else results[0]
         if result.problem is problem:
             return result
         return replace(result, notes=(f"assembly mode: {mode_of(result.problem)}, the best of those left open", *result.notes))

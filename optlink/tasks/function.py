@@ -6,13 +6,9 @@ import functools
 import json
 import math
 import time
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, ClassVar, Self
-
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from optlink.errors import OPTIONS_NAMED, InputError, Status
 from optlink.execution import interrupts
@@ -20,186 +16,31 @@ from optlink.io import checked
 from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.vector2d import Array
 from optlink.optimization.nlp import NLP
-from optlink.optimization.objectives import MEASURES
-from optlink.optimization.output_derivatives import error_at, error_function
 from optlink.optimization.programme import build
 from optlink.problem.arguments import typed
 from optlink.problem.assignment import parse_assignments
-from optlink.problem.document import Source
 from optlink.problem.file import ProblemFile
-from optlink.problem.fixed_design import fixed_design, started
 from optlink.problem.quantity import Quantity, check_choice, input_of, read_quantity
-from optlink.problem.targets.expression import Expression
 from optlink.solvers import multistart
 from optlink.solvers.exchange import place_at_peaks
 from optlink.solvers.solution import EXACTLY_MET, Relaxation, Solution
-from optlink.synthesis.freudenstein import FirstStep
-from optlink.tasks.machine import UNKNOWN_QUANTITY, turning_machine
-from optlink.tasks.modes import best_mode
+from optlink.tasks.machine import UNKNOWN_QUANTITY
+from optlink.tasks.modes import each_mode, mode_of
 from optlink.tasks.protocol import DesignTask, Search, agreement, part
-from optlink.tasks.results.common import ROUNDED, RejectedDesign, SingleResult, best_rejected, better
+from optlink.tasks.results.common import RejectedDesign, best_rejected
 from optlink.tasks.results.default_margins import margin_notes
-from optlink.tasks.results.evidence import Evidence, evidence
-from optlink.tasks.results.fit import Fit, law_fit
+from optlink.tasks.results.design import LinkageDesign, SynthesisResult, of_designs
+from optlink.tasks.results.evidence import evidence
 from optlink.tasks.results.rotation import cannot_turn
 from optlink.units import KINDS, show
 from optlink.validation import Check, validate as validate_law
 
-ALONG = 2001  # positions along the span at which alternations are counted
 SAME_DESIGN = 1e-6  # difference of equal designs, as a share of the frame
-EXTREME_SHARE = 0.99  # fraction of the largest error that counts as an extreme value
 MIN_CURVATURE = 1e-7  # least curvature, for an objective scaled to 1, of a unique optimum
+ONLY_RATIOS = "all four lengths are free and only their ratios matter here: any multiple within the bounds is as good; fix one"
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class FunctionResult(SingleResult):
-    """A design with its validation, or the reason why there is none."""
-
-    kind = "function"
-    shown: ClassVar[Mapping[str, Source]] = {
-        **SingleResult.shown,
-        "assembly": "assembly",
-        "objective": "stated_objective",
-        "evidence?": "evidence",
-        "starts_that_reached_each_value?": lambda result: result.counts or None,
-        "first_step?": lambda result: result.first and vars(result.first) | {"gap": result.first.gap},
-    }
-
-    first: FirstStep | None = None  # best convex first design of a function
-    margins: tuple[str, ...] = ()  # notes on default margins that exclude a better optimum
-    counts: tuple[int, ...] = ()  # random starts that reached each value of the objective, that of the design first
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Notes for the user."""
-        free = set(self.problem.spec.free)
-        if self.conflict:
-            spec = self.problem.spec
-            return cannot_turn(spec.mechanism, spec.linkage, spec.limits.crank, spec.limits.alignment.value)
-        notes: tuple[str, ...] = () if self.rejected is None else (self.rejected.note,)
-        notes += self.margins
-        if self.solution is None or not free.issuperset(LENGTHS) or self.solution.curvature > MIN_CURVATURE:
-            return notes
-        return (
-            *notes,
-            "all four lengths are free and only their ratios matter here: any multiple within the bounds is as good; fix one",
-        )
-
-    def merged(self, results: Sequence[Self]) -> Self:
-        """Return the result with the starts, optima and counts of all assembly modes."""
-        counts = (count for result in results if result is not self for count in result.counts)
-        return replace(super().merged(results), counts=(*self.counts, *counts))
-
-    @property
-    def evidence(self) -> Evidence | None:
-        """Evidence of the random starts on optima not found; None without random starts."""
-        if not self.counts:
-            return None
-        return replace(evidence(self.counts), missed=0.0) if self.exact else evidence(self.counts)
-
-    @property
-    def exact(self) -> bool:
-        """Whether the design is an optimum without errors, up to the rounding of the decimals of the law."""
-        return self.valid and MEASURES["rms"].of(self.error()) <= ROUNDED
-
-    @property
-    def assembly(self) -> str:
-        """Assembly mode of the design."""
-        return str(self.problem.spec.mechanism.assembly)
-
-    @property
-    def tolerances(self) -> dict[str, float] | None:
-        """Tolerances [SI] of a robust design by the name of the dimension; None for others."""
-        spec = self.problem.spec
-        return None if spec.requirement.robust is None else {d.name: d.tolerance for d in spec.deviations}
-
-    @property
-    def strokes(self) -> dict[str, Any]:
-        """Strokes of every output, as JSON; empty if the crank does not turn fully."""
-        from optlink.tasks.results.strokes import stroke_document
-
-        machine = turning_machine(self.problem, self.design)
-        return {} if machine is None else stroke_document(machine, self.problem.spec.span)
-
-    @property
-    def sizes(self) -> dict[str, float]:
-        """The four lengths of the design [m]."""
-        return {name: self.design[name] for name in LENGTHS}
-
-    def error(self, offsets: ArrayLike | None = None) -> NDArray[np.float64]:
-        """Return target minus actual rocker angle [rad], in (-pi, pi], at crank rotations [rad] from the start.
-
-        Default: at the design positions.
-        """
-        problem = self.problem.spec
-        at = problem.law.offsets if offsets is None else np.asarray(offsets, dtype=float)
-        return error_at(problem, self.design, at)
-
-    @property
-    def between(self) -> float | None:
-        """Largest error [rad] between the design positions of an expression; None if it is the same as at them to four digits."""
-        problem = self.problem.spec
-        if not isinstance(problem.requirement.law, Expression):
-            return None
-        at_positions, span = (float(np.max(np.abs(self.error(at)))) for at in (None, problem.span * np.linspace(0.0, 1.0, 721)))
-        return span if math.isfinite(span) and span > at_positions * (1.0 + 5e-4) else None
-
-    @functools.cached_property
-    def fit(self) -> Fit | None:
-        """Error at the design positions relative to the output range; None if there is no error to measure."""
-        return law_fit(self.problem, self.design, self.error(), self.solution)
-
-    @property
-    def alternations(self) -> int:
-        """Number of successive alternations of the error (including tolerances) between its extreme values.
-
-        A minimax optimum of k design variables has k + 1 of them if no limit is active.
-        """
-        begin, end = self.problem.spec.law.offsets[[0, -1]]
-        error = error_function(self.problem.spec)(self.design, np.linspace(begin, end, ALONG))
-        peaks = error[np.abs(error) >= EXTREME_SHARE * np.max(np.abs(error))]
-        return 1 + int(np.sum(np.diff(np.sign(peaks)) != 0.0)) if len(peaks) else 0
-
-    @property
-    def measure(self) -> str:
-        """Name of the error measure, including the effect of tolerances if considered."""
-        task = self.problem.spec.requirement
-        return str(task.measure if task.robust is None else task.robust.named(task.measure))
-
-    @property
-    def machine(self) -> ProblemFile:
-        """The problem with all dimensions fixed at the design; its crank starts and turns as the task requires."""
-        return started(fixed_design(self.problem, self.design), self.design["phi0"], self.problem.spec.span)
-
-    @property
-    def unit(self) -> str:
-        """Unit of the objective."""
-        return self.problem.spec.objective_unit
-
-    @property
-    def stated_objective(self) -> dict[str, Any]:
-        """Objective and errors; what the tolerances add, and the alternations of a minimax optimum."""
-        spec, error = self.problem.spec, self.error()
-        further = {
-            "alternations": self.alternations if spec.measure == "max" else None,
-            "robust": getattr(spec.requirement.robust, "text", None),
-            "tolerances_SI": self.tolerances,
-        }
-        return {
-            "value": self.objective,
-            "unit": self.unit,
-            "measure": spec.measure,
-            "rms_deg": math.degrees(MEASURES["rms"].of(error)),
-            "largest_deg": math.degrees(MEASURES["max"].of(error)),
-            **{key: value for key, value in further.items() if value is not None},
-        }
-
-    def displayed(self, design: Mapping[str, float]) -> dict[str, float]:
-        """Return a design [SI] in display units, which end the keys."""
-        return super().displayed(self.complete(design))
-
-
-class FunctionTask(DesignTask[FunctionResult]):
+class FunctionTask(DesignTask[SynthesisResult]):
     """Function synthesis of a four-bar.
 
     `starts` are those per assembly mode. Law: the start in the problem, then Sobol points over the bounds. Function: always the
@@ -209,6 +50,7 @@ class FunctionTask(DesignTask[FunctionResult]):
     """
 
     most_starts = 100_000
+    designs = 3
     certified = True
     divisible = True
     free_example = 'coupler = { start = "400 mm", bounds = ["100 mm", "900 mm"] }'
@@ -217,19 +59,11 @@ class FunctionTask(DesignTask[FunctionResult]):
         """Refuse a problem without a requirement."""
         _ = problem.spec
 
-    def search(self, problem: ProblemFile, search: Search) -> FunctionResult:
-        """Return the best design over the assembly modes; see `DesignTask.search`."""
-        result = best_mode(problem, search, _search)
-        if not result.valid or result.solution is None:
-            return replace(result, rejected=None)
-
-        def relaxed(other: ProblemFile) -> float:
-            from optlink.tasks.function_search import near_optimum
-
-            return near_optimum(other.spec, result.design, result.backend).objective
-
-        notes = margin_notes(result.problem, result.design, result.solution.limits, result.objective, relaxed)
-        return replace(result, margins=notes)
+    def search(self, problem: ProblemFile, search: Search) -> SynthesisResult:
+        """Return the best designs over the assembly modes; see `DesignTask.search`."""
+        found = each_mode(problem, search, _search)
+        result = _merged(problem, found, search.designs)
+        return replace(result, notes=tuple(_notes(result)))
 
     def programme(self, problem: ProblemFile) -> NLP:
         """Return the programme of the design positions; see `DesignTask.programme`."""
@@ -240,23 +74,64 @@ class FunctionTask(DesignTask[FunctionResult]):
         """Move the exchange points to the peaks of the error; see `DesignTask.place`."""
         place_at_peaks(problem.spec, nlp, x)
 
-    def validate(self, problem: ProblemFile, design: Mapping[str, float]) -> FunctionResult:
+    def validate(self, problem: ProblemFile, design: Mapping[str, float]) -> SynthesisResult:
         """Validate a given design, in the better assembly mode if the file leaves it open; see `DesignTask.validate`."""
         begin = time.perf_counter()
-        results = []
+        designs = []
         for variant in problem.variants():
-            full = variant.spec.design(design)
-            checked = validate_law(variant.spec, full)
-            seconds = {"build": 0.0, "solve": 0.0, "validate": time.perf_counter() - begin}
-            results.append(FunctionResult(variant, Status.NOT_SEARCHED, "none", full, checked.objective, checked, seconds))
-        return min(results, key=better)
+            task = variant.spec
+            full = task.design(design)
+            checked = validate_law(task, full)
+            angles = task.crank_angles(full, None)
+            designs.append(LinkageDesign(variant, full, angles, checked.objective, Status.NOT_SEARCHED, checked))
+        return of_designs(problem, designs, 1, backend="none", seconds={"validate": time.perf_counter() - begin})
 
 
 TASK = FunctionTask()
 solve, validate = TASK.solve, TASK.validate
 
 
-def _search(problem: ProblemFile, search: Search) -> FunctionResult:
+def _merged(problem: ProblemFile, results: Sequence[SynthesisResult], count: int) -> SynthesisResult:
+    """Return the result with the designs, starts and optima of the searches of all assembly modes."""
+    best = min(results, key=lambda result: (not result.valid, result.status is Status.INFEASIBLE, result.objective))
+    first = [best, *(result for result in results if result is not best)]
+    counts = [count for result in first if result.evidence is not None for count in result.evidence.counts]
+    merged = replace(
+        of_designs(problem, [*filter(None, (best.nearest,)), *(one for result in first for one in result.designs)], count),
+        **{name: getattr(best, name) for name in ("backend", "seed", "backends", "conflict", "together", "first_step")},
+        starts=sum(result.starts for result in results),
+        evidence=evidence(counts) if counts else None,
+        interrupted=any(result.interrupted for result in results),
+        seconds={key: sum(result.seconds[key] for result in results) for key in best.seconds},
+        optima=tuple(sorted((one for result in results for one in result.optima), key=lambda optimum: optimum.objective)),
+        rejected=best_rejected((result.rejected for result in results), best.objective) if best.valid else None,
+    )
+    return replace(merged, evidence=replace(merged.evidence, missed=0.0)) if merged.evidence and merged.exact else merged
+
+
+def _notes(result: SynthesisResult) -> Iterator[str]:
+    """Yield notes on what excludes a better design, or other designs that are as good."""
+    best, task = result.best, result.problem.spec
+    if result.conflict:
+        yield from cannot_turn(task.mechanism, task.linkage, task.limits.crank, task.limits.alignment.value)
+        return
+    if result.rejected is not None:
+        yield result.rejected.note
+    if best is None or best.solution is None:
+        return
+    if best.valid:
+
+        def relaxed(other: ProblemFile) -> float:
+            from optlink.tasks.function_search import near_optimum
+
+            return near_optimum(other.spec, best.values, result.backend).objective
+
+        yield from margin_notes(best.problem, best.values, best.limits, best.objective, relaxed)
+    if set(task.free).issuperset(LENGTHS) and best.solution.curvature <= MIN_CURVATURE:
+        yield ONLY_RATIOS
+
+
+def _search(problem: ProblemFile, search: Search) -> SynthesisResult:
     """Return the best design in one assembly mode."""
     from optlink.tasks.function_search import SHARED_STARTS, FunctionSearch, start_sequence
 
@@ -292,24 +167,21 @@ def _search(problem: ProblemFile, search: Search) -> FunctionResult:
         checks = agreement("design", multistart.compare(*backends.values()), SAME_DESIGN, "<= 1e-06 frame")
     search.timer.lap("solve")
     validating = sum(item.validating for item in searches.values())
-    return FunctionResult(
-        problem=problem,
-        status=winner.solution.status,
+    best = replace(winner.found(problem), validation=winner.validation.with_checks(checks))
+    others = chosen.others(winner) if search.begin is None else []
+    return replace(
+        of_designs(problem, [best, *(candidate.found(problem) for candidate in others)], search.designs),
         backend=next(name for name, item in searches.items() if item is chosen),
-        design=winner.design,
-        objective=winner.solution.objective,
-        validation=winner.validation.with_checks(checks),
         seconds=search.timer.seconds | {"solve": search.timer.seconds["solve"] - validating, "validate": validating},
         seed=search.seed,
         starts=chosen.starts,
-        solution=winner.solution,
+        evidence=evidence(chosen.counts) if chosen.random else None,
         backends=backends if len(search.names) > 1 else {},
-        optima=chosen.distinct_optima(str(spec.mechanism.assembly)) if search.begin is None else (),
-        counts=tuple(chosen.counts) if chosen.random else (),
+        optima=chosen.distinct_optima(mode_of(problem)) if search.begin is None else (),
         interrupted=interrupted,
         conflict=conflict[0],
         together=conflict[1],
-        first=points.step,
+        first_step=points.step,
         rejected=best_rejected(
             (
                 RejectedDesign(problem, one.design, one.solution.objective, one.validation.failures)

@@ -10,7 +10,7 @@ import itertools
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,6 +24,7 @@ from optlink.linkage.vector2d import TURN, Array
 from optlink.optimization.nlp import NLP
 from optlink.optimization.programme import build
 from optlink.problem.design import DesignProblem
+from optlink.problem.file import ProblemFile
 from optlink.problem.targets.function import Function
 from optlink.solvers import multistart
 from optlink.solvers.contract import BACKENDS, CLOSE
@@ -31,6 +32,7 @@ from optlink.solvers.exchange import solve_semi_infinite
 from optlink.solvers.solution import Solution
 from optlink.tasks.protocol import Progress
 from optlink.tasks.results.common import ROUNDED, Optimum, inexact, verified, with_optimality
+from optlink.tasks.results.design import LinkageDesign
 from optlink.tasks.results.evidence import evidence, tally
 from optlink.validation import Validation, validate as validate_law
 
@@ -83,6 +85,14 @@ class FunctionCandidate:
     def verified(self) -> bool:
         """Whether it is an optimum that passes its validation."""
         return verified(self.solution.status, self.validation)
+
+    def found(self, problem: ProblemFile) -> LinkageDesign:
+        """Return it as a design of a problem with a definite assembly mode, its programme with the positions of this solution."""
+        nlp = self.solution.nlp.copy()
+        nlp.p[1:] = self.solution.p[1:]
+        angles = problem.spec.crank_angles(self.design, None)
+        solution = replace(self.solution, source=nlp)
+        return LinkageDesign(problem, self.design, angles, solution.objective, solution.status, self.validation, solution)
 
     @property
     def exact(self) -> bool:
@@ -225,7 +235,7 @@ class FunctionSearch:
         """Return a solution with its validation."""
         begin = time.perf_counter()
         design = self.problem.design(solution.design)
-        checked = with_optimality(validate_law(self.problem, design, solution.objective), solution)
+        checked = with_optimality(validate_law(self.problem, design, objective=solution.objective), solution)
         candidate = FunctionCandidate(solution, design, checked)
         self.validating += time.perf_counter() - begin
         return candidate
@@ -273,6 +283,12 @@ class FunctionSearch:
         ends = sorted(((c, item.count) for item in self.optima if (c := item.candidate)), key=lambda item: item[0].rank)
         distinct = tally(ends, lambda first, candidate: _alike(first.solution, candidate.solution))
         return tuple(Optimum(c.design, c.solution.objective, count, assembly) for c, count in distinct)
+
+    def others(self, winner: FunctionCandidate) -> list[FunctionCandidate]:
+        """Return the other valid optima, best first; not those better than the best one, which it replaced."""
+        candidates = [item.candidate for item in self.optima if item.candidate is not None and item.candidate is not self.best]
+        valid = [c for c in candidates if c.verified and c.solution.objective >= winner.solution.objective]
+        return sorted(valid, key=lambda candidate: candidate.solution.objective)
 
     @property
     def usable(self) -> bool:

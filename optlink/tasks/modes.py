@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from optlink.errors import InputError
 from optlink.problem.file import ProblemFile
 from optlink.tasks.protocol import Search, Timer, part
-from optlink.tasks.results.common import SingleResult, better
 
-R = TypeVar("R", bound=SingleResult)
+if TYPE_CHECKING:
+    from optlink.tasks.results.cycle import CycleResult
+    from optlink.tasks.results.design import SynthesisResult
+
+R = TypeVar("R", "SynthesisResult", "CycleResult")
 
 
-def best_mode(problem: ProblemFile, search: Search, one: Callable[[ProblemFile, Search], R]) -> R:
-    """Return the best result over the assembly modes, with the starts and optima of all; `one` searches a mode.
+def each_mode(problem: ProblemFile, search: Search, one: Callable[[ProblemFile, Search], R]) -> list[R]:
+    """Return the results of `one`, the search of an assembly mode, in each mode until one is interrupted, or exact by default.
 
     Raises
     ------
@@ -24,7 +27,7 @@ def best_mode(problem: ProblemFile, search: Search, one: Callable[[ProblemFile, 
     """
     variants = possible_modes(problem)
     if variants == [problem]:
-        return one(problem, search)
+        return [one(problem, search)]
     results, refused = list[R](), list[InputError]()
     for k, variant in enumerate(variants):
         try:
@@ -38,7 +41,7 @@ def best_mode(problem: ProblemFile, search: Search, one: Callable[[ProblemFile, 
             break
     if not results:
         raise refused[0]
-    return min(results, key=better).merged(results)
+    return results
 
 
 def possible_modes(problem: ProblemFile) -> list[ProblemFile]:

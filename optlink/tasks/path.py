@@ -21,10 +21,10 @@ from optlink.synthesis.batch_search import PER_ROUND, PERFECT, Searcher
 from optlink.tasks.path_search import DesignCollection, Polisher, designs_from_four_bar, has_several_dyads, path_model
 from optlink.tasks.protocol import DesignTask, Search, Timer, agreement, completed, part
 from optlink.tasks.results.default_margins import margin_notes
-from optlink.tasks.results.evidence import INCOMPLETE, evidence
-from optlink.tasks.results.path import PathDesign, PathResult
+from optlink.tasks.results.design import LinkageDesign, SynthesisResult, of_designs
+from optlink.tasks.results.evidence import INCOMPLETE
 from optlink.tasks.results.rotation import cannot_turn
-from optlink.validation.path import validate_path
+from optlink.validation import validate as validate_path
 
 MISSED_CHANCE = 0.02  # estimated chance that a better design was missed at which a search ends
 MIN_ROUNDS, MAX_ROUNDS = 3, 20
@@ -45,7 +45,7 @@ SAME_DESIGN = 1e-5  # scaled difference of equal designs of two back ends
 STARTS_PER_EXACT = 3  # starts per exact design after which no other one is expected
 
 
-class PathTask(DesignTask[PathResult]):
+class PathTask(DesignTask[SynthesisResult]):
     """Path, motion, function or transmission synthesis of any linkage.
 
     The back end refines the batch results with all limits; a minimax solver is used where the largest deviation counts. `starts`:
@@ -57,7 +57,7 @@ class PathTask(DesignTask[PathResult]):
     certified = True
     divisible = True
 
-    def search(self, problem: ProblemFile, search: Search) -> PathResult:
+    def search(self, problem: ProblemFile, search: Search) -> SynthesisResult:
         """Return linkages that pass the points or poses; see `DesignTask.search`."""
         if search.backend == "both":
             return _compared(problem, search, self.search)
@@ -81,7 +81,7 @@ class PathTask(DesignTask[PathResult]):
         if collection.designs and coverage.missed > MISSED_CHANCE:
             count = rounds.searcher.exploration.starts
             notes.append(f"{INCOMPLETE}: {count} starts, {coverage.chance}; use --starts {min(4 * count, PathTask.most_starts)}")
-        return PathResult(
+        return SynthesisResult(
             problem=problem,
             designs=tuple(collection.designs),
             nearest=near if near is None or reason is None else replace(near, status=Status.INFEASIBLE),
@@ -125,7 +125,7 @@ class PathTask(DesignTask[PathResult]):
         angles = {angle_name(k): float(angle) for k, angle in enumerate(passing(task, values))}
         return super().unknowns(problem, nlp, {**values, **angles})
 
-    def validate(self, problem: ProblemFile, design: Mapping[str, float]) -> PathResult:
+    def validate(self, problem: ProblemFile, design: Mapping[str, float]) -> SynthesisResult:
         """Validate a given design; with free timing, at the crank angles with the least deviation.
 
         If the problem leaves the assembly mode open, valid designs come first, then the one with the least objective.
@@ -139,19 +139,9 @@ class PathTask(DesignTask[PathResult]):
             values = {name: float(design.get(name, quantity.value)) for name, quantity in task.quantities.items()}
             angles = passing(task, values)
             checked = validate_path(task, values, angles)
-            designs.append(PathDesign(file, values, angles, checked.objective, Status.NOT_SEARCHED, checked))
-        best = min(designs, key=lambda item: (not item.valid, item.objective if math.isfinite(item.objective) else math.inf))
-        return PathResult(
-            problem=problem,
-            designs=(best,) if best.valid else (),
-            nearest=None if best.valid else best,
-            backend="none",
-            seed=0,
-            starts=0,
-            evidence=evidence(()),
-            seconds={"validate": time.perf_counter() - clock},
-            notes=tuple(filter(None, [path_model(problem).target_points.note])),
-        )
+            designs.append(LinkageDesign(file, values, angles, checked.objective, Status.NOT_SEARCHED, checked))
+        result = of_designs(problem, designs, 1, seconds={"validate": time.perf_counter() - clock})
+        return replace(result, notes=tuple(filter(None, [path_model(problem).target_points.note])))
 
 
 TASK = PathTask()
@@ -164,7 +154,7 @@ def _method(collection: DesignCollection) -> str:
     return LEAST_SQUARES if solution is not None and solution.message == FOUND else collection.polisher.method
 
 
-def _compared(problem: ProblemFile, search: Search, one: Callable[[ProblemFile, Search], PathResult]) -> PathResult:
+def _compared(problem: ProblemFile, search: Search, one: Callable[[ProblemFile, Search], SynthesisResult]) -> SynthesisResult:
     """Search with each back end; return the better result, in which both must agree."""
     results = {
         name: one(problem, replace(search, backend=name, timer=Timer(), progress=part(search.progress, k, len(search.names))))
@@ -205,7 +195,7 @@ class SearchRounds:
         self.task = path_model(problem)
         self.compound = has_several_dyads(self.task)
         self.notes: list[str] = []
-        self.better: PathDesign | None = None  # the best four-bar, if no linkage that repeats its curve satisfies all limits
+        self.better: LinkageDesign | None = None  # the best four-bar, if no linkage that repeats its curve satisfies all limits
 
     def run(self) -> None:
         """Search until the number of starts is complete; without one, until a better design is unlikely."""

@@ -33,9 +33,9 @@ from optlink.tasks.results.common import (
     inexact,
     with_optimality,
 )
+from optlink.tasks.results.design import LinkageDesign
 from optlink.tasks.results.evidence import Evidence, evidence, tally
-from optlink.tasks.results.path import PathDesign
-from optlink.validation.path import validate_path
+from optlink.validation import validate as validate_path
 
 TRIES = 6  # candidates refined in the first round per requested design, while too few are valid
 PER_ROUND = 10  # candidates refined in a later round
@@ -99,7 +99,7 @@ class Polisher:
             self.programmes[key] = build(path_model(self.files[variant]), key[1])
         return self.programmes[key]
 
-    def polish(self, candidate: Candidate, *, near: bool = False) -> PathDesign:
+    def polish(self, candidate: Candidate, *, near: bool = False) -> LinkageDesign:
         """Return the nearest local optimum with all limits, validated; `near`: the candidate meets its limits everywhere."""
         file, start = self.files[candidate.variant], self._scaled_point(candidate)
         task, minimax = path_model(file), self.method == MINIMAX
@@ -112,7 +112,7 @@ class Polisher:
         solution = best_slow_stroke(task, solution, self.method)
         return validated_design(file, solution)
 
-    def refined(self, design: PathDesign) -> PathDesign:
+    def refined(self, design: LinkageDesign) -> LinkageDesign:
         """Return a design that fails only by inexact figures, refined by another back end and validated again."""
         solution = design.solution
         assert solution is not None
@@ -120,7 +120,7 @@ class Polisher:
         again = validated_design(design.problem, solve_semi_infinite(path_model(design.problem), solution, backend, near=True))
         return min(design, again, key=lambda one: (not one.valid, one.objective))
 
-    def relaxed(self, design: PathDesign) -> Callable[[ProblemFile], float]:
+    def relaxed(self, design: LinkageDesign) -> Callable[[ProblemFile], float]:
         """Return a function of a problem with other margins: the objective of its local optimum near a design."""
 
         def objective(other: ProblemFile) -> float:
@@ -132,7 +132,7 @@ class Polisher:
 
         return objective
 
-    def each(self, candidates: Sequence[Candidate], *, near: bool = False) -> Iterator[PathDesign]:
+    def each(self, candidates: Sequence[Candidate], *, near: bool = False) -> Iterator[LinkageDesign]:
         """Yield the refined designs of candidates in order; see `polish`. The caller may leave the iterator at any of them."""
         if self.runs is None:
             yield from (self.polish(candidate, near=near) for candidate in candidates)
@@ -141,14 +141,14 @@ class Polisher:
         for candidate, parts in zip(candidates, ordered(task, len(candidates), self.runs), strict=True):
             if parts["solution"] is not None:
                 parts["solution"] = Solution(source=self.programme(candidate.variant, candidate.direction), **parts["solution"])
-            yield PathDesign(problem=self.files[candidate.variant], **parts)
+            yield LinkageDesign(problem=self.files[candidate.variant], **parts)
 
-    def unpolished(self, candidate: Candidate) -> PathDesign:
+    def unpolished(self, candidate: Candidate) -> LinkageDesign:
         """Return the candidate itself, validated: a feasible design if it satisfies its limits everywhere."""
         start = self._scaled_point(candidate)
         return feasible(validated_design(self.files[candidate.variant], start))
 
-    def from_feasible(self, variant: int, nlp: NLP, x: Array) -> Iterator[PathDesign]:
+    def from_feasible(self, variant: int, nlp: NLP, x: Array) -> Iterator[LinkageDesign]:
         """Yield the local optimum near a point that meets all limits at the positions of its NLP, then the point itself."""
         file, start = self.files[variant], multistart.solution_at(nlp, nlp.lifted(x), "found by the analysis of limits")
         yield validated_design(file, solve_semi_infinite(path_model(file), start, self.backend))
@@ -163,19 +163,19 @@ class Polisher:
         return multistart.solution_at(nlp, np.clip(x, nlp.x_low, nlp.x_high), FOUND)
 
 
-def feasible(design: PathDesign) -> PathDesign:
+def feasible(design: LinkageDesign) -> LinkageDesign:
     """Return a design that is not a local optimum as one that only has to satisfy all limits."""
     checks = tuple(check for check in design.validation.checks if check.name != OPTIMALITY_CHECK)
     checked = replace(design.validation, checks=checks)
     return replace(design, status=Status.FEASIBLE, validation=checked, solution=None)  # no shadow prices without an optimum
 
 
-def validated_design(file: ProblemFile, solution: Solution) -> PathDesign:
+def validated_design(file: ProblemFile, solution: Solution) -> LinkageDesign:
     """Return a solution of the NLP as a validated design."""
     task = path_model(file)
     values, angles = solved_values(task, solution.design, solution.x)
     checked = with_optimality(validate_path(task, values, angles, solution.objective), solution)
-    return PathDesign(file, values, angles, solution.objective, solution.status, checked, solution)
+    return LinkageDesign(file, values, angles, solution.objective, solution.status, checked, solution)
 
 
 class DesignCollection:
@@ -187,9 +187,9 @@ class DesignCollection:
 
     def __init__(self, polisher: Polisher, requested: int) -> None:
         self.polisher, self.requested, self.task = polisher, requested, polisher.task
-        self.designs: list[PathDesign] = []
-        self.nearest: PathDesign | None = None
-        self._ends: dict[Candidate, PathDesign] = {}
+        self.designs: list[LinkageDesign] = []
+        self.nearest: LinkageDesign | None = None
+        self._ends: dict[Candidate, LinkageDesign] = {}
         self._compound = has_several_dyads(self.task)
         self._tries = COMPOUND_TRIES if self._compound else PER_ROUND
         self._failures = (COMPOUND_TRIES, 1) if self._compound else (TRIES * requested, REORDERED)
@@ -271,11 +271,11 @@ class DesignCollection:
                     filter(None, (self.nearest, design)), key=lambda one: (len(one.validation.failures), one.objective)
                 )
 
-    def _better(self, design: PathDesign) -> bool:
+    def _better(self, design: LinkageDesign) -> bool:
         """Return whether a design has a lower objective than the best valid one."""
         return not self.designs or (design.objective < self.designs[0].objective * (1.0 - BETTER) and not self.exact)
 
-    def _fails(self, design: PathDesign) -> bool:
+    def _fails(self, design: LinkageDesign) -> bool:
         """Return whether a design is an optimum that fails a check, better than the best valid one."""
         return design.status is Status.OPTIMAL and not design.valid and self._better(design)
 
@@ -307,11 +307,11 @@ class DesignCollection:
             return self._allowed
         return max(_cost(self.designs[0]) * COUNTED_RATIO**2, _cost(self.designs[-1]))
 
-    def no_worse(self, reference: PathDesign) -> bool:
+    def no_worse(self, reference: LinkageDesign) -> bool:
         """Return whether the best design is as good as another design of the same curve, within rounding."""
         return any(no_worse_fit(design, reference) for design in self.designs[:1])
 
-    def insert(self, design: PathDesign) -> None:
+    def insert(self, design: LinkageDesign) -> None:
         """Add a valid design, unless a better one is practically the same."""
         duplicate = next((existing for existing in self.designs if design.alike(existing)), None)
         if duplicate is not None:
@@ -355,12 +355,12 @@ class DesignCollection:
         return evidence([count for _, count in tally(near, lambda known, cost: cost <= known * (1.0 + SAME_COST))]).missed
 
 
-def no_worse_fit(design: PathDesign, reference: PathDesign) -> bool:
+def no_worse_fit(design: LinkageDesign, reference: LinkageDesign) -> bool:
     """Return whether a design is no worse than another one for the same points, within rounding."""
     return design.exact or design.error <= reference.error * (1.0 + ROUNDING)
 
 
-def _cost(design: PathDesign) -> float:
+def _cost(design: LinkageDesign) -> float:
     """Return an upper bound of the batch cost of a candidate with the error of a design."""
     task = design.task
     share = (design.error / task.whole) ** 2
@@ -374,7 +374,7 @@ def _allowed_cost(task: DesignProblem) -> float:
     return COUNTED_RATIO**2 * float(np.sum((task.data.roots * task.data.tolerances) ** 2)) / task.whole**2
 
 
-def _rank(design: PathDesign) -> tuple[float, float]:
+def _rank(design: LinkageDesign) -> tuple[float, float]:
     """Return a sort key: the objective; exact designs by decreasing worst transmission angle."""
     if not design.exact:
         return design.objective, 0.0
@@ -389,8 +389,8 @@ STEPS = 120
 
 
 def designs_from_four_bar(
-    part: ContainedFourBar, four_bars: Sequence[PathDesign], polisher: Polisher, seed: int
-) -> list[PathDesign]:
+    part: ContainedFourBar, four_bars: Sequence[LinkageDesign], polisher: Polisher, seed: int
+) -> list[LinkageDesign]:
     """Return valid designs derived from those of the four-bar, best first; empty if its curve cannot be repeated.
 
     If no local search ends at an optimum as good as the best four-bar, the starts themselves and the feasible designs
@@ -417,7 +417,7 @@ def designs_from_four_bar(
         ends = minimise(batch, x, t, STEPS, slow=1e-9)
         good = acceptable(batch, ends)[0]
         ended += _candidates(variant, batch, ends.x[good], ends.t[good])
-    polished: list[PathDesign] = []
+    polished: list[LinkageDesign] = []
     for near, candidates in ((False, ended), (True, begun)):
         if not any(design.valid and no_worse_fit(design, best) for design in polished):
             candidates.sort(key=lambda candidate: candidate.cost)
@@ -432,7 +432,7 @@ def designs_from_four_bar(
     return sorted(valid, key=lambda design: design.objective)
 
 
-def _agree(designs: Sequence[PathDesign]) -> bool:
+def _agree(designs: Sequence[LinkageDesign]) -> bool:
     """Return whether the best of some designs was reached several times."""
     least = min((design.error for design in designs), default=math.inf)
     return sum(design.error <= least * (1.0 + OBJECTIVE_TOLERANCE) for design in designs) >= SUFFICIENT_DESIGNS

@@ -238,8 +238,8 @@ class DesignTask(ABC, Generic[R]):
         interrupts.check()
         self.check(problem)
         if designs is not None and self.designs is None:
-            remedy = "Leave it out; --starts N lists the distinct optima of a law"
-            raise InputError("only points and poses have several designs", remedy, problem.file, "--designs", designs)
+            message = "only laws, points, poses and transmissions have several designs"
+            raise InputError(message, "Leave it out", problem.file, "--designs", designs)
         check_range("designs", 1 if designs is None else designs, 1, MAX_DESIGNS)
         names = self._back_ends(problem, backend, starts, seed)
         count = designs or self.designs or 1

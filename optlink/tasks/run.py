@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from optlink.errors import InputError
 from optlink.io import Registry
@@ -16,11 +16,10 @@ from optlink.tasks.protocol import DesignTask, Progress, Proving, Search
 
 if TYPE_CHECKING:
     from optlink.optimization.nlp import NLP
-    from optlink.tasks.function import FunctionResult
     from optlink.tasks.results.balance import Balance
     from optlink.tasks.results.common import DesignResult
     from optlink.tasks.results.cycle import CycleResult
-    from optlink.tasks.results.path import PathResult
+    from optlink.tasks.results.design import SynthesisResult
 
 INCOMPLETE_BOXES, MAX_UNKNOWNS = 10_000, 3  # boxes, and most design variables, of a certificate after an incomplete search
 
@@ -105,7 +104,7 @@ def solve(
     Returns
     -------
     DesignResult or Balance
-        `FunctionResult`, `PathResult`, `CycleResult` or `Balance`, by the kind of problem. All have `valid`, `status`, `design`,
+        `SynthesisResult`, `CycleResult` or `Balance`, by the kind of problem. All have `valid`, `status`, `design`,
         `objective`, `limits`, `machine` and `to_dict()`.
 
     Raises
@@ -146,7 +145,7 @@ def solve(
         boxes = math.inf if certify else _default_boxes(problem, result)
         if not boxes:
             return result
-        return proof.certify(result, gap, time_limit, proving, seed, boxes, problem, runs=runs)  # type: ignore[type-var]
+        return proof.certify(cast("SynthesisResult", result), gap, time_limit, proving, seed, boxes, problem, runs=runs)
 
 
 def _default_boxes(problem: ProblemFile, result: Any) -> int:
@@ -177,7 +176,7 @@ def validate(problem: ProblemFile, design: Mapping[str, float]) -> DesignResult:
     Returns
     -------
     DesignResult
-        `FunctionResult`, `PathResult` or `CycleResult`, by the kind of problem; `valid` if all checks pass.
+        `SynthesisResult` or `CycleResult`, by the kind of problem; `valid` if all checks pass.
 
     Raises
     ------
@@ -204,13 +203,13 @@ def validate(problem: ProblemFile, design: Mapping[str, float]) -> DesignResult:
 # --- the kinds of problems -------------------------------------------------------------------------------------------------
 
 
-def _function() -> DesignTask[FunctionResult]:
+def _function() -> DesignTask[SynthesisResult]:
     from optlink.tasks.function import TASK
 
     return TASK
 
 
-def _path() -> DesignTask[PathResult]:
+def _path() -> DesignTask[SynthesisResult]:
     from optlink.tasks.path import TASK
 
     return TASK

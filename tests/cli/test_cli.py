@@ -431,7 +431,7 @@ COMPARED = (*GAPPED, "--control", "compare", "--revolutions", "1", "--starts", "
         (("simulate", "six-bar", "--control", "compare"), "--control", "no joint has clearance"),
         (("simulate", "six-bar", "--seed", "3"), "--seed", "Leave it out"),
         (("report", "result.json", "-o", "a.html", "--starts", "3"), "--starts", "already contains its design"),
-        (("solve", "crank-rocker", "--designs", "2"), "--designs", "several designs"),
+        (("solve", "shaper-design", "--designs", "2"), "--designs", "several designs"),
     ],
 )
 def test_options_without_effect_are_refused(tmp_path, monkeypatch, arguments, option, words):

@@ -21,6 +21,7 @@ from optlink.report.views import certificate_view, conclusions
 from optlink.tasks.certify import certify
 from optlink.tasks.results.certificate import MOST_DRAWN, Certificate
 from optlink.tasks.results.common import Optimum
+from optlink.tasks.results.evidence import evidence
 from tests.report.test_function_tables import words
 
 OPPOSED = {"limits.transmission_angle.min": "80 deg", "limits.transmission_angle.max": "100 deg"}
@@ -50,7 +51,7 @@ def unfinished(solved):
 
 
 def test_a_closed_proof_takes_the_place_of_statistics(solved):
-    many = replace(solved, starts=20, counts=(12, 2), optima=(Optimum(solved.design, solved.objective, 18),))
+    many = replace(solved, starts=20, evidence=evidence((12, 2)), optima=(Optimum(solved.design, solved.objective, 18),))
     text = shown(many)
     assert "Global optimum best design 0.00759237" in text
     assert "lower bound 0.00759236" in text

@@ -28,6 +28,7 @@ from optlink.tasks.function import validate
 from optlink.tasks.path import validate as validate_path
 from optlink.tasks.results.common import Optimum
 from optlink.tasks.results.conflict import refutation
+from optlink.tasks.results.evidence import evidence
 
 
 def words(shown: Summary | Part) -> str:
@@ -37,7 +38,7 @@ def words(shown: Summary | Part) -> str:
     return " ".join(console.export_text().split())
 
 
-def shown(result: optlink.FunctionResult) -> str:
+def shown(result: optlink.SynthesisResult) -> str:
     return words(table_of(result.problem.task)(result))
 
 
@@ -91,17 +92,17 @@ def test_moments_of_inertia_have_the_product_dot_of_torques() -> None:
     assert pretty("0.012 kg*m^2 + 1 %, 3 N*m per kg*m^2") == "0.012 kg·m² + 1 %, 3 N·m per kg·m²"
 
 
-def test_unknown_iterations_of_a_stored_result_are_not_zero(solved: optlink.FunctionResult) -> None:
+def test_unknown_iterations_of_a_stored_result_are_not_zero(solved: optlink.SynthesisResult) -> None:
     assert solved.solution is not None
     assert f"{solved.solution.iterations} iterations" in shown(solved)
-    assert " iterations" not in shown(replace(solved, solution=replace(solved.solution, iterations=0)))
+    assert " iterations" not in shown(solved.with_best(solution=replace(solved.solution, iterations=0)))
 
 
-def test_a_multistart_search_is_not_recommended_after_one(solved: optlink.FunctionResult) -> None:
+def test_a_multistart_search_is_not_recommended_after_one(solved: optlink.SynthesisResult) -> None:
     """The counts of the table and of the text above it agree: what the table leaves out is stated."""
     solved = replace(solved, certificate=None)
     assert "use --starts N" in shown(solved)
-    many = replace(solved, starts=20, counts=(12, 2), optima=(Optimum(solved.design, solved.objective, 18),))
+    many = replace(solved, starts=20, evidence=evidence((12, 2)), optima=(Optimum(solved.design, solved.objective, 18),))
     text = shown(many)
     assert "use --starts N" not in text
     assert "12 of 14 random starts reached the best value, 2 distinct values" in text
@@ -242,7 +243,7 @@ def test_a_function_of_a_slider_has_the_chart_too() -> None:
     assert len(path_view.charts(validate_path(other, {}))) == 1
 
 
-def test_a_law_of_the_crank_angle_has_no_chart_in_x_and_y(solved: optlink.FunctionResult) -> None:
+def test_a_law_of_the_crank_angle_has_no_chart_in_x_and_y(solved: optlink.SynthesisResult) -> None:
     assert function_values(solved) == []
 
 
@@ -263,7 +264,7 @@ def test_a_larger_error_between_the_positions_is_shown() -> None:
     text = f"largest {number(at, 4)} deg at the positions, {number(largest, 4)} deg between them"
     assert text in shown(result)
     assert f"{figure(largest, 'deg')} between them" in conclusions.design(result, ())
-    assert optlink.validate(optlink.load("crank-rocker"), {"coupler": 0.412865, "rocker": 0.232246}).between is None
+    assert optlink.validate(optlink.load("crank-rocker"), {"coupler": 0.412865, "rocker": 0.232246}).best.largest_between is None
 
 
 def test_the_headline_of_a_largest_error_and_its_prices_have_one_unit() -> None:

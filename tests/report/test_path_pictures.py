@@ -26,9 +26,9 @@ from optlink.report.style import LIMIT
 from optlink.report.views import path as view, path_drawings, path_tables as tables
 from optlink.report.views.path_charts import CloseUp
 from optlink.report.views.path_view import PathView
+from optlink.tasks.results.design import LinkageDesign, SynthesisResult
 from optlink.tasks.results.evidence import evidence
-from optlink.tasks.results.path import PathDesign, PathResult
-from optlink.validation.path import validate_path
+from optlink.validation import validate as validate_path
 from tests import synthesis_oracle as oracle
 from tests.tiers import mostly_slow
 
@@ -57,7 +57,7 @@ def values_of(design: dict) -> dict[str, float]:
     return {**lengths, **place, "direction": design["direction"]}
 
 
-def oracle_of(design: PathDesign) -> dict[str, float]:
+def oracle_of(design: LinkageDesign) -> dict[str, float]:
     """A four-bar design as the oracle [mm, rad] takes it."""
     v = design.values
     lengths = [v[name] / MM for name in ("frame", "crank", "coupler", "rocker")]
@@ -66,17 +66,17 @@ def oracle_of(design: PathDesign) -> dict[str, float]:
     return oracle.four_bar(*lengths, **more, direction=v["direction"], mode=design.task.side)
 
 
-def made(raw: dict, values: dict[str, float], angles: np.ndarray) -> PathDesign:
+def made(raw: dict, values: dict[str, float], angles: np.ndarray) -> LinkageDesign:
     """A given design with its proof."""
     problem = optlink.read(raw)
     full = {name: quantity.value for name, quantity in problem.model.quantities.items()} | values
     proof = validate_path(problem.model, full, angles)
-    return PathDesign(problem, full, angles, proof.objective, Status.NOT_SEARCHED, proof)
+    return LinkageDesign(problem, full, angles, proof.objective, Status.NOT_SEARCHED, proof)
 
 
-def outcome(*computed: PathDesign, nearest: PathDesign | None = None) -> PathResult:
+def outcome(*computed: LinkageDesign, nearest: LinkageDesign | None = None) -> SynthesisResult:
     problem = (computed[0] if computed else nearest).problem
-    return PathResult(problem, tuple(computed), nearest, "ipopt", 0, 100, evidence([10, 90]), {})
+    return SynthesisResult(problem, tuple(computed), nearest, "ipopt", {}, 0, 100, evidence([10, 90]))
 
 
 def path_raw(target: np.ndarray, tolerances: np.ndarray | None = None, side: str = "left", **more: object) -> dict:
@@ -115,7 +115,7 @@ PLACED = oracle.planted_path(PLANTED, ROUND)
 
 
 @functools.cache
-def result(name: str) -> PathResult:
+def result(name: str) -> SynthesisResult:
     """The results of these tests, each made once."""
     exact = values_of(PLANTED)
     match name:
@@ -190,7 +190,7 @@ def picture(name: str, kind: str) -> Figure:
     return drawn
 
 
-def drawings(computed: PathResult) -> dict[str, Figure | None]:
+def drawings(computed: SynthesisResult) -> dict[str, Figure | None]:
     """Every picture of a result by its file name."""
     return {name: draw(computed) for name, draw in view.VIEW.drawings.items()} | pictures(view.charts(computed))
 
@@ -463,7 +463,7 @@ def test_invalid_designs_are_marked_everywhere(tmp_path, monkeypatch):
 
 
 def test_no_pictures_without_a_design(tmp_path):
-    nothing = PathResult(result("path").problem, (), None, "ipopt", 0, 100, evidence([]), {})
+    nothing = SynthesisResult(result("path").problem, (), None, "ipopt", {}, 0, 100, evidence([]))
     assert [path.name for path in view_of("path").write(nothing, tmp_path)] == ["result.json"]
     assert {path.name for path in tmp_path.iterdir()} == {"result.json"}
     assert not json.loads((tmp_path / "result.json").read_text(encoding="utf-8"))["valid"]
@@ -606,7 +606,7 @@ def test_labels_stay_inside_and_do_not_overlap(name, kind):
 # --- terminal ----------------------------------------------------------------------------------------------------------------
 
 
-def printed(computed: PathResult, width: int) -> str:
+def printed(computed: SynthesisResult, width: int) -> str:
     page = Console(file=io.StringIO(), width=width, highlight=False, markup=False, emoji=False)
     page.print(terminal.rendered(tables.path_result(computed)))
     return page.file.getvalue()

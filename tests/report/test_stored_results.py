@@ -48,11 +48,11 @@ def slopes() -> Document:
 
 
 MADE: dict[str, Callable[[], Any]] = {
-    "function": lambda: optlink.solve(optlink.load("crank-rocker")),
-    "function, conflict": lambda: optlink.solve(opposed()),
-    "function, either mode": lambda: optlink.solve(optlink.load("crank-rocker", {"mechanism.assembly": "either"})),
-    "path": lambda: optlink.solve(optlink.load("path-arc5"), starts=64),
-    "path, conflict": lambda: optlink.solve(
+    "design": lambda: optlink.solve(optlink.load("crank-rocker")),
+    "design, conflict": lambda: optlink.solve(opposed()),
+    "design, either mode": lambda: optlink.solve(optlink.load("crank-rocker", {"mechanism.assembly": "either"})),
+    "design, points": lambda: optlink.solve(optlink.load("path-arc5"), starts=64),
+    "design, points, conflict": lambda: optlink.solve(
         optlink.load("path-arc5", {"limits.transmission_angle": ["88 deg", "92 deg"]}), starts=64
     ),
     "cycle": lambda: optlink.solve(optlink.load("stroke-crank-rocker"), starts=2),
@@ -135,8 +135,8 @@ def test_results_are_the_same_elsewhere(tmp_path, monkeypatch):
         assert {key for key, text in expected.items() if found[name][key] != text} == set(), name
         again = read_result(away / f"{name}.json")
         assert type(again) is type(result)
-    assert found["path, conflict"]["page"].count("Conflicting limits") > 0
-    assert found["function, conflict"]["page"].count("Conflicting limits") > 0
+    assert found["design, points, conflict"]["page"].count("Conflicting limits") > 0
+    assert found["design, conflict"]["page"].count("Conflicting limits") > 0
 
 
 def test_a_result_is_a_problem_for_every_command(tmp_path, monkeypatch):

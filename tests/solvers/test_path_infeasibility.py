@@ -13,10 +13,9 @@ import optlink
 from optlink.errors import Status
 from optlink.optimization.multipliers import LEAST_PRICE
 from optlink.synthesis.batch_search import Candidate
-from optlink.tasks.path import PathResult
 from optlink.tasks.path_search import Polisher, validated_design
 from optlink.tasks.results.common import with_optimality
-from optlink.tasks.results.path import PathDesign
+from optlink.tasks.results.design import LinkageDesign, SynthesisResult
 from optlink.tasks.run import solve
 from optlink.validation.check import Validation
 
@@ -36,7 +35,7 @@ MOVER: dict[str, Any] = {
 
 
 @pytest.fixture(scope="module")
-def mover() -> PathResult:
+def mover() -> SynthesisResult:
     return solve(optlink.read(MOVER), starts=60)
 
 
@@ -57,7 +56,7 @@ def widest_swing() -> float:
     return best
 
 
-def test_an_infeasible_transmission_problem_names_its_limits_and_their_amounts(mover: PathResult) -> None:
+def test_an_infeasible_transmission_problem_names_its_limits_and_their_amounts(mover: SynthesisResult) -> None:
     assert not mover.valid
     assert {item.key for item in mover.conflict} == {"limits.swing_angle", "limits.transmission_angle"}
     (swing,) = (item for item in mover.conflict if item.key == "limits.swing_angle")
@@ -85,7 +84,7 @@ def test_a_law_with_the_longest_crank_is_reported() -> None:
     assert any("cannot be the shortest link" in note for note in result.notes)
 
 
-def test_the_check_of_optimality_never_contradicts_its_figure(mover: PathResult) -> None:
+def test_the_check_of_optimality_never_contradicts_its_figure(mover: SynthesisResult) -> None:
     solution = solve(optlink.load("crank-rocker")).solution
     assert solution is not None
     for status in Status:
@@ -175,7 +174,7 @@ def test_a_limit_that_an_exact_linkage_hardly_misses_is_met() -> None:
 def test_a_design_that_the_analysis_of_limits_finds_is_refined(monkeypatch: pytest.MonkeyPatch, assembly: dict[str, str]) -> None:
     """No candidate becomes valid, but a linkage meets all limits: it is the answer, in whichever assembly mode it is found."""
 
-    def failing(self: Polisher, candidate: Candidate, *, near: bool = False) -> PathDesign:
+    def failing(self: Polisher, candidate: Candidate, *, near: bool = False) -> LinkageDesign:
         start = self._scaled_point(candidate)
         return validated_design(self.files[candidate.variant], replace(start, status=Status.STALLED))
 

@@ -143,7 +143,7 @@ def test_points_are_single_optima_and_verified():
         assert single.valid
         assert error == pytest.approx(single.objective, rel=1e-6)
         design = {name: front.points[k].design[f"{name}_mm"] / 1e3 for name in ("coupler", "rocker")}
-        assert prove(single.problem.spec, single.problem.spec.design(design), error).valid
+        assert prove(single.problem.spec, single.problem.spec.design(design), objective=error).valid
 
 
 def test_angles_of_the_front_are_measured_in_motion():
@@ -600,7 +600,7 @@ def test_command_writes_table_document_and_picture(tmp_path):
     )
     assert run.exit_code == 0, run.output
     document = json.loads(run.stdout)
-    assert document["schema"] == "optlink/pareto/3"
+    assert document["schema"] == "optlink/pareto/4"
     assert document["status"] == "complete"
     assert document == json.loads((out / "result.json").read_text(encoding="utf-8"))
     assert document["reference"]["error_rad2"] == pytest.approx(0.00759237, rel=1e-6)

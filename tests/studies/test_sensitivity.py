@@ -41,14 +41,14 @@ def sensitivities(*arguments, **options):
 LIMIT = "limits.transmission_angle.max"
 
 
-def solved(**overrides) -> optlink.FunctionResult:
+def solved(**overrides) -> optlink.SynthesisResult:
     """The crank-rocker with other values, built and searched from its own start."""
     result = optlink.solve(optlink.load("crank-rocker", overrides))
     assert result.valid
     return result
 
 
-def figures(result: optlink.FunctionResult) -> np.ndarray:
+def figures(result: optlink.SynthesisResult) -> np.ndarray:
     """Objective [rad^2], coupler and rocker [mm]."""
     return np.array([result.objective, 1e3 * result.design["coupler"], 1e3 * result.design["rocker"]])
 
@@ -373,7 +373,7 @@ def test_the_command_writes_a_table_a_picture_and_json(tmp_path):
     done = run("crank-rocker", "--check", "--json", "--out", str(tmp_path))
     assert done.exit_code == 0
     document = json.loads(done.stdout)
-    assert document["schema"] == "optlink/sensitivity/3"
+    assert document["schema"] == "optlink/sensitivity/4"
     assert document["largest_gap"] < 1e-5
     assert document["parameters"][0]["key"] == LIMIT
     assert document["parameters"][0]["objective_per_unit"] == pytest.approx(-1.4647e-4, rel=1e-3)

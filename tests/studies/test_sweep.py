@@ -273,7 +273,9 @@ def test_a_row_that_the_validator_rejects_is_not_valid(monkeypatch):
     from optlink.studies import reoptimise_task
 
     stricter = problem(**{"limits.transmission_angle": ["45 deg", "120 deg"]}).spec
-    monkeypatch.setattr(reoptimise_task, "validate_batch", lambda spec, designs, objective: prove(stricter, designs, objective))
+    monkeypatch.setattr(
+        reoptimise_task, "validate_batch", lambda _, designs, objective: prove(stricter, designs, None, objective)
+    )
     result = sweep(problem(), ["mechanism.frame=500 mm, 510 mm"], workers=1)
     assert result.valid == 0
     assert set(result.columns["status"]) == {"optimal"}
@@ -837,7 +839,7 @@ def test_the_command_prints_and_writes(tmp_path):
     done = run("crank-rocker", "--vary", f"{FRAME}:11", "--out", str(tmp_path), "--json")
     assert done.exit_code == 0
     document = json.loads(done.stdout)
-    assert document["schema"] == "optlink/sweep/3"
+    assert document["schema"] == "optlink/sweep/4"
     assert document["valid_points"] == 11
     assert float(document["best"]["mechanism.frame_mm"]) == 550.0
     assert {"result.json", "study.json", "sweep.csv", "sweep.png"} == {path.name for path in tmp_path.iterdir()}

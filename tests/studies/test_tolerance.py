@@ -554,7 +554,7 @@ def test_the_command_writes_everything(tmp_path, monkeypatch):
     assert result.exit_code == 0, result.output
     document = json.loads(result.stdout)
     assert document == json.loads((tmp_path / "result.json").read_text())
-    assert document["schema"] == "optlink/tolerance/3"
+    assert document["schema"] == "optlink/tolerance/4"
     assert document["monte_carlo"]["yield"] > 0.9
     low, high = document["monte_carlo"]["yield_interval_95_percent"]
     assert low < document["monte_carlo"]["yield"] < high

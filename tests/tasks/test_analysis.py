@@ -81,7 +81,7 @@ def test_rates_agree_with_finite_differences(six_bar):
 
 def test_json_is_plain_and_complete(six_bar):
     document = json.loads(json.dumps(six_bar.to_dict(), allow_nan=False))
-    assert document["schema"] == "optlink/analysis/3"
+    assert document["schema"] == "optlink/analysis/4"
     assert document["problem_hash"] == optlink.load("six-bar").hash
     assert len(document["columns"]["time_s"]) == 73
     assert document["groups"][0] == {"kind": "RRR", "joint": "C", "bodies": ["link2", "link3"]}

@@ -987,7 +987,7 @@ def test_the_written_problem_is_analysed_to_the_same_figures(tmp_path):
     done = run("balance-six-bar", "--trade", "force,torque", "--points", "5", "--out", str(tmp_path), "--json")
     assert done.exit_code == 0
     document = json.loads((tmp_path / "result.json").read_text())
-    assert document["schema"] == "optlink/balance/3"
+    assert document["schema"] == "optlink/balance/4"
     assert document["problem"] == "balance-six-bar"
     assert {"status", "valid", "duality_gap", "solver", "lower_bound", "counterweights", "measures", "trade"} <= set(document)
     assert "Clarabel" in document["solver"]

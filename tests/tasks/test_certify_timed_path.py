@@ -15,7 +15,7 @@ OPTIMUM = {"path-arc5": (1.07226, np.pi - 0.882651, 0.562827), "path-closed18": 
 BEST = {"path-arc5": 7.41575131e-13, "path-closed18": 9.02888464e-9}
 
 
-def near_optimum(name: str, off: float, **changes: object) -> tuple[optlink.PathResult, TimedPathBounds, np.ndarray]:
+def near_optimum(name: str, off: float, **changes: object) -> tuple[optlink.SynthesisResult, TimedPathBounds, np.ndarray]:
     problem = optlink.load(name, changes)
     bounds = TimedPathBounds(problem.model)
     point = np.array(OPTIMUM[name])

@@ -208,7 +208,7 @@ def test_result_is_json_and_the_design_a_machine(tmp_path):
     files = view_of("cycle").write(shaper(), tmp_path)
     assert {path.name for path in files} == {"result.json", "design.toml", "cycle.csv", "courses.png", "mechanisms.png"}
     document = json.loads((tmp_path / "result.json").read_text())
-    assert document["schema"] == "optlink/cycle/3"
+    assert document["schema"] == "optlink/cycle/4"
     assert document["valid"] is True
     machine = optlink.load(tmp_path / "design.toml")
     assert machine.model.free == ()

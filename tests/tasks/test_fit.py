@@ -31,7 +31,7 @@ TURNED = np.column_stack([[0.0, 60.0, 110.0, 90.0, 20.0], [0.0, 25.0, 70.0, 130.
 
 
 @pytest.fixture(scope="module")
-def star() -> optlink.tasks.results.path.PathResult:
+def star() -> optlink.tasks.results.design.SynthesisResult:
     """A zigzag that no four-bar draws, with the crank pivot where it is by default."""
     section = four_bar_section("left", **SIZES, points=SPOT, pivot=None, direction=None)
     raw = document(section, STAR + 150.0, {"transmission_angle": ["40 deg", "140 deg"]})
@@ -426,7 +426,7 @@ BUCKET = {
 }
 
 
-def rms_from(result: optlink.tasks.function.FunctionResult, start: float) -> float:
+def rms_from(result: optlink.SynthesisResult, start: float) -> float:
     """Error [deg] of the design at the second row if the law begins at a crank angle [deg]."""
     sizes = {name: 1e3 * result.design[name] for name in ("crank", "coupler", "rocker", "frame")}
     angles = rocker_angles(**sizes, angles=np.radians([start, start + 80.0]))

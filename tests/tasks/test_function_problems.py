@@ -83,13 +83,13 @@ def known() -> list[float]:
 
 
 @cache
-def default_answer(number: int) -> optlink.FunctionResult:
+def default_answer(number: int) -> optlink.SynthesisResult:
     """The answer with default options, computed once for all tests of a run."""
-    computed: optlink.FunctionResult = once(f"function problem {number}", lambda: optlink.solve(optlink.read(case(number).raw)))
+    computed: optlink.SynthesisResult = once(f"function problem {number}", lambda: optlink.solve(optlink.read(case(number).raw)))
     return computed
 
 
-def measured(result: optlink.FunctionResult, task: Function) -> tuple[float, float]:
+def measured(result: optlink.SynthesisResult, task: Function) -> tuple[float, float]:
     """Largest error and missed limit of an answer, by the oracle's formulas."""
     sizes = [math.log(result.design[name] / result.design["frame"]) for name in ("crank", "coupler", "rocker")]
     x = np.array([*sizes, result.design["phi0"], result.design["psi0"]])

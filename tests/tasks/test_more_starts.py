@@ -28,10 +28,10 @@ def short(**changes: object) -> optlink.ProblemFile:
 
 
 @functools.cache
-def short_of_both_modes() -> optlink.FunctionResult:
+def short_of_both_modes() -> optlink.SynthesisResult:
     """The same in both assembly modes, searched from the first starts alone; computed once for all tests of a run."""
     file = short(**{"mechanism.assembly": "either"})
-    computed: optlink.FunctionResult = once("short function of both modes", lambda: optlink.solve(file, starts=1))
+    computed: optlink.SynthesisResult = once("short function of both modes", lambda: optlink.solve(file, starts=1))
     return computed
 
 

@@ -11,7 +11,7 @@ import pytest
 
 import optlink
 from optlink.tasks.path import solve
-from optlink.tasks.results.path import PathDesign
+from optlink.tasks.results.design import LinkageDesign
 from tests.random_linkages import (
     RandomTask,
     faults_of,
@@ -75,7 +75,7 @@ def test_random_laws(slides: bool) -> None:
 
 
 @pytest.fixture(scope="module")
-def answer() -> tuple[PathDesign, RandomTask]:
+def answer() -> tuple[LinkageDesign, RandomTask]:
     """A faultless design of a path with a transmission limit, and its task."""
     trip = round_trip(1000, 9, "given")
     low, high = map(math.degrees, transmission_range(trip.linkage, 0.0, 2.0 * math.pi))
@@ -92,12 +92,12 @@ def answer() -> tuple[PathDesign, RandomTask]:
     return design, task
 
 
-def changed(**values: float) -> Callable[[PathDesign], PathDesign]:
+def changed(**values: float) -> Callable[[LinkageDesign], LinkageDesign]:
     """The design with other dimensions but unchanged results."""
     return lambda design: dataclasses.replace(design, values={**design.values, **values})
 
 
-PLANTED: dict[str, tuple[Callable[[PathDesign], PathDesign], str]] = {
+PLANTED: dict[str, tuple[Callable[[LinkageDesign], LinkageDesign], str]] = {
     "an error figure too good": (lambda d: dataclasses.replace(d, objective=d.objective + 1e-6), "objective"),
     "points out of order": (lambda d: dataclasses.replace(d, crank_angles=d.crank_angles[[0, 2, 1, *range(3, 9)]]), "order"),
     "another start": (lambda d: dataclasses.replace(d, crank_angles=d.crank_angles + 0.01), "not the crank angles given"),
@@ -108,7 +108,7 @@ PLANTED: dict[str, tuple[Callable[[PathDesign], PathDesign], str]] = {
 
 
 @pytest.mark.parametrize("name", PLANTED)
-def test_the_oracle_detects_a_planted_error(answer: tuple[PathDesign, RandomTask], name: str) -> None:
+def test_the_oracle_detects_a_planted_error(answer: tuple[LinkageDesign, RandomTask], name: str) -> None:
     design, task = answer
     plant, words = PLANTED[name]
     assert any(words in fault for fault in faults_of(plant(design), task)), faults_of(plant(design), task)
@@ -124,7 +124,7 @@ def test_the_oracle_detects_a_planted_error(answer: tuple[PathDesign, RandomTask
     ],
 )
 def test_the_oracle_detects_a_violated_limit(
-    answer: tuple[PathDesign, RandomTask], limits: dict[str, object], words: str
+    answer: tuple[LinkageDesign, RandomTask], limits: dict[str, object], words: str
 ) -> None:
     design, task = answer
     pivots = {"pivots": {"x": ["-400 mm", "400 mm"], "y": ["-400 mm", "400 mm"], **limits.pop("pivots", {})}}

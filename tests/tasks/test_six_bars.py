@@ -23,7 +23,7 @@ from optlink.synthesis.growth import contained_four_bar, grow_from_four_bar
 from optlink.tasks import path
 from optlink.tasks.path import solve
 from optlink.tasks.path_search import Polisher, has_several_dyads, path_model
-from optlink.tasks.results.path import PathDesign
+from optlink.tasks.results.design import LinkageDesign
 from optlink.validation.check import Check
 from tests.random_six_bars import faults_of_six_bar, random_six_bar
 
@@ -99,7 +99,7 @@ def planted(monkeypatch: pytest.MonkeyPatch, worse: float) -> None:
     """Let every local search of a six-bar stall at its start, or end at an optimum that is said to be worse than its start."""
     polish = Polisher.polish
 
-    def failing(self: Polisher, candidate: Candidate, *, near: bool = False) -> PathDesign:
+    def failing(self: Polisher, candidate: Candidate, *, near: bool = False) -> LinkageDesign:
         if not has_several_dyads(self.files[candidate.variant].model):  # type: ignore[arg-type]
             return polish(self, candidate, near=near)
         start = self.unpolished(candidate)

@@ -10,7 +10,7 @@ import pytest
 import optlink
 from optlink.report.views.conclusions import design as conclusion
 from optlink.tasks.path import validate
-from optlink.tasks.results.path import PathDesign
+from optlink.tasks.results.design import LinkageDesign
 from optlink.validation.between import sagittas
 from tests.stated import document, four_bar_section
 
@@ -23,7 +23,7 @@ def place(degrees: float) -> float:
     return CRANK * math.cos(phi) + math.sqrt(ROD**2 - (CRANK * math.sin(phi)) ** 2)
 
 
-def slider(*degrees: float) -> PathDesign:
+def slider(*degrees: float) -> LinkageDesign:
     """A slider-crank whose slider is at points of its line at these crank angles."""
     points = [{"x": f"{place(at)!r} mm", "y": "0 mm", "crank": f"{at} deg"} for at in degrees]
     raw = {

@@ -3,6 +3,7 @@
 import functools
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 from optlink.errors import Status
 from optlink.io import whole
@@ -12,7 +13,7 @@ from optlink.report.html import chart_plotly
 from optlink.report.html.moving_linkage import Moving, turning
 from optlink.report.html.shell import PageSection, StoredStudy
 from optlink.report.html.study_page import study_page
-from optlink.report.registry import table_of, view_of
+from optlink.report.registry import shown_as, table_of, view_of
 from optlink.report.report_model import ReportModel, verdict
 from optlink.report.table_spec import Paragraph, Span, Summary
 from optlink.report.views import (
@@ -26,9 +27,7 @@ from optlink.report.views import (
 from optlink.report.views.analysis_curves import CycleCurves
 from optlink.studies.sensitivity import Sensitivities, of_solution
 from optlink.tasks.analyze import Analysis
-from optlink.tasks.function import FunctionResult
 from optlink.tasks.results.cycle import CycleResult
-from optlink.tasks.results.path import PathDesign, PathResult
 
 
 def write_page(model: ReportModel | StoredStudy, path: Path) -> None:
@@ -57,7 +56,7 @@ def page(model: ReportModel | StoredStudy) -> str:
 def _report(model: ReportModel) -> StoredStudy:
     effects = model.effects or sensitivities_of(model)
     with single_units():
-        shown = table_of(_kind(model))(model.result)
+        shown = table_of(shown_as(model.result))(model.result)
         return StoredStudy(
             problem=model.problem,
             kind=model.problem.kind,
@@ -113,7 +112,7 @@ def sensitivities_of(model: ReportModel) -> Sensitivities | None:
     best = getattr(model.result, "best", None)
     if best is None or best.solution is None or best.solution.status is not Status.OPTIMAL:
         return None
-    if isinstance(best, PathDesign) and path_tables.exact(best):
+    if best.exact and path_tables.exact(best):
         return None
     result = of_solution(best.problem, best.solution)
     return result if result.moving else None
@@ -121,10 +120,10 @@ def sensitivities_of(model: ReportModel) -> Sensitivities | None:
 
 def _conclusion(model: ReportModel, shown: Summary) -> str:
     """Return the conclusion of the result; of the kind of an extension the first line of its status."""
-    outcome = model.result
+    outcome: Any = model.result
     if isinstance(outcome, Analysis):
         return conclusions.analysis(outcome)
-    if isinstance(outcome, FunctionResult | PathResult | CycleResult):
+    if outcome.kind in ("design", "cycle"):
         solution = None if outcome.best is None else outcome.best.solution
         text = conclusions.design(outcome, () if solution is None else solution.displayed_limits)
         return f"{conclusions.sensitivities(model.effects)} {text}" if model.effects is not None else text
@@ -141,13 +140,10 @@ def _status(model: ReportModel, shown: Summary) -> Sequence[Sequence[Span]]:
     return [[span for span in line if span.text != f"; {outcome.comparison}"] for line in shown.status.lines]
 
 
-def _kind(model: ReportModel) -> str:
-    return "analysis" if isinstance(model.result, Analysis) else model.problem.task
-
-
 def charts(model: ReportModel) -> list[ChartSpec]:
     """Return the charts of the result and, for a design, those of its machine over the cycle."""
-    outcome, kind = model.result, _kind(model)
+    outcome: Any = model.result
+    kind = shown_as(outcome)
     view = view_of(kind)
     result = [*view.charts(view.model(outcome))]
     if model.cycle is not None and kind != "analysis":
@@ -156,7 +152,7 @@ def charts(model: ReportModel) -> list[ChartSpec]:
         initial = None if initial_analysis is None else CycleCurves(initial_analysis)
         if cycle or model.forces:
             result += analysis_charts.motion(curves, initial)
-        if cycle or (isinstance(outcome, PathResult) and outcome.best is not None and outcome.best.task.pointed):
+        if cycle or (outcome.kind == "design" and outcome.best is not None and outcome.best.task.pointed):
             result += analysis_charts.transmission(curves)
         if model.forces:
             result += analysis_forces.forces(curves, initial)

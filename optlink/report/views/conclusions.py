@@ -19,13 +19,12 @@ from optlink.studies.sensitivity import Sensitivities
 from optlink.studies.sweep import Sweep
 from optlink.studies.tolerance.analysis import Tolerance
 from optlink.tasks.analyze import Analysis
-from optlink.tasks.function import FunctionResult
 from optlink.tasks.results.balance import Balance
 from optlink.tasks.results.clearance import ClearanceSimulation
 from optlink.tasks.results.control_comparison import Comparison
 from optlink.tasks.results.cycle import CycleResult
+from optlink.tasks.results.design import LinkageDesign, SynthesisResult
 from optlink.tasks.results.fit import PathFit
-from optlink.tasks.results.path import PathDesign, PathResult
 from optlink.tasks.simulate import Simulation
 from optlink.units import percent
 
@@ -36,15 +35,15 @@ ROUNDING = 1e-9  # share of the initial value below which the remainder is round
 # --- designs -----------------------------------------------------------------------------------------------------------------
 
 
-def design(outcome: FunctionResult | PathResult | CycleResult, limits: Iterable[LimitState]) -> str:
+def design(outcome: SynthesisResult | CycleResult, limits: Iterable[LimitState]) -> str:
     """Return the conclusion of a synthesis or of the validation of a given design; `limits` have the shadow prices."""
     best, certified = outcome.best, clause(outcome.certificate)
     if best is None or outcome.conflict:
         return _sentences(shown(outcome.refuted) or "No design was found.", certified)
-    if isinstance(best, PathDesign | CycleResult):
-        achieved = _path(best) if isinstance(best, PathDesign) else _cycle(best)
+    if not isinstance(best, LinkageDesign):
+        achieved = _cycle(best)
     else:
-        achieved = _function(best)
+        achieved = _function(best) if best.problem.task == "function" else _path(best)
     if outcome.valid:
         return _sentences(achieved, _limiting(limits), certified)
     return f"Not valid: {why_invalid(best.validation.checks, best.status.text)}. {achieved}"
@@ -59,14 +58,14 @@ def _sentences(*sentences: str) -> str:
     return " ".join(filter(None, sentences))
 
 
-def _function(outcome: FunctionResult) -> str:
-    rms, most = (math.degrees(MEASURES[name].of(outcome.error())) for name in ("rms", "max"))
-    between = outcome.between
+def _function(best: LinkageDesign) -> str:
+    rms, most = (math.degrees(MEASURES[name].of(best.errors())) for name in ("rms", "max"))
+    between = best.largest_between
     where = "" if between is None else f" at the design positions, {figure(math.degrees(between), 'deg')} between them"
     return f"The output follows the required motion within {figure(most, 'deg')}{where} (root mean square {figure(rms, 'deg')})."
 
 
-def _path(best: PathDesign) -> str:
+def _path(best: LinkageDesign) -> str:
     task, measured = best.task, best.measured
     unit = task.unit or ""
     least = math.degrees(best.least_transmission)

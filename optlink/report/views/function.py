@@ -27,28 +27,37 @@ from optlink.report.view import View
 from optlink.report.views.certificate_view import certificate_charts
 from optlink.report.views.path_view import with_verdict
 from optlink.solvers.contract import selectable
-from optlink.tasks.function import FunctionResult
-from optlink.validation.path import transmission_angles
+from optlink.tasks.results.design import LinkageDesign, SynthesisResult
+from optlink.validation.linkage_motion import transmission_angles
 
 
-def _moved(result: FunctionResult, angles: Array) -> Motion:
-    return sweep(result.problem.spec.linkage, result.problem.spec.sizes(result.design), angles)
+def _moved(result: SynthesisResult, angles: Array) -> Motion:
+    return sweep(result.definite.spec.linkage, result.definite.spec.sizes(result.design), angles)
 
 
-def _start(result: FunctionResult) -> float:
+def _best(result: SynthesisResult) -> LinkageDesign:
+    assert result.best is not None
+    return result.best
+
+
+def _sizes(result: SynthesisResult) -> dict[str, float]:
+    return {name: result.design[name] for name in LENGTHS}
+
+
+def _start(result: SynthesisResult) -> float:
     """Return the starting angle [rad] within half a turn of zero, as the machine has it."""
     start = result.design["phi0"]
     return math.remainder(start, TURN) if math.isfinite(start) else math.nan
 
 
-def _clockwise(result: FunctionResult) -> bool:
-    return result.problem.spec.span < 0.0
+def _clockwise(result: SynthesisResult) -> bool:
+    return result.definite.spec.span < 0.0
 
 
-def _range(result: FunctionResult) -> Array:
+def _range(result: SynthesisResult) -> Array:
     """Return rising crank angles [rad] of a revolution from the starting angle, or of the reachable range that contains it."""
     start = _start(result)
-    for low, high in reachable(*lengths_of(result.sizes)):
+    for low, high in reachable(*lengths_of(_sizes(result))):
         if high - low > TURN - 1e-9:
             begin = (start if math.isfinite(start) else 0.0) - (TURN if _clockwise(result) else 0.0)
             return np.linspace(begin, begin + TURN, 721)
@@ -65,9 +74,9 @@ def _transmission(motion: Motion) -> Array:
 # --- mechanism -------------------------------------------------------------------------------------------------------
 
 
-def positions(result: FunctionResult) -> dict[str, float]:
+def positions(result: SynthesisResult) -> dict[str, float]:
     """Return the characteristic crank angles [rad] by name: start and end of the span, dead centres, transmission extremes."""
-    problem, sizes = result.problem.spec, result.sizes
+    problem, sizes = result.definite.spec, _sizes(result)
     angles: dict[str, float] = {"start": result.design["phi0"], "end of the span": result.design["phi0"] + problem.span}
     whole_turn = [(low, high) for low, high in reachable(*lengths_of(sizes)) if high - low > TURN - 1e-9]
     if whole_turn:
@@ -80,7 +89,7 @@ def positions(result: FunctionResult) -> dict[str, float]:
 
 
 @styled
-def mechanism(result: FunctionResult) -> Figure | None:
+def mechanism(result: SynthesisResult) -> Figure | None:
     """Draw the mechanism at its characteristic positions side by side, on one scale."""
     angles = _range(result)
     if angles.size == 0:
@@ -97,8 +106,8 @@ def mechanism(result: FunctionResult) -> Figure | None:
         gamma = float(_transmission(position)[0])
         psi = math.degrees(float(position.body_angle("rocker").value[0]))
         axes.set_title(f"{name}\nφ {math.degrees(phi) % 360.0:z.2f}°   ψ {psi:z.2f}°   γ {gamma:z.2f}°", fontsize=9.5)
-    lengths = "   ".join(f"{name} {value * sketch.scale.factor:z.3f}" for name, value in result.sizes.items())
-    titles = marked(result.problem.spec.title, result, result.refuted)
+    lengths = "   ".join(f"{name} {value * sketch.scale.factor:z.3f}" for name, value in _sizes(result).items())
+    titles = marked(result.definite.spec.title, _best(result), result.refuted)
     lines = [heading(line, 3.9 * columns) for line in (*titles, f"{lengths} {sketch.scale.unit}")]
     fig.suptitle("\n".join(lines), fontsize=11, color=None if result.valid else LIMIT)
     place_labels(fig, letters)
@@ -108,20 +117,20 @@ def mechanism(result: FunctionResult) -> Figure | None:
 # --- output ----------------------------------------------------------------------------------------------------------
 
 
-def charts(result: FunctionResult) -> list[ChartSpec]:
+def charts(result: SynthesisResult) -> list[ChartSpec]:
     """Return the law over the span, y(x) of a function, the transmission angle over the motion, and the global search."""
     return [*law(result), *function_values(result), *transmission(result), *certified(result)]
 
 
-def certified(result: FunctionResult) -> list[ChartSpec]:
+def certified(result: SynthesisResult) -> list[ChartSpec]:
     """Return the charts of the certificate of the global optimum."""
-    spec, design = result.problem.spec, {} if result.conflict else result.design
+    spec, design = result.definite.spec, {} if result.conflict else result.design
     return certificate_charts(result.certificate, spec.title, spec.shown_objective, design, result.assembly, spec.display)
 
 
-def function_values(result: FunctionResult) -> list[ChartSpec]:
+def function_values(result: SynthesisResult) -> list[ChartSpec]:
     """Return the prescribed and the generated y(x) with the error in y; nothing for a law of the crank angle."""
-    problem = result.problem.spec
+    problem = result.definite.spec
     function = problem.requirement.law
     offsets = problem.span * np.linspace(0.0, 1.0, 361)
     if not isinstance(function, Function) or not math.isfinite(result.design["phi0"]):
@@ -132,9 +141,9 @@ def function_values(result: FunctionResult) -> list[ChartSpec]:
     return [function_chart(function, offsets, error, heading(f"{problem.title}: {function.text}", 7.6))]
 
 
-def law(result: FunctionResult) -> list[ChartSpec]:
+def law(result: SynthesisResult) -> list[ChartSpec]:
     """Return the prescribed and the generated function over the span, with the precision points, and the error below."""
-    problem, design = result.problem.spec, result.design
+    problem, design = result.definite.spec, result.design
     offsets, at = problem.span * np.linspace(0.0, 1.0, 361), problem.law.offsets
     if not math.isfinite(design["phi0"]):
         return []
@@ -164,13 +173,13 @@ def law(result: FunctionResult) -> list[ChartSpec]:
     panels = [Panel(Axis("rocker angle ψ [deg]"), above, 1.7), Panel(Axis("target minus generated [deg]"), below, marks=[mark])]
     shown = problem.shown_objective(result.objective)
     objective = f"{shown.value:.4g}°" if shown.unit == "deg" else f"{shown.value:.6g} {unit_of(result)}"
-    title = f"{problem.title}: {result.measure} {objective}"
+    title = f"{problem.title}: {_best(result).measure} {objective}"
     return [ChartSpec("law", "Motion law over the span", panels, crank_angle(clockwise=_clockwise(result)), title)]
 
 
-def transmission(result: FunctionResult) -> list[ChartSpec]:
+def transmission(result: SynthesisResult) -> list[ChartSpec]:
     """Return the transmission angle over the whole motion with its limits."""
-    problem, angles = result.problem.spec, _range(result)
+    problem, angles = result.definite.spec, _range(result)
     if angles.size == 0:
         return []
     half_turns = math.pi * np.arange(-4.0, 5.0)  # with the extremes of a full revolution
@@ -208,7 +217,7 @@ def transmission(result: FunctionResult) -> list[ChartSpec]:
 
 
 @styled
-def frames(result: FunctionResult, count: int = 90) -> list[Image.Image]:
+def frames(result: SynthesisResult, count: int = 90) -> list[Image.Image]:
     """Draw the frames of the animation: one revolution, or back and forth over the reachable range.
 
     Beside the mechanism, the rocker angle is drawn.
@@ -219,7 +228,7 @@ def frames(result: FunctionResult, count: int = 90) -> list[Image.Image]:
     full = angles[-1] - angles[0] > TURN - 1e-6
     motion = _moved(result, angles)
     sketch = Sketch(motion)
-    begin, span = result.design["phi0"], result.problem.spec.span
+    begin, span = result.design["phi0"], result.definite.spec.span
     known = math.isfinite(begin)  # no start: a linkage without the dead centre at which the law begins
     once = (begin if known else 0.0) + np.linspace(0.0, TURN, count, endpoint=False)
     steps = once if full else there_and_back(float(angles[0]), float(angles[-1]), count)
@@ -238,7 +247,7 @@ def frames(result: FunctionResult, count: int = 90) -> list[Image.Image]:
         axes.add_patch(Arc((0.0, 0.0), size, size, color=MUTED, linewidth=1.3, **ends))
 
     marks = np.stack([at, np.interp(at, crank, psi)], axis=-1)
-    titles = marked(result.problem.spec.title, result, result.refuted)
+    titles = marked(result.definite.spec.title, _best(result), result.refuted)
     return film(sketch, _moved(result, steps), strip, marks, titles, more=required)
 
 
@@ -269,15 +278,15 @@ COLOURS = ("#e67e22", "#8e44ad", "#16a085", "#c0392b")  # of back ends, by their
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
-def unit_of(result: FunctionResult) -> str:
+def unit_of(result: SynthesisResult) -> str:
     """Return the unit of the objective with typographic exponents."""
-    return result.problem.spec.objective_display[1].replace("^2", "²")
+    return result.definite.spec.objective_display[1].replace("^2", "²")
 
 
 @styled
-def objective_map(result: FunctionResult) -> Figure | None:
+def objective_map(result: SynthesisResult) -> Figure | None:
     """Draw contours of the objective over two design variables, the feasible region, the iterates and the optimum."""
-    problem, solution = result.problem.spec, result.solution
+    problem, solution = result.definite.spec, result.solution
     if solution is None or len(problem.free) != 2:
         return None
     x_name, y_name = problem.free
@@ -296,7 +305,7 @@ def objective_map(result: FunctionResult) -> Figure | None:
     axes = fig.subplots()
     scale_x, scale_y = (1e3 if name in LENGTHS else math.degrees(1.0) for name in problem.free)
     shown = np.where(np.isfinite(objective) & (objective > 0.0), objective, np.nan)
-    furthest = math.pi if result.unit == "rad" else len(problem.law.offsets) * math.pi**2
+    furthest = math.pi if problem.objective_unit == "rad" else len(problem.law.offsets) * math.pi**2
     # limit to the largest possible angular error; near dead centres, first-order effects of tolerances would exceed it
     shown = np.minimum(shown, furthest) * problem.objective_display[0]
     if not np.any(np.isfinite(shown)):
@@ -322,17 +331,17 @@ def objective_map(result: FunctionResult) -> Figure | None:
     bar = fig.colorbar(filled, ax=axes, pad=0.02)
     ticks = [t for t in range(math.floor(np.log10(low)), math.ceil(np.log10(high)) + 1) if np.log10(low) <= t <= np.log10(high)]
     bar.set_ticks(ticks, labels=[f"10{str(t).translate(SUPERSCRIPTS)}" for t in ticks])
-    bar.set_label(f"{result.measure} [{unit_of(result)}]")
+    bar.set_label(f"{_best(result).measure} [{unit_of(result)}]")
     place = (f"{name} {dimension(value)} {problem.display(name)[1]}" for name, value in zip(problem.free, at, strict=True))
-    reached = f"{result.measure} {problem.shown_objective(result.objective).value:.6g} {unit_of(result)}"
+    reached = f"{_best(result).measure} {problem.shown_objective(result.objective).value:.6g} {unit_of(result)}"
     axes.set_title(heading(f"{problem.title}: {reached} at {', '.join(place)}", 6.8, 10.5), fontsize=10.5)
     return fig
 
 
-def _iterations(axes: Axes, result: FunctionResult, scale_x: float, scale_y: float) -> None:
+def _iterations(axes: Axes, result: SynthesisResult, scale_x: float, scale_y: float) -> None:
     colors = dict(zip(selectable(), itertools.cycle(COLOURS), strict=False))
     solutions = result.backends or ({result.backend: result.solution} if result.solution else {})
-    sizes = [result.problem.spec.quantities["frame"].value if n in LENGTHS else 1.0 for n in result.problem.spec.free]
+    sizes = [result.definite.spec.quantities["frame"].value if n in LENGTHS else 1.0 for n in result.definite.spec.free]
     for name, solution in solutions.items():
         if solution.path is not None and len(solution.path) > 1:
             path = solution.path[:, :2] * sizes * [scale_x, scale_y]
@@ -343,7 +352,7 @@ def _iterations(axes: Axes, result: FunctionResult, scale_x: float, scale_y: flo
 VIEW = View(
     charts=charts,
     drawings={"mechanism": mechanism, "map": objective_map},
-    design=lambda result: with_verdict(None if result.conflict else result.machine, result),
+    design=lambda result: with_verdict(None if result.conflict else result.machine, result.best),
     frames=frames,
-    result=FunctionResult,
+    result=SynthesisResult,
 )

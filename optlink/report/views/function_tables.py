@@ -31,7 +31,6 @@ from optlink.report.views.certificate_view import certificate_lines, certificate
 from optlink.report.views.short_text import dimensions, objective_line, short_text, verdict_lines
 from optlink.solvers.contract import FOUND, LEAST_SQUARES
 from optlink.solvers.solution import LimitState, Relaxation
-from optlink.tasks.function import FunctionResult
 from optlink.tasks.machine import turning_machine
 from optlink.tasks.results.certificate import Certificate
 from optlink.tasks.results.conflict import OpposedLimit, opposed_limits, outward
@@ -42,22 +41,23 @@ from optlink.validation import Check
 if TYPE_CHECKING:
     from optlink.problem.machine.model import Problem
     from optlink.tasks.results.cycle import CycleResult
-    from optlink.tasks.results.path import PathResult
+    from optlink.tasks.results.design import SynthesisResult
 
-    SearchedResult = FunctionResult | CycleResult
+    SearchedResult = SynthesisResult | CycleResult
 
 MAX_OPTIMA, MAX_VARIABLES = 12, 6  # largest number of optima listed, and of their design variables
 NEAREST_DESIGN = "Nearest design found (it does not meet the limits)"
 RELAXED_NOTE = "; <=, >=: its improvement if the bound is relaxed by that much"
 
 
-def result(outcome: FunctionResult) -> Summary:
+def result(outcome: SynthesisResult) -> Summary:
     """Summarise a function synthesis result: design, objective, active constraints, validation, optima, back ends."""
     from optlink.report.views.analysis_tables import machine_strokes
 
-    spec = outcome.problem.spec
-    machine = turning_machine(outcome.problem, outcome.design)
-    strokes = None if machine is None else machine_strokes(machine, spec.span)
+    best = outcome.best
+    assert best is not None
+    machine = turning_machine(best.problem, best.values)
+    strokes = None if machine is None else machine_strokes(machine, best.rotation[1])
     objective = None if outcome.conflict else _objective(outcome)
     evidence, hits = outcome.evidence, ""
     if evidence is not None and not certified(outcome.certificate):
@@ -65,7 +65,7 @@ def result(outcome: FunctionResult) -> Summary:
         reached = f"{evidence.hits} of {evidence.starts} random starts reached the best value, {different}"
         hits = f"{reached}; {evidence.chance}"
     measured = [] if objective is None else [objective_line(objective)]
-    over = ", largest error over the whole range" * spec.everywhere
+    over = ", largest error over the whole range" * outcome.problem.spec.everywhere
     return search_summary(outcome, _design(outcome), (strokes, objective), measured, hits, over=over)
 
 
@@ -120,7 +120,7 @@ def _verdict(outcome: SearchedResult, tail: str) -> Iterator[Line]:
     yield from graded_status(line, outcome.fit if outcome.valid else None, tail)
 
 
-def refuted_first(outcome: SearchedResult | PathResult) -> Iterator[Line]:
+def refuted_first(outcome: SearchedResult) -> Iterator[Line]:
     """Yield which limits exclude each other, the first line of the status of an infeasible problem."""
     if outcome.refuted:
         yield [bad(outcome.refuted)]
@@ -155,7 +155,7 @@ def graded_status(line: Sequence[Inline], fit: Fit | None, tail: str) -> Iterato
         yield f"{fit.text.partition(':')[0].capitalize()}, likely reason: {reason.reason}. Remedy: {reason.remedy}."
 
 
-def _design(outcome: FunctionResult) -> TableSpec:
+def _design(outcome: SynthesisResult) -> TableSpec:
     requirement = outcome.problem.spec.requirement
     default = "" if "start" in requirement.model_fields_set else ", the default start"
     derived = {"phi0": f"at the {outcome.problem.spec.dead_centre}{default}", "psi0": "the rocker angle there"}
@@ -179,22 +179,24 @@ def dimension_rows(
     return rows
 
 
-def _objective(outcome: FunctionResult) -> TableSpec:
-    rms, largest = (math.degrees(MEASURES[name].of(outcome.error())) for name in ("rms", "max"))
-    robust = outcome.problem.spec.requirement.robust
+def _objective(outcome: SynthesisResult) -> TableSpec:
+    best = outcome.best
+    assert best is not None
+    rms, largest = (math.degrees(MEASURES[name].of(best.errors())) for name in ("rms", "max"))
+    robust = best.task.robust
     remark = f"error{'' if robust is None else ' at nominal dimensions'}: rms {number(rms, 4)}, largest {number(largest, 4)} deg"
-    if outcome.between is not None:
-        remark += f" at the positions, {number(math.degrees(outcome.between), 4)} deg between them"
+    if best.largest_between is not None:
+        remark += f" at the positions, {number(math.degrees(best.largest_between), 4)} deg between them"
     shown = outcome.problem.spec.shown_objective(outcome.objective)
-    rows: list[Row] = [(outcome.measure, strong(number(shown.value)), shown.unit, quiet(remark))]
+    rows: list[Row] = [(best.measure, strong(number(shown.value)), shown.unit, quiet(remark))]
     if outcome.problem.spec.everywhere:
         remark = "times that the largest error occurs in the range, with alternating sign"
-        rows.append(("alternations", str(outcome.alternations), "", quiet(remark)))
-    if outcome.first is not None:
+        rows.append(("alternations", str(best.alternations), "", quiet(remark)))
+    if outcome.first_step is not None:
         from optlink.synthesis.function_starts import WIDER
 
-        error, bound = (number(math.degrees(value), 4) for value in (outcome.first.error, outcome.first.bound))
-        proof = f"; {bound} deg is a lower bound at its start angles" if outcome.first.proven else ""
+        error, bound = (number(math.degrees(value), 4) for value in (outcome.first_step.error, outcome.first_step.bound))
+        proof = f"; {bound} deg is a lower bound at its start angles" if outcome.first_step.proven else ""
         limited = outcome.problem.spec.limits.transmission_at() is not None
         relaxed = f"; searched with the transmission-angle limits relaxed by {math.degrees(WIDER):g} deg" * limited
         remark = f"a starting point, with its error at the design positions alone{relaxed}{proof}"
@@ -276,7 +278,7 @@ def _optima(outcome: SearchedResult, over: str) -> TableSpec:
     return table(f"Distinct optima{over}", columns, rows, appendix=True, notes=notes)
 
 
-def backends(outcome: SearchedResult | PathResult) -> TableSpec:
+def backends(outcome: SearchedResult) -> TableSpec:
     """Tabulate the solutions of the back ends side by side."""
     model, solutions = outcome.problem.model, outcome.backends.values()
     shown = [model.shown_objective(solution.objective) for solution in solutions]

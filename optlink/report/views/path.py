@@ -36,13 +36,13 @@ from optlink.report.views.path_drawings import (
     trim,
 )
 from optlink.report.views.path_view import LINE, SMALL, TITLE, PathView, assembly, best, mechanism_title, with_verdict, wrapped
-from optlink.tasks.results.path import PathDesign, PathResult
+from optlink.tasks.results.design import LinkageDesign, SynthesisResult
 
 FRAMES = 90
 HIGHLIGHT = "#ffc20a"
 
 
-def charts(result: PathResult) -> list[ChartSpec]:
+def charts(result: SynthesisResult) -> list[ChartSpec]:
     """Return curve and deviations at every point, or the output of a law and y(x), or transmission angles; the global search."""
     view = best(result)
     if view is None:
@@ -53,7 +53,7 @@ def charts(result: PathResult) -> list[ChartSpec]:
     return specs + certificate_charts(result.certificate, task.title, scale, values, design.assembly, task.display)
 
 
-def columns(design: PathDesign) -> dict[str, Array]:
+def columns(design: LinkageDesign) -> dict[str, Array]:
     """Return prescribed and generated values at every position, by column name with SI unit."""
     task, data, measured = design.task, design.task.data, design.measured
     table: dict[str, Array] = {"point": np.arange(1.0, len(data.columns) + 1.0)}
@@ -83,7 +83,7 @@ def columns(design: PathDesign) -> dict[str, Array]:
 
 
 @styled
-def drawing(result: PathResult, *, pointed: bool) -> Figure | None:
+def drawing(result: SynthesisResult, *, pointed: bool) -> Figure | None:
     """Draw the mechanism at its first point or position; of a path or motion beside it a close-up of the curve.
 
     None if the result is not of the wanted kind: `pointed`, a path or a motion, or else a function or a transmission.
@@ -156,7 +156,7 @@ class Passing(Sketch):
 
 
 @styled
-def frames(result: PathResult, count: int = FRAMES) -> list[Image.Image]:
+def frames(result: SynthesisResult, count: int = FRAMES) -> list[Image.Image]:
     """Draw the frames of the best design moving along its curve, or its output.
 
     The crank turns once, or back and forth between the first and the last point.
@@ -185,5 +185,5 @@ VIEW = View(
     tables=lambda result: {} if result.best is None else {"points": columns(result.best)},
     design=lambda result: with_verdict(result.machine, result.best, result.refuted),
     frames=frames,
-    result=PathResult,
+    result=SynthesisResult,
 )

@@ -14,7 +14,7 @@ from optlink.report.shapes import even, finite
 from optlink.report.style import BODIES, LIMIT, MUTED, RESULT, TARGET, scale
 from optlink.report.views.path_tables import exact, exact_angles
 from optlink.report.views.path_view import PathView, figures, fitting, length, title_of, wrapped
-from optlink.tasks.results.path import LEVEL
+from optlink.tasks.results.design import LEVEL
 
 MAX_NUMBERED = 20  # number of points up to which each is numbered
 COINCIDENT = 5e-3  # distance below which points share a label, as a share of the extent of the points

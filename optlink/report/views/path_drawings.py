@@ -25,8 +25,9 @@ from optlink.report.views.function import function_chart
 from optlink.report.views.path_charts import MAX_NUMBERED, points_on
 from optlink.report.views.path_tables import cognate_sources
 from optlink.report.views.path_view import PathView, assembly, figures, objective, title_of, transmission, wrapped
-from optlink.tasks.results.path import PathResult
-from optlink.validation.path import deviations, transmission_angles
+from optlink.tasks.results.design import SynthesisResult
+from optlink.validation.design import deviations
+from optlink.validation.linkage_motion import transmission_angles
 
 MAX_HEIGHT, LABEL_WIDTH = 4.3, 0.75  # largest height of a panel and width of its axis labels [inch]
 MAX_POSES = 8  # largest number of poses in which the body is drawn
@@ -94,7 +95,7 @@ SCALE_RATIO = 4.0  # designs up to this multiple of the smallest size share one 
 
 
 @styled
-def designs(result: PathResult) -> Figure | None:
+def designs(result: SynthesisResult) -> Figure | None:
     """Draw the distinct designs side by side on one scale and name their cognates."""
     if len(result.designs) < 2:
         return None

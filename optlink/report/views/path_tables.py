@@ -26,7 +26,7 @@ from optlink.report.views.function_tables import (
 from optlink.report.views.short_text import dimensions, objective_line, short_text, verdict_lines
 from optlink.solvers.contract import LEAST_SQUARES
 from optlink.tasks.machine import turning_machine
-from optlink.tasks.results.path import LEVEL, PathDesign, PathResult
+from optlink.tasks.results.design import LEVEL, LinkageDesign, SynthesisResult
 from optlink.units import DISPLAYED
 
 LINKAGE_TOLERANCE = 1e-3  # relative tolerance for equal four-bars
@@ -35,7 +35,7 @@ MIN_LENGTH = 1e-8  # m, least length that is shown
 MAX_POINTS = 12  # largest number of points listed on a terminal; result.json and points.csv contain all
 
 
-def path_result(outcome: PathResult) -> Summary:
+def path_result(outcome: SynthesisResult) -> Summary:
     """Summarise a synthesis result: best design, deviations, active constraints, validation, alternatives, cognates."""
     from optlink.report.views.analysis_tables import machine_strokes
 
@@ -77,7 +77,7 @@ def path_result(outcome: PathResult) -> Summary:
     return replace(full, short=short_text(model.title, status, dimensions(design), limits, checked, impossible))
 
 
-def _verdict(outcome: PathResult, best: PathDesign) -> Iterator[Line]:
+def _verdict(outcome: SynthesisResult, best: LinkageDesign) -> Iterator[Line]:
     count = len(outcome.designs)
     suffix = f"; {count} distinct design{'s' * (count != 1)} verified" if best.valid else "; the nearest design is shown"
     yield from refuted_first(outcome)
@@ -85,25 +85,25 @@ def _verdict(outcome: PathResult, best: PathDesign) -> Iterator[Line]:
     yield from graded_status(line, best.fit if best.valid else None, "" if outcome.starts == 0 else suffix)
 
 
-def _sizes(design: PathDesign, chosen: bool) -> TableSpec:
+def _sizes(design: LinkageDesign, chosen: bool) -> TableSpec:
     values = {name: design.values[name] for name in design.task.quantities}
     rows = dimension_rows(design.task, values, {}, significant)
     rows.append(("assembly", strong(words(design)), "", quiet("chosen" if chosen else "fixed")))
     return table("Design", "<><<", rows)
 
 
-def words(design: PathDesign) -> str:
+def words(design: LinkageDesign) -> str:
     """Format the assembly modes."""
     return ", ".join(f"{joint} {mode}".strip() for joint, mode in modes(design).items())
 
 
-def modes(design: PathDesign) -> dict[str, str]:
+def modes(design: LinkageDesign) -> dict[str, str]:
     """Return the assembly modes by joint; a four-bar has one mode with an empty name."""
     assembly = design.assembly
     return {str(joint): str(mode) for joint, mode in assembly.items()} if isinstance(assembly, dict) else {"": str(assembly)}
 
 
-def _objective(design: PathDesign) -> TableSpec:
+def _objective(design: LinkageDesign) -> TableSpec:
     measured, task = design.measured, design.task
     factor, unit = DISPLAYED[task.unit]
     rms, largest = math.sqrt(float((measured.distances**2).mean())), float(measured.distances.max())
@@ -131,7 +131,7 @@ def measure(task: DesignProblem) -> str:
     return task.measure + (", weighted" if task.target_points.weights is not None else "")
 
 
-def _points(design: PathDesign) -> TableSpec:
+def _points(design: LinkageDesign) -> TableSpec:
     measured, targets = design.measured, design.task.data.columns
     step = max(1, math.ceil(len(targets) / MAX_POINTS))
     digits = decimals(1e3 * float(abs(targets[:, :2]).max()))
@@ -162,7 +162,7 @@ def decimals(largest: float) -> int:
     return max(0, 7 - size) if size > 4 else min(8, 3 - min(size, 0))
 
 
-def _alternatives(outcome: PathResult) -> TableSpec:
+def _alternatives(outcome: SynthesisResult) -> TableSpec:
     """Tabulate the distinct designs side by side."""
     designs, related, task = outcome.designs, cognate_sources(outcome.designs), outcome.designs[0].task
     columns = [_column(design, related.get(k)) for k, design in enumerate(designs)]
@@ -179,7 +179,7 @@ def _alternatives(outcome: PathResult) -> TableSpec:
     return table(f"Designs, best first ({len(designs)} distinct)", heads, rows, leading=2, unbroken=True)
 
 
-def _column(design: PathDesign, related: int | None) -> dict[str, str]:
+def _column(design: LinkageDesign, related: int | None) -> dict[str, str]:
     """Return the cells of a design by row; `related` is the design whose cognate it is."""
     cells = {measure(design.task): "exact" if exact(design) else precise(design.task.objective_display[0] * design.objective, 5)}
     if math.isfinite(design.least_transmission):
@@ -192,7 +192,7 @@ def _column(design: PathDesign, related: int | None) -> dict[str, str]:
     return cells | {f"assembly {joint}".rstrip(): mode for joint, mode in modes(design).items()}
 
 
-def _cognates(outcome: PathResult, best: PathDesign) -> TableSpec:
+def _cognates(outcome: SynthesisResult, best: LinkageDesign) -> TableSpec:
     rows = []
     for cognate in best.cognates:
         linkage = cognate.linkage
@@ -205,15 +205,15 @@ def _cognates(outcome: PathResult, best: PathDesign) -> TableSpec:
     return table(title, [">crank", ">coupler", ">rocker", ">frame", "", "its crank"], rows, unbroken=True)
 
 
-def _reached(outcome: PathResult) -> str:
+def _reached(outcome: SynthesisResult) -> str:
     """Return how many starts reached the best value; nothing if its optimality is proven, or without a search."""
     evidence = outcome.evidence
-    if not outcome.starts or not outcome.designs or certified(outcome.certificate):
+    if evidence is None or not outcome.designs or certified(outcome.certificate):
         return ""
     return f"{evidence.hits} of {outcome.starts} starts reached the best value; {evidence.chance}"
 
 
-def _times(outcome: PathResult) -> Paragraph:
+def _times(outcome: SynthesisResult) -> Paragraph:
     then = f", then {outcome.backend}" * (outcome.backend != LEAST_SQUARES)
     method = f"batch of least squares{then}" if outcome.starts else ""
     return Paragraph(quiet("; ".join(filter(None, (_reached(outcome), method, times(outcome.seconds))))), appendix=True)
@@ -222,23 +222,23 @@ def _times(outcome: PathResult) -> Paragraph:
 # --- comparison of designs ---------------------------------------------------------------------------------------------------
 
 
-def exact_places(design: PathDesign) -> bool:
+def exact_places(design: LinkageDesign) -> bool:
     """Return whether every point, or every output of a function, is met to rounding."""
     return bool((design.measured.distances <= LEVEL * design.task.whole).all())
 
 
-def exact_angles(design: PathDesign) -> bool:
+def exact_angles(design: LinkageDesign) -> bool:
     """Return whether all pose angles are met to rounding; true if there are none."""
     turned = design.measured.turned
     return turned is None or bool((abs(turned) <= LEVEL).all())
 
 
-def exact(design: PathDesign) -> bool:
+def exact(design: LinkageDesign) -> bool:
     """Return whether all prescribed values are met to rounding; false for transmission synthesis, which prescribes none."""
     return bool(design.task.unit) and exact_places(design) and exact_angles(design)
 
 
-def cognate_sources(designs: Sequence[PathDesign]) -> dict[int, int]:
+def cognate_sources(designs: Sequence[LinkageDesign]) -> dict[int, int]:
     """Return, by index of a design, the earlier design whose cognate it is: another four-bar with the same coupler curve."""
     originals: dict[int, int] = {}
     for j, design in enumerate(designs):
@@ -249,7 +249,7 @@ def cognate_sources(designs: Sequence[PathDesign]) -> dict[int, int]:
     return originals
 
 
-def _is_cognate(cognate: Cognate, design: PathDesign) -> bool:
+def _is_cognate(cognate: Cognate, design: LinkageDesign) -> bool:
     """Return whether a design is this cognate, driven at either of its fixed pivots."""
     linkage = design.coupler_linkage
     return linkage is not None and any(_same_linkage(linkage, driven.linkage) for driven in (cognate, cognate.driven_from_rocker))

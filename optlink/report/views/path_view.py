@@ -17,9 +17,8 @@ from optlink.report.format import round_below
 from optlink.report.shapes import finite, spread
 from optlink.report.style import Scale, degrees, heading, scale
 from optlink.report.views.path_tables import exact, exact_places, measure, words
-from optlink.tasks.function import FunctionResult
 from optlink.tasks.results.cycle import CycleResult
-from optlink.tasks.results.path import PathDesign, PathResult
+from optlink.tasks.results.design import LinkageDesign, SynthesisResult
 
 POSITIONS = 721  # positions per revolution
 DEVIATION_LENGTH = 0.07  # length of the largest magnified deviation, as a share of the extent of the points
@@ -32,7 +31,7 @@ class PathView:
     to the last, or a revolution if the points are closed. `at` contains the positions at the points.
     """
 
-    def __init__(self, design: PathDesign, refuted: str = "") -> None:
+    def __init__(self, design: LinkageDesign, refuted: str = "") -> None:
         self.design, self.task, self.refuted = design, design.task, refuted
         angles = design.crank_angles
         self.begin, self.end = float(angles[0]), float(angles[-1])
@@ -131,7 +130,7 @@ class PathView:
         return max(1.0, round_below(limit))
 
 
-def best(result: PathResult) -> PathView | None:
+def best(result: SynthesisResult) -> PathView | None:
     """Return the best design or the nearest miss; None if there is nothing to draw."""
     if result.best is None:
         return None
@@ -177,7 +176,7 @@ def _digits(value: float, count: int) -> str:
 
 
 def with_verdict(
-    machine: ProblemFile | None, design: PathDesign | FunctionResult | CycleResult | None, refuted: str = ""
+    machine: ProblemFile | None, design: LinkageDesign | CycleResult | None, refuted: str = ""
 ) -> tuple[ProblemFile, str] | None:
     """Return the machine of a design with its verdict; None if there is none."""
     if machine is None or design is None:
@@ -201,13 +200,13 @@ def objective(view: PathView) -> str:
     return f"{label} {design.objective:.4g}"
 
 
-def assembly(design: PathDesign) -> list[str]:
+def assembly(design: LinkageDesign) -> list[str]:
     """Return the assembly modes, one text for each joint."""
     first, *rest = words(design).split(", ")
     return [f"assembly {first}", *rest]
 
 
-def transmission(design: PathDesign) -> str:
+def transmission(design: LinkageDesign) -> str:
     """Format the worst transmission angle; empty if there is none."""
     least = design.least_transmission
     return f"least transmission angle {math.degrees(least):z.1f}°" if math.isfinite(least) else ""

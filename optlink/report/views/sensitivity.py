@@ -14,9 +14,6 @@ from optlink.report.style import LIMIT, MUTED, RESULT
 from optlink.report.view import View
 from optlink.report.views.study_tables import step
 from optlink.studies.sensitivity import Sensitivities
-from optlink.tasks.function import FunctionResult
-from optlink.tasks.results.cycle import CycleResult
-from optlink.tasks.results.path import PathResult
 from optlink.tasks.run import validate
 
 MAX_BARS, MIN_BAR = 14, 1e-3  # largest number of bars, and smallest bar as a share of the largest
@@ -77,8 +74,7 @@ def table(result: Sensitivities) -> Mapping[str, list[float | str]]:
 def page(result: Sensitivities) -> ReportModel:
     """Return the page of the optimum, with its sensitivities."""
     problem, solution = result.problem, result.solution
-    outcome = validate(problem, {name: solution.design[name] for name in problem.model.free})
-    assert isinstance(outcome, FunctionResult | PathResult | CycleResult)
+    outcome: Any = validate(problem, {name: solution.design[name] for name in problem.model.free})
     found = replace(outcome.with_best(status=Status.OPTIMAL, solution=solution), seconds={})
     return replace(report_model_of(found), effects=result)
 

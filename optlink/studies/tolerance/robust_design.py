@@ -7,7 +7,7 @@ nominal optimum is found as well.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from optlink.errors import InputError
 from optlink.problem.document import Number, Source
@@ -15,8 +15,9 @@ from optlink.problem.file import ProblemFile
 from optlink.problem.robust import MAX_SIGMAS, WORST
 from optlink.problem.tolerances import NORMAL
 from optlink.studies.tolerance.options import read_tolerances
-from optlink.tasks.function import FunctionResult, solve, validate
+from optlink.tasks.function import solve, validate
 from optlink.tasks.protocol import completed
+from optlink.tasks.results.design import SynthesisResult
 from optlink.tasks.run import solve as solve_nominal
 
 YIELD = "yield"
@@ -43,7 +44,7 @@ class RobustDesign:
         "failed_checks?": lambda robust: robust.result.validation.failed or None,
     }
 
-    result: FunctionResult
+    result: SynthesisResult
     nominal: dict[str, Number]
     sigmas: float | None
     before: float
@@ -104,13 +105,12 @@ class RobustSearch:
     def __init__(self, problem: ProblemFile, tolerances: Sequence[str], shape: str) -> None:
         check_law(problem)
         entries = {name: tolerance.raw for name, tolerance in read_tolerances(problem, tolerances, shape).items()}
-        first = completed(solve_nominal(problem.override({"requirement.robust": None})))
-        assert isinstance(first, FunctionResult)
+        first: Any = completed(solve_nominal(problem.override({"requirement.robust": None})))
         if not first.valid:
             raise InputError("no valid design was found to start from", "See `optlink solve`", problem.file)
         self.nominal = first.design
         try:
-            self.problem = first.problem.override({"requirement.measure": "max", "tolerances": entries})
+            self.problem = first.definite.override({"requirement.measure": "max", "tolerances": entries})
         except InputError as error:
             if not tolerances:
                 raise

@@ -109,7 +109,7 @@ def _stationary(solution: Solution) -> Check:
 class DesignResult(Protocol):
     """What every kind of design problem has in its result, whatever else its class adds.
 
-    A type checker knows these members of what `solve` and `validate` return; `assert isinstance(result, optlink.PathResult)`
+    A type checker knows these members of what `solve` and `validate` return; `assert isinstance(result, optlink.SynthesisResult)`
     tells it the kind of the problem, and with it the others.
     """
 
@@ -330,6 +330,11 @@ class SingleResult(Document):
     @property
     def best(self) -> Self:
         """The result itself."""
+        return self
+
+    @property
+    def oriented(self) -> Self:
+        """The result itself: of several equally good designs it has one."""
         return self
 
     def with_best(self, **changes: Any) -> Self:

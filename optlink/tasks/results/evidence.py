@@ -30,7 +30,8 @@ class Evidence:
 
     `starts`: local searches that ended at an optimum; `optima`: distinct ones; `hits`: searches that reached the best one.
     `unseen`: estimated probability that the next start ends at an optimum not found before.
-    `missed`: estimated probability that a better optimum exists than the best one found.
+    `missed`: estimated probability that a better optimum exists than the best one found. `counts`: searches that reached each
+    optimum, the best one first.
     """
 
     starts: int
@@ -38,6 +39,7 @@ class Evidence:
     hits: int
     unseen: float
     missed: float
+    counts: tuple[int, ...] = ()
 
     @property
     def chance(self) -> str:
@@ -73,8 +75,8 @@ def evidence(counts: Sequence[int]) -> Evidence:
     n, w = sum(counts), len(counts)
     hits = counts[0] if w else 0
     if w == 0 or n <= w + 1:
-        return Evidence(n, w, hits, 1.0, 1.0)
+        return Evidence(n, w, hits, 1.0, 1.0, tuple(counts))
     once, twice = (sum(count == times for count in counts) for times in (1, 2))
     absent = once * (once - 1) / (2.0 * (twice + 1))
     unseen = max(once / n, w * (w + 1) / (n * (n - 1)))
-    return Evidence(n, w, hits, min(1.0, unseen), min(1.0, max(w / (n - 1), absent / (w + absent))))
+    return Evidence(n, w, hits, min(1.0, unseen), min(1.0, max(w / (n - 1), absent / (w + absent))), tuple(counts))

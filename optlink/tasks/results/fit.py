@@ -35,8 +35,7 @@ from optlink.tasks.results.remedies import (
     curve_distances,
     fixed_reasons,
     in_degrees,
-    law_mode_reasons,
-    path_mode_reasons,
+    mode_reasons,
     rms,
     start_reasons,
 )
@@ -44,7 +43,7 @@ from optlink.tasks.results.remedies import (
 if TYPE_CHECKING:
     from optlink.problem.file import ProblemFile
     from optlink.problem.machine.model import Problem
-    from optlink.validation.path import MeasuredDeviations
+    from optlink.validation.design import MeasuredDeviations
 
 EXACT, GOOD, FAIR = 1e-9, 0.01, 0.05  # largest relative errors of these grades; beyond, a fit is poor
 GOOD_ANGLE, FAIR_ANGLE = math.radians(45.0), math.radians(40.0)  # least transmission angles of these grades
@@ -191,7 +190,7 @@ def transmission_fit(
     return replace(fit, reasons=(*active_reasons(remaining), *fixed_reasons(quantities, values, solution, task)))
 
 
-def path_fit(
+def fit(
     problem: ProblemFile,
     values: Mapping[str, float],
     crank_angles: Array,
@@ -200,12 +199,11 @@ def path_fit(
     limits: Sequence[LimitState] = (),
     solution: Solution | None = None,
 ) -> Fit | None:
-    """Grade a path, motion or function design; return None for transmission (see `transmission_fit`) or a design without motion.
+    """Grade a design for points, poses or a law; return None for transmission (see `transmission_fit`) or without motion.
 
     `between` are the excursions [m] of the curve between the points. A given design has no `limits` and no `solution`.
     """
-    task = problem.model
-    assert isinstance(task, DesignProblem)
+    task = problem.spec
     targets, distances = task.data.columns, measured.distances
     if task.requirement.kind == "transmission" or not np.all(np.isfinite(distances)):
         return None
@@ -219,9 +217,13 @@ def path_fit(
             fits.append(_sized(measured.turned, _rotation(task), "rad", "the rotation of the poses"))
     else:
         outputs = task.prescribed_outputs(values)
+        law = task.law.source
+        relative = getattr(law, "from_start", False) or begins_at_psi0(law)
+        if task.tied and relative and task.law.offsets[0] != 0.0:
+            outputs = np.insert(outputs, 0, values[task.base_name])  # where the error is zero by definition
         travel = float(np.ptp(outputs if task.slides else np.unwrap(outputs)))
         fits = [_sized(distances, travel, task.unit, "the output range", links)]
-    worst = max(fits, key=lambda fit: fit.share)
+    worst = max(fits, key=lambda one: one.share)
     if between is not None and np.any(np.isfinite(between)):
         after = int(np.nanargmax(between))
         path = PathFit(worst.error, worst.size, worst.unit, worst.of, (), float(between[after]), after, len(targets))
@@ -238,7 +240,8 @@ def path_fit(
         *_crowded(task, crank_angles),
         *_timed(task, values, crank_angles, measured),
         *_placed(task, values, measured),
-        *path_mode_reasons(problem, values, crank_angles, rms(distances), "m" if task.pointed else str(task.unit)),
+        *(() if task.pointed else start_reasons(task, values, rms(distances))),
+        *mode_reasons(problem, values, crank_angles, rms(distances), "m" if task.pointed else str(task.unit)),
     ]
     reasons += [*active_reasons(limits), *fixed_reasons(_quantities(task), values, solution, task), *_kind(task, values)]
     return Fit(worst.error, worst.size, worst.unit, worst.of, tuple(reasons))
@@ -251,23 +254,6 @@ def _sized(errors: Array, size: float, unit: str, of: str, links: Sequence[float
     """
     whole, name = (1.0, "a radian") if unit == "rad" else (max(links, default=0.0), "the longest link")
     return Fit(rms(errors), *((whole, unit, name) if size <= NO_RANGE * whole else (size, unit, of)))
-
-
-def law_fit(problem: ProblemFile, values: Mapping[str, float], error: Array, solution: Solution | None = None) -> Fit | None:
-    """Grade a function design of a four-bar by its error (positions,) [rad]; return None if it has no position at some point."""
-    if not np.all(np.isfinite(error)):
-        return None
-    task, law = problem.spec, problem.spec.law
-    targets = law.curve(law.offsets, values["phi0"], values["psi0"])
-    relative = getattr(law.source, "from_start", False) or begins_at_psi0(law.source)
-    if task.tied and relative and law.offsets[0] != 0.0:  # the output moves from psi0, where the error is zero by definition
-        targets = np.insert(targets, 0, values["psi0"])
-    fit = _sized(error, float(np.ptp(np.unwrap(targets))), "rad", "the output range")
-    if fit.grade != "poor":
-        return fit
-    measured = (*start_reasons(task, values, fit.error), *law_mode_reasons(problem, values, fit.error))
-    limits = () if solution is None else solution.displayed_limits
-    return replace(fit, reasons=(*measured, *active_reasons(limits), *fixed_reasons(task.quantities, values, solution, task)))
 
 
 def _rotation(task: DesignProblem) -> float:
@@ -365,10 +351,12 @@ def active_reasons(limits: Sequence[LimitState]) -> Iterator[PoorFitReason]:
 
 
 def _quantities(task: DesignProblem) -> dict[str, Quantity]:
-    """Return the dimensions of a mechanism, including the default frame position of a four-bar."""
+    """Return the quantities of a law; of points the dimensions, including the default frame position of a four-bar."""
+    if not task.pointed:
+        return task.quantities
     nowhere = {f"A.{axis}": Quantity(0.0, "coordinate", "mm") for axis in "xy"} | {"direction": Quantity(0.0, "angle", "deg")}
     dimensions = task.mechanism.quantities
-    return dimensions if not (task.pointed and isinstance(task.mechanism, FourBarSection)) else nowhere | dimensions
+    return nowhere | dimensions if isinstance(task.mechanism, FourBarSection) else dimensions
 
 
 def _kind(task: DesignProblem, values: Mapping[str, float]) -> Iterator[PoorFitReason]:

@@ -13,7 +13,6 @@ import numpy as np
 from optlink.errors import InputError
 from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import TURN, Array
-from optlink.optimization.output_derivatives import error_at
 from optlink.problem.quantity import Quantity
 from optlink.problem.targets.function import Function
 from optlink.problem.targets.law import Table
@@ -30,7 +29,7 @@ STARTS = 72  # start angles of a law that are tried
 STEP = 1e-6  # scaled, of a fixed dimension
 POSITIONS = 721  # positions along a curve
 MOST_VARIANTS = 32  # combinations of assembly modes that are tried
-FREE_START = 'free the start: requirement.from = { bounds = ["0 deg", "360 deg"] }'
+FREE_START = '{ bounds = ["0 deg", "360 deg"] }'
 MAX_NAMED = 4  # fixed dimensions that are named
 NO_EFFECT = 1e-6  # relative change of the objective by one unit of a dimension that counts as none
 
@@ -46,55 +45,49 @@ class PoorFitReason:
 def start_reasons(task: DesignProblem, values: Mapping[str, float], error: float) -> Iterator[PoorFitReason]:
     """Yield the start of a law as a reason if it is the default, or if the same linkage is better from another crank angle.
 
-    `error` is the root mean square error of the design [rad].
+    `error` is the root mean square error of the design, in the unit of the output.
     """
-    requirement, law = task.requirement, task.requirement.law
+    requirement, law, quantity = task.requirement, task.requirement.law, task.quantities.get(task.start_name)
     own = isinstance(law, Function) or (isinstance(law, Table) and not law.from_start)
-    if own or (isinstance(requirement.start, Quantity) and requirement.start.free):
+    if own or (quantity is not None and quantity.free):
         return
-    start = task.dead_centre or in_degrees(requirement.start.value)
-    default = "start" not in requirement.model_fields_set
-    reason = f"the law starts at the {start}, the default of requirement.from" if default else f"the law starts at {start}"
+    start = task.dead_centre if quantity is None else in_degrees(quantity.value)
+    default, key = "start" not in requirement.model_fields_set, requirement.of(task).key
+    reason = f"the law starts at the {start}, the default of requirement.{key}" if default else f"the law starts at {start}"
     angles = np.linspace(0.0, TURN, STARTS, endpoint=False)
-    errors = np.sqrt(np.mean(_errors(task, values, angles) ** 2, axis=1))
+    errors = _errors(task, values, angles)
     best = int(np.argmin(np.where(np.isfinite(errors), errors, np.inf)))
     gain = math.isfinite(errors[best]) and errors[best] < BETTER * error
     if gain:
-        reason += f"; from {in_degrees(angles[best])} the same linkage has an rms error of {in_degrees(errors[best])}"
-        reason += f" instead of {in_degrees(error)}"
+        reason += f"; from {in_degrees(angles[best])} the same linkage has an rms error of {_shown(errors[best], task.unit)}"
+        reason += f" instead of {_shown(error, task.unit)}"
     if gain or default:
-        yield PoorFitReason(reason, FREE_START)
+        yield PoorFitReason(reason, f"free the start: requirement.{key} = {FREE_START}")
 
 
 def _errors(task: DesignProblem, values: Mapping[str, float], starts: Array) -> Array:
-    """Return the error (starts, positions) [rad] of a linkage whose law starts at each of these crank angles."""
-    offsets, sizes = task.law.offsets, task.sizes(values)
+    """Return the root mean square error (starts,) of a linkage whose law starts at each of these crank angles [rad].
 
-    def rocker(angles: Array) -> Array:
-        flat = sweep(task.linkage, sizes, angles.ravel()).body_angle("rocker").value
-        return np.asarray(flat, dtype=float).reshape(angles.shape)
-
-    begin = starts[:, None]
-    psi0 = rocker(begin) if task.tied else np.full_like(begin, values["psi0"])
-    targets = task.law.curve(offsets, begin, psi0)
-    return np.remainder(targets - rocker(begin + offsets) + math.pi, TURN) - math.pi
-
-
-def law_mode_reasons(problem: ProblemFile, values: Mapping[str, float], error: float) -> Iterator[PoorFitReason]:
-    """Yield the assembly mode of a four-bar as a reason if the same lengths follow the law better in the other mode.
-
-    `error` is the root mean square error of the design [rad].
+    The output at the start is the actual one where it is tied to it, and the best one where it is free.
     """
+    law, begin = task.law, starts[:, None]
 
-    def measured(variant: ProblemFile) -> float:
-        task = variant.spec
-        mirrored = task.design({name: values[name] for name in task.quantities})
-        return rms(error_at(task, mirrored, task.law.offsets))
+    def output(angles: Array) -> Array:
+        motion = sweep(task.linkage, values, angles.ravel())
+        actual = motion.slide(task.output).value if task.slides else motion.body_angle(task.output).value
+        return np.asarray(actual, dtype=float).reshape(angles.shape)
 
-    yield from _mode_reasons(problem, error, "rad", measured)
+    base = output(begin) if task.tied else np.full_like(begin, values.get(task.base_name, 0.0))
+    error = output(begin + law.offsets) - law.curve(law.offsets, begin, base)
+    free = task.base_name in task.free
+    if task.slides:
+        return np.asarray(np.std(error, axis=1) if free else np.sqrt(np.mean(error**2, axis=1)))
+    middle = np.angle(np.mean(np.exp(1j * error), axis=1, keepdims=True)) if free else 0.0
+    error = np.remainder(error - middle + math.pi, TURN) - math.pi
+    return np.asarray(np.sqrt(np.mean(error**2, axis=1)))
 
 
-def path_mode_reasons(
+def mode_reasons(
     problem: ProblemFile, values: Mapping[str, float], crank_angles: Array, error: float, unit: str
 ) -> Iterator[PoorFitReason]:
     """Yield the assembly modes of a linkage as a reason if the same sizes are better for a path or a law in other modes.
@@ -102,36 +95,29 @@ def path_mode_reasons(
     The crank angle at which the task begins and the output there follow where they are free. `error` is the root mean square
     error of the design, in `unit` (m or rad).
     """
-    from optlink.problem.design import DesignProblem
-    from optlink.problem.requirement import START
 
     def measured(variant: ProblemFile) -> float:
-        task = variant.model
-        assert isinstance(task, DesignProblem)
+        task = variant.spec
         if task.pointed and task.data.offsets is None:
             return rms(curve_distances(task, values, crank_angles))
-        begins = np.linspace(0.0, TURN, STARTS, endpoint=False) if START in task.free else [values.get(START, 0.0)]
-        errors = [_deviation(task, {**values, START: float(begin)}) for begin in begins]
-        return min(filter(math.isfinite, errors), default=math.inf)
+        full = task.design({name: values[name] for name in task.quantities})
+        any_start = task.start_name in task.free
+        begins = np.linspace(0.0, TURN, STARTS, endpoint=False) if any_start else np.array([full.get(task.start_name, 0.0)])
+        if not task.pointed:
+            errors = _errors(task, full, begins)
+        else:
+            errors = np.array([_distance(task, {**full, task.start_name: float(begin)}) for begin in begins])
+        return min(filter(math.isfinite, errors.tolist()), default=math.inf)
 
-    assert isinstance(problem.model, DesignProblem)
-    if problem.model.requirement.kind in ("path", "function"):  # of poses the body would have to be placed again
+    if problem.spec.requirement.kind in ("path", "function"):  # of poses the body would have to be placed again
         yield from _mode_reasons(problem, error, unit, measured)
 
 
-def _deviation(task: DesignProblem, values: Mapping[str, float]) -> float:
-    """Return the root mean square deviation of a design with prescribed crank angles, its output at the start the best one."""
-    from optlink.problem.requirement import ZERO
-    from optlink.validation.path import deviations
+def _distance(task: DesignProblem, values: Mapping[str, float]) -> float:
+    """Return the root mean square distance of a design from points with prescribed crank angles."""
+    from optlink.validation.design import deviations
 
-    measured = deviations(task, values, task.crank_angles(values, None))
-    if ZERO not in task.free:
-        return rms(measured.distances)
-    error = measured.generated[:, 0] - task.prescribed_outputs(values)
-    if task.slides:
-        return float(np.std(error))
-    middle = np.angle(np.mean(np.exp(1j * error)))
-    return rms(np.remainder(error - middle + math.pi, TURN) - math.pi)
+    return rms(deviations(task, values, task.crank_angles(values, None)).distances)
 
 
 def curve_distances(task: DesignProblem, values: Mapping[str, float], crank_angles: Array) -> Array:

@@ -1,4 +1,4 @@
-"""Result of path, motion, function or transmission synthesis: designs with their validation, as data and JSON."""
+"""Result of the synthesis of a linkage for any requirement: designs with their validation, as data and JSON."""
 
 from __future__ import annotations
 
@@ -6,9 +6,11 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from operator import attrgetter
 from typing import Any, ClassVar, Self
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from optlink.errors import InputError, Status
 from optlink.io import Summary, finite
@@ -18,33 +20,40 @@ from optlink.linkage.extrema import extremes
 from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import TURN, Array
+from optlink.optimization.output_derivatives import error_function
 from optlink.problem.design import DesignProblem
 from optlink.problem.document import Column, Document, Number, Source, adapter, entries
 from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import fixed_design, started
 from optlink.problem.mechanism import FourBarSection
-from optlink.problem.requirement import START
+from optlink.problem.targets.expression import Expression
 from optlink.solvers.solution import LimitState, Relaxation, Solution
+from optlink.synthesis.freudenstein import FirstStep
 from optlink.tasks.machine import turning_machine
 from optlink.tasks.results.certificate import Certificate, message
-from optlink.tasks.results.common import FOUND, ROUNDED, SEARCHED, RejectedDesign, of_solution, verified
+from optlink.tasks.results.common import FOUND, ROUNDED, SEARCHED, Optimum, RejectedDesign, of_solution, verified
 from optlink.tasks.results.conflict import refutation
 from optlink.tasks.results.evidence import INCOMPLETE, Evidence
-from optlink.tasks.results.fit import Fit, path_fit, transmission_fit
+from optlink.tasks.results.fit import Fit, fit, transmission_fit
 from optlink.tasks.results.strokes import stroke_document
 from optlink.units import DISPLAYED
 from optlink.validation.between import excursions
 from optlink.validation.check import Check, Validation
-from optlink.validation.path import MeasuredDeviations, deviations, transmission_angles
+from optlink.validation.design import MeasuredDeviations, deviations
+from optlink.validation.linkage_motion import transmission_angles
 
+ALONG = 2001  # positions along the span at which alternations are counted
 DISTINCT = 1e-2  # least relative difference of two distinct designs
 EQUALLY_GOOD = 1e-6  # relative difference of the errors of equally good designs
 NEARLY_TURNED = 1e-9  # difference [rad] of an angle from -180 deg that counts as rounding error
 LEVEL = 1e-9  # of the size: deviation that is shown as exact
+EXTREME_SHARE = 0.99  # fraction of the largest error that counts as an extreme value
+FINE = 721  # positions of a law at which its error is measured over the whole range
+WIDER = 1.0 + 5e-4  # ratio of the largest errors over the range and at the positions up to which the two are equal to four digits
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PathDesign(Summary):
+class LinkageDesign(Summary):
     """One design with its validation.
 
     `problem` has definite assembly modes; `values` are all quantities [m, rad], `crank_angles` (points,) [rad] those of
@@ -57,11 +66,12 @@ class PathDesign(Summary):
         "objective": "stated_objective",
         "fit": "fit",
         "least_transmission_deg": lambda design: math.degrees(design.least_transmission),
+        "strokes": "strokes",
         "points": "points",
         "limits": "displayed_limits",
         "validation": "validation.checks",
         "cognates": lambda design: [_cognate_document(cognate) for cognate in design.cognates],
-        **{f"{name}?": of_solution(name) for name in ("kkt", "violation", "iterations")},
+        **{f"{name}?": of_solution(name) for name in ("kkt", "violation", "curvature", "iterations")},
     }
 
     problem: ProblemFile
@@ -75,8 +85,7 @@ class PathDesign(Summary):
     @property
     def task(self) -> DesignProblem:
         """The model of the problem."""
-        assert isinstance(self.problem.model, DesignProblem)
-        return self.problem.model
+        return self.problem.spec
 
     @property
     def design(self) -> dict[str, float]:
@@ -86,7 +95,7 @@ class PathDesign(Summary):
     @property
     def displayed(self) -> dict[str, float]:
         """All quantities of the problem in display units, which end the keys."""
-        return self.task.displayed({name: self.values[name] for name in self.task.quantities})
+        return self.task.displayed(self.values)
 
     @property
     def valid(self) -> bool:
@@ -105,12 +114,69 @@ class PathDesign(Summary):
             quantities, limits = self.task.mechanism.quantities, self.displayed_limits
             return transmission_fit(self.least_transmission, quantities, self.values, limits, self.solution, self.task)
         measured, limits = self.measured, self.displayed_limits
-        return path_fit(self.problem, self.values, self.crank_angles, measured, self.between, limits, self.solution)
+        return fit(self.problem, self.values, self.crank_angles, measured, self.between, limits, self.solution)
 
     @cached_property
     def between(self) -> Array | None:
         """Excursion [m] of the traced curve between each point and the next; None for other tasks than paths."""
         return excursions(self.task, self.values, self.crank_angles)
+
+    @property
+    def follows_law(self) -> bool:
+        """Whether an output is prescribed as a function of the crank angle."""
+        return hasattr(self.task.requirement, "law")
+
+    def errors(self, offsets: ArrayLike | None = None) -> Array:
+        """Return prescribed minus generated output (n,) [rad or m] of a law at crank rotations from the start.
+
+        Parameters
+        ----------
+        offsets : array (n,) [rad], optional
+            Default: the design positions.
+        """
+        task, law = self.task, self.task.law
+        at = law.offsets if offsets is None else np.asarray(offsets, dtype=float)
+        begin, base = self.values[task.start_name], self.values.get(task.base_name, 0.0)
+        motion, output = sweep(task.linkage, self.values, begin + at), task.output
+        actual = motion.slide(output).value if task.slides else motion.body_angle(output).value
+        error = np.asarray(law.curve(at, begin, base) - np.asarray(actual, dtype=float), dtype=float)
+        return error if task.slides else np.remainder(error + np.pi, TURN) - np.pi
+
+    @cached_property
+    def largest_between(self) -> float | None:
+        """Largest error [rad or m] of an expression over its range, or excursion [m] of a curve between two points.
+
+        None without either, and if that of an expression is the same as at its positions to four digits.
+        """
+        if self.between is not None:
+            return float(np.nanmax(self.between, initial=0.0))
+        if not self.follows_law or not isinstance(self.task.requirement.law, Expression):
+            return None
+        whole = self.task.span * np.linspace(0.0, 1.0, FINE)
+        at_positions, over_range = (float(np.max(np.abs(self.errors(at)))) for at in (None, whole))
+        return over_range if math.isfinite(over_range) and over_range > at_positions * WIDER else None
+
+    @property
+    def alternations(self) -> int:
+        """Number of successive alternations of the error of a law (including tolerances) between its extreme values.
+
+        A minimax optimum of k design variables has k + 1 of them if no limit is active.
+        """
+        begin, end = self.task.law.offsets[[0, -1]]
+        error = error_function(self.task)(self.values, np.linspace(begin, end, ALONG))
+        peaks = error[np.abs(error) >= EXTREME_SHARE * np.max(np.abs(error))]
+        return 1 + int(np.sum(np.diff(np.sign(peaks)) != 0.0)) if len(peaks) else 0
+
+    @property
+    def tolerances(self) -> dict[str, float] | None:
+        """Tolerances [SI] of a robust design by the name of the dimension; None for others."""
+        return None if self.task.robust is None else {d.name: d.tolerance for d in self.task.deviations}
+
+    @property
+    def measure(self) -> str:
+        """Name of the measure of the deviations, including the effect of tolerances if considered."""
+        robust = self.task.robust
+        return self.task.measure if robust is None else str(robust.named(self.task.measure))
 
     @property
     def exact(self) -> bool:
@@ -136,14 +202,14 @@ class PathDesign(Summary):
         turned = value + math.pi <= NEARLY_TURNED and quantity.bounds[1] >= math.pi - NEARLY_TURNED
         return min(value + TURN, quantity.bounds[1]) if turned else value
 
-    def alike(self, other: PathDesign) -> bool:
+    def alike(self, other: LinkageDesign) -> bool:
         """Return whether two designs are practically the same."""
         if self.assembly != other.assembly:
             return False
         gaps = []
         for name, quantity in self.task.quantities.items():
             gap = abs(self.values[name] - other.values[name])
-            if quantity.kind == "angle" or name == START:
+            if quantity.kind == "angle":
                 gaps.append(abs(math.remainder(gap, TURN)))
             else:
                 gaps.append(gap / max(self.task.size, abs(self.values[name])))
@@ -153,6 +219,20 @@ class PathDesign(Summary):
     def crank_turns(self) -> bool:
         """Whether the crank turns fully."""
         return self.task.limits.crank != "span"
+
+    @property
+    def rotation(self) -> tuple[float, float]:
+        """Crank angle [rad] at which the requirement begins, and the rotation from there to its end, negative clockwise."""
+        if self.follows_law:
+            return self.values[self.task.start_name], self.task.span
+        begin, end = float(self.crank_angles[0]), float(self.crank_angles[-1])
+        return begin, end - begin
+
+    @property
+    def strokes(self) -> dict[str, Any]:
+        """Strokes of every output, as JSON; empty if the crank does not turn fully."""
+        machine = turning_machine(self.problem, self.values)
+        return {} if machine is None else stroke_document(machine, self.rotation[1])
 
     @cached_property
     def least_transmission(self) -> float:
@@ -184,9 +264,9 @@ class PathDesign(Summary):
     @property
     def coupler_linkage(self) -> CouplerLinkage | None:
         """The four-bar with its coupler point as plain numbers."""
-        if not isinstance(self.task.mechanism, FourBarSection) or self.task.point not in self.task.mechanism.points:
-            return None
         point, values = self.task.point, self.values
+        if not isinstance(self.task.mechanism, FourBarSection) or point not in self.task.mechanism.points:
+            return None
         x, y, direction = (values.get(name, 0.0) for name in ("A.x", "A.y", "direction"))
         sizes = {name: values[name] for name in LENGTHS}
         along, across = values[f"{point}.along"], values[f"{point}.across"]
@@ -194,8 +274,8 @@ class PathDesign(Summary):
 
     @property
     def machine(self) -> ProblemFile:
-        """The linkage as a problem with every size fixed, for `analyze`, `simulate` and pictures."""
-        return fixed_design(self.problem, self.values)
+        """The linkage as a problem with every size fixed; its crank starts and turns as the requirement needs."""
+        return started(fixed_design(self.problem, self.values), *self.rotation)
 
     @property
     def assembly(self) -> object:
@@ -234,7 +314,7 @@ class PathDesign(Summary):
 
     @property
     def stated_objective(self) -> dict[str, Any]:
-        """Objective [SI], and the deviations in the unit that ends the key."""
+        """Objective [SI], the deviations in the unit that ends the key, and what tolerances add."""
         measured, task = self.measured, self.task
         size, unit = DISPLAYED[task.unit]
         objective = {
@@ -244,11 +324,16 @@ class PathDesign(Summary):
             f"rms_{unit}".rstrip("_"): size * math.sqrt(float(np.mean(measured.distances**2))),
             f"largest_{unit}".rstrip("_"): size * float(np.max(measured.distances)),
         }
-        if self.between is not None:
-            objective["largest_between_mm"] = 1e3 * float(np.nanmax(self.between, initial=0.0))
+        if self.largest_between is not None:
+            objective[f"largest_between_{unit}"] = size * self.largest_between
         if measured.turned is not None:
             objective["largest_turned_deg"] = math.degrees(float(np.max(np.abs(measured.turned))))
-        return objective
+        further = {
+            "alternations": self.alternations if self.follows_law and task.measure == "max" else None,
+            "robust": getattr(self.task.robust, "text", None),
+            "tolerances_SI": self.tolerances,
+        }
+        return objective | {key: value for key, value in further.items() if value is not None}
 
     def to_dict(self) -> dict[str, Any]:
         """Return the design as a JSON document: SI, or the unit that ends the key."""
@@ -270,31 +355,43 @@ def _cognate_document(cognate: Cognate) -> dict[str, Any]:
     }
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class PathResult(Document):
-    """Result of path, motion or function synthesis: validated designs, best first; or the nearest invalid one and the reason."""
+def of_best(name: str) -> Source:
+    """Return the source of an entry of the best design, None without one."""
+    return lambda result: None if result.best is None else attrgetter(name)(result.best)
 
-    kind = "path"
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SynthesisResult(Document):
+    """Result of the synthesis of a linkage: validated designs, best first; or the nearest invalid one and the reason.
+
+    `evidence`: None without random starts. `first_step`: the best convex first design of a function. `optima`: the optima at
+    which the local searches of a law ended, best first.
+    """
+
+    kind = "design"
     shown: ClassVar[Mapping[str, Source]] = {
         **{key: source for key, source in SEARCHED.items() if key != "notes"},
         "starts_that_reached_the_best": "hits",
-        "design?": lambda result: result.best and result.best.displayed,
-        "strokes?": "strokes",
-        "assembly?": lambda result: result.best and result.best.assembly,
-        "fit": lambda result: result.best and result.best.fit,
+        **{f"{key}?": of_best(key) for key in ("assembly", "strokes", "fit")},
+        "design?": of_best("displayed"),
+        "objective?": of_best("stated_objective"),
+        "limits": lambda result: result.best.displayed_limits if result.best else (),
+        "validation": "validation.checks",
         "designs": "designs",
+        "first_step?": lambda result: result.first_step and vars(result.first_step) | {"gap": result.first_step.gap},
         **FOUND,
+        "optima?": lambda result: [result.shown_optimum(optimum) for optimum in result.optima] or None,
         "nearest_miss": lambda result: None if result.designs else result.nearest,
     }
 
     problem: ProblemFile
-    designs: tuple[PathDesign, ...]
-    nearest: PathDesign | None
+    designs: tuple[LinkageDesign, ...]
+    nearest: LinkageDesign | None
     backend: str
-    seed: int
-    starts: int
-    evidence: Evidence
     seconds: dict[str, float]
+    seed: int | None = None
+    starts: int = 0
+    evidence: Evidence | None = None
     interrupted: bool = False
     notes: tuple[str, ...] = field(default=())
     conflict: tuple[Relaxation, ...] = ()
@@ -302,6 +399,8 @@ class PathResult(Document):
     certificate: Certificate | None = None
     backends: dict[str, Solution] = field(default_factory=dict)
     rejected: RejectedDesign | None = None
+    optima: tuple[Optimum, ...] = ()
+    first_step: FirstStep | None = None
 
     @classmethod
     def _restored(cls, problem: ProblemFile, values: Mapping[str, Any]) -> Self:
@@ -313,7 +412,7 @@ class PathResult(Document):
     @property
     def hits(self) -> int:
         """Number of starts that reached the best design."""
-        return self.evidence.hits
+        return 0 if self.evidence is None else self.evidence.hits
 
     @property
     def incomplete(self) -> bool:
@@ -336,25 +435,47 @@ class PathResult(Document):
         return bool(self.designs)
 
     @property
-    def best(self) -> PathDesign | None:
+    def best(self) -> LinkageDesign | None:
         """The best validated design; else the nearest invalid one; None if no linkage reaches the points."""
         return self.designs[0] if self.designs else self.nearest
 
     @property
+    def exact(self) -> bool:
+        """Whether no design can be better, because the best one meets all targets."""
+        return any(design.exact for design in self.designs[:1])
+
+    @property
     def machine(self) -> ProblemFile | None:
-        """The best linkage with all dimensions fixed; its crank starts at the first point and turns to the last; or None."""
-        if self.best is None:
-            return None
-        begin, end = float(self.best.crank_angles[0]), float(self.best.crank_angles[-1])
-        return started(self.best.machine, begin, end - begin)
+        """The best linkage with all dimensions fixed; its crank starts and turns as the requirement needs; or None."""
+        return None if self.best is None else self.best.machine
 
     @property
     def strokes(self) -> dict[str, Any] | None:
         """Strokes of every output of the best design, as JSON; empty if the crank does not turn fully, None without a design."""
-        if self.best is None:
-            return None
-        machine, angles = turning_machine(self.best.problem, self.best.values), self.best.crank_angles
-        return {} if machine is None else stroke_document(machine, float(angles[-1] - angles[0]))
+        return None if self.best is None else self.best.strokes
+
+    @property
+    def fit(self) -> Fit | None:
+        """Error of the best design relative to the size of the task; None if there is none to measure."""
+        return None if self.best is None else self.best.fit
+
+    @property
+    def assembly(self) -> Any:
+        """Assembly modes of the best design, in the words of the problem file; None without a design."""
+        return None if self.best is None else self.best.assembly
+
+    def error(self, offsets: ArrayLike | None = None) -> Array:
+        """Return prescribed minus generated output of the best design of a law; see `LinkageDesign.errors`.
+
+        Raises
+        ------
+        InputError
+            If there is no design, or no law.
+        """
+        if self.best is None or not self.best.follows_law:
+            message = "only a design for a law has an error at any crank rotation"
+            raise InputError(message, "Use result.best.measured, the deviations from the targets", self.problem.file)
+        return self.best.errors(offsets)
 
     @property
     def definite(self) -> ProblemFile:
@@ -364,12 +485,17 @@ class PathResult(Document):
     @property
     def design(self) -> dict[str, float]:
         """Quantities of the best design [m, rad]; empty if there is none."""
-        return {} if self.best is None else dict(self.best.values)
+        return {} if self.best is None else self.best.values
 
     def displayed(self, design: Mapping[str, float]) -> dict[str, float]:
-        """Return the design variables [SI] of a solution in display units, which end the keys."""
-        model = self.problem.model
-        return model.displayed({name: design[name] for name in model.free})
+        """Return the quantities [SI] of a solution in display units, which end the keys."""
+        model = self.definite.model
+        return model.displayed(model.design({name: design[name] for name in model.free}))
+
+    def shown_optimum(self, optimum: Optimum) -> dict[str, Any]:
+        """Return an optimum as part of the document, its design in display units."""
+        parts = {key: value for key, value in vars(optimum).items() if value != ""}
+        return parts | {"design": self.definite.model.displayed(optimum.design)}
 
     @property
     def solution(self) -> Solution | None:
@@ -416,12 +542,40 @@ class PathResult(Document):
         return replace(self, designs=(chosen, *(design for design in self.designs if design is not equal[0])))
 
     def with_best(self, **changes: Any) -> Self:
-        """Return the result with other fields of its best valid design."""
-        return replace(self, designs=(replace(self.designs[0], **changes), *self.designs[1:])) if self.designs else self
+        """Return the result with other fields of its best design."""
+        if not self.designs:
+            return self if self.nearest is None else replace(self, nearest=replace(self.nearest, **changes))
+        return replace(self, designs=(replace(self.designs[0], **changes), *self.designs[1:]))
 
     def with_checks(self, checks: Sequence[Check]) -> Self:
         """Return the result with further checks of its designs, in order; designs that fail one are no longer valid."""
-        flagged = [replace(design, validation=design.validation.with_checks(checks)) for design in self.designs]
+        shown = self.designs or (() if self.nearest is None else (self.nearest,))
+        flagged = [replace(design, validation=design.validation.with_checks(checks)) for design in shown]
         good = tuple(design for design in flagged if design.valid)
         nearest = next((design for design in flagged if not design.valid), self.nearest)
         return replace(self, designs=good, nearest=None if good else nearest)
+
+
+def of_designs(
+    problem: ProblemFile,
+    designs: Sequence[LinkageDesign],
+    count: int,
+    backend: str = "none",
+    seconds: dict[str, float] | None = None,
+) -> SynthesisResult:
+    """Return the result of the best `count` distinct valid designs, or of the nearest one; of two alike the first is kept.
+
+    Without valid designs the nearest is the one that is feasible, then the one with the least objective.
+    """
+    distinct: list[LinkageDesign] = []
+    for design in sorted((one for one in designs if one.valid), key=lambda one: one.objective):
+        if not any(design.alike(other) for other in distinct):
+            distinct.append(design)
+    unusable = (Status.INFEASIBLE, Status.NON_FINITE)
+    order = sorted(designs, key=lambda one: (one.status in unusable, one.objective if math.isfinite(one.objective) else math.inf))
+    return SynthesisResult(problem, tuple(distinct[:count]), None if distinct else order[0], backend, seconds or {})
+
+
+FunctionResult = PathResult = SynthesisResult
+PathDesign = LinkageDesign
+"""Their names in earlier versions."""
