@@ -103,22 +103,33 @@ class SampledFunctions:
         return _extremes(self.values[rows], self.grid, self.edges, self._zero[rows], own, self.beyond, signs)
 
 
-def extremes_of_rows(function: Function, grid: Array) -> Array:
-    """Compute the least and the largest value (rows, 2) of every row of a function, each row refined at its own crank angles.
+def extremes_of_rows(
+    function: Function,
+    grid: Array,
+    samples: Array | None = None,
+    *,
+    periodic: bool = True,
+    signs: tuple[float, ...] = (1.0, -1.0),
+) -> Array:
+    """Compute the least and the largest value (rows, signs) of every row of a function, each refined at its own crank angles.
 
-    `function` maps crank angles (rows, n) to finite values; the rising grid is one period, fine as for `extremes`.
+    `function` maps crank angles (rows, n), or (1, n) for all rows, to values (rows, n), which may be NaN in places. The rising
+    grid is fine as for `extremes`, and one period if it is `periodic`. `samples`: the values (rows, n) on it, if they are known.
+    The extremes of a row do not depend on the other rows.
     """
-    grid = _continued(grid)
-    values = function(grid[None, :])
+    if periodic:
+        grid = _continued(grid)
+        samples = samples if samples is None else np.concatenate([samples[:, -2:-1], samples, samples[:, 1:2]], axis=1)
+    samples = function(grid[None, :]) if samples is None else samples
 
     def own(points: Array, which: Index) -> Array:
         slot = np.arange(len(which)) - np.searchsorted(which, which)  # among those of the same extremum
-        points_by_row = np.full((2 * len(values), int(np.max(slot, initial=0)) + 1, points.shape[1]), grid[0])
+        points_by_row = np.full((len(signs) * len(samples), int(np.max(slot, initial=0)) + 1, points.shape[1]), grid[0])
         points_by_row[which, slot] = points
-        values_at: Array = function(points_by_row.reshape(len(values), -1)).reshape(points_by_row.shape)[which, slot]
+        values_at: Array = function(points_by_row.reshape(len(samples), -1)).reshape(points_by_row.shape)[which, slot]
         return values_at
 
-    return _extremes(values, grid, np.zeros(0), np.zeros(len(values), dtype=bool), own, 1)[1]
+    return _extremes(samples, grid, np.zeros(0), np.zeros(len(samples), dtype=bool), own, int(periodic), signs)[1]
 
 
 def _continued(grid: Array) -> Array:

@@ -28,6 +28,11 @@ class InnerFourBar:
         return self.group.joint
 
     @property
+    def side(self) -> int:
+        """Assembly mode: +1 if the joint of coupler and rocker lies to the left of the line from `pin` to `ground_pin`."""
+        return self.group.side if self.group.outer == (self.pin, self.ground_pin) else -self.group.side
+
+    @property
     def plain(self) -> bool:
         """Whether its joints are the ends of its links, so that the link lengths are those of the four-bar."""
         ends = [{self.crank.start, self.pin}, {self.pin, self.joint}, {self.ground_pin, self.joint}]
@@ -54,6 +59,12 @@ class InnerFourBar:
         crank, coupler, rocker = (values[str(link.length)] for link in (self.crank, self.coupler, self.rocker))
         limit = dead_centre(crank, coupler, rocker, frame, side, outer)
         return DeadCentre(turn(limit.crank, axis), turn(limit.rocker, axis), limit.margin)
+
+
+def whole_four_bar(mechanism: Mechanism) -> InnerFourBar | None:
+    """Return the four-bar that a linkage is as a whole, however it is written; None if a joint is not at the end of its link."""
+    loop = next(inner_four_bars(mechanism), None) if len(mechanism.groups) == 1 else None
+    return loop if loop is not None and loop.plain else None
 
 
 def inner_four_bars(mechanism: Mechanism) -> Iterator[InnerFourBar]:
