@@ -144,7 +144,7 @@ class DesignProblem(MachineTerms):
         data: TargetArrays = self.requirement.data(self)
         return data
 
-    def crank_angles(self, values: Mapping[str, float], angles: Array | None) -> Array:
+    def crank_angles(self, values: Mapping[str, Value], angles: Array | None) -> Array:
         """Return the crank angle [rad] at each position; where the timing is free those of the design, `angles`."""
         offsets = self.data.offsets
         if offsets is None:

@@ -163,13 +163,14 @@ class ReoptimiseTask(OptimumTask):
         values = {v.name: v.origin + x[:, i] * v.size for i, v in enumerate(nlp.variables) if v.name not in nlp.helpers}
         if self.fast_override is not None:
             task = self.fast_override.model(self.grid.columns(points))
-            validations = validate_batch(task, task.complete(values), objective)
+            validations = validate_batch(task, task.complete(values), objective=objective)
             valid = validations.valid
             failed = {k: validations.of(k).failed for k in np.flatnonzero(~valid).tolist()}
         else:
             tasks = [self.model(point) for point in points.tolist()]
             designs = [task.design({name: entries[k] for name, entries in values.items()}) for k, task in enumerate(tasks)]
-            single = [validate(task, *entries) for task, *entries in zip(tasks, designs, objective.tolist(), strict=True)]
+            given = zip(tasks, designs, objective.tolist(), strict=True)
+            single = [validate(task, design, objective=value) for task, design, value in given]
             valid, failed = (
                 np.array([outcome.valid for outcome in single]),
                 {k: outcome.failed for k, outcome in enumerate(single)},
@@ -216,7 +217,7 @@ class ReoptimiseTask(OptimumTask):
             if anew.valid:
                 return anew
         design = task.design(solution.design)
-        validation = validate(task, design, solution.objective)
+        validation = validate(task, design, objective=solution.objective)
         failed = validation.failed
         valid = solution.status is Status.OPTIMAL and not failed
         if solution.status is Status.INFEASIBLE:

@@ -17,7 +17,7 @@ from optlink.studio.picture import Picture
 from optlink.synthesis.batch_search import Candidate, Searcher
 from optlink.tasks.path_search import DesignCollection, Polisher, path_model
 from optlink.tasks.results.path import PathDesign
-from optlink.validation.path import validate_path
+from optlink.validation import validate as validate_path
 
 MAX_CURVE_POINTS = 10_000  # points of a curve
 POINTS = 16  # target points along it

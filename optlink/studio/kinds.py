@@ -20,7 +20,7 @@ from optlink.problem.targets.function import Function
 from optlink.solvers.solution import Solution
 from optlink.studio.follow import CycleFollower, Follower, FunctionFollower, PathFollower
 from optlink.units import DISPLAYED
-from optlink.validation.path import deviations
+from optlink.validation.design import deviations
 
 CURVE_POSITIONS = 60  # positions of the error curve
 STRUCTURAL_LIMITS = ("crank", "transmission_over", *MARGINS)  # limits that change the structure of a programme

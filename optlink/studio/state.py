@@ -20,7 +20,8 @@ from optlink.report.style import scale
 from optlink.studio.design import Design
 from optlink.studio.kinds import kind_of
 from optlink.studio.picture import Picture
-from optlink.validation.path import deviations, transmission_angles
+from optlink.validation.design import deviations
+from optlink.validation.linkage_motion import transmission_angles
 
 AT_BOUND = 1e-6  # share of the range of a variable
 DIGITS = 6

@@ -225,7 +225,7 @@ class FunctionSearch:
         """Return a solution with its validation."""
         begin = time.perf_counter()
         design = self.problem.design(solution.design)
-        checked = with_optimality(validate_law(self.problem, design, solution.objective), solution)
+        checked = with_optimality(validate_law(self.problem, design, objective=solution.objective), solution)
         candidate = FunctionCandidate(solution, design, checked)
         self.validating += time.perf_counter() - begin
         return candidate

@@ -24,7 +24,7 @@ from optlink.tasks.results.default_margins import margin_notes
 from optlink.tasks.results.evidence import INCOMPLETE, evidence
 from optlink.tasks.results.path import PathDesign, PathResult
 from optlink.tasks.results.rotation import cannot_turn
-from optlink.validation.path import validate_path
+from optlink.validation import validate as validate_path
 
 MISSED_CHANCE = 0.02  # estimated chance that a better design was missed at which a search ends
 MIN_ROUNDS, MAX_ROUNDS = 3, 20

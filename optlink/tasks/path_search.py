@@ -35,7 +35,7 @@ from optlink.tasks.results.common import (
 )
 from optlink.tasks.results.evidence import Evidence, evidence, tally
 from optlink.tasks.results.path import PathDesign
-from optlink.validation.path import validate_path
+from optlink.validation import validate as validate_path
 
 TRIES = 6  # candidates refined in the first round per requested design, while too few are valid
 PER_ROUND = 10  # candidates refined in a later round

@@ -10,9 +10,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.design import DesignProblem
+from optlink.validation.linkage_motion import placed
 
 FEWEST = 3  # points: two have no curvature
 BETWEEN = 32  # positions between two points
@@ -34,7 +34,7 @@ def excursions(problem: DesignProblem, design: Mapping[str, float], crank_angles
     first, last = crank_angles[0], crank_angles[-1]
     angles = np.append(crank_angles, first + np.sign(last - first) * TURN) if around else crank_angles
     at = angles[:-1, None] + np.diff(angles)[:, None] * np.linspace(0.0, 1.0, BETWEEN + 2)
-    traced = sweep(problem.linkage, design, at.ravel()).position(problem.point).reshape(*at.shape, 2)
+    traced = placed(problem.linkage, design, at).position(problem.point)
     begin, chord = traced[:, :1], traced[:, -1:] - traced[:, :1]
     square = np.maximum(np.sum(chord**2, axis=-1, keepdims=True), 1e-300)
     along = np.clip(np.sum((traced - begin) * chord, axis=-1, keepdims=True) / square, 0.0, 1.0)

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from optlink.linkage.motion import Motion
 from optlink.linkage.vector2d import Array
 from optlink.problem.document import Number
 from optlink.problem.interval import Interval
@@ -151,13 +150,6 @@ def bound(name: str, quantity: Quantity, value: ArrayLike, size: ArrayLike) -> C
     return Checks(f"{name} within its bounds", inside, value * factor, limit, unit)
 
 
-def link_lengths(motion: Motion, size: ArrayLike) -> Checks:
-    """Check that all links of a design keep their lengths in motion; `size` [m] is the reference."""
-    links = [link for link in motion.mechanism.links if link.end]
-    measured = ((motion.distance(link.start, link.end), motion.pose.size(link.length)) for link in links)
-    return length_check(((np.min(lengths), np.max(lengths), nominal) for lengths, nominal in measured), size)
-
-
 def length_check(lengths: Iterable[tuple[ArrayLike, ArrayLike, ArrayLike]], size: ArrayLike) -> Checks:
     """Check the largest deviation of all link lengths; NaN if one of them is not finite.
 
@@ -222,14 +214,17 @@ def revolutions_check(crank: Array, target: Array, moved: Callable[[], Array]) -
     yield Checks(name, range_of_errors == 0.0, range_of_errors, "= 0", "rev", applies)
 
 
-def limit_checks(name: str, value: float, interval: Interval, tolerance: float, factor: float, unit: str) -> Iterator[Check]:
+def limit_checks(
+    name: str, value: ArrayLike, interval: Interval, tolerance: ArrayLike, factor: float, unit: str
+) -> Iterator[Checks]:
     """Yield one check per side of an interval [SI]; value and tolerance are in the unit, of which `factor` are an SI unit."""
+    value, tolerance = np.asarray(value, dtype=float), np.asarray(tolerance)
     if interval.low is not None:
         low = interval.low * factor
-        yield Check(f"{name}, least", bool(value >= low - tolerance), value, f">= {low:.6g}", unit)
+        yield Checks(f"{name}, least", value >= low - tolerance, value, f">= {low:.6g}", unit)
     if interval.high is not None:
         high = interval.high * factor
-        yield Check(f"{name}, largest", bool(value <= high + tolerance), value, f"<= {high:.6g}", unit)
+        yield Checks(f"{name}, largest", value <= high + tolerance, value, f"<= {high:.6g}", unit)
 
 
 def registered_checks(moved: Moved, limits: Limits, size: float, design: int = 0) -> Iterator[Check]:
@@ -243,7 +238,7 @@ def registered_checks(moved: Moved, limits: Limits, size: float, design: int = 0
         interval = replace(common, low=low, high=high)
         tolerance, factor, unit = tolerances.get(str(interval.kind), (RATIO_TOLERANCE, 1.0, ""))
         for name, value in term.measure(moved, interval):
-            yield from limit_checks(name, value * factor, interval, tolerance, factor, unit)
+            yield from (check.of() for check in limit_checks(name, value * factor, interval, tolerance, factor, unit))
 
 
 def transmission_checks(

@@ -12,7 +12,7 @@ from optlink.dynamics.loads import Steady
 from optlink.dynamics.machine import Acting, Machine, Moving, slider_names
 from optlink.dynamics.work import NODES, WEIGHTS, Work, gauss_points
 from optlink.linkage.extrema import distinct, extremes, maxima
-from optlink.linkage.motion import Motion, sweep
+from optlink.linkage.motion import sweep
 from optlink.linkage.stroke import Travel, reachable, travels
 from optlink.linkage.vector2d import TURN, Array, turn
 from optlink.problem.cycle.model import Bound, CycleProblem
@@ -22,8 +22,10 @@ from optlink.problem.limits import stroke_ratio
 from optlink.problem.mechanism import sizes_of
 from optlink.problem.quantity import Unusable
 from optlink.units import KINDS, factor
-from optlink.validation.check import POSITIONS, Check, Validation, bound, link_lengths, same_objective
-from optlink.validation.margins import alignment_checks
+from optlink.validation.check import POSITIONS, Check, Validation, bound, same_objective
+from optlink.validation.four_bar_motion import FourBarMotion
+from optlink.validation.linkage_motion import LinkageMotion, motion_of
+from optlink.validation.margins import alignment_check
 
 MEET = 1e-6  # relative violation permitted for a limit
 ROUNDING = 1e-6  # of the size of the signal, below which a mean or a work counts as zero
@@ -62,6 +64,18 @@ class Cycle:
     def positions(self) -> Array:
         """Evenly spaced crank angles [rad] of a cycle, with its end."""
         return np.linspace(0.0, self.cycle, POSITIONS * round(self.cycle / TURN) + 1)
+
+    @property
+    def longest(self) -> float:
+        """The largest length or coordinate [m]."""
+        return max(abs(value) for name, value in self.design.items() if self.problem.quantities[name].kind != "angle")
+
+    @cached_property
+    def revolution(self) -> FourBarMotion | LinkageMotion:
+        """The motion over a revolution."""
+        sizes = {name: np.array([[value]]) for name, value in self.design.items()}
+        angles = np.linspace(0.0, TURN, POSITIONS, endpoint=False)
+        return motion_of(self.mechanism, self.mechanism, sizes, angles, self.longest, closed=True)
 
     @cached_property
     def work(self) -> Work:
@@ -187,7 +201,7 @@ class Cycle:
     def size(self, term: Term) -> float:
         """Return a reference value of the signal of a term [SI] if the term itself may vanish; otherwise zero."""
         if term.quantity in ("end", "slide", "length"):
-            return max(abs(value) for name, value in self.design.items() if self.problem.quantities[name].kind != "angle")
+            return self.longest
         if not self.full or (term.how != "mean" and term.quantity != "work"):
             return 0.0
         driving = term if term.how == "mean" else Term(quantity="torque")
@@ -244,13 +258,12 @@ def validate_cycle(
 
 def _sizes(tested: Cycle) -> Iterator[Check]:
     """Check bounds of design variables, fixed quantities, and constant link lengths in motion."""
-    size = max(abs(value) for name, value in tested.design.items() if tested.problem.quantities[name].kind != "angle")
+    size = tested.longest
     within = {name: bound(name, quantity, tested.design[name], size).of() for name, quantity in tested.problem.quantities.items()}
     yield from (within[name] for name in tested.problem.free)
     changed = [check for name, check in within.items() if name not in tested.problem.free and not check.passed]
     yield from changed or [Check("all other dimensions as given", True, 0.0, "= 0", "")]
-    motion = sweep(tested.mechanism, tested.design, np.linspace(0.0, TURN, POSITIONS, endpoint=False))
-    yield link_lengths(motion, size).of()
+    yield tested.revolution.link_lengths(size).of()
 
 
 def _motion(tested: Cycle) -> Iterator[Check]:
@@ -259,12 +272,9 @@ def _motion(tested: Cycle) -> Iterator[Check]:
     if not tested.full:
         return
     yield Check("no singular position in the revolution", not tested.singular, float(len(tested.singular)), "= 0", "")
-    grid = np.linspace(0.0, TURN, POSITIONS + 1)
-
-    def placed(angles: Array) -> Motion:
-        return sweep(tested.mechanism, tested.design, angles)
-
-    yield from alignment_checks(placed, grid, tested.problem.limits, "the revolution")
+    groups = tested.mechanism.groups
+    for group, least in zip(groups, tested.revolution.least_squared_sines, strict=True):
+        yield alignment_check(group, len(groups) == 1, least, tested.problem.limits, "the revolution").of()
     record = MotionColumns(tested.machine.moving(tested.positions, tested.speed))
     good = not np.any(record.singular | record.jammed | record.undefined) and not tested.work.poles
     yield Check("finite forces over the revolution", bool(good), float(good), "= 1", "")

@@ -1,4 +1,4 @@
-"""Motion of many four-bars at once, measured between the positions of their joints.
+"""Motion of many four-bars at once, measured between the positions of their joints; it takes a third of a `LinkageMotion`.
 
 Designs are worked on in blocks that fit the processor's cache; every figure of a design is the same in any block.
 """
@@ -9,11 +9,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from optlink.linkage.extrema import POINTS, refined_minima
+from optlink.linkage.inner_four_bar import InnerFourBar
 from optlink.linkage.mechanism import Mechanism
-from optlink.linkage.vector2d import TURN, Array, Vector, cross, dot, minus
+from optlink.linkage.vector2d import TURN, Array, Value, Vector, cross, dot, minus
 from optlink.linkage.zeros import refined_roots
 from optlink.validation.check import Checks, length_check
 from optlink.validation.margins import included_cosine
@@ -22,11 +23,16 @@ Index = NDArray[np.intp]
 
 BLOCK = 40_000  # positions that are worked on at a time
 ROUNDS = 60  # of the refinement of a dead centre
+SPEEDUP = 1.5  # factor by which a step may exceed that at the speed of a joint: speeds change within a step
+ROUNDING = 1e-9  # of the size: a step that is no jump
 
 
 @dataclass(frozen=True)
 class _Joints:
-    """Vectors between the joints (designs, angles) [m]: A-B, B-C, D-C and B-D; `c`: the position of C."""
+    """Vectors between the joints (designs, angles) [m]: A-B, B-C, D-C and B-D; `c`: the position of C.
+
+    A and D are the pivots of crank and rocker, B and C the other ends of these links.
+    """
 
     arm: Vector
     coupler: Vector
@@ -64,33 +70,42 @@ class _Survey:
 
 
 class FourBarMotion:
-    """Motion of four-bars with the joints A, B, C, D over evenly spaced crank angles, (angles,) or (designs, angles) [rad].
+    """Motion of four-bars over evenly spaced crank angles, (angles,) or (designs, angles) [rad].
 
-    The sizes are arrays (designs, 1) [m]. `closed`: the angles are those of a revolution, the last one step before the first;
-    otherwise `span` [rad] is the crank rotation from the first to the last.
+    `loop`: the prescribed four-bar; `mechanism`: the one that is measured, with the same names of joints. The sizes are arrays
+    (designs, 1) [m]; `size` [m], a number or (designs,), is the reference of rounding. `closed`: the angles are those of a
+    revolution, the last one step before the first; otherwise `span` [rad], a number or (designs, 1), is the crank rotation from
+    the first to the last.
     """
 
     def __init__(
-        self, mechanism: Mechanism, sizes: Mapping[str, Array], angles: Array, *, closed: bool = False, span: float = TURN
+        self,
+        loop: InnerFourBar,
+        mechanism: Mechanism,
+        sizes: Mapping[str, Array],
+        angles: Array,
+        size: ArrayLike,
+        *,
+        closed: bool = False,
+        span: Value = TURN,
     ) -> None:
-        self.mechanism, self.sizes, self.angles, self.closed = mechanism, sizes, angles, closed
+        self.loop, self.mechanism, self.sizes, self.angles, self.closed = loop, mechanism, sizes, angles, closed
+        self.size = np.asarray(size, dtype=float)
         self.count, self.positions = len(next(iter(sizes.values()))), angles.shape[-1]
-        self.width = span / (self.positions - (not closed))
-        self.period = self.positions - (not closed) if closed or math.isclose(abs(span), TURN) else None
-
-    @property
-    def step(self) -> float:
-        """Magnitude of the step of the crank angle [rad]."""
-        return float(abs(self.width))
+        self.width = np.broadcast_to(np.ravel(span) / (self.positions - (not closed)), self.count)
+        whole = closed or (np.ndim(span) == 0 and math.isclose(abs(span), TURN))
+        self.period = self.positions - (not closed) if whole else None
 
     def _joints(self, angles: Array, designs: slice | Index) -> _Joints:
         sizes = {name: size[designs] for name, size in self.sizes.items()}
         shape = np.broadcast_shapes(angles.shape, next(iter(sizes.values())).shape)
         with np.errstate(all="ignore"):
             pose = self.mechanism.at(sizes, angles)
-            a, b, c, d = (pose.point(name) for name in "ABCD")
+            loop = self.loop
+            a, b, c, d = map(pose.point, (loop.crank.start, loop.pin, loop.joint, loop.ground_pin))
             vectors = (minus(b, a), minus(c, b), minus(c, d), minus(d, b), c)
-            return _Joints(*((np.broadcast_to(x, shape), np.broadcast_to(y, shape)) for x, y in vectors))
+        full = [x if np.shape(x) == shape else np.broadcast_to(x, shape) for vector in vectors for x in vector]
+        return _Joints(*zip(full[::2], full[1::2], strict=True))
 
     def _blocks(self) -> Iterator[tuple[slice, _Joints]]:
         size = max(1, BLOCK // self.positions)
@@ -141,27 +156,34 @@ class FourBarMotion:
             samples = values[row, np.minimum(best + around, count - 1)]
             if count < POINTS:
                 samples = np.full_like(samples, np.nan)
-        return angle, angle + around * self.width, values[row, best], samples
+        return angle, angle + around * self.width[part], values[row, best], samples
 
     # --- figures by design ---------------------------------------------------------------------------------------------------
 
-    def link_lengths(self, lengths: Mapping[str, Array], size: Array) -> Checks:
-        """Check that crank, coupler and rocker keep their lengths (designs,) [m] in motion; `size` [m] is the reference."""
-        survey = self.survey
-        named = zip(("crank", "coupler", "rocker"), survey.least, survey.largest, strict=True)
-        return length_check(((least, largest, lengths[name]) for name, least, largest in named), size)
+    def link_lengths(self, size: ArrayLike) -> Checks:
+        """Check that crank, coupler and rocker keep their lengths in motion; `size` [m] is the reference."""
+        links, survey = (self.loop.crank, self.loop.coupler, self.loop.rocker), self.survey
+        nominal = (self.sizes[str(link.length)][:, 0] for link in links)
+        return length_check(zip(survey.least, survey.largest, nominal, strict=True), size)
 
-    def least_height(self, side: int) -> Array:
-        """Return the least height of C on a side (+1: left) of the line B-D (designs,) [m]."""
+    @property
+    def least_height(self) -> Array:
+        """Least height of C on its side of the line B-D (designs,) [m]: negative on the other side, NaN if open."""
         least, largest = self.survey.heights
-        return np.asarray(least if side > 0 else -largest)
+        return np.asarray(least if self.loop.side > 0 else -largest)
+
+    @property
+    def largest_jump(self) -> Array:
+        """Longest step of C (designs,) as a multiple of 1.5 steps at its largest speed."""
+        survey = self.survey
+        return np.asarray(survey.longest / (SPEEDUP * survey.fastest * np.abs(self.width) + ROUNDING * self.size))
 
     @cached_property
     def _cosine_extremes(self) -> tuple[Array, Array]:
         """Crank angle [rad] and value (2, designs) of the least and of the largest cosine of the transmission angle."""
         survey, signs = self.survey, np.array([[1.0], [-1.0]])
         ends = np.sort(self.angles[..., [0, -1]], axis=-1) if self.period is None else np.array([-np.inf, np.inf])
-        low, high = (np.clip(survey.angle + way * self.step, ends[..., 0], ends[..., 1]).ravel() for way in (-1.0, 1.0))
+        low, high = (np.clip(survey.angle + way * np.abs(self.width), ends[..., 0], ends[..., 1]).ravel() for way in (-1.0, 1.0))
         coupler, rocker = survey.mean[1:, :, None]
 
         def own(points: Array, which: Index) -> Array:
@@ -177,18 +199,18 @@ class FourBarMotion:
         return angle.reshape(2, -1), signs * value.reshape(2, -1)
 
     @property
-    def least_squared_sine(self) -> Array:
-        """Least squared sine of the angle between coupler and rocker (designs,), negative or NaN where they do not meet."""
-        return np.asarray(np.min(1.0 - np.square(self._cosine_extremes[1]), axis=0))
+    def least_squared_sines(self) -> Array:
+        """Least squared sine of the angle between coupler and rocker (1, designs), negative or NaN where they do not meet."""
+        return np.asarray(np.min(1.0 - np.square(self._cosine_extremes[1]), axis=0, keepdims=True))
 
     @property
     def transmission_extremes(self) -> tuple[Array, Array]:
-        """Least and largest transmission angle (designs,) [rad], each between the directions of the links in its position."""
+        """Least and largest transmission angle (1, designs) [rad], each between the directions of the links in its position."""
         joints = self._joints(self._cosine_extremes[0].T, slice(None))
         with np.errstate(all="ignore"):
             sine, cosine = cross(joints.coupler, joints.rocker), dot(joints.coupler, joints.rocker)
         angle = np.where(np.isfinite(self.survey.mean[1])[:, None], np.abs(np.arctan2(sine, cosine)), np.nan)
-        return angle[:, 1], angle[:, 0]
+        return angle[None, :, 1], angle[None, :, 0]
 
     @cached_property
     def dead_centres(self) -> tuple[Array, Array, Index]:
@@ -204,6 +226,17 @@ class FourBarMotion:
         def own(angles: Array, brackets: Index) -> Array:
             return self._joints(angles[:, None], which[brackets]).rate[:, 0]
 
-        at = refined_roots(own, low, low + self.width, before, after, ROUNDS)
+        at = refined_roots(own, low, low + self.width[which], before, after, ROUNDS)
         x, y = self._joints(at[:, None], which).rocker
         return at % TURN, np.arctan2(y, x)[:, 0], which
+
+    def strokes(self, design: int, sense: float) -> tuple[float, float, float]:
+        """Return the swing angle of the rocker and the crank rotation of its forward and backward strokes [rad].
+
+        `sense`: sign of the rotation of the crank. The design has two dead centres.
+        """
+        phi, psi, which = self.dead_centres
+        (phi_a, phi_b), (psi_a, psi_b) = (values[which == design].tolist() for values in (phi, psi))
+        turned = math.copysign(1.0, sense) * (phi_b - phi_a) % TURN
+        rest, rise = TURN - turned, math.remainder(psi_b - psi_a, TURN)  # a rocker swings by less than half a turn
+        return abs(rise), *((turned, rest) if rise > 0.0 else (rest, turned))

@@ -4,20 +4,19 @@ The optimiser's formulas are not used: the angle between two links follows from 
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from optlink.linkage.dyad_types import RPR, RRR
-from optlink.linkage.extrema import maxima
 from optlink.linkage.fourbar import LENGTHS, classify
 from optlink.linkage.mechanism import Dyad
 from optlink.linkage.motion import Motion
 from optlink.linkage.vector2d import Array
 from optlink.problem.limits import Alignment, Limits
-from optlink.validation.check import Check, Checks, Text, text
+from optlink.validation.check import Checks, Text, text
 
 SHORT = 5e-3
 """Share by which a design may fall short of a least margin: solvers meet the cosine of 0.1 deg to 1e-8, which is 3e-3 of it."""
@@ -52,12 +51,12 @@ def included_cosine(one: ArrayLike, other: ArrayLike, square: Array) -> Array:
 
 
 def squared_sines(motion: Motion) -> Array:
-    """Return the squared sine of the angle of each group from alignment (groups, positions); negative or NaN if not closed."""
+    """Return the squared sine of the angle of each group from alignment (groups, ...); negative or NaN if not closed."""
     sines, crank = [], motion.mechanism.crank
     for group in motion.mechanism.groups:
         if isinstance(group, RRR):
-            p, q = (motion.position(name) for name in group.outer)
-            first, second = (_median(np.linalg.norm(motion.position(group.joint) - pin, axis=-1)) for pin in (p, q))
+            (p, q), c = (motion.position(name) for name in group.outer), motion.position(group.joint)
+            first, second = (_median(np.linalg.norm(c - pin, axis=-1)) for pin in (p, q))
             cosine = included_cosine(first, second, np.sum((q - p) ** 2, axis=-1))
             sines.append(1.0 - cosine * cosine)
         elif isinstance(group, RPR):  # the slide, relative to the crank length
@@ -66,13 +65,15 @@ def squared_sines(motion: Motion) -> Array:
             sines.append(motion.margin(group.joint) * apart / arm)
         else:
             sines.append(motion.margin(group.joint))
-    return np.array(sines).reshape(len(motion.mechanism.groups), len(motion.crank_angle))
+    return np.array(sines).reshape(len(motion.mechanism.groups), *motion.shape)
 
 
-def _median(values: Array) -> float:
-    """Return the median of the finite values, without numpy's masked arrays, which np.median loads; NaN if there is none."""
-    rising = np.sort(values[np.isfinite(values)])
-    return 0.5 * float(rising[(rising.size - 1) // 2] + rising[rising.size // 2]) if rising.size else math.nan
+def _median(values: Array) -> Array:
+    """Return the median (..., 1) of the finite ones of values (..., n), without numpy's masked arrays; NaN if there is none."""
+    rising = np.sort(np.where(np.isfinite(values), values, np.nan), axis=-1)
+    count = np.count_nonzero(np.isfinite(values), axis=-1, keepdims=True)
+    low, high = (np.take_along_axis(rising, np.maximum(place, 0), axis=-1) for place in ((count - 1) // 2, count // 2))
+    return np.asarray(0.5 * (low + high))
 
 
 def alignment_check(group: Dyad, single: bool, sine: ArrayLike, limits: Alignment, where: str) -> Checks:
@@ -84,16 +85,3 @@ def alignment_check(group: Dyad, single: bool, sine: ArrayLike, limits: Alignmen
     with np.errstate(invalid="ignore"):
         angle = np.degrees(np.arcsin(np.sqrt(np.minimum(sine, 1.0))))
     return at_least(f"{joint} off alignment over {where}", angle, math.degrees(limits.alignment.value), "deg")
-
-
-def alignment_checks(sweep: Callable[[Array], Motion], grid: Array, limits: Alignment, where: str) -> Iterator[Check]:
-    """Check that every group keeps its least angle from alignment over the motion `where`, of crank angles [rad] to a Motion.
-
-    The grid of crank angles rises; extremes are refined between its positions.
-    """
-    motion = sweep(grid)
-    groups, turns = motion.mechanism.groups, math.isclose(grid[-1] - grid[0], math.tau)
-    least = -maxima(lambda angles: -squared_sines(sweep(angles)), grid, periodic=turns)[1] if groups else ()
-    closed = np.all(np.isfinite(squared_sines(motion)), axis=1)
-    for group, value, whole in zip(groups, least, closed, strict=True):
-        yield alignment_check(group, len(groups) == 1, value if whole else math.nan, limits, where).of()

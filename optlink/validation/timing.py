@@ -9,10 +9,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.design import STEP, DesignProblem
-from optlink.problem.requirement import MARK
+from optlink.validation.design import point_deviations
+from optlink.validation.linkage_motion import placed
 
 GRID = 720  # crank angles of the coarse search
 REFINED_ANGLES = 25  # crank angles per point and round of the refinement
@@ -36,16 +36,9 @@ def passing(problem: DesignProblem, design: Mapping[str, float]) -> Array:
 
 def _squares(problem: DesignProblem, design: Mapping[str, float], angles: Array) -> Array:
     """Return the weighted squares of the deviations of every point (points, k) at crank angles (points, k) or (points,)."""
-    data, at = problem.data, np.atleast_2d(angles.T).T
-    motion = sweep(problem.linkage, design, at.ravel())
-    far = (FAR * problem.size) ** 2
-    places = motion.position(problem.point).reshape(*at.shape, 2)
-    square = np.sum((places - data.columns[:, None, :2]) ** 2, axis=-1)
-    if problem.requirement.kind == "motion":
-        turned = np.asarray(motion.body_angle(problem.body).value).reshape(at.shape) + design[MARK]
-        direction = np.arctan2(data.columns[:, 3], data.columns[:, 2])[:, None]
-        square = square + (problem.radian * (np.remainder(turned - direction + np.pi, TURN) - np.pi)) ** 2
-    return np.asarray(np.where(np.isfinite(square), square, far) * data.roots[:, None] ** 2)
+    data, motion = problem.data, placed(problem.linkage, design, np.atleast_2d(angles.T).T)
+    squares, far = point_deviations(problem, motion, design, data.columns[:, None])[-1], (FAR * problem.size) ** 2
+    return np.asarray(np.where(np.isfinite(squares), squares, far) * data.roots[:, None] ** 2)
 
 
 def _one_way(problem: DesignProblem, design: Mapping[str, float], way: float) -> tuple[Array, float]:

@@ -21,7 +21,7 @@ from optlink.optimization.box_models import box_problem
 from optlink.problem.design import DesignProblem
 from optlink.tasks.results.certificate import certificate_document, sides_of
 from optlink.tasks.results.certificate_numbers import numbers_of
-from optlink.validation.function import validate
+from optlink.validation import validate
 from tests.cli.test_cli import run
 from tests.oracles import ball, certificate_checker as checker
 from tests.oracles.ball import Ball, box_minimum, constant, floats, lower_bound, positive_definite, square_floats, tangent_bound

@@ -28,7 +28,7 @@ from optlink.report.views.path_charts import CloseUp
 from optlink.report.views.path_view import PathView
 from optlink.tasks.results.evidence import evidence
 from optlink.tasks.results.path import PathDesign, PathResult
-from optlink.validation.path import validate_path
+from optlink.validation import validate as validate_path
 from tests import synthesis_oracle as oracle
 from tests.tiers import mostly_slow
 

@@ -149,7 +149,12 @@ def test_a_wrong_row_of_a_batch_is_invalid(monkeypatch):
 
 def test_a_limit_of_the_validator_alone_is_found_in_the_batch(monkeypatch):
     seen = []
-    monkeypatch.setattr(reoptimise_task, "validate_batch", lambda *given: seen.append(given) or validate_batch(*given))
+
+    def recorded(task, designs, objective):
+        seen.append((task, designs, objective))
+        return validate_batch(task, designs, objective=objective)
+
+    monkeypatch.setattr(reoptimise_task, "validate_batch", recorded)
     assert sweep(optlink.load("crank-rocker"), ["mechanism.frame=490..510 mm:30"], workers=1).complete
     ((task_, designs, objectives),) = seen
     assert len(designs["coupler"]) == len(objectives) == 30

@@ -143,7 +143,7 @@ def test_points_are_single_optima_and_verified():
         assert single.valid
         assert error == pytest.approx(single.objective, rel=1e-6)
         design = {name: front.points[k].design[f"{name}_mm"] / 1e3 for name in ("coupler", "rocker")}
-        assert prove(single.problem.spec, single.problem.spec.design(design), error).valid
+        assert prove(single.problem.spec, single.problem.spec.design(design), objective=error).valid
 
 
 def test_angles_of_the_front_are_measured_in_motion():

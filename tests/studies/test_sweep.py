@@ -273,7 +273,9 @@ def test_a_row_that_the_validator_rejects_is_not_valid(monkeypatch):
     from optlink.studies import reoptimise_task
 
     stricter = problem(**{"limits.transmission_angle": ["45 deg", "120 deg"]}).spec
-    monkeypatch.setattr(reoptimise_task, "validate_batch", lambda spec, designs, objective: prove(stricter, designs, objective))
+    monkeypatch.setattr(
+        reoptimise_task, "validate_batch", lambda _, designs, objective: prove(stricter, designs, None, objective)
+    )
     result = sweep(problem(), ["mechanism.frame=500 mm, 510 mm"], workers=1)
     assert result.valid == 0
     assert set(result.columns["status"]) == {"optimal"}

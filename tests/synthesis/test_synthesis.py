@@ -20,7 +20,7 @@ from optlink.synthesis.batch import INSIDE, WEIGHT, Batch
 from optlink.synthesis.batch_search import PERFECT, Searcher
 from optlink.synthesis.levenberg_marquardt import minimise
 from optlink.synthesis.variable_projection import SimilarityFit
-from optlink.validation.path import deviations
+from optlink.validation.design import deviations
 from tests import synthesis_oracle as oracle
 from tests.stated import ANGLE, SLIDER_CRANK, SPOTS, STEPHENSON, document, four_bar_section, free, model
 from tests.tiers import mostly_slow

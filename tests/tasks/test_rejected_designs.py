@@ -26,8 +26,8 @@ REACHED = Check("the cover is not reached", False, 3.25, "<= 2", "mm")
 def failing(validate: Callable[..., Validation], added: Check, below: float) -> Callable[..., Validation]:
     """The validation, which fails one more check below an objective."""
 
-    def judged(*arguments: Any) -> Validation:
-        checked = validate(*arguments)
+    def judged(*arguments: Any, **more: Any) -> Validation:
+        checked = validate(*arguments, **more)
         return replace(checked, checks=(*checked.checks, added)) if checked.objective < below else checked
 
     return judged
@@ -92,8 +92,8 @@ def test_a_design_that_fails_by_an_inexact_figure_is_measured_again(monkeypatch:
     file, measured = function(), list[float]()
     validate = function_search.validate_law
 
-    def inexact(*arguments: Any) -> Validation:
-        checked = validate(*arguments)
+    def inexact(*arguments: Any, **more: Any) -> Validation:
+        checked = validate(*arguments, **more)
         if checked.objective < 0.004:
             measured.append(checked.objective)
             if len(measured) == 1:

@@ -16,7 +16,7 @@ from optlink.optimization.programme import build
 from optlink.problem.design import DesignProblem
 from optlink.studies.parameters import parameters
 from optlink.tasks.path import solve, validate
-from optlink.validation.path import transmission_angles
+from optlink.validation.linkage_motion import transmission_angles
 from tests.tasks.test_motion_laws import LINKS
 
 TURN = 2.0 * math.pi

@@ -56,14 +56,14 @@ def test_a_batch_validates_each_design_as_a_single_one(rule):
     claimed = np.array([validate(rule, design).objective for design in designs]) * np.tile(
         [1.0, 1.0, 1.0 + 2e-6], len(designs) // 3
     )
-    batch = validate_batch(rule, columns(designs), claimed)
-    single = [validate(rule, design, objective) for design, objective in zip(designs, claimed, strict=True)]
+    batch = validate_batch(rule, columns(designs), objective=claimed)
+    single = [validate(rule, design, objective=objective) for design, objective in zip(designs, claimed, strict=True)]
     for k, one in enumerate(single):
         assert_same(batch.of(k), one)
         assert batch.valid[k] == one.valid
     if rule is SHIPPED:
         assert 20 < np.count_nonzero(batch.valid) < COUNT - 20
-        part = validate_batch(rule, columns(designs[7:40]), claimed[7:40])
+        part = validate_batch(rule, columns(designs[7:40]), objective=claimed[7:40])
         for k in range(33):
             assert_same(part.of(k), single[7 + k])
 
@@ -74,7 +74,7 @@ def test_a_planted_defect_is_detected_among_valid_designs(name):
     right = validate(defect.rule, defect.design)
     designs = [defect.design] * 5
     objectives = np.full(5, right.objective if defect.objective is None else defect.objective)
-    batch = validate_batch(defect.rule, columns(designs), None if defect.objective is None else objectives)
+    batch = validate_batch(defect.rule, columns(designs), objective=None if defect.objective is None else objectives)
     assert defect.must <= failed(batch.of(3)) <= defect.must | defect.may
     assert not np.any(batch.valid)
 
@@ -86,7 +86,7 @@ def test_one_wrong_design_does_not_disturb_its_neighbours():
     designs["psi0"][30] = math.nan
     objectives = np.full(64, claimed)
     objectives[45] *= 1.0 + 1e-5
-    batch = validate_batch(SHIPPED, designs, objectives)
+    batch = validate_batch(SHIPPED, designs, objective=objectives)
     assert np.flatnonzero(~batch.valid).tolist() == [17, 30, 45]
     assert "largest" in failed(batch.of(17))
     assert failed(batch.of(30)) == {"psi0", "finite", "objective"}

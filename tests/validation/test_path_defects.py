@@ -12,7 +12,7 @@ import pytest
 from optlink.errors import InputError
 from optlink.linkage.fourbar import LENGTHS
 from optlink.problem.design import DesignProblem
-from optlink.validation.path import deviations, validate_path
+from optlink.validation.design import deviations, validate as validate_path
 from optlink.validation.timing import passing
 from tests import synthesis_oracle as oracle
 from tests.stated import document, four_bar_section, model

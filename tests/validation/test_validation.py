@@ -124,7 +124,7 @@ def test_the_limit_of_alignment_is_that_of_the_file_or_one_degree(least, limits)
 
 
 def test_the_optimum_is_valid():
-    proof = validate(SHIPPED, BEST, 0.00759237360)
+    proof = validate(SHIPPED, BEST, objective=0.00759237360)
     assert proof.valid
     assert failed(proof) == set()
     assert proof.objective == pytest.approx(0.00759237360, abs=1e-10)
@@ -133,7 +133,7 @@ def test_the_optimum_is_valid():
 
 def test_the_printed_design_is_not():
     """Chinese textbook case: the printed coupler of 412.26 mm violates the source's own limit of 135 deg."""
-    proof = validate(SHIPPED, SHIPPED.design(PRINTED), 0.0075491)
+    proof = validate(SHIPPED, SHIPPED.design(PRINTED), objective=0.0075491)
     assert not proof.valid
     assert failed(proof) <= {"largest", "objective"}
     assert failed(validate(SHIPPED, SHIPPED.design(PRINTED))) == {"largest"}
@@ -142,7 +142,7 @@ def test_the_printed_design_is_not():
 
 
 def test_every_check_has_a_kind_a_limit_and_a_finite_value():
-    proof = validate(SHIPPED, BEST, 0.00759237360)
+    proof = validate(SHIPPED, BEST, objective=0.00759237360)
     kinds = [kind(check.name) for check in proof.checks]
     assert kinds.count("bounds") == 4
     where_asked = {"dead centres", "swing", "time ratio", "frame length", "link ratio", "apart"}
@@ -200,7 +200,7 @@ def test_valid_designs_pass(name):
     result = validate(rule, design)
     assert failed(result) == set()
     assert result.objective > 0.0
-    assert failed(validate(rule, design, result.objective)) == set()
+    assert failed(validate(rule, design, objective=result.objective)) == set()
 
 
 def own_angle(design: Mapping[str, float], phi: float, side: int) -> float:
@@ -456,7 +456,7 @@ def span_extremes(rule: DesignProblem, design: Mapping[str, float]) -> tuple[flo
 @pytest.mark.parametrize("name", list(defects()))
 def test_planted_defect_fails_its_check_and_no_other(name):
     case = defects()[name]
-    proof = validate(case.rule, case.design, case.objective, case.mechanism)
+    proof = validate(case.rule, case.design, None, case.objective, case.mechanism)
     computed = failed(proof)
     assert not proof.valid
     assert computed >= case.must
@@ -477,14 +477,14 @@ def test_most_defects_fail_one_check_alone():
 def test_without_the_defect_the_same_design_passes(name):
     case = defects()[name]
     honest = validate(case.rule, case.design).objective
-    assert failed(validate(case.rule, case.design, honest, case.rule.linkage)) == set()
+    assert failed(validate(case.rule, case.design, None, honest, case.rule.linkage)) == set()
 
 
 @pytest.mark.parametrize("values", [(0.1, 0.3, 0.1, 0.3), (0.1, 0.3, 0.2, 0.4), (0.2, 0.2, 0.3, 0.3), (0.3, 0.1, 0.1, 0.3)])
 def test_change_point_with_every_limit_fails_without_a_warning(values):
     """Where two modes meet the rocker has no velocity; the validator says so instead of breaking down."""
     rule = problem(lengths(*values), None, {"swing_angle": ["1 deg", "170 deg"], "time_ratio": [1.0, 2.0]})
-    proof = validate(rule, rule.design({}), 1.0)
+    proof = validate(rule, rule.design({}), objective=1.0)
     assert not proof.valid
     assert failed(proof) >= {"grashof", "largest"}
 
@@ -493,7 +493,7 @@ def test_design_without_a_start_fails_and_is_no_crash():
     """phi0 and psi0 are NaN where the dead centre does not exist."""
     design = SHIPPED.design({"coupler": 0.2, "rocker": 0.15})
     assert math.isnan(design["phi0"])
-    proof = validate(SHIPPED, design, 0.1)
+    proof = validate(SHIPPED, design, objective=0.1)
     assert failed(proof) >= {"grashof", "assembled", "at rest", "in line", "psi0", "finite", "objective"}
     assert math.isnan(proof.objective)
 

@@ -28,7 +28,7 @@ from optlink.report.views.certificate_view import certificate_charts
 from optlink.report.views.path_view import with_verdict
 from optlink.solvers.contract import selectable
 from optlink.tasks.function import FunctionResult
-from optlink.validation.path import transmission_angles
+from optlink.validation.linkage_motion import transmission_angles
 
 
 def _moved(result: FunctionResult, angles: Array) -> Motion:

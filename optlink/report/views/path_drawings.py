@@ -26,7 +26,8 @@ from optlink.report.views.path_charts import MAX_NUMBERED, points_on
 from optlink.report.views.path_tables import cognate_sources
 from optlink.report.views.path_view import PathView, assembly, figures, objective, title_of, transmission, wrapped
 from optlink.tasks.results.path import PathResult
-from optlink.validation.path import deviations, transmission_angles
+from optlink.validation.design import deviations
+from optlink.validation.linkage_motion import transmission_angles
 
 MAX_HEIGHT, LABEL_WIDTH = 4.3, 0.75  # largest height of a panel and width of its axis labels [inch]
 MAX_POSES = 8  # largest number of poses in which the body is drawn

@@ -44,7 +44,7 @@ from optlink.tasks.results.remedies import (
 if TYPE_CHECKING:
     from optlink.problem.file import ProblemFile
     from optlink.problem.machine.model import Problem
-    from optlink.validation.path import MeasuredDeviations
+    from optlink.validation.design import MeasuredDeviations
 
 EXACT, GOOD, FAIR = 1e-9, 0.01, 0.05  # largest relative errors of these grades; beyond, a fit is poor
 GOOD_ANGLE, FAIR_ANGLE = math.radians(45.0), math.radians(40.0)  # least transmission angles of these grades

@@ -35,7 +35,8 @@ from optlink.tasks.results.strokes import stroke_document
 from optlink.units import DISPLAYED
 from optlink.validation.between import excursions
 from optlink.validation.check import Check, Validation
-from optlink.validation.path import MeasuredDeviations, deviations, transmission_angles
+from optlink.validation.design import MeasuredDeviations, deviations
+from optlink.validation.linkage_motion import transmission_angles
 
 DISTINCT = 1e-2  # least relative difference of two distinct designs
 EQUALLY_GOOD = 1e-6  # relative difference of the errors of equally good designs

@@ -122,7 +122,7 @@ def path_mode_reasons(
 def _deviation(task: DesignProblem, values: Mapping[str, float]) -> float:
     """Return the root mean square deviation of a design with prescribed crank angles, its output at the start the best one."""
     from optlink.problem.requirement import ZERO
-    from optlink.validation.path import deviations
+    from optlink.validation.design import deviations
 
     measured = deviations(task, values, task.crank_angles(values, None))
     if ZERO not in task.free:

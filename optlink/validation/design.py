@@ -1,0 +1,557 @@
+"""Validate designs by a sweep of the mechanism itself, independent of the optimiser's formulas.
+
+Link lengths are measured between joint positions, transmission angles between two unit vectors, dead centres at sign changes of
+the rocker velocity, the crank condition by closing every loop at every crank angle. The optimiser's terms and solvers are not
+imported. Many designs are validated at once, each by the same operations as one: arrays have a leading axis of designs.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from optlink.linkage.dyad_types import RRR, transmitting
+from optlink.linkage.extrema import extremes_of_rows
+from optlink.linkage.fourbar import LENGTHS
+from optlink.linkage.inner_four_bar import inner_four_bars
+from optlink.linkage.mechanism import FRAME, Mechanism
+from optlink.linkage.motion import Motion, sweep
+from optlink.linkage.vector2d import TURN, Array, Value
+from optlink.problem.design import STEP, DesignProblem
+from optlink.problem.limits import limits_in_file
+from optlink.problem.requirement import DEAD_CENTRES, MARK
+from optlink.problem.robust import EXPECTED, WORST
+from optlink.problem.targets.law import Table
+from optlink.units import DISPLAYED
+from optlink.validation.check import (
+    MEASURED_ROBUST,
+    POSITIONS,
+    Checks,
+    Validation,
+    Validations,
+    bound,
+    finely,
+    joined,
+    limit_checks,
+    registered_checks,
+    revolutions_check,
+    same_objective,
+    text,
+    transmission_checks,
+)
+from optlink.validation.four_bar_motion import FourBarMotion
+from optlink.validation.linkage_motion import LinkageMotion, motion_of, placed, rows_of, transmission_angles
+from optlink.validation.margins import alignment_check, at_least, grashof_check
+
+ROUNDING = {"rad": 1e-12, "m": 1e-11, "": 1e-11}
+"""Absolute agreement required of nearly zero deviations, by their SI unit: lengths as a share of the size of the curve."""
+BASE = math.radians(1e-7)  # or share of the size; tolerance of an output at the start that is the actual one
+PIVOT = 1e-8  # of the size; tolerance of the places of pivots
+DIFFERENCE = 1e-5  # of the reference length; step of central differences by dimensions
+
+
+def validate(
+    problem: DesignProblem,
+    design: Mapping[str, float],
+    angles: ArrayLike | None = None,
+    objective: float | None = None,
+    mechanism: Mechanism | None = None,
+) -> Validation:
+    """Validate a design, or show where it fails.
+
+    Parameters
+    ----------
+    problem : DesignProblem
+        With definite assembly modes.
+    design : mapping of name to float [m, rad]
+        All quantities; of the dimensions those of the file are the defaults.
+    angles : array (positions,) [rad], optional
+        Crank angles at the positions. Default: those that the problem prescribes; needed if it does not.
+    objective : float [SI], optional
+        That of the optimiser, compared with the measured one.
+    mechanism : Mechanism, optional
+        Tested instead of the linkage of the problem; its bodies and joints must have the same names.
+    """
+    return validate_batch(problem, design, angles, objective, mechanism).of()
+
+
+def validate_batch(
+    problem: DesignProblem,
+    designs: Mapping[str, ArrayLike],
+    angles: ArrayLike | None = None,
+    objective: ArrayLike | None = None,
+    mechanism: Mechanism | None = None,
+) -> Validations:
+    """Validate many designs at once, each as `validate`; the result for a design does not depend on the others.
+
+    All numbers are arrays (designs,), those of the quantities and limits of the problem may be; `angles` are
+    (designs, positions).
+    """
+    tested = _Tested(problem, designs, angles, mechanism)
+    measured = tested.targets.measured.objective
+    groups = (_sizes, _crank, _circuit, _timing)
+    checks = [check for group in groups for check in group(tested)]
+    checks += tested.targets.checks()
+    checks += [check for group in (_transmission, _registered, _pivots) for check in group(tested)]
+    if objective is not None:
+        rounding, squared = ROUNDING[problem.unit] * problem.whole, problem.measure == "sum of squares"
+        agrees = same_objective(measured, objective, 1e-300, rounding, squared=squared)
+        checks.append(agrees if problem.robust is None else replace(agrees, name=MEASURED_ROBUST))
+    return Validations(tuple(checks), measured)
+
+
+@dataclass(frozen=True)
+class MeasuredDeviations:
+    """Measured deviations at the positions, and the objective [SI], of one design.
+
+    `generated` (positions, 2) [m]: points; of a law (positions, 1): its output [m or rad]; of the transmission (positions,
+    joints): angles [rad]. `distances` (positions,): from the points [m], of the output [m or rad], largest absolute cosine of the
+    transmission angles. `turned`: angle errors [rad] of poses. For many designs all have a leading axis.
+    """
+
+    generated: Array
+    distances: Array
+    turned: Array | None
+    objective: Array
+
+
+def deviations(problem: DesignProblem, design: Mapping[str, float], angles: ArrayLike) -> MeasuredDeviations:
+    """Move the mechanism to the crank angles [rad] and measure its deviations from the targets, weighted as in the problem.
+
+    The problem has definite assembly modes; the design [m, rad] has all quantities.
+    """
+    measured = _Tested(problem, design, angles).targets.measured
+    turned = None if measured.turned is None else measured.turned[0]
+    return MeasuredDeviations(measured.generated[0], measured.distances[0], turned, measured.objective[0])
+
+
+class _Tested:
+    """Designs in motion: the sweeps shared by the checks."""
+
+    def __init__(
+        self,
+        problem: DesignProblem,
+        designs: Mapping[str, ArrayLike],
+        angles: ArrayLike | None,
+        mechanism: Mechanism | None = None,
+    ) -> None:
+        self.problem, self.mechanism, self.given = problem, mechanism or problem.linkage, angles is not None
+        columns = np.broadcast_arrays(*(np.atleast_1d(value) for value in designs.values()))
+        self.count = len(columns[0])
+        self.design = {name: np.asarray(column, dtype=float) for name, column in zip(designs, columns, strict=True)}
+        self.values = {name: column[:, None] for name, column in self.design.items()}
+        quantities = problem.mechanism.quantities
+        self.sizes = {name: self._column(self.design.get(name, quantity.value)) for name, quantity in quantities.items()}
+        angles = problem.crank_angles(self.values, None) if angles is None else angles
+        self.angles = np.array(np.broadcast_to(np.asarray(angles, dtype=float), (self.count, np.shape(angles)[-1])))
+        self.size = self.design["frame"] if problem.unit != "m" and "frame" in self.design else problem.size
+        self.targets = TARGETS[problem.requirement.kind](self)
+
+    def _column(self, value: ArrayLike) -> Array:
+        return np.array(np.broadcast_to(np.asarray(value, dtype=float), self.count))[:, None]
+
+    @cached_property
+    def revolution(self) -> FourBarMotion | LinkageMotion:
+        """The motion over a revolution."""
+        return self._motion(np.linspace(0.0, TURN, POSITIONS, endpoint=False), closed=True)
+
+    @cached_property
+    def span(self) -> FourBarMotion | LinkageMotion:
+        """The motion over the span of a law, or from the first position to the last."""
+        begin, span = self.targets.range
+        if self.problem.data.offsets is None:  # every design has its own span, and the same number of positions
+            count = POSITIONS + 1
+        else:
+            offsets = self.problem.data.offsets
+            whole = abs(span if isinstance(span, float) else float(offsets[-1] - offsets[0]))
+            count = max(2, math.ceil(whole / TURN * POSITIONS)) + 1
+        return self._motion(begin + np.linspace(0.0, 1.0, count) * span, span=span)
+
+    def _motion(self, angles: Array, *, closed: bool = False, span: Value = TURN) -> FourBarMotion | LinkageMotion:
+        prescribed, point = self.problem.linkage, self.problem.point
+        return motion_of(prescribed, self.mechanism, self.sizes, angles, self.size, point, closed=closed, span=span)
+
+    @property
+    def way(self) -> Array:
+        """Sense of rotation of the crank (designs,): 1 or -1."""
+        return np.broadcast_to(np.ravel(np.where(np.asarray(self.targets.range[1]) >= 0.0, 1.0, -1.0)), self.count)
+
+    @property
+    def turns(self) -> bool:
+        """Whether the crank has to turn fully."""
+        return self.problem.limits.crank != "span"
+
+    @property
+    def required(self) -> FourBarMotion | LinkageMotion:
+        """The motion over which the mechanism must be assembled."""
+        return self.revolution if self.turns else self.span
+
+    def placed(self, angles: Array, sizes: Mapping[str, Array] | None = None) -> Motion:
+        """Return the positions at crank angles (..., designs, n) [rad]."""
+        return placed(self.mechanism, sizes or self.sizes, angles)
+
+
+class _OneDesign:
+    """One of the designs in motion, as the limits of `optlink.problem.limits` measure it."""
+
+    def __init__(self, tested: _Tested, design: int) -> None:
+        self.mechanism, self._tested, self._number = tested.mechanism, tested, design
+        self.design = {name: float(values[design]) for name, values in tested.design.items()}
+
+    @cached_property
+    def required(self) -> Motion:
+        """The motion over which the mechanism must be assembled."""
+        angles = self._tested.required.angles
+        sizes = {name: float(values[self._number, 0]) for name, values in self._tested.sizes.items()}
+        return sweep(self.mechanism, sizes, angles if angles.ndim == 1 else angles[self._number])
+
+    def strokes(self) -> tuple[float, float, float]:
+        """Return the swing angle of the rocker and the crank rotation of its forward and backward strokes [rad], or NaN."""
+        return self._tested.revolution.strokes(self._number, float(self._tested.way[self._number]))
+
+
+# --- requirements -----------------------------------------------------------------------------------------------------------
+
+
+class _Targets:
+    """Measured deviations from a requirement, and the checks of it."""
+
+    def __init__(self, tested: _Tested) -> None:
+        self.tested, self.problem = tested, tested.problem
+
+    @property
+    def range(self) -> tuple[Array, Value]:
+        """Crank angle at the start (designs, 1) and rotation from there [rad], a number or (designs, 1): between positions."""
+        angles = self.tested.angles
+        return angles[:, :1], angles[:, -1:] - angles[:, :1]
+
+    @cached_property
+    def measured(self) -> MeasuredDeviations:
+        """Deviations at the positions."""
+        raise NotImplementedError
+
+    def checks(self) -> Iterator[Checks]:
+        """Check that every position has a deviation."""
+        distances = self.measured.distances
+        factor, unit = DISPLAYED[self.problem.unit]
+        whole, largest = np.all(np.isfinite(distances), axis=1), np.max(distances, axis=1) * factor
+        yield Checks("the linkage has a position for every target", whole, largest, "finite", unit)
+
+    def reduced(self, squares: Array) -> Array:
+        """Return the objectives (designs,) for squared deviations (designs, positions)."""
+        weighted, measure = squares * self.problem.data.roots**2, self.problem.measure
+        if measure == "max":
+            return np.asarray(np.sqrt(np.max(weighted, axis=1)))
+        total = np.array([math.fsum(row) for row in weighted.tolist()])
+        return np.sqrt(total / squares.shape[1]) if measure == "rms" else total
+
+
+def point_deviations(
+    problem: DesignProblem, motion: Motion, values: Mapping[str, Value], targets: Array
+) -> tuple[Array, Array, Array | None, Array]:
+    """Return the positions of the point, its distances from the targets, angle errors of poses, and squared deviations.
+
+    Without weights; `targets` are rows of `TargetArrays.columns` (..., k) that broadcast against the motion.
+    """
+    known = problem.point in motion.pose.points
+    generated = motion.position(problem.point) if known else np.full((*motion.shape, 2), np.nan)
+    away = generated - targets[..., :2]
+    distances, turned = np.hypot(away[..., 0], away[..., 1]), None
+    squares = distances**2
+    if MARK in problem.quantities:
+        angle = motion.wrapped_angle(problem.body) + values[MARK]
+        turned = np.remainder(angle - np.arctan2(targets[..., 3], targets[..., 2]) + math.pi, TURN) - math.pi
+        squares = squares + (problem.radian * turned) ** 2
+    return generated, distances, turned, squares
+
+
+class _Points(_Targets):
+    """Points or poses that are passed in order."""
+
+    @cached_property
+    def measured(self) -> MeasuredDeviations:
+        """Distances from the points, and angle errors of poses."""
+        tested, targets = self.tested, self.problem.data.columns
+        motion = tested.placed(tested.angles)
+        generated, distances, turned, squares = point_deviations(self.problem, motion, tested.values, targets)
+        return MeasuredDeviations(generated, distances, turned, self.reduced(squares))
+
+    def checks(self) -> Iterator[Checks]:
+        """Check that the points are passed in order within a revolution, in one sense of rotation, within their tolerances."""
+        tested, problem, tolerances = self.tested, self.problem, self.problem.data.tolerances
+        steps = np.degrees(np.diff(tested.angles, axis=1) * tested.way[:, None])
+        if steps.size:
+            gap = math.degrees(STEP) if problem.timing == "free" else 0.0  # between optimised crank angles
+            least, whole = np.min(steps, axis=1), np.sum(steps, axis=1)
+            yield Checks("points met in order", (least > 0.0) & (least >= gap * (1.0 - 1e-3)), least, "> 0", "deg")
+            most = 360.0 if problem.meets_again else 360.0 - gap  # only a repeated point may lie there
+            yield Checks("points met within one revolution", whole <= most + 1e-6, whole, f"<= {most:.6g}", "deg")
+        rotation = {"counter-clockwise": 1.0, "clockwise": -1.0}.get(problem.rotation)
+        if rotation is not None:
+            yield Checks(f"crank turns {problem.rotation}", tested.way == rotation, tested.way, f"= {rotation:g}", "")
+        yield from super().checks()
+        if np.any(np.isfinite(tolerances)):
+            used = np.max(self.measured.distances / tolerances, axis=1)
+            yield Checks("points met within their tolerances", used <= 1.0 + 1e-6, used, "<= 1", "of the tolerance")
+
+
+class _Transmission(_Targets):
+    """Transmission angles of all dyads."""
+
+    @cached_property
+    def measured(self) -> MeasuredDeviations:
+        """Transmission angles, and the largest cosine: of the measure `max` that over the revolution."""
+        tested = self.tested
+        generated = transmission_angles(tested.placed(tested.angles), self.problem.linkage)
+        cosines = np.abs(np.cos(generated))
+        if self.problem.measure != "max":
+            objective = self.reduced(np.sum(cosines**2, axis=2))
+        else:
+            worst = np.max(np.abs(np.cos(tested.revolution.transmission_extremes)), axis=(0, 1))
+            objective = np.where(np.all(tested.revolution.least_squared_sines >= 0.0, axis=0), worst, np.nan)
+        return MeasuredDeviations(generated, np.max(cosines, axis=2), None, objective)
+
+
+class _Law(_Targets):
+    """An output that follows a law, with the effect of tolerances on its error."""
+
+    def __init__(self, tested: _Tested) -> None:
+        super().__init__(tested)
+        problem, zero = tested.problem, np.zeros((tested.count, 1))
+        self.law, self.robust, self.name = problem.law, problem.robust, problem.output
+        self.start, self.base = tested.values[problem.start_name], tested.values.get(problem.base_name, zero)
+
+    @property
+    def range(self) -> tuple[Array, Value]:
+        """Crank angle at the start (designs, 1), and the span of the law [rad]."""
+        return self.start, self.problem.span
+
+    @cached_property
+    def measured(self) -> MeasuredDeviations:
+        """Output and its errors; the largest error of a law that is a formula is that over its whole range."""
+        middle, spread = self._at_positions
+        if self.problem.everywhere:
+            objective = self._largest()
+        elif self.problem.measure == "max":
+            objective = np.max(np.abs(middle) + spread, axis=1)
+        else:
+            objective = self.reduced(np.square(middle) + np.square(spread))
+        return MeasuredDeviations(self._actual[..., None], np.abs(self._errors), None, objective)
+
+    @cached_property
+    def _actual(self) -> Array:
+        """Output at the positions (designs, positions)."""
+        return self._output(self.tested.angles)
+
+    @cached_property
+    def _errors(self) -> Array:
+        """Errors at the positions (designs, positions)."""
+        return self._error(self._actual, self.law.offsets, self.law.tabulated)
+
+    @cached_property
+    def _at_positions(self) -> tuple[Array, Array]:
+        """Mean error and scatter at the positions (designs, positions)."""
+        return self._scattered(self._errors, self.tested.angles)
+
+    def _output(self, angles: Array, sizes: Mapping[str, Array] | None = None) -> Array:
+        """Return the output (..., designs, n) [rad, within a turn, or m] at crank angles [rad]."""
+        motion = self.tested.placed(angles, sizes)
+        return np.asarray(motion.slide(self.name).value) if self.problem.slides else motion.wrapped_angle(self.name)
+
+    def _difference(self, one: Array, other: Array) -> Array:
+        """Return the difference of two outputs [rad, of angles within half a turn, or m]."""
+        return one - other if self.problem.slides else np.asarray(np.remainder(one - other + np.pi, TURN) - np.pi)
+
+    def _error(self, actual: Array, at: Array, tabulated: Value = 0.0) -> Array:
+        """Return actual minus prescribed output at crank rotations from the start [rad]."""
+        with np.errstate(all="ignore"):
+            target = np.asarray(self.law.target(at, tabulated, self.start, self.base) + 0.0 * at, dtype=float)
+        return self._difference(actual, target)
+
+    def _deviating(self, angles: Array, name: str, by: Array) -> Array:
+        """Return the output at crank angles [rad], with one dimension or coordinate larger by `by` [m].
+
+        The crank angle is that of the drawing. Displaced pivots of a four-bar that is given by its lengths rotate its frame, and
+        thus the crank angle relative to it.
+        """
+        sizes = {key: size + by if key == name else size for key, size in self.tested.sizes.items()}
+        if name in sizes:
+            return self._output(angles, sizes)
+        along = sizes["frame"] - (by if name == "A.x" else 0.0)
+        across = {"D.y": by, "A.y": -by}.get(name, np.zeros_like(by))
+        sizes["frame"], tilt = np.hypot(along, across), np.arctan2(across, along)
+        return np.asarray(self._output(angles - tilt, sizes) + tilt)
+
+    def _scattered(self, middle: Array, angles: Array) -> tuple[Array, Array]:
+        """Return the mean error with tolerances and its scatter to either side, by central differences of the motion.
+
+        The scatter is the requested number of standard deviations (one for an expected square), or the worst case.
+        """
+        robust, spread = self.robust, np.zeros_like(middle)
+        if robust is None:
+            return middle, spread
+        step = np.broadcast_to(DIFFERENCE * np.asarray(self.tested.size, dtype=float), self.tested.count)[:, None]
+        for deviation in self.problem.deviations:
+            there, back = (self._deviating(angles, deviation.size, way) for way in (step, -step))
+            slope = self._difference(there, back) / (2.0 * step)
+            if robust.text == WORST:
+                low, high = (slope * end for end in deviation.ends)
+                middle, spread = middle + 0.5 * (low + high), spread + 0.5 * np.abs(high - low)
+            else:
+                middle, spread = middle + slope * deviation.mean, spread + np.square(slope * deviation.sigma)
+        if robust.text != WORST:
+            spread = (1.0 if robust.text == EXPECTED else robust.sigmas) * np.sqrt(spread)
+        return middle, spread
+
+    def _largest(self) -> Array:
+        """Return the largest magnitude of the error with its scatter over the whole range (designs,)."""
+        span, grid = self.problem.span, np.linspace(0.0, 1.0, POSITIONS + 1)
+
+        def sides(shares: Array) -> Array:
+            at = span * shares
+            middle, spread = self._scattered(self._error(self._output(self.start + at), at), self.start + at)
+            return np.stack([spread + middle, spread - middle])
+
+        largest = extremes_of_rows(rows_of(sides, 2, self.tested.count), grid, periodic=False, signs=(-1.0,))
+        return np.asarray(np.max(largest.reshape(2, -1), axis=0))
+
+    def _prescribed_from_start(self) -> tuple[Array, Array]:
+        """Return crank rotations (rotations,) from the start on and the prescribed output (designs, rotations) there.
+
+        At the start and the positions. NaN at the start where the law is not defined; a table is not extrapolated.
+        """
+        law = self.law
+        at = law.offsets if law.offsets[0] == 0.0 else np.concatenate([[0.0], law.offsets])
+        with np.errstate(all="ignore"):
+            target = np.array(np.broadcast_to(law.curve(at, self.start, self.base), (self.tested.count, len(at))))
+        if isinstance(law.source, Table) and law.source.from_start and not min(law.source.phi) <= 0.0 <= max(law.source.phi):
+            target[:, :1] = self.base if self.problem.tied else np.nan  # its rows are relative to that output
+        return at, target
+
+    def checks(self) -> Iterator[Checks]:
+        """Check the start of the law, and that its error has a value at every position without extra revolutions."""
+        problem = self.problem
+        yield from self._dead_centre()
+        factor, unit = DISPLAYED[problem.unit]
+        if problem.tied:
+            gap = np.abs(self._difference(self._output(self.start), self.base))[:, 0] * factor
+            near = BASE * problem.whole * factor
+            name = f"{problem.base_name} is the {self.name} {'slide' if problem.slides else 'angle'} at {problem.start_name}"
+            yield Checks(name, gap <= near, gap, f"<= {near:.0e}", unit)
+        largest = np.max(self.measured.distances, axis=1) * factor
+        yield Checks("output error has a value everywhere", np.isfinite(largest), largest, "finite", unit)
+        if not problem.slides:
+            at, target = self._prescribed_from_start()
+            fine, index = finely(at)
+            yield from revolutions_check(at, target, lambda: np.unwrap(self._output(self.start + fine), axis=1)[:, index])
+        if self.robust is not None:
+            middle, spread = self._at_positions
+            most = np.max(np.abs(middle) + spread, axis=1) * factor
+            yield Checks(f"error with tolerances, {self.robust.band}, has a value", np.isfinite(most), most, "finite", unit)
+
+    def _dead_centre(self) -> Iterator[Checks]:
+        """Check that a start at a dead centre is one: the rocker at rest, crank and coupler in line."""
+        start, loops = self.problem.dead_centre, inner_four_bars(self.problem.linkage)
+        loop = next((loop for loop in loops if loop.plain and loop.rocker.body == self.name), None)
+        if start is None or loop is None:
+            return
+        begin = sweep(self.tested.mechanism, self.tested.sizes, self.start)
+        rate = np.abs(begin.body_rate(loop.rocker.body)[:, 0])
+        yield Checks("rocker at rest at its dead centre", rate <= 1e-6, rate, "<= 1e-06", "")
+        bars = crank, coupler, _ = [self.tested.sizes[str(link.length)][:, 0] for link in (loop.crank, loop.coupler, loop.rocker)]
+        frame, away = (begin.distance(loop.crank.start, name)[:, 0] for name in (loop.ground_pin, loop.joint))
+        extended = coupler + (1.0 if start == DEAD_CENTRES[0] else -1.0) * crank
+        gap, near = np.abs(away - np.abs(extended)) * 1e3, 1e-6 * frame * 1e3
+        yield Checks("crank and coupler in line there", gap <= near, gap, text("<= {:.1e}", near), "mm")
+        if start == DEAD_CENTRES[1]:
+            margin = self.problem.limits.length_margin * np.max([*bars, frame], axis=0)
+            yield at_least("inner dead centre: C apart from A", np.abs(coupler - crank) * 1e3, margin * 1e3, "mm")
+
+
+TARGETS: Mapping[str, type[_Targets]] = {"path": _Points, "motion": _Points, "function": _Law, "transmission": _Transmission}
+"""What is measured, by the kind of the requirement."""
+
+
+# --- the linkage ------------------------------------------------------------------------------------------------------------
+
+
+def _sizes(tested: _Tested) -> Iterator[Checks]:
+    """Check bounds, fixed quantities, and constant link lengths in motion."""
+    quantities = tested.problem.quantities
+    for name, quantity in quantities.items():
+        yield bound(name, quantity, tested.design[name], tested.size)
+    lengths = (np.abs(tested.sizes[name][:, 0]) for name, q in tested.problem.mechanism.quantities.items() if q.kind != "angle")
+    yield tested.required.link_lengths(functools.reduce(np.maximum, lengths, np.asarray(tested.size)))
+
+
+def _crank(tested: _Tested) -> Iterator[Checks]:
+    """Check the crank condition from the lengths, and the closure of every loop at every position."""
+    limits, groups = tested.problem.limits, tested.problem.linkage.groups
+    if tested.turns and set(LENGTHS) <= tested.sizes.keys():
+        yield grashof_check(tested.design, limits)
+    where = "the whole revolution" if tested.turns else "the span"
+    for group, least in zip(groups, tested.required.least_squared_sines, strict=True):
+        yield alignment_check(group, len(groups) == 1, least, limits, where)
+
+
+def _circuit(tested: _Tested) -> Iterator[Checks]:
+    """Check one branch (each joint of two links stays on its side) and one circuit (continuous, closed paths of the joints)."""
+    motion = tested.required
+    if any(isinstance(group, RRR) for group in tested.problem.linkage.groups):
+        least = motion.least_height * 1e3
+        yield Checks("one branch: every joint on one side", least > 0.0, least, "> 0", "mm")
+    worst = motion.largest_jump
+    yield Checks("one circuit: no point jumps", worst <= 1.0, worst, "<= 1 step at its speed", "")
+
+
+def _timing(tested: _Tested) -> Iterator[Checks]:
+    """Check the crank angles at the positions, if they are prescribed up to their start."""
+    problem = tested.problem
+    if tested.given and problem.data.offsets is not None and (problem.pointed or problem.timing != "given"):
+        wrong = np.abs(tested.angles - problem.crank_angles(tested.values, None))
+        miss = np.degrees(np.max(wrong, axis=1))
+        yield Checks("crank angles as given", miss <= 1e-7, miss, "<= 1e-07", "deg")
+
+
+def _transmission(tested: _Tested) -> Iterator[Checks]:
+    """Check the extremes of the transmission angle of every dyad, by sweep and refinement."""
+    groups, all_limits = transmitting(tested.problem.linkage), tested.problem.limits
+    limits = [all_limits.transmission_at(group.joint) for group in groups]
+    if any(limits):
+        motion = tested.revolution if all_limits.transmission_range == "revolution" and tested.turns else tested.span
+        extremes = np.degrees(motion.transmission_extremes)
+        for group, limit, least, largest in zip(groups, limits, *extremes, strict=True):
+            yield from transmission_checks(least, largest, limit, "" if len(groups) == 1 else f" at {group.joint}")
+
+
+def _registered(tested: _Tested) -> Iterator[Checks]:
+    """Check the registered limits, such as proportions; those of the strokes need two dead centres in the motion."""
+    limits, applies, motion = tested.problem.limits, np.ones(tested.count, dtype=bool), tested.required
+    if (limits.swing_angle is not None or limits.time_ratio is not None) and isinstance(motion, FourBarMotion):
+        counts = np.bincount(motion.dead_centres[2], minlength=tested.count)
+        applies = counts == 2
+        yield Checks("the rocker has two dead centres", applies, counts.astype(float), "= 2", "")
+    if any(limits_in_file(limits)):
+        size = np.broadcast_to(tested.design.get("frame", tested.size), tested.count)
+        of_design = {
+            k: list(registered_checks(_OneDesign(tested, k), limits, float(size[k]), k)) for k in np.flatnonzero(applies).tolist()
+        }
+        yield from joined(of_design, tested.count)
+
+
+def _pivots(tested: _Tested) -> Iterator[Checks]:
+    """Check that every point of the frame is inside the region."""
+    region = tested.problem.limits.pivots
+    if region is None:
+        return
+    motion = tested.placed(np.zeros(1))
+    for name in [point for point, bodies in tested.mechanism.owners.items() if FRAME in bodies]:
+        for axis, value, interval in zip("xy", motion.position(name)[:, 0].T, (region.x, region.y), strict=True):
+            if interval is not None:
+                yield from limit_checks(f"pivot {name}.{axis}", value * 1e3, interval, PIVOT * tested.size * 1e3, 1e3, "mm")
