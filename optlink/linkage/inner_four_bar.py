@@ -55,9 +55,9 @@ class InnerFourBar:
         x, y, to_x, to_y = (values[name] for name in self.ground)
         dx, dy = to_x - x, to_y - y
         frame = np.sqrt(dx * dx + dy * dy)
-        axis, side = (dx / frame, dy / frame), self.group.side * (1 if self.group.outer[0] == self.pin else -1)
+        axis = dx / frame, dy / frame
         crank, coupler, rocker = (values[str(link.length)] for link in (self.crank, self.coupler, self.rocker))
-        limit = dead_centre(crank, coupler, rocker, frame, side, outer)
+        limit = dead_centre(crank, coupler, rocker, frame, self.side, outer)
         return DeadCentre(turn(limit.crank, axis), turn(limit.rocker, axis), limit.margin)
 
 

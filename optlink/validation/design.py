@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from optlink.linkage.dyad_types import RRR, transmitting
 from optlink.linkage.extrema import extremes_of_rows
 from optlink.linkage.fourbar import LENGTHS
-from optlink.linkage.inner_four_bar import whole_four_bar
+from optlink.linkage.inner_four_bar import inner_four_bars
 from optlink.linkage.mechanism import FRAME, Mechanism
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.vector2d import TURN, Array, Value
@@ -51,6 +51,7 @@ from optlink.validation.margins import alignment_check, at_least, grashof_check
 
 ROUNDING = {"rad": 1e-12, "m": 1e-11, "": 1e-11}
 """Absolute agreement required of nearly zero deviations, by their SI unit: lengths as a share of the size of the curve."""
+BASE = math.radians(1e-7)  # or share of the size; tolerance of an output at the start that is the actual one
 PIVOT = 1e-8  # of the size; tolerance of the places of pivots
 DIFFERENCE = 1e-5  # of the reference length; step of central differences by dimensions
 
@@ -344,11 +345,6 @@ class _Law(_Targets):
         return MeasuredDeviations(self._actual[..., None], np.abs(self._errors), None, objective)
 
     @cached_property
-    def _begin(self) -> Motion:
-        """The motion at the start."""
-        return sweep(self.tested.mechanism, self.tested.sizes, self.start)
-
-    @cached_property
     def _actual(self) -> Array:
         """Output at the positions (designs, positions)."""
         return self._output(self.tested.angles)
@@ -442,12 +438,12 @@ class _Law(_Targets):
         """Check the start of the law, and that its error has a value at every position without extra revolutions."""
         problem = self.problem
         yield from self._dead_centre()
-        if problem.tied:
-            away = self._begin.wrapped_angle(self.name)[:, 0] - self.base[:, 0]
-            gap = np.degrees(np.abs(away - TURN * np.round(away / TURN)))
-            name = f"{problem.base_name} is the {self.name} angle at {problem.start_name}"
-            yield Checks(name, gap <= 1e-7, gap, "<= 1e-07", "deg")
         factor, unit = DISPLAYED[problem.unit]
+        if problem.tied:
+            gap = np.abs(self._difference(self._output(self.start), self.base))[:, 0] * factor
+            near = BASE * problem.whole * factor
+            name = f"{problem.base_name} is the {self.name} {'slide' if problem.slides else 'angle'} at {problem.start_name}"
+            yield Checks(name, gap <= near, gap, f"<= {near:.0e}", unit)
         largest = np.max(self.measured.distances, axis=1) * factor
         yield Checks("output error has a value everywhere", np.isfinite(largest), largest, "finite", unit)
         if not problem.slides:
@@ -461,10 +457,11 @@ class _Law(_Targets):
 
     def _dead_centre(self) -> Iterator[Checks]:
         """Check that a start at a dead centre is one: the rocker at rest, crank and coupler in line."""
-        start, loop = self.problem.dead_centre, whole_four_bar(self.problem.linkage)
+        start, loops = self.problem.dead_centre, inner_four_bars(self.problem.linkage)
+        loop = next((loop for loop in loops if loop.plain and loop.rocker.body == self.name), None)
         if start is None or loop is None:
             return
-        begin = self._begin
+        begin = sweep(self.tested.mechanism, self.tested.sizes, self.start)
         rate = np.abs(begin.body_rate(loop.rocker.body)[:, 0])
         yield Checks("rocker at rest at its dead centre", rate <= 1e-6, rate, "<= 1e-06", "")
         bars = crank, coupler, _ = [self.tested.sizes[str(link.length)][:, 0] for link in (loop.crank, loop.coupler, loop.rocker)]
