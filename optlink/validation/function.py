@@ -31,7 +31,7 @@ from optlink.validation.check import (
     Checks,
     Validation,
     Validations,
-    bound,
+    bounds_and_links,
     finely,
     joined,
     registered_checks,
@@ -228,8 +228,7 @@ class _OneDesign:
 def _sizes(tested: _Tested) -> Iterator[Checks]:
     """Check bounds, fixed quantities, and constant link lengths in motion."""
     frame = tested.design["frame"]
-    for name, quantity in tested.problem.quantities.items():
-        yield bound(name, quantity, tested.design[name], frame)
+    yield from bounds_and_links(tested.problem, tested.design, frame)
     yield tested.required.link_lengths({link.body: tested.design[link.body] for link in tested.mechanism.links}, frame)
 
 

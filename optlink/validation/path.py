@@ -21,7 +21,7 @@ from optlink.validation.check import (
     POSITIONS,
     Check,
     Validation,
-    bound,
+    bounds_and_links,
     finely,
     limit_checks,
     link_lengths,
@@ -213,8 +213,8 @@ class _Tested:
 def _sizes(tested: _Tested) -> Iterator[Check]:
     """Check bounds, fixed quantities, and constant link lengths in motion."""
     problem, design = tested.problem, tested.design
-    for name, quantity in problem.quantities.items():
-        yield bound(name, quantity, design[name], problem.size).of()
+    for checks in bounds_and_links(problem, design, problem.size):
+        yield checks.of()
     yield link_lengths(tested.required, max(problem.size, *(design[name] for name in problem.mechanism.quantities))).of()
 
 
