@@ -41,7 +41,7 @@ def keys(context: typer.Context, incomplete: str) -> list[str]:
 def _leaves(table: Mapping[str, Any], above: str = "") -> Iterator[str]:
     """Yield the dotted keys of all values that are not tables."""
     for name, value in table.items():
-        if isinstance(value, Mapping) and not {"start", "bounds"} & set(value):
+        if isinstance(value, Mapping) and not {"start", "bounds", "equals"} & set(value):
             yield from _leaves(value, f"{above}{name}.")
         else:
             yield f"{above}{name}"

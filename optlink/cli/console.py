@@ -290,14 +290,14 @@ def given_design(
 ) -> dict[str, float] | None:
     """Return the design of `--design` [SI]; without it that of the stored result which is named in place of a problem.
 
-    Quantities of a result that `--set` changes have the values stated there. None if there is no design.
+    Quantities of a result that `--set` changes have the values stated there, and linked ones follow. None if there is no design.
     """
     from optlink.report.files import is_result
 
     if design or not is_result(problem):
         return read_design_option(file, design, varied)
     from optlink.problem.assignment import parse_assignments
-    from optlink.problem.fixed_design import quantity_key
+    from optlink.problem.quantity_keys import quantity_key
     from optlink.report.stored import read_result
 
     result = read_result(problem)
@@ -306,6 +306,8 @@ def given_design(
     kept = {}
     for name in (name for name in file.model.quantities if name in values):
         key = quantity_key(file.model, name).removeprefix("mechanism.")
+        if changed and name in file.model.links:
+            continue
         if not any(f"{key}.".startswith(f"{one}.") or f"{one}.".startswith(f"{key}.") for one in changed):
             kept[name] = values[name]
     return kept or None

@@ -114,11 +114,9 @@ def _output(
     from optlink.tasks.protocol import completed
 
     crank = _crank_angles(angles)
-    sizes = {key: quantity.value for key, quantity in file.model.mechanism.quantities.items()}
-    if design:
-        sizes |= {key: value for key, value in design.items() if key in sizes}
-    elif file.model.free and file.task != "path" and file.task != "cycle":
-        sizes |= {key: value for key, value in completed(solve(file)).design.items() if key in sizes}
+    if not design and file.model.free and file.task != "path" and file.task != "cycle":
+        design = completed(solve(file)).design
+    sizes = file.model.sizes(design or {})
     names = output_names(file.model.linkage)
     check_choice("--quantity", output, names, "unknown output", file.file)
     result = OutputStudy(file, output, sizes, crank)

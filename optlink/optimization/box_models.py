@@ -74,9 +74,9 @@ class DesignBoxes:
 
     def over(self, low: Array, high: Array) -> BoxModels:
         """Return the models over boxes with corners (boxes, n) [SI]."""
-        values: dict[str, Any] = {name: quantity.value for name, quantity in self.problem.quantities.items()}
-        values |= dict(zip(self.problem.free, TaylorModel.unknowns(low, high), strict=True))
+        values: dict[str, Any] = dict(zip(self.problem.free, TaylorModel.unknowns(low, high), strict=True))
         with np.errstate(all="ignore"):
+            values = self.problem.complete(values)
             if self.problem.task == "function":
                 residuals, rows = _function(self.problem, self.law, values, low.shape[1])
             else:

@@ -23,7 +23,9 @@ from optlink.linkage.mechanism import Dyad, Pose
 from optlink.linkage.vector2d import Value, magnitude
 from optlink.problem.design import DesignProblem
 from optlink.problem.limits import COUPLER_JOINT, Alignment, Reach, limits_in_file
+from optlink.problem.machine.model import Problem
 from optlink.problem.mechanism import FourBarSection
+from optlink.problem.quantity_keys import quantity_key
 from optlink.problem.requirement import DEAD_CENTRES
 from optlink.units import in_si
 
@@ -301,8 +303,24 @@ def pivot_region_rows(problem: DesignProblem, values: Mapping[str, Value], reach
                 )
 
 
+def link_rows(problem: Problem, values: Mapping[str, Value], size: float) -> Iterator[ConstraintRow]:
+    """Yield the bounds of the linked quantities; a length that may vanish is kept above zero."""
+    for name, link in problem.links.items():
+        quantity = problem.quantities[name]
+        low, high = quantity.bounds
+        if quantity.low is None and (quantity.kind != "length" or link.positive):
+            continue
+        unit, scale = (1.0, DEGREES) if quantity.kind == "angle" else (size, Scale("mm", 1e3 * size))
+        yield ConstraintRow(quantity_key(problem, name), name, values[name] / unit, low / unit, high / unit, scale)
+
+
+def linked(problem: DesignProblem, values: Mapping[str, Value], reach: Reach, size: float) -> Iterator[ConstraintRow]:
+    """Yield the bounds of the linked quantities."""
+    return link_rows(problem, values, size)
+
+
 FOUR_BAR: tuple[Term, ...] = (full_rotation_rows, dead_centres, transmission)
-GENERAL: tuple[Term, ...] = (registered, pivot_region_rows)
+GENERAL: tuple[Term, ...] = (registered, pivot_region_rows, linked)
 
 
 def rows(problem: DesignProblem, values: Mapping[str, Value], reach: Reach, size: float) -> list[ConstraintRow]:

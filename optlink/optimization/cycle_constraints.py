@@ -12,13 +12,14 @@ import numpy as np
 
 from optlink.linkage.stroke import LEAST_DIFFERENCE
 from optlink.linkage.vector2d import TURN, Array
-from optlink.optimization.constraints import DEGREES, PLAIN, ConstraintRow, Scale, SquareRootScale, alignment_row
+from optlink.optimization.constraints import DEGREES, PLAIN, ConstraintRow, Scale, SquareRootScale, alignment_row, link_rows
 from optlink.optimization.cycle_signals import EventOrder, TracedCycle
 from optlink.optimization.mapped_terms import MappedTerms
 from optlink.optimization.nlp import Variable, scaled_variable
 from optlink.problem.cycle.model import Bound
 from optlink.problem.cycle.terms import Goal, Term
 from optlink.problem.design import EPIGRAPH
+from optlink.symbolic import symbols_in_numpy
 from optlink.units import KINDS, factor
 
 EVENT = "end of a stroke"
@@ -87,7 +88,7 @@ class CycleTerms:
         problem = self.problem
         self.size = problem.longest if size is None else size
         self.free = problem.free
-        self.fixed = tuple(name for name in problem.quantities if name not in self.free)
+        self.fixed = problem.fixed
         self.goals = problem.goals
         self.epigraphs = [goal for goal in self.goals if goal.extreme]
         events = len(structure.which)
@@ -102,6 +103,8 @@ class CycleTerms:
         self.p = casadi.SX.sym("p", 1 + len(self.fixed) + self.slots)
         self.values: dict[str, Any] = {v.name: v.size * self.x[i] for i, v in enumerate(self.variables[: len(self.free)])}
         self.values |= {v.name: v.size * self.p[1 + i] for i, v in enumerate(self.constants)}
+        with symbols_in_numpy():
+            self.values = problem.complete(self.values)
         self.known = casadi.vertcat(*[self.values[name] for name in trace.names])
         self.events = [self.x[len(self.free) + k] for k in range(events)]
         self.levels = [self.x[len(self.free) + events + k] for k in range(len(self.epigraphs))]
@@ -110,6 +113,7 @@ class CycleTerms:
         self.rows: list[ConstraintRow] = []
         self._cut(nodes)
         self._at_events()
+        self.rows += link_rows(problem, self.values, self.size)
 
     def _scaled(self, name: str) -> Variable:
         return scaled_variable(self.problem, name, self.size, periodic=self.problem.quantities[name].kind == "angle")

@@ -29,7 +29,6 @@ from optlink.problem.cycle.model import MachineTerms
 from optlink.problem.cycle.quantities import guide_of
 from optlink.problem.cycle.terms import Term, output_of
 from optlink.problem.machine.load_curves import LoadTable
-from optlink.problem.mechanism import sizes_of
 from optlink.symbolic import CompiledFunction, NumpyEvaluator, symbols_in_numpy
 
 GRID = 240  # crank angles among which events are bracketed
@@ -316,7 +315,7 @@ class TracedCycle:
 
     def inputs(self, values: Mapping[str, float]) -> list[float]:
         """Return the quantities in the order of the inputs; values of the file for missing ones."""
-        sizes = {**sizes_of(self.problem.quantities), **values}
+        sizes = self.problem.complete(values)
         return [sizes[name] for name in self.names]
 
     @cached_property

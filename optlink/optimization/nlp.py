@@ -15,9 +15,9 @@ from optlink.optimization.constraints import DEGREES, ConstraintRow, Scale
 from optlink.optimization.mapped_terms import MappedTerms
 from optlink.optimization.objectives import ErrorMeasure
 from optlink.problem.design import EPIGRAPH
-from optlink.problem.fixed_design import quantity_key
 from optlink.problem.machine.model import Problem
 from optlink.problem.quantity import Quantity
+from optlink.problem.quantity_keys import quantity_key
 from optlink.symbolic import BufferedFunction, CompiledFunction, packed, unpacked
 
 
@@ -45,6 +45,7 @@ class Variable:
 def scaled_variable(problem: Problem, name: str, size: float, *, periodic: bool, origin: float = 0.0) -> Variable:
     """Return the scaling of a quantity: a length or coordinate, counted from an origin, by a size [m]; an angle by 1 rad."""
     key = quantity_key(problem, name)
+    periodic = periodic and not any(name in link.names.values() for link in problem.links.values())
     if problem.quantities[name].kind in ("length", "coordinate"):
         return Variable(name, size, Scale("mm", 1e3 * size, offset=1e3 * origin), origin, key)
     return Variable(name, 1.0, DEGREES, key=key, periodic=periodic)

@@ -134,7 +134,7 @@ def error_at(problem: DesignProblem, design: Mapping[str, float], offsets: Array
 
     An angle is in (-pi, pi].
     """
-    values = problem.complete({name: design.get(name, quantity.value) for name, quantity in problem.quantities.items()})
+    values = problem.complete(design)
     with np.errstate(all="ignore"):
         pose = problem.linkage.pose(values, unit(values[problem.start_name] + offsets))
         (error,) = problem.deviation(pose, values, (offsets, _tabulated(problem, offsets)))

@@ -76,7 +76,7 @@ class _Builder:
         self.recipe = {"builder": "path", "direction": direction} | ({"near": dict(near)} if near else {})
         self.terms = TermCourse(problem, near) if problem.goals or problem.bounds else None
         free, first, robust = problem.free, problem.parts[0], problem.robust
-        fixed = [path_variable(problem, name) for name in problem.quantities if name not in free]
+        fixed = [path_variable(problem, name) for name in problem.fixed]
         self.fixed = tuple(v.name for v in fixed)
         self.variables = [path_variable(problem, name) for name in free]
         timed = [part for part in problem.parts if part.data.offsets is None]
@@ -478,8 +478,7 @@ def constant_values(problem: DesignProblem, constants: Sequence[Variable]) -> li
 
 def solved_values(task: DesignProblem, design: Mapping[str, float], x: Array) -> tuple[dict[str, float], Array]:
     """Return all quantities [m, rad] of a solved programme, and its crank angles (points,) [rad]; `design` has the free ones."""
-    values = {name: quantity.value for name, quantity in task.quantities.items()}
-    values = task.complete(values | {name: design[name] for name in task.free})
+    values = task.complete({name: design[name] for name in task.free})
     free = len(task.free)
     free_angles = x[free : free + len(task.data.columns)] if task.data.offsets is None else None
     return values, task.crank_angles(values, free_angles)

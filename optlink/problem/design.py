@@ -298,9 +298,10 @@ class DesignProblem(MachineTerms):
     def complete(self, values: Mapping[str, Value]) -> dict[str, Value]:
         """Return every quantity [SI] for values of the design variables, elementwise, with those that follow from others.
 
-        These are the start angle of the crank at a dead centre, and the output there if a law starts from it.
+        These are linked quantities, the start angle of the crank at a dead centre, and the output there if a law starts from it.
         """
-        full = {name: values.get(name, quantity.value) for name, quantity in self.quantities.items()}
+        known = super().complete(values)
+        full = {name: known[name] for name in self.quantities}
         for part in self.parts:
             derived = part.requirement.derived(part, part.own(full))
             full |= {f"{part.prefix}{name}": value for name, value in derived.items()}
@@ -309,10 +310,6 @@ class DesignProblem(MachineTerms):
     def design(self, values: Mapping[str, float]) -> dict[str, float]:
         """Return the complete design [SI] for values of the design variables."""
         return {name: float(value) for name, value in self.complete(values).items()}
-
-    def sizes(self, design: Mapping[str, float]) -> dict[str, float]:
-        """Return every dimension of the linkage [SI] from a design, with values of the file where it has none."""
-        return {name: float(design.get(name, quantity.value)) for name, quantity in self.mechanism.quantities.items()}
 
     def start(self, values: Mapping[str, float]) -> float:
         """Return the crank angle [rad] at which the requirement begins, where it has one; else that of the drive.
@@ -406,7 +403,7 @@ class DesignProblem(MachineTerms):
         if (size := self.requirement.size(self)) is not None:
             return float(size)
         quantities = [q for q in self.mechanism.quantities.values() if q.kind == "length"]
-        fixed = [q.value for q in quantities if not q.free]
+        fixed = [q.value for q in quantities if q.fixed]
         return max(fixed or [q.value for q in quantities])
 
     @cached_property
@@ -558,8 +555,8 @@ class DesignProblem(MachineTerms):
     @property
     def error_bounded(self) -> bool:
         """Whether a lower bound of the largest error over all linkages is available: of a function of a four-bar, without
-        tolerances."""
-        bounded = self.task == "function" and self.everywhere and self.robust is None
+        tolerances and links."""
+        bounded = self.task == "function" and self.everywhere and self.robust is None and not self.links
         return bounded and isinstance(self.requirement.law, Function)
 
     @property

@@ -36,6 +36,7 @@ from optlink.problem.file_errors import (
 )
 from optlink.problem.identity import identity
 from optlink.problem.limits import MARGINS, Alignment, four_bar_limits
+from optlink.problem.linked import states_links
 from optlink.problem.machine.model import Problem
 from optlink.problem.nearby import read_near
 from optlink.problem.overview import linkage_type
@@ -49,8 +50,10 @@ MAX_BYTES = 1_000_000
 MOST_NESTED = 50
 STROKE = "stroke"
 """Kind of the requirement over the cycle of a machine."""
+ANGLES = ("direction", "tilt", "from", "start", "psi0", "mark")
+"""Last steps of the keys of quantities that are angles."""
 SIDES = ("min", "max")
-RANGE_KEYS = {"start", "bounds", "exactly", *SIDES}
+RANGE_KEYS = {"start", "bounds", "equals", "exactly", *SIDES}
 """Keys of a table that states one quantity: a free one, or a range of it."""
 
 
@@ -303,7 +306,12 @@ def read(
     try:
         with input_of(file):
             enclosed, contents = enclosing(raw, where, files or {})
-        problem = model.model_validate({"title": name[:200], **enclosed}, context={"folder": where})
+        tables, context = {"title": name[:200], **enclosed}, {"folder": where}
+        problem = model.model_validate(tables, context=context)
+        if states_links(raw):
+            with input_of(file):
+                tables = problem.with_links(tables)
+            problem = model.model_validate(tables, context=context)
         with input_of(file):
             problem = problem.assembled()
             problem.check()
@@ -450,7 +458,15 @@ def _with_units(raw: Mapping[str, Any], changes: Mapping[str, Any]) -> Mapping[s
     if OPTIONS_NAMED.get():
         return changes
     present = {key: _at(raw, key.removesuffix(".min").removesuffix(".max")) for key in changes}
-    return {key: _stated(value, present[key], si_unit(present[key])) for key, value in changes.items()}
+    return {key: _stated(value, present[key], si_unit(present[key]) or _linked_unit(raw, key)) for key, value in changes.items()}
+
+
+def _linked_unit(raw: Mapping[str, Any], key: str) -> str:
+    """Return the SI unit of a linked quantity at a key of a file; empty for anything else."""
+    value = _at(raw, key)
+    if not isinstance(value, Mapping) or "equals" not in value:
+        return ""
+    return "rad" if key.rpartition(".")[2] in ANGLES else "m"
 
 
 def si_unit(value: Any) -> str:

@@ -68,7 +68,7 @@ def known_keys(path: tuple[str | int, ...], *kinds: type[Problem]) -> list[str]:
         if fields:  # otherwise the step is the name of a body, a point ...: the models stay the same
             models = [model for f in fields for model in _models(f.annotation)]
         if not models:
-            return ["start", "bounds"]
+            return ["start", "bounds", "equals"]
     return list(dict.fromkeys(key for model in models for key in keys_of(model)))
 
 

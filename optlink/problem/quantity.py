@@ -1,6 +1,7 @@
 """Quantities of problem files, checked as they are read.
 
-A quantity is fixed if it is one value ("500 mm"), a design variable if it is a range ("300..500 mm") or a table with bounds.
+A quantity is fixed if it is one value ("500 mm"), a design variable if it is a range ("300..500 mm") or a table with bounds, and
+linked if it equals an expression of others ({ equals = "0.5*coupler + 3 mm" }).
 """
 
 import functools
@@ -53,23 +54,41 @@ def input_of(file: str | None, key: str | None = None, value: object = None) -> 
 
 @dataclass(frozen=True)
 class Quantity:
-    """A value [SI] with the unit of the file; a design variable between `low` and `high` if these are not None."""
+    """A value [SI] with the unit of the file; a design variable between `low` and `high` if these are not None.
+
+    A linked quantity `equals` an expression of others, see `optlink.problem.linked`; its value is that at their start.
+    """
 
     value: float
     kind: str
     unit: str
     low: float | None = None
     high: float | None = None
+    equals: str | None = None
 
     @property
     def free(self) -> bool:
         """Whether the quantity is a design variable."""
-        return self.low is not None
+        return self.low is not None and self.equals is None
+
+    @property
+    def fixed(self) -> bool:
+        """Whether the quantity has one value, independent of all others."""
+        return self.low is None and self.equals is None
 
     @property
     def bounds(self) -> tuple[float, float]:
         """Lower and upper bound [SI]; both equal the value if it is fixed."""
-        return (self.value, self.value) if self.low is None or self.high is None else (self.low, self.high)
+        if self.low is not None and self.high is not None:
+            return self.low, self.high
+        if self.equals is not None:
+            return (0.0 if self.kind == "length" else -math.inf), math.inf
+        return self.value, self.value
+
+    @property
+    def status(self) -> str:
+        """Origin of the value, for tables: "fixed", "= crank" if linked, else "free"."""
+        return "fixed" if self.fixed else "free" if self.equals is None else f"= {self.equals}"
 
     @property
     def display(self) -> tuple[float, str]:
@@ -82,10 +101,11 @@ class Quantity:
         return factor(KINDS[self.kind].display, self.kind)
 
     def __str__(self) -> str:
-        if not self.free:
-            return show(self.value, self.kind, self.unit)
+        value = show(self.value, self.kind, self.unit)
+        if self.low is None:
+            return value if self.equals is None else f"{self.status}, {value}"
         low, high = (show(bound, self.kind, self.unit) for bound in self.bounds)
-        return f"free, {low} ... {high}, start {show(self.value, self.kind, self.unit)}"
+        return f"{self.status}, {low} ... {high}, {'start ' if self.free else ''}{value}"
 
 
 def check_keys(raw: Iterable[object], allowed: Sequence[str]) -> None:
@@ -171,7 +191,7 @@ def read_scalar(text: object, kind: str, key: str = "") -> tuple[float, str]:
 
 
 def read_quantity(raw: object, kind: str) -> Quantity:
-    """Read a fixed quantity or a design variable; errors have the key below the present one.
+    """Read a fixed quantity, a design variable or a linked quantity (without its value); errors have the key below this one.
 
     Raises
     ------
@@ -187,10 +207,13 @@ def read_quantity(raw: object, kind: str) -> Quantity:
     if not isinstance(raw, dict):
         value, unit = read_scalar(raw, kind)
         return Quantity(value, kind, unit)
-    check_keys(raw, ("start", "bounds"))
+    check_keys(raw, ("start", "bounds", "equals"))
     example = f"bounds = {range_example(kind)}"
     bounds = raw.get("bounds")
+    equals = _read_link(raw, kind) if "equals" in raw else None
     if bounds is None:
+        if equals is not None:
+            return Quantity(math.nan, kind, KINDS[kind].display, equals=equals)
         raise Unusable("a free quantity needs bounds", f"Add {example}, or give one value to fix it", "bounds")
     check_pair(bounds, "bounds are two values, lower and upper", f"Write {example}", "bounds")
     (low, low_unit), (high, _) = (read_scalar(bound, kind, "bounds") for bound in bounds)
@@ -198,6 +221,8 @@ def read_quantity(raw: object, kind: str) -> Quantity:
         raise Unusable("both bounds are the same", f'Give one value to fix it: "{bounds[0]}"', "bounds", bounds)
     if low > high:
         raise Unusable("the lower bound is not below the upper", "Exchange them, or give one value to fix it", "bounds", bounds)
+    if equals is not None:
+        return Quantity(math.nan, kind, low_unit, low, high, equals)
     if "start" not in raw:
         return Quantity(0.5 * (low + high), kind, low_unit, low, high)
     start, unit = read_scalar(raw["start"], kind, "start")
@@ -206,6 +231,16 @@ def read_quantity(raw: object, kind: str) -> Quantity:
         remedy = f"Choose one from {show(low, kind, unit)} to {show(high, kind, unit)}"
         raise Unusable("the start lies outside the bounds", remedy, "start", raw["start"])
     return Quantity(within, kind, unit, low, high)
+
+
+def _read_link(raw: dict[str, Any], kind: str) -> str:
+    """Return the expression that a quantity equals."""
+    equals, example = raw["equals"], "180 deg - start" if kind == "angle" else "0.5*coupler + 3 mm"
+    if not isinstance(equals, str) or not equals.strip():
+        raise Unusable("a link is an expression in quotes", f'Write equals = "{example}"', "equals", equals)
+    if "start" in raw:
+        raise Unusable("a linked quantity has no start: it follows from others", "Leave start out", "start", raw["start"])
+    return " ".join(equals.split())
 
 
 def range_example(kind: str | None) -> str:
@@ -242,7 +277,8 @@ def read_fixed(raw: object, kind: str) -> Quantity:
     Unusable
     """
     if isinstance(raw, dict):
-        raise Unusable("this quantity cannot be free", f'Give one value, for example "{KINDS[kind].example}"', "", raw)
+        way = "linked to others" if "equals" in raw else "free"
+        raise Unusable(f"this quantity cannot be {way}", f'Give one value, for example "{KINDS[kind].example}"', "", raw)
     if isinstance(raw, Quantity):
         return raw
     value, unit = read_scalar(raw, kind)

@@ -516,7 +516,11 @@ class FunctionRequirement(Requirement):
             remedy = f"Give a whole number from {least} to {most}, or leave it out"
             raise Unusable("not a number of positions", remedy, "requirement.points", self.points)
         turns = problem.quantities.get(of.start)
-        if problem.four_bar and turns is not None and max(abs(bound) for bound in turns.bounds) > TURN * (1.0 + 1e-9):
+        if (
+            problem.four_bar
+            and turns is not None
+            and max(map(abs, filter(math.isfinite, turns.bounds)), default=0.0) > TURN * (1.0 + 1e-9)
+        ):
             message = "the start angle lies beyond one revolution"
             raise Unusable(message, "Give it within -360 deg ... 360 deg", f"requirement.{of.key}", str(turns))
         if problem.four_bar and problem.limits.pivots is not None:
@@ -577,7 +581,7 @@ class FunctionRequirement(Requirement):
         if isinstance(law, Table):
             return
         values = problem.complete({})
-        stated = (self.start.value, *self.start.bounds) if isinstance(self.start, Quantity) else ()
+        stated = (self.start.value, *filter(math.isfinite, self.start.bounds)) if isinstance(self.start, Quantity) else ()
         begins = stated or ((values[start],) if start not in problem.quantities else ())
         starts = [(float(begin), float(values.get(base, 0.0))) for begin in begins]
         if not starts or not np.all(np.isfinite(starts)):

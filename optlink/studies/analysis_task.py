@@ -188,7 +188,8 @@ def analysis_task(
 ) -> AnalysisTask:
     """Return the task that analyses the machine at every point."""
     quantities = tuple(quantity_of(problem, axis) for axis in grid.axes)
-    values = tuple((name, value) for name, value in (design or {}).items() if name not in quantities)
+    following = {*quantities, *problem.model.links}
+    values = tuple((name, value) for name, value in (design or {}).items() if name not in following)
     task = AnalysisTask(problem, grid, CHUNK, quantities, tuple(columns), points, values)
     first = Grid(tuple(replace(axis, values=axis.values[:1]) for axis in grid.axes))
     replace(task, grid=first).lines(0)  # detects invalid columns or dimensions early

@@ -18,8 +18,8 @@ from optlink.optimization.constraints import Scale
 from optlink.optimization.cycle_nlp import CycleNLP, build_cycle
 from optlink.optimization.cycle_signals import TracedCycle
 from optlink.problem.file import ProblemFile
-from optlink.problem.fixed_design import file_key
 from optlink.problem.limits import MARGIN_KEYS
+from optlink.problem.quantity_keys import file_key
 from optlink.solvers.semi_infinite import refine_peaks
 from optlink.solvers.solution import Solution
 from optlink.studies.cycle_task import with_starting_values
@@ -111,7 +111,7 @@ class CycleParameters(OptimumParameters):
         side = "" if parameter.constant >= 0 else ".max" if parameter.upper else ".min"
         if parameter.constant < 0 and entry >= len(self.nlp.variables):
             limit = self.nlp.rows[entry - len(self.nlp.variables)].limit
-            if not limit.startswith(("limits.", "requirement.")) or limit in MARGIN_KEYS:
+            if not limit.startswith(("limits.", "requirement.", "mechanism.")) or limit in MARGIN_KEYS:
                 return ""
             value = self.problem.at(limit)
             exactly = isinstance(value, Mapping) and "exactly" in value

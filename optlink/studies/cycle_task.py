@@ -23,7 +23,7 @@ from optlink.optimization.cycle_nlp import CycleNLP, build_cycle
 from optlink.optimization.cycle_signals import TracedCycle
 from optlink.optimization.nlp import NLP
 from optlink.problem.file import ProblemFile
-from optlink.problem.fixed_design import place_of
+from optlink.problem.quantity_keys import place_of
 from optlink.solvers import multistart
 from optlink.solvers.cycle_search import at_edge
 from optlink.solvers.semi_infinite import exchange, peaks

@@ -36,7 +36,8 @@ class FastOverride:
     """Sets values of axes in the model of a problem; `possible` states whether all of them are plain numbers of the model."""
 
     def __init__(self, template: DesignProblem, axes: Sequence[Axis]) -> None:
-        self.template, self.places = template, [_place(template, axis) for axis in axes]
+        linked = bool(template.links)  # their values would have to follow
+        self.template, self.places = template, [None if linked else _place(template, axis) for axis in axes]
 
     @property
     def possible(self) -> bool:

@@ -97,6 +97,8 @@ def design_variables(nlp: NLP, x: Sequence[float] | NDArray[np.float64]) -> list
     return [(v, float(value)) for v, value in zip(nlp.variables, x, strict=False) if v.name not in nlp.helpers]
 
 
+QUANTITIES = ("mechanism.", "requirement.from", "requirement.psi0", "requirement.start", "requirement.mark", "requirement.zero")
+"""Beginnings of the keys of quantities; rows with such a key are the bounds of linked ones."""
 GENERAL = ("limits.transmission_angle", "limits.pressure_angle")
 """Keys of limits with one value for several joints, whose rows are labelled "... at JOINT"."""
 
@@ -127,8 +129,9 @@ def parameters(nlp: NLP) -> list[Parameter]:
                 label = limit.name if joint in limit.name.split(" at ")[-1].split(", ") or not joint else f"{limit.name}, {joint}"
                 limits[mark] = replace(limit, name=label, entries=(*limit.entries, entry))
                 continue
-            prescribed = entry < n or (key.startswith("limits.") and key not in ("limits.crank", *MARGIN_KEYS))
-            bounds = f"{name}, {'largest' if side == 'max' else 'smallest'} allowed" if entry < n else name
+            own = entry < n or key.startswith(QUANTITIES)
+            prescribed = own or (key.startswith("limits.") and key not in ("limits.crank", *MARGIN_KEYS))
+            bounds = f"{name}, {'largest' if side == 'max' else 'smallest'} allowed" if own else name
             limit_key = f"{key}.{side}" if side and prescribed else key
             limits[mark] = Parameter(
                 limit_key, bounds, _displayed(bound, scale), scale.unit, scale, -1, (entry,), upper, not side, prescribed

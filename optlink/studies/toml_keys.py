@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from optlink.problem.file import ProblemFile
-from optlink.problem.fixed_design import file_key
+from optlink.problem.quantity_keys import file_key
 from optlink.units import is_unit, split
 
 Raw = str | float | int
@@ -49,7 +49,7 @@ def _dimensions(problem: ProblemFile) -> Iterator[Knob]:
     """Yield the fixed dimensions, from half to one and a half times their values."""
     largest = max((abs(q.value) for q in problem.model.mechanism.quantities.values() if q.kind != "angle"), default=1.0)
     for name, quantity in problem.model.mechanism.quantities.items():
-        if quantity.free:
+        if not quantity.fixed:
             continue
         value, unit = quantity.value / quantity.si_per_unit, quantity.display[1]
         room = (

@@ -173,9 +173,8 @@ class CurveSearch:
         """Return a candidate, validated."""
         file, batch = self._files[candidate.variant], self._searcher.batches[candidate.variant]
         task = path_model(file)
-        values = {name: quantity.value for name, quantity in task.quantities.items()}
         scaled = zip(batch.names, batch.origin, batch.scale, candidate.x, strict=True)
-        values |= {name: float(origin + scale * x) for name, origin, scale, x in scaled}
+        values = task.design({name: float(origin + scale * x) for name, origin, scale, x in scaled})
         checked = validate_path(task, values, candidate.t)
         return LinkageDesign(file, values, candidate.t, checked.objective, Status.NOT_SEARCHED, checked)
 

@@ -99,8 +99,7 @@ def in_modes(problem: ProblemFile, design: Design) -> ProblemFile:
 
 def carried_design(problem: ProblemFile, last: Design) -> Design:
     """Return the last design in a changed problem, without optimisation: fixed sizes have their new values."""
-    quantities = problem.model.quantities
-    values = {name: last.values.get(name, q.value) if q.free else q.value for name, q in quantities.items()}
+    values = problem.model.design({name: last.values[name] for name in problem.model.free if name in last.values})
     words = MOVING_TEXT if problem.model.free else MACHINE_TEXT
     return Design(problem, values, UNVERIFIED, crank_angles=last.crank_angles, conclusion=words)
 

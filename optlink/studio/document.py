@@ -15,8 +15,8 @@ from typing import Any
 from optlink.errors import InputError
 from optlink.problem.enclosed import references
 from optlink.problem.file import MAX_BYTES, ProblemFile, load, read, shipped
-from optlink.problem.fixed_design import file_key
 from optlink.problem.quantity import check_choice
+from optlink.problem.quantity_keys import file_key, quantity_key
 from optlink.problem.targets.target_points import split_enclosed
 from optlink.problem.templates import template, templates
 from optlink.report import toml_text
@@ -78,6 +78,7 @@ class Document:
     def locked(self, size: str, value: float | None) -> Document:
         """Return the document with a design variable fixed at a value [SI]; None for the starting value of the file."""
         quantity, key = self._quantity(size)
+        self.check_not_linked(key)
         if not quantity.free:
             return self
         unit, value = quantity.display[1], quantity.value if value is None else value
@@ -89,6 +90,7 @@ class Document:
         quantity, key = self._quantity(size)
         if quantity.free:
             return self
+        self.check_not_linked(key)
         per, unit = quantity.si_per_unit, quantity.display[1]
         value = quantity.value / per
         freed_text = self.freed.get(size)
@@ -96,6 +98,19 @@ class Document:
             room = SIZE_MARGIN * abs(value) or 100.0
             freed_text = {"bounds": [exact_text(value - room, unit), exact_text(value + room, unit)]}
         return self.with_changes({key: {**freed_text, "start": exact_text(value, unit)}})
+
+    def check_not_linked(self, key: object) -> None:
+        """Refuse the key of a linked quantity: it follows from others.
+
+        Raises
+        ------
+        InputError
+        """
+        model = self.problem.model
+        for name in model.links:
+            if quantity_key(model, name) == key:
+                message = f"{name} follows from other quantities: it equals {model.quantities[name].equals}"
+                raise InputError(message, "Change those, or write a value in place of the link", self.file, str(key))
 
     def _quantity(self, size: str) -> Any:
         quantities = self.problem.model.mechanism.quantities

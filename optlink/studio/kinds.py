@@ -191,7 +191,14 @@ def structure(problem: ProblemFile) -> Any:
         key: repr(value) if key in STRUCTURAL_LIMITS else _without_numbers(value)
         for key, value in (raw.get("limits") or {}).items()
     }
-    parts: list[Any] = [problem.task, tuple(model.quantities), tuple(model.free), limits, raw["mechanism"].get("assembly")]
+    parts: list[Any] = [
+        problem.task,
+        tuple(model.quantities),
+        tuple(model.free),
+        {name: model.quantities[name].equals for name in model.links},
+        limits,
+        raw["mechanism"].get("assembly"),
+    ]
     parts += [{key: value for key, value in raw.items() if key not in ("mechanism", "limits", "requirement", *PROSE)}]
     parts += kind_of(problem).fixed_parts(model, dict(raw.get("requirement") or {}))
     return tuple(map(repr, parts))

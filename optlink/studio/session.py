@@ -128,6 +128,7 @@ class Session:
     def _drag(self, request: Mapping[str, Any]) -> None:
         handle = self._handles.get(_text(request, "handle"))
         if handle is None:
+            self._document.check_not_linked(request["handle"])
             raise InputError("no such handle", f"Handles: {', '.join(self._handles)}", key="handle", value=request["handle"])
         base = self._document.problem
         changes = handle.changes(base, request)

@@ -12,8 +12,8 @@ from optlink.linkage.dyad_types import transmitting
 from optlink.linkage.vector2d import Array
 from optlink.problem.design import DesignProblem
 from optlink.problem.file import ProblemFile
-from optlink.problem.fixed_design import quantity_key
 from optlink.problem.limits import Limits
+from optlink.problem.quantity_keys import quantity_key
 from optlink.report.chart_spec import max_abs
 from optlink.report.format import price_step
 from optlink.report.style import scale
@@ -49,7 +49,7 @@ def variables(problem: ProblemFile, design: Design, lockable: Mapping[str, Any])
     """Return the design variables, and the sizes that are fixed or were locked on the page, in display units."""
     rows = []
     for name, quantity in problem.model.quantities.items():
-        if not quantity.free and name not in lockable:
+        if quantity.fixed and name not in lockable:
             continue
         size, unit = quantity.si_per_unit, quantity.display[1]
         low, high = (bound / size for bound in quantity.bounds)
@@ -60,12 +60,13 @@ def variables(problem: ProblemFile, design: Design, lockable: Mapping[str, Any])
                 "name": name,
                 "value": value,
                 "unit": unit,
-                "lower": low if quantity.free else None,
-                "upper": high if quantity.free else None,
+                "lower": low if quantity.low is not None else None,
+                "upper": high if quantity.low is not None else None,
                 "locked": not quantity.free,
-                "at_bound": quantity.free and (value <= low + near or value >= high - near),
+                "at_bound": quantity.low is not None and (value <= low + near or value >= high - near),
                 "key": quantity_key(problem.model, name),
             }
+            | ({} if quantity.equals is None else {"equals": quantity.equals})
         )
     return finite(rows)  # type: ignore[no-any-return]
 

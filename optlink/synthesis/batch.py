@@ -99,17 +99,20 @@ class Batch:
     def _trace(self) -> None:
         problem, n, width = self.problem, len(self.names), self.data.columns.shape[1]
         x, t, more = casadi.SX.sym("x", n), casadi.SX.sym("t"), casadi.SX.sym("more", width + 1)
-        values: dict[str, Any] = {name: quantity.value for name, quantity in problem.quantities.items()}
-        values |= {v.name: v.value(x[i]) for i, v in enumerate(self.variables)}
         inputs, sides = casadi.vertsplit(x), list(self.side_symbols.values())
         *target, weight = casadi.vertsplit(more)
         with symbols_in_numpy():
+            values = problem.complete({v.name: v.value(x[i]) for i, v in enumerate(self.variables)})
             pose = self.linkage().pose(values, unit(t))
             residual = casadi.vertcat(*problem.deviation(pose, values, tuple(target))) * (weight / problem.whole)
             self.width = int(residual.numel())
             slopes = casadi.jacobian(residual, casadi.vertcat(x, t))
             arguments = [*inputs, t, *target, weight, *sides]
             self._residual, self._value = (NumpyEvaluator(arguments, outputs) for outputs in ([residual, slopes], [residual]))
+            self._begin = None  # a linked start of the crank angles, and its derivatives
+            if START in problem.links:
+                begin = values[START]
+                self._begin = NumpyEvaluator(inputs, [begin, casadi.jacobian(begin, x)])
             span = casadi.SX.sym("span")
             reach = Reach(t, span, casadi.sign(span))
             self._limits = []
@@ -128,17 +131,19 @@ class Batch:
 
     def values(self, x: Array) -> dict[str, Array]:
         """Return the quantities [SI] of designs, each an array (designs, 1)."""
-        values = {name: np.full((len(x), 1), quantity.value) for name, quantity in self.problem.quantities.items()}
         real = self.origin + x * self.scale
-        return values | {name: real[:, i : i + 1] for i, name in enumerate(self.names)}
+        with np.errstate(all="ignore"):
+            values = self.problem.complete({name: real[:, i : i + 1] for i, name in enumerate(self.names)})
+        return {name: value + np.zeros((len(x), 1)) for name, value in values.items()}
 
     def crank_angles(self, x: Array, t: Array) -> Array:
         """Return the crank angles of the points (designs, points) [rad]: `t` itself where the timing is free."""
         if self.free_timing:
             return t
-        start = self.problem.quantities[START].value if START in self.problem.quantities else 0.0
-        begin = x[:, self.start : self.start + 1] if self.start >= 0 else np.full((len(x), 1), start)
         assert self.data.offsets is not None
+        begin = self._begin(*x.T[..., None])[0] if self._begin else x[:, self.start : self.start + 1]
+        if self._begin is None and self.start < 0:
+            begin = np.full((len(x), 1), self.problem.quantities[START].value if START in self.problem.quantities else 0.0)
         return begin + self.data.offsets
 
     def residuals(self, x: Array, t: Array, variant: Variant = 0) -> tuple[Array, Array, Array]:
@@ -151,7 +156,9 @@ class Batch:
         r = np.moveaxis(out[:k], 0, -1)
         slopes = np.moveaxis(out[k:].reshape(n + 1, k, *t.shape), (0, 1), (-1, -2))
         by_x, by_t = slopes[..., :n], slopes[..., n]
-        if not self.free_timing and self.start >= 0:
+        if self._begin:
+            by_x = by_x + by_t[..., None] * np.moveaxis(self._begin(*x.T[..., None])[1:], 0, -1)[..., None, :]
+        elif not self.free_timing and self.start >= 0:
             by_x = by_x.copy()
             by_x[..., self.start] += by_t
         return r, by_x, by_t

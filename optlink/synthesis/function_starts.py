@@ -25,6 +25,8 @@ def fittable(problem: DesignProblem) -> bool:
     """Return whether a function has convex first designs: free lengths, a range of ratios, and three positions at least."""
     if not isinstance(problem.requirement.law, Function) or not all(problem.quantities[name].free for name in LENGTHS[:3]):
         return False
+    if problem.links:
+        return False
     low, high = _ratios(problem)
     return low < high and len(problem.law.offsets) > 2
 

@@ -179,9 +179,10 @@ def grow_from_four_bar(
         angles = angles - _enlarge(part.loop, part.arms, traced, batch, sizes, rng)
     x = np.concatenate([(sizes[name] - batch.origin[i]) / batch.scale[i] for i, name in enumerate(batch.names)], axis=1)
     inside = np.all((x >= batch.low - 1e-12) & (x <= batch.high + 1e-12), axis=1)
-    for name, quantity in batch.problem.quantities.items():
-        if not quantity.free:
-            inside &= np.abs(sizes[name][:, 0] - quantity.value) <= 1e-12
+    known = batch.problem.complete({name: sizes[name] for name in batch.names})
+    for name in batch.problem.quantities:
+        if name not in batch.names:
+            inside &= np.abs(sizes[name] - known[name])[:, 0] <= 1e-12
     x, angles = np.clip(x[inside], batch.low, batch.high), angles[inside]
     same = _apart(part.file, values, t, batch, x, angles) <= CURVE_ROUNDING  # not the other assembly mode
     x, angles = x[same], angles[same]

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterable
-from typing import Any
 
 import casadi
 import numpy as np
@@ -59,7 +58,8 @@ class SimilarityFit:
         bound = [name for name in (*ground, *turning) if name not in names]
         self.counted_from_x = not batch.four_bar
         timed = not batch.free_timing and batch.start < 0 and self.counted_from_x
-        self.applies = problem.requirement.kind == "path" and placed and not free and not bound and not timed
+        similar = placed and not free and not bound and not problem.links  # a link need not hold for a similar linkage
+        self.applies = problem.requirement.kind == "path" and similar and not timed
         if self.applies:
             self._trace()
 
@@ -80,8 +80,7 @@ class SimilarityFit:
     def _trace(self) -> None:
         batch, problem = self.batch, self.batch.problem
         x, t = casadi.SX.sym("x", len(batch.names)), casadi.SX.sym("t")
-        values: dict[str, Any] = {name: quantity.value for name, quantity in problem.quantities.items()}
-        values |= {v.name: v.value(x[i]) for i, v in enumerate(batch.variables)}
+        values = problem.complete({v.name: v.value(x[i]) for i, v in enumerate(batch.variables)})
         mechanism = batch.linkage()
         with symbols_in_numpy():
             pose = mechanism.pose(values, unit(t))

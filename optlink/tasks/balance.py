@@ -23,7 +23,6 @@ from optlink.problem.arguments import typed
 from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import fixed_design
 from optlink.problem.machine.balance import check_measure, read_measure
-from optlink.problem.mechanism import sizes_of
 from optlink.problem.quantity import check_range, input_of
 from optlink.tasks.machine import (
     check_design,
@@ -180,7 +179,7 @@ def balance(
     seconds = {"loading cvxpy": time.perf_counter() - begin}
     begin = time.perf_counter()
     if design is not None:
-        problem = fixed_design(problem, {**sizes_of(problem.model.mechanism.quantities), **design})
+        problem = fixed_design(problem, problem.model.sizes(design))
     task = _Task(problem)
     goal = task.section.goal if minimise is None else ((_measure(minimise, "--minimise", task), 1.0),)
     pair = () if trade is None else _pair(trade, task)

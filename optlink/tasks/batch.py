@@ -18,7 +18,6 @@ from optlink.linkage.stroke import reachable
 from optlink.linkage.vector2d import TURN, Array, Value
 from optlink.problem.arguments import typed
 from optlink.problem.file import ProblemFile
-from optlink.problem.mechanism import sizes_of
 from optlink.problem.quantity import check_choice, check_range
 from optlink.tasks.analyze import GRID, MAX_POINTS, chord_shares
 from optlink.tasks.machine import check_repeats, crank_speed, machine_of
@@ -149,9 +148,9 @@ def _designs(arrays: Mapping[str, Array], part: NDArray[np.intp], *, single: boo
 def _longest_cycle(problem: ProblemFile, arrays: Mapping[str, Array]) -> int:
     """Return the number of revolutions of the longest cycle of all designs."""
     model, count = problem.model, len(next(iter(arrays.values())))
-    sizes, start = sizes_of(model.mechanism.quantities), model.drive.start.value
-    design_sizes = ({**sizes, **_designs(arrays, np.array([k]), single=True)} for k in range(count))
-    return max(round(continue_through_singularities(model.linkage, design, start).cycle / TURN) for design in design_sizes)
+    start, designs = model.drive.start.value, (_designs(arrays, np.array([k]), single=True) for k in range(count))
+    turns = (continue_through_singularities(model.linkage, model.sizes(design), start).cycle / TURN for design in designs)
+    return max(map(round, turns))
 
 
 def _by_slow_stroke(

@@ -121,7 +121,7 @@ class PathTask(DesignTask[SynthesisResult]):
         from optlink.validation.timing import passing
 
         task = path_model(problem)
-        values = {name: float(design.get(name, quantity.value)) for name, quantity in task.quantities.items()}
+        values = {name: float(value) for name, value in task.complete(design).items()}
         angles = {angle_name(k): float(angle) for k, angle in enumerate(passing(task, values))}
         return super().unknowns(problem, nlp, {**values, **angles})
 
@@ -136,7 +136,7 @@ class PathTask(DesignTask[SynthesisResult]):
         designs = []
         for file in problem.variants():
             task = path_model(file)
-            values = {name: float(design.get(name, quantity.value)) for name, quantity in task.quantities.items()}
+            values = {name: float(value) for name, value in task.complete(design).items()}
             angles = passing(task, values)
             checked = validate_path(task, values, angles)
             designs.append(LinkageDesign(file, values, angles, checked.objective, Status.NOT_SEARCHED, checked))

@@ -15,7 +15,7 @@ from optlink.linkage.vector2d import Array
 from optlink.problem.document import Number
 from optlink.problem.interval import Interval
 from optlink.problem.limits import Limits, Moved, TransmissionLimit, limits_in_file
-from optlink.problem.quantity import Quantity
+from optlink.problem.machine.model import Problem
 
 POSITIONS = 1440  # per revolution: every quarter of a degree; dead centres and extremes are refined
 ANGLE_TOLERANCE = 1e-6  # deg; solvers satisfy limits to 1e-8 of a radian
@@ -139,15 +139,26 @@ def joined(checks: Mapping[int, Sequence[Check]], count: int) -> Iterator[Checks
         yield Checks(column[0].name, passed, value, text("{}", limits), column[0].unit, applies)
 
 
-def bound(name: str, quantity: Quantity, value: ArrayLike, size: ArrayLike) -> Checks:
-    """Check whether a value [m, rad] lies within the bounds of its quantity, to 1e-8 of a reference length [m] or of a radian."""
-    value, (low, high) = np.asarray(value, dtype=float), quantity.bounds
-    length = quantity.kind in ("length", "coordinate")
-    factor, unit = (1e3, "mm") if length else (math.degrees(1.0), "deg")
-    tolerance = 1e-8 * (np.asarray(size) if length else 1.0)
-    limit = text("{:.6g} ... {:.6g}" if quantity.free else "= {:.6g}", np.asarray(low) * factor, np.asarray(high) * factor)
-    inside = (low - tolerance <= value) & (value <= high + tolerance)
-    return Checks(f"{name} within its bounds", inside, value * factor, limit, unit)
+def bounds_and_links(problem: Problem, design: Mapping[str, ArrayLike], size: ArrayLike) -> Iterator[Checks]:
+    """Yield the checks that quantities [m, rad] lie within their bounds, and that linked ones follow from the others.
+
+    Both to 1e-8 of a reference length `size` [m] or of a radian.
+    """
+    values = {name: np.asarray(value, dtype=float) for name, value in design.items()}
+    for name, quantity in problem.quantities.items():
+        length = quantity.kind in ("length", "coordinate")
+        factor, unit = (1e3, "mm") if length else (math.degrees(1.0), "deg")
+        tolerance, value = 1e-8 * (np.asarray(size) if length else 1.0), values[name]
+        if name in problem.links:
+            with np.errstate(all="ignore"):
+                linked = np.asarray(problem.links[name](values), dtype=float)
+            same = np.abs(value - linked) <= tolerance
+            yield Checks(f"{name} {quantity.status}", same, value * factor, text("= {:.6g}", linked * factor), unit)
+        if name not in problem.links or quantity.low is not None or length:
+            low, high = (np.asarray(end) for end in quantity.bounds)
+            limit = text("= {:.6g}" if quantity.fixed else "{:.6g} ... {:.6g}", low * factor, high * factor)
+            inside = (low - tolerance <= value) & (value <= high + tolerance)
+            yield Checks(f"{name} within its bounds", inside, value * factor, limit, unit)
 
 
 def length_check(lengths: Iterable[tuple[ArrayLike, ArrayLike, ArrayLike]], size: ArrayLike) -> Checks:

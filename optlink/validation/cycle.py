@@ -19,10 +19,9 @@ from optlink.problem.cycle.model import Bound, CycleProblem
 from optlink.problem.cycle.quantities import guide_of
 from optlink.problem.cycle.terms import Term, output_of
 from optlink.problem.limits import stroke_ratio
-from optlink.problem.mechanism import sizes_of
 from optlink.problem.quantity import Unusable
 from optlink.units import KINDS, factor
-from optlink.validation.check import POSITIONS, Check, Validation, bound, same_objective
+from optlink.validation.check import POSITIONS, Check, Validation, bounds_and_links, same_objective
 from optlink.validation.four_bar_motion import FourBarMotion
 from optlink.validation.linkage_motion import LinkageMotion, motion_of
 from optlink.validation.margins import alignment_check
@@ -52,7 +51,7 @@ class Cycle:
 
     def __init__(self, problem: CycleProblem, design: Mapping[str, float]) -> None:
         self.problem = problem
-        self.design = {**sizes_of(problem.quantities), **design}
+        self.design: dict[str, float] = problem.complete(design)
         self.machine = problem.machine(self.design)
         self.mechanism, self.speed = self.machine.mechanism, problem.drive.speed.value
         ranges = reachable(self.mechanism, self.design)
@@ -259,9 +258,10 @@ def validate_cycle(
 def _sizes(tested: Cycle) -> Iterator[Check]:
     """Check bounds of design variables, fixed quantities, and constant link lengths in motion."""
     size = tested.longest
-    within = {name: bound(name, quantity, tested.design[name], size).of() for name, quantity in tested.problem.quantities.items()}
-    yield from (within[name] for name in tested.problem.free)
-    changed = [check for name, check in within.items() if name not in tested.problem.free and not check.passed]
+    problem, within = tested.problem, [checks.of() for checks in bounds_and_links(tested.problem, tested.design, size)]
+    as_given = [f"{name} within its bounds" for name in problem.fixed]
+    yield from (check for check in within if check.name not in as_given)
+    changed = [check for check in within if check.name in as_given and not check.passed]
     yield from changed or [Check("all other dimensions as given", True, 0.0, "= 0", "")]
     yield tested.revolution.link_lengths(size).of()
 

@@ -35,7 +35,7 @@ from optlink.validation.check import (
     Checks,
     Validation,
     Validations,
-    bound,
+    bounds_and_links,
     finely,
     joined,
     limit_checks,
@@ -483,9 +483,7 @@ TARGETS: Mapping[str, type[_Targets]] = {"path": _Points, "motion": _Points, "fu
 
 def _sizes(tested: _Tested) -> Iterator[Checks]:
     """Check bounds, fixed quantities, and constant link lengths in motion."""
-    quantities = tested.problem.quantities
-    for name, quantity in quantities.items():
-        yield bound(name, quantity, tested.design[name], tested.size)
+    yield from bounds_and_links(tested.problem, tested.design, tested.size)
     lengths = (np.abs(tested.sizes[name][:, 0]) for name, q in tested.problem.mechanism.quantities.items() if q.kind != "angle")
     yield tested.required.link_lengths(functools.reduce(np.maximum, lengths, np.asarray(tested.size)))
 

@@ -124,6 +124,8 @@ NUMBERS = {
         "pivots": Maybe({"x": INTERVAL, "y": INTERVAL}),
     },
 }
+LINK = {"name": TEXT, "key": TEXT, "steps": [[Maybe(SIZE)]], "low": Maybe(NUMBER), "high": Maybe(NUMBER)}
+"""A quantity that follows from others, each of which is a given one or follows before it; its steps work on a stack."""
 CERTIFICATE = {
     "schema": TEXT,
     "optlink": TEXT,
@@ -204,7 +206,8 @@ def identity(document: Mapping[str, Any]) -> str:
 
 def check_document(document: Document) -> None:
     """Refuse a certificate whose parts do not fit each other."""
-    check_form(document, CERTIFICATE, "")
+    linked = isinstance(document.get("numbers"), dict) and "links" in document["numbers"]
+    check_form(document, CERTIFICATE | {"numbers": NUMBERS | ({"links": [LINK]} if linked else {})}, "")
     if document["identity"] != identity(document):
         raise Refused("identity", "this is not the hash of the problem: a name, a hash or a number in it was changed")
     numbers, infeasible = document["numbers"], document["status"] == "infeasible"
@@ -341,6 +344,9 @@ class Prover:
             if not quantity["low"] - AGREES <= design[name] <= quantity["high"] + AGREES:
                 raise Refused(f"design.{name}", f"{design[name]:.9g} is beyond {quantity['low']:.9g} ... {quantity['high']:.9g}")
         values = problem.values([design[name] for name in problem.names], None)
+        for link in problem.numbers.get("links", ()):
+            if not abs(float(values[link["name"]].value) - design.get(link["name"], math.nan)) <= AGREES:
+                raise Refused(f"design.{link['name']}", "this does not follow from the other quantities as the problem states it")
         start = problem.starts(values)[0] if problem.starts(values) else None
         if start is None:
             raise Refused("design", "the linkage has no start position")

@@ -121,6 +121,29 @@ class Expression:
         return self._names[token]
 
 
+def linked(steps: Sequence[tuple[str, Any]], values: Values) -> Ball:
+    """Return the value of a linked quantity from its operations on a stack."""
+    stack: list[Ball] = []
+    for kind, what in steps:
+        if kind == "number":
+            stack.append(constant(float(what)))
+        elif kind == "name":
+            stack.append(values[what])
+        elif kind == "negate":
+            stack.append(-stack.pop())
+        elif kind == "function":
+            if what not in FUNCTIONS:
+                raise Unknown(f"the function {what!r} of a link")
+            stack.append(FUNCTIONS[what](stack.pop()))
+        else:
+            right, left = stack.pop(), stack.pop()
+            if what == "^":
+                stack.append(power(left, right))
+            else:
+                stack.append({"+": left + right, "-": left - right, "*": left * right}[what] if what != "/" else left / right)
+    return stack.pop()
+
+
 def target(law: Numbers, position: int, offset: Ball, phi0: Ball, psi0: Ball) -> Ball:
     """Return the prescribed output [rad or m] at a crank rotation from the start.
 
@@ -432,6 +455,8 @@ class Problem:
         for k, name in enumerate(self.names):
             one = constant(centre[k])
             values[name] = one if scale is None else Ball.variable(k, len(self.names), centre[k], scale[k], over=over)
+        for link in self.numbers.get("links", ()):
+            values[link["name"]] = linked(link["steps"], values)
         return values
 
     # --- deviations ------------------------------------------------------------------------------------------------
@@ -511,6 +536,9 @@ class Problem:
             yield from self._transmission(values, begin)
         yield from self._further(values)
         yield from self._pivots(values)
+        for link in self.numbers.get("links", ()):
+            low, high = link["low"], link["high"]
+            yield link["key"], values[link["name"]], -math.inf if low is None else low, math.inf if high is None else high
         if not self.of_law and not self.four_bar:
             yield from self._single_positions(values, begin)
         yield from self._tolerances(values)

@@ -73,6 +73,16 @@ KINDS: dict[str, tuple[str, dict[str, Any], float]] = {
     "law": ("crank-rocker", NARROW, 1e-6),
     "law of the root mean square": ("crank-rocker", NARROW | {"requirement.measure": "rms"}, 1e-3),
     "law of the largest error": ("crank-rocker", NARROW | {"requirement.measure": "max"}, 1e-3),
+    "law with a linked rocker": (
+        "crank-rocker",
+        NARROW | {"mechanism.rocker": {"equals": "-0.5*coupler + 1.5^2*(200 mm) - 12 mm", "bounds": ["150 mm", "231 mm"]}},
+        1e-6,
+    ),
+    "law with a linked start": (
+        "crank-rocker",
+        NARROW | {"requirement.from": {"equals": "atan(rocker/frame) + 5 deg"}, "requirement.psi0": {"equals": "start + 75 deg"}},
+        1e-3,
+    ),
     "law with both assembly modes": ("crank-rocker", NARROW | {"mechanism.assembly": "either"}, 1e-3),
     "law over a span": (
         "crank-rocker",

@@ -594,3 +594,39 @@ def test_a_maximised_quantity_has_its_own_sign() -> None:
 def test_the_best_transmission_is_shown_as_an_angle() -> None:
     shown = state.objective(optlink.load("transmission-optimal"), math.cos(math.radians(37.73)))
     assert shown == {"label": "transmission angle from 90 deg", "value": pytest.approx(90.0 - 37.73), "unit": "deg"}
+
+
+LINKED = """
+[mechanism]
+frame = "500 mm"
+crank = "100 mm"
+coupler = { start = "400 mm", bounds = ["100 mm", "900 mm"] }
+rocker = { equals = "0.5*coupler + 3 mm" }
+[requirement]
+law = "psi0 + 2/(3*pi)*(phi - phi0)^2"
+span = "90 deg"
+[limits]
+transmission_angle = ["40 deg", "140 deg"]
+"""
+
+
+def test_a_linked_dimension_follows_a_drag_and_is_not_dragged_itself():
+    page = Page()
+    state = page.state("open", text=LINKED, title="linked")
+    rocker = next(one for one in state["variables"] if one["name"] == "rocker")
+    assert rocker["equals"] == "0.5*coupler + 3 mm"
+    assert "mechanism.rocker" not in [handle["id"] for handle in state["handles"]]
+    moved = page.state("drag", handle="mechanism.frame", value=520.0, moving=True)
+    best = optlink.solve(read(LINKED).override({"mechanism.frame": "520 mm"}))
+    for name in ("coupler", "rocker"):
+        assert values(moved)[name] == pytest.approx(1e3 * best.design[name], rel=1e-9)
+    for request in (
+        {"kind": "drag", "handle": "mechanism.rocker", "value": 240.0, "moving": True},
+        {"kind": "lock", "size": "rocker", "locked": True},
+        {"kind": "lock", "size": "rocker", "locked": False},
+    ):
+        (fault,) = page.ask(**request)
+        assert fault["type"] == "fault"
+        assert "rocker follows from other quantities: it equals 0.5*coupler + 3 mm" in fault["message"]
+    page.ask("drag", handle="mechanism.frame", value=520.0, moving=False)
+    assert saved(page).raw["mechanism"]["rocker"] == {"equals": "0.5*coupler + 3 mm"}

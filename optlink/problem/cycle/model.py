@@ -17,7 +17,7 @@ from optlink.problem.cycle.terms import Goal, Limit, Objective, Term, check_term
 from optlink.problem.interval import SIDES, AnglesOfJoints, Interval, LargestAnglesOfJoints, RatioOfStrokes, read_figure
 from optlink.problem.limits import Alignment, check_transmission, transmission_limit
 from optlink.problem.machine.model import Problem
-from optlink.problem.mechanism import FourBarSection, check_one_mode, moving_points, sizes_of
+from optlink.problem.mechanism import FourBarSection, check_one_mode, moving_points
 from optlink.problem.quantity import FixedAngle, Unusable, below, check_keys, check_pair, nearest
 from optlink.units import KINDS, display_unit
 
@@ -117,7 +117,7 @@ class MachineTerms(Problem):
 
     def inertias(self, values: Mapping[str, Value]) -> dict[str, Inertia]:
         """Return mass properties of all bodies for dimensions that may be symbols [SI]; centroids and bars follow the lengths."""
-        sizes = {**sizes_of(self.mechanism.quantities), **values}
+        sizes = self.sizes(values)
         return {name: body.inertia_of(name, self.linkage, sizes) for name, body in self.bodies.items()}
 
     def check_terms(self) -> None:

@@ -1,9 +1,11 @@
 """Problem: a linkage with its masses, loads and drive, checked; input of `analyze` and `simulate`."""
 
+import copy
 import datetime
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, NamedTuple, Self
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Self
 
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field
@@ -15,6 +17,7 @@ from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.stroke import Direction
 from optlink.linkage.vector2d import Array, Value
 from optlink.problem.base_model import RESERVED, Name, Section, in_folder
+from optlink.problem.linked import Link, check_linked, links_of
 from optlink.problem.machine.balance import BalanceSection
 from optlink.problem.machine.bodies import BodySection, DriveSection, Gravity
 from optlink.problem.machine.control import ControlSection
@@ -25,6 +28,7 @@ from optlink.problem.machine.revolution import RevolutionSamples
 from optlink.problem.mechanism import DyadsSection, FourBarSection, sizes_of
 from optlink.problem.nearby import nearest_modes
 from optlink.problem.quantity import FixedAngle, FixedLength, Number, Quantity, Unusable, below, check_name, nearest
+from optlink.problem.quantity_keys import quantity_key, write
 from optlink.problem.targets.repetition import MOST_REVOLUTIONS
 from optlink.problem.tolerances import Deviation, Tolerances, deviations, with_deviating_pivots
 from optlink.units import display_unit
@@ -32,6 +36,14 @@ from optlink.units import display_unit
 if TYPE_CHECKING:
     from optlink.clearance.output import Output
 
+SPELLINGS = {
+    "phi0": ("from", "start"),
+    "start": ("from", "start"),
+    "psi0": ("psi0",),
+    "zero": ("psi0", "zero"),
+    "mark": ("mark",),
+}
+"""Keys of the requirement for the quantities that it adds to those of the mechanism."""
 MAX_SHIFT = 1e6  # largest distance of a mechanism or a curve from the origin, in multiples of its size
 
 
@@ -137,13 +149,74 @@ class Problem(Section):
 
     @cached_property
     def quantities(self) -> dict[str, Quantity]:
-        """Fixed quantities and design variables by name."""
+        """Fixed and linked quantities and design variables by name."""
         return self.mechanism.quantities
 
     @property
     def free(self) -> tuple[str, ...]:
         """Names of the design variables, in the order of the design vector."""
         return tuple(name for name, quantity in self.quantities.items() if quantity.free)
+
+    @property
+    def fixed(self) -> tuple[str, ...]:
+        """Names of the fixed quantities, which are the parameters of the programme."""
+        return tuple(name for name, quantity in self.quantities.items() if quantity.fixed)
+
+    @cached_property
+    def links(self) -> dict[str, Link]:
+        """The links by the names of the linked quantities, each after those from which it follows.
+
+        Raises
+        ------
+        Unusable
+            with the full key of the quantity.
+        """
+        try:
+            return links_of(self.quantities)
+        except Unusable as error:
+            error.key = f"{quantity_key(self, error.key)}.equals"
+            raise
+
+    def complete(self, values: Mapping[str, Value]) -> dict[str, Value]:
+        """Return every quantity [SI] from some of them, elementwise; each stated value is kept.
+
+        Fixed quantities and design variables that are not stated have their value in the file; linked ones follow from the rest.
+        """
+        complete: dict[str, Value] = {name: quantity.value for name, quantity in self.quantities.items()} | dict(values)
+        for name, link in self.links.items():
+            if name not in values:
+                complete[name] = link(complete)
+        return complete
+
+    def sizes(self, design: Mapping[str, Value]) -> dict[str, Value]:
+        """Return every dimension of the linkage [SI] from some quantities, as `complete` does."""
+        known = Problem.complete(self, design)
+        return {name: known[name] for name in self.mechanism.quantities}
+
+    def check_stated(self) -> None:
+        """Check that the requirement has the keys on which its quantities depend."""
+
+    def with_links(self, raw: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the nested tables of the file with the values of linked quantities.
+
+        Raises
+        ------
+        Unusable
+            with the full key of the cause.
+        """
+        self.check_stated()
+        tables, values = copy.deepcopy(dict(raw)), Problem.complete(self, {})
+        for name in self.links:
+            key, quantity = quantity_key(self, name), self.quantities[name]
+            with below(f"{key}.equals", quantity.equals):
+                check_linked(name, quantity, float(values[name]))
+            known = replace(quantity, value=float(values[name]))
+            if name in self.mechanism.quantities:
+                write(tables["mechanism"], name, known)
+            else:
+                requirement = tables["requirement"]
+                requirement[next(one for one in SPELLINGS[name] if one in requirement)] = known
+        return tables
 
     @property
     def objective_unit(self) -> str:
@@ -167,7 +240,7 @@ class Problem(Section):
 
     def design(self, values: Mapping[str, float]) -> dict[str, float]:
         """Return every quantity [SI] for values of design variables; those not named have their value in the file."""
-        return {**sizes_of(self.quantities), **values}
+        return dict(self.complete(values))
 
     def display(self, name: str) -> tuple[float, str]:
         """Return the factor of a value of a design from SI to its display unit, and that unit; derived values are angles."""
@@ -279,7 +352,7 @@ class Problem(Section):
         """
         quantities = self.mechanism.quantities
         mechanism, pivots = with_deviating_pivots(self.mechanism, self.linkage)
-        largest = {name: quantity.bounds[1] for name, quantity in quantities.items()}
+        largest = {name: quantity.value if quantity.low is None else quantity.bounds[1] for name, quantity in quantities.items()}
         output = "rocker" if isinstance(self.mechanism, FourBarSection) else ""
         return deviations(self.tolerances, mechanism, quantities, largest | pivots, output=output)
 
@@ -294,7 +367,7 @@ class Problem(Section):
         Unusable
             with the full key of the cause.
         """
-        mechanism, sizes = self.linkage, {**sizes_of(self.mechanism.quantities), **(design or {})}
+        mechanism, sizes = self.linkage, {**self.sizes(design or {}), **(design or {})}
         guides = [guide.name for guide in mechanism.guides]
         for name in self.bodies:
             if name not in mechanism.bodies:

@@ -15,6 +15,7 @@ import numpy as np
 from optlink.errors import InvalidValue
 from optlink.linkage.vector2d import Value
 from optlink.problem.quantity import nearest
+from optlink.units import is_unit
 
 MAX_CHARACTERS = 2_000
 MAX_DEPTH = 60
@@ -44,9 +45,11 @@ _BINARY: dict[str, np.ufunc] = {
     "/": np.divide,
     "^": np.power,
 }
-_TOKEN = re.compile(
-    r"\s*(?:(?P<number>(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?)|(?P<name>[A-Za-z_][A-Za-z_0-9]*)|(?P<sign>\*\*|[-+*/^()]))",
-    re.ASCII,
+_NAME = "[A-Za-z_][A-Za-z_0-9]*"
+_PARTED = rf"{_NAME}(?:\.{_NAME})*"
+_NUMBER = r"(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
+_TOKEN, _TOKEN_OF_LINK = (
+    re.compile(rf"\s*(?:(?P<number>{_NUMBER})|(?P<name>{name})|(?P<sign>\*\*|[-+*/^()]))", re.ASCII) for name in (_NAME, _PARTED)
 )
 # binding powers: left, right; a higher one binds tighter. -x^2 is -(x^2), 2^-1 is 0.5, 2^3^2 is 2^9
 _POWER = {"+": (10, 11), "-": (10, 11), "*": (20, 21), "/": (20, 21), "^": (41, 40)}
@@ -183,18 +186,35 @@ def operation(kind: str, what: str, constants: Iterable[float]) -> float:
     return float(Expression("", frozenset(), program)({}))
 
 
-def parse(text: str, names: Iterable[str]) -> Expression:
-    """Parse a law with these variables beside pi and the functions.
+@dataclass(frozen=True)
+class Wording:
+    """How a kind of expressions is called in errors, with an example.
 
-    It has at most `MAX_CHARACTERS` characters, and brackets nested at most `MAX_DEPTH` deep.
+    `of_quantities`: whether its names can have several parts, such as "crank.length", and its numbers units.
+    """
+
+    noun: str
+    example: str
+    of_quantities: bool = False
+
+
+LAW = Wording("law", "psi0 + 0.5*(phi - phi0)")
+
+
+def parse(text: str, names: Iterable[str], wording: Wording = LAW) -> Expression:
+    """Parse an expression, by default a law, with these variables beside pi and the functions.
+
+    It has at most `MAX_CHARACTERS` characters, and brackets nested at most `MAX_DEPTH` deep. A number with a unit, such as
+    "3 mm", is a variable of that name.
 
     Raises
     ------
     LawError
     """
     if len(text) > MAX_CHARACTERS:
-        raise LawError(f"the law has {len(text):,} characters, more than {MAX_CHARACTERS:,}", "Shorten it, or give it as a table")
-    parser = _Parser(text, frozenset(names))
+        message = f"the {wording.noun} has {len(text):,} characters, more than {MAX_CHARACTERS:,}"
+        raise LawError(message, "Shorten it, or give it as a table")
+    parser = _Parser(text, frozenset(names), wording)
     parser.expression(0, 0)
     if parser.here is not None:
         parser.fail(f'"{parser.here.text}" is not expected here', "Check brackets and operators; write 2*pi, not 2 pi")
@@ -212,8 +232,8 @@ class _Token(NamedTuple):
 class _Parser:
     """Precedence-climbing (Pratt) parser that emits postfix. `here` is the next token, None at the end."""
 
-    def __init__(self, text: str, names: frozenset[str]) -> None:
-        self.text, self.names = text, names
+    def __init__(self, text: str, names: frozenset[str], wording: Wording) -> None:
+        self.text, self.names, self.wording = text, names, wording
         self.used: set[str] = set()
         self.program: list[Step] = []
         self.end = 0
@@ -231,18 +251,19 @@ class _Parser:
         if not rest.strip(SPACE):
             self.here = None
             return
-        match = _TOKEN.match(rest)
+        match = (_TOKEN_OF_LINK if self.wording.of_quantities else _TOKEN).match(rest)
         if match is None:
             sign = self.text[column - 1]
-            law = f"A law has numbers, {', '.join(sorted(self.names))}, pi, + - * / ^, brackets and the usual functions"
+            noun, names = self.wording.noun, ", ".join(sorted(self.names))
+            law = f"A {noun} has numbers, {names}, pi, + - * / ^, brackets and the usual functions"
             file = f'Write law = {{ csv = "{self.text.strip()}" }}' if self.text.strip().endswith(".csv") else None
-            self.fail(f'"{sign}" does not belong in a law', file or _REMEDIES.get(sign, law), column)
+            self.fail(f'"{sign}" does not belong in a {noun}', file or _REMEDIES.get(sign, law), column)
         self.end += match.end()
         self.here = _Token(str(match.lastgroup), match.group().strip().replace("**", "^"), column)
 
     def expression(self, power: int, depth: int) -> None:
         if depth > MAX_DEPTH:
-            self.fail(f"the law is nested more than {MAX_DEPTH} deep", "Simplify it, or give it as a table")
+            self.fail(f"the {self.wording.noun} is nested more than {MAX_DEPTH} deep", "Simplify it, or give it as a table")
         self.operand(depth)
         while self.here is not None and self.here.text in _POWER:
             sign = self.here.text
@@ -255,14 +276,20 @@ class _Parser:
 
     def operand(self, depth: int) -> None:
         if self.here is None:
-            self.fail("the law ends too early", "Complete it, for example: psi0 + 0.5*(phi - phi0)")
+            self.fail(f"the {self.wording.noun} ends too early", f"Complete it, for example: {self.wording.example}")
         kind, token, column = self.here
         if kind == "number":
             self.advance()
             number = float(token)
             if not np.isfinite(number):
                 self.fail(f"{token} is too large a number", "Use a smaller one", column)
-            self.program.append(("number", number))
+            if self.wording.of_quantities and self.here is not None and self.here.kind == "name" and is_unit(self.here.text):
+                name = f"{token} {self.here.text}"
+                self.advance()
+                self.used.add(name)
+                self.program.append(("name", name))
+            else:
+                self.program.append(("number", number))
         elif kind == "name":
             self.advance()
             self.name(token, column, depth)

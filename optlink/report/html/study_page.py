@@ -10,7 +10,6 @@ import numpy as np
 from optlink.errors import InputError
 from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import fixed_design
-from optlink.problem.mechanism import sizes_of
 from optlink.report.export.dimensions import Drawing, dimensioned
 from optlink.report.format import single_units
 from optlink.report.html import moving_linkage
@@ -76,9 +75,8 @@ def cycle_of(file: ProblemFile, design: Mapping[str, float]) -> Analysis | None:
     design : mapping of str to float [m, rad]
         Replaces dimensions of the problem.
     """
-    sizes = {**sizes_of(file.model.mechanism.quantities), **design}
     try:
-        return analyze(fixed_design(file, {name: sizes[name] for name in file.model.mechanism.quantities}))
+        return analyze(fixed_design(file, file.model.sizes(design)))
     except InputError:
         return None
 

@@ -33,11 +33,13 @@ def cycle_problem(task: CycleProblem) -> TableSpec:
 
 def _sizes(outcome: CycleResult) -> TableSpec:
     rows = []
-    for name, value in outcome.design.items():
+    complete = outcome.complete(outcome.design)
+    for name, value in (outcome.design | {name: complete[name] for name in outcome.task.links}).items():
         quantity = outcome.task.quantities[name]
         size, unit = quantity.display
         low, high = (bound * size for bound in quantity.bounds)
-        bounds = quiet(f"{low:g} ... {high:g}" if quantity.free else "fixed")
+        within = f"{low:g} ... {high:g}" if quantity.low is not None else ""
+        bounds = quiet(within if quantity.free else ", ".join(filter(None, [quantity.status, within])))
         rows.append((name, strong(dimension(value * size)), unit, dimension(quantity.value * size), bounds))
     title = "Design" if outcome.status is not Status.INFEASIBLE else NEAREST_DESIGN
     return table(title, ["", ">result", "", ">initial", ""], rows)

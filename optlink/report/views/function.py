@@ -2,7 +2,6 @@
 
 import itertools
 import math
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -292,12 +291,11 @@ def objective_map(result: SynthesisResult) -> Figure | None:
     x_name, y_name = problem.free
     (x_low, x_high), (y_low, y_high) = (problem.quantities[name].bounds for name in problem.free)
     x, y = np.meshgrid(np.linspace(x_low, x_high, 121), np.linspace(y_low, y_high, 121))
-    fixed = {name: quantity.value for name, quantity in problem.quantities.items()}
-    flat: dict[str, Any] = {**fixed, x_name: x, y_name: y}
     with np.errstate(all="ignore"):
-        objective = ErrorResiduals(problem).objective({**fixed, x_name: x[..., None], y_name: y[..., None]})
+        flat = problem.complete({x_name: x, y_name: y})
+        objective = ErrorResiduals(problem).objective(problem.complete({x_name: x[..., None], y_name: y[..., None]}))
         slacks = []
-        for row in limit_rows(problem, flat, problem.reach(flat), fixed["frame"]):
+        for row in limit_rows(problem, flat, problem.reach(flat), problem.quantities["frame"].value):
             value = np.broadcast_to(np.asarray(row.value, dtype=float), x.shape)
             slacks.append(np.fmin(value - row.low, row.high - value))
         least = np.min(slacks or [np.ones_like(x)], axis=0)

@@ -171,11 +171,12 @@ def dimension_rows(
     rows: list[Row] = []
     for name, value in values.items():
         (factor, unit), quantity = model.display(name), model.quantities.get(name)
-        if quantity is None or not quantity.free:
-            rows.append((name, shown(value * factor), unit, quiet(derived[name] if quantity is None else "fixed")))
-            continue
-        low, high = (bound * factor for bound in quantity.bounds)
-        rows.append((name, strong(shown(value * factor)), unit, quiet(f"free, {low:g} ... {high:g}")))
+        remark = derived[name] if quantity is None else quantity.status
+        if quantity is not None and quantity.low is not None:
+            low, high = (bound * factor for bound in quantity.bounds)
+            remark = f"{remark}, {low:g} ... {high:g}"
+        free = quantity is not None and quantity.free
+        rows.append((name, strong(shown(value * factor)) if free else shown(value * factor), unit, quiet(remark)))
     return rows
 
 

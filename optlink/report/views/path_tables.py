@@ -168,7 +168,7 @@ def _alternatives(outcome: SynthesisResult) -> TableSpec:
     columns = [_column(design, related.get(k)) for k, design in enumerate(designs)]
     names = [("least transmission angle", "deg"), ("same curve as", "")]
     names = names if task.by_angle else [(measure(task), task.objective_display[1]), *names]
-    names += [(name, quantity.display[1]) for name, quantity in task.quantities.items() if quantity.free]
+    names += [(name, quantity.display[1]) for name, quantity in task.quantities.items() if not quantity.fixed]
     names += [(joint, "") for joint in dict.fromkeys(f"assembly {mode}".rstrip() for design in designs for mode in modes(design))]
     rows: list[Row] = [
         (name, quiet(unit), *(column.get(name, "") for column in columns))
@@ -187,7 +187,7 @@ def _column(design: LinkageDesign, related: int | None) -> dict[str, str]:
     if related is not None:
         cells["same curve as"] = f"cognate of {related + 1}"
     for name, quantity in design.task.quantities.items():
-        if quantity.free:
+        if not quantity.fixed:
             cells[name] = significant(design.values[name] * quantity.display[0])
     return cells | {f"assembly {joint}".rstrip(): mode for joint, mode in modes(design).items()}
 

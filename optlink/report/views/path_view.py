@@ -255,7 +255,7 @@ def sizes(view: PathView) -> list[str]:
     task, unit, values = view.task, view.sketch.scale, view.design.values
     names = [*task.mechanism.quantities, *([MARK] if MARK in task.quantities else [])]
     if len(names) > MAX_DIMENSIONS:
-        names = [name for name in names if task.quantities[name].free]
+        names = [name for name in names if not task.quantities[name].fixed]
     if not names or len(names) > MAX_DIMENSIONS:
         return []
     angles = [task.quantities[name].kind == "angle" for name in names]

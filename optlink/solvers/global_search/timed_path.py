@@ -49,6 +49,8 @@ def unsuitable(problem: DesignProblem) -> str:
         return "the crank angles of the points are not prescribed"
     if problem.measure == "max":
         return 'the measure "max" is not a sum of squares'
+    if problem.links:
+        return "dimensions are linked"
     if problem.limits.crank == "span":
         return "the crank need not turn fully"
     if problem.mechanism.follows:

@@ -54,7 +54,10 @@ def law_objective(problem: ProblemFile, name: str, number: int) -> ParetoObjecti
             "unknown objective", nearest(name, [ERROR, *limits, *(f"{s}.max" for s in sizes)]), problem.file, OPTION, name
         )
     quantity = task.quantities[key]
-    if not quantity.free:
+    if quantity.equals is not None and quantity.low is None:
+        remedy = f"Give it bounds beside the link, for example: bounds = {range_example(quantity.kind)}"
+        raise InputError(f"{key} follows from other quantities and has no bounds", remedy, problem.file, OPTION, name)
+    if quantity.fixed:
         remedy = f"Free it, for example: --set mechanism.{key}={range_example(quantity.kind)}"
         raise InputError(f"{key} is fixed at {quantity}, so it is not a design variable", remedy, problem.file, OPTION, name)
     return ParetoObjective(name, key, quantity.display[1], 1 if side == "max" else -1, f"mechanism.{key}.{side}")
@@ -122,7 +125,7 @@ def without_varied_limits(problem: ProblemFile, objectives: Sequence[ParetoObjec
         above, _, side = objective.key.rpartition(".")
         entry = problem.at(above)
         if above.startswith("mechanism."):
-            problem = problem.override({above: {"bounds": entry["bounds"]}})
+            problem = problem.override({above: {key: value for key, value in entry.items() if key != "start"}})
         elif above == "limits.pressure_angle":
             problem = problem.override({above: None})
         elif entry is not None:

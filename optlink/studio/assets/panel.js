@@ -173,7 +173,7 @@ export class Panel {
     track.hidden = !limited;
     typed.hidden = !limited || !handle;
     small.hidden = !typed.hidden;
-    setText(small, variable.locked ? "fixed" : limited ? `${plain(low)} … ${plain(high)}` : "free");
+    setText(small, variable.equals ? `= ${variable.equals}` : variable.locked ? "fixed" : limited ? `${plain(low)} … ${plain(high)}` : "free");
     [low, high].forEach((edge, part) => fill(typed.children[part], plain(edge), variable.unit));
     if (limited) {
       const place = (at) => `${(100 * Math.min(Math.max((at - low) / (high - low), 0), 1)).toFixed(2)}%`;

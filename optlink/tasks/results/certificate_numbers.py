@@ -15,6 +15,7 @@ from optlink.problem.file import ProblemFile
 from optlink.problem.interval import Interval
 from optlink.problem.limits import limits_in_file
 from optlink.problem.mechanism import FourBarSection
+from optlink.problem.quantity_keys import quantity_key
 from optlink.problem.targets.function import Function
 from optlink.problem.targets.law import Law, SlideExpression, Table
 
@@ -33,15 +34,28 @@ def numbers_of(problem: ProblemFile, peaks: Array) -> Numbers:
     quantities = {
         name: {"value": quantity.value, "low": quantity.bounds[0], "high": quantity.bounds[1], "free": quantity.free}
         for name, quantity in model.quantities.items()
+        if name not in model.links
     }
     numbers: Numbers = {
         "measure": model.measure,
         "quantities": quantities,
+        **({"links": [_link(model, name) for name in model.links]} if model.links else {}),
         "linkage": {"four_bar": isinstance(model.mechanism, FourBarSection), **_linkage(model.linkage)},
         "limits": _limits(model),
     }
     numbers |= _of_law(model) if model.task == "function" else _of_positions(model)
     return numbers | {"offsets": [*numbers["offsets"], *peaks.tolist()]}
+
+
+def _link(model: DesignProblem, name: str) -> Numbers:
+    """Return a linked quantity: its expression as operations on a stack, and its bounds."""
+    link, quantity = model.links[name], model.quantities[name]
+    terms: dict[str, list[Any]] = {text: ["number", number] for text, number in link.numbers.items()}
+    terms |= {text: ["name", of] for text, of in link.names.items()}
+    steps = [terms[what] if kind == "name" else [kind, what] for kind, what in link.expression.program]
+    limited = quantity.low is not None or (quantity.kind == "length" and not link.positive)
+    bounds = quantity.bounds if limited else (-math.inf, math.inf)
+    return {"name": name, "key": quantity_key(model, name), "steps": steps, **_sides(bounds)}
 
 
 def _linkage(linkage: Mechanism) -> Numbers:

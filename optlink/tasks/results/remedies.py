@@ -178,7 +178,7 @@ def fixed_reasons(
 ) -> Iterator[PoorFitReason]:
     """Yield the fixed dimensions as a reason; of an optimum (`solution`), the one with the largest effect comes first."""
     effects = {} if solution is None or task is None else fixed_effects(solution, task)
-    fixed = [name for name, quantity in quantities.items() if not quantity.free]
+    fixed = [name for name, quantity in quantities.items() if quantity.fixed]
     fixed.sort(key=lambda name: -abs(effects.get(name, 0.0)))
     if not fixed:
         return
