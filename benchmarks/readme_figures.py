@@ -42,11 +42,11 @@ DESIGN, PRESS = "solve shaper-design", "solve press-toggle"
 PRICE = "limits/name=largest transmission angle/multiplier"
 MEASURES = {
     "rms shaking force": (339.668, 93.7868, 72.39),
-    "largest shaking force": (733.119, 161.064, 78.03),
+    "peak shaking force": (733.119, 161.064, 78.03),
     "rms shaking moment": (90.6044, 24.7473, 72.69),
-    "largest shaking moment": (155.733, 38.5715, 75.23),
-    "rms driving torque": (154.725, 132.717, 14.22),
-    "largest driving torque": (320.022, 273.915, 14.41),
+    "peak shaking moment": (155.733, 38.5715, 75.23),
+    "rms torque": (154.725, 132.717, 14.22),
+    "peak torque": (320.022, 273.915, 14.41),
 }
 
 

@@ -20,9 +20,10 @@ NOT_FOR_A_LAW = {
     "multiprocessing",
     "numpy.random",
     "optlink.clearance.state",
+    "optlink.dynamics.columns",
     "optlink.dynamics.counterweights",
     "optlink.dynamics.flywheel",
-    "optlink.problem.cycle",
+    "optlink.dynamics.inverse",
     "optlink.tasks.analyze",
 }
 HEAVY = {"casadi", "matplotlib", "cvxpy", "plotly", "scipy.optimize", "scipy.stats", "pint"}

@@ -111,9 +111,8 @@ FORMS = {
     "Limit.max": "quantity",
     "Limit.exactly": "quantity",
     "CounterweightSection.at": "text, or `[along, across]`",
-    "SpringSection.free_length": "length, or `[low, high]`",
-    "BalanceSection.minimise": "text, or measures with weights",
-    "BalanceSection.limits": "measures with quantities or percentages",
+    "TermSection.about": "text, or `[x, y]`",
+    "BalanceLimit.max": "quantity or percentage",
     "BalanceSection.about": "text, or `[x, y]`",
 }
 """Permitted values of fields with a reader of their own, by model and name."""

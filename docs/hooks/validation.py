@@ -351,7 +351,7 @@ def balance() -> Iterator[Row]:
     """Yield the figures of Berkof and Lowen's four-bar without counterweights, with one, and with two."""
     problem = optlink.load("balance-four-bar")
     both = optlink.balance(problem)
-    given = {str(row.measure): row.before for row in both.rows}
+    given = {row.measure.words: row.before for row in both.rows}
     test = f"{BALANCE}::test_the_given_machine"
     yield Row("rms shaking force, unbalanced", "N", 0.01102811, given["rms shaking force"], 1.2e-8, test)
     force = optlink.analyze(problem, 3600)

@@ -9,13 +9,13 @@ import numpy as np
 
 from optlink.balancing.certificate import GAP, ConeCertificate, solved
 from optlink.balancing.socp import CONSTRAINT_TOLERANCE, BalanceBound, BalancingProgramme, Price
-from optlink.dynamics.counterweights import BalanceMeasure
 from optlink.errors import SolverError
 from optlink.linkage.vector2d import Array
 from optlink.optimization.multipliers import MultiplierSet
+from optlink.problem.cycle.terms import Term
 from optlink.units import percent
 
-Goal = Sequence[tuple[BalanceMeasure, float]]
+Goal = Sequence[tuple[Term, float]]
 NEGLIGIBLE = 1e-10
 """Share of the largest singular value below which parameters have no effect on a measure."""
 
@@ -85,7 +85,7 @@ def optimum(programme: BalancingProgramme, goal: Goal) -> Optimum:
     x = programme.found
     duals = [max(float(np.max(row.dual_value)), 0.0) for row in (*rows, *(place.constraint for place in programme.hard))]
     value = evaluate(programme, goal, x)
-    if len(goal) == 1 and goal[0][0].of == "rms":
+    if len(goal) == 1 and goal[0][0].how == "rms":
         exact = _least_squares(programme, goal[0][0], value)
         if exact is not None:
             least = goal[0][1] * programme.evaluate(goal[0][0], exact)
@@ -158,7 +158,7 @@ def _span(rows: Array) -> tuple[Array, Array]:
     return directions[:rank].T, directions[rank:].T
 
 
-def _least_squares(programme: BalancingProgramme, measure: BalanceMeasure, value: float) -> Array | None:
+def _least_squares(programme: BalancingProgramme, measure: Term, value: float) -> Array | None:
     """Return the least-squares optimum of a root mean square with the least mass; None if the limits do not allow it."""
     rows, offset = programme.rows(measure)
     matters, _ = _span(rows)
@@ -174,7 +174,7 @@ class _Lightest:
     "As good" means equal effect on the measures or, if that is lighter, values that are at most `LIKE` larger.
     """
 
-    def __init__(self, programme: BalancingProgramme, measures: Sequence[BalanceMeasure]) -> None:
+    def __init__(self, programme: BalancingProgramme, measures: Sequence[Term]) -> None:
         cp, self.programme, self.measures = programme.cp, programme, measures
         rows = np.concatenate([programme.rows(measure)[0].reshape(-1, programme.effects.count) for measure in measures])
         self.idle = _span(np.asarray(np.linalg.qr(rows, mode="r")))[1]
@@ -317,7 +317,7 @@ class TradeOffCurve:
     further_seconds: float
 
 
-def curve(programme: BalancingProgramme, first: BalanceMeasure, second: BalanceMeasure, count: int) -> TradeOffCurve:
+def curve(programme: BalancingProgramme, first: Term, second: Term, count: int) -> TradeOffCurve:
     """Return Pareto-optimal points of two measures, evenly spaced along the front, `count` with both ends.
 
     The ends are the optima of each measure, with the other as small as that allows. For the points between, evenly spaced
@@ -359,7 +359,7 @@ def curve(programme: BalancingProgramme, first: BalanceMeasure, second: BalanceM
     return TradeOffCurve((start, *inner, stop), seconds[0], float(np.median(seconds[1:])) if len(seconds) > 1 else math.nan)
 
 
-def _end(programme: BalancingProgramme, first: BalanceMeasure, second: BalanceMeasure) -> Optimum:
+def _end(programme: BalancingProgramme, first: Term, second: Term) -> Optimum:
     """Return the optimum of the first measure and, at that value, of the second one."""
     best = optimum(programme, [(first, 1.0)])
     if best.certificate.status != "optimal":

@@ -12,9 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from optlink.dynamics.counterweights import BalanceMeasure, Counterweight, Effects, FreeSpring
+from optlink.balancing.measures import amounts, value
+from optlink.dynamics.counterweights import Counterweight, Effects, FreeSpring
 from optlink.dynamics.inertia import Parameters
 from optlink.linkage.vector2d import Array
+from optlink.problem.cycle.terms import Term
 
 NOTHING = 1e-9
 """Scaled mass or stiffness below which a counterweight or spring counts as absent."""
@@ -95,7 +97,7 @@ class BalancingProgramme:
         effects: Effects,
         counterweights: Sequence[Counterweight],
         springs: Sequence[FreeSpring],
-        measures: Sequence[tuple[BalanceMeasure, float]],
+        measures: Sequence[tuple[Term, float]],
         total: tuple[float, float],
         mass: float,
         length: float,
@@ -105,7 +107,7 @@ class BalancingProgramme:
         self.cp: Any = cvxpy
         self.effects, self.counterweights, self.springs = effects, counterweights, springs
         self.length, self.begin = length, 4 * len(counterweights)  # of the parameters of springs
-        self._cached_rows: dict[BalanceMeasure, tuple[float, Array, Array]] = {}
+        self._cached_rows: dict[Term, tuple[float, Array, Array]] = {}
         self.scales = np.concatenate([self._scale(w, mass) for w in counterweights] + [self._stiffness(s) for s in springs])
         self.x = self.cp.Variable(effects.count)
         self.hard: list[PlaceLimit] = []
@@ -121,7 +123,7 @@ class BalancingProgramme:
             self._between("mass of all counterweights together", "mass", self.total, total, self.mass_scale)
         for measure, bound in measures:
             scale = self.before(measure) or 1.0
-            self.bounds.append(BalanceBound(str(measure), "measure", self.expression(measure), bound, scale))
+            self.bounds.append(BalanceBound(measure.words, measure.nature.kind, self.expression(measure), bound, scale))
 
     # --- scaling ------------------------------------------------------------------------------------------------------
 
@@ -134,8 +136,8 @@ class BalancingProgramme:
         """Return the scales of a spring: the upper bound of its stiffness, else a stiffness typical of the driving torque."""
         high = spring.stiffness[1]
         if not 0.0 < high < math.inf:
-            torque = BalanceMeasure("driving torque")
-            high = (torque.value(self.effects.affine(torque).offset) or 1.0) / self.length**2
+            torque = Term(quantity="torque", measure="rms")
+            high = (value(torque, amounts(self.effects.original, torque)) or 1.0) / self.length**2
         return np.array([high, high * self.length])
 
     @cached_property
@@ -242,39 +244,39 @@ class BalancingProgramme:
 
     # --- measures -----------------------------------------------------------------------------------------------------------
 
-    def _rows(self, measure: BalanceMeasure) -> tuple[float, Array, Array]:
+    def _rows(self, measure: Term) -> tuple[float, Array, Array]:
         """Return the original value of a measure, its scaled rows (positions, parts, n) or (k, n), and its offsets."""
         if measure not in self._cached_rows:
-            affine = self.effects.affine(measure)
-            before = measure.value(affine.offset)
-            rows, offset = affine.compressed() if measure.of == "rms" else (affine.matrix, affine.offset)
+            affine = self.effects.affine(lambda record: amounts(record, measure))
+            before = value(measure, affine.offset)
+            rows, offset = affine.compressed() if measure.how == "rms" else (affine.matrix, affine.offset)
             scale = before or float(np.max(np.abs(rows @ self.scales), initial=0.0)) or 1.0
             self._cached_rows[measure] = before, rows * self.scales / scale, offset / scale
         return self._cached_rows[measure]
 
-    def before(self, measure: BalanceMeasure) -> float:
+    def before(self, measure: Term) -> float:
         """Return the value of a measure in the original machine [SI]."""
         return self._rows(measure)[0]
 
-    def rows(self, measure: BalanceMeasure) -> tuple[Array, Array]:
+    def rows(self, measure: Term) -> tuple[Array, Array]:
         """Return scaled rows and offset of a measure: (k, n) and (k,) for a root mean square, else (positions, parts, n)."""
         return self._rows(measure)[1:]
 
-    def expression(self, measure: BalanceMeasure) -> Any:
+    def expression(self, measure: Term) -> Any:
         """Return a measure divided by its value in the original machine, as a convex expression."""
         cp = self.cp
         _, rows, offset = self._rows(measure)
-        if measure.of == "rms":
+        if measure.how == "rms":
             return cp.norm(rows @ self.x + offset)
         positions, parts = offset.shape
-        amounts = cp.reshape(rows.reshape(-1, rows.shape[-1]) @ self.x + offset.ravel(), (positions, parts), order="C")
-        return cp.max(cp.norm(amounts, axis=1)) if parts > 1 else cp.max(cp.abs(amounts))
+        total = cp.reshape(rows.reshape(-1, rows.shape[-1]) @ self.x + offset.ravel(), (positions, parts), order="C")
+        return cp.max(cp.norm(total, axis=1)) if parts > 1 else cp.max(cp.abs(total))
 
-    def evaluate(self, measure: BalanceMeasure, x: Array) -> float:
+    def evaluate(self, measure: Term, x: Array) -> float:
         """Return a measure at scaled parameters (n,), divided by its value in the original machine."""
         _, rows, offset = self._rows(measure)
-        amounts = rows @ x + offset
-        return float(np.linalg.norm(amounts)) if measure.of == "rms" else measure.value(amounts)
+        total = rows @ x + offset
+        return float(np.linalg.norm(total)) if measure.how == "rms" else value(measure, total)
 
     @property
     def found(self) -> Array:

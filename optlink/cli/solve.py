@@ -231,13 +231,13 @@ def analyze(
     console.deliver(result, "analysis", as_json, out, csv, code=0 if result.sound else 1)
 
 
-MINIMISED = 'Measure to minimise, instead of that of the problem: "rms force", "largest reaction at D".'
+MINIMISED = 'Term to minimise, instead of the objective of the problem: "rms force", "peak reaction at D".'
 
 
 def balance(
     problem: Problem,
     minimise: Annotated[str | None, option("MEASURE", MINIMISED)] = None,
-    trade: Annotated[str | None, option("A,B", "Compute the trade-off between two measures: --trade force,torque.")] = None,
+    trade: Annotated[str | None, option("A,B", "Compute the trade-off between two terms: --trade force,torque.")] = None,
     points: Annotated[int, number("Points of the trade-off.")] = 25,
     changes: Set = None,
     design: Design = None,

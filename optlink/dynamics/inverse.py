@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 
 from optlink.dynamics.dyad_balances import BALANCES, GroupForces, RemainingWrenches
-from optlink.dynamics.inertia import UNITS, Wrench, wrench
+from optlink.dynamics.inertia import Wrench, wrench
 from optlink.dynamics.machine import Machine, Moving
 from optlink.linkage.mechanism import FRAME, Dyad, Guide
 from optlink.linkage.vector2d import Array, Value, Vector, cross, dot, minus, plus
@@ -272,19 +272,6 @@ def shaking(moving: Moving) -> Wrench:
     for body, own in needed.items():
         total = total + Wrench(own.force, own.about(moving.state(body).start, pivot))
     return -total
-
-
-def regressor(moving: Moving) -> dict[str, tuple[Reactions, ...]]:
-    """Return reactions and torque per unit of each inertial parameter, by body: mass, two first moments, moment of inertia.
-
-    Multiplied by `Inertia.parameters` of all bodies they sum to the part of every reaction due to inertia and gravity.
-    """
-    smooth, gravity = moving.without_friction, moving.machine.gravity
-    nothing = dict.fromkeys(moving.machine.mechanism.bodies, ZERO_WRENCH)
-    return {
-        body: tuple(reactions(smooth, {**nothing, body: wrench(unit, moving.state(body), gravity)}) for unit in UNITS)
-        for body in nothing
-    }
 
 
 def reduced_inertia(machine: Machine, crank_angle: Array) -> tuple[Array, Array]:

@@ -99,7 +99,7 @@ def with_spellings(raw: Mapping[str, Any]) -> dict[str, Any]:
             key: SPELLINGS.get(item, item) if key in ("sense", "from", "start") and isinstance(item, str) else item
             for key, item in table.items()
         }
-        return {renamed[key]: one(item) if key == "terms" else item for key, item in values.items()}
+        return {renamed[key]: one(item) if key in ("terms", "objective") else item for key, item in values.items()}
 
     return {name: one(table) if name in SPELLED else table for name, table in raw.items()}
 

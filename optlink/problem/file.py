@@ -37,6 +37,7 @@ from optlink.problem.file_errors import (
 from optlink.problem.identity import identity
 from optlink.problem.limits import MARGINS, Alignment, four_bar_limits
 from optlink.problem.linked import states_links
+from optlink.problem.machine.balance import with_terms
 from optlink.problem.machine.model import Problem
 from optlink.problem.nearby import read_near
 from optlink.problem.overview import linkage_type
@@ -259,8 +260,8 @@ def load(problem: str | Path, overrides: Mapping[str, object] | None = None) -> 
                 remedy = f"Write a problem file from it: optlink new {text} --out {text}.toml"
                 raise InputError("this is a template, not a problem", remedy, key="PROBLEM", value=text)
             raise InputError("no such problem", similar_name(text, names), key="PROBLEM", value=text)
-    raw = with_ranges(with_spellings(_read_toml(path)), skip=WORDS)
     file = shown_name(path.name if text in names else text)
+    raw = _tables(_read_toml(path), file)
     changes = _with_units(raw, _without_arrays(overrides or {}))
     _change(raw, changes, file)
     return replace(read(raw, name, file, path.parent), overrides=changes)
@@ -301,7 +302,7 @@ def read(
         raise InputError("not the text of a problem file", remedy, key="raw", value=raw)
     tables = _without_arrays(_parse(raw, file) if isinstance(raw, str) else raw)
     _check_values(tables, file)
-    raw = _typed(with_ranges(with_spellings(tables), skip=WORDS))
+    raw = _typed(_tables(tables, file))
     model = _model(raw, file)
     try:
         with input_of(file):
@@ -319,6 +320,12 @@ def read(
         errors = error.faults if isinstance(error, InputError) else faults(error, model, raw, file)
         raise InputError([as_written(fault, raw) for fault in errors]) from None
     return ProblemFile(name, file, where, raw, problem, files=contents)
+
+
+def _tables(raw: Mapping[str, Any], file: str) -> dict[str, Any]:
+    """Return the tables of a file in present words, with ranges written out."""
+    with input_of(file):
+        return with_terms(with_ranges(with_spellings(raw), skip=WORDS))
 
 
 def _model(raw: Mapping[str, Any], file: str) -> type[Problem]:
@@ -510,6 +517,7 @@ def _change(raw: dict[str, Any], changes: Mapping[str, object], file: str) -> No
 def _assign(raw: dict[str, Any], key: str, value: object, file: str) -> None:
     if key.partition(".")[0] in SPELLED:
         key = written(".".join(SPELLINGS.get(step, step) for step in key.split(".")), raw)
+    key = "balance.objective" if key == "balance.minimise" else key
     key, value = _whole(raw, key, with_ranges(value, tuple(key.split(".")), WORDS), file)
     section, _, name = key.partition(".")
     if section == "tolerances" and name and isinstance(raw.setdefault(section, {}), dict):

@@ -271,7 +271,7 @@ def _plain(value: object) -> object:
 _EXAMPLES = {
     "mechanism": "Add the section [mechanism]",
     "requirement": "Add the section [requirement]",
-    "balance.minimise": 'Add minimise = "rms shaking force"',
+    "balance.objective": 'Add objective = { quantity = "shaking force", measure = "rms" }',
     "requirement.law": f'Add law = "psi0 + 0.5*(phi - phi0)", or for a slider {SLIDE}',
     "requirement.points": "Give a whole number from 1 to 10000, for example points = 30",
     "expected.source": "State the source of the expected values",

@@ -4,15 +4,17 @@ import importlib
 import math
 import time
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from optlink.balancing import optimum as search
 from optlink.balancing.certificate import GAP
+from optlink.balancing.measures import amounts, measured, value
 from optlink.balancing.socp import NOTHING, BalanceBound, BalancingProgramme, Price, version
 from optlink.dynamics.columns import MotionColumns
-from optlink.dynamics.counterweights import BalanceMeasure, Effects, quantities, quantities_of, with_counterweight
+from optlink.dynamics.counterweights import Effects, with_counterweight
 from optlink.dynamics.inertia import Inertia, Parameters
 from optlink.dynamics.machine import Machine
 from optlink.dynamics.poles import poles
@@ -20,10 +22,10 @@ from optlink.errors import InputError, Status
 from optlink.linkage.vector2d import Array
 from optlink.optimization.pareto_front import knee
 from optlink.problem.arguments import typed
+from optlink.problem.cycle.terms import Term
 from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import fixed_design
-from optlink.problem.machine.balance import check_measure, read_measure
-from optlink.problem.quantity import check_range, input_of
+from optlink.problem.quantity import check_range
 from optlink.tasks.machine import (
     check_design,
     check_regular,
@@ -48,9 +50,6 @@ from optlink.tasks.results.balance import (
 )
 from optlink.units import percent
 
-Goal = Sequence[tuple[BalanceMeasure, float]]
-"""Measures to minimise together, with their weights."""
-
 # --- the problem ------------------------------------------------------------------------------------------------------------
 
 
@@ -71,7 +70,8 @@ class _Task:
     def __init__(self, problem: ProblemFile) -> None:
         section = problem.model.balance
         if section is None:
-            example = 'minimise = "rms shaking force" and [[balance.counterweights]] with body, thickness, density and reach'
+            goal = 'objective = { quantity = "shaking force", measure = "rms" }'
+            example = f"{goal} and [[balance.counterweights]] with body, thickness, density and reach"
             raise InputError("the problem has no [balance]", f"Add it: {example}", problem.file, "balance")
         self.problem, self.section = problem, section
         self.machine = machine_of(problem)
@@ -81,13 +81,17 @@ class _Task:
         self.about = section.place(self.machine)
         self.moving = self.machine.moving(self.angles, self.speed)
         self._check_finite()
-        self.effects = Effects(self.moving, [weight.body for weight in self.counterweights], self.springs, self.about)
-        limits = ((c.measure, c.of(c.measure.value(self.effects.affine(c.measure).offset))) for c in section.limits.values())
-        self.limited = tuple(limits)
+        self.effects = Effects(self.moving, [weight.body for weight in self.counterweights], self.springs)
+        self.limited = [(term, limit.bound(self.before(term))) for term, limit in section.limited]
         masses = sum(float(inertia.mass) for inertia in self.machine.inertias.values())
         self.programme = BalancingProgramme(
             self.effects, self.counterweights, self.springs, self.limited, section.total, masses or 1.0, float(self.machine.size)
         )
+        self.goal = [(term, weight * (self.before(term) / scale if scale else 1.0)) for term, weight, scale in section.goals]
+
+    def before(self, term: Term) -> float:
+        """Return the value of a term in the original machine [SI]."""
+        return value(term, amounts(self.effects.original, term))
 
     def _check_finite(self) -> None:
         record = MotionColumns(self.moving)
@@ -114,20 +118,6 @@ class _Task:
         )
         return added, springs
 
-    def parameters(self, added: Sequence[AddedCounterweight], springs: Sequence[FittedSpring]) -> Array:
-        """Return parameters [SI] of counterweights and springs, zero for omitted ones."""
-        x = np.zeros(self.effects.count)
-        for k, weight in enumerate(self.counterweights):
-            for counterweight in added:
-                if counterweight.specification is weight:
-                    x[4 * k : 4 * k + 4] = counterweight.parameters
-        for k, spring in enumerate(self.springs):
-            for fitted in springs:
-                if fitted.specification is spring:
-                    place = 4 * len(self.counterweights) + 2 * k
-                    x[place : place + 2] = fitted.stiffness, fitted.stiffness * fitted.free
-        return x
-
 
 # --- the result ---------------------------------------------------------------------------------------------------------------
 
@@ -148,9 +138,9 @@ def balance(
     problem : ProblemFile
         From `optlink.load`, with a section `[balance]`.
     minimise : str, optional
-        Measure, for example "rms shaking force" or "largest reaction at D". Default: that of the problem.
+        Term in words, for example "rms shaking force" or "peak reaction at D". Default: the objective of the problem.
     trade : str, optional
-        Two measures, for example "force,torque", whose Pareto front is computed.
+        Two terms, for example "force,torque", whose Pareto front is computed.
     points : int
         Number of points of the Pareto front, 3 to 1000.
     progress : function of the completed fraction of the Pareto front, optional
@@ -180,16 +170,17 @@ def balance(
     begin = time.perf_counter()
     if design is not None:
         problem = fixed_design(problem, problem.model.sizes(design))
+    if minimise is not None:
+        problem = _minimising(minimise, "--minimise", problem)
     task = _Task(problem)
-    goal = task.section.goal if minimise is None else ((_measure(minimise, "--minimise", task), 1.0),)
-    pair = () if trade is None else _pair(trade, task)
-    _check(task, goal, pair, points)
-    programme = task.programme
+    pair = [] if trade is None else _pair(trade, problem)
+    _check(task, pair, points)
+    programme, goal = task.programme, task.goal
     solution = search.optimum(programme, goal)
     seconds["optimum"] = time.perf_counter() - begin
-    before = programme.before(goal[0][0]) if len(goal) == 1 else sum(weight for _, weight in goal)
+    before = programme.before(goal[0][0]) if task.section.single else sum(weight for _, weight in goal)
     common: dict[str, Any] = {name: getattr(task, name) for name in ("problem", "angles", "speed", "about")}
-    common |= {"goal": tuple(goal), "before": before, "solver": version(), "seconds": seconds}
+    common |= {"before": before, "solver": version(), "seconds": seconds}
     common["iterations"] = solution.certificate.iterations
     if solution.certificate.status == "infeasible":
         return Balance(
@@ -200,14 +191,15 @@ def balance(
     best = search.realised_discs(programme, goal, solution.x)
     added, springs = task.parts(best)
     after = search.evaluate(programme, goal, best)
-    scale = before if len(goal) == 1 else 1.0
+    scale = before if task.section.single else 1.0
     size = max(solution.value, 1e-3)  # a negligible value is related to the initial machine
     gap, slack = max(solution.gap, 0.0) / size, max(after - solution.value, 0.0) / size
     excess = programme.excess(best)
     within = slack <= GAP and excess <= ACTIVE
     status = Status.STALLED if gap > GAP else Status.OPTIMAL if within else Status.RELAXED
     begin = time.perf_counter()
-    balanced, heavier, rows, disagreement = _verified(task, added, springs)
+    balanced = _balanced_problem(task, added, springs)
+    heavier, rows, disagreement = _verified(task, balanced, best)
     seconds["verification"] = time.perf_counter() - begin
     curve = None
     if pair:
@@ -227,48 +219,49 @@ def balance(
         disagreement=disagreement,
         limits=tuple(_active_limit(price, after, scale) for price in solution.prices),
         trade=curve,
-        notes=(*_notes(task, goal, status, slack, heavier, added, excess), *(curve.notes if curve else ())),
+        notes=(*_notes(task, status, slack, heavier, added, excess), *(curve.notes if curve else ())),
         exact=solution.exact,
         excess=excess,
         **common,
     )
 
 
-def _measure(text: str, option: str, task: _Task) -> BalanceMeasure:
-    with input_of(task.problem.file, option, text):
-        measure = read_measure(text)
-        check_measure(measure, task.machine)
-    return measure
+def _minimising(text: str, option: str, problem: ProblemFile) -> ProblemFile:
+    """Return the problem with the objective that a text names."""
+    try:
+        return problem.override({"balance.objective": text})
+    except InputError as error:
+        fault = error.faults[0]
+        raise InputError(fault.message, fault.remedy, problem.file, option, text) from None
 
 
-def _pair(text: str, task: _Task) -> tuple[BalanceMeasure, BalanceMeasure]:
+def _pair(text: str, problem: ProblemFile) -> list[Term]:
     first, comma, second = text.partition(",")
     if not comma or "," in second:
         raise InputError("a trade-off is between two measures", "Write for example force,torque", key="--trade", value=text)
-    return _measure(first, "--trade", task), _measure(second, "--trade", task)
+    sections = (_minimising(part, "--trade", problem).model.balance for part in (first, second))
+    return [section.goals[0].term for section in sections if section is not None]
 
 
-def _check(task: _Task, goal: Goal, pair: Sequence[BalanceMeasure], points: int) -> None:
+def _check(task: _Task, pair: Sequence[Term], points: int) -> None:
     """Refuse measures that are zero already: they cannot be reduced, and no relative value is defined."""
     check_range("--points", points, 3, 1000)
     if len(pair) == 2 and pair[0] == pair[1]:
-        raise InputError("both measures are the same", "Name two, for example force,torque", key="--trade", value=str(pair[0]))
-    for measure in [m for m, _ in goal] + list(pair):
-        if not task.programme.before(measure) > 0.0:
-            message = f"the {measure} of the initial machine is zero: there is nothing to balance"
-            raise InputError(message, "Choose another measure, or give the bodies masses", task.problem.file, "balance.minimise")
+        raise InputError("both measures are the same", "Name two, for example force,torque", key="--trade", value=pair[0].words)
+    for term in (*(term for term, _ in task.goal), *pair):
+        if not task.before(term) > 0.0:
+            message = f"the {term.words} of the initial machine is zero: there is nothing to balance"
+            raise InputError(message, "Choose another measure, or give the bodies masses", task.problem.file, "balance.objective")
 
 
 # --- check by inverse dynamics ------------------------------------------------------------------------------------------------
 
 
-def _balanced_problem(
-    problem: ProblemFile, machine: Machine, added: Sequence[AddedCounterweight], springs: Sequence[FittedSpring]
-) -> ProblemFile:
-    """Return the problem of `machine` with the counterweights added to its bodies and the springs to its loads."""
+def _balanced_problem(task: _Task, added: Sequence[AddedCounterweight], springs: Sequence[FittedSpring]) -> ProblemFile:
+    """Return the problem with the counterweights added to its bodies and the springs to its loads."""
     changes: dict[str, object] = {"balance": None}
     for counterweight in added:
-        inertia = with_counterweight(machine.inertias.get(counterweight.body, Inertia()), counterweight.parameters)
+        inertia = with_counterweight(task.machine.inertias.get(counterweight.body, Inertia()), counterweight.parameters)
         changes[f"bodies.{counterweight.body}"] = {
             "mass": f"{float(inertia.mass)!r} kg",
             "centroid": [f"{float(inertia.along)!r} m", f"{float(inertia.across)!r} m"],
@@ -280,36 +273,29 @@ def _balanced_problem(
             "stiffness": f"{spring.stiffness!r} N/m",
             **({"free_length": f"{spring.free!r} m"} if spring.free > 0.0 else {}),
         }
-    title = f"{problem.model.title[:188]}, balanced"
-    return problem.override({**changes, "title": title, "expected": None})
+    title = f"{task.problem.model.title[:188]}, balanced"
+    return task.problem.override({**changes, "title": title, "expected": None})
 
 
-def _verified(
-    task: _Task, added: Sequence[AddedCounterweight], springs: Sequence[FittedSpring]
-) -> tuple[ProblemFile, Machine, tuple[MeasureChange, ...], float]:
-    """Return the balanced problem, its machine, measures before and after by inverse dynamics, and the disagreement."""
-    balanced = _balanced_problem(task.problem, task.machine, added, springs)
+def _verified(task: _Task, balanced: ProblemFile, x: Array) -> tuple[Machine, tuple[MeasureChange, ...], float]:
+    """Return the balanced machine, measures before and after by inverse dynamics, and the disagreement."""
     machine = machine_of(balanced)
-    observed = quantities(task.machine)
-    initial = quantities_of(task.moving, observed, task.about)
-    now = quantities_of(machine.moving(task.angles, task.speed), observed, task.about)
-    disagreement = _disagreement(task, observed, now, task.parameters(added, springs))
+    observed, record = measured(task.machine, task.section), MotionColumns(machine.moving(task.angles, task.speed))
     changes = []
-    for quantity, before, after in zip(observed, initial, now, strict=True):
-        for how in ("rms", "largest"):
-            measure = BalanceMeasure(quantity.kind, how, quantity.joint, quantity.on)
-            changes.append(MeasureChange(measure, measure.value(before), measure.value(after)))
-    return balanced, machine, tuple(changes), disagreement
+    for term in observed:
+        before, after = amounts(task.effects.original, term), amounts(record, term)
+        for measure in (term.model_copy(update={"measure": how}) for how in ("rms", "peak")):
+            changes.append(MeasureChange(measure, value(measure, before), value(measure, after)))
+    return machine, tuple(changes), _disagreement(task, observed, record, x)
 
 
-def _disagreement(task: _Task, measured: Sequence[BalanceMeasure], amounts: Sequence[Array], parameters: Array) -> float:
+def _disagreement(task: _Task, terms: Sequence[Term], record: MotionColumns, x: Array) -> float:
     """Return the largest difference of the affine functions from the inverse dynamics, relative to the largest contribution."""
-    worst = 0.0
-    for quantity, amount in zip(measured, amounts, strict=True):
-        affine = task.effects.affine(quantity)
-        predicted = affine.at(parameters)
+    worst, parameters = 0.0, x * task.programme.scales
+    for term in terms:
+        affine, amount = task.effects.affine(partial(amounts, term=term)), amounts(record, term)
         size = max(float(np.max(np.abs(affine.offset))), float(np.max(np.abs(affine.matrix * parameters), initial=0.0)), 1e-300)
-        worst = max(worst, float(np.max(np.abs(predicted - amount))) / size)
+        worst = max(worst, float(np.max(np.abs(affine.at(parameters) - amount))) / size)
     return worst
 
 
@@ -320,7 +306,7 @@ SHOWN: dict[str, tuple[str, float, float]] = {
     "length": ("mm", 1e3, 1e-3),
     "stiffness": ("N/m", 1.0, 0.0),
     "force": ("N", 1.0, 0.0),
-    "measure": ("", 1.0, 0.0),
+    "torque": ("N m", 1.0, 0.0),
 }
 """Kinds of limits: display unit, value in it of one in SI, step of the shadow price [SI]; zero: one per cent of the limit."""
 
@@ -328,8 +314,6 @@ SHOWN: dict[str, tuple[str, float, float]] = {
 def _shown(limit: Price | BalanceBound) -> tuple[str, str, float, float]:
     """Return sense, display unit, factor from SI to it, and step [SI] of a limit."""
     unit, factor, step = SHOWN[limit.kind]
-    if limit.kind == "measure":
-        unit = "N m" if "moment" in limit.name or "torque" in limit.name else "N"
     return "at most" if limit.sense > 0 else "at least", unit, factor, step or 0.01 * abs(limit.bound)
 
 
@@ -363,7 +347,7 @@ def _relaxed_limit(item: search.Conflict) -> RelaxedLimit:
 # --- the trade-off -----------------------------------------------------------------------------------------------------------
 
 
-def _trade(task: _Task, first: BalanceMeasure, second: BalanceMeasure, count: int, progress: Progress) -> TradeOff:
+def _trade(task: _Task, first: Term, second: Term, count: int, progress: Progress) -> TradeOff:
     programme = task.programme
     front = search.curve(programme, first, second, count)
     scales = programme.before(first), programme.before(second)
@@ -371,12 +355,9 @@ def _trade(task: _Task, first: BalanceMeasure, second: BalanceMeasure, count: in
     for k, point in enumerate(front.points):
         x = min(map(programme.realised, (point.x, programme.with_mass(point.x))), key=lambda y: max(programme.excess(y), ACTIVE))
         added, springs = task.parts(x)
-        machine = _heavier(task.machine, added, springs)
-        observed = [first, second]
-        now = quantities_of(machine.moving(task.angles, task.speed), observed, task.about)
-        rows = [measure.rows(task.angles) for measure in observed]
-        realised = tuple(m.value(amount[row]) for m, amount, row in zip(observed, now, rows, strict=True))
-        off = _disagreement(task, observed, [a[row] for a, row in zip(now, rows, strict=True)], task.parameters(added, springs))
+        machine = machine_of(_balanced_problem(task, added, springs))
+        record = MotionColumns(machine.moving(task.angles, task.speed))
+        realised = tuple(value(term, amounts(record, term)) for term in (first, second))
         points.append(
             TradePoint(
                 point.first * scales[0],
@@ -384,7 +365,7 @@ def _trade(task: _Task, first: BalanceMeasure, second: BalanceMeasure, count: in
                 max(point.gap, 0.0),
                 point.rate * scales[0] / scales[1],
                 (realised[0], realised[1]),
-                off,
+                _disagreement(task, (first, second), record, x),
                 {counterweight.body: counterweight.mass for counterweight in added},
                 programme.excess(x),
             )
@@ -397,21 +378,11 @@ def _trade(task: _Task, first: BalanceMeasure, second: BalanceMeasure, count: in
     )
 
 
-def _heavier(machine: Machine, added: Sequence[AddedCounterweight], springs: Sequence[FittedSpring]) -> Machine:
-    """Return the machine with counterweights and springs."""
-    inertias = dict(machine.inertias)
-    for counterweight in added:
-        inertias[counterweight.body] = with_counterweight(inertias.get(counterweight.body, Inertia()), counterweight.parameters)
-    loads = (*machine.loads, *(spring.specification.spring(spring.stiffness, spring.free) for spring in springs))
-    return machine.with_(inertias=inertias, loads=loads)
-
-
 # --- notes -------------------------------------------------------------------------------------------------------------------
 
 
 def _notes(
     task: _Task,
-    goal: Goal,
     status: Status,
     slack: float,
     heavier: Machine,
@@ -435,22 +406,21 @@ def _notes(
     notes += start_value_notes(task.problem)
     if len(task.angles) != task.section.positions:
         notes.append("the crank cannot turn fully: the positions are those of its range")
-    notes += _between(task, goal, heavier)
+    notes += _between(task, heavier)
     return notes
 
 
-def _between(task: _Task, goal: Goal, heavier: Machine) -> list[str]:
+def _between(task: _Task, heavier: Machine) -> list[str]:
     """Return notes on higher values between the positions, for largest amounts that are minimised or limited."""
-    largest = [m for m in (*(m for m, _ in goal), *(m for m, _ in task.limited)) if m.of == "largest"]
-    if not largest:
+    peaks = [term for term, _ in (*task.goal, *task.limited) if term.how == "peak"]
+    if not peaks:
         return []
     fine = np.interp(np.linspace(0, len(task.angles) - 1, 16 * len(task.angles)), np.arange(len(task.angles)), task.angles)
-    coarse = quantities_of(heavier.moving(task.angles, task.speed), largest, task.about)
-    dense = quantities_of(heavier.moving(fine, task.speed), largest, task.about)
+    coarse, dense = (MotionColumns(heavier.moving(angles, task.speed)) for angles in (task.angles, fine))
     notes = []
-    for measure, coarse_values, fine_values in zip(largest, coarse, dense, strict=True):
-        at, between = measure.value(coarse_values[measure.rows(task.angles)]), measure.value(fine_values[measure.rows(fine)])
+    for term in peaks:
+        at, between = (value(term, amounts(record, term)) for record in (coarse, dense))
         if between > at * (1.0 + 1e-4):
             higher = percent(between / at - 1.0, 2)
-            notes.append(f"between the positions the {measure} is up to {higher} higher: use more positions")
+            notes.append(f"between the positions the {term.words} is up to {higher} higher: use more positions")
     return notes

@@ -13,6 +13,7 @@ from optlink.dynamics.columns import MotionColumns
 from optlink.errors import InputError
 from optlink.optimization.cycle_nlp import CycleNLP, build_cycle
 from optlink.optimization.cycle_signals import TracedCycle
+from optlink.problem.cycle.terms import Term, read_words
 from optlink.validation.cycle import Cycle
 
 CUT = {"of": "F"}
@@ -171,6 +172,11 @@ BAD = {
         ({"quantity": "work", "of": "ram", "max": "1 J"}, "limits.x.stroke", "forward"),
         ({"quantity": "length", "of": "coupler", "max": "1 m"}, "limits.x.of", "coupler.length"),
         ({"quantity": "stroke", "of": "ram", "min": "3 mm", "max": "2 mm"}, "limits.x.min", "above"),
+        ({"quantity": "torque", "over": ["0 deg", "90 deg"], "max": "5 N*m"}, "limits.x.over", "only terms of [balance]"),
+        ({"quantity": "torque", "over": ["0 deg", "360 deg"], "max": "5 N*m"}, "limits.x.over", "less than a turn"),
+        ({"quantity": "work", "over": ["0 deg", "90 deg"], "max": "5 J"}, "limits.x.over", "whole cycle"),
+        ({"quantity": "torque", "about": "A", "max": "5 N*m"}, "limits.x.about", "shaking moment"),
+        ({"quantity": "shaking moment", "about": "E", "max": "5 N*m"}, "limits.x.about", "point of the frame"),
         ({"quantity": "stroke", "of": "ram", "min": "3 mm", "exactly": "4 mm"}, "limits.x.exactly", "given together"),
     ],
     "objective": [
@@ -182,6 +188,7 @@ BAD = {
         ({"terms": [{"quantity": "torque", "weight": -1.0}]}, "objective.terms.0.weight", "positive"),
         ({"terms": [{"quantity": "torque", "scale": "2 m"}]}, "objective.terms.0.scale", "torque"),
         ({"quantity": "reaction", "of": "Z"}, "objective.of", "Known"),
+        ({"quantity": "torque", "over": ["0 deg", "90 deg"]}, "objective.over", "only terms of [balance]"),
     ],
 }
 
@@ -194,6 +201,45 @@ def test_unusable_terms_are_reported(where, value, key, words):
     assert fault.key == key
     assert words in f"{fault.message}. {fault.remedy}"
     assert caught.value.exit_code == 2
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "rms reaction at B on block",
+        "maximise stroke of ram",
+        "work in the forward stroke of ram",
+        "peak static torque",
+        "rms shaking moment about A from 300 to 420 deg",
+        "peak pressure angle",
+        "end of the backward stroke of G along 30 deg",
+    ],
+)
+def test_the_words_of_a_term_are_read_to_that_term(words):
+    keys = read_words(words)
+    way = keys.pop("sense", "")
+    assert f"{way} {Term.model_validate(keys)}".strip() == words
+
+
+@pytest.mark.parametrize(("point", "place"), [("A", (0.0, 0.0)), (["30 mm", "-20 mm"], (0.03, -0.02)), (None, (0.0, 0.0))])
+def test_a_shaking_moment_about_another_point(point, place):
+    """Traced and measured, it is minus the moment of m a of a mass in the middle of the coupler, by differences of its places."""
+    goal = {"quantity": "shaking moment", "measure": "rms"} | ({"about": point} if point else {})
+    file = swinging(50.0, "-5*theta").override({"bodies.coupler": {"mass": "2 kg", "inertia": "1e-9 kg*m^2"}, "objective": goal})
+    machine, speed, step = file.model.machine(), file.model.drive.speed.value, 1e-4
+    angles = np.linspace(0.0, 2.0 * np.pi, 2000, endpoint=False)
+
+    def centre(at: np.ndarray) -> np.ndarray:
+        moving = machine.moving(at, speed)
+        return np.mean([moving.position(joint) for joint in "BC"], axis=0)
+
+    before, (x, y), after = (centre(angles + turned) for turned in (-step, 0.0, step))
+    ax, ay = (before - 2.0 * np.array([x, y]) + after) / step**2 * speed**2
+    moment = -2.0 * ((x - place[0]) * ay - (y - place[1]) * ax)
+    trace = TracedCycle(file.model)
+    traced = trace.signals(*trace.inputs({}), angles)[0]
+    np.testing.assert_allclose(traced, moment, rtol=0.0, atol=1e-5 * float(np.max(np.abs(moment))))
+    assert Cycle(file.model, {}).figure(file.model.goals[0]) == pytest.approx(np.sqrt(np.mean(moment**2)), rel=1e-5)
 
 
 def test_friction_is_refused_if_forces_are_requested():

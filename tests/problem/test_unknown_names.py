@@ -25,7 +25,7 @@ from optlink.errors import InputError
         ("six-bar", {"guides": {}}, 'Did you mean "mechanism.guides"'),
         ("six-bar", {"mechanism.guides.F.direction": [1, 0]}, 'Write { bounds = "45..90 deg" }'),
         ("crank-rocker", {"options": {}}, "options: unknown key. Known: "),
-        ("balance-four-bar", {"balance.minimise": None}, 'Add minimise = "rms shaking force"'),
+        ("balance-four-bar", {"balance.objective": None}, 'Add objective = { quantity = "shaking force"'),
         ("balance-four-bar", {"balance.counterweights": [{}]}, "optlink show balance-four-bar"),
     ],
 )

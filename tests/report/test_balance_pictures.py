@@ -14,7 +14,7 @@ from matplotlib.text import Text
 from PIL import Image
 
 import optlink
-from optlink.dynamics.counterweights import BalanceMeasure, quantities_of
+from optlink.dynamics.columns import MotionColumns
 from optlink.report import terminal
 from optlink.report.chart_mpl import pictures
 from optlink.report.registry import view_of
@@ -23,10 +23,10 @@ from tests.solved import once
 
 SPRUNG = {
     "gravity": "9.81 m/s^2",
-    "balance.minimise": "rms driving torque",
+    "balance.objective": "rms torque",
     "balance.counterweights": [{"body": "rocker", "kind": "free", "extent": "50 mm", "mass": {"max": "0.3 kg"}}],
     "balance.springs": [{"name": "tie", "between": ["D", "B"], "stiffness": {"max": "5 N/m"}}],
-    "balance.limits": {"largest driving torque": "90 %"},
+    "balance.limits": {"peak torque": "90 %"},
 }
 
 
@@ -74,14 +74,15 @@ def test_bars_beyond_the_axes_are_not_clipped_silently(picture, case):
             assert box.y1 <= whole.y1 + 2.0, text.get_text()
 
 
-@pytest.mark.parametrize("quantity", ["shaking moment", "driving torque"])
+@pytest.mark.parametrize("quantity", ["shaking moment", "torque"])
 def test_curves_show_the_machine_before_and_after_balancing(quantity):
     """Against the inverse dynamics at the drawn crank angles, in the unit of the axis."""
     outcome, figure = result(), drawn("before_after")
     for name, machine in (("initial", outcome.original), ("balanced", outcome.heavier)):
         line = lines(figure, f"{name} {quantity}")[0]
         x, y = (np.asarray(part, dtype=float) for part in (line.get_xdata(), line.get_ydata()))
-        expected = quantities_of(machine.moving(np.radians(x), outcome.speed), [BalanceMeasure(quantity)], outcome.about)[0][:, 0]
+        column = "input.torque_Nm" if quantity == "torque" else "frame.shaking_moment_Nm"
+        expected = MotionColumns(machine.moving(np.radians(x), outcome.speed))[column]
         assert "[N·m]" in line.axes.get_ylabel()
         assert y == pytest.approx(expected, rel=1e-9, abs=1e-9 * float(np.max(np.abs(expected))))
         assert abs(x[-1] - x[0]) == pytest.approx(360.0)
@@ -91,14 +92,12 @@ def test_curves_show_the_machine_before_and_after_balancing(quantity):
 def test_a_limit_is_a_line_on_either_side():
     figure = drawn("before_after", "balance-four-bar", True)
     outcome = result("balance-four-bar", True)
-    bound = next(limit.bound for limit in outcome.limits if limit.name == "largest driving torque")
+    bound = next(limit.bound for limit in outcome.limits if limit.name == "peak torque")
     heights = sorted(float(np.asarray(line.get_ydata())[0]) for line in lines(figure, "limit"))
     assert len(heights) == 2
     assert heights[0] == -heights[1]
-    torque = lines(figure, "balanced driving torque")[0]
-    factor = float(np.max(np.abs(np.asarray(torque.get_ydata())))) / float(
-        np.max(np.abs(outcome.columns["after.driving_torque_Nm"]))
-    )
+    torque = lines(figure, "balanced torque")[0]
+    factor = float(np.max(np.abs(np.asarray(torque.get_ydata())))) / float(np.max(np.abs(outcome.columns["after.torque_Nm"])))
     assert heights[1] == pytest.approx(bound * factor, rel=1e-9)
     assert float(np.max(np.abs(np.asarray(torque.get_ydata())))) <= heights[1] * (1.0 + 1e-6)
 
@@ -158,7 +157,7 @@ def test_trade_off_marks_ends_knee_and_initial_machine():
     given = lines(figure, "initial")[0].get_data()
     assert (given[0][0], given[1][0]) == pytest.approx(outcome.before)
     printed = " ".join(text.get_text() for text in axes.texts)
-    for words in ("least shaking force", "least driving torque", "knee", "initial machine"):
+    for words in ("least shaking force", "least torque", "knee", "initial machine"):
         assert words in printed
     masses = lines(figure, "mass crank")[0].get_ydata()
     assert np.asarray(masses) == pytest.approx([point.masses.get("crank", 0.0) for point in outcome.points])
@@ -188,6 +187,6 @@ def test_table_fits_the_narrowest_terminal():
         with console.capture() as capture:
             console.print(terminal.rendered(tables.balance(result(*case))))
         text = capture.get()
-        row = next(line for line in text.splitlines() if line.startswith(" driving torque"))
+        row = next(line for line in text.splitlines() if line.startswith(" torque"))
         assert row.rstrip().endswith("N·m")
-        assert len(row.split()) == 9
+        assert len(row.split()) == 8

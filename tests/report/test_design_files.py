@@ -213,7 +213,7 @@ def check_balance(result: dict[str, Any], machine: dict[str, Any]) -> None:
     after = {row["name"]: row["after"] for row in result["measures"]}
     force = np.hypot(column(machine, "frame.shaking_fx_N"), column(machine, "frame.shaking_fy_N"))[:-1]
     assert np.sqrt(np.mean(force**2)) == pytest.approx(after["rms shaking force"], rel=1e-8)
-    assert np.sqrt(np.mean(column(machine, "input.torque_Nm")[:-1] ** 2)) == pytest.approx(after["rms driving torque"], rel=1e-8)
+    assert np.sqrt(np.mean(column(machine, "input.torque_Nm")[:-1] ** 2)) == pytest.approx(after["rms torque"], rel=1e-8)
 
 
 KINDS = ["law", "function", "path", "timed path", "motion", "transmission", "six-bar", "cycle", "balance"]

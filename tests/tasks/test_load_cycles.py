@@ -232,7 +232,7 @@ def test_a_batch_takes_the_whole_cycle(engine):
 def test_balance_measures_the_whole_cycle(engine):
     size, force = written("-40*(1 + cos(phi/2 - 0.2))^3")
     balance = {
-        "minimise": "rms driving torque",
+        "minimise": "rms torque",
         "springs": [{"name": "helper", "between": ["A", "C"], "stiffness": ["0 N/m", "3000 N/m"], "free_length": "200 mm"}],
     }
     problem = engine.override({"loads.gas.force": size, "balance": balance})

@@ -101,7 +101,7 @@ def test_complete_balance_in_complex_numbers(both):
     assert rms(motion.force(*bodies)) < 1e-10 * both.before
     rows = {str(row.measure): row.after for row in both.rows}
     assert rows["rms shaking moment"] == pytest.approx(rms(motion.moment(*bodies)), rel=1e-11)
-    assert rows["rms driving torque"] == pytest.approx(rms(motion.torque(*bodies)), rel=1e-11)
+    assert rows["rms torque"] == pytest.approx(rms(motion.torque(*bodies)), rel=1e-11)
 
 
 def test_a_wrong_sign_is_detected(both):

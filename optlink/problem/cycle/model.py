@@ -13,8 +13,8 @@ from optlink.linkage.dyad_types import transmitting
 from optlink.linkage.vector2d import Value
 from optlink.problem.base_model import Name, Section
 from optlink.problem.cycle.quantities import guide_of
-from optlink.problem.cycle.terms import Goal, Limit, Objective, Term, check_term, output_of
-from optlink.problem.interval import SIDES, AnglesOfJoints, Interval, LargestAnglesOfJoints, RatioOfStrokes, read_figure
+from optlink.problem.cycle.terms import Goal, Limit, Objective, Term, check_term, output_of, read_scale
+from optlink.problem.interval import SIDES, AnglesOfJoints, Interval, LargestAnglesOfJoints, RatioOfStrokes
 from optlink.problem.limits import Alignment, check_transmission, transmission_limit
 from optlink.problem.machine.model import Problem
 from optlink.problem.mechanism import FourBarSection, check_one_mode, moving_points
@@ -102,7 +102,7 @@ class MachineTerms(Problem):
     @cached_property
     def scales(self) -> tuple[float | None, ...]:
         """Scale of each objective term [SI]; None if the file gives none."""
-        return tuple(None if goal.scale is None else read_figure(goal.scale, self.kind(goal), "scale")[0] for goal in self.goals)
+        return tuple(read_scale(goal, self.kind(goal)) for goal in self.goals)
 
     @property
     def single(self) -> bool:
@@ -120,6 +120,12 @@ class MachineTerms(Problem):
         sizes = self.sizes(values)
         return {name: body.inertia_of(name, self.linkage, sizes) for name, body in self.bodies.items()}
 
+    def _check_term(self, term: Term) -> None:
+        check_term(term, self.linkage, self.quantities)
+        if term.over is not None:
+            remedy = "Leave it out; only terms of [balance] count a range of crank angles"
+            raise Unusable("a design problem counts the whole revolution", remedy, "over", str(term.over))
+
     def check_terms(self) -> None:
         """Check the quantities of the machine and their elements.
 
@@ -134,12 +140,12 @@ class MachineTerms(Problem):
             raise Unusable("the crank speed is zero", remedy, "drive.speed", str(self.drive.speed))
         for k, goal in enumerate(self.goals):
             with below("objective" if self.single else f"objective.terms.{k}"):
-                check_term(goal, self.linkage, self.quantities)
-                if goal.scale is not None and read_figure(goal.scale, self.kind(goal), "scale")[0] <= 0.0:
-                    raise Unusable("a scale must be positive", "Give one above zero", "scale", goal.scale)
+                self._check_term(goal)
+                if read_scale(goal, self.kind(goal)) is None and len(self.goals) > 1:
+                    raise Unusable("terms of different units are added", 'Give each term a scale: scale = "1000 N"', "scale")
         for name, limit in self.named_limits.items():
             with below(f"limits.{name}"):
-                check_term(limit, self.linkage, self.quantities)
+                self._check_term(limit)
         if self.mechanism.friction and any(_forced(term) for term in terms):
             guide = next(iter(self.mechanism.friction))
             message = "guide friction is not differentiable where the normal force changes sign"

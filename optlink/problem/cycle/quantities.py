@@ -4,25 +4,29 @@ An entry contains the formula of the optimiser (`signal`, elementwise on floats,
 columns from which the validator reads it (`history`).
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 import numpy as np
 
-from optlink.dynamics.columns import MotionColumns
-from optlink.dynamics.dyad_balances import RemainingWrenches
-from optlink.dynamics.inverse import Reactions, shaking
+from optlink.dynamics.inertia import Wrench
 from optlink.dynamics.machine import Moving, slider_names
 from optlink.io import Registry
 from optlink.linkage.dyad_types import RPR, RRP, RRR, Transmitting, transmitting
 from optlink.linkage.mechanism import Mechanism
-from optlink.linkage.vector2d import Array, Value, cross, dot, magnitude
+from optlink.linkage.vector2d import Array, Value, Vector, cross, dot, magnitude, minus
 from optlink.problem.mechanism import moving_points
+
+if TYPE_CHECKING:
+    from optlink.dynamics.columns import MotionColumns
+    from optlink.dynamics.inverse import Reactions
 
 
 class ElementTerm(Protocol):
-    """A term, of which a quantity reads the name `of` its element and the body `on` which a reaction acts."""
+    """A term, of which a quantity reads the name `of` its element, the body `on` which a reaction acts, the reference point."""
 
     @property
     def of(self) -> str | None:
@@ -34,9 +38,14 @@ class ElementTerm(Protocol):
         """Name of the body."""
         ...
 
+    @property
+    def about(self) -> str | tuple[float, float] | None:
+        """Reference point of a moment: a point of the frame or its coordinates [m]; None for the crank pivot."""
+        ...
 
-Signal = Callable[[Moving, Reactions, ElementTerm], tuple[Value, ...]]
-Course = Callable[[MotionColumns, ElementTerm], Array]
+
+Signal: TypeAlias = "Callable[[Moving, Reactions, ElementTerm], tuple[Value, ...]]"
+Course: TypeAlias = "Callable[[MotionColumns, ElementTerm], Array]"
 
 
 @dataclass(frozen=True)
@@ -108,6 +117,11 @@ class QuantityType:
         """Whether it has a value at every crank angle."""
         return self.signal is not None
 
+    @property
+    def affine(self) -> bool:
+        """Whether its signal is an affine function of the inertial parameters of the bodies: a force or a moment."""
+        return self.cyclic and self.kind in ("force", "torque")
+
 
 QUANTITIES: Registry[QuantityType] = Registry()
 
@@ -136,6 +150,28 @@ def _pin(record: MotionColumns, term: ElementTerm) -> Array:
     return np.asarray(np.hypot(*(record.full(part) for part in force)))
 
 
+def _reference(moving: Moving, term: ElementTerm) -> Vector:
+    """Return the reference point of a moment [m]."""
+    if isinstance(term.about, tuple):
+        return term.about
+    return moving.position(term.about or moving.machine.mechanism.crank.start)
+
+
+def _shaking(moving: Moving) -> Wrench:
+    from optlink.dynamics.inverse import shaking
+
+    return shaking(moving)
+
+
+def _shaking_moment(moving: Moving, reactions: Reactions, term: ElementTerm) -> tuple[Value, ...]:
+    return (_shaking(moving).about(moving.position(moving.machine.mechanism.crank.start), _reference(moving, term)),)
+
+
+def _shaking_moment_measured(record: MotionColumns, term: ElementTerm) -> Array:
+    x, y = minus(record.moving.position(record.machine.mechanism.crank.start), _reference(record.moving, term))
+    return np.asarray(record["frame.shaking_moment_Nm"] + x * record["frame.shaking_fy_N"] - y * record["frame.shaking_fx_N"])
+
+
 def _groups(moving: Moving, term: ElementTerm) -> list[Transmitting]:
     """Return the dyad with the joint of a term, or all that have a transmission angle."""
     return [group for group in transmitting(moving.machine.mechanism) if term.of in (None, group.joint)]
@@ -148,6 +184,8 @@ def _pressure(moving: Moving, reactions: Reactions, term: ElementTerm) -> tuple[
 
 def _transmission_angle(moving: Moving, group: Transmitting) -> Value:
     """Return the transmission angle of a dyad [rad], see `optlink.linkage.dyad_types.Transmitting`; 90 deg is best."""
+    from optlink.dynamics.dyad_balances import RemainingWrenches
+
     p, q = RemainingWrenches(moving, {}).directions(group, {})
     return np.arctan2(magnitude(cross(p, q)), dot(p, q))
 
@@ -217,15 +255,15 @@ QUANTITIES |= {
     "shaking force": QuantityType(
         "force",
         _SIZE,
-        signal=lambda moving, reactions, term: shaking(moving).force,
+        signal=lambda moving, reactions, term: _shaking(moving).force,
         history=_size("frame.shaking_fx_N", "frame.shaking_fy_N"),
         vector=True,
     ),
     "shaking moment": QuantityType(
         "torque",
         _SIGNED,
-        signal=lambda moving, reactions, term: (shaking(moving).moment,),
-        history=lambda record, term: record["frame.shaking_moment_Nm"],
+        signal=_shaking_moment,
+        history=_shaking_moment_measured,
     ),
     "velocity": QuantityType(
         "velocity",

@@ -1,17 +1,29 @@
 """Terms over the cycle of a machine, each to be optimised or limited: torque, forces, motion, strokes, work, dimensions."""
 
 import math
+import re
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, get_args
 
 from pydantic import BeforeValidator, model_validator
 
 from optlink.linkage.mechanism import FRAME, Mechanism
-from optlink.problem.base_model import Section
+from optlink.linkage.vector2d import TURN
+from optlink.problem.base_model import SPELLINGS, Section
 from optlink.problem.cycle.quantities import GUIDE, QUANTITIES, QuantityType, guide_of
-from optlink.problem.interval import SIDES, STROKES, Interval, check_time_ratio, read_figure
+from optlink.problem.interval import SIDES, STROKES, AngleInterval, Interval, check_time_ratio, read_figure
 from optlink.problem.mechanism import moving_points
-from optlink.problem.quantity import FixedAngle, Number, Quantity, Unusable, check_name, nearest, where
+from optlink.problem.quantity import (
+    FixedAngle,
+    Number,
+    Quantity,
+    Unusable,
+    check_name,
+    check_pair,
+    nearest,
+    read_fixed,
+    where,
+)
 from optlink.units import KINDS, with_article
 
 Measure = Literal["peak", "rms", "mean", "largest", "least"]
@@ -26,6 +38,17 @@ What = Annotated[str, BeforeValidator(_check_quantity)]
 """One of `QUANTITIES`."""
 EXTREME = ("peak", "largest", "least")
 """Measures that a single position decides: as many rows as positions, rather than one figure."""
+
+
+def _read_place(raw: object) -> Any:
+    """Read a point by name, or two coordinates."""
+    if raw is None or isinstance(raw, str):
+        return raw
+    parts = check_pair(raw, "expected a point or two coordinates", 'Write its name, or ["100 mm", "0 mm"]')
+    return tuple(read_fixed(part, "coordinate").value for part in parts)
+
+
+Place = Annotated[Any, BeforeValidator(_read_place)]
 
 
 class TermSection(Section):
@@ -46,6 +69,10 @@ class TermSection(Section):
     stroke: Literal["forward", "backward", "slow", "quick"] | None = None
     """For an end, and for the work of a slider: the stroke, forward or backward. For a time ratio: the stroke whose time is
     divided by that of the other one; default: the slow one."""
+    about: Place = None
+    """Reference point of a shaking moment: a point of the frame, or two coordinates; default: the crank pivot."""
+    over: AngleInterval | None = None
+    """In `[balance]`: the range of crank angles that counts, for example `["90 deg", "180 deg"]`; default: all."""
 
 
 class Term(TermSection):
@@ -86,6 +113,15 @@ class Term(TermSection):
             raise Unusable(f"{a_what} has its stroke by direction", 'Write "forward" or "backward"', "stroke", self.stroke)
         if (what == "end" or (what == "work" and self.of is not None)) and self.stroke is None:
             raise Unusable("the stroke is missing", 'Add stroke = "forward" or "backward"', "stroke")
+        if self.about is not None and what != "shaking moment":
+            raise Unusable(f"{a_what} has no reference point", "Leave it out; only a shaking moment has one", "about", self.about)
+        if self.over is not None:
+            low, high = self.over.bounds
+            if not nature.cyclic:
+                raise Unusable(f"{a_what} is one figure of the whole cycle", "Leave it out", "over", str(self.over))
+            if not 0.0 < high - low < TURN:
+                message = "a range of crank angles rises, by less than a turn"
+                raise Unusable(message, 'Write for example over = ["300 deg", "420 deg"]', "over", str(self.over))
         return self
 
     _checked = model_validator(mode="after")(check_keys)
@@ -120,11 +156,18 @@ class Term(TermSection):
         """Whether the dimensions determine the direction of its stroke: a time ratio of the slow or the quick stroke."""
         return self.quantity == "time ratio" and self.stroke in (None, "slow", "quick")
 
+    def __str__(self) -> str:
+        return self.words
+
     @property
     def words(self) -> str:
         """Name of the term for display."""
-        measure = {"": "", "rms": "RMS "}.get(self.how, f"{self.how} ")
-        words = f"{measure}{'static ' if self.static else ''}{self.quantity}"
+        return f"{self.how} {self.subject}" if self.how else self.subject
+
+    @property
+    def subject(self) -> str:
+        """Name of the term without its measure, for display."""
+        words = f"{'static ' if self.static else ''}{self.quantity}"
         if self.quantity == "work":
             return words + (f" in the {self.stroke} stroke of {self.of}" if self.of else " per revolution")
         if self.quantity == "end":
@@ -137,7 +180,9 @@ class Term(TermSection):
         words += f" {self.nature.at} {self.of}" if self.of else ""
         words += f" on {self.on}" if self.on else ""
         words += f", {self.stroke} over {STROKES[self.stroke]}" if self.quantity == "time ratio" and self.stroke else ""
-        return words + (f" along {self.direction}" if self.direction is not None else "")
+        words += f" along {self.direction}" if self.direction is not None else ""
+        words += f" about {self.about}" if isinstance(self.about, str) else ""
+        return words + ("" if self.over is None else " from {:.12g} to {:.12g} deg".format(*map(math.degrees, self.over.bounds)))
 
     def kind(self, mechanism: Mechanism) -> str:
         """Return the physical kind: the stroke of a rotating body is an angle, and a quantity of the file may be an angle."""
@@ -146,12 +191,46 @@ class Term(TermSection):
         return self.nature.kind
 
 
+_NAME = r"[A-Za-z][\w.\-]*"
+_NUMBER = r"[-+]?[.\d]+"
+
+
+def read_words(text: str) -> dict[str, Any] | None:
+    """Return the keys of the term that a text names as `Term.words` does, and its `sense` if it has one; None for another text.
+
+    For example "rms reaction at B on ram", "maximise stroke of ram", "peak torque from 90 to 180 deg".
+    """
+    quantities = "|".join(sorted(QUANTITIES, key=len, reverse=True))
+    match = re.fullmatch(
+        rf"(?:(?P<sense>minimi[sz]e|maximi[sz]e)\s+)?(?:(?P<measure>{'|'.join(get_args(Measure))})\s+)?(?:(?P<static>static)\s+)?"
+        rf"(?P<quantity>{quantities})(?:\s+per\s+revolution)?"
+        r"(?:\s+(?:of|in)\s+the\s+(?P<stroke>forward|backward)\s+stroke)?"
+        rf"(?:\s+(?:of|at|in)\s+(?P<of>{_NAME}))?(?:\s+on\s+(?P<on>{_NAME}))?(?:\s+about\s+(?P<about>{_NAME}))?"
+        rf"(?:\s+from\s+(?P<low>{_NUMBER})(?:\s*(?:deg|°))?\s+to\s+(?P<high>{_NUMBER})\s*(?:deg|°))?"
+        r"(?:\s+along\s+(?P<direction>\S.*))?",
+        text,
+        re.IGNORECASE,
+    )
+    if match is None:
+        return None
+    keys: dict[str, Any] = {key: value for key, value in match.groupdict().items() if value is not None}
+    keys |= {key: keys[key].lower() for key in ("sense", "quantity", "measure", "stroke") if key in keys}
+    if "sense" in keys:
+        keys["sense"] = SPELLINGS.get(keys["sense"], keys["sense"])
+    if "static" in keys:
+        keys["static"] = True
+    ends = [f"{keys.pop(side)} deg" for side in ("low", "high") if side in keys]
+    return {**keys, "over": ends} if ends else keys
+
+
 class Goal(Term):
     """A term of the objective: weight * value / scale."""
 
     weight: Annotated[
         Number,
-        where(lambda w: w > 0.0, "a weight is positive", 'Give one above zero; to make a quantity large, add sense = "maximise"'),
+        where(
+            lambda w: w > 0.0, "a weight is positive", 'Give one above zero; `solve` makes a quantity large by sense = "maximise"'
+        ),
     ] = 1.0
     """Weight of the term, positive."""
     scale: Any = None
@@ -175,6 +254,20 @@ class Goal(Term):
     _minimised = model_validator(mode="after")(check_sense)
 
 
+def read_scale(goal: Goal, kind: str) -> float | None:
+    """Return the scale of a term of a physical kind [SI]; None if the file gives none.
+
+    Raises
+    ------
+    Unusable
+        with the key below the term.
+    """
+    scale = None if goal.scale is None else read_figure(goal.scale, kind, "scale")[0]
+    if scale is not None and scale <= 0.0:
+        raise Unusable("a scale must be positive", "Give one above zero", "scale", goal.scale)
+    return scale
+
+
 class Objective(TermSection):
     """The objective: one term, or a weighted sum of several under `terms`."""
 
@@ -192,11 +285,6 @@ class Objective(TermSection):
             raise Unusable("there is no objective", f'Add quantity = "torque"; known: {", ".join(QUANTITIES)}', "quantity")
         if not self.terms:
             _ = self.goals  # runs its checks
-        for k, goal in enumerate(self.terms):
-            if goal.scale is None and len(self.terms) > 1:
-                raise Unusable(
-                    "terms of different units are added", 'Give each term a scale: scale = "1000 N"', f"terms.{k}.scale"
-                )
         return self
 
     @property
@@ -327,6 +415,8 @@ def check_term(term: Term, mechanism: Mechanism, quantities: Mapping[str, Quanti
         names = element.names(mechanism)
         if name not in names and not (element is GUIDE and guide_of(name, mechanism)):
             raise Unusable(element.missing, nearest(name, names) if names else "This machine has none", "of", term.of)
+    if isinstance(term.about, str):
+        check_name(term.about, mechanism.ground, "not a point of the frame", "about")
     if term.on is not None:
         check_name(term.on, mechanism.pins[name], "the joint is not one of that body", "on")
     if what == "length":

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from collections.abc import Collection, Mapping
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, Self
 
-from pydantic import BeforeValidator, Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from optlink.dynamics.machine import Machine
 from optlink.linkage.mechanism import FRAME, Pose
 from optlink.problem.base_model import RESERVED, Name, Section
-from optlink.problem.interval import Interval, LengthInterval, MassInterval, StiffnessInterval
+from optlink.problem.cycle.quantities import QUANTITIES
+from optlink.problem.cycle.terms import Limit, Objective, Place, Term, TermSection, check_term, read_scale, read_words
+from optlink.problem.interval import CoordinateInterval, Interval, LengthInterval, MassInterval, StiffnessInterval, read_figure
 from optlink.problem.machine.loads import spring_ends
 from optlink.problem.quantity import (
     Density,
@@ -21,139 +23,148 @@ from optlink.problem.quantity import (
     Unusable,
     below,
     check_name,
-    check_pair,
     is_number,
-    read_fixed,
-    read_scalar,
     where,
 )
-from optlink.units import read_number
+from optlink.units import KINDS, read_number, with_article
 
 if TYPE_CHECKING:
-    from optlink.dynamics.counterweights import BalanceMeasure, Counterweight, FreeSpring, Kind
+    from optlink.dynamics.counterweights import Counterweight, FreeSpring
 
 MAX_POSITIONS = 100_000
-EXAMPLES = '"rms shaking force", "largest driving torque", "rms shaking moment", "largest reaction at D"'
-_MEASURE = (
-    r"(?a)(?:(?P<of>rms|largest)\s+)?"
-    r"(?:(?:shaking\s+)?(?P<shaking>force|moment)|(?:driving\s+)?(?P<torque>torque)"
-    r"|reaction\s+at\s+(?P<joint>\w+)(?:\s+on\s+(?P<on>\w+))?)"
-    r"(?:\s+from\s+(?P<low>[-+.\d]+)(?:\s*(?:deg|°))?\s+to\s+(?P<high>[-+.\d]+)\s*(?:deg|°))?"
-)
+MEASURES = ("rms", "peak")
+
+# --- terms in words ---------------------------------------------------------------------------------------------------------
+
+OLD_WORDS = {
+    r"\blargest\b": "peak",
+    r"\bdriving torque\b": "torque",
+    r"(?<!shaking )(?<!guide )\b(force|moment)\b": r"shaking \1",
+}
+"""Words of earlier versions, as regular expressions, with the present ones."""
 
 
-def read_measure(text: object) -> BalanceMeasure:
-    """Read a measure, for example "rms shaking force" or "largest reaction at D from 90 to 180 deg"; default: rms.
+def term_keys(text: str, guides: Collection[str]) -> dict[str, Any]:
+    """Return the keys of a term in words, present or old: "rms shaking force", "peak torque from 90 to 180 deg"; default: rms.
 
     Raises
     ------
     Unusable
     """
-    from optlink.dynamics.counterweights import KINDS, BalanceMeasure
-
-    match = re.fullmatch(_MEASURE, " ".join(str(text).split())) if isinstance(text, str) else None
-    if match is None:
-        if isinstance(text, str) and re.match(r"\s*(?:maxim|largest\s+possible|most)", text):
-            raise Unusable("only minimisation is a convex problem", f"Write for example {EXAMPLES}", "", text)
-        raise Unusable("not a measure", f"Write for example {EXAMPLES}", "", text)
-    kind: Kind = "reaction"
-    if match["shaking"] or match["torque"]:
-        kind = next(k for k in KINDS if k.endswith(match["shaking"] or match["torque"]))
-    arc = None
-    if match["low"]:
-        arc = math.radians(read_number(match["low"])), math.radians(read_number(match["high"]))
-        if math.isnan(arc[1] - arc[0]):
-            raise Unusable("not a range of crank angles", "Write for example: from 90 to 180 deg", "", text)
-        if not 0.0 < arc[1] - arc[0] < 2.0 * math.pi:
-            raise Unusable(
-                "a range of crank angles rises, by less than a turn", "Write for example: from 300 to 420 deg", "", text
-            )
-    return BalanceMeasure(kind, "largest" if match["of"] == "largest" else "rms", match["joint"] or "", match["on"] or "", arc)
+    words, remedy = " ".join(text.split()), 'Write for example "rms torque", or a table: { quantity = "torque", measure = "rms" }'
+    for old, new in OLD_WORDS.items():
+        words = re.sub(old, new, words)
+    keys = read_words(words)
+    if keys is None:
+        raise Unusable("not a term", remedy, "", text)
+    if keys.pop("sense", "minimise") != "minimise":
+        raise Unusable("only minimisation is a convex problem", remedy, "", text)
+    if keys["quantity"] == "reaction" and keys.get("of") in guides:
+        keys["quantity"] = "guide force"
+    return keys if "measure" in keys or not QUANTITIES[keys["quantity"]].cyclic else {**keys, "measure": "rms"}
 
 
-def check_measure(measure: BalanceMeasure, machine: Machine) -> None:
-    """Check that the machine has the elements of a measure and that the measure is linear in the masses.
+def with_terms(raw: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the tables of a file with terms in place of the words in `balance`, whose objective was named `minimise`.
 
     Raises
     ------
     Unusable
-        when an element is missing, or friction makes the measure nonlinear.
+        with the full key of the cause.
     """
-    mechanism = machine.mechanism
-    guides = [guide.name for guide in mechanism.guides]
-    if measure.kind == "reaction":
-        check_name(measure.joint, (*mechanism.pins, *guides), "no such joint", value=str(measure))
-        bodies = mechanism.pins.get(measure.joint, ())
-        if measure.on:
-            check_name(measure.on, bodies, "the joint is not one of that body", value=str(measure))
-        elif len(bodies) > 2:
-            remedy = f"Name the body: reaction at {measure.joint} on {bodies[0]}"
-            raise Unusable(f"{len(bodies)} bodies meet there", remedy, "", str(measure))
-    if machine.friction and measure.kind in ("reaction", "driving torque"):
+    section, mechanism = raw.get("balance"), raw.get("mechanism")
+    if not isinstance(section, Mapping):
+        return dict(raw)
+    guides = mechanism.get("guides", ()) if isinstance(mechanism, Mapping) else ()
+    key = "minimise" if "minimise" in section else "objective"
+    if key == "minimise" and "objective" in section:
+        raise Unusable("the objective is given twice", "Remove it: objective replaces it", "balance.minimise", section[key])
+    goal, limits = section.get(key), section.get("limits")
+    with below(f"balance.{key}"):
+        if isinstance(goal, str):
+            goal = term_keys(goal, guides)
+        elif isinstance(goal, Mapping) and goal and all(is_number(weight) for weight in goal.values()):
+            terms = [{**term_keys(text, guides), "weight": weight} for text, weight in goal.items()]
+            goal = term_keys(next(iter(goal)), guides) if list(goal.values()) == [1.0] else {"terms": terms}
+    if isinstance(limits, Mapping):
+        named = {}
+        for name, limit in limits.items():
+            with below(f"balance.limits.{name}"):
+                named[name] = limit if isinstance(limit, Mapping) else {**term_keys(name, guides), "max": limit}
+        limits = named
+    rest = {name: item for name, item in section.items() if name != key}
+    changed = {"objective": goal, **rest, "limits": limits}
+    return {**raw, "balance": {name: item for name, item in changed.items() if item is not None}}
+
+
+# --- objective and limits ---------------------------------------------------------------------------------------------------
+
+
+def check_convex(term: Term, machine: Machine) -> None:
+    """Check that a term is a convex function of the masses and stiffnesses that are added, and that its elements exist.
+
+    Raises
+    ------
+    Unusable
+        with the key below the term.
+    """
+    if not term.nature.affine:
+        known = ", ".join(name for name, quantity in QUANTITIES.items() if quantity.affine)
+        message = f"{with_article(term.quantity)} is not a convex function of the counterweights"
+        raise Unusable(message, f"Choose one of: {known}", "quantity", term.quantity)
+    check_name(term.how, MEASURES, f"the {term.how} value is not supported in [balance]", "measure")
+    check_term(term, machine.mechanism, {})
+    if machine.friction and term.nature.forces:
         remedy = "Remove the friction of the guides, or choose the shaking force or moment"
-        raise Unusable("with friction it is not linear in the masses, so the problem is not convex", remedy, "", str(measure))
+        raise Unusable("with friction it is no convex function of the counterweights", remedy, "quantity", term.quantity)
 
 
-def _read_goal(raw: object) -> tuple[tuple[BalanceMeasure, float], ...]:
-    if isinstance(raw, str):
-        return ((read_measure(raw), 1.0),)
-    if not isinstance(raw, dict) or not raw:
-        raise Unusable("not a measure", f"Write one of {EXAMPLES}, or a table of measures and their weights", "", raw)
-    goal = []
-    for text, weight in raw.items():
-        measure = read_measure(text)
-        if not is_number(weight) or not math.isfinite(weight):
-            raise Unusable("expected the weight of the measure", f'Write {{ "{text}" = 1.0 }}', "", weight)
-        if weight <= 0.0:
-            raise Unusable("a weight must be positive", "Give a positive one, or remove the measure", "", f"{text} = {weight}")
-        goal.append((measure, float(weight)))
-    return tuple(goal)
+class BalanceLimit(Limit):
+    """A term that must not exceed a value: `max`."""
+
+    max: Any = None
+    """Upper bound, in the unit of the term, or a share of its value in the original machine, for example `"90 %"`."""
+
+    @model_validator(mode="after")
+    def _bounded(self) -> Self:
+        if self.max is None and self.min is None and self.exactly is None:
+            raise Unusable(
+                "the limit has no value", f'Add max = "{KINDS[self.nature.kind or "force"].example}", or "90 %"', "max"
+            )
+        for key in ("min", "exactly"):
+            if (value := getattr(self, key)) is not None:
+                raise Unusable("a magnitude is limited from above only: otherwise it is not convex", "Write max", key, value)
+        self.bound(1.0)
+        return self
+
+    def bound(self, before: float) -> float:
+        """Return the upper bound [SI] for the value in the original machine.
+
+        Raises
+        ------
+        Unusable
+            with the key below the limit.
+        """
+        if isinstance(self.max, str) and self.max.strip().endswith("%"):
+            share = read_number(self.max.strip()[:-1]) / 100.0
+            if not 0.0 <= share < 1e6:
+                raise Unusable("not a share", 'Write for example "80 %"', "max", self.max)
+            return share * before
+        value = read_figure(self.max, self.nature.kind, "max")[0]
+        if value < 0.0:
+            raise Unusable("an upper bound of a magnitude must not be negative", "Give zero or more", "max", self.max)
+        return value
 
 
-@dataclass(frozen=True)
-class MeasureLimit:
-    """Upper bound of a measure: `value` [SI], or `share` of its value in the original machine; `text` as written."""
+class BalanceGoal(NamedTuple):
+    """A term of the objective, weight * value / scale; the scale [SI] is None for the value in the original machine."""
 
-    measure: BalanceMeasure
-    value: float | None
-    share: float | None
-    text: str
-
-    def of(self, before: float) -> float:
-        """Return the limit [SI] for the value of the measure in the original machine."""
-        return self.share * before if self.share is not None else float(self.value or 0.0)
+    term: Term
+    weight: float
+    scale: float | None
 
 
-def read_measure_limit(name: str, raw: object) -> MeasureLimit:
-    """Read the limit of a measure: "50 N", "5 N*m", or "80 %" of its value in the original machine.
-
-    Raises
-    ------
-    Unusable
-    """
-    measure = read_measure(name)
-    text = str(raw).strip()
-    if isinstance(raw, str) and text.endswith("%"):
-        share = read_number(text[:-1]) / 100.0
-        if not 0.0 <= share < 1e6:
-            raise Unusable("not a share", 'Write for example "80 %"', name, raw)
-        return MeasureLimit(measure, None, share, text)
-    value, _ = read_scalar(raw, "force" if measure.unit == "N" else "torque", name)
-    if value < 0.0:
-        raise Unusable("an upper bound of a magnitude must not be negative", "Give zero or more", name, raw)
-    return MeasureLimit(measure, value, None, text)
-
-
-def _read_place(raw: object) -> Any:
-    """Read a point by name, or two coordinates."""
-    if raw is None or isinstance(raw, str):
-        return raw
-    parts = check_pair(raw, "expected a point or two coordinates", 'Write its name, or ["100 mm", "0 mm"]')
-    return tuple(read_fixed(part, "coordinate").value for part in parts)
-
-
-Place = Annotated[Any, BeforeValidator(_read_place)]
-
+# --- counterweights and springs ---------------------------------------------------------------------------------------------
 
 _MASS = where(
     lambda mass: min(mass.bounds[1], mass.low or 0.0) >= 0.0,
@@ -287,16 +298,11 @@ class CounterweightSection(Section):
         return place
 
 
-def _read_free_length(raw: object) -> tuple[float, float] | None:
-    if raw is None:
-        return None
-    texts = raw if isinstance(raw, list) else [raw, raw]
-    check_pair(texts, "a range is a list of two lengths", 'Write ["50 mm", "200 mm"], or one length')
-    low, high = (read_scalar(text, "coordinate")[0] for text in texts)
-    if not 0.0 <= low <= high:
-        remedy = 'Write ["0 mm", "200 mm"], or one length'
-        raise Unusable("the range of a free length must rise, from zero or more", remedy, "", raw)
-    return low, high
+_FREE = where(
+    lambda free: free.high is not None and (free.low or 0.0) >= 0.0,
+    "the range of a free length must rise, from zero or more",
+    'Write ["0 mm", "200 mm"], or one length',
+)
 
 
 class SpringSection(Section):
@@ -308,7 +314,7 @@ class SpringSection(Section):
     """The two points that the spring connects."""
     stiffness: StiffnessInterval | None = None
     """Stiffness: one value or a range; default: from zero."""
-    free_length: Annotated[Any, BeforeValidator(_read_free_length)] = None
+    free_length: Annotated[CoordinateInterval, _FREE] | None = None
     """Free length: fixed, or optimised within a range of two values; default: 0."""
     force: FixedForce | None = None
     """Largest permitted spring force; default: unlimited."""
@@ -331,32 +337,27 @@ class SpringSection(Section):
         low, most = _ends(self.stiffness)
         if min(low, most) < 0.0:
             raise Unusable("a stiffness must not be negative", "Give zero or more", "stiffness", str(self.stiffness))
-        free = self.free_length or (0.0, 0.0)
+        free = (0.0, 0.0) if self.free_length is None else _ends(self.free_length)
         return FreeSpring(self.name, (ends[0], ends[1]), (low, most), free, math.inf if self.force is None else self.force.value)
 
 
 class BalanceSection(Section):
     """Optimal balancing with `optlink balance`."""
 
-    minimise: Annotated[Any, BeforeValidator(_read_goal)]
-    """Objective: a measure, or a table of measures and their weights."""
+    objective: Objective
+    """Objective over the cycle: a term, or a weighted sum of terms, each by default over its value in the original machine."""
     counterweights: tuple[CounterweightSection, ...] = ()
     """Counterweights that can be added to bodies."""
     springs: tuple[SpringSection, ...] = ()
     """Springs that can be added between points."""
-    limits: dict[str, Any] = Field(default_factory=dict)
-    """Limits of measures: a quantity, or a share of the value of the original machine."""
+    limits: dict[str, BalanceLimit] = Field(default_factory=dict)
+    """Limits of terms, each under a name of your choice."""
     mass: Annotated[MassInterval, _MASS] | None = None
     """Total mass of all counterweights: one value or a range; default: any."""
     about: Place = None
     """Reference point of shaking moments on the frame; default: the crank pivot."""
     positions: int = Field(default=360, ge=8, le=MAX_POSITIONS)
     """Number of evenly spaced crank angles of the programme, 8 to 100000."""
-
-    @field_validator("limits", mode="after")
-    @classmethod
-    def _ceilings(cls, limits: dict[str, Any]) -> dict[str, MeasureLimit]:
-        return {name: raw if isinstance(raw, MeasureLimit) else read_measure_limit(name, raw) for name, raw in limits.items()}
 
     @field_validator("counterweights", "springs", mode="before")
     @classmethod
@@ -365,11 +366,32 @@ class BalanceSection(Section):
             raise Unusable("expected a list of tables", "Begin each with [[balance.counterweights]]", "", raw)
         return tuple(raw)
 
+    def term(self, term: Term) -> Term:
+        """Return a term without other keys, with its measure and reference point."""
+        keys = {key: getattr(term, key) for key in TermSection.model_fields}
+        about = term.about or self.about if term.quantity == "shaking moment" else None
+        return Term.model_construct(**{**keys, "measure": term.how, "about": about})
+
     @property
-    def goal(self) -> tuple[tuple[BalanceMeasure, float], ...]:
-        """Measures to minimise, with their weights."""
-        measures: tuple[tuple[BalanceMeasure, float], ...] = self.minimise
-        return measures
+    def goals(self) -> tuple[BalanceGoal, ...]:
+        """The terms of the objective."""
+        goals = self.objective.goals
+        return tuple(BalanceGoal(self.term(goal), goal.weight, read_scale(goal, goal.nature.kind)) for goal in goals)
+
+    @property
+    def single(self) -> bool:
+        """Whether the objective is one term, in its own unit."""
+        return not self.objective.terms
+
+    @property
+    def words(self) -> str:
+        """The objective in words."""
+        return " + ".join(f"{'' if self.single else f'{goal.weight:g} '}{goal.term.words}" for goal in self.goals)
+
+    @property
+    def limited(self) -> tuple[tuple[Term, BalanceLimit], ...]:
+        """The terms that are limited, with their limits."""
+        return tuple((self.term(limit), limit) for limit in self.limits.values())
 
     @property
     def total(self) -> tuple[float, float]:
@@ -407,12 +429,15 @@ class BalanceSection(Section):
         for k, spring in enumerate(self.springs):
             with below(f"springs.{k}"):
                 springs.append(spring.spring(machine))
-        with below("minimise"):
-            for measure, _ in self.goal:
-                check_measure(measure, machine)
-        with below("limits"):
-            for limit in self.limits.values():
-                check_measure(limit.measure, machine)
+        for k, goal in enumerate(self.objective.goals):
+            with below(f"objective.terms.{k}" if self.objective.terms else "objective"):
+                check_convex(goal, machine)
+                if goal.sense == "maximise":
+                    raise Unusable("only minimisation is a convex problem", "Leave it out", "sense", goal.sense)
+                read_scale(goal, goal.nature.kind)
+        for name, limit in self.limits.items():
+            with below(f"limits.{name}"):
+                check_convex(limit, machine)
         self.place(machine)
         return tuple(weights), tuple(springs)
 

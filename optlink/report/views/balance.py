@@ -5,9 +5,10 @@ from functools import partial
 
 import numpy as np
 
-from optlink.dynamics.counterweights import BalanceMeasure, quantities
+from optlink.balancing.measures import measured, unit_of
 from optlink.dynamics.inverse import reported_on
 from optlink.errors import Status
+from optlink.problem.cycle.terms import Term
 from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import fixed_design
 from optlink.problem.mechanism import sizes_of
@@ -20,11 +21,10 @@ from optlink.report.html.study_page import no_animation, turning_linkage
 from optlink.report.style import BODIES, CRANK, LIMIT, RESULT, TARGET, scale
 from optlink.report.view import View
 from optlink.report.views import balance_drawing, balance_tables, conclusions
-from optlink.tasks.results.balance import Balance, TradeOff
+from optlink.tasks.results.balance import Balance, TradeOff, column_of
 
 INITIAL = "#8a8a8a"
-COMMON = ("shaking force", "shaking moment", "driving torque")
-COLOURS = {"shaking force": RESULT, "shaking moment": BODIES[3], "driving torque": CRANK}
+COLOURS = {"shaking force": RESULT, "shaking moment": BODIES[3], "torque": CRANK}
 MAX_PANELS = 4  # largest number of stacked panels in a chart of the page
 
 
@@ -41,13 +41,10 @@ def cycle_charts(result: Balance) -> list[ChartSpec]:
 # --- before and after ------------------------------------------------------------------------------------------------------
 
 
-def _amounts(result: Balance, measure: BalanceMeasure, when: str) -> Array:
+def _amounts(result: Balance, term: Term, when: str) -> Array:
     """Return the magnitude of a force or the value of a torque at the positions [SI]."""
-    stem = f"{when}.{measure.quantity.replace(' at ', '_').replace(' ', '_')}"
-    unit = measure.unit.replace(" ", "")
-    if f"{stem}_x_{unit}" in result.columns:
-        return np.hypot(result.columns[f"{stem}_x_{unit}"], result.columns[f"{stem}_y_{unit}"])
-    return result.columns[f"{stem}_{unit}"]
+    parts = [result.columns[f"{when}.{column_of(term, axis)}"] for axis in (("_x", "_y") if term.nature.vector else ("",))]
+    return np.hypot(*parts) if len(parts) > 1 else parts[0]
 
 
 def before_after(result: Balance) -> list[ChartSpec]:
@@ -55,13 +52,11 @@ def before_after(result: Balance) -> list[ChartSpec]:
 
     The picture has the minimised and limited reactions only.
     """
-    every = quantities(result.original)
-    section = result.problem.model.balance
-    measured = [measure for measure, _ in result.goal]
-    measured += [] if section is None else [limit.measure for limit in section.limits.values()]
-    common = [measure for measure in every if measure.kind in COMMON]
-    reactions = [measure for measure in every if measure.kind not in COMMON]
-    chosen = [reaction for reaction in reactions if any(_of_reaction(reaction, measure, result) for measure in measured)]
+    every = measured(result.original, result.section)
+    named = [goal.term for goal in result.goals] + [term for term, _ in result.section.limited]
+    common = [term for term in every if term.quantity in COLOURS]
+    reactions = [term for term in every if term.quantity not in COLOURS]
+    chosen = [reaction for reaction in reactions if any(_of_reaction(reaction, term, result) for term in named)]
     remaining = [reaction for reaction in reactions if reaction not in chosen]
     groups = [("Shaking and drive", common, "before_after"), ("Joint reactions", chosen, "before_after")]
     groups += [
@@ -76,36 +71,37 @@ def before_after(result: Balance) -> list[ChartSpec]:
     heading = f"{result.problem.model.title}: least {result.measure}"
     specs = []
     for row, (title, group, file) in enumerate(groups):
-        panels = [_panel(result, measure, angles, BODIES[k]) for k, measure in enumerate(group)]
+        panels = [_panel(result, term, angles, BODIES[k]) for k, term in enumerate(group)]
         specs.append(ChartSpec(file, title, panels, axis, heading, row=row, width=8.2))
     return [chart for chart in specs if chart.panels]
 
 
-def _panel(result: Balance, measure: BalanceMeasure, angles: Array, default: str) -> Panel:
-    old, new = (_amounts(result, measure, when) for when in ("before", "after"))
-    unit = scale(max_abs(np.array([old, new])), measure.unit)
+def _panel(result: Balance, term: Term, angles: Array, default: str) -> Panel:
+    old, new = (_amounts(result, term, when) for when in ("before", "after"))
+    unit = scale(max_abs(np.array([old, new])), unit_of(term))
     old_rms, new_rms = (float(np.sqrt(np.mean(values * values))) for values in (old, new))
     share = f" ({change(new_rms / old_rms - 1.0)})" if old_rms > 0.0 else ""
     shown = unit.text(new_rms) if new_rms > 1e-12 * old_rms else "0"
-    name, colour = measure.quantity, COLOURS.get(measure.kind, default)
+    name, colour = term.subject, COLOURS.get(term.quantity, default)
     before, after = (np.append(values, values[: len(angles) - len(values)]) * unit.factor for values in (old, new))
     curves = [
         Curve(angles, before, f"initial: rms {unit.text(old_rms)}", INITIAL, 1.3, gid=f"initial {name}"),
         Curve(angles, after, f"balanced {name}: {shown}{share}", colour, 2.1, gid=f"balanced {name}"),
     ]
-    bounds = [limit.bound for limit in result.limits if limit.name == f"largest {name}"]
-    signs = (1.0,) if measure.unit == "N" else (1.0, -1.0)
+    bounds = [limit.bound for limit in result.limits if limit.name == f"peak {name}"]
+    force = term.nature.kind == "force"
+    signs = (1.0,) if force else (1.0, -1.0)
     lines = [Line(sign * bound * unit.factor, "", LIMIT, gid="limit") for bound in bounds for sign in signs]
-    positive = measure.unit == "N" and np.min([old, new]) >= 0.0
+    positive = force and np.min([old, new]) >= 0.0
     top = max(np.max([before, after]), *(line.at for line in lines), 0.0)
     return Panel(Axis(f"{name}\n[{unit.unit}]", (0.0, 1.06 * top) if positive and top > 0.0 else None), curves, lines=lines)
 
 
-def _of_reaction(reaction: BalanceMeasure, measure: BalanceMeasure, result: Balance) -> bool:
-    """Return whether a measure is of a reaction."""
-    if reaction.kind != measure.kind or reaction.joint != measure.joint:
+def _of_reaction(reaction: Term, term: Term, result: Balance) -> bool:
+    """Return whether a term is of a reaction."""
+    if reaction.quantity != term.quantity or reaction.of != term.of:
         return False
-    return not reaction.on or reaction.on == (measure.on or reported_on(result.original)[measure.joint])
+    return not reaction.on or reaction.on == (term.on or reported_on(result.original)[str(term.of)])
 
 
 def hodograph(result: Balance) -> ChartSpec:
@@ -144,7 +140,7 @@ def trade_off(result: Balance) -> list[ChartSpec]:
     if trade is None or len(trade.points) < 2:
         return []
     objectives = (trade.first, trade.second)
-    units = [scale(max(trade.before[k], *(p.realised[k] for p in trade.points)), m.unit) for k, m in enumerate(objectives)]
+    units = [scale(max(trade.before[k], *(p.realised[k] for p in trade.points)), unit_of(m)) for k, m in enumerate(objectives)]
     factors = np.array([unit.factor for unit in units])
     bound = np.array([[p.first, p.second] for p in trade.points]) * factors
     real, initial = np.array([p.realised for p in trade.points]) * factors, np.array(trade.before) * factors
@@ -156,7 +152,7 @@ def trade_off(result: Balance) -> list[ChartSpec]:
         designs(real[:, 0], real[:, 1], "designs, by inverse dynamics", RESULT),
         Curve(initial[:1], initial[1:], "initial machine", TARGET, mode="markers", symbol="square", size=6.5, gid="initial"),
     ]
-    names = {0: f"least {trade.first.quantity}", len(trade.points) - 1: f"least {trade.second.quantity}"}
+    names = {0: f"least {trade.first.subject}", len(trade.points) - 1: f"least {trade.second.subject}"}
     if trade.knee is not None:
         names[trade.knee] = "knee"
     marks = [Mark(initial[0], initial[1], "initial machine", TARGET, "square", 6.5, font=9.0)]
@@ -164,7 +160,7 @@ def trade_off(result: Balance) -> list[ChartSpec]:
         shares = (change(value / before - 1.0) for value, before in zip(trade.points[k].realised, trade.before, strict=True))
         text = f"{name}\n{', '.join(f'{_short(m)} {share}' for m, share in zip(objectives, shares, strict=True))}"
         marks.append(Mark(real[k, 0], real[k, 1], text, LIMIT, size=7.0, prefer=(0.7, 0.7), gid=name))
-    panels = [Panel(Axis(f"{trade.second} [{units[1].unit}]"), curves, 2.0, marks=marks)]
+    panels = [Panel(Axis(f"{trade.second.words} [{units[1].unit}]"), curves, 2.0, marks=marks)]
     crank = result.original.mechanism.crank.body
     bodies = [body for body in result.original.mechanism.bodies if body != crank]
     colours = {crank: CRANK} | {body: BODIES[k % len(BODIES)] for k, body in enumerate(bodies)}
@@ -174,15 +170,15 @@ def trade_off(result: Balance) -> list[ChartSpec]:
         weights = [mass(np.array(values), body, colours[body], gid=f"mass {body}") for body, values in masses.items()]
         highest = max(max(values) for values in masses.values())
         panels.append(Panel(Axis("mass [kg]", (0.0, 1.06 * highest) if highest > 0.0 else None), weights))
-    title, heading = f"{trade.second} against {trade.first}", f"{result.problem.model.title}: trade-off"
+    title, heading = f"{trade.second.words} against {trade.first.words}", f"{result.problem.model.title}: trade-off"
     ends = (*real[:, 0], *bound[:, 0], initial[0])
     room = 0.08 * (max(ends) - min(ends))
-    x = Axis(f"{trade.first} [{units[0].unit}]", (float(min(ends) - room), float(max(ends) + room)))
+    x = Axis(f"{trade.first.words} [{units[0].unit}]", (float(min(ends) - room), float(max(ends) + room)))
     return [ChartSpec("trade", title, panels, x, heading, picks=_picks(trade, real), cursor=False)]
 
 
-def _short(measure: BalanceMeasure) -> str:
-    return measure.quantity.split(" ")[-1] if measure.kind != "reaction" else measure.joint
+def _short(term: Term) -> str:
+    return term.of or term.quantity.split(" ")[-1]
 
 
 def _picks(trade: TradeOff, places: Array) -> Picks:
@@ -190,8 +186,8 @@ def _picks(trade: TradeOff, places: Array) -> Picks:
     bodies = sorted({body for point in trade.points for body in point.masses})
     names = [
         words
-        for measure in (trade.first, trade.second)
-        for words in (f"{measure} [{measure.unit}]", f"{measure.quantity}: against the initial machine")
+        for term in (trade.first, trade.second)
+        for words in (f"{term.words} [{unit_of(term)}]", f"{term.subject}: against the initial machine")
     ]
     rows = []
     for point in trade.points:
@@ -210,7 +206,8 @@ def _tables(result: Balance) -> dict[str, dict[str, Array]]:
     if result.trade is not None:
         trade, points = result.trade, result.trade.points
         columns = {
-            f"{m}_{m.unit}".replace(" ", "_"): [p.realised[k] for p in points] for k, m in enumerate((trade.first, trade.second))
+            f"{m.words}_{unit_of(m)}".replace(" ", "_"): [p.realised[k] for p in points]
+            for k, m in enumerate((trade.first, trade.second))
         }
         bodies = [weight.specification.body for weight in result.added] + [b for p in points for b in p.masses]
         masses = {f"{body}_kg": [point.masses.get(body, 0.0) for point in points] for body in dict.fromkeys(bodies)}

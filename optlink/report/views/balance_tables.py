@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 
+from optlink.balancing.measures import unit_of
 from optlink.problem.machine.balance import BalanceSection
 from optlink.report.format import change, fixed, joined, number, scale, times
 from optlink.report.table_spec import (
@@ -97,11 +98,11 @@ def _measures(outcome: Balance) -> TableSpec:
     rows: list[Row] = []
     for rms, most in zip(outcome.rows[::2], outcome.rows[1::2], strict=True):
         cells, largest = [], max(rms.before, rms.after)
-        unit = scale(largest, rms.measure.unit)
+        unit = scale(largest, unit_of(rms.measure))
         for row in (rms, most):
             less = percent(row.change, 1, signed=True).removesuffix(" %")
             cells += [f"{value * unit.factor:.4g}" for value in (row.before, _tiny(row.after, row.before))] + [less]
-        rows.append((rms.measure.quantity.removeprefix("reaction "), *cells, quiet(unit.unit)))
+        rows.append((rms.measure.subject.removeprefix("reaction "), *cells, quiet(unit.unit)))
     columns = ["", ">rms", ">after", ">%", ">largest", ">after", ">%", ""]
     return table("Before and after, by inverse dynamics", columns, rows)
 
@@ -148,7 +149,7 @@ def _trade(trade: TradeOff) -> TableSpec:
     if len(trade.points) == 1:
         title = "No trade-off: one machine minimises both"
     step, rows = max(1, math.ceil(len(trade.points) / MAX_POINTS)), []
-    ends = {len(trade.points) - 1: f"least {second.quantity}", 0: f"least {first.quantity}"}
+    ends = {len(trade.points) - 1: f"least {second.subject}", 0: f"least {first.subject}"}
     for k, point in enumerate(trade.points):
         mark = ends.get(k, "knee" if k == trade.knee else "")
         if k % step and not mark:
@@ -156,14 +157,14 @@ def _trade(trade: TradeOff) -> TableSpec:
         shares = [change(value / before - 1.0) for value, before in zip(point.realised, trade.before, strict=True)]
         price = f"{point.rate:.3g}" if math.isfinite(point.rate) else ""
         rows.append((mark, number(point.realised[0]), shares[0], number(point.realised[1]), shares[1], price, f"{point.gap:.0e}"))
-    return table(title, ["", f">{first} {first.unit}", ">", f">{second} {second.unit}", ">", ">price", ">gap"], rows)
+    heads = [f">{term.words} {unit_of(term)}" for term in (first, second)]
+    return table(title, ["", heads[0], ">", heads[1], ">", ">price", ">gap"], rows)
 
 
 def balance_problem(section: BalanceSection) -> TableSpec:
     """List the settings of the `[balance]` section."""
-    goal = section.goal
-    rows = [("minimise", str(goal[0][0]) if len(goal) == 1 else " + ".join(f"{w:g} {measure}" for measure, w in goal))]
-    rows += [("limit", f"{ceiling.measure} at most {ceiling.text}") for ceiling in section.limits.values()]
+    rows = [("minimise", section.words)]
+    rows += [("limit", f"{term.words} at most {limit.max}") for term, limit in section.limited]
     if section.mass is not None:
         rows.append(("mass of all", str(section.mass)))
     rows.append(("positions", str(section.positions)))

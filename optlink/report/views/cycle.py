@@ -60,7 +60,7 @@ def _distinct_terms(result: CycleResult) -> Iterable[tuple[Term, float | None, f
     objectives = [(goal, None, None) for goal in result.task.goals]
     for term, low, high in [*objectives, *((b.term, b.interval.low, b.interval.high) for b in result.task.bounds)]:
         if term.nature.cyclic:
-            key = (term.quantity, term.of, term.on, term.static)
+            key = (term.quantity, term.of, term.on, term.static, term.about)
             first, *merged = terms.get(key, (term, None, None))
             bounds = (low, high) if term.extreme else (None, None)
             terms[key] = (first, bounds[0] if merged[0] is None else merged[0], bounds[1] if merged[1] is None else merged[1])
@@ -96,7 +96,7 @@ def _panel(result: CycleResult, term: Term, cycles: dict[str, Cycle], limits: tu
         for name, line in lines.items()
     ]
     low = min(np.nanmin(line.values) for line in lines.values())
-    return Panel(Axis(f"{_named(term)} [{shown.unit}]"), curves, lines=list(_limits(term, limits, shown, low)))
+    return Panel(Axis(f"{term.subject} [{shown.unit}]"), curves, lines=list(_limits(term, limits, shown, low)))
 
 
 def _unit(kind: str) -> str:
@@ -112,11 +112,6 @@ def _limits(term: Term, limits: tuple[float | None, float | None], shown: Scale,
         lines.append(-lines[0])
     for k, limit in enumerate(lines):
         yield chart_spec.Line(limit * shown.factor, "" if k else "limit", LIMIT, dash="dashdot")
-
-
-def _named(term: Term) -> str:
-    """Return the name of the quantity without its measure."""
-    return term.words.removeprefix({"rms": "RMS "}.get(term.how, f"{term.how} "))
 
 
 @styled

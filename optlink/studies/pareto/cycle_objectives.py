@@ -2,14 +2,12 @@
 
 import copy
 import math
-import re
 from collections.abc import Mapping, Sequence
-from typing import Any, get_args
+from typing import Any
 
 from optlink.errors import InputError
-from optlink.problem.base_model import SPELLINGS
 from optlink.problem.cycle.quantities import QUANTITIES
-from optlink.problem.cycle.terms import Limit, Measure, Term
+from optlink.problem.cycle.terms import Limit, Term, read_words
 from optlink.problem.file import SIDES, ProblemFile
 from optlink.problem.quantity import nearest
 from optlink.studies.pareto.objective import OPTION, ParetoObjective
@@ -20,21 +18,6 @@ from optlink.validation.cycle import Cycle
 
 FILE_OBJECTIVE = "objective"
 
-_NAME = r"[A-Za-z][\w.\-]*"
-
-
-def _parsed(name: str) -> re.Match[str] | None:
-    """Return the parts of a term such as "minimise peak torque"."""
-    quantities = "|".join(sorted(QUANTITIES, key=len, reverse=True))
-    return re.fullmatch(
-        rf"(?:(?P<sense>minimi[sz]e|maximi[sz]e)\s+)?(?:(?P<measure>{'|'.join(get_args(Measure))})\s+)?(?:(?P<static>static)\s+)?"
-        rf"(?P<quantity>{quantities})(?:\s+per\s+revolution)?"
-        r"(?:\s+(?:of|in)\s+the\s+(?P<stroke>forward|backward)\s+stroke)?"
-        rf"(?:\s+(?:of|at|in)\s+(?P<of>{_NAME}))?(?:\s+on\s+(?P<on>{_NAME}))?(?:\s+along\s+(?P<direction>\S.*))?",
-        name,
-        re.IGNORECASE,
-    )
-
 
 def cycle_objective(problem: ProblemFile, name: str, number: int) -> ParetoObjective:
     """Return the objective of a name."""
@@ -43,8 +26,8 @@ def cycle_objective(problem: ProblemFile, name: str, number: int) -> ParetoObjec
         if not task.single:
             return ParetoObjective(name, "sum of the objective", "", 1)
         raw_objective = problem.raw.get("objective", {"quantity": task.goals[0].quantity})
-        keys = {key: value for key, value in raw_objective.items() if key != "sense"}
-        return _termed(problem, keys, -1 if task.goals[0].sense == "maximise" else 1, number, name)
+        raw = {key: value for key, value in raw_objective.items() if key != "sense"}
+        return _termed(problem, raw, -1 if task.goals[0].sense == "maximise" else 1, number, name)
     limited = task.limits.named.get(name.removeprefix("limits."))
     if limited is not None:
         sense = -1 if limited.max is None and limited.exactly is None else 1
@@ -55,19 +38,12 @@ def cycle_objective(problem: ProblemFile, name: str, number: int) -> ParetoObjec
         return _termed(problem, raw, sense, number, name)
     if name in task.quantities:
         return _termed(problem, {"quantity": "length", "of": name}, 1, number, name)
-    match = _parsed(name)
-    if match is None:
+    keys = read_words(name)
+    if keys is None:
         names = [*QUANTITIES, *(f"limits.{key}" for key in task.limits.named), *task.free, FILE_OBJECTIVE]
         raise InputError("unknown objective", nearest(name, names), problem.file, OPTION, name)
-    raw = {key: value for key, value in match.groupdict().items() if value is not None}
-    for key in ("quantity", "measure", "stroke"):
-        if key in raw:
-            raw[key] = raw[key].lower()
-    if "static" in raw:
-        raw["static"] = True
-    raw_sense = raw.pop("sense", "").lower()
-    sense = -1 if SPELLINGS.get(raw_sense, raw_sense) == "maximise" or (not raw_sense and raw.get("measure") == "least") else 1
-    return _termed(problem, raw, sense, number, name)
+    way = keys.pop("sense", "maximise" if keys.get("measure") == "least" else "minimise")
+    return _termed(problem, keys, -1 if way == "maximise" else 1, number, name)
 
 
 def _termed(problem: ProblemFile, raw: dict[str, Any], sense: int, number: int, name: str) -> ParetoObjective:
@@ -123,7 +99,7 @@ def _objective_terms(problem: ProblemFile, objective: ParetoObjective, reference
 
 
 def _same_quantity(first: Term, second: Term) -> bool:
-    keys = ("quantity", "of", "on", "how", "static", "stroke")
+    keys = ("quantity", "of", "on", "how", "static", "stroke", "about")
     directions = [None if term.direction is None else term.direction.value for term in (first, second)]
     return directions[0] == directions[1] and all(getattr(first, key) == getattr(second, key) for key in keys)
 

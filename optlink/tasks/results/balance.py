@@ -10,13 +10,17 @@ from typing import Annotated, Any, ClassVar, Self
 import numpy as np
 from pydantic import PlainSerializer, PlainValidator, ValidationInfo, WithJsonSchema
 
-from optlink.dynamics.counterweights import BalanceMeasure, Counterweight, FreeSpring, quantities, quantities_of
+from optlink.balancing.measures import amounts, measured, unit_of
+from optlink.dynamics.columns import MotionColumns
+from optlink.dynamics.counterweights import Counterweight, FreeSpring
 from optlink.dynamics.inertia import Parameters
 from optlink.dynamics.machine import Machine
 from optlink.errors import Status
 from optlink.linkage.vector2d import Array
+from optlink.problem.cycle.terms import Term, read_words
 from optlink.problem.document import Column, Document, Never, Number, Source
 from optlink.problem.file import ProblemFile
+from optlink.problem.machine.balance import BalanceGoal, BalanceSection
 from optlink.solvers.solution import Relaxation
 from optlink.tasks.machine import machine_of
 from optlink.tasks.results.conflict import refutation
@@ -38,6 +42,20 @@ def _by_name(key: str) -> tuple[Any, ...]:
         return next(item for group in permitted for item in group if getattr(item, key, None) == name)
 
     return PlainSerializer(attrgetter(key)), PlainValidator(found), WithJsonSchema({"type": "string"})
+
+
+def _term(words: str, info: ValidationInfo) -> Term:
+    """Return the term that a document names."""
+    return (info.context or {})["problem"].model.balance.term(Term.model_validate(read_words(words)))  # type: ignore[no-any-return]
+
+
+Measured = Annotated[Term, PlainSerializer(attrgetter("words")), PlainValidator(_term), WithJsonSchema({"type": "string"})]
+
+
+def column_of(term: Term, axis: str = "") -> str:
+    """Return the name of a column of a term, with its unit; `axis` is "_x" or "_y" for a component."""
+    parts = (term.quantity, term.of, term.on and f"on {term.on}")
+    return f"{' '.join(filter(None, parts)).replace(' ', '_')}{axis}_{unit_of(term).replace(' ', '')}"
 
 
 @dataclass(frozen=True)
@@ -134,12 +152,12 @@ class MeasureChange:
     """A measure before and after balancing [SI]."""
 
     shown: ClassVar[Mapping[str, Source]] = {
-        "name": lambda row: str(row.measure),
-        "unit": "measure.unit",
+        "name": "measure.words",
+        "unit": lambda row: unit_of(row.measure),
         **{name: name for name in ("before", "after", "change")},
     }
 
-    measure: BalanceMeasure
+    measure: Measured
     before: float
     after: float
 
@@ -212,8 +230,8 @@ class TradeOff:
     """
 
     shown: ClassVar[Mapping[str, Source]] = {
-        "first": lambda trade: str(trade.first),
-        "second": lambda trade: str(trade.second),
+        "first": "first.words",
+        "second": "second.words",
         **{name: name for name in ("before", "knee", "monotone")},
         "first_point_s": "first_seconds",
         "further_point_s": "further_seconds",
@@ -221,8 +239,8 @@ class TradeOff:
         "points": "points",
     }
 
-    first: BalanceMeasure
-    second: BalanceMeasure
+    first: Measured
+    second: Measured
     before: tuple[float, float]
     points: tuple[TradePoint, ...]
     knee: int | None
@@ -287,7 +305,6 @@ class Balance(Document):
     """Number of searches."""
 
     problem: ProblemFile
-    goal: tuple[tuple[BalanceMeasure, float], ...]
     status: Status
     angles: Column
     speed: float
@@ -328,16 +345,25 @@ class Balance(Document):
         return self
 
     @property
+    def section(self) -> BalanceSection:
+        """The section `[balance]` of the problem."""
+        assert self.problem.model.balance is not None
+        return self.problem.model.balance
+
+    @property
+    def goals(self) -> tuple[BalanceGoal, ...]:
+        """The terms of the objective."""
+        return self.section.goals
+
+    @property
     def unit(self) -> str:
         """Unit of the objective."""
-        return self.goal[0][0].unit if len(self.goal) == 1 else ""
+        return unit_of(self.goals[0].term) if self.section.single else ""
 
     @property
     def measure(self) -> str:
         """Name of the minimised measure."""
-        if len(self.goal) == 1:
-            return str(self.goal[0][0])
-        return " + ".join(f"{weight:g} {measure}" for measure, weight in self.goal)
+        return self.section.words
 
     @property
     def verified(self) -> bool:
@@ -371,13 +397,11 @@ class Balance(Document):
         columns = {"crank_angle_deg": np.degrees(self.angles)}
         machines = {"before": self.original} | ({"after": self.heavier} if self.heavier is not None else {})
         for when, machine in machines.items():
-            measures = quantities(machine)
-            for quantity, values in zip(
-                measures, quantities_of(machine.moving(self.angles, self.speed), measures, self.about), strict=True
-            ):
-                unit = quantity.unit.replace(" ", "")
+            record = MotionColumns(machine.moving(self.angles, self.speed))
+            for term in measured(machine, self.section):
+                values = amounts(record, term)
                 for axis, part in zip(("",) if values.shape[1] == 1 else ("_x", "_y"), values.T, strict=True):
-                    columns[f"{when}.{quantity.quantity.replace(' at ', '_').replace(' ', '_')}{axis}_{unit}"] = part
+                    columns[f"{when}.{column_of(term, axis)}"] = part
         return columns
 
     @property
