@@ -30,7 +30,8 @@ SCHEMA = "optlink/record/1"
 BACKENDS = ("ipopt", "slsqp")
 YARDSTICK = "crank-rocker"
 LIMIT = ("key", "sense", "bound", "unit", "multiplier", "price")  # what is recorded of an active limit
-SHORT = 0.3  # s of processor time: a search that takes less is repeated that long, and the least time counts
+SHORT = 0.1  # s of processor time: a search that takes less is repeated that long, and the least time counts
+AGAIN = 5.0  # s of processor time after which the crank-rocker is measured again
 
 DIGITS = 1e-9  # relative difference of a design or an objective that counts
 PRICES = 1e-6  # of shadow prices
@@ -160,14 +161,16 @@ def record(out: Path, cases: Iterator[Case], seeds: list[int], backends: list[st
     if out.exists():
         document = json.loads(out.read_text(encoding="utf-8"))
     done = {key_of(one) for one in document["entries"]}
+    unit, measured = math.nan, -math.inf
     for case in cases:
         choice = backends if "balance" not in (case.raw or case.load().raw) else backends[:1]
         todo = [(case.name, backend, seed) for seed in seeds for backend in choice if (case.name, backend, seed) not in done]
         if todo and time.process_time() > seconds:
             print(f"stopped after {seconds:g} s before {case.name}", file=sys.stderr)
             return
-        unit = yardstick() if todo else math.nan
         for _, backend, seed in todo:
+            if time.process_time() > measured + AGAIN:
+                unit, measured = yardstick(), time.process_time()
             one = entry(case, backend, seed, starts, unit)
             document["entries"].append(one)
             out.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")

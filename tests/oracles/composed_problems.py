@@ -444,8 +444,9 @@ def _bars(x: Array) -> Array:
 def _optimum(start: Array, torque: float | None, distance: float | None, measure: str) -> Array:
     """The design near a start with the least sum of squares within a torque, or the least peak torque within a distance.
 
-    SLSQP with the nine dimensions and the level of the torque. The crank angle of each point is the nearest one, so its
-    derivative does not count; the torque is kept below its level at 120 crank angles and at its local maxima, which move along.
+    The bean and gravity are symmetric about the vertical, so one assembly mode stands for both; the sense of the crank does not
+    matter to the peak. SLSQP with the nine dimensions and the level of the torque. The crank angle of each point is the nearest
+    one, so its derivative does not count; the torque is kept below its level at 120 crank angles and at its maxima, which move.
     """
     wanted, nodes, x = bean(), np.linspace(0.0, TURN, 120, endpoint=False), start
     whole = peak_torque(start)
