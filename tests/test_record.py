@@ -42,7 +42,6 @@ CHANGES: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
     "a failed check": (lambda one: one.update(failed=["error"]), "failed: []"),
     "another price": (lambda one: one["active"]["largest transmission angle"].update(multiplier=1.0), "price of largest"),
     "a limit no longer active": (lambda one: one["active"].clear(), "active limits"),
-    "a longer search": (lambda one: one.update(ratio=1.3 * one["ratio"]), "slower"),
     "no certificate": (lambda one: one.update(certificate=None), "certificate"),
     "more boxes": (lambda one: one["certificate"].update(boxes=2 * one["certificate"]["boxes"]), "boxes"),
     "a fault of the judge": (lambda one: one.update(faults=["the crank does not turn fully"]), "faults"),
@@ -63,8 +62,12 @@ def test_rounding_is_no_difference(entry: dict[str, Any]) -> None:
     other = copy.deepcopy(entry)
     other["objective"] *= 1.0 + 1e-12
     other["design"] = {key: value * (1.0 - 1e-12) for key, value in other["design"].items()}
-    other["ratio"] *= 1.1
     assert record.differences(entry, other) == []
+
+
+def test_a_longer_search_is_listed(entry: dict[str, Any]) -> None:
+    assert record.slower(entry, entry | {"ratio": 1.1 * entry["ratio"]}) == []
+    assert record.slower(entry, entry | {"ratio": 1.3 * entry["ratio"]})[0].startswith("slower: ")
 
 
 def test_two_records_are_compared(entry: dict[str, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -80,6 +83,9 @@ def test_two_records_are_compared(entry: dict[str, Any], tmp_path: Path, capsys:
     assert "crank-rocker | ipopt | 0 | valid: True -> False" in shown
     assert "[meant: the largest deviation counts over the whole range]" in shown
     assert record.compare(files[0], files[0], record.DIGITS) == 0
+    files[1].write_text(json.dumps({"schema": record.SCHEMA, "entries": [entry]}), encoding="utf-8")
+    assert record.compare(*files, record.DIGITS) == 1
+    assert "1 searches are missing: crank-rocker-robust" in capsys.readouterr().out
 
 
 def test_a_record_is_extended(tmp_path: Path) -> None:
