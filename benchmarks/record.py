@@ -193,6 +193,11 @@ def apart(one: float, other: float, size: float = 0.0) -> float:
     return difference if math.isfinite(difference) else math.inf
 
 
+def whole_turns(difference: float) -> float:
+    """The whole turns [rad] in a difference of two angles; no difference of two lengths [m] is that large."""
+    return difference - math.remainder(difference, math.tau) if math.isfinite(difference) else 0.0
+
+
 def differences(before: Mapping[str, Any], after: Mapping[str, Any], digits: float = DIGITS) -> list[str]:
     """What differs in two entries of the same search, in words."""
     if "refused" in before or "refused" in after:
@@ -226,7 +231,7 @@ def _other_design(before: Mapping[str, Any], after: Mapping[str, Any], digits: f
     if one.keys() != other.keys():
         return [f"quantities: {sorted(one)} -> {sorted(other)}"]
     size = max(map(abs, one.values()), default=0.0)
-    moved = {name: apart(one[name], other[name], size) for name in one}
+    moved = {name: apart(one[name], other[name] + whole_turns(one[name] - other[name]), size) for name in one}
     name = max(moved, key=lambda each: moved[each], default="")
     if not name or moved[name] <= digits:
         return []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
+import math
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -63,6 +64,12 @@ def test_rounding_is_no_difference(entry: dict[str, Any]) -> None:
     other["objective"] *= 1.0 + 1e-12
     other["design"] = {key: value * (1.0 - 1e-12) for key, value in other["design"].items()}
     assert record.differences(entry, other) == []
+
+
+def test_a_whole_turn_is_no_difference(entry: dict[str, Any]) -> None:
+    turned = entry | {"design": entry["design"] | {"phi0": entry["design"]["phi0"] - 2.0 * math.pi}}
+    assert record.differences(entry, turned) == []
+    assert record.differences(entry, entry | {"design": entry["design"] | {"phi0": entry["design"]["phi0"] + math.pi}})
 
 
 def test_a_longer_search_is_listed(entry: dict[str, Any]) -> None:

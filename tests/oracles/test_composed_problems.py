@@ -125,9 +125,10 @@ def test_least_torque_within_half_a_millimetre() -> None:
     names, tried = ("crank", "coupler", "rocker", "frame", "along", "across", "A.x", "A.y"), 0
     x = np.array([*(1e-3 * largest.figures[name] for name in names), math.radians(largest.figures["direction"])])
     rng = np.random.default_rng(1)
-    for _, factor in itertools.product(range(200), (1e-4, 1e-3, 1e-2)):  # random designs near the optimum
-        other = np.minimum(x * np.exp(factor * rng.normal(size=9)), composed.HIGH)
+    for _, factor in itertools.product(range(200), (1e-6, 1e-5, 1e-4)):  # a little nearer to the path, and at random about it
+        nearer = x + rng.uniform(0.0, 0.3) * (composed.PATH_OPTIMUM * 1e-3 - x)
+        other = np.minimum(nearer * np.exp(factor * rng.normal(size=9)), composed.HIGH)
         if np.max(composed.distances(other)) <= 0.5e-3:
             tried += 1
             assert composed.peak_torque(other) >= largest.optimum * (1.0 - 1e-7)
-    assert tried
+    assert tried > 50
