@@ -84,7 +84,8 @@ def designs(raw: Mapping[str, Any]) -> bool:
 def random_cases(count: int) -> Iterator[Case]:
     """Random problems of all kinds."""
     sys.path.insert(0, str(ROOT))  # their generator is that of this checkout, whatever code is recorded
-    from tests.oracles.random_problems import faults_of, random_problem
+    from tests.oracles.judge import faults_of
+    from tests.oracles.random_problems import random_problem
 
     for number in range(count):
         problem = random_problem(number)

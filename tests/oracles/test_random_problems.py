@@ -10,7 +10,8 @@ from typing import Any
 import pytest
 
 import optlink
-from tests.oracles.random_problems import KINDS, RandomProblem, faults_of, random_problem
+from tests.oracles.judge import RandomProblem, faults_of
+from tests.oracles.random_problems import KINDS, random_problem
 from tests.tiers import mostly_slow
 
 COUNT = 300
