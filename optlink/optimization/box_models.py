@@ -110,6 +110,8 @@ def box_problem(problem: ProblemFile, further: Array | None = None) -> DesignBox
     model = problem.model
     if not isinstance(model, DesignProblem):
         reason = "only motion laws, functions, timed paths and transmission problems have one"
+    elif model.composed:
+        reason = "only the deviations of one requirement alone have one"
     elif model.robust is not None:
         reason = "the objective of a robust design has none"
     elif model.data.offsets is None:

@@ -159,7 +159,7 @@ class _Builder:
         """Trace the limits of a course at one crank angle; return a function that makes their rows at others."""
         inputs, place, known = self.inputs()
         part = course.part
-        start = known.get(part.start_name) if part is not None and part.timing == "from start" else None
+        start = part.own(known).get(part.start_name) if part is not None and part.timing == "from start" else None
         placed = course.rows(self.problem.linkage.pose(known, unit(place if start is None else place + start)))
         values = casadi.vertcat(*[row.value for row in placed])
         at = self.positions(casadi.Function("limits", [inputs, casadi.SX.sym("none", 0)], [values]))
@@ -296,6 +296,7 @@ class _Targets:
             width = 1 + len(part.deviations)
         self.measure = error_measures(part.unit, width)[part.measure]
         self.course = ErrorCourse(part) if part.everywhere else None
+        self.own = part.own(of.values)
         self.heights: list[Any] = []
         self.further: list[Any] = []
         self._trace()
@@ -305,6 +306,7 @@ class _Targets:
         """Trace the residual at a crank angle; the further inputs are the factor of the start angle, and the target."""
         part = self.part
         inputs, place, known = self.of.inputs()
+        known = part.own(known)
         senses = casadi.SX.sym("senses", 1 + part.data.columns.shape[1])
         start = known.get(part.start_name)
         angle = place + (senses[0] * start if start is not None else 0.0)
@@ -348,8 +350,8 @@ class _Targets:
     def reach(self) -> tuple[Any, Any]:
         """Crank angle [rad] at which the requirement begins, and its rotation."""
         if self.part.law_given:
-            return self.of.values[self.part.start_name], self.of.span if self.of.spanned else self.part.span
-        begin = self.angles[0] + self.of.values[self.part.start_name] if self.origin else self.angles[0]
+            return self.own[self.part.start_name], self.of.span if self.of.spanned else self.part.span
+        begin = self.angles[0] + self.own[self.part.start_name] if self.origin else self.angles[0]
         whole = self.part.closed and self.free_timing
         return begin, self.direction * TURN if whole else self.angles[-1] - self.angles[0]
 
@@ -412,7 +414,7 @@ class _Targets:
                 of.rows += self._below(error, f"at point {i + 1}")
         self.residual = casadi.vertcat(*self.errors, *self.further)
         if part.measure == "max":
-            self.value = part.whole * self.level
+            self.value = 0.0 if self.level is None else part.whole * self.level
             return
         self.value = casadi.sumsqr(self.residual) / (self.count if part.measure == "rms" else 1)
         if part.measure == "rms" and not (of.terms is None and len(of.problem.parts) == 1 and part.tolerance is None):
@@ -480,5 +482,5 @@ def solved_values(task: DesignProblem, design: Mapping[str, float], x: Array) ->
     """Return all quantities [m, rad] of a solved programme, and its crank angles (points,) [rad]; `design` has the free ones."""
     values = task.complete({name: design[name] for name in task.free})
     free = len(task.free)
-    free_angles = x[free : free + len(task.data.columns)] if task.data.offsets is None else None
-    return values, task.crank_angles(values, free_angles)
+    count = sum(len(part.data.columns) for part in task.parts if part.data.offsets is None)
+    return values, task.crank_angles(values, x[free : free + count] if count else None)

@@ -196,6 +196,14 @@ class DesignProblem(MachineTerms):
         """What names the requirement in labels, if there are several."""
         return f" of {self.prefix[:-1]}" if self.prefix else ""
 
+    def of_parts(self, angles: Array | None, *, free: bool = False) -> Iterator[tuple[Self, Array | None]]:
+        """Yield each part with its own ones among the crank angles of all positions; `free`: of those without given timing."""
+        first = 0
+        for part in self.parts:
+            last = first + (len(part.data.columns) if part.data.offsets is None or not free else 0)
+            yield part, None if angles is None else angles[first:last]
+            first = last
+
     def own(self, values: Mapping[str, Any]) -> dict[str, Any]:
         """Return the quantities of a part, with their short names, from those of the whole problem."""
         return {name.removeprefix(self.prefix): value for name, value in values.items()} if self.prefix else dict(values)
@@ -337,7 +345,12 @@ class DesignProblem(MachineTerms):
         return data
 
     def crank_angles(self, values: Mapping[str, Value], angles: Array | None) -> Array:
-        """Return the crank angle [rad] at each position; where the timing is free those of the design, `angles`."""
+        """Return the crank angle [rad] at each position, those of all requirements one after the other.
+
+        `angles` are those of the design at points without prescribed timing.
+        """
+        if self.requirements:
+            return np.concatenate([part.crank_angles(part.own(values), own) for part, own in self.of_parts(angles, free=True)])
         offsets = self.data.offsets
         if offsets is None:
             assert angles is not None

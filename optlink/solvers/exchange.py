@@ -290,7 +290,8 @@ class _Courses:
             rows += len(heights(grid[:1]))
 
         for course in self.limits:
-            own = self._angles(angles, course.part)
+            own = next((own for part, own in self.task.of_parts(angles) if part is course.part), angles)
+            assert own is not None
             search(functools.partial(_beyond_limits, course, values, own), -1)
         if self.terms is not None:
             first = len(levels) - len(self.terms.levels)
@@ -299,18 +300,9 @@ class _Courses:
                 search(heights, first + level if level >= 0 else -1)
         for error in self.errors:
             number = error.level(self.task)
-            search(functools.partial(error.heights, values, float(levels[number]) if number >= 0 else None), number)
+            level = float(levels[number]) if number >= 0 else None
+            search(functools.partial(error.heights, error.part.own(values), level), number)
         return sorted(found, key=lambda top: -top.height) or [RowPeak(0.0, -math.inf, 0)]
-
-    def _angles(self, angles: Array, part: DesignProblem | None) -> Array:
-        """Return the crank angles of one requirement among those of all."""
-        first = 0
-        for other in self.task.parts:
-            count = len(other.data.columns)
-            if other is part:
-                return angles[first : first + count]
-            first += count
-        return angles
 
 
 def peaks(heights: Function, grid: Array, near: float = 0.0) -> list[RowPeak]:

@@ -189,7 +189,7 @@ class SearchRounds:
 
     def __init__(self, problem: ProblemFile, options: Search) -> None:
         files = problem.variants()
-        self.searcher = Searcher([path_model(file) for file in files], options.seed)
+        self.searcher = Searcher([path_model(file).parts[0] for file in files], options.seed)
         self.collection = DesignCollection(Polisher(files, options.backend, len(options.names) > 1), options.designs)
         self.problem, self.options, self.interrupted = problem, options, False
         self.task = path_model(problem)

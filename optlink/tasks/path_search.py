@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -13,7 +13,7 @@ from optlink.execution.runner import ordered
 from optlink.execution.worker import Runs, built, packed
 from optlink.linkage.vector2d import Array
 from optlink.optimization.nlp import NLP
-from optlink.optimization.programme import build, solved_values
+from optlink.optimization.programme import angle_name, build, path_variable, solved_values
 from optlink.problem.design import DesignProblem
 from optlink.problem.file import ProblemFile
 from optlink.solvers import multistart
@@ -36,6 +36,7 @@ from optlink.tasks.results.common import (
 from optlink.tasks.results.design import LinkageDesign
 from optlink.tasks.results.evidence import Evidence, evidence, tally
 from optlink.validation import validate as validate_path
+from optlink.validation.timing import passing
 
 TRIES = 6  # candidates refined in the first round per requested design, while too few are valid
 PER_ROUND = 10  # candidates refined in a later round
@@ -88,15 +89,18 @@ class Polisher:
     def __init__(self, files: list[ProblemFile], backend: str, alone: bool = False) -> None:
         self.files, self.backend, self.alone = files, backend, alone
         self.task = path_model(files[0])
-        self.method = MINIMAX if self.task.measure == "max" and not alone else backend
+        self.method = MINIMAX if self.task.measure == "max" and not (alone or self.task.composed) else backend
         self.programmes: dict[tuple[int, int], NLP] = {}
         self.runs: Runs | None = None
 
-    def programme(self, variant: int, direction: int) -> NLP:
-        """Return the NLP of a file with definite assembly modes; the crank direction, +1 or -1, matters with free timing only."""
+    def programme(self, variant: int, direction: int, near: Mapping[str, float] | None = None) -> NLP:
+        """Return the NLP of a file with definite assembly modes; the crank direction, +1 or -1, matters with free timing only.
+
+        `near`: see `optlink.optimization.programme.build`.
+        """
         key = (variant, direction if self.task.data.offsets is None else 1)
         if key not in self.programmes:
-            self.programmes[key] = build(path_model(self.files[variant]), key[1])
+            self.programmes[key] = build(path_model(self.files[variant]), key[1], near=near)
         return self.programmes[key]
 
     def polish(self, candidate: Candidate, *, near: bool = False) -> LinkageDesign:
@@ -155,12 +159,19 @@ class Polisher:
         yield feasible(validated_design(file, start))
 
     def _scaled_point(self, candidate: Candidate) -> Solution:
-        """Return a candidate as a point of its NLP."""
-        nlp = self.programme(candidate.variant, candidate.direction)
-        x = candidate.x if self.task.data.offsets is not None else np.concatenate([candidate.x, candidate.t])
-        if len(nlp.variables) > len(x):
-            x = np.append(x, 0.0)  # the largest deviation; `given` sets it
-        return multistart.solution_at(nlp, np.clip(x, nlp.x_low, nlp.x_high), FOUND)
+        """Return a candidate, a design for the first requirement, as a point of its NLP."""
+        task = path_model(self.files[candidate.variant])
+        first = task.parts[0]
+        named = zip(first.free, candidate.x.tolist(), strict=True)
+        own = {name: path_variable(first, name).value(value) for name, value in named}
+        values = task.complete({name if name in task.quantities else f"{first.prefix}{name}": own[name] for name in own})
+        angles: dict[str, float] = {}
+        for part in task.parts:
+            if part.data.offsets is None:
+                there = candidate.t if part is first else passing(part, part.own(values))
+                angles |= {angle_name(k, part.suffix): float(angle) for k, angle in enumerate(there)}
+        nlp = self.programme(candidate.variant, candidate.direction, values)
+        return multistart.solution_at(nlp, nlp.x_of({**values, **angles}), FOUND)
 
 
 def feasible(design: LinkageDesign) -> LinkageDesign:
@@ -302,7 +313,9 @@ class DesignCollection:
         return len(candidates)
 
     def _largest_cost(self) -> float:
-        """Return the largest cost of a candidate worth refining: limits only increase it."""
+        """Return the largest cost of a candidate worth refining: limits only increase it, where nothing else is minimised."""
+        if self.task.composed:
+            return math.inf
         if len(self.designs) < self.requested:
             return self._allowed
         return max(_cost(self.designs[0]) * COUNTED_RATIO**2, _cost(self.designs[-1]))
@@ -369,7 +382,7 @@ def _cost(design: LinkageDesign) -> float:
 
 def _allowed_cost(task: DesignProblem) -> float:
     """Return the largest batch cost near which a candidate can become a design within the tolerances of all points of a path."""
-    if task.requirement.kind != "path" or has_several_dyads(task):  # candidates of several dyads have not converged
+    if task.composed or task.requirement.kind != "path" or has_several_dyads(task):  # those of several dyads have not converged
         return math.inf
     return COUNTED_RATIO**2 * float(np.sum((task.data.roots * task.data.tolerances) ** 2)) / task.whole**2
 

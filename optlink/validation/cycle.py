@@ -15,7 +15,7 @@ from optlink.linkage.extrema import distinct, extremes, maxima
 from optlink.linkage.motion import sweep
 from optlink.linkage.stroke import Travel, reachable, travels
 from optlink.linkage.vector2d import TURN, Array, turn
-from optlink.problem.cycle.model import Bound, CycleProblem
+from optlink.problem.cycle.model import Bound, CycleProblem, MachineTerms
 from optlink.problem.cycle.quantities import guide_of
 from optlink.problem.cycle.terms import Term, output_of
 from optlink.problem.limits import stroke_ratio
@@ -49,7 +49,7 @@ class _Weight(Steady):
 class Cycle:
     """A design in motion, with the measured values of its terms; quantities [SI] not named have their value in the file."""
 
-    def __init__(self, problem: CycleProblem, design: Mapping[str, float]) -> None:
+    def __init__(self, problem: MachineTerms, design: Mapping[str, float]) -> None:
         self.problem = problem
         self.design: dict[str, float] = problem.complete(design)
         self.machine = problem.machine(self.design)
@@ -249,7 +249,7 @@ def validate_cycle(
     measured = tested.objective()
     checks = [*_sizes(tested), *_motion(tested)]
     if tested.full:
-        checks += [check for item in problem.bounds for check in _limit(tested, item)]
+        checks += [check for item in problem.bounds for check in limit_checks_of(tested, item)]
     if objective is not None:
         checks.append(same_objective(measured, objective, max(tested.natural(), 1e-300)).of())
     return Validation(tuple(checks), measured)
@@ -283,7 +283,7 @@ def _motion(tested: Cycle) -> Iterator[Check]:
         yield Check("work of the drive is that of the loads", bool(gap <= BALANCE), gap, f"<= {BALANCE:.0e}", "")
 
 
-def _limit(tested: Cycle, item: Bound) -> Iterator[Check]:
+def limit_checks_of(tested: Cycle, item: Bound) -> Iterator[Check]:
     """Check a limit."""
     kind, unit = item.interval.kind, item.interval.unit
     size = 1.0 / factor(unit or KINDS[kind].display, kind) if kind else 1.0

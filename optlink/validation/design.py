@@ -32,6 +32,7 @@ from optlink.units import DISPLAYED
 from optlink.validation.check import (
     MEASURED_ROBUST,
     POSITIONS,
+    Check,
     Checks,
     Validation,
     Validations,
@@ -45,6 +46,7 @@ from optlink.validation.check import (
     text,
     transmission_checks,
 )
+from optlink.validation.cycle import Cycle, limit_checks_of
 from optlink.validation.four_bar_motion import FourBarMotion
 from optlink.validation.linkage_motion import LinkageMotion, motion_of, placed, rows_of, transmission_angles
 from optlink.validation.margins import alignment_check, at_least, grashof_check
@@ -52,6 +54,7 @@ from optlink.validation.margins import alignment_check, at_least, grashof_check
 ROUNDING = {"rad": 1e-12, "m": 1e-11, "": 1e-11}
 """Absolute agreement required of nearly zero deviations, by their SI unit: lengths as a share of the size of the curve."""
 BASE = math.radians(1e-7)  # or share of the size; tolerance of an output at the start that is the actual one
+TOLERATED, ZERO = 1e-6, 1e-6  # relative excess over a tolerance; share of the size of a signal that is a rounding error
 PIVOT = 1e-8  # of the size; tolerance of the places of pivots
 DIFFERENCE = 1e-5  # of the reference length; step of central differences by dimensions
 
@@ -78,7 +81,48 @@ def validate(
     mechanism : Mechanism, optional
         Tested instead of the linkage of the problem; its bodies and joints must have the same names.
     """
+    if problem.composed:
+        return _composed(problem, design, angles, objective, mechanism)
     return validate_batch(problem, design, angles, objective, mechanism).of()
+
+
+def _composed(
+    problem: DesignProblem,
+    design: Mapping[str, float],
+    angles: ArrayLike | None,
+    objective: float | None,
+    mechanism: Mechanism | None,
+) -> Validation:
+    """Validate a design with several requirements, tolerances of requirements, or quantities of the machine."""
+    every = problem.crank_angles(design, None) if angles is None else np.asarray(angles, dtype=float)
+    checks: dict[str, Check] = {}
+    total = 0.0
+    for part, own in problem.of_parts(every):
+        tested = validate_batch(part, part.own(design), own, None, mechanism).of()
+        for check in tested.checks:
+            if check.name in checks and checks[check.name] != check:
+                check = replace(check, name=f"{check.name}{part.suffix}")
+            checks[check.name] = check
+        if part.tolerance is None:
+            total += part.worth * tested.objective
+            continue
+        factor, unit = DISPLAYED[part.unit]
+        name = ("largest deviation" if part.measure == "max" else "rms") + part.suffix
+        met = bool(tested.objective <= part.tolerance * (1.0 + TOLERATED))
+        checks[name] = Check(name, met, tested.objective * factor, f"<= {part.tolerance * factor:.6g}", unit)
+    rounding = 1e-300
+    if problem.goals or problem.bounds:
+        cycle = Cycle(problem, {name: design[name] for name in problem.mechanism.quantities})
+        for item in problem.bounds:
+            checks |= {check.name: check for check in limit_checks_of(cycle, item)}
+        for goal, scale in zip(problem.goals, problem.scales, strict=True):
+            worth = (-1.0 if goal.sense == "maximise" else 1.0) * goal.weight / (scale or 1.0)
+            total += worth * cycle.figure(goal)
+            rounding = max(rounding, abs(worth) * ZERO * cycle.size(goal))
+    if objective is not None:
+        agrees = same_objective(total, objective, rounding).of()
+        checks[agrees.name] = agrees
+    return Validation(tuple(checks.values()), total)
 
 
 def validate_batch(

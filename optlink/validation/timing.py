@@ -26,6 +26,8 @@ def passing(problem: DesignProblem, design: Mapping[str, float]) -> Array:
 
     The problem has definite assembly modes; the design [m, rad] has all quantities.
     """
+    if problem.requirements:
+        return np.concatenate([passing(part, part.own(design)) for part in problem.parts])
     if problem.data.offsets is not None or not problem.pointed:
         return problem.crank_angles(design, None)
     rotation = {"counter-clockwise": 1.0, "clockwise": -1.0}.get(problem.rotation)

@@ -83,9 +83,24 @@ class LinkageDesign(Summary):
     solution: Solution | None = None
 
     @property
-    def task(self) -> DesignProblem:
+    def whole(self) -> DesignProblem:
         """The model of the problem."""
         return self.problem.spec
+
+    @cached_property
+    def task(self) -> DesignProblem:
+        """The model of the problem with its first requirement alone."""
+        return self.whole.parts[0]
+
+    @cached_property
+    def own(self) -> dict[str, float]:
+        """The quantities [m, rad] that belong to the first requirement, by their short names."""
+        return self.task.own(self.values)
+
+    @cached_property
+    def own_angles(self) -> Array:
+        """The crank angles [rad] of its positions."""
+        return self.crank_angles[: len(self.task.data.columns)]
 
     @property
     def design(self) -> dict[str, float]:
@@ -95,7 +110,7 @@ class LinkageDesign(Summary):
     @property
     def displayed(self) -> dict[str, float]:
         """All quantities of the problem in display units, which end the keys."""
-        return self.task.displayed(self.values)
+        return self.whole.displayed(self.values)
 
     @property
     def valid(self) -> bool:
@@ -105,7 +120,7 @@ class LinkageDesign(Summary):
     @cached_property
     def measured(self) -> MeasuredDeviations:
         """Generated points and their deviations from the targets."""
-        return deviations(self.task, self.values, self.crank_angles)
+        return deviations(self.task, self.own, self.own_angles)
 
     @cached_property
     def fit(self) -> Fit | None:
@@ -114,12 +129,14 @@ class LinkageDesign(Summary):
             quantities, limits = self.task.mechanism.quantities, self.displayed_limits
             return transmission_fit(self.least_transmission, quantities, self.values, limits, self.solution, self.task)
         measured, limits = self.measured, self.displayed_limits
+        if self.whole.composed:
+            return None
         return fit(self.problem, self.values, self.crank_angles, measured, self.between, limits, self.solution)
 
     @cached_property
     def between(self) -> Array | None:
         """Excursion [m] of the traced curve between each point and the next; None for other tasks than paths."""
-        return excursions(self.task, self.values, self.crank_angles)
+        return excursions(self.task, self.own, self.own_angles)
 
     @property
     def follows_law(self) -> bool:
@@ -136,7 +153,7 @@ class LinkageDesign(Summary):
         """
         task, law = self.task, self.task.law
         at = law.offsets if offsets is None else np.asarray(offsets, dtype=float)
-        begin, base = self.values[task.start_name], self.values.get(task.base_name, 0.0)
+        begin, base = self.own[task.start_name], self.own.get(task.base_name, 0.0)
         motion, output = sweep(task.linkage, self.values, begin + at), task.output
         actual = motion.slide(output).value if task.slides else motion.body_angle(output).value
         error = np.asarray(law.curve(at, begin, base) - np.asarray(actual, dtype=float), dtype=float)
@@ -163,7 +180,7 @@ class LinkageDesign(Summary):
         A minimax optimum of k design variables has k + 1 of them if no limit is active.
         """
         begin, end = self.task.law.offsets[[0, -1]]
-        error = error_function(self.task)(self.values, np.linspace(begin, end, ALONG))
+        error = error_function(self.task)(self.own, np.linspace(begin, end, ALONG))
         peaks = error[np.abs(error) >= EXTREME_SHARE * np.max(np.abs(error))]
         return 1 + int(np.sum(np.diff(np.sign(peaks)) != 0.0)) if len(peaks) else 0
 
@@ -181,11 +198,13 @@ class LinkageDesign(Summary):
     @property
     def exact(self) -> bool:
         """Whether it satisfies all targets within the rounding of their decimals."""
-        return self.error <= self.level
+        return not self.whole.composed and self.error <= self.level
 
     @property
     def error(self) -> float:
-        """The objective as a deviation [m, rad or 1]: the root of a sum of squares."""
+        """The objective as a deviation [m, rad or 1]: the root of a sum of squares; what is maximised as its inverse."""
+        if self.whole.composed:
+            return self.objective if self.objective >= 0.0 else -1.0 / self.objective
         return math.sqrt(max(self.objective, 0.0)) if self.task.measure == "sum of squares" else self.objective
 
     @property
@@ -196,8 +215,8 @@ class LinkageDesign(Summary):
 
     def unwrapped(self, name: str) -> float:
         """Return a quantity [SI]: of an angle that may be any, 180 deg instead of -180 deg."""
-        value, quantity = self.values[name], self.task.quantities.get(name)
-        if quantity is None or not quantity.free or not self.task.is_periodic(name):
+        value, quantity = self.values[name], self.whole.quantities.get(name)
+        if quantity is None or not quantity.free or not self.whole.is_periodic(name):
             return value
         turned = value + math.pi <= NEARLY_TURNED and quantity.bounds[1] >= math.pi - NEARLY_TURNED
         return min(value + TURN, quantity.bounds[1]) if turned else value
@@ -207,7 +226,7 @@ class LinkageDesign(Summary):
         if self.assembly != other.assembly:
             return False
         gaps = []
-        for name, quantity in self.task.quantities.items():
+        for name, quantity in self.whole.quantities.items():
             gap = abs(self.values[name] - other.values[name])
             if quantity.kind == "angle":
                 gaps.append(abs(math.remainder(gap, TURN)))
@@ -224,7 +243,7 @@ class LinkageDesign(Summary):
     def rotation(self) -> tuple[float, float]:
         """Crank angle [rad] at which the requirement begins, and the rotation from there to its end, negative clockwise."""
         if self.follows_law:
-            return self.values[self.task.start_name], self.task.span
+            return self.own[self.task.start_name], self.task.span
         begin, end = float(self.crank_angles[0]), float(self.crank_angles[-1])
         return begin, end - begin
 
@@ -319,7 +338,7 @@ class LinkageDesign(Summary):
         size, unit = DISPLAYED[task.unit]
         objective = {
             "value": self.objective,
-            "unit": task.objective_unit,
+            "unit": self.whole.objective_unit,
             "measure": task.measure,
             f"rms_{unit}".rstrip("_"): size * math.sqrt(float(np.mean(measured.distances**2))),
             f"largest_{unit}".rstrip("_"): size * float(np.max(measured.distances)),
