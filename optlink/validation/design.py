@@ -54,6 +54,7 @@ from optlink.validation.margins import alignment_check, at_least, grashof_check
 ROUNDING = {"rad": 1e-12, "m": 1e-11, "": 1e-11}
 """Absolute agreement required of nearly zero deviations, by their SI unit: lengths as a share of the size of the curve."""
 BASE = math.radians(1e-7)  # or share of the size; tolerance of an output at the start that is the actual one
+LEAST_PART = 0.25  # of a revolution whose positions cover the range of a law at least
 TOLERATED, ZERO = 1e-6, 1e-6  # relative excess over a tolerance; share of the size of a signal that is a rounding error
 PIVOT = 1e-8  # of the size; tolerance of the places of pivots
 DIFFERENCE = 1e-5  # of the reference length; step of central differences by dimensions
@@ -455,7 +456,8 @@ class _Law(_Targets):
 
     def _largest(self) -> Array:
         """Return the largest magnitude of the error with its scatter over the whole range (designs,)."""
-        span, grid = self.problem.span, np.linspace(0.0, 1.0, POSITIONS + 1)
+        span = self.problem.span
+        grid = np.linspace(0.0, 1.0, math.ceil(max(abs(span) / TURN, LEAST_PART) * POSITIONS) + 1)
 
         def sides(shares: Array) -> Array:
             at = span * shares

@@ -280,10 +280,10 @@ def test_the_largest_slide_error_is_that_over_its_whole_range() -> None:
         "requirement": {
             "kind": "function",
             "output": "G",
-            "law": {"slide": "s0 - 30*(1 - cos(phi - phi0))", "unit": "mm"},
+            "law": {"slide": "s0 - 40*(1 - cos(phi - phi0))", "unit": "mm"},
             "span": "120 deg",
             "start": "10 deg",
-            "zero": "189 mm",
+            "zero": "186 mm",
             "points": 3,
             "measure": "max",
         },
@@ -293,7 +293,7 @@ def test_the_largest_slide_error_is_that_over_its_whole_range() -> None:
     at = np.linspace(0.0, math.radians(120.0), 200_001)
     phi = math.radians(10.0) + at
     slide = 40.0 * np.cos(phi) + np.sqrt(150.0**2 - (40.0 * np.sin(phi) - 10.0) ** 2)
-    error = np.abs(slide - 189.0 + 30.0 * (1.0 - np.cos(at)))
+    error = np.abs(slide - 186.0 + 40.0 * (1.0 - np.cos(at)))
     design = problem.design({})
     assert np.max(error) > 1.001 * np.max(error[::66_666])  # at the positions
     assert 1e3 * validate(problem, design).objective == pytest.approx(np.max(error), rel=1e-9)
