@@ -23,7 +23,6 @@ NOT_FOR_A_LAW = {
     "optlink.dynamics.columns",
     "optlink.dynamics.counterweights",
     "optlink.dynamics.flywheel",
-    "optlink.dynamics.inverse",
     "optlink.tasks.analyze",
 }
 HEAVY = {"casadi", "matplotlib", "cvxpy", "plotly", "scipy.optimize", "scipy.stats", "pint"}

@@ -286,7 +286,8 @@ def _verified(task: _Task, balanced: ProblemFile, x: Array) -> tuple[Machine, tu
         before, after = amounts(task.effects.original, term), amounts(record, term)
         for measure in (term.model_copy(update={"measure": how}) for how in ("rms", "peak")):
             changes.append(MeasureChange(measure, value(measure, before), value(measure, after)))
-    return machine, tuple(changes), _disagreement(task, observed, record, x)
+    terms = [*observed, *(term for term, _ in (*task.goal, *task.limited))]
+    return machine, tuple(changes), _disagreement(task, terms, record, x)
 
 
 def _disagreement(task: _Task, terms: Sequence[Term], record: MotionColumns, x: Array) -> float:

@@ -6,6 +6,7 @@ import itertools
 import json
 import math
 import tomllib
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -22,6 +23,7 @@ from optlink.dynamics import counterweights as effects_module
 from optlink.dynamics.columns import MotionColumns
 from optlink.dynamics.counterweights import Affine, Counterweight, Effects, with_counterweight
 from optlink.dynamics.inertia import Inertia, Parameters
+from optlink.problem.cycle.quantities import QUANTITIES
 from optlink.problem.cycle.terms import Term
 from optlink.problem.machine.balance import term_keys
 from optlink.report.views import balance_tables
@@ -874,6 +876,16 @@ def test_a_wrong_moment_of_a_torque_column_is_detected(monkeypatch):
     result = optlink.balance(four_bar("rms torque", [{**COUPLER, "mass": "0.1 kg"}]))
     assert not result.verified
     assert not result.valid
+
+
+@pytest.mark.parametrize(("power", "valid"), [(1, True), (2, False)])
+def test_a_quantity_of_an_extension_that_is_not_affine_is_detected(power, valid, monkeypatch):
+    """The programme takes every torque for an affine function of the masses; the inverse dynamics of the result does not."""
+    own = replace(QUANTITIES["torque"], signal=lambda moving, reactions, term: (reactions.torque**power,))
+    monkeypatch.setitem(QUANTITIES, "own torque", own)
+    result = optlink.balance(optlink.load("balance-six-bar", {"balance.objective": {"quantity": "own torque", "measure": "rms"}}))
+    assert result.verified is valid
+    assert result.valid is valid
 
 
 # --- springs -------------------------------------------------------------------------------------------------------

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 import numpy as np
 
-from optlink.dynamics.inertia import Wrench
+from optlink.dynamics.dyad_balances import RemainingWrenches
+from optlink.dynamics.inverse import Reactions, shaking
 from optlink.dynamics.machine import Moving, slider_names
 from optlink.io import Registry
 from optlink.linkage.dyad_types import RPR, RRP, RRR, Transmitting, transmitting
@@ -22,7 +23,6 @@ from optlink.problem.mechanism import moving_points
 
 if TYPE_CHECKING:
     from optlink.dynamics.columns import MotionColumns
-    from optlink.dynamics.inverse import Reactions
 
 
 class ElementTerm(Protocol):
@@ -44,7 +44,7 @@ class ElementTerm(Protocol):
         ...
 
 
-Signal: TypeAlias = "Callable[[Moving, Reactions, ElementTerm], tuple[Value, ...]]"
+Signal: TypeAlias = Callable[[Moving, Reactions, ElementTerm], tuple[Value, ...]]
 Course: TypeAlias = "Callable[[MotionColumns, ElementTerm], Array]"
 
 
@@ -157,14 +157,8 @@ def _reference(moving: Moving, term: ElementTerm) -> Vector:
     return moving.position(term.about or moving.machine.mechanism.crank.start)
 
 
-def _shaking(moving: Moving) -> Wrench:
-    from optlink.dynamics.inverse import shaking
-
-    return shaking(moving)
-
-
 def _shaking_moment(moving: Moving, reactions: Reactions, term: ElementTerm) -> tuple[Value, ...]:
-    return (_shaking(moving).about(moving.position(moving.machine.mechanism.crank.start), _reference(moving, term)),)
+    return (shaking(moving).about(moving.position(moving.machine.mechanism.crank.start), _reference(moving, term)),)
 
 
 def _shaking_moment_measured(record: MotionColumns, term: ElementTerm) -> Array:
@@ -184,8 +178,6 @@ def _pressure(moving: Moving, reactions: Reactions, term: ElementTerm) -> tuple[
 
 def _transmission_angle(moving: Moving, group: Transmitting) -> Value:
     """Return the transmission angle of a dyad [rad], see `optlink.linkage.dyad_types.Transmitting`; 90 deg is best."""
-    from optlink.dynamics.dyad_balances import RemainingWrenches
-
     p, q = RemainingWrenches(moving, {}).directions(group, {})
     return np.arctan2(magnitude(cross(p, q)), dot(p, q))
 
@@ -255,7 +247,7 @@ QUANTITIES |= {
     "shaking force": QuantityType(
         "force",
         _SIZE,
-        signal=lambda moving, reactions, term: _shaking(moving).force,
+        signal=lambda moving, reactions, term: shaking(moving).force,
         history=_size("frame.shaking_fx_N", "frame.shaking_fy_N"),
         vector=True,
     ),
