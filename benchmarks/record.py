@@ -15,6 +15,7 @@ import argparse
 import json
 import math
 import platform
+import re
 import sys
 import time
 import tomllib
@@ -194,6 +195,11 @@ def apart(one: float, other: float, size: float = 0.0) -> float:
     return difference if math.isfinite(difference) else math.inf
 
 
+def _wording(value: Any) -> str:
+    """A value without the figures in its text."""
+    return re.sub(r"[-+]?\d+\.\d+(e[-+]?\d+)?", "...", str(value))
+
+
 def whole_turns(difference: float) -> float:
     """The whole turns [rad] in a difference of two angles; no difference of two lengths [m] is that large."""
     return difference - math.remainder(difference, math.tau) if math.isfinite(difference) else 0.0
@@ -206,8 +212,8 @@ def differences(before: Mapping[str, Any], after: Mapping[str, Any], digits: flo
         return [] if texts[0] == texts[1] else [f"{texts[0]} -> {texts[1]}"]
     rows = [
         f"{name}: {before.get(name)} -> {after.get(name)}"
-        for name in ("hash", "status", "valid", "failed", "conflict", "assembly", "faults")
-        if before.get(name, []) != after.get(name, [])
+        for name in ("status", "valid", "failed", "conflict", "assembly", "faults")
+        if _wording(before.get(name, [])) != _wording(after.get(name, []))
     ]
     rows += _worse(before, after, digits) + _other_design(before, after, digits) + _other_prices(before, after)
     return rows + _other_proof(before["certificate"], after["certificate"])
@@ -280,6 +286,9 @@ def compare(before: Path, after: Path, digits: float) -> int:
     print(
         f"{count} of {len(one) - len(missing)} searches differ by more than {digits:g}, {late} take over {SLOWER:g} times as long"
     )
+    renamed = {key[0] for key in one if key in other and one[key].get("hash") != other[key].get("hash")}
+    if renamed:
+        print(f"{len(renamed)} problems have another hash, such as {min(renamed)}")
     if missing:
         print(f"{len(missing)} searches are missing:", ", ".join(sorted({key[0] for key in missing})))
     return count + len(missing)

@@ -46,6 +46,7 @@ CHANGES: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
     "no certificate": (lambda one: one.update(certificate=None), "certificate"),
     "more boxes": (lambda one: one["certificate"].update(boxes=2 * one["certificate"]["boxes"]), "boxes"),
     "a fault of the judge": (lambda one: one.update(faults=["the crank does not turn fully"]), "faults"),
+    "another fault": (lambda one: one.update(faults=["crank is 1.0"]), "faults"),
     "refused": (lambda one: one.update(refused="unknown key"), "accepted -> unknown key"),
 }
 
@@ -80,7 +81,7 @@ def test_a_longer_search_is_listed(entry: dict[str, Any]) -> None:
 def test_two_records_are_compared(entry: dict[str, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     files = [tmp_path / name for name in ("before.json", "after.json")]
     meant = entry | {"problem": "crank-rocker-robust"}
-    other = copy.deepcopy(entry) | {"valid": False}
+    other = copy.deepcopy(entry) | {"valid": False, "hash": "another"}
     for file, entries in zip(
         files, ([entry, meant], [other, meant | {"objective": meant["objective"] * (1.0 + 1e-5)}]), strict=True
     ):
@@ -89,7 +90,9 @@ def test_two_records_are_compared(entry: dict[str, Any], tmp_path: Path, capsys:
     shown = capsys.readouterr().out
     assert "crank-rocker | ipopt | 0 | valid: True -> False" in shown
     assert "[meant: the largest deviation counts over the whole range]" in shown
+    assert "1 problems have another hash, such as crank-rocker\n" in shown
     assert record.compare(files[0], files[0], record.DIGITS) == 0
+    assert "hash" not in capsys.readouterr().out
     files[1].write_text(json.dumps({"schema": record.SCHEMA, "entries": [entry]}), encoding="utf-8")
     assert record.compare(*files, record.DIGITS) == 1
     assert "1 searches are missing: crank-rocker-robust" in capsys.readouterr().out
