@@ -12,7 +12,10 @@ from numpy.typing import NDArray
 
 import optlink
 from optlink.optimization.programme import build
+from optlink.optimization.taylor_model import TaylorModel
 from optlink.problem.file import read
+from optlink.problem.machine.model import Problem
+from optlink.problem.targets.expression import FUNCTIONS
 from optlink.studies.cycle_task import optimum_task
 from optlink.studies.grid import Axis, Grid
 from optlink.studies.tolerance.analysis import tolerance
@@ -449,3 +452,20 @@ def test_quantities_of_several_requirements_can_be_linked():
     assert values["function.psi0"] == pytest.approx(math.radians(60.0))
     moved = problem.model.design({"function.phi0": math.radians(24.0)})
     assert (moved["coupler"], moved["function.psi0"]) == pytest.approx((0.108, math.radians(48.0)))
+
+
+ARGUMENTS = {"sin": "30 deg*coupler/frame", "cos": "30 deg*coupler/frame", "tan": "30 deg*coupler/frame"}
+
+
+@pytest.mark.parametrize("name", [*FUNCTIONS, "^"])
+def test_every_function_of_a_link_is_bounded_over_boxes(name):
+    """A link with any function allows a certificate: its values in a box lie within the bounds there."""
+    term = f"{name}({ARGUMENTS.get(name, 'coupler/frame + 0.1')})" if name != "^" else "(coupler/frame)^1.5"
+    term = f"{term}/(60 deg)" if name in ("asin", "acos", "atan") else f"(2 + {term})"
+    problem = read(LAW).override({"mechanism.rocker": {"equals": f"0.5*frame*{term}"}, "mechanism.coupler": "395..405 mm"}).model
+    low, high = np.array([[0.395]]), np.array([[0.405]])
+    values = problem.complete({"coupler": np.linspace(0.395, 0.405, 101)})["rocker"]
+    bounds = Problem.complete(problem, {"coupler": TaylorModel.unknowns(low, high)[0]})["rocker"]
+    assert np.min(bounds.low) <= np.min(values)
+    assert np.max(values) <= np.max(bounds.high)
+    assert np.max(bounds.high) - np.min(bounds.low) < 1.1 * np.ptp(values) + 1e-12
