@@ -18,6 +18,7 @@ from optlink.problem.cycle.model import MachineTerms
 from optlink.problem.cycle.terms import Goal, Limit, Objective
 from optlink.problem.interval import read_figure
 from optlink.problem.limits import LIMITS, MARGIN_KEYS, Limits, LimitTerm, Reach, check_limits, four_bar_limits
+from optlink.problem.linked import Link
 from optlink.problem.machine.model import ShownObjective
 from optlink.problem.mechanism import FourBarSection, check_one_mode
 from optlink.problem.quantity import Quantity, Unusable, below
@@ -302,6 +303,11 @@ class DesignProblem(MachineTerms):
         kind = self.quantities[name].kind if name in self.quantities else "angle"
         part = next((part for part in self.parts if part.prefix and name.startswith(part.prefix)), self.parts[0])
         return kind == "angle" and bool(part.requirement.is_periodic(part, name.removeprefix(part.prefix)))
+
+    @cached_property
+    def links(self) -> dict[str, Link]:
+        """The links by the names of the linked quantities; none of a requirement alone, whose values are those of the whole."""
+        return {} if self.prefix else super().links
 
     def complete(self, values: Mapping[str, Value]) -> dict[str, Value]:
         """Return every quantity [SI] for values of the design variables, elementwise, with those that follow from others.

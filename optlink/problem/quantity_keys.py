@@ -1,12 +1,9 @@
 """Keys of the quantities of a problem in its file: of "link2.P.along" it is `mechanism.links.link2.points.P.along`."""
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from optlink.linkage.fourbar import LENGTHS
-
-if TYPE_CHECKING:
-    from optlink.problem.machine.model import Problem
 
 
 def write(mechanism: dict[str, Any], name: str, value: object) -> None:
@@ -88,7 +85,7 @@ def file_key(mechanism: Mapping[str, Any], name: str) -> str:
     return ".".join(("mechanism", *map(str, steps)))
 
 
-def quantity_key(problem: "Problem", name: str) -> str:
+def quantity_key(problem: Any, name: str) -> str:
     """Return the dotted key of a quantity of a problem in its file.
 
     Parameters

@@ -12,7 +12,10 @@ from numpy.typing import NDArray
 
 import optlink
 from optlink.optimization.programme import build
+from optlink.optimization.taylor_model import TaylorModel
 from optlink.problem.file import read
+from optlink.problem.machine.model import Problem
+from optlink.problem.targets.expression import FUNCTIONS
 from optlink.studies.cycle_task import optimum_task
 from optlink.studies.grid import Axis, Grid
 from optlink.studies.tolerance.analysis import tolerance
@@ -369,3 +372,100 @@ def test_an_angle_from_which_others_follow_is_not_periodic():
     linked = free.replace('psi0 = "0..180 deg"', 'psi0 = { equals = "0.5*start + 90 deg" }')
     assert [v.periodic for v in build(read(free).model).variables if v.name == "phi0"] == [True]
     assert [v.periodic for v in build(read(linked).model).variables if v.name == "phi0"] == [False]
+
+
+def test_links_hold_for_every_requirement_of_one_linkage():
+    """Points and rocker angles of the four-bar 40, 110, 80, 120 mm with P (60, 35): the design is exact, as are its links."""
+    at = np.radians([20.0, 60.0, 110.0, 180.0, 250.0])
+    psi = rocker(0.04, 0.11, 0.08, 0.12, at)
+    turned = np.arctan2(0.08 * np.sin(psi) - 0.04 * np.sin(at), 0.12 + 0.08 * np.cos(psi) - 0.04 * np.cos(at))
+    x = 40.0 * np.cos(at) + 60.0 * np.cos(turned) - 35.0 * np.sin(turned)
+    y = 40.0 * np.sin(at) + 60.0 * np.sin(turned) + 35.0 * np.cos(turned)
+    problem = optlink.read(
+        {
+            "mechanism": {
+                "crank": {"equals": "0.5*rocker"},
+                "coupler": "80..150 mm",
+                "rocker": "50..100 mm",
+                "frame": {"equals": "coupler + 10 mm"},
+                "points": {"P": [{"equals": "rocker - 20 mm"}, "0..80 mm"]},
+            },
+            "requirements": [
+                {
+                    "kind": "path",
+                    "point": "P",
+                    "points": [
+                        {"x": f"{a!r} mm", "y": f"{b!r} mm", "crank": f"{c!r} rad"}
+                        for a, b, c in zip(x.tolist(), y.tolist(), at.tolist(), strict=True)
+                    ],
+                    "weight": 1.0,
+                },
+                {
+                    "kind": "function",
+                    "law": {
+                        name: [f"{angle!r} rad" for angle in angles.tolist()] for name, angles in (("phi", at), ("psi", psi))
+                    },
+                    "weight": 1.0,
+                },
+            ],
+            "limits": {"transmission_angle": ["20 deg", "160 deg"]},
+        }
+    )
+    free = {"coupler": 0.11, "rocker": 0.08, "P.across": 0.035}
+    assert set(problem.model.free) == set(free)
+    design = problem.model.design(free)
+    lengths = {"crank": 0.04, "frame": 0.12, "P.along": 0.06}
+    assert {name: design[name] for name in lengths} == pytest.approx(lengths, rel=1e-14)
+    exact = optlink.validate(problem, free)
+    assert exact.valid
+    assert exact.objective < 1e-18
+    broken = optlink.validate(problem, free | {"crank": 0.041})
+    assert "crank = 0.5*rocker" in [check.name for check in broken.validation.checks if not check.passed]
+
+
+def test_quantities_of_several_requirements_can_be_linked():
+    problem = optlink.read(
+        {
+            "mechanism": {
+                "crank": "40 mm",
+                "coupler": {"equals": "100 mm + 10 mm*function.phi0/(30 deg)"},
+                "rocker": "50..100 mm",
+                "frame": "120 mm",
+                "points": {"P": ["60 mm", "35 mm"]},
+            },
+            "requirements": [
+                {"kind": "path", "point": "P", "points": [["50 mm", "60 mm"], ["30 mm", "70 mm"], ["20 mm", "50 mm"]]},
+                {
+                    "kind": "function",
+                    "law": "psi0 + 0.2*(phi - phi0)",
+                    "span": "40 deg",
+                    "from": "20..40 deg",
+                    "psi0": {"equals": "2*function.phi0"},
+                    "tolerance": "20 deg",
+                    "measure": "max",
+                },
+            ],
+        }
+    )
+    values = problem.model.design({})
+    assert values["coupler"] == pytest.approx(0.11)
+    assert values["function.psi0"] == pytest.approx(math.radians(60.0))
+    moved = problem.model.design({"function.phi0": math.radians(24.0)})
+    assert (moved["coupler"], moved["function.psi0"]) == pytest.approx((0.108, math.radians(48.0)))
+
+
+ARGUMENTS = {"sin": "30 deg*coupler/frame", "cos": "30 deg*coupler/frame", "tan": "30 deg*coupler/frame"}
+
+
+@pytest.mark.parametrize("name", [*FUNCTIONS, "^"])
+def test_every_function_of_a_link_is_bounded_over_boxes(name):
+    """A link with any function allows a certificate: its values in a box lie within the bounds there."""
+    term = f"{name}({ARGUMENTS.get(name, 'coupler/frame + 0.1')})" if name != "^" else "(coupler/frame)^1.5"
+    term = f"{term}/(60 deg)" if name in ("asin", "acos", "atan") else f"(2 + {term})"
+    problem = read(LAW).override({"mechanism.rocker": {"equals": f"0.5*frame*{term}"}, "mechanism.coupler": "395..405 mm"}).model
+    low, high = np.array([[0.395]]), np.array([[0.405]])
+    values = problem.complete({"coupler": np.linspace(0.395, 0.405, 101)})["rocker"]
+    bounds = Problem.complete(problem, {"coupler": TaylorModel.unknowns(low, high)[0]})["rocker"]
+    assert np.min(bounds.low) <= np.min(values)
+    assert np.max(values) <= np.max(bounds.high)
+    assert np.max(bounds.high) - np.min(bounds.low) < 1.1 * np.ptp(values) + 1e-12

@@ -214,8 +214,9 @@ class Problem(Section):
             if name in self.mechanism.quantities:
                 write(tables["mechanism"], name, known)
             else:
-                requirement = tables["requirement"]
-                requirement[next(one for one in SPELLINGS[name] if one in requirement)] = known
+                section, *number, _ = key.split(".")
+                requirement = tables[section][int(number[0])] if number else tables[section]
+                requirement[next(one for one in SPELLINGS[name.rpartition(".")[2]] if one in requirement)] = known
         return tables
 
     @property
