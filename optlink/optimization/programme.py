@@ -480,7 +480,7 @@ def constant_values(problem: DesignProblem, constants: Sequence[Variable]) -> li
 
 def solved_values(task: DesignProblem, design: Mapping[str, float], x: Array) -> tuple[dict[str, float], Array]:
     """Return all quantities [m, rad] of a solved programme, and its crank angles (points,) [rad]; `design` has the free ones."""
-    values = task.complete({name: design[name] for name in task.free})
+    values = {name: float(value) for name, value in task.complete({name: design[name] for name in task.free}).items()}
     free = len(task.free)
     count = sum(len(part.data.columns) for part in task.parts if part.data.offsets is None)
     return values, task.crank_angles(values, x[free : free + count] if count else None)

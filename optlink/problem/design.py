@@ -168,11 +168,14 @@ class DesignProblem(MachineTerms):
             named.append((requirement.name or (requirement.kind if count == 1 else f"{requirement.kind}{count}"), requirement))
         return named
 
-    @cached_property
+    @property
     def parts(self) -> tuple[Self, ...]:
         """The problem with each of its requirements alone, whose quantities have their short names there."""
-        if not self.requirements:
-            return (self,)
+        return self._parts or (self,)
+
+    @cached_property
+    def _parts(self) -> tuple[Self, ...]:
+        """The parts of several requirements; none of a single one, as a model that contains itself cannot be compared."""
         fields = {name: getattr(self, name) for name in type(self).model_fields}
         parts: list[Any] = []
         for k, (name, requirement) in enumerate(self._named):
@@ -318,7 +321,8 @@ class DesignProblem(MachineTerms):
         full = {name: known[name] for name in self.quantities}
         for part in self.parts:
             derived = part.requirement.derived(part, part.own(full))
-            full |= {f"{part.prefix}{name}": value for name, value in derived.items()}
+            prefix = part.prefix if self.requirements else ""
+            full |= {f"{prefix}{name}": value for name, value in derived.items()}
         return full
 
     def design(self, values: Mapping[str, float]) -> dict[str, float]:

@@ -300,8 +300,8 @@ class _Courses:
                 search(heights, first + level if level >= 0 else -1)
         for error in self.errors:
             number = error.level(self.task)
-            level = float(levels[number]) if number >= 0 else None
-            search(functools.partial(error.heights, error.part.own(values), level), number)
+            largest = float(levels[number]) if number >= 0 else None
+            search(functools.partial(error.heights, error.part.own(values), largest), number)
         return sorted(found, key=lambda top: -top.height) or [RowPeak(0.0, -math.inf, 0)]
 
 
