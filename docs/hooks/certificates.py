@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import optlink
 from optlink.report.chart_mpl import pictures
 from optlink.report.style import apply_style
-from optlink.report.views.function import certified
+from optlink.report.views.design import charts
 
 if TYPE_CHECKING:
     from mkdocs.config.defaults import MkDocsConfig
@@ -48,7 +48,7 @@ def picture() -> bytes:
     """Return the picture of the boxes of the crank-rocker as PNG."""
     found = optlink.solve(optlink.load("crank-rocker"))
     assert isinstance(found, optlink.SynthesisResult)
-    drawn = pictures(certified(found))["boxes"]
+    drawn = pictures(chart for chart in charts(found) if chart.file == "boxes")["boxes"]
     with apply_style(), io.BytesIO() as stream:
         drawn.savefig(stream, dpi=130)
         return stream.getvalue()

@@ -21,7 +21,7 @@ from optlink.linkage.motion import Motion, sweep
 from optlink.report.drawing import Sketch
 from optlink.report.report_model import report_model_of, solve_or_validate
 from optlink.report.style import TARGET, apply_style
-from optlink.report.views.path_view import PathView, best
+from optlink.report.views.design_view import DesignView, best
 from optlink.tasks.results.design import SynthesisResult
 
 if TYPE_CHECKING:
@@ -118,7 +118,7 @@ def picture(name: str) -> bytes:
         return stream.getvalue()
 
 
-def _view(outcome: Any) -> PathView | None:
+def _view(outcome: Any) -> DesignView | None:
     """Return the motion of a synthesised design; None for other results."""
     return best(outcome) if isinstance(outcome, SynthesisResult) else None
 

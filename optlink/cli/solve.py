@@ -197,11 +197,10 @@ def _show(
     details: bool,
 ) -> None:
     """Show a result, and exit with the code of its status."""
-    from optlink.report.registry import shown_as
 
     failed = result.status in (Status.STALLED, Status.NON_FINITE) and result.problem.task != "path"
     code = 3 if failed else 0 if result.valid else 1  # of the several designs of a path one may stall
-    console.deliver(result, shown_as(result), as_json, out, code=code, details=details)
+    console.deliver(result, result.kind, as_json, out, code=code, details=details)
 
 
 def analyze(

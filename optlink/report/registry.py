@@ -25,11 +25,6 @@ KINDS = {
 """Kinds of stored results, and the commands that write them."""
 
 
-def shown_as(result: Any) -> str:
-    """Return the name of the view of a result: its kind, of a synthesis that of its problem."""
-    return str(result.problem.task if result.kind == "design" else result.kind)
-
-
 def table_of(kind: str) -> Callable[[Any], Summary]:
     """Import the function that shows results of a kind in the terminal.
 
@@ -40,14 +35,10 @@ def table_of(kind: str) -> Callable[[Any], Summary]:
     """
     tables: dict[str, Callable[[Any], Summary]] = {name: view.table for name, view in REGISTERED.items()}
     match kind:
-        case "function":
-            from optlink.report.views.function_tables import result as function_table
+        case "design":
+            from optlink.report.views.design_tables import design_result as design_table
 
-            return function_table
-        case "path":
-            from optlink.report.views.path_tables import path_result as path_table
-
-            return path_table
+            return design_table
         case "cycle":
             from optlink.report.views.cycle_tables import cycle_result as cycle_table
 
@@ -86,18 +77,10 @@ def view_of(kind: str) -> View:
     if kind in REGISTERED:
         return REGISTERED[kind]
     match kind:
-        case "function":
-            from optlink.report.views import function
-
-            return function.VIEW
-        case "path":
-            from optlink.report.views import path
-
-            return path.VIEW
         case "design":
-            from optlink.tasks.results.design import SynthesisResult
+            from optlink.report.views import design
 
-            return View(result=SynthesisResult)
+            return design.VIEW
         case "cycle":
             from optlink.report.views import cycle
 

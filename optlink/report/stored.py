@@ -12,7 +12,7 @@ from optlink.io import load_extensions
 from optlink.problem.arguments import typed
 from optlink.problem.document import Document, read_document
 from optlink.report.format import single_units
-from optlink.report.registry import KINDS, result_class, shown_as, view_of
+from optlink.report.registry import KINDS, result_class, view_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -97,7 +97,7 @@ def stored_page(result: Document, facts: Mapping[str, Any], path: str) -> Report
 
     if facts:
         result = replace(result, problem=result.problem.override(facts))  # type: ignore[type-var]
-    view = view_of(shown_as(result))
+    view = view_of(result.kind)
     if view.no_page:
         raise InputError("a result of this kind has no page", view.no_page, path, "schema", result.schema())
     if view.page is None:

@@ -3,7 +3,7 @@
 from optlink.report.registry import REGISTERED
 from optlink.report.table_spec import summary
 from optlink.report.view import View
-from optlink.report.views.function_tables import checks
+from optlink.report.views.search_tables import checks
 from tests.extending.kind import ClearingResult
 
 

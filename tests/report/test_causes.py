@@ -14,7 +14,7 @@ import optlink
 from optlink.linkage.fourbar import LENGTHS
 from optlink.report.causes import causes, why_invalid
 from optlink.report.report_model import ReportModel, verdict
-from optlink.report.views.function import mechanism as drawn_mechanism
+from optlink.report.views.design_drawings import at_positions as drawn_mechanism
 from optlink.tasks.results.rotation import Length, cannot_turn, four_bar_conflict
 from optlink.validation.check import Check
 

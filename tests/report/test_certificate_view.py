@@ -28,11 +28,11 @@ OPPOSED = {"limits.transmission_angle.min": "80 deg", "limits.transmission_angle
 
 
 def shown(result) -> str:
-    return words(table_of(result.problem.task)(result))
+    return words(table_of(result.kind)(result))
 
 
 def charts(result):
-    return {chart.file: chart for chart in view_of("function").charts(result)}
+    return {chart.file: chart for chart in view_of("design").charts(result)}
 
 
 @pytest.fixture(scope="module")
@@ -57,9 +57,9 @@ def test_a_closed_proof_takes_the_place_of_statistics(solved):
     assert "lower bound 0.00759236" in text
     assert "rounding errors are included" in text
     assert "globally optimal within the bounds: no design is better by more than 0.0001 %" in text
-    for other in ("local optimum", "--starts", "random starts reached", "not closed", "--certify"):
+    for other in ("local optimum", "--starts", "starts reached", "not closed", "--certify"):
         assert other not in text
-    assert "12 of 14 random starts reached" in shown(replace(many, certificate=None))
+    assert "12 of 20 starts reached" in shown(replace(many, certificate=None))
     assert solved.to_dict()["message"] == solved.certificate.text
     assert "within 0.0001 %" in repr(solved)
     assert solved.certificate.text in solved._repr_html_()

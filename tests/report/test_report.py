@@ -18,11 +18,19 @@ from optlink.io import whole, write_json
 from optlink.report.chart_mpl import draw
 from optlink.report.registry import view_of
 from optlink.report.report_model import report_model_of, solve_or_validate
-from optlink.report.views import cycle, function
+from optlink.report.views import cycle
+from optlink.report.views.design import charts, frames
+from optlink.report.views.design_drawings import at_positions
+from optlink.report.views.objective_map import objective_map
+
+
+def chart(result, name: str):
+    """The charts of a file."""
+    return [one for one in charts(result) if one.file == name]
 
 
 def test_mechanism_is_drawn_at_its_characteristic_positions(solved):
-    figure = function.mechanism(solved)
+    figure = at_positions(solved)
     titles = [axes.get_title() for axes in figure.axes]
     assert len(titles) == 5
     assert any("start = outer dead centre" in title and "26.47" in title for title in titles)
@@ -34,7 +42,7 @@ def test_mechanism_is_drawn_at_its_characteristic_positions(solved):
 
 
 def test_point_names_avoid_links_and_stay_inside(solved):
-    figure = function.mechanism(solved)
+    figure = at_positions(solved)
     figure.draw_without_rendering()
     for axes in figure.axes:
         letters = {text.get_text(): text.get_window_extent() for text in axes.texts}
@@ -57,9 +65,9 @@ def test_point_names_avoid_links_and_stay_inside(solved):
 def test_a_large_four_bar_is_drawn_in_metres(crank_rocker):
     raw = {**crank_rocker.raw, "limits": {"crank": "full rotation"}}
     raw["mechanism"] = {"crank": "10 m", "frame": "50 m", "coupler": "41.3 m", "rocker": "23.2 m"}
-    figure = function.mechanism(optlink.validate(optlink.read(raw), {}))
+    figure = at_positions(optlink.validate(optlink.read(raw), {}))
     assert figure.axes[0].get_xlabel() == "x [m]"
-    assert "crank 10.000   coupler 41.300   rocker 23.200   frame 50.000 m" in figure.get_suptitle()
+    assert "in m: crank 10.000   coupler 41.300   rocker 23.200   frame 50.000" in figure.get_suptitle()
     lengths = sorted(
         float(np.linalg.norm(np.diff(line.get_xydata(), axis=0)))
         for line in figure.axes[0].get_lines()
@@ -69,26 +77,26 @@ def test_a_large_four_bar_is_drawn_in_metres(crank_rocker):
 
 
 def test_law_chart_shows_target_generated_and_error(solved):
-    top, bottom = draw(function.law(solved)).axes
+    top, bottom = draw(chart(solved, "law")).axes
     target, computed, marks = (line.get_xydata() for line in top.get_lines()[:3])
     start = math.degrees(solved.design["phi0"])
     assert target[0] == pytest.approx([start, math.degrees(solved.design["psi0"])])
     assert target[-1, 1] - target[0, 1] == pytest.approx(30.0)
     assert len(marks) == 30
     (error,) = (line.get_ydata() for line in bottom.get_lines() if line.get_gid() == "error")
-    np.testing.assert_allclose(error, target[:, 1] - computed[:, 1], atol=1e-9)
+    np.testing.assert_allclose(error, computed[:, 1] - target[:, 1], atol=1e-9)
     assert np.max(np.abs(error)) == pytest.approx(2.29005, abs=1e-4)
 
 
 def test_transmission_touches_its_limit(solved):
-    axes = draw(function.transmission(solved)).axes[0]
+    axes = draw(chart(solved, "transmission")).axes[0]
     gamma = max((line.get_ydata() for line in axes.get_lines()), key=len)
     assert np.max(gamma) == pytest.approx(135.0, abs=1e-6)
     assert np.min(gamma) == pytest.approx(70.3792, abs=1e-3)
 
 
 def test_map_holds_the_iterations_and_the_optimum(solved):
-    axes = function.objective_map(solved).axes[0]
+    axes = objective_map(solved).axes[0]
     labels = {line.get_label(): line.get_xydata() for line in axes.get_lines()}
     assert labels["design"][0] == pytest.approx([412.865416, 232.246171], abs=1e-5)
     for name in ("slsqp", "ipopt"):
@@ -99,7 +107,7 @@ def test_map_holds_the_iterations_and_the_optimum(solved):
 
 def test_the_infeasible_region_of_a_map_is_veiled_up_to_its_edge(solved):
     """And not in steps of the grid of the map."""
-    sets = [each for each in function.objective_map(solved).axes[0].collections if isinstance(each, ContourSet)]
+    sets = [each for each in objective_map(solved).axes[0].collections if isinstance(each, ContourSet)]
     (veil,) = (each for each in sets if each.filled and each.get_alpha() == 0.62)
     (edge,) = (each for each in sets if not each.filled and list(each.levels) == [0.0])
     veiled, along = (np.concatenate([path.vertices for path in each.get_paths()]) for each in (veil, edge))
@@ -109,16 +117,16 @@ def test_the_infeasible_region_of_a_map_is_veiled_up_to_its_edge(solved):
 
 def test_map_only_for_two_free_quantities(crank_rocker):
     changed = crank_rocker.override({"mechanism.frame": {"bounds": ["450 mm", "550 mm"]}})
-    assert function.objective_map(optlink.solve(changed)) is None
+    assert objective_map(optlink.solve(changed)) is None
 
 
 @pytest.mark.slow
 def test_film_moves_through_the_revolution(solved, tmp_path):
-    pictures = function.frames(solved, count=12)
+    pictures = frames(solved, count=12)
     assert len(pictures) == 12
     arrays = [np.asarray(picture.convert("RGB")) for picture in pictures]
     assert all(np.any(a != b) for a, b in itertools.pairwise(arrays))
-    files = view_of("function").write(solved, tmp_path, film=True)
+    files = view_of("design").write(solved, tmp_path, film=True)
     with Image.open(tmp_path / "motion.gif") as film:
         assert film.n_frames == 90
     assert {file.name for file in files} == {path.name for path in tmp_path.iterdir()}
@@ -127,8 +135,8 @@ def test_film_moves_through_the_revolution(solved, tmp_path):
 def test_a_design_that_cannot_be_assembled_leaves_out_its_pictures(crank_rocker, tmp_path):
     result = optlink.validate(crank_rocker, {"coupler": 0.12, "rocker": 0.12})
     assert not result.valid
-    files = view_of("function").write(result, tmp_path)
-    assert [file.name for file in files] == ["result.json", "design.toml"]
+    files = view_of("design").write(result, tmp_path)
+    assert [file.name for file in files] == ["result.json", "points.csv", "design.toml"]
     assert json.loads((tmp_path / "result.json").read_text())["objective"]["value"] is None
 
 
@@ -142,12 +150,12 @@ def test_an_oscillating_crank_is_drawn_over_its_reachable_range(crank_rocker, tm
     raw["requirement"] = {**raw["requirement"], "from": "30 deg", "span": "20 deg"}
     result = optlink.validate(optlink.read(raw), {})
     assert result.valid
-    axes = draw(function.transmission(result)).axes[0]
+    axes = draw(chart(result, "transmission")).axes[0]
     angles = max((line.get_xdata() for line in axes.get_lines()), key=len)
     highest = math.degrees(math.acos((0.3**2 + 0.5**2 - 0.53**2) / (2 * 0.3 * 0.5)))
     assert angles[-1] == pytest.approx(highest, abs=1e-3)
     assert angles[0] == pytest.approx(-highest, abs=1e-3)
-    view_of("function").write(result, tmp_path, film=True)
+    view_of("design").write(result, tmp_path, film=True)
     assert (tmp_path / "motion.gif").exists()
 
 

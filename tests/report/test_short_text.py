@@ -30,7 +30,7 @@ def test_solve_prints_the_verdict_the_design_its_limits_and_the_proof():
     assert text.count("\n") <= short_text.LINES
     for line in (
         "optimal, valid, fair fit: rms error is 3 % of the output range",
-        "objective: sum of squares 0.00759237 rad^2 (error: rms 0.9115, largest 2.29 deg)",
+        "objective: sum of squares 0.00759237 rad^2 (error: rms 0.9115, largest 2.29 \ndeg); transmission angle 45.00 deg",
         "globally optimal within the bounds: no design is better by more than 0.0001 %",
         "coupler   412.865  mm   free, 100 ... 900",
         "largest transmission angle  <= 135 deg  0.0001465 rad^2 per deg (1.93 %)",
@@ -44,7 +44,7 @@ def test_solve_prints_the_verdict_the_design_its_limits_and_the_proof():
 
 def test_details_are_the_whole_summary_and_the_json_does_not_depend_on_them():
     result = optlink.solve(optlink.load("crank-rocker"))
-    full = words(table_of("function")(result))
+    full = words(table_of("design")(result))
     done = CliRunner().invoke(app, ["solve", "crank-rocker", "--details"], env={"COLUMNS": "300"})
     plain = [" ".join(word for word in text.split() if word[0] not in "─[") for text in (full, done.stdout)]
     assert len(plain[0]) > 2000
@@ -61,18 +61,18 @@ def test_failed_checks_are_always_shown(command):
     assert "FAIL   largest transmission angle" in done.stdout
     assert "Validation: 14 of 15 checks passed" in done.stdout
     assert done.stdout.count("FAIL") == 1
-    assert ("frame within its bounds" in done.stdout) == (command == "validate")
+    assert ("4 dimensions within bounds" in done.stdout) == (command == "validate")
 
 
 def test_all_conflicting_limits_are_shown():
     changes = {"mechanism.crank": "950 mm"}
     result = optlink.solve(optlink.load("crank-rocker", changes))
     assert len(result.conflict) + len(result.together) > short_text.MAX_LIMITS
-    shown = words(table_of("function")(result).short)
+    shown = words(table_of("design")(result).short)
     for limit in (*result.conflict, *result.together):
         assert limit.name in shown
     assert "FAIL" not in shown  # failed checks follow from the conflict
-    assert words(table_of("function")(result)).count("FAIL") == sum(not check.passed for check in result.validation.checks)
+    assert words(table_of("design")(result)).count("FAIL") == sum(not check.passed for check in result.validation.checks)
 
 
 def test_only_the_first_reason_of_a_poor_fit_and_the_first_limits_are_shown():

@@ -238,7 +238,7 @@ def test_what_is_drawn_of_a_proof_is_no_certificate(tmp_path):
     result = optlink.solve(optlink.load("crank-rocker"))
     (tmp_path / "result.json").write_text(json.dumps(result.to_dict()), encoding="utf-8")
     (tmp_path / "again").mkdir()
-    view_of("function").write(read_result(tmp_path), tmp_path / "again")
+    view_of("design").write(read_result(tmp_path), tmp_path / "again")
     assert not (tmp_path / "again" / "certificate.json").exists()
     assert (tmp_path / "again" / "boxes.png").exists()
 

@@ -34,7 +34,7 @@ def screen(name: str) -> Summary | TableSpec:
     if kind == "analyze":
         return table_of("analysis")(optlink.analyze(load(problem)))
     result = solution(problem)
-    return table_of(result.problem.task)(result)
+    return table_of(result.kind)(result)
 
 
 SCREENS = ("show shaper-design", "analyze six-bar", "solve crank-rocker")

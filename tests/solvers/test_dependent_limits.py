@@ -10,7 +10,7 @@ import pytest
 
 import optlink
 from optlink.optimization.multipliers import MultiplierSet
-from optlink.report.views.function_tables import active
+from optlink.report.views.search_tables import active
 from optlink.report.views.sensitivity import charts
 from optlink.solvers.solution import LimitState
 from optlink.studies.sensitivity import of_solution

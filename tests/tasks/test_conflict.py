@@ -11,8 +11,8 @@ from optlink.report import terminal
 from optlink.report.registry import table_of
 from optlink.report.report_model import report_model_of, verdict
 from optlink.report.stored import read_result
-from optlink.report.views import conclusions, path as path_view
-from optlink.report.views.path_drawings import title_of
+from optlink.report.views import conclusions
+from optlink.report.views.design_view import best, title_of
 from optlink.solvers.solution import Relaxation
 from optlink.tasks.results.conflict import opposed_limits, refutation
 
@@ -99,7 +99,7 @@ PUMP = {
 def text_of(result: object) -> str:
     console = terminal.console()
     with console.capture() as caught:
-        console.print(terminal.rendered(table_of("path")(result).short))
+        console.print(terminal.rendered(table_of("design")(result).short))
     return " ".join(caught.get().split())
 
 
@@ -119,7 +119,7 @@ def test_the_sentence_leads_in_every_place(tmp_path) -> None:
     page = conclusions.design(result, ())
     assert page == re.sub(r"(\d) deg", r"\1°", sentence)
     assert verdict(report_model_of(result)) == "No feasible design found"
-    view = path_view.best(result)
+    view = best(result)
     assert view is not None
     assert sentence in " ".join(title_of(view, 7.0, "pump drive").split())
     path = tmp_path / "result.json"

@@ -16,7 +16,7 @@ from optlink.problem.file import dump
 from optlink.report import terminal
 from optlink.report.html.page import page
 from optlink.report.report_model import ReportModel, verdict
-from optlink.report.views import cycle_tables, path_tables
+from optlink.report.views import cycle_tables, design_tables
 from optlink.solvers.solution import LimitState
 from optlink.tasks.cycle import solve as solve_cycle
 from optlink.tasks.path import solve, validate
@@ -70,10 +70,10 @@ def test_a_design_that_breaks_a_limit_has_no_grade(star) -> None:
     for result in (star, nearest):
         console = terminal.console()
         with console.capture() as text:
-            console.print(terminal.rendered(path_tables.path_result(result)))
+            console.print(terminal.rendered(design_tables.design_result(result)))
         status = text.get().partition("Design")[0]
         assert ("fit" in status) == result.valid
-        assert ("the nearest design is shown" in status) != result.valid
+        assert ("Nearest design found" in text.get()) != result.valid
 
 
 def test_points_passed_out_of_order_are_a_reason(star) -> None:
@@ -497,7 +497,7 @@ def test_prices_of_a_transmission_angle_are_angles() -> None:
     result = solve(optlink.load("transmission-optimal"), starts=60, designs=1)
     console = terminal.console()
     with console.capture() as text:
-        console.print(terminal.rendered(path_tables.path_result(result)))
+        console.print(terminal.rendered(design_tables.design_result(result)))
     shown = " ".join(text.get().split())
     assert "worst transmission angle 37.73 deg 52.27 deg from ideal" in shown
     assert "cosine" not in shown

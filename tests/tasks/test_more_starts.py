@@ -143,7 +143,7 @@ def test_the_objective_is_the_same_in_every_output() -> None:
 @pytest.mark.slow
 def test_every_result_states_its_assembly_mode() -> None:
     from optlink.report import terminal
-    from optlink.report.views import function_tables
+    from optlink.report.registry import table_of
 
     result = short_of_both_modes()
     document = result.to_dict()
@@ -151,7 +151,7 @@ def test_every_result_states_its_assembly_mode() -> None:
     assert {optimum["assembly"] for optimum in document["optima"]} <= {"left", "right"}
     console = terminal.console()
     with console.capture() as text:
-        console.print(terminal.rendered(function_tables.result(result)))
+        console.print(terminal.rendered(table_of("design")(result)))
     assert f"joint C lies to the {result.assembly} of B -> D" in text.get()
 
 
@@ -167,7 +167,7 @@ def test_a_given_design_is_checked_in_the_assembly_mode_that_fits_it() -> None:
 def test_the_written_machine_moves_like_the_design(tmp_path: Path) -> None:
     """Law and function: loaded by `analyze`, from the same crank angle, the rocker turns as the result says."""
     from optlink.report.view import View
-    from optlink.report.views.function import VIEW
+    from optlink.report.views.design import VIEW
 
     for result in (optlink.solve(optlink.load("crank-rocker"), starts=1), short_of_both_modes()):
         View(design=VIEW.design).write(result, tmp_path)

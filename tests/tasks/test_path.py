@@ -145,7 +145,7 @@ def test_same_seed_same_answer_and_files(tmp_path):
     raw, _ = CASES["closed18"]
     one, two = (solve(optlink.read(raw), seed=3) for _ in range(2))
     assert one.best.values == two.best.values
-    written = view_of("path").write(one, tmp_path)
+    written = view_of("design").write(one, tmp_path)
     assert {"result.json", "points.csv", "design.toml", "path.png"} <= {path.name for path in written}
     document = json.loads((tmp_path / "result.json").read_text(encoding="utf-8"))
     assert document["valid"]

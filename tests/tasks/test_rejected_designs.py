@@ -81,7 +81,7 @@ def test_a_better_optimum_that_fails_a_check_is_named_with_it(
     assert document["rejected"]["objective"] == result.rejected.objective
     assert document["rejected"]["design"]["crank_mm"] == pytest.approx(1e3 * best.design["crank"], rel=1e-6)
     assert document["rejected"]["failed"][0]["name"] == REACHED.name
-    screen = printed(table_of(file.task)(result), 10_000, monkeypatch)
+    screen = printed(table_of(result.kind)(result), 10_000, monkeypatch)
     assert note in screen
     assert "the cover is not reached" in page(report_model_of(read_result(stored)))
 

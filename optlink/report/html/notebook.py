@@ -12,7 +12,7 @@ from optlink.errors import InputError
 from optlink.report.html.moving_linkage import Moving
 from optlink.report.html.page import animation_of
 from optlink.report.html.shell import asset, fragment, templates
-from optlink.report.registry import shown_as, table_of, view_of
+from optlink.report.registry import table_of, view_of
 from optlink.report.report_model import ReportModel, report_model_of
 
 if TYPE_CHECKING:
@@ -23,10 +23,10 @@ STEPS = 120  # positions per revolution
 
 def notebook_html(result: Any) -> str | None:
     """Return the drawings and the tables of a result as HTML; None for a kind without a table."""
-    view = view_of(shown_as(result))
+    view = view_of(result.kind)
     if view.no_page:
         return None
-    shown = table_of(shown_as(result))(result)
+    shown = table_of(result.kind)(result)
     moving = _moving(result)
     linkage = "" if moving is None else _linkage(moving, result.problem.model.title)
     chart = _chart(result) if moving is None or view.page is not None else ""
@@ -44,7 +44,7 @@ def _linkage(moving: Moving, title: str) -> str:
 def _moving(result: Any) -> Moving | None:
     """Return the moving linkage of a result; None if it has none, or cannot be assembled."""
     try:
-        page = view_of(shown_as(result)).page
+        page = view_of(result.kind).page
         if page is None:
             return animation_of(report_model_of(result), STEPS)
         about = page(result)
@@ -57,7 +57,7 @@ def _chart(result: Any) -> str:
     """Return the first chart or drawing of a result as SVG; an empty text if it has none."""
     from optlink.report.chart_mpl import draw
 
-    view = view_of(shown_as(result))
+    view = view_of(result.kind)
     charts = (draw([chart]) for chart in view.charts(view.model(result)))
     drawings = (fig for drawing in view.drawings.values() if (fig := drawing(result)) is not None)
     return next(map(_svg, itertools.chain(charts, drawings)), "")

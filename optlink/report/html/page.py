@@ -13,14 +13,13 @@ from optlink.report.html import chart_plotly
 from optlink.report.html.moving_linkage import Moving, turning
 from optlink.report.html.shell import PageSection, StoredStudy
 from optlink.report.html.study_page import study_page
-from optlink.report.registry import shown_as, table_of, view_of
+from optlink.report.registry import table_of, view_of
 from optlink.report.report_model import ReportModel, verdict
 from optlink.report.table_spec import Paragraph, Span, Summary
 from optlink.report.views import (
     analysis_charts,
     analysis_forces,
     conclusions,
-    path_tables,
     sensitivity,
     study_tables,
 )
@@ -56,7 +55,7 @@ def page(model: ReportModel | StoredStudy) -> str:
 def _report(model: ReportModel) -> StoredStudy:
     effects = model.effects or sensitivities_of(model)
     with single_units():
-        shown = table_of(shown_as(model.result))(model.result)
+        shown = table_of(model.result.kind)(model.result)
         return StoredStudy(
             problem=model.problem,
             kind=model.problem.kind,
@@ -112,7 +111,7 @@ def sensitivities_of(model: ReportModel) -> Sensitivities | None:
     best = getattr(model.result, "best", None)
     if best is None or best.solution is None or best.solution.status is not Status.OPTIMAL:
         return None
-    if best.exact and path_tables.exact(best):
+    if best.exact:
         return None
     result = of_solution(best.problem, best.solution)
     return result if result.moving else None
@@ -123,7 +122,7 @@ def _conclusion(model: ReportModel, shown: Summary) -> str:
     outcome: Any = model.result
     if isinstance(outcome, Analysis):
         return conclusions.analysis(outcome)
-    if outcome.kind in ("design", "cycle"):
+    if outcome.kind in conclusions.ACHIEVED:
         solution = None if outcome.best is None else outcome.best.solution
         text = conclusions.design(outcome, () if solution is None else solution.displayed_limits)
         return f"{conclusions.sensitivities(model.effects)} {text}" if model.effects is not None else text
@@ -143,7 +142,7 @@ def _status(model: ReportModel, shown: Summary) -> Sequence[Sequence[Span]]:
 def charts(model: ReportModel) -> list[ChartSpec]:
     """Return the charts of the result and, for a design, those of its machine over the cycle."""
     outcome: Any = model.result
-    kind = shown_as(outcome)
+    kind = outcome.kind
     view = view_of(kind)
     result = [*view.charts(view.model(outcome))]
     if model.cycle is not None and kind != "analysis":
@@ -152,7 +151,7 @@ def charts(model: ReportModel) -> list[ChartSpec]:
         initial = None if initial_analysis is None else CycleCurves(initial_analysis)
         if cycle or model.forces:
             result += analysis_charts.motion(curves, initial)
-        if cycle or (outcome.kind == "design" and outcome.best is not None and outcome.best.task.pointed):
+        if cycle:
             result += analysis_charts.transmission(curves)
         if model.forces:
             result += analysis_forces.forces(curves, initial)

@@ -2,17 +2,18 @@
 
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from typing import Any
 
 import numpy as np
 
 from optlink.linkage.vector2d import TURN
-from optlink.optimization.objectives import MEASURES
 from optlink.problem.cycle.model import REQUIRED, StrokeProblem
 from optlink.report.causes import why_invalid
 from optlink.report.format import figure, joined, pretty, si
-from optlink.report.views import path_tables, study_tables
+from optlink.report.views import study_tables
 from optlink.report.views.certificate_view import clause
+from optlink.report.views.design_words import sentence
 from optlink.solvers.solution import LimitState
 from optlink.studies.pareto.epsilon_constraint import Pareto
 from optlink.studies.sensitivity import Sensitivities
@@ -23,8 +24,7 @@ from optlink.tasks.results.balance import Balance
 from optlink.tasks.results.clearance import ClearanceSimulation
 from optlink.tasks.results.control_comparison import Comparison
 from optlink.tasks.results.cycle import CycleResult
-from optlink.tasks.results.design import LinkageDesign, SynthesisResult
-from optlink.tasks.results.fit import PathFit
+from optlink.tasks.results.design import SynthesisResult
 from optlink.tasks.simulate import Simulation
 from optlink.units import percent
 
@@ -40,10 +40,7 @@ def design(outcome: SynthesisResult | CycleResult, limits: Iterable[LimitState])
     best, certified = outcome.best, clause(outcome.certificate)
     if best is None or outcome.conflict:
         return _sentences(shown(outcome.refuted) or "No design was found.", certified)
-    if not isinstance(best, LinkageDesign):
-        achieved = _cycle(best)
-    else:
-        achieved = _function(best) if best.problem.task == "function" else _path(best)
+    achieved = ACHIEVED[outcome.kind](best)
     if outcome.valid:
         return _sentences(achieved, _limiting(limits), certified)
     return f"Not valid: {why_invalid(best.validation.checks, best.status.text)}. {achieved}"
@@ -56,36 +53,6 @@ def shown(text: str) -> str:
 
 def _sentences(*sentences: str) -> str:
     return " ".join(filter(None, sentences))
-
-
-def _function(best: LinkageDesign) -> str:
-    rms, most = (math.degrees(MEASURES[name].of(best.errors())) for name in ("rms", "max"))
-    between = best.largest_between
-    where = "" if between is None else f" at the design positions, {figure(math.degrees(between), 'deg')} between them"
-    return f"The output follows the required motion within {figure(most, 'deg')}{where} (root mean square {figure(rms, 'deg')})."
-
-
-def _path(best: LinkageDesign) -> str:
-    task, measured = best.task, best.measured
-    unit = task.unit or ""
-    least = math.degrees(best.least_transmission)
-    grip = f"least transmission angle {figure(least, 'deg')}" if math.isfinite(least) else ""
-    if task.requirement.kind == "transmission":
-        return f"The {grip}." if grip else ""
-    most = float(measured.distances.max())
-    exact = path_tables.exact(best)
-    if exact:
-        text = "The linkage meets every prescribed position exactly"
-    elif unit == "m":
-        text = f"The linkage passes the {len(measured.distances)} prescribed points within {si(most, 'm')}"
-        text += f" (root mean square {si(math.sqrt(np.mean(measured.distances**2)), 'm')})"
-    else:
-        text = f"The output follows the prescribed function within {si(most, unit)}"
-    if measured.turned is not None and not exact:
-        text += f" and {si(np.max(np.abs(measured.turned)), 'rad')}"
-    if isinstance(best.fit, PathFit) and best.fit.grade != best.fit.at_points:
-        text += f", but deviates by {si(best.fit.excursion, 'm')} between {best.fit.segment}"
-    return f"{text}; {grip}." if grip else f"{text}."
 
 
 def _cycle(outcome: CycleResult) -> str:
@@ -101,6 +68,10 @@ def _cycle(outcome: CycleResult) -> str:
     text = joined(words)
     unfair = "" if stroke or outcome.initial.valid else "; the initial design does not meet the limits"
     return f"{text[:1].upper()}{text[1:]}{unfair}."
+
+
+ACHIEVED: dict[str, Callable[[Any], str]] = {"design": sentence, "cycle": _cycle}
+"""What the best design achieves, by kind of result."""
 
 
 def _limiting(limits: Iterable[LimitState]) -> str:

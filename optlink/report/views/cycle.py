@@ -20,7 +20,7 @@ from optlink.report.drawing import Sketch
 from optlink.report.labels import place_labels
 from optlink.report.style import GROUND, LIMIT, MUTED, RESULT, Scale, figure, heading, scale, styled
 from optlink.report.view import View
-from optlink.report.views.path_view import with_verdict
+from optlink.report.views.design_view import with_verdict
 from optlink.tasks.analyze import Analysis
 from optlink.tasks.results.cycle import CycleResult
 from optlink.units import KINDS

@@ -7,7 +7,7 @@ from optlink.problem.cycle.model import CycleProblem, StrokeProblem
 from optlink.report.format import change, dimension, number
 from optlink.report.table_spec import Row, Summary, TableSpec, quiet, strong, table
 from optlink.report.views.analysis_tables import machine_strokes
-from optlink.report.views.function_tables import NEAREST_DESIGN, search_summary
+from optlink.report.views.search_tables import NEAREST_DESIGN, optima, search_summary
 from optlink.tasks.results.cycle import CycleResult
 
 
@@ -15,7 +15,7 @@ def cycle_result(outcome: CycleResult) -> Summary:
     """Summarise a cycle optimisation: design, cycle quantities, active constraints, validation, optima."""
     strokes = None if outcome.built is None else machine_strokes(outcome.built, outcome.task.drive.speed.value)
     tail = f"; {outcome.comparison}" if outcome.comparison else ""
-    return search_summary(outcome, _sizes(outcome), (_figures(outcome), strokes), tail=tail)
+    return search_summary(outcome, _sizes(outcome), None, (_figures(outcome), strokes), (optima(outcome),), tail=tail)
 
 
 def cycle_problem(task: CycleProblem) -> TableSpec:

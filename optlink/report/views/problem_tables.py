@@ -88,6 +88,10 @@ ABSENT = {
     "zero": "none",
     "start": "none",
     "mark": "none",
+    "name": "its kind",
+    "tolerance": "none: it is minimised",
+    "weight": "none",
+    "scale": "none",
 }
 """Defaults of the keys that are not limits."""
 

@@ -113,6 +113,9 @@ class DesignResult(Protocol):
     tells it the kind of the problem, and with it the others.
     """
 
+    kind: ClassVar[str]
+    """Kind of result, by which its view is found."""
+
     @property
     def problem(self) -> ProblemFile:
         """The problem."""

@@ -1,15 +1,14 @@
-"""Tables of a function synthesis result."""
+"""Tables that every search of a design has: verdict, limits with their prices, checks, conflicting limits, solvers."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from optlink.errors import Status
-from optlink.optimization.objectives import MEASURES
-from optlink.report.format import dimension, fixed, joined, number, price_step, times
+from optlink.report.format import dimension, fixed, joined, number, price_step, significant, times
 from optlink.report.table_spec import (
     Inline,
     Line,
@@ -31,9 +30,9 @@ from optlink.report.views.certificate_view import certificate_lines, certificate
 from optlink.report.views.short_text import dimensions, objective_line, short_text, verdict_lines
 from optlink.solvers.contract import FOUND, LEAST_SQUARES
 from optlink.solvers.solution import LimitState, Relaxation
-from optlink.tasks.machine import turning_machine
 from optlink.tasks.results.certificate import Certificate
 from optlink.tasks.results.conflict import OpposedLimit, opposed_limits, outward
+from optlink.tasks.results.evidence import Evidence
 from optlink.tasks.results.fit import Fit
 from optlink.units import percent
 from optlink.validation import Check
@@ -43,81 +42,72 @@ if TYPE_CHECKING:
     from optlink.tasks.results.cycle import CycleResult
     from optlink.tasks.results.design import SynthesisResult
 
-    SearchedResult = SynthesisResult | CycleResult
+    SearchedResult = CycleResult | SynthesisResult
 
 MAX_OPTIMA, MAX_VARIABLES = 12, 6  # largest number of optima listed, and of their design variables
 NEAREST_DESIGN = "Nearest design found (it does not meet the limits)"
+BOUNDED = " within its bounds"  # end of the names of the checks of bounds
 RELAXED_NOTE = "; <=, >=: its improvement if the bound is relaxed by that much"
-
-
-def result(outcome: SynthesisResult) -> Summary:
-    """Summarise a function synthesis result: design, objective, active constraints, validation, optima, back ends."""
-    from optlink.report.views.analysis_tables import machine_strokes
-
-    best = outcome.best
-    assert best is not None
-    machine = turning_machine(best.problem, best.values)
-    strokes = None if machine is None else machine_strokes(machine, best.rotation[1])
-    objective = None if outcome.conflict else _objective(outcome)
-    evidence, hits = outcome.evidence, ""
-    if evidence is not None and not certified(outcome.certificate):
-        different = f"{evidence.optima} distinct value{'s' * (evidence.optima > 1)}"
-        reached = f"{evidence.hits} of {evidence.starts} random starts reached the best value, {different}"
-        hits = f"{reached}; {evidence.chance}"
-    measured = [] if objective is None else [objective_line(objective)]
-    over = ", largest error over the whole range" * outcome.problem.spec.everywhere
-    return search_summary(outcome, _design(outcome), (strokes, objective), measured, hits, over=over)
 
 
 def search_summary(
     outcome: SearchedResult,
     design: TableSpec,
+    figures: TableSpec | None,
     tables: Iterable[Part | None],
-    measured: Sequence[Line] = (),
-    hits: str = "",
+    others: Iterable[Part | None] = (),
+    *,
+    evidence: Evidence | None = None,
     tail: str = "",
-    over: str = "",
 ) -> Summary:
-    """Summarise the search of one design: its own tables, then those that every such search has.
+    """Summarise a search by its best design: dimensions, `figures`, further tables of it, limits with prices, proof, checks.
 
-    `measured` is the objective in the short text, `hits` the statistics of the starting points; `tail` is added to the verdict,
-    `over` to the title of the distinct optima.
+    `others` are tables of other designs, `evidence` is that of the starts; `tail` is added to the verdict.
     """
-    proof, solution, model = outcome.certificate, outcome.solution, outcome.problem.model
-    priced = None
-    opposed = conflict(outcome.conflict, outcome.together) if outcome.conflict else None
-    if solution is not None and outcome.status != Status.INFEASIBLE:  # elsewhere multipliers are not prices
-        priced = active(model, outcome.objective, solution.displayed_limits)
-    proven = certificate_lines(proof) if certified(proof) else []
-    counted = ["" if outcome.backend == "none" else outcome.backend]
-    counted.append(f"{outcome.starts} start{'s' * (outcome.starts != 1)}" if outcome.starts else "")
-    counted.append(f"{solution.iterations} iterations" if solution is not None and solution.iterations else "")
-    effort = "; ".join(filter(None, [", ".join(filter(None, counted)), times(outcome.seconds, 1)]))
-    verdict, checked = list(_verdict(outcome, tail)), checks(outcome.validation.checks)
-    notes, ended = [*noted(outcome.notes)], proven if outcome.refuted else [quiet(_message(outcome))]
-    evidence = [quiet(hits)] if hits and outcome.optima and outcome.status is Status.OPTIMAL else ended
+    hits = "" if evidence is None else reached(outcome, evidence)
+    proof, model, best = outcome.certificate, outcome.problem.model, outcome.best
+    assert best is not None
+    opposed, priced = conflict(outcome.conflict, outcome.together) if outcome.conflict else None, None
+    if best.solution is not None and best.status != Status.INFEASIBLE:  # elsewhere multipliers are not prices
+        priced = active(model, best.objective, best.solution.displayed_limits)
+    verdict = [*refuted_first(outcome), *graded_status(search_verdict(best.status, best.valid, proof), best, tail)]
+    notes, checked = [*noted(outcome.notes)], checks(best.validation.checks)
+    proven = certificate_lines(proof)
+    ended: list[Line] = (proven if certified(proof) else []) if outcome.refuted else [quiet(_message(outcome, exact=best.exact))]
     full = summary(
         model.title,
         [*verdict, *notes, *ended],
         design,
+        figures,
         *tables,
         opposed or priced,
         None if proof is None else certificate_table(proof, model.shown_objective, outcome.seconds),
         checked,
-        Paragraph(strong("Multistart search"), hits, appendix=True) if hits and outcome.optima else None,
-        _optima(outcome, over) if len(outcome.optima) > 1 or (outcome.optima and outcome.starts > 1) else None,
+        *others,
         backends(outcome) if len(outcome.backends) > 1 else None,
-        Paragraph(quiet(effort), appendix=True),
+        effort(outcome, hits),
     )
-    unproven = [] if certified(proof) else certificate_lines(proof)
-    status = [*verdict_lines(verdict), *notes, *measured, *evidence, *unproven]
+    shown = [quiet(hits)] if hits and best.status is Status.OPTIMAL else ended
+    headline = [] if figures is None or outcome.conflict else [objective_line(figures)]
+    status = [*verdict_lines(verdict), *notes, *headline, *shown, *([] if certified(proof) else proven)]
     return replace(full, short=short_text(model.title, status, dimensions(design), priced, checked, opposed))
 
 
-def _verdict(outcome: SearchedResult, tail: str) -> Iterator[Line]:
-    yield from refuted_first(outcome)
-    line = search_verdict(outcome.status, outcome.valid, outcome.certificate)
-    yield from graded_status(line, outcome.fit if outcome.valid else None, tail)
+def reached(outcome: SearchedResult, evidence: Evidence) -> str:
+    """Return how many starts reached the best value; nothing if its optimality is proven, or without a search."""
+    if outcome.starts < 2 or not outcome.valid or certified(outcome.certificate):
+        return ""
+    distinct = f", {evidence.optima} distinct values" if evidence.optima > 1 else ""
+    return f"{evidence.hits} of {outcome.starts} starts reached the best value{distinct}; {evidence.chance}"
+
+
+def effort(outcome: SearchedResult, hits: str = "") -> Paragraph:
+    """Return what the search consisted of, and how long it took."""
+    solution, words = outcome.solution, ["" if outcome.backend == "none" else outcome.backend]
+    words.append(f"{outcome.starts} start{'s' * (outcome.starts != 1)}" if outcome.starts else "")
+    words.append(f"{solution.iterations} iterations" if solution is not None and solution.iterations else "")
+    texts = hits, ", ".join(filter(None, words)), times(outcome.seconds, 1)
+    return Paragraph(quiet("; ".join(filter(None, texts))), appendix=True)
 
 
 def refuted_first(outcome: SearchedResult) -> Iterator[Line]:
@@ -126,9 +116,9 @@ def refuted_first(outcome: SearchedResult) -> Iterator[Line]:
         yield [bad(outcome.refuted)]
 
 
-def _message(outcome: SearchedResult) -> str:
+def _message(outcome: SearchedResult, *, exact: bool) -> str:
     text = outcome.message
-    single = text == Status.OPTIMAL.text and outcome.starts == 1 and not outcome.exact
+    single = text == Status.OPTIMAL.text and outcome.starts == 1 and not exact
     return text + " (use --starts N for a multistart search)" * single
 
 
@@ -145,8 +135,9 @@ def search_verdict(status: Status, valid: bool, certificate: Certificate | None)
     return [f"{ended}, ", verdict("valid" if valid else "not valid", valid)]
 
 
-def graded_status(line: Sequence[Inline], fit: Fit | None, tail: str) -> Iterator[Line]:
-    """Yield a line with the grade of a fit, if there is one, and a tail, then the likely reasons of a poor fit with remedies."""
+def graded_status(line: Sequence[Inline], best: Any, tail: str) -> Iterator[Line]:
+    """Yield a line with the grade of a valid design, if it has one, and a tail, then the likely reasons of a poor one."""
+    fit: Fit | None = best.fit if best.valid else None
     if fit is None:
         yield [*line, tail]
         return
@@ -155,54 +146,19 @@ def graded_status(line: Sequence[Inline], fit: Fit | None, tail: str) -> Iterato
         yield f"{fit.text.partition(':')[0].capitalize()}, likely reason: {reason.reason}. Remedy: {reason.remedy}."
 
 
-def _design(outcome: SynthesisResult) -> TableSpec:
-    requirement = outcome.problem.spec.requirement
-    default = "" if "start" in requirement.model_fields_set else ", the default start"
-    derived = {"phi0": f"at the {outcome.problem.spec.dead_centre}{default}", "psi0": "the rocker angle there"}
-    rows = dimension_rows(outcome.problem.spec, outcome.design, derived)
-    rows.append(("assembly", outcome.assembly, "", quiet(f"joint C lies to the {outcome.assembly} of B -> D")))
-    return table("Design" if not outcome.conflict else NEAREST_DESIGN, "<><<", rows)
-
-
-def dimension_rows(
-    model: Problem, values: Mapping[str, float], derived: Mapping[str, str], shown: Callable[[float], str] = dimension
-) -> list[Row]:
+def dimension_rows(model: Problem, values: Mapping[str, float], derived: Mapping[str, str]) -> list[Row]:
     """Return the rows of a design [SI]: name, value, unit, and whether it is free, or the remark on a derived value."""
     rows: list[Row] = []
     for name, value in values.items():
         (factor, unit), quantity = model.display(name), model.quantities.get(name)
-        remark = derived[name] if quantity is None else quantity.status
-        if quantity is not None and quantity.low is not None:
+        shown, remark = (dimension if unit == "deg" else significant)(value * factor), ""
+        if quantity is None:
+            remark = derived[name]
+        else:
             low, high = (bound * factor for bound in quantity.bounds)
-            remark = f"{remark}, {low:g} ... {high:g}"
-        free = quantity is not None and quantity.free
-        rows.append((name, strong(shown(value * factor)) if free else shown(value * factor), unit, quiet(remark)))
+            remark = quantity.status + f", {low:g} ... {high:g}" * (quantity.low is not None)
+        rows.append((name, strong(shown) if quantity is not None and quantity.free else shown, unit, quiet(remark)))
     return rows
-
-
-def _objective(outcome: SynthesisResult) -> TableSpec:
-    best = outcome.best
-    assert best is not None
-    rms, largest = (math.degrees(MEASURES[name].of(best.errors())) for name in ("rms", "max"))
-    robust = best.task.robust
-    remark = f"error{'' if robust is None else ' at nominal dimensions'}: rms {number(rms, 4)}, largest {number(largest, 4)} deg"
-    if best.largest_between is not None:
-        remark += f" at the positions, {number(math.degrees(best.largest_between), 4)} deg between them"
-    shown = outcome.problem.spec.shown_objective(outcome.objective)
-    rows: list[Row] = [(best.measure, strong(number(shown.value)), shown.unit, quiet(remark))]
-    if outcome.problem.spec.everywhere:
-        remark = "times that the largest error occurs in the range, with alternating sign"
-        rows.append(("alternations", str(best.alternations), "", quiet(remark)))
-    if outcome.first_step is not None:
-        from optlink.synthesis.function_starts import WIDER
-
-        error, bound = (number(math.degrees(value), 4) for value in (outcome.first_step.error, outcome.first_step.bound))
-        proof = f"; {bound} deg is a lower bound at its start angles" if outcome.first_step.proven else ""
-        limited = outcome.problem.spec.limits.transmission_at() is not None
-        relaxed = f"; searched with the transmission-angle limits relaxed by {math.degrees(WIDER):g} deg" * limited
-        remark = f"a starting point, with its error at the design positions alone{relaxed}{proof}"
-        rows.append(("convex first step", error, "deg", quiet(remark)))
-    return table("Objective", "<><<", rows)
 
 
 def active(model: Problem, objective: float, limits: Iterable[LimitState]) -> Part:
@@ -244,8 +200,10 @@ def active(model: Problem, objective: float, limits: Iterable[LimitState]) -> Pa
     return table("Active constraints and their shadow prices", "<<<", rows, notes=notes)
 
 
-def checks(selected: Sequence[Check], gathered: Sequence[Check] = ()) -> TableSpec:
-    """Tabulate the checks of a validation; passed bounds of dimensions (`gathered`) share one row."""
+def checks(selected: Sequence[Check]) -> TableSpec:
+    """Tabulate the checks of a validation; passed bounds of dimensions share one row."""
+    bounds = [check for check in selected if check.passed and check.name.endswith(BOUNDED)]
+    gathered = bounds if len(bounds) > 1 else []
     rows: list[Row] = [
         (verdict("ok" if item.passed else "FAIL", item.passed), item.name, number(item.value), quiet(item.unit), item.limit)
         for item in selected
@@ -257,8 +215,10 @@ def checks(selected: Sequence[Check], gathered: Sequence[Check] = ()) -> TableSp
     return table(title, ["", "check", ">value", "", "limit"], rows, appendix=True)
 
 
-def _optima(outcome: SearchedResult, over: str) -> TableSpec:
-    """Tabulate the distinct optima of a multistart search."""
+def optima(outcome: SearchedResult) -> TableSpec | None:
+    """Tabulate the distinct optima of a multistart search, if it found any."""
+    if not outcome.optima or max(len(outcome.optima), outcome.starts) < 2:
+        return None
     model, listed = outcome.problem.model, outcome.optima[:MAX_OPTIMA]
     free, modes = list(model.free)[:MAX_VARIABLES], len({optimum.assembly for optimum in outcome.optima}) > 1
     rows, (scale, unit) = [], model.objective_display
@@ -276,7 +236,7 @@ def _optima(outcome: SearchedResult, over: str) -> TableSpec:
     others = f"; {left} of them ended at worse optima that are not listed, or at none" if left > 0 else ""
     note = f"starts: of all {outcome.starts} starting points, random and given{others}"
     notes = [quiet(note)] if outcome.starts > 1 and left >= 0 else []
-    return table(f"Distinct optima{over}", columns, rows, appendix=True, notes=notes)
+    return table("Distinct optima", columns, rows, appendix=True, notes=notes)
 
 
 def backends(outcome: SearchedResult) -> TableSpec:

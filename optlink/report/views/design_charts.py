@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 
 from optlink.linkage.vector2d import TURN
 from optlink.report.chart_mpl import draw_into
-from optlink.report.chart_spec import Array, Axis, Bars, ChartSpec, Curve, Line, Mark, Panel, Trace, max_abs
+from optlink.report.chart_spec import Array, Axis, Bars, ChartSpec, Curve, Mark, Panel, Trace, max_abs
+from optlink.report.format import si
 from optlink.report.labels import Label
 from optlink.report.shapes import even, finite
 from optlink.report.style import BODIES, LIMIT, MUTED, RESULT, TARGET, scale
-from optlink.report.views.path_tables import exact, exact_angles
-from optlink.report.views.path_view import PathView, figures, fitting, length, title_of, wrapped
-from optlink.tasks.results.design import LEVEL
+from optlink.report.views.design_view import DesignView, captions, fitting, title_of, wrapped
+from optlink.report.views.design_words import words_of
 
 MAX_NUMBERED = 20  # number of points up to which each is numbered
 COINCIDENT = 5e-3  # distance below which points share a label, as a share of the extent of the points
@@ -61,7 +61,7 @@ def _fold(magnified: float) -> str:
 class CloseUp:
     """Close-up of the coupler curve in its own axes: precision points, tolerances, deviations, poses."""
 
-    def __init__(self, view: PathView) -> None:
+    def __init__(self, view: DesignView) -> None:
         self.track = view
         self.unit = scale(max_abs(np.concatenate([view.targets, view.generated])), "m")
         self.length = FRAME_SIZE * view.size * self.unit.factor
@@ -160,7 +160,7 @@ class CloseUp:
     def _deviations(self, magnified: float) -> list[Curve]:
         """Return the deviations as lines from the prescribed points."""
         view = self.track
-        if view.exact:
+        if view.design.exact:
             return []
         gaps = np.full_like(view.targets, np.nan)
         sticks = np.stack([view.targets, self._ends(magnified), gaps], axis=1).reshape(-1, 2) * self.unit.factor
@@ -194,41 +194,28 @@ class CloseUp:
 
 MAX_COLOURED_BARS = 40  # number of points up to which bars beyond their tolerance are red
 CUT_RATIO = 4.0  # points without tolerance are cut off beyond this multiple of the deviations with tolerance
-MIN_COMPONENT = 1e-3  # components below this share of the largest deviation are not shown
 
 
-def errors(view: PathView) -> ChartSpec:
-    """Return the deviation at every point: distance, components, and for poses the angle."""
+def errors(view: DesignView) -> list[ChartSpec]:
+    """Return the deviation at every point: distance, components, and for poses the angle; nothing if all are met exactly."""
+    if view.design.exact:
+        return []
     turned = view.design.measured.turned
-    panels = [_distances(view)]
-    if not view.exact:
-        panels.append(_directions(view))
+    panels = [_distances(view), _directions(view)]
     if turned is not None:
-        panels.append(_turned(view, turned))
-    count = len(view.targets)
+        panels.append(Panel(Axis("generated minus target angle [deg]"), [_bars(np.degrees(turned), RESULT, "turned")]))
+    count, what = len(view.targets), words_of(view.design).spot
     every = next(step for step in (1, 2, 5, 10, 20, 50, 100) if count <= MAX_NUMBERED * step or step == 100)
-    ticks = [(float(k), str(k)) for k in range(1, count + 1) if k % every == 0]
-    what = "point" if turned is None else "pose"
-    x = Axis(what, (0.4, count + 0.6), ticks=ticks)
-    heading = title_of(view, 7.2, f"{view.task.title}: deviations", wrapped(figures(view), 7.2, "; "))
-    title, page = f"Deviations at the {what}s", not exact(view.design)
-    return ChartSpec("errors", title, panels, x, heading, warning=not view.design.valid, cursor=False, page=page)
+    x = Axis(what, (0.4, count + 0.6), ticks=[(float(k), str(k)) for k in range(1, count + 1) if k % every == 0])
+    heading = title_of(view, 7.2, f"{view.task.title}: deviations", wrapped(captions(view), 7.2, "; "))
+    return [ChartSpec("errors", f"Deviations at the {what}s", panels, x, heading, warning=not view.design.valid, cursor=False)]
 
 
 def _bars(values: Array, colours: str | list[str], gid: str, name: str = "", place: float = 0.0, wide: float = 0.6) -> Bars:
     return Bars(np.arange(1.0, len(values) + 1.0) + place, values, name, colours, wide, gid=gid)
 
 
-def _rounding(name: str, values: Array, level: float, unit: str) -> Panel:
-    """Return deviations that are rounding error on a logarithmic axis, with the level of rounding."""
-    low = 1e-9 * level
-    numbers = np.arange(1.0, len(values) + 1.0)
-    trace = Curve(numbers, np.maximum(values, low), "", MUTED, mode="markers", size=4.0, gid="exact")
-    line = Line(level, f"exact to rounding: all below {level:.1e} {unit}", RESULT, gid="level")
-    return Panel(Axis(f"{name} [{unit}]", (low / 3.0, 1e4 * level), "log"), [trace], lines=[line])
-
-
-def _bulk(view: PathView) -> NDArray[np.bool_]:
+def _bulk(view: DesignView) -> NDArray[np.bool_]:
     """Return the points whose bars set the scale.
 
     These are all points, or only those with a tolerance if the others deviate so far that they would hide them.
@@ -240,11 +227,8 @@ def _bulk(view: PathView) -> NDArray[np.bool_]:
     return limited if float(np.nanmax(distances[~limited])) > CUT_RATIO * near else np.ones(len(limited), dtype=bool)
 
 
-def _distances(view: PathView) -> Panel:
+def _distances(view: DesignView) -> Panel:
     distances, tolerances = view.design.measured.distances, view.tolerances
-    if view.exact:
-        unit = view.sketch.scale
-        return _rounding("distance", distances * unit.factor, LEVEL * view.task.size * unit.factor, unit.unit)
     largest = np.nanmax(distances)
     unit = fitting(largest, view.sketch.scale)
     limited, bulk = np.isfinite(tolerances), _bulk(view)
@@ -259,41 +243,26 @@ def _distances(view: PathView) -> Panel:
         heights = np.repeat(tolerances[visible] * unit.factor, 3)
         traces.append(Curve(edges, heights, "tolerance" if np.any(visible) else "", TOLERANCE_COLOUR, 1.8, gid="tolerance"))
         if not np.all(visible[limited]):
-            least = length(np.min(tolerances[limited & ~visible]), view.sketch.scale)
+            least = si(np.min(tolerances[limited & ~visible]), "m")
             exceeding = f"tolerances from {least} on lie above" if np.any(visible) else f"tolerance, {least}, lies above"
             traces.append(Curve.entry(exceeding, TOLERANCE_COLOUR))
     return Panel(Axis(f"distance [{unit.unit}]", (0.0, 1.1 * top * unit.factor)), traces)
 
 
-def _directions(view: PathView) -> Panel:
+def _directions(view: DesignView) -> Panel:
     """Return the components along and across the curve, to the left of the motion; x and y where the velocity vanishes."""
-    miss = view.generated - view.targets
-    speed = view.direction * view.at.velocity(view.task.point)
-    fast = np.linalg.norm(speed, axis=1)
-    largest = np.nanmax(np.linalg.norm(miss, axis=1))
-    unit = fitting(largest, view.sketch.scale)
-    parts = {"in x": miss[:, 0], "in y": miss[:, 1]}
+    miss, speed = view.generated - view.targets, view.direction * view.at.velocity(view.task.point)
+    fast, unit = np.linalg.norm(speed, axis=1), fitting(np.nanmax(np.linalg.norm(miss, axis=1)), view.sketch.scale)
+    names, parts = ("in x", "in y"), miss
     if np.all(np.isfinite(fast)) and np.min(fast) > 1e-9 * view.task.size:
         (tx, ty), (x, y) = (speed / fast[:, None]).T, miss.T
-        parts = {"along the curve": tx * x + ty * y, "across, to the left": tx * y - ty * x}
-        along, across = parts.values()
-        if max_abs(along) < MIN_COMPONENT * largest:
-            parts = {"across the curve, to the left; along it none": across}
-        elif max_abs(across) < MIN_COMPONENT * largest:
-            parts = {"along the curve; across it none": along}
-    two, bulk = len(parts) > 1, _bulk(view)
-    traces = []
-    for k, (name, values) in enumerate(parts.items()):
-        place, wide = ((k - 0.5) * 0.36, 0.34) if two else (0.0, 0.6)
-        traces.append(_bars(values * unit.factor, MUTED if two and k == 0 else RESULT, name, name, place, wide))
-    every = np.array([values[bulk] for values in parts.values()]) * unit.factor
-    low, high = min(0.0, np.nanmin(every)), max(0.0, np.nanmax(every))
+        names, parts = ("along the curve", "across, to the left"), np.stack([tx * x + ty * y, tx * y - ty * x], axis=1)
+    parts = parts * unit.factor
+    traces = [
+        _bars(parts[:, k], colour, name, name, place, 0.34)
+        for k, (name, colour, place) in enumerate(zip(names, (MUTED, RESULT), (-0.18, 0.18), strict=True))
+    ]
+    shown = parts[_bulk(view)]
+    low, high = min(0.0, np.nanmin(shown)), max(0.0, np.nanmax(shown))
     room = 0.06 * (high - low)
     return Panel(Axis(f"generated minus target [{unit.unit}]", (low - room, high + room)), traces)
-
-
-def _turned(view: PathView, turned: Array) -> Panel:
-    name = "generated minus target angle"
-    if exact_angles(view.design):
-        return _rounding(name, np.degrees(np.abs(turned)), math.degrees(LEVEL), "deg")
-    return Panel(Axis(f"{name} [deg]"), [_bars(np.degrees(turned), RESULT, "turned")])

@@ -1,0 +1,126 @@
+"""Tables of a synthesis result of any linkage: design, figures, limits, alternatives, cognates."""
+
+import math
+from collections.abc import Sequence
+
+from optlink.errors import Status
+from optlink.linkage.cognates import Cognate, CouplerLinkage
+from optlink.linkage.vector2d import TURN
+from optlink.report.format import fixed, precise, significant
+from optlink.report.table_spec import Line, Row, Summary, TableSpec, bad, noted, quiet, strong, summary, table
+from optlink.report.views.certificate_view import certificate_lines, certificate_table, certified
+from optlink.report.views.design_words import measure, modes, words_of
+from optlink.report.views.search_tables import (
+    NEAREST_DESIGN,
+    conflict,
+    dimension_rows,
+    effort,
+    optima,
+    refuted_first,
+    search_summary,
+)
+from optlink.tasks.machine import turning_machine
+from optlink.tasks.results.design import LinkageDesign, SynthesisResult
+
+LINKAGE_TOLERANCE = 1e-3  # relative tolerance for equal four-bars
+
+
+def design_result(outcome: SynthesisResult) -> Summary:
+    """Summarise a synthesis result: best design, deviations, active constraints, validation, alternatives, cognates."""
+    from optlink.report.views.analysis_tables import machine_strokes
+
+    model, best, count = outcome.problem.model, outcome.best, len(outcome.designs)
+    if best is None:
+        proof = outcome.certificate
+        certificate = None if proof is None else certificate_table(proof, model.shown_objective, outcome.seconds)
+        remark = "no start could be assembled at all points within the bounds; widen them, or give more starts"
+        reason: list[Line] = [*noted(outcome.notes)] or ([] if certified(proof) else [quiet(remark)])
+        status: list[Line] = [*refuted_first(outcome), bad("no linkage found"), *reason, *certificate_lines(proof)]
+        opposed = conflict(outcome.conflict, outcome.together) if outcome.conflict else None
+        return summary(model.title, status, opposed, certificate, effort(outcome))
+    words, machine = words_of(best), turning_machine(best.problem, best.values)
+    strokes = None if machine is None else machine_strokes(machine, best.rotation[1])
+    return search_summary(
+        outcome,
+        _sizes(outcome, best),
+        table("Objective", "<><<", words.rows(best, outcome)) if math.isfinite(best.objective) else None,
+        (strokes, words.targets(best)),
+        (
+            optima(outcome),
+            _alternatives(outcome.designs) if count > 1 else None,
+            _cognates(outcome, best) if best.cognates else None,
+        ),
+        evidence=outcome.evidence,
+        tail=f"; {count} distinct designs verified" if count > 1 else "",
+    )
+
+
+def _sizes(outcome: SynthesisResult, design: LinkageDesign) -> TableSpec:
+    task, stated = design.task, "start" in design.task.requirement.model_fields_set
+    start = f"at the {getattr(task, 'dead_centre', None)}{'' if stated else ', the default start'}"
+    base = f"the {task.output} angle there" if design.follows_law else ""
+    rows = dimension_rows(task, design.values, {task.start_name: start, task.base_name: base})
+    chosen = "either" in str(outcome.problem.model.mechanism.assembly)
+    shown = ", ".join(f"{joint} {mode}".removeprefix("assembly").strip() for joint, mode in modes(design).items())
+    remark = "chosen" if chosen else "fixed"
+    if isinstance(design.assembly, str):
+        remark = f"joint C lies to the {design.assembly} of B -> D{', chosen' * chosen}"
+    rows.append(("assembly", strong(shown), "", quiet(remark)))
+    return table(NEAREST_DESIGN if design.status is Status.INFEASIBLE else "Design", "<><<", rows)
+
+
+def _alternatives(designs: Sequence[LinkageDesign]) -> TableSpec:
+    """Tabulate the distinct designs side by side."""
+    task, related = designs[0].task, cognate_sources(designs)
+    (factor, unit), least = task.objective_display, [math.degrees(design.least_transmission) for design in designs]
+    objectives = ["exact" if design.exact else precise(factor * design.objective, 6) for design in designs]
+    rows: list[tuple[str, ...]] = [] if task.by_angle else [(measure(designs[0]), unit, *objectives)]
+    rows.append(("least transmission angle", "deg", *(fixed(angle, 1) if math.isfinite(angle) else "" for angle in least)))
+    rows.append(("same curve as", "", *(f"cognate of {related[k] + 1}" if k in related else "" for k in range(len(designs)))))
+    for name in (name for name, quantity in task.quantities.items() if not quantity.fixed):
+        size, shown = task.display(name)
+        rows.append((name, shown, *(significant(design.values[name] * size) for design in designs)))
+    for joint in dict.fromkeys(joint for design in designs for joint in modes(design)):
+        rows.append((joint, "", *(modes(design).get(joint, "") for design in designs)))
+    cells: list[Row] = [(name, quiet(unit), *values) for name, unit, *values in rows if any(values)]
+    heads = ["", "", *(f">{k + 1}" for k in range(len(designs)))]
+    return table(f"Designs, best first ({len(designs)} distinct)", heads, cells, leading=2, unbroken=True)
+
+
+def _cognates(outcome: SynthesisResult, best: LinkageDesign) -> TableSpec:
+    rows = []
+    for cognate in best.cognates:
+        linkage = cognate.linkage
+        lengths = [significant(1e3 * length) for length in (linkage.crank, linkage.coupler, linkage.rocker, linkage.frame)]
+        full = cognate.crank_turns and cognate.keeps_side
+        rotation = "turns fully" if full else "does not turn fully"
+        same = "".join(f"; design {k}" for k, design in enumerate(outcome.designs[1:], start=2) if _is_cognate(cognate, design))
+        rows.append((*lengths, cognate.inversion.value, f"{rotation}, follows the {cognate.turns_as}{same}"))
+    title = "Cognates of the best: four-bars with the same coupler curve [mm]"
+    return table(title, [">crank", ">coupler", ">rocker", ">frame", "", "its crank"], rows, unbroken=True)
+
+
+def cognate_sources(designs: Sequence[LinkageDesign]) -> dict[int, int]:
+    """Return, by index of a design, the earlier design whose cognate it is: another four-bar with the same coupler curve."""
+    originals: dict[int, int] = {}
+    for j, design in enumerate(designs):
+        for i in range(j):
+            if any(_is_cognate(cognate, design) for cognate in designs[i].cognates):
+                originals[j] = i
+                break
+    return originals
+
+
+def _is_cognate(cognate: Cognate, design: LinkageDesign) -> bool:
+    """Return whether a design is this cognate, driven at either of its fixed pivots."""
+    linkage = design.coupler_linkage
+    return linkage is not None and any(_same_linkage(linkage, driven.linkage) for driven in (cognate, cognate.driven_from_rocker))
+
+
+def _same_linkage(first: CouplerLinkage, second: CouplerLinkage) -> bool:
+    names = ("crank", "coupler", "rocker", "frame", "along", "across", "x", "y")
+    size = max(*first.lengths, abs(first.along), abs(first.across))
+    turned = math.remainder(first.direction - second.direction, TURN)
+    return abs(turned) <= LINKAGE_TOLERANCE and all(
+        abs(getattr(first, name) - getattr(second, name)) <= LINKAGE_TOLERANCE * size for name in names
+    )
