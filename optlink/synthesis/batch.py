@@ -102,14 +102,15 @@ class Batch:
         return thin, np.array([np.interp(way, way[pick], row) for row in np.eye(len(pick))])
 
     def _trace(self) -> None:
-        """Trace the functions: once with symbols for the assembly modes, or for each of them if values are derived from the modes.
+        """Trace the functions: once with symbols for the assembly modes, or for each of them if values are derived from them.
 
         A limit may always depend on the modes otherwise than by the positions.
         """
         problem, n = self.problem, len(self.names)
         x = casadi.SX.sym("x", n)
         free = {v.name: v.value(x[i]) for i, v in enumerate(self.variables)}
-        self._residual, self._value, self._begin, self._limits, self._grid = ([] for _ in range(5))
+        self._residual, self._value, self._begin = list[NumpyEvaluator](), list[NumpyEvaluator](), list[NumpyEvaluator]()
+        self._limits, self._grid = list[NumpyEvaluator](), list[NumpyEvaluator]()
         with symbols_in_numpy():
             for k, each in enumerate(self.problems):
                 values = each.complete(free)

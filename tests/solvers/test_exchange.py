@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from optlink.tasks.function_search import start_sequence
 
 import optlink
 from optlink.errors import Status
@@ -13,7 +14,6 @@ from optlink.optimization.nlp import NLP
 from optlink.optimization.programme import build
 from optlink.solvers import exchange, multistart
 from optlink.solvers.solution import Solution
-from optlink.tasks.function_search import start_sequence
 
 RAW = {
     "title": "function",

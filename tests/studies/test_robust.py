@@ -20,7 +20,7 @@ from optlink.studies.sensitivity import sensitivities
 from optlink.studies.sweep import sweep
 from optlink.studies.tolerance.analysis import tolerance
 from optlink.tasks import function
-from optlink.tasks.function import validate
+from optlink.tasks.design import validate
 from optlink.validation import validate as prove
 from tests.solved import solution
 from tests.tiers import mostly_slow

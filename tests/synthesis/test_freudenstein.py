@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from optlink.tasks.function_search import start_sequence
 from scipy.optimize import linprog, lsq_linear
 
 import optlink
@@ -19,7 +20,6 @@ from optlink.synthesis.freudenstein import FirstStep
 from optlink.synthesis.freudenstein_fit import FitProblem, Keep
 from optlink.synthesis.function_starts import UNLIMITED
 from optlink.synthesis.loop_equations import LoopEquation
-from optlink.tasks.function_search import start_sequence
 from tests.tiers import mostly_slow
 
 DEGREE = math.radians(1.0)

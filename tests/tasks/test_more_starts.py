@@ -10,12 +10,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from optlink.tasks.function_search import FunctionSearch, SearchStart, start_sequence
 
 import optlink
 from optlink.execution.runner import pool
 from optlink.optimization.programme import build
 from optlink.solvers import contract, multistart
-from optlink.tasks.function_search import FunctionSearch, SearchStart, start_sequence
 from tests.solved import once
 from tests.tasks.test_function_problems import case, default_answer, measured
 

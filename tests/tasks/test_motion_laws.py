@@ -11,7 +11,7 @@ import pytest
 
 import optlink
 from optlink.errors import InputError
-from optlink.tasks.path import solve
+from optlink.tasks.design import solve
 from tests.solved import solution
 from tests.tiers import mostly_slow
 

@@ -12,8 +12,8 @@ import pytest
 import optlink
 from optlink.execution.runner import ordered, pool
 from optlink.execution.worker import ChunkResult, ChunkTask, Runs, run_chunk
-from optlink.tasks.path_search import PolishTask
 from optlink.tasks.run import design_task
+from optlink.tasks.search import PolishTask
 
 PATH = {"designs": 3, "starts": 60}
 

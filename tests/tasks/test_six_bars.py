@@ -21,9 +21,9 @@ from optlink.synthesis.batch import Batch
 from optlink.synthesis.batch_search import Candidate
 from optlink.synthesis.growth import contained_four_bar, grow_from_four_bar
 from optlink.tasks import path
-from optlink.tasks.path import solve
-from optlink.tasks.path_search import Polisher, has_several_dyads, path_model
+from optlink.tasks.design import solve
 from optlink.tasks.results.design import LinkageDesign
+from optlink.tasks.search import Polisher, has_several_dyads
 from optlink.validation.check import Check
 from tests.random_six_bars import faults_of_six_bar, random_six_bar
 
@@ -41,7 +41,7 @@ def test_peaks_are_found_between_positions_of_the_grid() -> None:
 def test_the_exchange_of_positions_ends_where_a_round_does_not_move(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every further round would repeat it, to the largest number of iterations."""
     file = optlink.load("path-watt-leg").variants()[0]
-    task = path_model(file)
+    task = file.spec
     nlp = build(task, 1)
     start = solution_at(nlp, nlp.x_start, "")
     assert np.isfinite(start.objective)
