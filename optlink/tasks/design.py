@@ -295,6 +295,8 @@ class SearchRounds:
                     track = self.options.track and not self.given
                     self.collection.take(polisher.from_values(variant, full, angles, close=close, track=track))
                     self.given += 1
+                if self._met:
+                    return
 
     def _share(self) -> None:
         """Let several processes share the search from where it is long enough to pay for their start."""
@@ -380,10 +382,16 @@ class SearchRounds:
             return MAX_FAILED_ROUNDS
         return MAX_ROUNDS_POOR_FIT if self.collection.poor_fit else MAX_ROUNDS
 
+    @property
+    def _met(self) -> bool:
+        """Whether a law is met, so that no start leads to a better design, and others are not asked for."""
+        options = self.options
+        return bool(self.collection.exact) and self.task.law_given and not options.asked and options.starts is None
+
     def _enough(self, exact: int) -> bool:
         """Return whether to stop; `exact` is the number of exact designs before the latest round."""
         rounds, collection = self.exploration.rounds, self.collection
-        if rounds >= self._most:
+        if rounds >= self._most or self._met:
             return True
         if collection.exact:
             often = collection.evidence().hits >= STARTS_PER_EXACT * collection.exact

@@ -20,7 +20,7 @@ from optlink.solvers.multistart import solution_at
 from optlink.synthesis.batch import Batch
 from optlink.synthesis.batch_search import Candidate
 from optlink.synthesis.growth import contained_four_bar, grow_from_four_bar
-from optlink.tasks import path
+from optlink.tasks import design as task
 from optlink.tasks.design import solve
 from optlink.tasks.results.design import LinkageDesign
 from optlink.tasks.search import Polisher, has_several_dyads
@@ -90,7 +90,7 @@ def judge(seed: int) -> tuple[float, float]:
 @pytest.mark.parametrize("seed", [0, 1])
 def test_random_six_bars_are_valid_and_no_worse_than_the_best_four_bar(monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
     """That of as many starts as the four-bar within the six-bar has."""
-    monkeypatch.setattr(path, "PART_STARTS", STARTS)
+    monkeypatch.setattr(task, "PART_STARTS", STARTS)
     six, four = judge(seed)
     assert six <= four * (1.0 + 1e-9)
 
@@ -110,7 +110,7 @@ def planted(monkeypatch: pytest.MonkeyPatch, worse: float) -> None:
 
     monkeypatch.setattr(Polisher, "polish", failing)
     monkeypatch.setattr(Polisher, "from_feasible", lambda *_: iter(()))
-    monkeypatch.setattr(path, "PART_STARTS", STARTS)
+    monkeypatch.setattr(task, "PART_STARTS", STARTS)
 
 
 @pytest.mark.slow
