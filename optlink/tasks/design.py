@@ -49,6 +49,7 @@ MIN_CURVATURE = 1e-7  # least curvature, for an objective scaled to 1, of a uniq
 ONLY_RATIOS = "all four lengths are free and only their ratios matter here: any multiple within the bounds is as good; fix one"
 MISSED_CHANCE = 0.02  # estimated chance that a better design was missed at which a search ends
 MIN_ROUNDS, MAX_ROUNDS = 3, 20
+MIN_ROUNDS_OF_LAW = 2  # of a four-bar, whose few optima many starts reach
 MAX_ROUNDS_POOR_FIT = 40  # largest number, while the best design fits poorly
 BATCH_ROUNDS = 2  # rounds computed together after the first one, while no design is exact
 SHARED_BATCH_ROUNDS = 4  # the same for several processes
@@ -396,7 +397,7 @@ class SearchRounds:
         if collection.exact:
             often = collection.evidence().hits >= STARTS_PER_EXACT * collection.exact
             return collection.exact >= self.options.designs or collection.exact == exact or often
-        if rounds < MIN_ROUNDS:
+        if rounds < (MIN_ROUNDS_OF_LAW if self.task.has_error else MIN_ROUNDS):
             return False
         if not collection.designs and collection.beyond_tolerances(self.exploration.candidates) <= MISSED_CHANCE:
             return True

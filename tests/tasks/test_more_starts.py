@@ -43,7 +43,7 @@ def test_starts_of_a_smaller_number_are_the_first_ones_of_a_larger_one(file: opt
     for number in range(2):
         x, _ = few._sample(0, 60, number)
         np.testing.assert_array_equal(x, many._sample(0, 60, number)[0])
-        assert len({tuple(row) for row in x}) == 60
+        assert len({tuple(row) for row in x}) == len(x) > 40
     assert not np.array_equal(x, Searcher([file.spec], 6)._sample(0, 60, 1)[0])
 
 
