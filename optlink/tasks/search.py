@@ -85,7 +85,9 @@ class Polisher:
     def __init__(self, files: list[ProblemFile], backend: str, alone: bool = False) -> None:
         self.files, self.backend, self.alone = files, backend, alone
         self.task = files[0].spec
-        self.method = MINIMAX if self.task.measure == "max" and not (alone or self.task.composed or self.task.law_given) else backend
+        self.method = (
+            MINIMAX if self.task.measure == "max" and not (alone or self.task.composed or self.task.law_given) else backend
+        )
         self.programmes: dict[tuple[int, int], NLP] = {}
         self.runs: Runs | None = None
 
