@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from optlink.tasks.batch import analyze_batch
     from optlink.tasks.clearance import InverseMotion, inverse_model, simulate_clearance
     from optlink.tasks.control_comparison import compare, tune
-    from optlink.tasks.function import read_design
+    from optlink.tasks.given_design import read_design
     from optlink.tasks.programme import Programme, build
     from optlink.tasks.results.balance import Balance
     from optlink.tasks.results.clearance import ClearanceSimulation
@@ -56,7 +56,7 @@ _NAMES = {
     "optlink.tasks.batch": ("analyze_batch",),
     "optlink.tasks.clearance": ("InverseMotion", "inverse_model", "simulate_clearance"),
     "optlink.tasks.control_comparison": ("compare", "tune"),
-    "optlink.tasks.function": ("read_design",),
+    "optlink.tasks.given_design": ("read_design",),
     "optlink.tasks.programme": ("Programme", "build"),
     "optlink.tasks.results.balance": ("Balance",),
     "optlink.tasks.results.clearance": ("ClearanceSimulation",),

@@ -15,7 +15,7 @@ import numpy as np
 
 import optlink
 from optlink.linkage.fourbar import LENGTHS
-from optlink.tasks.path import solve
+from optlink.tasks.design import solve
 from optlink.tasks.results.design import LinkageDesign
 from tests import synthesis_oracle as oracle
 from tests.stated import ANGLE, document, four_bar_section, free

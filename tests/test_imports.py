@@ -59,7 +59,7 @@ def command(*words: str) -> str:
     ("words", "unwanted"),
     [
         (("--help",), {"numpy", "pydantic", "markdown_it", "optlink.units", "pygments", "importlib.metadata"}),
-        (("analyze", "six-bar"), HEAVY | {"numpy.ma", "optlink.optimization", "optlink.synthesis", "optlink.tasks.function"}),
+        (("analyze", "six-bar"), HEAVY | {"numpy.ma", "optlink.optimization", "optlink.synthesis", "optlink.tasks.design"}),
         (("simulate", "slider-crank"), HEAVY - {"casadi"} | {"scipy", "numpy.ma", "markdown_it"}),
         (("solve", "crank-rocker"), HEAVY - {"casadi"} | {"numpy.ma", "markdown_it"} | NOT_FOR_A_LAW),
     ],

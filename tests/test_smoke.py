@@ -21,8 +21,7 @@ from optlink.problem.file import ProblemFile
 from optlink.problem.templates import template, templates
 from optlink.report.views.short_text import LINES
 from optlink.tasks.cycle import CycleTask
-from optlink.tasks.function import FunctionTask
-from optlink.tasks.path import PathTask
+from optlink.tasks.design import SynthesisTask
 from optlink.tasks.protocol import DesignTask, Search
 from optlink.tasks.run import design_task
 
@@ -81,7 +80,7 @@ def cheap(monkeypatch):
 
         return search
 
-    for task in (FunctionTask, PathTask, CycleTask):
+    for task in (SynthesisTask, CycleTask):
         monkeypatch.setattr(task, "search", cheaper(task.search))
 
 

@@ -317,7 +317,7 @@ def read_design_option(file: ProblemFile, design: list[str] | None, varied: Coll
     """Read the design of `--design` [SI], which may leave `varied` out; None without the option."""
     if not design:
         return None
-    from optlink.tasks.function import read_design
+    from optlink.tasks.given_design import read_design
 
     return read_design(file, design, varied)
 

@@ -131,7 +131,7 @@ def validate(
 def _validate(
     problem: str, design: list[str], changes: list[str] | None, as_json: bool, out: Path | None, *, details: bool = True
 ) -> None:
-    from optlink.tasks.function import read_design
+    from optlink.tasks.given_design import read_design
     from optlink.tasks.modes import possible_modes
     from optlink.tasks.run import validate as check
 

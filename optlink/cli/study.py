@@ -110,7 +110,7 @@ def _output(
 
     from optlink.problem.quantity import check_choice
     from optlink.studies.motion_sensitivity import OutputStudy, output_names
-    from optlink.tasks.function import solve
+    from optlink.tasks.design import solve
     from optlink.tasks.protocol import completed
 
     crank = _crank_angles(angles)

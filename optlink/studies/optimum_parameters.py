@@ -70,7 +70,7 @@ class FunctionParameters(OptimumParameters):
         self, solution: Solution, parameter: Parameter, value: float, change: Mapping[str, float], backend: str
     ) -> Optimum | None:
         """Return the optimum with another value; see `OptimumParameters.optimum_at`."""
-        from optlink.tasks.function import solve
+        from optlink.tasks.design import solve
 
         if not parameter.in_file:
             return super().optimum_at(solution, parameter, value, change, backend)

@@ -15,8 +15,8 @@ from optlink.studio.design import UNVERIFIED, Design
 from optlink.studio.document import Document, from_text
 from optlink.studio.picture import Picture
 from optlink.synthesis.batch_search import Candidate, Searcher
-from optlink.tasks.path_search import DesignCollection, Polisher, path_model
 from optlink.tasks.results.design import LinkageDesign
+from optlink.tasks.search import DesignCollection, Polisher
 from optlink.validation import validate as validate_path
 
 MAX_CURVE_POINTS = 10_000  # points of a curve
@@ -120,7 +120,7 @@ class CurveSearch:
     def __init__(self, document: Document, seconds: float = TIME_LIMIT) -> None:
         self.document, self.begun, self._limit = document, time.perf_counter(), seconds
         self._files = document.problem.variants()
-        self._searcher = Searcher([path_model(file) for file in self._files], 0)
+        self._searcher = Searcher([file.spec for file in self._files], 0)
         self._polisher = _TimedPolisher(self._files, lambda: seconds - self._seconds, self._first)
         self._collection = DesignCollection(self._polisher, SHOWN_DESIGNS)
         self._coarse: list[tuple[LinkageDesign, Candidate]] = []
@@ -172,7 +172,7 @@ class CurveSearch:
     def _rated(self, candidate: Candidate) -> LinkageDesign:
         """Return a candidate, validated."""
         file, batch = self._files[candidate.variant], self._searcher.batches[candidate.variant]
-        task = path_model(file)
+        task = file.spec
         scaled = zip(batch.names, batch.origin, batch.scale, candidate.x, strict=True)
         values = task.design({name: float(origin + scale * x) for name, origin, scale, x in scaled})
         checked = validate_path(task, values, candidate.t)

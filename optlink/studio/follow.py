@@ -30,7 +30,6 @@ from optlink.solvers.solution import Solution, stationarity
 from optlink.studies.continuation import follow_optimum
 from optlink.studies.cycle_task import CycleProgramme, with_bounds, with_starting_values
 from optlink.studies.reoptimise_task import ParametricProgramme
-from optlink.tasks.path_search import path_model
 from optlink.tasks.results.cycle import task_of
 from optlink.units import factor
 
@@ -75,7 +74,7 @@ class PathFollower:
 
     def __init__(self, problem: ProblemFile, direction: int) -> None:
         self.direction = direction
-        self._build(path_model(problem))
+        self._build(problem.spec)
 
     def _build(self, task: DesignProblem) -> None:
         """Build the programme of a problem; it serves all problems with the same limits."""
@@ -84,7 +83,7 @@ class PathFollower:
 
     def follow(self, problem: ProblemFile, near: Solution | None) -> Solution:
         """Return the optimum of a problem near the last one."""
-        task = path_model(problem)
+        task = problem.spec
         if not self._bind(task):
             self._build(task)
         nlp, x = self.nlp, start_of(self.nlp, near)

@@ -1,10 +1,10 @@
-"""Evaluate a path or motion synthesis problem for many designs at once: least-squares residuals, limits and exact derivatives."""
+"""Evaluate a design problem for many designs at once: least-squares residuals, limits and exact derivatives."""
 
 from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -15,12 +15,11 @@ from numpy.typing import NDArray
 from optlink.linkage.dyad_types import ModalDyad
 from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.vector2d import TURN, Array, unit
-from optlink.optimization.constraints import position_rows, rows as limit_rows
+from optlink.optimization.constraints import ConstraintRow, position_rows, rows as limit_rows
 from optlink.optimization.programme import path_variable
 from optlink.problem.design import DesignProblem
 from optlink.problem.limits import MARGIN_KEYS, Reach
 from optlink.problem.mechanism import FourBarSection
-from optlink.problem.requirement import START
 from optlink.symbolic import NumpyEvaluator, symbols_in_numpy
 
 Variant = int | NDArray[np.int_]
@@ -35,8 +34,8 @@ class Batch:
     """Residuals of many designs of one problem with definite assembly modes, and of `others` that differ in these alone.
 
     `x` (designs, n) are the scaled design variables, `t` (designs, points) the crank angles [rad] of the points. With prescribed
-    timing the crank angles follow from x, and `free_timing` is False. The designs may differ in their assembly modes: `variant`
-    (designs,) is the index of each in `problems`.
+    timing the crank angles follow from x, and `free_timing` is False; `start` is the design variable from which they count, -1 if
+    there is none. The designs may differ in their assembly modes: `variant` (designs,) is the index of each in `problems`.
     """
 
     def __init__(self, problem: DesignProblem, others: Sequence[DesignProblem] = ()) -> None:
@@ -45,7 +44,9 @@ class Batch:
         self.names = problem.free
         self.variables = [path_variable(problem, name) for name in self.names]
         self.free_timing = self.data.offsets is None
-        self.start = self.names.index(START) if START in self.names else -1
+        self.start = self.names.index(problem.start_name) if problem.start_name in self.names else -1
+        derived = problem.complete({}).keys() - problem.quantities.keys()  # follow from others, by the modes
+        self.derived = bool(derived) or problem.start_name in problem.links
         bounds = np.array([problem.quantities[name].bounds for name in self.names]).reshape(-1, 2)
         self.origin = np.array([v.origin for v in self.variables])
         self.scale = np.array([v.size for v in self.variables])
@@ -55,12 +56,12 @@ class Batch:
         per_group: Iterable[tuple[Any, ...]] = zip(*(each.linkage.groups for each in self.problems), strict=True)
         modal = [groups for groups in per_group if isinstance(groups[0], ModalDyad) and len({g.side for g in groups}) > 1]
         self.sides = np.array([[g.side for g in groups] for groups in modal], dtype=float).T
-        self.side_symbols = {groups[0].joint: casadi.SX.sym(groups[0].joint) for groups in modal}
+        self.side_symbols = {} if self.derived else {groups[0].joint: casadi.SX.sym(groups[0].joint) for groups in modal}
         self._trace()
 
-    def linkage(self) -> Mechanism:
-        """Return the linkage, with symbols for the assembly modes that differ between the designs."""
-        linkage, symbols = self.problem.linkage, self.side_symbols
+    def linkage(self, problem: DesignProblem) -> Mechanism:
+        """Return the linkage of a problem, with symbols for the assembly modes that differ between the designs."""
+        linkage, symbols = problem.linkage, self.side_symbols
         dyads: tuple[Any, ...] = linkage.groups
         groups = [replace(g, side=symbols[g.joint]) if g.joint in symbols else g for g in dyads]
         return replace(linkage, groups=tuple(groups)) if symbols else linkage
@@ -76,6 +77,10 @@ class Batch:
         batch = copy.copy(self)
         batch.problem, batch.problems = self.problems[variant], (self.problems[variant],)
         batch.sides, batch._limits = self.sides[variant : variant + 1], self._limits[variant : variant + 1]
+        if self.derived:
+            one = slice(variant, variant + 1)
+            batch._residual, batch._value, batch._begin = self._residual[one], self._value[one], self._begin[one]
+            batch._grid = self._grid[one]
         return batch
 
     def thinned(self, most: int) -> tuple[Batch, Array]:
@@ -97,54 +102,87 @@ class Batch:
         return thin, np.array([np.interp(way, way[pick], row) for row in np.eye(len(pick))])
 
     def _trace(self) -> None:
-        problem, n, width = self.problem, len(self.names), self.data.columns.shape[1]
-        x, t, more = casadi.SX.sym("x", n), casadi.SX.sym("t"), casadi.SX.sym("more", width + 1)
+        """Trace the functions: once with symbols for the assembly modes, or for each of them if values are derived from them.
+
+        A limit may always depend on the modes otherwise than by the positions.
+        """
+        problem, n = self.problem, len(self.names)
+        x = casadi.SX.sym("x", n)
+        free = {v.name: v.value(x[i]) for i, v in enumerate(self.variables)}
+        self._residual, self._value, self._begin = list[NumpyEvaluator](), list[NumpyEvaluator](), list[NumpyEvaluator]()
+        self._limits, self._grid = list[NumpyEvaluator](), list[NumpyEvaluator]()
+        with symbols_in_numpy():
+            for k, each in enumerate(self.problems):
+                values = each.complete(free)
+                if self.derived or k == 0:
+                    self._trace_positions(each, x, values)
+                rows = self._limit_rows(each, x, values)
+                self.bounds = np.array([(row.low + INSIDE * (row.limit in STRUCTURAL), row.high) for row in rows]).reshape(-1, 2)
+        self.angles = np.linspace(0.0, TURN, GRID, endpoint=False)
+        self.timed = 0.0 if problem.timing != "from start" else 1.0
+
+    def _trace_positions(self, problem: DesignProblem, x: Any, values: dict[str, Any]) -> None:
+        """Trace what depends on the positions of the linkage of a problem."""
+        t, more = casadi.SX.sym("t"), casadi.SX.sym("more", self.data.columns.shape[1] + 1)
         inputs, sides = casadi.vertsplit(x), list(self.side_symbols.values())
         *target, weight = casadi.vertsplit(more)
-        with symbols_in_numpy():
-            values = problem.complete({v.name: v.value(x[i]) for i, v in enumerate(self.variables)})
-            pose = self.linkage().pose(values, unit(t))
-            residual = casadi.vertcat(*problem.deviation(pose, values, tuple(target))) * (weight / problem.whole)
-            self.width = int(residual.numel())
-            slopes = casadi.jacobian(residual, casadi.vertcat(x, t))
-            arguments = [*inputs, t, *target, weight, *sides]
-            self._residual, self._value = (NumpyEvaluator(arguments, outputs) for outputs in ([residual, slopes], [residual]))
-            self._begin = None  # a linked start of the crank angles, and its derivatives
-            if START in problem.links:
-                begin = values[START]
-                self._begin = NumpyEvaluator(inputs, [begin, casadi.jacobian(begin, x)])
-            span = casadi.SX.sym("span")
-            reach = Reach(t, span, casadi.sign(span))
-            self._limits = []
-            for each in self.problems:  # a limit may depend on the assembly mode otherwise than by the positions
-                rows = limit_rows(each, values, reach, problem.size) if self.crank_turns or not self.four_bar else []
-                self.bounds = np.array([(row.low + INSIDE * (row.limit in STRUCTURAL), row.high) for row in rows]).reshape(-1, 2)
-                g = casadi.vertcat(*[row.value for row in rows])
-                self._limits += [NumpyEvaluator([*inputs, t, span], [g, casadi.jacobian(g, x)])] if rows else []
-            self._grid = None
-            if self.crank_turns and not self.four_bar:
-                required = [row for row in position_rows(problem, pose) if not row.over_span]
-                self.grid_bounds = np.array([(row.low + INSIDE, row.high) for row in required])
-                g = casadi.vertcat(*[row.value for row in required])
-                self._grid = NumpyEvaluator([*inputs, t, *sides], [g, casadi.jacobian(g, x)])
-        self.angles = np.linspace(0.0, TURN, GRID, endpoint=False)
+        pose = self.linkage(problem).pose(values, unit(t))
+        residual = casadi.vertcat(*problem.deviation(pose, values, tuple(target))) * (weight / problem.whole)
+        self.width = int(residual.numel())
+        slopes = casadi.jacobian(residual, casadi.vertcat(x, t))
+        arguments = [*inputs, t, *target, weight, *sides]
+        self._residual.append(NumpyEvaluator(arguments, [residual, slopes]))
+        self._value.append(NumpyEvaluator(arguments, [residual]))
+        if self.derived:
+            begin = casadi.SX(values[problem.start_name])
+            self._begin.append(NumpyEvaluator(inputs, [begin, casadi.jacobian(begin, x)]))
+        if self.crank_turns and not self.four_bar:
+            required = [row for row in position_rows(problem, pose) if not row.over_span]
+            self.grid_bounds = np.array([(row.low + INSIDE, row.high) for row in required])
+            g = casadi.vertcat(*[row.value for row in required])
+            self._grid.append(NumpyEvaluator([*inputs, t, *sides], [g, casadi.jacobian(g, x)]))
+
+    def _limit_rows(self, problem: DesignProblem, x: Any, values: dict[str, Any]) -> list[ConstraintRow]:
+        """Trace the limits of a problem and return them."""
+        t, span = casadi.SX.sym("t"), casadi.SX.sym("span")
+        reach = Reach(t, span, casadi.sign(span))
+        rows = limit_rows(problem, values, reach, problem.size) if self.crank_turns or not self.four_bar else []
+        g = casadi.vertcat(*[row.value for row in rows])
+        if rows:
+            self._limits.append(NumpyEvaluator([*casadi.vertsplit(x), t, span], [g, casadi.jacobian(g, x)]))
+        return rows
 
     def values(self, x: Array) -> dict[str, Array]:
-        """Return the quantities [SI] of designs, each an array (designs, 1)."""
+        """Return the quantities [SI] of designs, each an array (designs, 1); those of the first assembly modes."""
         real = self.origin + x * self.scale
-        with np.errstate(all="ignore"):
-            values = self.problem.complete({name: real[:, i : i + 1] for i, name in enumerate(self.names)})
-        return {name: value + np.zeros((len(x), 1)) for name, value in values.items()}
+        full = self.problem.complete({name: real[:, i : i + 1] for i, name in enumerate(self.names)})
+        return {name: value + np.zeros((len(x), 1)) for name, value in full.items()}
 
-    def crank_angles(self, x: Array, t: Array) -> Array:
+    def _started(self, x: Array, variant: Variant) -> Array:
+        """Return the derived start of designs and its derivatives, (1 + n, designs)."""
+        out = np.empty((1 + x.shape[1], len(x)))
+        for chosen, k in self._groups(self._begin, len(x), variant):
+            out[:, chosen] = self._begin[k](*x[chosen].T)
+        return out
+
+    @staticmethod
+    def _groups(evaluators: list[NumpyEvaluator], count: int, variant: Variant) -> Iterator[tuple[NDArray[np.intp], int]]:
+        """Yield the indices of designs with the same assembly modes, and the index of their functions."""
+        for k in range(len(evaluators)):
+            chosen = np.flatnonzero(np.broadcast_to(variant, count) == k) if len(evaluators) > 1 else np.arange(count)
+            if chosen.size:
+                yield chosen, k
+
+    def crank_angles(self, x: Array, t: Array, variant: Variant = 0) -> Array:
         """Return the crank angles of the points (designs, points) [rad]: `t` itself where the timing is free."""
         if self.free_timing:
             return t
         assert self.data.offsets is not None
-        begin = self._begin(*x.T[..., None])[0] if self._begin else x[:, self.start : self.start + 1]
-        if self._begin is None and self.start < 0:
-            begin = np.full((len(x), 1), self.problem.quantities[START].value if START in self.problem.quantities else 0.0)
-        return begin + self.data.offsets
+        if self.derived:
+            return np.asarray(self._started(x, variant)[0][:, None] + self.data.offsets)
+        fixed = self.problem.quantities.get(self.problem.start_name)
+        begin = x[:, self.start : self.start + 1] if self.start >= 0 else np.full((len(x), 1), fixed.value if fixed else 0.0)
+        return begin * self.timed + self.data.offsets
 
     def residuals(self, x: Array, t: Array, variant: Variant = 0) -> tuple[Array, Array, Array]:
         """Return residuals (designs, points, k) and their derivatives by x (..., k, n) and by the crank angle (..., k).
@@ -152,12 +190,12 @@ class Batch:
         Residuals are relative to the size of the curve.
         """
         n, k = x.shape[1], self.width
-        out = self._residual(*self._columns(x, t, variant))
+        out = self._at_positions(self._residual, x, t, variant)
         r = np.moveaxis(out[:k], 0, -1)
         slopes = np.moveaxis(out[k:].reshape(n + 1, k, *t.shape), (0, 1), (-1, -2))
         by_x, by_t = slopes[..., :n], slopes[..., n]
-        if self._begin:
-            by_x = by_x + by_t[..., None] * np.moveaxis(self._begin(*x.T[..., None])[1:], 0, -1)[..., None, :]
+        if not self.free_timing and self.derived:
+            by_x = by_x + by_t[..., None] * self._started(x, variant)[1:].T[:, None, None, :]
         elif not self.free_timing and self.start >= 0:
             by_x = by_x.copy()
             by_x[..., self.start] += by_t
@@ -165,11 +203,17 @@ class Batch:
 
     def residual_values(self, x: Array, t: Array, variant: Variant = 0) -> Array:
         """Return the residuals (designs, points, k) without their derivatives; see `residuals`."""
-        return np.moveaxis(self._value(*self._columns(x, t, variant)), 0, -1)
+        return np.moveaxis(self._at_positions(self._value, x, t, variant), 0, -1)
 
-    def _columns(self, x: Array, t: Array, variant: Variant) -> list[Array]:
-        """Return the inputs of the residuals."""
-        return [*x.T[..., None], t, *self.data.columns.T, self.data.roots, *self.side_columns(variant)]
+    def _at_positions(self, evaluators: list[NumpyEvaluator], x: Array, t: Array, variant: Variant) -> Array:
+        """Return functions of the position (outputs, designs, points) at the crank angles t."""
+        shared = [*self.data.columns.T, self.data.roots]
+        if len(evaluators) == 1:
+            return evaluators[0](*x.T[..., None], t, *shared, *self.side_columns(variant))
+        out = np.empty((evaluators[0].outputs, *t.shape))
+        for chosen, k in self._groups(evaluators, len(x), variant):
+            out[:, chosen] = evaluators[k](*x[chosen].T[..., None], t[chosen], *shared)
+        return out
 
     def violations(self, x: Array, t: Array, variant: Variant = 0) -> tuple[Array, Array]:
         """Return weighted limit violations (designs, rows), zero where satisfied, and their derivatives (designs, rows, n)."""
@@ -177,8 +221,11 @@ class Batch:
         parts = []
         if self._limits:
             parts.append((self._limit_values(x, t, variant), self.bounds))
-        if self._grid is not None:
-            out = self._grid(*x.T[..., None], self.angles[None, :], *self.side_columns(variant))
+        if self._grid:
+            out = np.empty((self._grid[0].outputs, len(x), len(self.angles)))
+            for chosen, k in self._groups(self._grid, len(x), variant):
+                sides = self.side_columns(variant)
+                out[:, chosen] = self._grid[k](*x[chosen].T[..., None], self.angles[None, :], *sides)
             rows = out.transpose(0, 2, 1).reshape(-1, len(x))
             parts.append((rows, np.repeat(self.grid_bounds, len(self.angles), axis=0)))
         if not parts:
@@ -190,10 +237,8 @@ class Batch:
         """Return the limits and their derivatives (rows, designs)."""
         first, span = t[:, :1], t[:, -1:] - t[:, :1]
         out = np.empty((self._limits[0].outputs, len(x)))
-        for k, evaluate in enumerate(self._limits):
-            chosen = np.flatnonzero(np.broadcast_to(variant, len(x)) == k)
-            if chosen.size:
-                out[:, chosen] = evaluate(*x[chosen].T[..., None], first[chosen], span[chosen])[..., 0]
+        for chosen, k in self._groups(self._limits, len(x), variant):
+            out[:, chosen] = self._limits[k](*x[chosen].T[..., None], first[chosen], span[chosen])[..., 0]
         return out
 
     @staticmethod

@@ -75,7 +75,7 @@ class _State:
 
 def _look(batch: Batch, x: Array, t: Array, variant: NDArray[np.int_]) -> dict[str, Array]:
     """Return designs with their residuals, limit violations, derivatives and cost, as fields of a `_State`."""
-    angles = batch.crank_angles(x, t)
+    angles = batch.crank_angles(x, t, variant)
     r, by_x, by_t = batch.residuals(x, angles, variant)
     h, by_h = batch.violations(x, angles, variant)
     cost = np.einsum("bpk,bpk->b", r, r) + np.einsum("bm,bm->b", h, h)
@@ -181,7 +181,7 @@ def _advance(batch: Batch, state: _State, weight: Array, fit: Fit | None, slow: 
     x = np.clip(state.x + step, batch.low, batch.high)
     t = state.t + np.clip(turn, -LONGEST_TURN, LONGEST_TURN) if batch.free_timing else state.t
     if fit is not None:
-        fitted, turned = fit(x, batch.crank_angles(x, t), state.variant)
+        fitted, turned = fit(x, batch.crank_angles(x, t, state.variant), state.variant)
         inside = np.all((fitted >= batch.low) & (fitted <= batch.high), axis=1)[:, None]
         x, t = np.where(inside, fitted, x), np.where(inside, turned, t) if batch.free_timing else t
     new = _look(batch, x, t, state.variant)
@@ -225,7 +225,7 @@ def _step(batch: Batch, state: _State, weight: Array) -> tuple[Array, Array]:
     step, active, system = _bounded_step(system, -slope, batch.low - state.x, batch.high - state.x)
     turn = turned(step, along)
     x = state.x + PROBE * step
-    values = batch.residual_values(x, batch.crank_angles(x, state.t + PROBE * turn), state.variant)
+    values = batch.residual_values(x, batch.crank_angles(x, state.t + PROBE * turn, state.variant), state.variant)
     linear = np.matmul(jacobian, step[..., None]).reshape(state.r.shape) + state.by_t * turn[..., None]
     slope, along = slopes(2.0 / PROBE * ((values - state.r) / PROBE - linear))  # of the second derivative along the step
     bend = np.asarray(np.linalg.solve(system, np.where(active, 0.0, -slope)[..., None])[..., 0], dtype=float)

@@ -9,7 +9,6 @@ from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.inner_four_bar import inner_four_bars
 from optlink.linkage.vector2d import TURN, Array, unit
 from optlink.problem.design import STEP
-from optlink.problem.requirement import MARK, START
 from optlink.synthesis.batch import Batch
 
 SPREAD = 0.35  # relative standard deviation of a dimension about its value in the file
@@ -23,9 +22,9 @@ def random_designs(batch: Batch, count: int, rng: np.random.Generator) -> Array:
     for i, name in enumerate(batch.names):
         quantity = problem.quantities[name]
         low, high = batch.low[i], batch.high[i]
-        if name in (START, MARK) or quantity.kind == "angle":
-            least, most = max(low, -math.pi), min(high, math.pi)
-            x[:, i] = rng.uniform(least, most, count) if least < most else low
+        if quantity.kind == "angle":
+            most = min(high, low + TURN) if problem.is_periodic(name) else high
+            x[:, i] = rng.uniform(low, most, count) if low < most else low
         elif batch.four_bar:
             x[:, i] = rng.standard_normal(count) * 1.5
         else:

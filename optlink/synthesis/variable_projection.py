@@ -81,7 +81,7 @@ class SimilarityFit:
         batch, problem = self.batch, self.batch.problem
         x, t = casadi.SX.sym("x", len(batch.names)), casadi.SX.sym("t")
         values = problem.complete({v.name: v.value(x[i]) for i, v in enumerate(batch.variables)})
-        mechanism = batch.linkage()
+        mechanism = batch.linkage(problem)
         with symbols_in_numpy():
             pose = mechanism.pose(values, unit(t))
             link = mechanism.link(problem.body)

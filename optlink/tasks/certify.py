@@ -22,8 +22,8 @@ from optlink.solvers.global_search.branch_and_bound import BATCH, FEW, Bounder, 
 from optlink.solvers.global_search.function_certificate import CLOSED, INTERRUPTED, MOST, certify_function
 from optlink.solvers.global_search.lagrangian import Guess, LagrangianBounds
 from optlink.solvers.global_search.quadratic import least_squares
-from optlink.tasks.function_search import certified_by_default
-from optlink.tasks.protocol import Proving, completed
+from optlink.tasks.design import certified_by_default
+from optlink.tasks.protocol import Proving
 from optlink.tasks.results.certificate import (
     GLOBAL,
     GLOBAL_GAP,
@@ -35,6 +35,7 @@ from optlink.tasks.results.certificate import (
     exact,
     sides_of,
 )
+from optlink.tasks.results.common import inexact
 from optlink.tasks.results.evidence import INCOMPLETE
 
 if TYPE_CHECKING:
@@ -196,7 +197,7 @@ class _Search:
 
     def _search_locally(self, variant: ProblemFile, start: dict[str, float]) -> bool:
         """Search locally from a design [SI]; return whether the result improved."""
-        candidate = _local(self.result, variant, start, self.seed)
+        candidate = _local(self.result, variant, start)
         if candidate is None or not candidate.valid or not candidate.objective < (1.0 - MIN_IMPROVEMENT) * self._known:
             return False
         self.result, self.improved = candidate, True
@@ -367,25 +368,15 @@ def _cover(search: BranchAndBound, variant: ProblemFile) -> Cover:
     )
 
 
-def _local(result: SynthesisResult, variant: ProblemFile, start: dict[str, float], seed: int) -> Any:
+def _local(result: SynthesisResult, variant: ProblemFile, start: dict[str, float]) -> SynthesisResult | None:
     """Return the result with the local optimum near a point as its design; None if it is not valid."""
-    if isinstance(variant.model, DesignProblem):
-        from optlink.tasks import function
-
-        backend = result.backend if result.backend != "none" else "ipopt"
-        candidate = completed(function.solve(variant, backend, seed=seed, begin=start))
-        kept = {name: getattr(result, name) for name in ("problem", "starts", "optima", "evidence")}
-        return replace(candidate, designs=(*candidate.designs, *result.designs)[: max(1, len(result.designs))], **kept)
-    from optlink.solvers import multistart
     from optlink.solvers.contract import BACKENDS
-    from optlink.solvers.exchange import solve_semi_infinite
-    from optlink.tasks.path_search import Polisher, path_model, validated_design
+    from optlink.tasks.search import Polisher
 
     polisher = Polisher([variant], result.backend if result.backend in BACKENDS else "ipopt")
-    nlp = polisher.programme(0, 1)
-    x = nlp.x_of(start)
-    begun = multistart.solution_at(nlp, x, "found by branch and bound")
-    design = validated_design(variant, solve_semi_infinite(path_model(variant), begun, polisher.backend))
+    design = polisher.from_values(0, start, None)
+    if not design.valid and inexact(design.status, design.validation):
+        design = polisher.refined(design)
     if not design.valid:
         return None
-    return replace(result, designs=(design, *result.designs)[: max(1, len(result.designs))])
+    return replace(result, designs=(design, *result.designs)[: max(1, len(result.designs))], nearest=None)

@@ -81,7 +81,7 @@ class Search:
     """Checked options of a search, see `DesignTask.solve`; `names`: the back ends to use; `timer`: begun with the search.
 
     `runs`: processes for independent parts, from `optlink.execution.runner.pool`, that change nothing in the result; `shared`:
-    whether they are requested, not only for long searches.
+    whether they are requested, not only for long searches. `asked`: whether a number of designs is.
     """
 
     names: tuple[str, ...]
@@ -94,6 +94,7 @@ class Search:
     begin: Mapping[str, float] | None
     runs: Runs | None = None
     shared: bool = False
+    asked: bool = False
     timer: Timer = field(default_factory=Timer)
 
 
@@ -243,7 +244,8 @@ class DesignTask(ABC, Generic[R]):
         check_range("designs", 1 if designs is None else designs, 1, MAX_DESIGNS)
         names = self._back_ends(problem, backend, starts, seed)
         count = designs or self.designs or 1
-        return self.search(problem, Search(names, backend, starts, seed, progress, count, track, begin, runs, shared))
+        options = Search(names, backend, starts, seed, progress, count, track, begin, runs, shared, asked=designs is not None)
+        return self.search(problem, options)
 
     def _back_ends(self, problem: ProblemFile, backend: str, starts: int | None, seed: int) -> tuple[str, ...]:
         """Check the options of the search, import its back ends and return their names."""

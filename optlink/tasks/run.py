@@ -189,7 +189,7 @@ def validate(problem: ProblemFile, design: Mapping[str, float]) -> DesignResult:
     >>> result.valid, [check.name for check in result.validation.checks if not check.passed]
     (False, ['largest transmission angle'])
     """
-    from optlink.tasks.function import check_complete
+    from optlink.tasks.given_design import check_complete
     from optlink.tasks.machine import check_design
 
     task = design_task(problem)
@@ -203,14 +203,8 @@ def validate(problem: ProblemFile, design: Mapping[str, float]) -> DesignResult:
 # --- the kinds of problems -------------------------------------------------------------------------------------------------
 
 
-def _function() -> DesignTask[SynthesisResult]:
-    from optlink.tasks.function import TASK
-
-    return TASK
-
-
-def _path() -> DesignTask[SynthesisResult]:
-    from optlink.tasks.path import TASK
+def _synthesis() -> DesignTask[SynthesisResult]:
+    from optlink.tasks.design import TASK
 
     return TASK
 
@@ -238,5 +232,5 @@ class _BalanceTask(DesignTask["Balance"]):
         raise InputError("a balancing problem has no design to validate", remedy, problem.file, "balance")
 
 
-TASKS |= {"function": _function, "path": _path, "cycle": _cycle, "balance": _BalanceTask}
-TASKS["analysis"] = _function  # refused: it has no requirement
+TASKS |= {"function": _synthesis, "path": _synthesis, "cycle": _cycle, "balance": _BalanceTask}
+TASKS["analysis"] = _synthesis  # refused: it has no requirement

@@ -31,8 +31,7 @@ from optlink.report.report_model import ReportModel, report_model_of, solve_or_v
 from optlink.report.scene import scene
 from optlink.tasks.analyze import analyze
 from optlink.tasks.cycle import CycleTask
-from optlink.tasks.function import FunctionTask
-from optlink.tasks.path import PathTask
+from optlink.tasks.design import SynthesisTask
 from tests.cli.test_cli import run
 from tests.tiers import mostly_slow
 
@@ -396,7 +395,7 @@ def test_a_stored_design_is_exported_without_a_search(command, name, tmp_path, m
     monkeypatch.chdir(tmp_path)
     assert run(*command, name, "--out", "out").exit_code == 0
     assert run("export", name, "-o", "design.dxf").exit_code == 0
-    for task in (FunctionTask, PathTask, CycleTask):
+    for task in (SynthesisTask, CycleTask):
         monkeypatch.setattr(task, "search", lambda *_: pytest.fail("it is searched again"))
     assert run("export", "out", "-o", "stored.dxf").exit_code == 0
     blocks = [ezdxf.readfile(f"{name}.dxf").blocks for name in ("design", "stored")]

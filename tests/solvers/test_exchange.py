@@ -13,7 +13,7 @@ from optlink.optimization.nlp import NLP
 from optlink.optimization.programme import build
 from optlink.solvers import exchange, multistart
 from optlink.solvers.solution import Solution
-from optlink.tasks.function_search import start_sequence
+from optlink.synthesis import function_starts
 
 RAW = {
     "title": "function",
@@ -37,8 +37,8 @@ def problem(function: str, x: list[float], turned: float, swung: float, assembly
 def at_positions(file: optlink.ProblemFile) -> tuple[NLP, Solution]:
     """The programme, and its optimum at the design positions from the best convex first design."""
     nlp = build(file.spec)
-    start = start_sequence(file.spec, nlp, 0, None).first[0]
-    return nlp, multistart.solve_from(nlp, nlp.lifted(start.x), "ipopt, close")
+    first = function_starts.values(file.spec, function_starts.steps(file.spec)[0])
+    return nlp, multistart.solve_from(nlp, nlp.x_of(first), "ipopt, close")
 
 
 def largest_error(file: optlink.ProblemFile, design: dict[str, float]) -> float:

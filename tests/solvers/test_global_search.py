@@ -380,7 +380,7 @@ def random_problem(rng):
 
 def contradicted(problem):
     """Return whether a certificate of a problem is contradicted by a grid refined by local searches, and its status."""
-    from optlink.tasks import function
+    from optlink.tasks import design
 
     result = certified(problem, 1e-4, boxes=20_000)
     outcome = result.certificate
@@ -389,7 +389,7 @@ def contradicted(problem):
     best = float(np.min(objective))
     for k in np.argsort(objective)[:3]:
         if math.isfinite(objective[k]):
-            local = function.solve(problem, begin=dict(zip(problem.spec.free, points[k].tolist(), strict=True)))
+            local = design.solve(problem, begin=dict(zip(problem.spec.free, points[k].tolist(), strict=True)))
             best = min(best, local.objective if local.valid else math.inf)
     return best < outcome.lower_bound * (1.0 - 1e-9), outcome
 

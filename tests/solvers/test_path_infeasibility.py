@@ -13,10 +13,10 @@ import optlink
 from optlink.errors import Status
 from optlink.optimization.multipliers import LEAST_PRICE
 from optlink.synthesis.batch_search import Candidate
-from optlink.tasks.path_search import Polisher, validated_design
 from optlink.tasks.results.common import with_optimality
 from optlink.tasks.results.design import LinkageDesign, SynthesisResult
 from optlink.tasks.run import solve
+from optlink.tasks.search import Polisher, validated_design
 from optlink.validation.check import Validation
 
 SWING = 110.0

@@ -19,8 +19,8 @@ from optlink.problem.tolerances import with_tolerance
 from optlink.studies.sensitivity import sensitivities
 from optlink.studies.sweep import sweep
 from optlink.studies.tolerance.analysis import tolerance
-from optlink.tasks import function
-from optlink.tasks.function import validate
+from optlink.tasks import design as task
+from optlink.tasks.design import validate
 from optlink.validation import validate as prove
 from tests.solved import solution
 from tests.tiers import mostly_slow
@@ -44,7 +44,7 @@ def problem():
 
 def solve(problem, backend="ipopt", starts=4):
     """Few of the usual 49 starting points: what is found is compared with formulas and searches outside optlink."""
-    return function.solve(problem, backend, starts=starts)
+    return task.solve(problem, backend, starts=starts)
 
 
 def rocker_angle(phi, crank, coupler, rocker, dx, dy=0.0):

@@ -13,13 +13,12 @@ from scipy.optimize import linprog, lsq_linear
 import optlink
 from optlink.linkage.fourbar import four_bar
 from optlink.linkage.motion import sweep
-from optlink.optimization.programme import build
 from optlink.synthesis import freudenstein, freudenstein_convex
 from optlink.synthesis.freudenstein import FirstStep
 from optlink.synthesis.freudenstein_fit import FitProblem, Keep
 from optlink.synthesis.function_starts import UNLIMITED
 from optlink.synthesis.loop_equations import LoopEquation
-from optlink.tasks.function_search import start_sequence
+from optlink.tasks.design import has_first_steps
 from tests.tiers import mostly_slow
 
 DEGREE = math.radians(1.0)
@@ -406,11 +405,12 @@ def test_a_lying_solver_is_not_believed(monkeypatch: pytest.MonkeyPatch) -> None
 @pytest.mark.parametrize("change", [{"requirement.points": 1}, {"limits.link_ratio": 1.0}, {"limits.link_ratio": {"min": 2e3}}])
 def test_a_function_without_convex_first_designs_is_searched_from_the_start_of_the_file(change: dict[str, object]) -> None:
     """Two positions do not determine three constants, and a single ratio leaves no range of lengths."""
-    problem = optlink.load("function-sin", change).spec
-    starts = start_sequence(problem, build(problem), 0, None)
-    assert starts.step is None
-    assert [(start.random, start.close) for start in starts.first] == [(False, False)]
-    assert next(starts.rest()).random
+    file = optlink.load("function-sin", change)
+    assert not has_first_steps(file.spec)
+    result = optlink.solve(file, starts=1)
+    assert result.starts == len(file.variants())
+    assert result.first_step is None
+    assert result.evidence is None
 
 
 @pytest.mark.parametrize("psi", [[0.0, 1e-13, 0.0, 1e-13, 0.0], [0.0, 1.0, 0.0, 1.0, 0.0], [0.0, 3.0, -3.0, 2.0, 9.0]])

@@ -597,7 +597,7 @@ class Valley:
     def __init__(self, most: float) -> None:
         self.high = np.array([most, 2.0])
 
-    def crank_angles(self, x, t):
+    def crank_angles(self, x, t, variant=0):
         return t
 
     def residual_values(self, x, t, variant=0):

@@ -3,7 +3,7 @@
 import pytest
 
 import optlink
-from optlink.tasks import function
+from optlink.tasks import design
 from optlink.tasks.certify import certify
 
 WORSE = {"crank": 0.307958, "coupler": 0.147785, "rocker": 0.15156, "phi0": -0.351946, "psi0": 0.242793}
@@ -13,7 +13,7 @@ WORSE = {"crank": 0.307958, "coupler": 0.147785, "rocker": 0.15156, "phi0": -0.3
 def test_the_certificate_of_a_local_optimum_finds_the_global_one_in_the_other_assembly_mode():
     problem = optlink.load("function-sin")
     right = optlink.load("function-sin", overrides={"mechanism.assembly": "right"})
-    local = function.solve(right, "ipopt", begin=WORSE)
+    local = design.solve(right, "ipopt", begin=WORSE)
     assert local.valid
     assert local.objective == pytest.approx(0.00567908, rel=1e-5)
     result = certify(local, gap=1e-3, original=problem)

@@ -7,7 +7,7 @@ import pytest
 
 import optlink
 from optlink.solvers.global_search.timed_path import TimedPathBounds
-from optlink.tasks import path
+from optlink.tasks import design
 from optlink.tasks.certify import _PathSearch, certify
 from optlink.tasks.results.certificate import NOT_CLOSED, WITHIN_GAP
 
@@ -22,7 +22,7 @@ def near_optimum(name: str, off: float, **changes: object) -> tuple[optlink.Synt
     worse = point + off
     variant = next(one for one in problem.variants() if (one.model.side > 0) == bounds.left(worse))
     values = bounds.design(worse)
-    return path.validate(variant, {name: values[name] for name in variant.model.free}), bounds, point
+    return design.validate(variant, {name: values[name] for name in variant.model.free}), bounds, point
 
 
 @pytest.mark.parametrize("name", OPTIMUM)

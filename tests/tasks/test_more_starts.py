@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import functools
-import itertools
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import optlink
-from optlink.execution.runner import pool
 from optlink.optimization.programme import build
 from optlink.solvers import contract, multistart
-from optlink.tasks.function_search import FunctionSearch, SearchStart, start_sequence
+from optlink.synthesis import function_starts
+from optlink.synthesis.batch_search import Searcher
+from optlink.tasks.search import DesignCollection, Polisher
+from optlink.validation import Check
 from tests.solved import once
 from tests.tasks.test_function_problems import case, default_answer, measured
 
@@ -37,29 +39,12 @@ def short_of_both_modes() -> optlink.SynthesisResult:
 
 @pytest.mark.parametrize("file", [optlink.load("crank-rocker"), short()], ids=["law", "function"])
 def test_starts_of_a_smaller_number_are_the_first_ones_of_a_larger_one(file: optlink.ProblemFile) -> None:
-    nlp = build(file.spec)
-    one, other = (start_sequence(file.spec, nlp, 5, None) for _ in "ab")
-    few = [*one.first, *itertools.islice(one.rest(), 40)]
-    many = [*other.first, *itertools.islice(other.rest(), 200)]
-    for a, b in zip(few, many, strict=False):
-        np.testing.assert_array_equal(a.x, b.x)
-    assert not any(start.random for start in one.first)
-    assert len({tuple(start.x[:3]) for start in many}) > 190
-
-
-def test_processes_give_the_same_result_as_one_process() -> None:
-    file = optlink.load("crank-rocker")
-    nlp = build(file.spec)
-    points = list(itertools.islice(start_sequence(file.spec, nlp, 5, None).rest(), 20))
-    with pool("local", 2) as runs:
-        shared = list(FunctionSearch(file.spec, nlp, "ipopt").coarse(points, runs))
-    alone = [multistart.solve_from(nlp, nlp.lifted(point.x), "ipopt") for point in points]
-    assert [one.iterations for one in shared] == [one.iterations for one in alone]
-    for one, other in zip(shared, alone, strict=True):
-        np.testing.assert_array_equal(
-            [*one.x, *one.g, *one.conditions.multipliers], [*other.x, *other.g, *other.conditions.multipliers]
-        )
-    assert len({one.iterations for one in alone}) > 3  # of which the order matters
+    few, many = (Searcher([file.spec], 5) for _ in "ab")
+    for number in range(2):
+        x, _ = few._sample(0, 60, number)
+        np.testing.assert_array_equal(x, many._sample(0, 60, number)[0])
+        assert len({tuple(row) for row in x}) == len(x) > 40
+    assert not np.array_equal(x, Searcher([file.spec], 6)._sample(0, 60, 1)[0])
 
 
 @pytest.mark.slow
@@ -67,42 +52,43 @@ def test_processes_give_the_same_result_as_one_process() -> None:
 def test_processes_change_no_digit_of_a_search(starts: int | None, engine: str) -> None:
     file = optlink.load("function-sin")
     one, other = (optlink.solve(file, "ipopt", starts, certify=False, **how) for how in ({}, {"workers": 2, "engine": engine}))
-    assert (other.starts, other.counts, other.optima, other.design) == (one.starts, one.counts, one.optima, one.design)
+    assert (other.starts, other.evidence, other.optima, other.design) == (one.starts, one.evidence, one.optima, one.design)
     assert other.solution.conditions.multipliers.tobytes() == one.solution.conditions.multipliers.tobytes()
     assert len(one.optima) > 1
 
 
 @pytest.mark.slow
-def test_convex_first_steps_and_the_file_start_are_always_searched() -> None:
+def test_convex_first_steps_and_the_file_start_are_always_searched(monkeypatch: pytest.MonkeyPatch) -> None:
     file = short(**{"mechanism.crank": {"start": "77 mm", "bounds": ["1 mm", "5000 mm"]}})
-    points = start_sequence(file.spec, build(file.spec), 0, None)
-    assert any(start.x[0] == pytest.approx(0.77) for start in points.first)
-    assert optlink.solve(file, starts=1).starts == len(points.first) > 1
+    begun: list[float] = []
+    local = Polisher.from_values
+
+    def noted(self: Polisher, variant: int, values: dict[str, float], *more: object, **options: bool) -> object:
+        begun.append(values["crank"])
+        return local(self, variant, values, *more, **options)
+
+    monkeypatch.setattr(Polisher, "from_values", noted)
+    result = optlink.solve(file, starts=1)
+    assert result.starts == len(begun) > 1
+    assert begun[-1] == pytest.approx(0.077)
+    assert result.first_step is not None
+    assert begun[0] == pytest.approx(0.1 * result.first_step.crank)
 
 
 def test_a_valid_design_is_not_lost_to_an_invalid_better_one() -> None:
     """A start that leads to a lower objective beyond a limit of the validator comes last: the valid one before it stays."""
     file = short()
-    nlp = build(file.spec)
-    points = start_sequence(file.spec, nlp, 0, None)
-    one = FunctionSearch(file.spec, nlp, "ipopt")
-    one.advance(points.first[0])
-    best = one.result
-    judge = one.judge
-
-    def flattering(solution: multistart.Solution) -> object:
-        judged = judge(solution)
-        bad = [check.__class__(check.name, False, check.value, check.limit, check.unit) for check in judged.validation.checks]
-        return type(judged)(
-            type(solution)(**{**vars(solution), "objective": 0.5 * solution.objective}),
-            judged.design,
-            type(judged.validation)(tuple(bad), judged.validation.objective),
-        )
-
-    one.judge, one.optima = flattering, []  # type: ignore[method-assign,assignment]
-    one.advance(SearchStart(points.first[0].x, random=True, close=True))
-    assert one.starts == 2
-    assert one.result is best
+    collection = DesignCollection(Polisher([file], "ipopt"), 1)
+    good = collection.polisher.from_values(0, function_starts.values(file.spec, function_starts.steps(file.spec)[0]), None)
+    collection.take(good)
+    assert collection.designs == [good]
+    check = Check("the cover is not reached", False, 3.25, "<= 2", "mm")
+    better = replace(good, objective=0.5 * good.objective, validation=replace(good.validation, checks=(check,)))
+    assert not better.valid
+    collection.take(better)
+    assert collection.designs == [good]
+    assert collection.rejected is not None
+    assert collection.rejected.failed == (check,)
 
 
 @pytest.mark.slow
@@ -113,7 +99,7 @@ def test_seeds_agree_on_an_optimum_that_few_starts_reach() -> None:
     evidence = results[0].evidence
     assert evidence is not None
     assert 1 < evidence.hits < evidence.starts / 4
-    assert 0.0 < evidence.missed <= 0.025
+    assert 0.0 < evidence.missed <= 0.02
 
 
 @pytest.mark.slow
@@ -202,7 +188,7 @@ def test_a_law_of_three_variables_is_searched_from_random_starts_by_default():
     assert result.valid
     assert result.objective < 0.1 * one.objective
     assert result.starts > 24
-    assert result.evidence.missed <= 0.025
+    assert result.evidence.missed <= 0.02
 
 
 def rocker_table(digits: int) -> optlink.ProblemFile:
@@ -242,5 +228,5 @@ def test_random_starts_and_assembly_modes_end_at_the_first_exact_design() -> Non
     assert both.starts == 1  # the first assembly mode has the design
     one, other = optlink.solve(file), optlink.solve(file, workers=2)
     assert (one.starts, one.design) == (other.starts, other.design)
-    assert 1 < one.starts < 30
+    assert 1 < one.starts < 100
     assert float(np.max(np.abs(one.error()))) < 1e-9

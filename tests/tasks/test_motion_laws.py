@@ -11,7 +11,7 @@ import pytest
 
 import optlink
 from optlink.errors import InputError
-from optlink.tasks.path import solve
+from optlink.tasks.design import solve
 from tests.solved import solution
 from tests.tiers import mostly_slow
 
@@ -216,7 +216,7 @@ def test_a_search_from_beyond_a_limit_of_many_positions_stays_near() -> None:
     free = {"mechanism.guides.G.offset": {"bounds": ["-50 mm", "50 mm"]}, "requirement.start": "-172.5 deg"}
     law = {"requirement.law": {"slide": "72.8 + 20.52*(phi - phi0)", "unit": "mm"}, "requirement.span": "-247.1 deg"}
     limits = {"limits": {"crank": "span", "transmission_angle": ["31.9 deg", "150.9 deg"]}, "requirement.points": 11}
-    result = optlink.solve(optlink.load("law-slider-crank", length | free | law | limits), starts=1)
+    result = optlink.solve(optlink.load("law-slider-crank", length | free | law | limits), starts=60)
     rod, offset = np.meshgrid(np.linspace(143.5, 160.0, 34), np.linspace(-50.0, 50.0, 201))
     angles = np.radians(np.linspace(-172.5, -172.5 - 247.1, 12))
     over = np.radians(np.linspace(-172.5, -172.5 - 247.1, 1000))

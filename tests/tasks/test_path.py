@@ -20,7 +20,7 @@ from optlink.report.registry import view_of
 from optlink.report.report_model import report_model_of
 from optlink.report.stored import read_result
 from optlink.solvers.multistart import solve_from
-from optlink.tasks.path import solve
+from optlink.tasks.design import solve
 from optlink.tasks.run import design_task
 from tests import synthesis_oracle as oracle
 from tests.random_linkages import judged
@@ -227,7 +227,7 @@ def test_a_given_design_is_validated_at_independent_crank_angles(name):
     """Dynamic programming on the given sizes finds the crank angles again that the search found with them."""
     task = optlink.load(name)
     result = solution(name).best
-    again = optlink.tasks.path.validate(task, result.values)
+    again = optlink.validate(task, result.values)
     assert again.valid
     assert again.best.assembly == result.assembly
     assert math.sqrt(again.objective) == pytest.approx(math.sqrt(result.objective), rel=1e-6, abs=1e-10 * result.task.size)
@@ -239,7 +239,7 @@ def test_a_given_design_is_validated_at_independent_crank_angles(name):
 def test_a_failed_given_design_names_the_failed_checks():
     task = optlink.load("path-ellipse10")
     result = solution("path-ellipse10").best
-    wrong = optlink.tasks.path.validate(task, {**result.values, "rocker": 0.09, "crank": 0.03})
+    wrong = optlink.validate(task, {**result.values, "rocker": 0.09, "crank": 0.03})
     assert not wrong.valid
     failed = {check.name for check in wrong.best.validation.checks if not check.passed}
     assert "rocker within its bounds" in failed

@@ -15,9 +15,9 @@ import pytest
 import optlink
 from optlink.linkage.fourbar import LENGTHS
 from optlink.synthesis.batch_search import Exploration, Searcher
-from optlink.tasks.path import MISSED_CHANCE, solve
-from optlink.tasks.path_search import IDLE_ROUNDS, OBJECTIVE_TOLERANCE, DesignCollection, Polisher, path_model
+from optlink.tasks.design import MISSED_CHANCE, solve
 from optlink.tasks.results.evidence import percent
+from optlink.tasks.search import IDLE_ROUNDS, OBJECTIVE_TOLERANCE, DesignCollection, Polisher
 from tests import synthesis_oracle as oracle
 from tests.stated import document, four_bar_section, free
 
@@ -71,7 +71,7 @@ def test_a_poor_fit_does_not_end_at_the_cost_of_candidates_out_of_order() -> Non
     raw, _ = exact_task(7, scrambled=True)
     files = optlink.read(raw).variants()
     collection = DesignCollection(Polisher(files, "ipopt"), 1)
-    search = Searcher([path_model(file) for file in files], 0)
+    search = Searcher([file.spec for file in files], 0)
     collection.add(search.advance())
     assert collection.poor_fit
     best = collection.designs[0].error
@@ -87,7 +87,7 @@ def test_reordered_candidates_are_refined_until_several_rounds_of_them_improve_n
     """The rounds are those in which a reordered candidate is refined; an improvement by one makes them count anew."""
     files = optlink.load("path-closed18-untimed").variants()
     collection = DesignCollection(Polisher(files, "ipopt"), 3)
-    search = Searcher([path_model(file) for file in files], 0)
+    search = Searcher([file.spec for file in files], 0)
     refined = []
     for _ in range(IDLE_ROUNDS + 2):
         result = search.advance()
@@ -248,7 +248,7 @@ def test_starts_that_end_out_of_order_prolong_a_search() -> None:
     module, shares = calibration(), []
     for file in (module.problem(1), optlink.load("path-bean")):
         files = file.variants()
-        collection, search = DesignCollection(Polisher(files, "ipopt"), 1), Searcher([path_model(file) for file in files], 0)
+        collection, search = DesignCollection(Polisher(files, "ipopt"), 1), Searcher([file.spec for file in files], 0)
         for _ in range(3):
             exploration = search.advance()
             collection.add(exploration)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import optlink
-from optlink.tasks.path import solve
+from optlink.tasks.design import solve
 from optlink.tasks.results.design import LinkageDesign
 from tests.random_linkages import (
     RandomTask,

@@ -15,7 +15,7 @@ from optlink.report.html.page import page
 from optlink.report.registry import table_of
 from optlink.report.report_model import report_model_of
 from optlink.report.stored import read_result
-from optlink.tasks import function_search, path_search
+from optlink.tasks import search
 from optlink.validation import Check, Validation
 from optlink.validation.check import MEASURED
 from tests.report.test_terminal import printed
@@ -47,8 +47,8 @@ def path() -> optlink.ProblemFile:
 @pytest.mark.parametrize(
     ("module", "name", "problem", "starts", "below", "value"),
     [
-        (function_search, "validate_law", function, 20, 0.004, "0.1903 deg"),
-        (path_search, "validate_path", path, 120, 9.5e-9, "0.009029 mm^2"),
+        (search, "validate", function, 20, 0.004, "0.1903 deg"),
+        (search, "validate", path, 120, 9.5e-9, "0.009029 mm^2"),
     ],
     ids=["function", "path"],
 )
@@ -90,7 +90,7 @@ def test_a_better_optimum_that_fails_a_check_is_named_with_it(
 def test_a_design_that_fails_by_an_inexact_figure_is_measured_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """The first measurement of the best optimum differs; the refined design, measured again, is the answer."""
     file, measured = function(), list[float]()
-    validate = function_search.validate_law
+    validate = search.validate
 
     def inexact(*arguments: Any, **more: Any) -> Validation:
         checked = validate(*arguments, **more)
@@ -100,7 +100,7 @@ def test_a_design_that_fails_by_an_inexact_figure_is_measured_again(monkeypatch:
                 return replace(checked, checks=(*checked.checks, Check(MEASURED, False, 1e-4, "<= 1e-06", "")))
         return checked
 
-    monkeypatch.setattr(function_search, "validate_law", inexact)
+    monkeypatch.setattr(search, "validate", inexact)
     result = optlink.solve(file, starts=1)
     assert len(measured) > 1
     assert result.valid

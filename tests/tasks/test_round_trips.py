@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import optlink
-from optlink.tasks.path import solve
+from optlink.tasks.design import solve
 from tests import synthesis_oracle as oracle
 from tests.random_linkages import RECOVERED, TIMINGS, VARIANTS, defects, four_bar_of, recover, round_trip
 from tests.tiers import mostly_slow

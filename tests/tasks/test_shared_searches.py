@@ -12,8 +12,8 @@ import pytest
 import optlink
 from optlink.execution.runner import ordered, pool
 from optlink.execution.worker import ChunkResult, ChunkTask, Runs, run_chunk
-from optlink.tasks.path_search import PolishTask
 from optlink.tasks.run import design_task
+from optlink.tasks.search import PolishTask
 
 PATH = {"designs": 3, "starts": 60}
 
@@ -130,10 +130,11 @@ def test_ctrl_c_keeps_the_refined_designs_of_a_path() -> None:
 
 
 def test_ctrl_c_keeps_the_searches_of_a_law() -> None:
-    """All searches of a block were lost, 240 of them."""
+    """Pressed while the designs of the first round are refined: the start of the file and those that are refined remain."""
     part = shared("crank-rocker", pressed(3), starts=200)
     assert part.interrupted
-    assert 3 * 6 <= part.starts < 3 * 6 + 6
+    assert part.valid
+    assert part.starts < 200
 
 
 def test_no_cluster_is_started_for_a_problem_that_cannot_use_it(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -20,10 +20,10 @@ from optlink.solvers.multistart import solution_at
 from optlink.synthesis.batch import Batch
 from optlink.synthesis.batch_search import Candidate
 from optlink.synthesis.growth import contained_four_bar, grow_from_four_bar
-from optlink.tasks import path
-from optlink.tasks.path import solve
-from optlink.tasks.path_search import Polisher, has_several_dyads, path_model
+from optlink.tasks import design as task
+from optlink.tasks.design import solve
 from optlink.tasks.results.design import LinkageDesign
+from optlink.tasks.search import Polisher, has_several_dyads
 from optlink.validation.check import Check
 from tests.random_six_bars import faults_of_six_bar, random_six_bar
 
@@ -41,7 +41,7 @@ def test_peaks_are_found_between_positions_of_the_grid() -> None:
 def test_the_exchange_of_positions_ends_where_a_round_does_not_move(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every further round would repeat it, to the largest number of iterations."""
     file = optlink.load("path-watt-leg").variants()[0]
-    task = path_model(file)
+    task = file.spec
     nlp = build(task, 1)
     start = solution_at(nlp, nlp.x_start, "")
     assert np.isfinite(start.objective)
@@ -90,7 +90,7 @@ def judge(seed: int) -> tuple[float, float]:
 @pytest.mark.parametrize("seed", [0, 1])
 def test_random_six_bars_are_valid_and_no_worse_than_the_best_four_bar(monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
     """That of as many starts as the four-bar within the six-bar has."""
-    monkeypatch.setattr(path, "PART_STARTS", STARTS)
+    monkeypatch.setattr(task, "PART_STARTS", STARTS)
     six, four = judge(seed)
     assert six <= four * (1.0 + 1e-9)
 
@@ -110,7 +110,7 @@ def planted(monkeypatch: pytest.MonkeyPatch, worse: float) -> None:
 
     monkeypatch.setattr(Polisher, "polish", failing)
     monkeypatch.setattr(Polisher, "from_feasible", lambda *_: iter(()))
-    monkeypatch.setattr(path, "PART_STARTS", STARTS)
+    monkeypatch.setattr(task, "PART_STARTS", STARTS)
 
 
 @pytest.mark.slow

@@ -274,11 +274,11 @@ def test_unusable_start_is_repaired(crank_rocker):
 
 def test_optima_of_many_starts_are_grouped(crank_rocker):
     seen = []
-    result = optlink.solve(crank_rocker, "slsqp", starts=12, seed=3, progress=seen.append)
-    assert seen == pytest.approx(np.arange(1, 13) / 12)
+    result = optlink.solve(crank_rocker, "slsqp", starts=100, seed=3, progress=seen.append)
+    assert seen == pytest.approx([61 / 100, 1.0])  # the start of the file and two rounds
     assert len(result.optima) == 1
-    assert result.optima[0].count == 12
-    again = optlink.solve(crank_rocker, "slsqp", starts=12, seed=3)
+    assert 60 < result.optima[0].count <= result.starts
+    again = optlink.solve(crank_rocker, "slsqp", starts=100, seed=3)
     assert again.design == result.design
 
 
@@ -293,7 +293,8 @@ def test_an_interrupted_search_keeps_its_best_design(crank_rocker, monkeypatch):
 
     monkeypatch.setattr(multistart, "solve_from", interrupted)
     result = optlink.solve(crank_rocker, "slsqp", starts=50)
-    assert result.starts == 4
+    assert result.interrupted
+    assert len(calls) == 5
     assert result.valid
     monkeypatch.setattr(multistart, "solve_from", lambda *_args, **_kwargs: interrupted())
     with pytest.raises(KeyboardInterrupt):
@@ -315,7 +316,7 @@ def test_distinct_optima_are_listed(crank_rocker):
     objectives = [optimum.objective for optimum in result.optima]
     assert objectives == sorted(objectives)
     assert result.objective == objectives[0]
-    assert sum(optimum.count for optimum in result.optima) <= 24
+    assert sum(optimum.count for optimum in result.optima) <= result.starts
 
 
 def test_an_exact_law_is_met_to_rounding(crank_rocker):

@@ -11,7 +11,7 @@ import pytest
 
 import optlink
 from optlink.problem.limits import MARGINS
-from optlink.tasks.function import solve, validate
+from optlink.tasks.design import solve, validate
 
 LEAST = 1.0 - 6e-3  # deg, and of the length margin: half a percent is the validator's
 LAWS = range(0, 3000, 60)

@@ -15,7 +15,7 @@ from optlink.linkage.vector2d import unit
 from optlink.optimization.programme import build
 from optlink.problem.design import DesignProblem
 from optlink.studies.parameters import parameters
-from optlink.tasks.path import solve, validate
+from optlink.tasks.design import solve, validate
 from optlink.validation.linkage_motion import transmission_angles
 from tests.tasks.test_motion_laws import LINKS
 

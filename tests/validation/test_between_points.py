@@ -9,7 +9,7 @@ import pytest
 
 import optlink
 from optlink.report.views.conclusions import design as conclusion
-from optlink.tasks.path import validate
+from optlink.tasks.design import validate
 from optlink.tasks.results.design import LinkageDesign
 from optlink.validation.between import sagittas
 from tests.stated import document, four_bar_section

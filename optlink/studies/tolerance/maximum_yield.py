@@ -29,7 +29,7 @@ from optlink.studies.tolerance.nominal import nominal_design
 from optlink.studies.tolerance.options import read_deviations
 from optlink.studies.tolerance.robust_design import RobustDesign, RobustSearch
 from optlink.studies.tolerance.sampling import sample_deviations
-from optlink.tasks.function import validate
+from optlink.tasks.design import validate
 
 SIGMAS = 2.0  # standard deviations of the robust starting design
 STAGES = ((1 << 12, 1.0, 1.0), (1 << 14, 0.1, 0.3))  # samples, and relative to the scatter: smoothing width, first step

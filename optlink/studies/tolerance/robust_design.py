@@ -15,7 +15,7 @@ from optlink.problem.file import ProblemFile
 from optlink.problem.robust import MAX_SIGMAS, WORST
 from optlink.problem.tolerances import NORMAL
 from optlink.studies.tolerance.options import read_tolerances
-from optlink.tasks.function import solve, validate
+from optlink.tasks.design import solve, validate
 from optlink.tasks.protocol import completed
 from optlink.tasks.results.design import SynthesisResult
 from optlink.tasks.run import solve as solve_nominal

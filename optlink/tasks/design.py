@@ -1,33 +1,55 @@
-"""Solve path and motion synthesis problems: rounds of starts, refined with all limits, until a better design is unlikely."""
+"""Search the best designs for a requirement: starts of every source, refined with all limits, until a better one is unlikely."""
+
+from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
 from optlink.errors import InputError, Status
 from optlink.execution import interrupts
+from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.vector2d import Array
 from optlink.optimization.nlp import NLP
 from optlink.optimization.programme import angle_name, build
+from optlink.problem.design import DesignProblem
 from optlink.problem.file import ProblemFile
+from optlink.problem.targets.function import Function
 from optlink.solvers import multistart
 from optlink.solvers.contract import FOUND, LEAST_SQUARES
 from optlink.solvers.exchange import place_at_peaks, solve_semi_infinite
 from optlink.solvers.infeasibility import Explanation, explain, feasible_point
-from optlink.synthesis.batch_search import PER_ROUND, PERFECT, Searcher
-from optlink.tasks.path_search import DesignCollection, Polisher, designs_from_four_bar, has_several_dyads, path_model
+from optlink.synthesis.batch_search import PER_ROUND, PERFECT, Exploration, Searcher
+from optlink.synthesis.freudenstein import FirstStep
+from optlink.tasks.modes import possible_modes
 from optlink.tasks.protocol import DesignTask, Search, Timer, agreement, completed, part
 from optlink.tasks.results.default_margins import margin_notes
 from optlink.tasks.results.design import LinkageDesign, SynthesisResult, of_designs
 from optlink.tasks.results.evidence import INCOMPLETE
 from optlink.tasks.results.rotation import cannot_turn
-from optlink.validation import validate as validate_path
+from optlink.tasks.search import (
+    DesignCollection,
+    Polisher,
+    designs_from_four_bar,
+    has_several_dyads,
+    validated_design,
+)
+from optlink.validation import validate as validate_design
+from optlink.validation.design import deviations
+from optlink.validation.timing import passing
 
+MAX_CERTIFIED_VARIABLES = 2
+"""Design variables of a motion law up to which the global optimum is certified by default, without random starts."""
+NEAREST = "nearest design"
+MIN_CURVATURE = 1e-7  # least curvature, for an objective scaled to 1, of a unique optimum
+ONLY_RATIOS = "all four lengths are free and only their ratios matter here: any multiple within the bounds is as good; fix one"
 MISSED_CHANCE = 0.02  # estimated chance that a better design was missed at which a search ends
 MIN_ROUNDS, MAX_ROUNDS = 3, 20
+MIN_ROUNDS_OF_LAW = 2  # of a four-bar, whose few optima many starts reach
 MAX_ROUNDS_POOR_FIT = 40  # largest number, while the best design fits poorly
 BATCH_ROUNDS = 2  # rounds computed together after the first one, while no design is exact
 SHARED_BATCH_ROUNDS = 4  # the same for several processes
@@ -45,11 +67,13 @@ SAME_DESIGN = 1e-5  # scaled difference of equal designs of two back ends
 STARTS_PER_EXACT = 3  # starts per exact design after which no other one is expected
 
 
-class PathTask(DesignTask[SynthesisResult]):
-    """Path, motion, function or transmission synthesis of any linkage.
+class SynthesisTask(DesignTask[SynthesisResult]):
+    """Synthesis of a linkage for a law, points, poses or the best transmission.
 
-    The back end refines the batch results with all limits; a minimax solver is used where the largest deviation counts. `starts`:
-    least number of starts, rounded up to whole rounds. Default: rounds until a better design is unlikely.
+    The start of the file and convex first designs of a function come first, then rounds of random ones, which batches of least
+    squares lead to candidates; the back end refines them with all limits. `starts`: least number of starts, rounded up to whole
+    rounds. Default: rounds until a better design is unlikely; none for a law of at most two design variables, which
+    `optlink.solve` certifies.
     """
 
     most_starts = 1_000_000
@@ -57,44 +81,39 @@ class PathTask(DesignTask[SynthesisResult]):
     certified = True
     divisible = True
 
+    def check(self, problem: ProblemFile) -> None:
+        """Refuse a problem without a requirement."""
+        _ = problem.spec
+
     def search(self, problem: ProblemFile, search: Search) -> SynthesisResult:
-        """Return linkages that pass the points or poses; see `DesignTask.search`."""
+        """Return the best distinct designs; see `DesignTask.search`."""
         if search.backend == "both":
             return _compared(problem, search, self.search)
         timer, rounds = search.timer, SearchRounds(problem, search)
+        for name in search.names if not problem.spec.composed else ():  # whose programme depends on its first start
+            multistart.prepare(rounds.collection.polisher.programme(0, rounds.directions[0]), name)
         timer.lap("build")
         rounds.run()
-        timer.lap("search, polish and validate")
-        collection = rounds.collection
-        task = path_model(problem)
-        notes = [*filter(None, [task.target_points.note]), *rounds.notes]
+        collection, task = rounds.collection, problem.spec
         reason = None if collection.designs or rounds.interrupted else rounds.explained()
-        coverage, near = collection.evidence(), collection.nearest
-        if rounds.better is not None and not collection.no_worse(rounds.better):
-            error = math.sqrt(float(np.mean(rounds.better.measured.distances**2)))
-            notes.append(FOUR_BAR_BETTER.format(1e3 * error))
-        notes += () if collection.rejected is None else (collection.rejected.note,)
-        for best in collection.designs[:1]:
-            notes += margin_notes(best.problem, best.values, best.limits, best.objective, collection.polisher.relaxed(best))
-        if not collection.designs:
-            notes += cannot_turn(task.mechanism, task.linkage, task.limits.crank, task.limits.alignment.value)
-        if collection.designs and coverage.missed > MISSED_CHANCE:
-            count = rounds.searcher.exploration.starts
-            notes.append(f"{INCOMPLETE}: {count} starts, {coverage.chance}; use --starts {min(4 * count, PathTask.most_starts)}")
+        timer.lap("search, polish and validate")
+        near = collection.nearest
         return SynthesisResult(
             problem=problem,
             designs=tuple(collection.designs),
             nearest=near if near is None or reason is None else replace(near, status=Status.INFEASIBLE),
             backend=_method(collection),
             seed=search.seed,
-            starts=rounds.searcher.exploration.starts,
-            evidence=coverage,
+            starts=rounds.starts,
+            evidence=collection.evidence() if rounds.exploration.rounds else None,
             seconds=timer.seconds,
             interrupted=rounds.interrupted,
-            notes=tuple(notes),
+            notes=tuple(_notes(task, rounds)),
             conflict=() if reason is None else reason.conflict,
             together=() if reason is None else reason.together,
             rejected=collection.rejected,
+            optima=collection.optima() if search.begin is None else (),
+            first_step=rounds.first_step,
         )
 
     def programme(self, problem: ProblemFile) -> NLP:
@@ -105,24 +124,23 @@ class PathTask(DesignTask[SynthesisResult]):
         InputError
             If the crank may turn either way.
         """
-        task = path_model(problem)
+        task = problem.spec
         if task.data.offsets is None and task.rotation == "either":
             message = "the crank may pass the points in either direction: each has its own programme"
             remedy = 'Choose one: problem.override({"requirement.rotation": "clockwise"})'
             raise InputError(message, remedy, problem.file, "requirement.rotation")
-        return build(task, -1 if task.requirement.rotation == "clockwise" else 1)
+        return build(task, -1 if task.rotation == "clockwise" else 1)
 
     def place(self, problem: ProblemFile, nlp: NLP, x: Array) -> None:
         """Move the exchange points to the peaks of limits and of the transmission angle; see `DesignTask.place`."""
-        place_at_peaks(path_model(problem), nlp, x)
+        place_at_peaks(problem.spec, nlp, x)
 
     def unknowns(self, problem: ProblemFile, nlp: NLP, design: Mapping[str, float]) -> Array:
         """Return the scaled unknowns; free crank angles are those with the least deviation."""
-        from optlink.validation.timing import passing
-
-        task = path_model(problem)
-        values = {name: float(value) for name, value in task.complete(design).items()}
-        angles = {angle_name(k): float(angle) for k, angle in enumerate(passing(task, values))}
+        task = problem.spec
+        values = task.design(design)
+        free = () if task.data.offsets is not None else passing(task, values)
+        angles = {angle_name(k): float(angle) for k, angle in enumerate(free)}
         return super().unknowns(problem, nlp, {**values, **angles})
 
     def validate(self, problem: ProblemFile, design: Mapping[str, float]) -> SynthesisResult:
@@ -130,22 +148,42 @@ class PathTask(DesignTask[SynthesisResult]):
 
         If the problem leaves the assembly mode open, valid designs come first, then the one with the least objective.
         """
-        from optlink.validation.timing import passing
-
         clock = time.perf_counter()
         designs = []
         for file in problem.variants():
-            task = path_model(file)
-            values = {name: float(value) for name, value in task.complete(design).items()}
+            task = file.spec
+            values = task.design(design)
             angles = passing(task, values)
-            checked = validate_path(task, values, angles)
+            checked = validate_design(task, values, angles)
             designs.append(LinkageDesign(file, values, angles, checked.objective, Status.NOT_SEARCHED, checked))
         result = of_designs(problem, designs, 1, seconds={"validate": time.perf_counter() - clock})
-        return replace(result, notes=tuple(filter(None, [path_model(problem).target_points.note])))
+        return replace(result, notes=tuple(filter(None, [problem.spec.target_points.note])))
 
 
-TASK = PathTask()
+TASK = SynthesisTask()
 solve, validate = TASK.solve, TASK.validate
+
+
+def _notes(task: DesignProblem, rounds: SearchRounds) -> Iterator[str]:
+    """Yield notes on the targets, on what excludes a better design, and on other designs that are as good."""
+    collection = rounds.collection
+    best, coverage = next(iter(collection.designs), None), collection.evidence()
+    yield from filter(None, [task.target_points.note])
+    yield from rounds.notes
+    if rounds.better is not None and not collection.no_worse(rounds.better):
+        error = math.sqrt(float(np.mean(rounds.better.measured.distances**2)))
+        yield FOUR_BAR_BETTER.format(1e3 * error)
+    if collection.rejected is not None:
+        yield collection.rejected.note
+    if best is None:
+        yield from cannot_turn(task.mechanism, task.linkage, task.limits.crank, task.limits.alignment.value)
+        return
+    yield from margin_notes(best.problem, best.values, best.limits, best.objective, collection.polisher.relaxed(best))
+    if task.unit != "m" and set(LENGTHS) <= set(task.free) and best.solution and best.solution.curvature <= MIN_CURVATURE:
+        yield ONLY_RATIOS
+    if rounds.exploration.rounds and coverage.missed > MISSED_CHANCE:
+        count = rounds.starts
+        yield f"{INCOMPLETE}: {count} starts, {coverage.chance}; use --starts {min(4 * count, SynthesisTask.most_starts)}"
 
 
 def _method(collection: DesignCollection) -> str:
@@ -185,42 +223,85 @@ def _compared(problem: ProblemFile, search: Search, one: Callable[[ProblemFile, 
 
 
 class SearchRounds:
-    """Rounds of starts, each followed by refinement, until the stopping criterion holds."""
+    """Starts of all sources that a problem has, each followed by refinement, until the stopping criterion holds."""
 
     def __init__(self, problem: ProblemFile, options: Search) -> None:
-        files = problem.variants()
-        self.searcher = Searcher([path_model(file).parts[0] for file in files], options.seed)
-        self.collection = DesignCollection(Polisher(files, options.backend, len(options.names) > 1), options.designs)
+        self.files = possible_modes(problem)
+        self.collection = DesignCollection(Polisher(self.files, options.backend, len(options.names) > 1), options.designs)
         self.problem, self.options, self.interrupted = problem, options, False
-        self.task = path_model(problem)
+        self.task = self.files[0].spec
         self.compound = has_several_dyads(self.task)
+        self.exploration = Exploration()
+        self.given = 0  # starts that are not random
+        self.first_step: FirstStep | None = None
         self.notes: list[str] = []
         self.better: LinkageDesign | None = None  # the best four-bar, if no linkage that repeats its curve satisfies all limits
 
+    @cached_property
+    def searcher(self) -> Searcher:
+        """The rounds of random starts, built when the first one is needed."""
+        searcher = Searcher([file.spec.parts[0] for file in self.files], self.options.seed)
+        searcher.exploration = self.exploration
+        return searcher
+
+    @property
+    def starts(self) -> int:
+        """Number of starts so far."""
+        return self.given + self.exploration.starts
+
+    @property
+    def directions(self) -> tuple[int, ...]:
+        """Directions of the crank that free timing permits; +1 where the timing is prescribed."""
+        if self.task.data.offsets is not None:
+            return (1,)
+        return {"counter-clockwise": (1,), "clockwise": (-1,)}.get(self.task.rotation or "", (1, -1))
+
     def run(self) -> None:
         """Search until the number of starts is complete; without one, until a better design is unlikely."""
-        exploration, exact = self.searcher.exploration, -1
-        starts, progress = self.options.starts, self.options.progress
+        exact, starts, progress = -1, self.options.starts, self.options.progress
         try:
-            while exploration.starts < starts if starts else not self._enough(exact):
+            self._given()
+            while self.starts < starts if starts else not self._enough(exact):
                 self._share()
                 exact = self.collection.exact
                 self.searcher.advance(self._ahead(exact))
                 self._share()
-                self.collection.add(exploration)
-                if exploration.rounds == 1 and self.compound and not self.collection.exact:
+                self.collection.add(self.exploration)
+                if self.exploration.rounds == 1 and self.compound and not self.collection.exact:
                     self._grow()
                 if progress:
-                    progress(min(exploration.starts / starts if starts else exploration.rounds / self._most, 1.0))
+                    progress(min(self.starts / starts if starts else self.exploration.rounds / self._most, 1.0))
         except KeyboardInterrupt:
             interrupts.handled()
             if not self.collection.designs:
                 raise
             self.interrupted = True
 
+    def _given(self) -> None:
+        """Refine the starts that are not random: `begin` alone, or convex first designs and the start of the file."""
+        begin, polisher = self.options.begin, self.collection.polisher
+        for variant, file in enumerate(self.files):
+            task = file.spec
+            starts: list[tuple[Mapping[str, float], bool]] = [({} if begin is None else begin, False)]
+            if begin is None and has_first_steps(task):
+                from optlink.synthesis import function_starts
+
+                steps = function_starts.steps(task)
+                self.first_step = min(filter(None, (self.first_step, *steps[:1])), key=lambda step: step.error, default=None)
+                starts = [*((function_starts.values(task, step), True) for step in steps), *starts]
+            for values, close in starts:
+                full, first = task.design(values), task.parts[0]
+                angles = passing(first, first.own(full)) if first.data.offsets is None else None
+                if angles is None or np.all(np.isfinite(deviations(first, first.own(full), angles).distances)):
+                    track = self.options.track and not self.given
+                    self.collection.take(polisher.from_values(variant, full, angles, close=close, track=track))
+                    self.given += 1
+                if self._met:
+                    return
+
     def _share(self) -> None:
         """Let several processes share the search from where it is long enough to pay for their start."""
-        exploration, polisher = self.searcher.exploration, self.collection.polisher
+        exploration, polisher = self.exploration, self.collection.polisher
         if self.compound and len(self.task.free) >= SLOW_VARIABLES:  # a long search, unless a design is exact
             long = exploration.rounds > 0 and not any(candidate.cost <= PERFECT for candidate in exploration.candidates[:1])
         else:
@@ -230,12 +311,12 @@ class SearchRounds:
 
     def _ahead(self, exact: int) -> int:
         """Return the number of rounds to compute together."""
-        exploration, starts = self.searcher.exploration, self.options.starts
+        exploration, starts = self.exploration, self.options.starts
         if exploration.rounds == 0 or exact:
             return 1
         if self.searcher.runs is None:
             return BATCH_ROUNDS
-        left = math.ceil((starts - exploration.starts) / PER_ROUND) if starts else self._most - exploration.rounds
+        left = math.ceil((starts - self.starts) / PER_ROUND) if starts else self._most - exploration.rounds
         return max(1, min(left, SHARED_BATCH_ROUNDS))
 
     def explained(self, *, exactly: bool = False) -> Explanation | None:
@@ -246,22 +327,22 @@ class SearchRounds:
         solution, limits that are missed by less count as conflicting (`exactly`).
         """
         polisher, near, seed = self.collection.polisher, self.collection.nearest, self.options.seed
-        senses = {"counter-clockwise": (1,), "clockwise": (-1,)}.get(self.task.rotation, (1, -1))
-        keys = [(k, sense) for sense in (senses if self.task.data.offsets is None else (1,)) for k in range(len(polisher.files))]
+        keys = [(k, direction) for direction in self.directions for k in range(len(self.files))]
         nearest = None if near is None or near.solution is None else near.solution
-        if nearest is not None:
-            keys.sort(key=lambda key: polisher.programmes.get(key) is not nearest.nlp)
+        own = None if near is None else polisher.key_of(near)
+        keys.sort(key=lambda key: key != own)
         reason: Explanation | None = None
         possible = False
         for k, sense in keys:
             nlp = polisher.programme(k, sense)
             nlp.spread_exchange_points()
             kept = replace(nlp, states=nlp.states | {"requirement.points"})
-            points = [nearest.x, nlp.x_start] if nearest is not None and nearest.nlp is nlp else None
+            points = [nearest.x, nlp.x_start] if nearest is not None and (k, sense) == own else None
             known = reason is not None or possible
             outcome = feasible_point(kept, seed, exactly=exactly) if known else explain(kept, seed, points, exactly=exactly)
             if isinstance(outcome, Explanation):
                 reason = outcome
+                self.collection.take(validated_design(self.files[k], multistart.infeasible_at(nlp, outcome.x, NEAREST)))
             elif outcome is not None:
                 possible = True
                 near_it = polisher.from_feasible(k, nlp, outcome)
@@ -293,21 +374,46 @@ class SearchRounds:
 
     @property
     def _most(self) -> int:
-        """Largest number of rounds, if no number of starts is prescribed."""
+        """Largest number of rounds, if no number of starts is prescribed; none for a law that is certified instead."""
+        if self.options.begin is not None or certified_by_default(self.task):
+            return 0
         if self.compound and not self.collection.exact:
             return COMPOUND_ROUNDS
         if not self.collection.designs:
             return MAX_FAILED_ROUNDS
         return MAX_ROUNDS_POOR_FIT if self.collection.poor_fit else MAX_ROUNDS
 
+    @property
+    def _met(self) -> bool:
+        """Whether a law is met, so that no start leads to a better design, and others are not asked for."""
+        options = self.options
+        return bool(self.collection.exact) and self.task.law_given and not options.asked and options.starts is None
+
     def _enough(self, exact: int) -> bool:
         """Return whether to stop; `exact` is the number of exact designs before the latest round."""
-        rounds, collection = self.searcher.exploration.rounds, self.collection
+        rounds, collection = self.exploration.rounds, self.collection
+        if rounds >= self._most or self._met:
+            return True
         if collection.exact:
             often = collection.evidence().hits >= STARTS_PER_EXACT * collection.exact
-            return collection.exact >= self.options.designs or collection.exact == exact or often or rounds >= self._most
-        if rounds < MIN_ROUNDS:
+            return collection.exact >= self.options.designs or collection.exact == exact or often
+        if rounds < (MIN_ROUNDS_OF_LAW if self.task.has_error else MIN_ROUNDS):
             return False
-        if not collection.designs and collection.beyond_tolerances(self.searcher.exploration.candidates) <= MISSED_CHANCE:
+        if not collection.designs and collection.beyond_tolerances(self.exploration.candidates) <= MISSED_CHANCE:
             return True
-        return rounds >= self._most or collection.evidence().missed <= MISSED_CHANCE * collection.in_order
+        return collection.evidence().missed <= MISSED_CHANCE * collection.in_order
+
+
+def has_first_steps(task: DesignProblem) -> bool:
+    """Return whether a problem has convex first designs: a function of a four-bar."""
+    if not task.has_error:
+        return False
+    from optlink.synthesis import function_starts
+
+    return function_starts.fittable(task)
+
+
+def certified_by_default(task: DesignProblem) -> bool:
+    """Return whether the optimum is certified instead of searched: that of a motion law of few design variables."""
+    few = 0 < len(task.free) <= MAX_CERTIFIED_VARIABLES
+    return few and task.has_error and task.robust is None and not isinstance(task.requirement.law, Function)

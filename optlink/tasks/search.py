@@ -1,4 +1,4 @@
-"""Refine the candidates of each search round with all limits, and collect distinct valid designs."""
+"""Refine starting points of any source with all limits, and collect distinct valid designs."""
 
 import itertools
 import math
@@ -17,17 +17,19 @@ from optlink.optimization.programme import angle_name, build, path_variable, sol
 from optlink.problem.design import DesignProblem
 from optlink.problem.file import ProblemFile
 from optlink.solvers import multistart
-from optlink.solvers.contract import BACKENDS, FOUND, MINIMAX
+from optlink.solvers.contract import BACKENDS, CLOSE, FOUND, MINIMAX
 from optlink.solvers.exchange import best_slow_stroke, solve_semi_infinite
 from optlink.solvers.solution import Solution
 from optlink.synthesis.batch import Batch
 from optlink.synthesis.batch_search import Candidate, Exploration, acceptable
 from optlink.synthesis.growth import ContainedFourBar, grow_from_four_bar
 from optlink.synthesis.levenberg_marquardt import minimise
+from optlink.tasks.modes import mode_of
 from optlink.tasks.results.common import (
     BETTER,
     OPTIMALITY_CHECK,
     ROUNDED,
+    Optimum,
     RejectedDesign,
     best_rejected,
     inexact,
@@ -35,7 +37,7 @@ from optlink.tasks.results.common import (
 )
 from optlink.tasks.results.design import LinkageDesign
 from optlink.tasks.results.evidence import Evidence, evidence, tally
-from optlink.validation import validate as validate_path
+from optlink.validation import validate
 from optlink.validation.timing import passing
 
 TRIES = 6  # candidates refined in the first round per requested design, while too few are valid
@@ -51,12 +53,6 @@ MOST_IN_ORDER = 0.5  # share of starts that end in order from which the order do
 OBJECTIVE_TOLERANCE = 1e-6  # relative difference of equal objectives
 SAME_COST = 1e-4  # relative difference of equal costs of candidates
 ROUNDING = 1e-9  # relative difference of equal errors of one coupler curve
-
-
-def path_model(file: ProblemFile) -> DesignProblem:
-    """Return the model of a path or motion problem."""
-    assert isinstance(file.model, DesignProblem)
-    return file.model
 
 
 def has_several_dyads(task: DesignProblem) -> bool:
@@ -88,8 +84,10 @@ class Polisher:
 
     def __init__(self, files: list[ProblemFile], backend: str, alone: bool = False) -> None:
         self.files, self.backend, self.alone = files, backend, alone
-        self.task = path_model(files[0])
-        self.method = MINIMAX if self.task.measure == "max" and not (alone or self.task.composed) else backend
+        self.task = files[0].spec
+        self.method = (
+            MINIMAX if self.task.measure == "max" and not (alone or self.task.composed or self.task.law_given) else backend
+        )
         self.programmes: dict[tuple[int, int], NLP] = {}
         self.runs: Runs | None = None
 
@@ -100,28 +98,68 @@ class Polisher:
         """
         key = (variant, direction if self.task.data.offsets is None else 1)
         if key not in self.programmes:
-            self.programmes[key] = build(path_model(self.files[variant]), key[1], near=near)
+            self.programmes[key] = build(self.files[variant].spec, key[1], near=near)
         return self.programmes[key]
+
+    def key_of(self, design: LinkageDesign) -> tuple[int, int]:
+        """Return the key of the programme of a design."""
+        angles = design.crank_angles
+        free = self.task.data.offsets is None
+        variant = next(k for k, file in enumerate(self.files) if file is design.problem)
+        return variant, -1 if free and angles[-1] < angles[0] else 1
 
     def polish(self, candidate: Candidate, *, near: bool = False) -> LinkageDesign:
         """Return the nearest local optimum with all limits, validated; `near`: the candidate meets its limits everywhere."""
-        file, start = self.files[candidate.variant], self._scaled_point(candidate)
-        task, minimax = path_model(file), self.method == MINIMAX
+        return self._polished(candidate.variant, self._scaled_point(candidate), near=near)
+
+    def from_values(
+        self, variant: int, values: Mapping[str, float], angles: Array | None, *, close: bool = False, track: bool = False
+    ) -> LinkageDesign:
+        """Return the local optimum near quantities [SI] and, with free timing, crank angles [rad], validated.
+
+        `close`: they are nearly optimal; `track`: keep the iterates of the search.
+        """
+        full = self.files[variant].spec.design(values)
+        nlp, x = self._point(variant, full, angles, 1 if angles is None or angles[-1] >= angles[0] else -1)
+        nlp.spread_exchange_points()
+        solution = multistart.solve_from(nlp, x, CLOSE if close and self.backend == "ipopt" else self.backend, track=track)
+        design = self._polished(variant, solution)
+        if design.solution is None or solution.path is None:
+            return design
+        return replace(design, solution=replace(design.solution, path=solution.path, iterations=solution.iterations))
+
+    def _point(self, variant: int, values: Mapping[str, float], angles: Array | None, direction: int) -> tuple[NLP, Array]:
+        """Return the programme, and its x for all quantities [SI] and the crank angles [rad] of the first requirement, if free.
+
+        Those of other requirements are the angles at which the linkage passes them best.
+        """
+        task = self.files[variant].spec
+        named = dict(values)
+        for part in task.parts:
+            if part.data.offsets is None:
+                there = angles if part is task.parts[0] and angles is not None else passing(part, part.own(values))
+                named |= {angle_name(k, part.suffix): float(angle) for k, angle in enumerate(there)}
+        nlp = self.programme(variant, direction, values if task.goals or task.bounds else None)
+        return nlp, nlp.x_of(named)
+
+    def _polished(self, variant: int, start: Solution, *, near: bool = False) -> LinkageDesign:
+        file = self.files[variant]
+        task, minimax = file.spec, self.method == MINIMAX
         solution = solve_semi_infinite(task, start, self.method, near=near)
         if minimax and solution.status is not Status.OPTIMAL:
             solution = multistart.best([solution, solve_semi_infinite(task, start, self.backend, near=near)])
-        begun = multistart.solution_at(start.nlp, start.x, start.message).objective  # with the exchange points of the solution
-        if minimax and start.usable and solution.objective > begun * (1.0 + 1e-9):
-            solution = replace(solution, status=Status.STALLED)  # an optimum, but not that near the start
-        solution = best_slow_stroke(task, solution, self.method)
-        return validated_design(file, solution)
+        if minimax and start.usable:
+            begun = multistart.solution_at(start.nlp, start.x, start.message)  # with the exchange points of the solution
+            if solution.objective > begun.objective * (1.0 + 1e-9):
+                solution = replace(solution, status=Status.STALLED)  # an optimum, but not that near the start
+        return validated_design(file, best_slow_stroke(task, solution, self.method))
 
     def refined(self, design: LinkageDesign) -> LinkageDesign:
         """Return a design that fails only by inexact figures, refined by another back end and validated again."""
         solution = design.solution
         assert solution is not None
         backend = next(name for name in BACKENDS if name != self.backend)
-        again = validated_design(design.problem, solve_semi_infinite(path_model(design.problem), solution, backend, near=True))
+        again = validated_design(design.problem, solve_semi_infinite(design.task, solution, backend, near=True))
         return min(design, again, key=lambda one: (not one.valid, one.objective))
 
     def relaxed(self, design: LinkageDesign) -> Callable[[ProblemFile], float]:
@@ -130,9 +168,9 @@ class Polisher:
         def objective(other: ProblemFile) -> float:
             solution, angles = design.solution, design.crank_angles
             assert solution is not None
-            nlp = build(path_model(other), 1 if angles[-1] >= angles[0] else -1)
+            nlp = build(other.spec, 1 if angles[-1] >= angles[0] else -1)
             start = multistart.solution_at(nlp, solution.x, solution.message)
-            return solve_semi_infinite(path_model(other), start, self.method, near=True).objective
+            return solve_semi_infinite(other.spec, start, self.method, near=True).objective
 
         return objective
 
@@ -155,23 +193,18 @@ class Polisher:
     def from_feasible(self, variant: int, nlp: NLP, x: Array) -> Iterator[LinkageDesign]:
         """Yield the local optimum near a point that meets all limits at the positions of its NLP, then the point itself."""
         file, start = self.files[variant], multistart.solution_at(nlp, nlp.lifted(x), "found by the analysis of limits")
-        yield validated_design(file, solve_semi_infinite(path_model(file), start, self.backend))
+        yield validated_design(file, solve_semi_infinite(file.spec, start, self.backend))
         yield feasible(validated_design(file, start))
 
     def _scaled_point(self, candidate: Candidate) -> Solution:
         """Return a candidate, a design for the first requirement, as a point of its NLP."""
-        task = path_model(self.files[candidate.variant])
+        task = self.files[candidate.variant].spec
         first = task.parts[0]
         named = zip(first.free, candidate.x.tolist(), strict=True)
         own = {name: path_variable(first, name).value(value) for name, value in named}
-        values = task.complete({name if name in task.quantities else f"{first.prefix}{name}": own[name] for name in own})
-        angles: dict[str, float] = {}
-        for part in task.parts:
-            if part.data.offsets is None:
-                there = candidate.t if part is first else passing(part, part.own(values))
-                angles |= {angle_name(k, part.suffix): float(angle) for k, angle in enumerate(there)}
-        nlp = self.programme(candidate.variant, candidate.direction, values)
-        return multistart.solution_at(nlp, nlp.x_of({**values, **angles}), FOUND)
+        values = task.design({name if name in task.quantities else f"{first.prefix}{name}": own[name] for name in own})
+        nlp, x = self._point(candidate.variant, values, candidate.t, candidate.direction)
+        return multistart.solution_at(nlp, x, FOUND)
 
 
 def feasible(design: LinkageDesign) -> LinkageDesign:
@@ -183,9 +216,12 @@ def feasible(design: LinkageDesign) -> LinkageDesign:
 
 def validated_design(file: ProblemFile, solution: Solution) -> LinkageDesign:
     """Return a solution of the NLP as a validated design."""
-    task = path_model(file)
-    values, angles = solved_values(task, solution.design, solution.x)
-    checked = with_optimality(validate_path(task, values, angles, solution.objective), solution)
+    values, angles = solved_values(file.spec, solution.design, solution.x)
+    checked = with_optimality(validate(file.spec, values, angles, solution.objective), solution)
+    if solution.nlp.exchange_count:  # a programme with the positions of this solution
+        nlp = solution.nlp.copy()
+        nlp.p[1:] = solution.p[1:]
+        solution = replace(solution, source=nlp)
     return LinkageDesign(file, values, angles, solution.objective, solution.status, checked, solution)
 
 
@@ -201,6 +237,7 @@ class DesignCollection:
         self.designs: list[LinkageDesign] = []
         self.nearest: LinkageDesign | None = None
         self._ends: dict[Candidate, LinkageDesign] = {}
+        self._given: list[LinkageDesign] = []  # ends of starts that are not random
         self._compound = has_several_dyads(self.task)
         self._tries = COMPOUND_TRIES if self._compound else PER_ROUND
         self._failures = (COMPOUND_TRIES, 1) if self._compound else (TRIES * requested, REORDERED)
@@ -272,15 +309,23 @@ class DesignCollection:
             candidate, costly = left[0], costly - (left[0].cost > self._largest_cost())
             design = self._ends[candidate] = next(designs, None) or self.polisher.polish(candidate)
             del left[0]
-            if not design.valid and self._better(design) and inexact(design.status, design.validation):
-                design = self._ends[candidate] = self.polisher.refined(design)
-            if design.valid:
-                self.insert(design)
-            else:
-                failures -= 1
-                self.nearest = min(
-                    filter(None, (self.nearest, design)), key=lambda one: (len(one.validation.failures), one.objective)
-                )
+            design = self._ends[candidate] = self._taken(design)
+            failures -= not design.valid
+
+    def take(self, design: LinkageDesign) -> None:
+        """Take the end of a start that is not random."""
+        self._given.append(self._taken(design))
+
+    def _taken(self, design: LinkageDesign) -> LinkageDesign:
+        """Insert a design, or note it as the nearest one; return it, refined where only figures were inexact."""
+        if not design.valid and self._better(design) and inexact(design.status, design.validation):
+            design = self.polisher.refined(design)
+        if design.valid:
+            self.insert(design)
+        else:
+            nearest = filter(None, (self.nearest, design))
+            self.nearest = min(nearest, key=lambda one: (len(one.validation.failures), one.objective))
+        return design
 
     def _better(self, design: LinkageDesign) -> bool:
         """Return whether a design has a lower objective than the best valid one."""
@@ -295,7 +340,7 @@ class DesignCollection:
         """The best optimum that is better than the best valid design but fails a check."""
         if not self.designs or self.exact:
             return None
-        failing = filter(self._fails, self._ends.values())
+        failing = filter(self._fails, (*self._given, *self._ends.values()))
         rejected = (RejectedDesign(d.problem, d.values, d.objective, d.validation.failures) for d in failing)
         return best_rejected(rejected, self.designs[0].objective)
 
@@ -348,7 +393,7 @@ class DesignCollection:
         level = 0.0 if best.exact else best.error
         errors = [(0.0 if best.exact and error <= best.level else error, count) for error, count in ends]
         if errors[0][0] > level * (1.0 + OBJECTIVE_TOLERANCE):
-            errors.insert(0, (level, 1))  # no random start reached the best design: it was derived from a four-bar
+            errors.insert(0, (level, 1))  # no random start reached the best design
         near = (one for one in errors if one[0] <= COUNTED_RATIO * level)
         failing = sorted(((d.error, c.count) for c, d in self._ends.items() if self._fails(d)), key=lambda end: end[0])
         found_evidence = evidence(
@@ -359,6 +404,14 @@ class DesignCollection:
             ]
         )
         return replace(found_evidence, missed=0.0) if best.exact else found_evidence  # no design is better than an exact one
+
+    def optima(self) -> tuple[Optimum, ...]:
+        """Return the distinct values of the valid ends, best first, with the number of starts that reached each."""
+        ends = [(design, 1) for design in self._given if design.valid]
+        ends += [(design, candidate.count) for candidate, design in self._ends.items() if design.valid]
+        ends.sort(key=lambda end: end[0].error)
+        distinct = tally(ends, lambda known, design: design.error <= known.error * (1.0 + OBJECTIVE_TOLERANCE))
+        return tuple(Optimum(one.values, one.objective, count, mode_of(one.problem)) for one, count in distinct)
 
     def beyond_tolerances(self, candidates: list[Candidate]) -> float:
         """Return the estimated chance that a candidate within the tolerances was missed; 1 if one of all, cheapest first, is."""
@@ -416,7 +469,7 @@ def designs_from_four_bar(
     begun: list[Candidate] = []
     ended: list[Candidate] = []
     for variant, file in enumerate(files):
-        batch = Batch(path_model(file))
+        batch = Batch(file.spec)
         grown = [
             grow_from_four_bar(
                 replace(part, file=part_design.problem), batch, part_design.values, part_design.crank_angles, STARTS, rng
