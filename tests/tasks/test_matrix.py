@@ -124,8 +124,10 @@ SAME = ("law", "largest law error", "transmission")
 def problem(row: str, changes: dict[str, Any] | None = None) -> optlink.ProblemFile:
     """The problem of a row, with tolerances of its free lengths."""
     raw = {"title": row, **ROWS[row]}
-    lengths = ("coupler", "rocker") if "links" not in raw["mechanism"] else tuple(
-        f"{name}.length" for name, link in raw["mechanism"]["links"].items() if isinstance(link.get("length"), dict)
+    lengths = (
+        ("coupler", "rocker")
+        if "links" not in raw["mechanism"]
+        else tuple(f"{name}.length" for name, link in raw["mechanism"]["links"].items() if isinstance(link.get("length"), dict))
     )
     read = optlink.read({**raw, "tolerances": dict.fromkeys(lengths, "0.1 mm")})
     return read if changes is None else read.override(changes)
@@ -140,7 +142,11 @@ def solved(row: str) -> Any:
 def free_name(row: str) -> str:
     """The first free length of a row, as a key of the file."""
     mechanism = ROWS[row]["mechanism"]
-    return "mechanism.coupler" if "links" not in mechanism else f"mechanism.links.{'rod' if 'guides' in mechanism else 'coupler'}.length"
+    return (
+        "mechanism.coupler"
+        if "links" not in mechanism
+        else f"mechanism.links.{'rod' if 'guides' in mechanism else 'coupler'}.length"
+    )
 
 
 def _back_ends(row: str, folder: Path) -> None:
@@ -191,9 +197,11 @@ def _pareto(row: str, folder: Path) -> None:
     own, other = ("error", "limits.transmission_angle.min")
     if row.startswith("transmission"):
         other = "limits.total.max"
-    changes = {"limits.transmission_angle": ["20 deg", "160 deg"]} if other.endswith("min") else {
-        "limits.total": {"quantity": "total length", "max": "700 mm"}
-    }
+    changes = (
+        {"limits.transmission_angle": ["20 deg", "160 deg"]}
+        if other.endswith("min")
+        else {"limits.total": {"quantity": "total length", "max": "700 mm"}}
+    )
     front = pareto(problem(row, changes), f"{own}, {other}", folder / "front", points=3)
     assert front.to_dict()
 
@@ -217,8 +225,8 @@ def _validate(row: str, folder: Path) -> None:
 
 
 def _report(row: str, folder: Path) -> None:
-    from optlink.report.report_model import report_model
     from optlink.report.html.page import page
+    from optlink.report.report_model import report_model
 
     text = page(report_model(problem(row), outcome=solved(row)))
     assert row in text
