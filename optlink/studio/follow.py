@@ -29,7 +29,6 @@ from optlink.solvers.semi_infinite import EXACTLY, exchange, peaks
 from optlink.solvers.solution import Solution, stationarity
 from optlink.studies.continuation import follow_optimum
 from optlink.studies.cycle_task import CycleProgramme, with_bounds, with_starting_values
-from optlink.studies.reoptimise_task import ParametricProgramme
 from optlink.tasks.results.cycle import task_of
 from optlink.units import factor
 
@@ -45,29 +44,8 @@ class Follower(Protocol):
         ...
 
 
-class FunctionFollower:
-    """Follower of motion laws and functions of a four-bar."""
-
-    def __init__(self, problem: ProblemFile) -> None:
-        self.programme = ParametricProgramme(problem, movable=True)
-        multistart.prepare(self.programme.nlp, BACKEND)
-
-    def follow(self, problem: ProblemFile, near: Solution | None) -> Solution:
-        """Return the optimum of a problem near the last one."""
-        task, programme = problem.spec, self.programme
-        nlp = programme.nlp
-        programme.bind(task)
-        if not task.everywhere:
-            if near is None or near.nlp is nlp:
-                return programme.solve(near, BACKEND)[0]
-            return multistart.solve_from(nlp, start_of(nlp, near), BACKEND)
-        nlp.spread_exchange_points()
-        solution = multistart.solve_from(nlp, start_of(nlp, near), BACKEND)
-        return solve_semi_infinite(task, solution, BACKEND) if solution.usable else solution
-
-
-class PathFollower:
-    """Follower of paths, motions, laws and transmission of any linkage; its programme has the targets as parameters.
+class TargetsFollower:
+    """Follower of laws, paths, motions and transmission of any linkage; its programme has the targets as parameters.
 
     `direction` is the sense of crank rotation from point to point, +1 or -1.
     """
@@ -91,7 +69,7 @@ class PathFollower:
             solution = follow_optimum(nlp, near)
             if solution is not None:
                 return solution
-        backend = MINIMAX if task.measure == "max" else BACKEND
+        backend = MINIMAX if task.measure == "max" and not (task.law_given or task.composed) else BACKEND
         if nlp.exchange_count:
             start = multistart.solution_at(nlp, x, "the last optimum")
             return solve_semi_infinite(task, start, backend, near=start.usable)

@@ -1,6 +1,5 @@
 """Properties of each kind of problem in the studio: one entry of `KINDS` per kind."""
 
-import math
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
 
@@ -8,17 +7,15 @@ import numpy as np
 
 from optlink.io import Registry
 from optlink.linkage.vector2d import Array
-from optlink.optimization.objectives import MEASURES
 from optlink.optimization.output_derivatives import error_at
 from optlink.optimization.programme import solved_values
 from optlink.problem.file import WORDS as PROSE, ProblemFile
 from optlink.problem.limits import MARGINS
 from optlink.problem.machine.model import ShownObjective
 from optlink.problem.quantity import Quantity
-from optlink.problem.targets.expression import Expression
 from optlink.problem.targets.function import Function
 from optlink.solvers.solution import Solution
-from optlink.studio.follow import CycleFollower, Follower, FunctionFollower, PathFollower
+from optlink.studio.follow import CycleFollower, Follower, TargetsFollower
 from optlink.units import DISPLAYED
 from optlink.validation.design import deviations
 
@@ -94,67 +91,51 @@ class _Searched(Kind):
         return solve(problem, progress=progress) if problem.model.free else validate(problem, {})
 
 
-class _FunctionSynthesis(_Searched):
-    def name(self, model: Any) -> str:
-        return "function" if isinstance(model.requirement.law, Function) else "law"
+class _Synthesis(_Searched):
+    """A requirement on the motion of a linkage."""
 
-    def values(self, model: Any, solution: Solution) -> tuple[dict[str, float], Array | None]:
-        return model.design(solution.design), None
-
-    def objective(self, model: Any, value: float) -> ShownObjective:
-        measure = model.requirement.measure
-        words = {"max": "largest error", "rms": "root mean square error"}.get(measure, "sum of squared errors")
-        unit = MEASURES[measure].unit
-        factor, unit = (math.degrees(1.0), "deg") if unit == "rad" else (1.0, unit.replace("^2", "²"))
-        return ShownObjective(factor * value, factor, unit, words)
-
-    def error_curves(self, model: Any, values: Mapping[str, float], start: float, angles: Array | None) -> Iterator[ErrorCurve]:
-        offsets = model.span * np.linspace(0.0, 1.0, CURVE_POSITIONS + 1)
-        with np.errstate(all="ignore"):
-            error = np.degrees(error_at(model, values, offsets))
-        yield ErrorCurve("Output error", start + offsets, "target minus generated", "deg", error)
-
-    def follower(self, problem: ProblemFile, values: Mapping[str, float], direction: int) -> Follower | None:
-        return FunctionFollower(problem)
-
-    def fixed_parts(self, model: Any, requirement: Mapping[str, Any]) -> list[Any]:
-        task = model.requirement
-        moving = {"span": isinstance(task.law, Expression)}
-        moving |= {**dict.fromkeys(("from", "start"), isinstance(task.start, Quantity)), "psi0": isinstance(task.psi0, Quantity)}
-        return [{key: value for key, value in requirement.items() if not moving.get(key)}, model.sense]
-
-
-class _PathSynthesis(_Searched):
     def name(self, model: Any) -> str:
         kind = str(model.requirement.kind)
-        return "law" if kind == "function" and not isinstance(model.requirement.law, Function) else kind
+        return "law" if model.law_given and not isinstance(model.requirement.law, Function) else kind
 
     def values(self, model: Any, solution: Solution) -> tuple[dict[str, float], Array | None]:
         return solved_values(model, solution.design, solution.x)
 
     def objective(self, model: Any, value: float) -> ShownObjective:
         shown = model.shown_objective(value)
-        if model.by_angle:
+        if model.by_angle or model.composed:
             return shown  # type: ignore[no-any-return]
-        words = {"max": "largest deviation", "rms": "root mean square deviation"}.get(model.measure, "sum of squared deviations")
+        what = "error" if model.law_given else "deviation"
+        words = {"max": f"largest {what}", "rms": f"root mean square {what}"}.get(model.measure, f"sum of squared {what}s")
         words += " of the cosines" * (model.requirement.kind == "transmission")
         return shown._replace(unit=shown.unit.replace("^2", "²"), name=words)  # type: ignore[no-any-return]
 
     def error_curves(self, model: Any, values: Mapping[str, float], start: float, angles: Array | None) -> Iterator[ErrorCurve]:
-        if model.requirement.kind != "transmission" and angles is not None:
-            factor, unit = DISPLAYED[model.unit]
-            distances = deviations(model, values, angles).distances
-            yield ErrorCurve("Deviation at the points", angles, "deviation", unit, factor * distances)
+        part = model.parts[0]
+        factor, unit = DISPLAYED[part.unit]
+        if part.law_given:
+            offsets = part.span * np.linspace(0.0, 1.0, CURVE_POSITIONS + 1)
+            with np.errstate(all="ignore"):
+                error = factor * error_at(part, part.own(values), offsets)
+            yield ErrorCurve("Output error", start + offsets, "target minus generated", unit, error)
+        elif part.requirement.kind != "transmission" and angles is not None:
+            own = angles[: len(part.data.columns)]
+            distances = deviations(part, part.own(values), own).distances
+            yield ErrorCurve("Deviation at the points", own, "deviation", unit, factor * distances)
 
     def follower(self, problem: ProblemFile, values: Mapping[str, float], direction: int) -> Follower | None:
-        return PathFollower(problem, direction)
+        return TargetsFollower(problem, direction)
 
     def fixed_parts(self, model: Any, requirement: Mapping[str, Any]) -> list[Any]:
-        data = model.data
-        places = data.columns.shape if model.pointed else data.columns.tolist()
-        timing = None if data.offsets is None else data.offsets.tolist()
-        rest = {key: value for key, value in requirement.items() if key != "points"}
-        return [rest, places, timing, data.roots.tolist(), data.tolerances.tolist()]
+        task, data = model.requirement, model.data
+        if model.composed or not model.law_given:
+            places = data.columns.shape if model.pointed and not model.composed else data.columns.tolist()
+            timing = None if data.offsets is None else data.offsets.tolist()
+            rest = {key: value for key, value in requirement.items() if key != "points"}
+            return [rest, places, timing, data.roots.tolist(), data.tolerances.tolist()]
+        moving = {"span": model.movable_span, "zero": isinstance(task.zero, Quantity)}
+        moving |= {**dict.fromkeys(("from", "start"), isinstance(task.start, Quantity)), "psi0": isinstance(task.psi0, Quantity)}
+        return [{key: value for key, value in requirement.items() if not moving.get(key)}, model.sense]
 
 
 class _CycleOptimisation(_Searched):
@@ -175,7 +156,7 @@ class _CycleOptimisation(_Searched):
 
 
 KINDS: Registry[Kind] = Registry()
-KINDS |= {"function": _FunctionSynthesis(), "path": _PathSynthesis(), "cycle": _CycleOptimisation(), "balance": _Balancing()}
+KINDS |= {"function": _Synthesis(), "path": _Synthesis(), "cycle": _CycleOptimisation(), "balance": _Balancing()}
 """Kinds by the name of the task; all others are analysed."""
 
 

@@ -56,6 +56,7 @@ SHARED_BATCH_ROUNDS = 4  # the same for several processes
 SLOW_VARIABLES = 12  # design variables of a linkage of several dyads from which on its refinements take seconds
 SHARED_FROM_ROUND = 6  # round from which on several processes share a search of four-bars, of which most are at an end by then
 COMPOUND_ROUNDS = 3  # largest number for a linkage of several dyads, whose starts and limits take longer
+COMPOSED_ROUNDS = 6  # largest number of a problem with several demands, each of whose candidates is refined
 PART_STARTS = 400  # of the four-bar that a linkage contains
 NO_FOUR_BAR = "no four-bar within this linkage carries {}: the search had random starts only, no starts from four-bar designs"
 FOUR_BAR_BETTER = (
@@ -271,6 +272,8 @@ class SearchRounds:
                     self._grow()
                 if progress:
                     progress(min(self.starts / starts if starts else self.exploration.rounds / self._most, 1.0))
+            if progress:
+                progress(1.0)
         except KeyboardInterrupt:
             interrupts.handled()
             if not self.collection.designs:
@@ -336,7 +339,7 @@ class SearchRounds:
         for k, sense in keys:
             nlp = polisher.programme(k, sense)
             nlp.spread_exchange_points()
-            kept = replace(nlp, states=nlp.states | {"requirement.points"})
+            kept = replace(nlp, states=nlp.states | {f"{part.key}.points" for part in self.task.parts})
             points = [nearest.x, nlp.x_start] if nearest is not None and (k, sense) == own else None
             known = reason is not None or possible
             outcome = feasible_point(kept, seed, exactly=exactly) if known else explain(kept, seed, points, exactly=exactly)
@@ -379,6 +382,8 @@ class SearchRounds:
             return 0
         if self.compound and not self.collection.exact:
             return COMPOUND_ROUNDS
+        if self.task.composed and self.collection.designs:
+            return COMPOSED_ROUNDS
         if not self.collection.designs:
             return MAX_FAILED_ROUNDS
         return MAX_ROUNDS_POOR_FIT if self.collection.poor_fit else MAX_ROUNDS

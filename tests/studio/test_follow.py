@@ -7,7 +7,7 @@ import pytest
 import optlink
 from optlink.errors import Status
 from optlink.solvers import multistart
-from optlink.studio.follow import PathFollower
+from optlink.studio.follow import TargetsFollower
 
 
 @pytest.mark.slow
@@ -16,11 +16,11 @@ def test_a_path_follows_new_and_moved_limits() -> None:
     file = optlink.load("path-slider-egg").variants()[0]
     begun = optlink.solve(file, starts=60, designs=1, workers=1).best
     way = 1 if begun.crank_angles[-1] >= begun.crank_angles[0] else -1
-    follower = PathFollower(file, way)
+    follower = TargetsFollower(file, way)
     near = follower.follow(file, multistart.solution_at(follower.nlp, begun.solution.x, "begun"))
     for least in (50, 60, 52):
         changed = file.override({"limits.transmission_angle": [f"{least} deg", f"{180 - least} deg"]})
-        other = PathFollower(changed, way)
+        other = TargetsFollower(changed, way)
         expected = other.follow(changed, multistart.solution_at(other.nlp, near.x, "begun"))
         near = follower.follow(changed, near)
         assert near.status is expected.status is Status.OPTIMAL
