@@ -14,10 +14,9 @@ import numpy as np
 from optlink.linkage.mechanism import Pose
 from optlink.linkage.vector2d import TURN, Array, Value, unit
 from optlink.optimization.constraints import ConstraintRow, Scale, position_rows
-from optlink.optimization.cycle_constraints import SIGNS, scaled_limit
-from optlink.optimization.cycle_signals import TracedCycle
 from optlink.optimization.nlp import Variable
 from optlink.optimization.output_derivatives import ErrorResiduals
+from optlink.optimization.term_rows import SIGNS, scaled_limit
 from optlink.problem.cycle.terms import Term
 from optlink.problem.design import EPIGRAPH, DesignProblem
 from optlink.units import KINDS
@@ -126,6 +125,8 @@ class TermCourse:
     """
 
     def __init__(self, problem: DesignProblem, near: Mapping[str, float] | None) -> None:
+        from optlink.optimization.cycle_signals import TracedCycle
+
         self.problem, self.goals = problem, problem.goals
         self.trace = TracedCycle(problem)
         self.extremes = [goal for goal in self.goals if goal.extreme]

@@ -24,11 +24,11 @@ from optlink.optimization.courses import (
     exchange_count,
     limit_courses,
 )
-from optlink.optimization.cycle_constraints import heights_at, rows_below_level
 from optlink.optimization.mapped_terms import MappedTerms
 from optlink.optimization.nlp import NLP, Variable, boxed, scaled_variable
 from optlink.optimization.objectives import Figure, error_measures
 from optlink.optimization.output_derivatives import traced_residuals
+from optlink.optimization.term_rows import heights_at, rows_below_level
 from optlink.problem.design import EPIGRAPH, STEP, DesignProblem
 from optlink.problem.limits import Reach
 from optlink.problem.robust import EXPECTED, SMOOTHED

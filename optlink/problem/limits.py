@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Protocol
 
 import numpy as np
-from pydantic import ConfigDict, Field
+from pydantic import ConfigDict
 
 from optlink.io import Registry
 from optlink.linkage.dyad_types import transmitting
@@ -100,7 +100,7 @@ class Limits(Margins):
     """Limits of a design problem; further ones, on quantities of the machine, have names of the user's choice."""
 
     model_config = ConfigDict(extra="allow")
-    __pydantic_extra__: dict[Name, Limit] = Field(init=False)
+    __pydantic_extra__: dict[Name, Limit]
     crank: Literal["full rotation", "double-crank", "span"] = "full rotation"
     """Crank rotation: full (a four-bar is then a crank-rocker or a double-crank), or only over the span of the requirement."""
     transmission_angle: AnglesOfJoints | None = None

@@ -90,6 +90,7 @@ def quantity_key(problem: Any, name: str) -> str:
 
     Parameters
     ----------
+    problem : Problem
     name : str
         Name of the quantity.
     """

@@ -1,9 +1,11 @@
 """Exchange method for semi-infinite constraints: maxima over the cycle between the positions of the NLP."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi
 import numpy as np
@@ -12,14 +14,16 @@ from optlink.errors import Status
 from optlink.linkage.extrema import maxima
 from optlink.linkage.vector2d import TURN, Array
 from optlink.optimization.constraints import PLAIN, ConstraintRow
-from optlink.optimization.cycle_constraints import WatchedTerm
-from optlink.optimization.cycle_nlp import CycleNLP
 from optlink.optimization.mapped_terms import MappedTerms
 from optlink.optimization.nlp import NLP, Variable
 from optlink.solvers import multistart
 from optlink.solvers.contract import CLOSE, backend
 from optlink.solvers.newton import polish
 from optlink.solvers.solution import FEASIBLE, STATIONARY, Attempt, Solution, stationarity, verified_solution, violation
+
+if TYPE_CHECKING:
+    from optlink.optimization.cycle_constraints import WatchedTerm
+    from optlink.optimization.cycle_nlp import CycleNLP
 
 POSITIONS_PER_STROKE = 241  # sampled positions per stroke
 EXCHANGES, LEVELLED = 40, 1e-10  # rounds, and the share by which a peak may exceed the values at the positions of the NLP

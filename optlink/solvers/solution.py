@@ -32,6 +32,7 @@ EXACTLY_MET = 1e-10  # violation, or total slack of an elastic programme, in sca
 STATIONARY = 1e-6  # largest KKT residual, for an objective scaled to 1 at the start, that counts as optimal
 NEXT_TO = 1e-9  # scaled units
 STEEPEST = 1e-3
+GAINED = 1e-3  # objective, 1 at the start: gain by limits exceeded within `FEASIBLE` that no optimum has
 
 
 @dataclass(frozen=True)
@@ -367,9 +368,15 @@ def _optimal(nlp: NLP, x: Array, p: Array, point: NLPValues, conditions: Station
     """Return whether no small change of the design measurably improves the objective.
 
     One of three criteria holds: the KKT residual vanishes; the residuals vanish to rounding; or the objective is so strongly
-    curved that the stationary point is less than `NEXT_TO` away although the KKT residual is not tiny.
+    curved that the stationary point is less than `NEXT_TO` away although the KKT residual is not tiny. Where limits that no
+    design meets are exceeded within the tolerance, their multipliers are so large that this decides the objective: no optimum.
     """
-    if conditions.kkt <= STATIONARY or float(np.max(np.abs(residuals), initial=0.0)) <= nlp.exact:
+    if float(np.max(np.abs(residuals), initial=0.0)) <= nlp.exact:
+        return True
+    values, low, high = np.append(x, point.g), np.append(nlp.x_low, nlp.low), np.append(nlp.x_high, nlp.high)
+    if float(np.abs(conditions.multipliers) @ np.maximum(np.maximum(low - values, values - high), 0.0)) > GAINED:
+        return False
+    if conditions.kkt <= STATIONARY:
         return True
     return conditions.kkt <= STEEPEST and conditions.kkt <= NEXT_TO * curvature(nlp, x, p, point, conditions)
 

@@ -46,7 +46,6 @@ from optlink.validation.check import (
     text,
     transmission_checks,
 )
-from optlink.validation.cycle import Cycle, limit_checks_of
 from optlink.validation.four_bar_motion import FourBarMotion
 from optlink.validation.linkage_motion import LinkageMotion, motion_of, placed, rows_of, transmission_angles
 from optlink.validation.margins import alignment_check, at_least, grashof_check
@@ -113,6 +112,8 @@ def _composed(
         checks[name] = Check(name, met, tested.objective * factor, f"<= {part.tolerance * factor:.6g}", unit)
     rounding = 1e-300
     if problem.goals or problem.bounds:
+        from optlink.validation.cycle import Cycle, limit_checks_of
+
         cycle = Cycle(problem, {name: design[name] for name in problem.mechanism.quantities})
         for item in problem.bounds:
             checks |= {check.name: check for check in limit_checks_of(cycle, item)}

@@ -27,7 +27,7 @@ from optlink.linkage.jet import Jet
 from optlink.linkage.mechanism import FRAME, BodyPoint, Guide, Link, Mechanism
 from optlink.linkage.motion import Motion
 from optlink.linkage.vector2d import unit
-from optlink.optimization.nlp import symbols_in_numpy
+from optlink.symbolic import symbols_in_numpy
 from tests.oracle import External, Kinematics, Mass, Solution, newton_euler
 
 GRAVITY = (3.1, -9.2)

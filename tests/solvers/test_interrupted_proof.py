@@ -95,7 +95,7 @@ def test_an_interrupted_proof_keeps_the_design(solved, monkeypatch):
 
 
 def test_an_interrupt_before_the_first_box_keeps_the_design(solved, monkeypatch):
-    def stop(_variant):
+    def stop(_variant, _peaks):
         raise KeyboardInterrupt
 
     monkeypatch.setattr("optlink.tasks.certify.box_problem", stop)

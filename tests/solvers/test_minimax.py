@@ -47,6 +47,9 @@ def circle(points: Array, least: float = -math.inf) -> NLP:
         f_expression=x[2] / p[0],
         g_expression=casadi.vertcat(*[row.value for row in rows]),
         residual_expression=casadi.vertcat(*errors),
+        level_symbols=(casadi.vertcat(*[casadi.norm_2(error) for error in errors]),),
+        first_level=2,
+        level_slopes=(1.0,),
     )
 
 

@@ -4,9 +4,9 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
-from pydantic import ConfigDict, Field
+from pydantic import ConfigDict
 
 from optlink.dynamics.inertia import Inertia
 from optlink.linkage.dyad_types import transmitting
@@ -36,7 +36,7 @@ class CycleLimits(Alignment):
     """Limits with names of the user's choice, in addition to those of every design problem."""
 
     model_config = ConfigDict(extra="allow")
-    __pydantic_extra__: dict[Name, Limit] = Field(init=False)
+    __pydantic_extra__: dict[Name, Limit]
     transmission_angle: AnglesOfJoints | None = None
     """Range of the transmission angle of every dyad over the cycle; a table states the ranges of single dyads by their joints."""
     pressure_angle: LargestAnglesOfJoints | None = None
@@ -72,8 +72,8 @@ class MachineTerms(Problem):
 
     objective: Objective | None = None
     """Objective of quantities of the machine."""
-    limits: Alignment = Alignment()
-    """Limits of the design."""
+    if TYPE_CHECKING:
+        limits: Alignment  # a key of each kind
 
     @cached_property
     def goals(self) -> tuple[Goal, ...]:

@@ -506,6 +506,11 @@ class SynthesisResult(Document):
         """Quantities of the best design [m, rad]; empty if there is none."""
         return {} if self.best is None else self.best.values
 
+    @property
+    def sizes(self) -> dict[str, float]:
+        """Dimensions of the best linkage [SI]; empty if there is none."""
+        return {name: value for name, value in self.design.items() if name in self.problem.model.mechanism.quantities}
+
     def displayed(self, design: Mapping[str, float]) -> dict[str, float]:
         """Return the quantities [SI] of a solution in display units, which end the keys."""
         model = self.definite.model
