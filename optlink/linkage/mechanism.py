@@ -262,6 +262,13 @@ class Pose:
         begin, direction = self.line(guide, guide.on)
         return dot(minus(self.point(guide.at or self.mechanism.bodies[guide.slider].start), begin), direction)
 
+    def coordinate(self, output: str) -> Value:
+        """Return the coordinate [m] of an output: the slide in a guide, or that of a point, "P.x" or "P.y"."""
+        point, _, axis = output.rpartition(".")
+        if point:
+            return self.point(point)["xy".index(axis)]
+        return self.slide(next(guide for guide in self.mechanism.guides if guide.name == output))
+
     def distance(self, link: Link, p: str, q: str) -> Value:
         """Return the distance between two points of a body [m].
 

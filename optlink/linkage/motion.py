@@ -83,6 +83,13 @@ class Motion:
         with np.errstate(all="ignore"):
             return Jet(*map(self._full, as_jet(self.pose.slide(joint)).parts))
 
+    def coordinate(self, output: str) -> Jet:
+        """Return the coordinate of an output, the slide in a guide or that of a point, "P.x" or "P.y", with its derivatives."""
+        point, _, axis = output.rpartition(".")
+        if not point:
+            return self.slide(output)
+        return Jet(*(of(point)[..., "xy".index(axis)] for of in (self.position, self.velocity, self.acceleration)))
+
     @property
     def assembled(self) -> NDArray[np.bool_]:
         """Whether every group closes, at each position."""

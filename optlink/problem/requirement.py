@@ -38,6 +38,7 @@ from optlink.problem.robust import Robustness, check_robust
 from optlink.problem.targets.expression import Expression
 from optlink.problem.targets.function import Function
 from optlink.problem.targets.law import (
+    SLIDE,
     Law,
     SlideExpression,
     Table,
@@ -279,7 +280,8 @@ class FunctionRequirement(Requirement):
     """Output over crank angle: an expression in phi, phi0, psi0, for a slide `{ slide = "s0 + 40*(1 - cos(phi))", unit = "mm" }`;
     a table of phi and psi, or phi and s, or a CSV file; or a function y(x), with x proportional to the crank angle."""
     output: str | None = None
-    """Output of the law: a guide (its slide) or a body (its angle); default: the rocker of a four-bar."""
+    """Output of the law: a guide (its slide), a coordinate of a point, `"P.y"`, or a body (its angle); default: the rocker of a
+    four-bar."""
     start: Annotated[Any, BeforeValidator(_read_start), Field(validation_alias=AliasChoices("start", "from"))] = None
     """Start of the span, also written `from`: a dead centre of the rocker of a four-bar, or the crank angle, fixed or free;
     default: the outer dead centre of a four-bar (for a function: any angle), any angle of dyads."""
@@ -311,7 +313,7 @@ class FunctionRequirement(Requirement):
 
     @property
     def slides(self) -> bool:
-        """Whether the output is a slider, not the angle of a body."""
+        """Whether the output is a coordinate, of a slider or a point, not the angle of a body."""
         return getattr(self.law, "kind", "angle") == "coordinate"
 
     @property
@@ -329,13 +331,17 @@ class FunctionRequirement(Requirement):
         """Crank rotation [rad] of the law, negative clockwise."""
         return rotation(self.law, self.span)
 
+    def by_rocker(self, problem: Designed) -> bool:
+        """Return whether the output is the rocker of a four-bar by its lengths, whose place does not matter."""
+        return problem.four_bar and not self.slides
+
     def of(self, problem: Designed) -> LawOf:
         """Return names and defaults for the way in which the linkage is written."""
-        return OF_FOUR_BAR if problem.four_bar else OF_DYADS
+        return OF_FOUR_BAR if self.by_rocker(problem) else OF_DYADS
 
     def task(self, problem: Designed) -> str:
         """Return the name of the search."""
-        return "function" if problem.four_bar else "path"
+        return "function" if self.by_rocker(problem) else "path"
 
     def names(self, problem: Designed) -> tuple[str, str]:
         """Return the names of the quantities at the common start: crank angle and output."""
@@ -377,11 +383,9 @@ class FunctionRequirement(Requirement):
         return loop.dead_centre(values, outer=outer)
 
     def actual(self, problem: Designed, pose: Pose) -> Value:
-        """Return the output in a pose: the slide [m] of a guide or the angle [rad] of a body."""
+        """Return the output in a pose: a coordinate [m] or the angle [rad] of a body."""
         output = self.output_of(problem)
-        if not self.slides:
-            return angle(pose.direction(output))
-        return pose.slide(next(guide for guide in problem.linkage.guides if guide.name == output))
+        return pose.coordinate(output) if self.slides else angle(pose.direction(output))
 
     def quantities(self, problem: Designed) -> dict[str, Quantity]:
         """Return the start angle of the crank and the output there, where they are not derived."""
@@ -433,7 +437,7 @@ class FunctionRequirement(Requirement):
 
     def sense(self, problem: Designed) -> int:
         """Return the sense of crank rotation of a law of a four-bar: that of its span."""
-        return (1 if self.rotation > 0.0 else -1) if problem.four_bar else 0
+        return (1 if self.rotation > 0.0 else -1) if self.by_rocker(problem) else 0
 
     def law_of(self, problem: Designed) -> Law:
         """Return the law at its design positions.
@@ -461,7 +465,7 @@ class FunctionRequirement(Requirement):
         return problem.law.target(offset, tabulated, values[of.start], values.get(of.base, 0.0))
 
     def size(self, problem: Designed) -> float | None:
-        """Return the travel [m] of a slider, else the frame of a four-bar."""
+        """Return the travel [m] of a slider or a point, else the frame of a four-bar."""
         if self.slides and (travel := self.travel(problem)) > 0.0:
             return travel
         return float(problem.mechanism.frame.value) if problem.four_bar else None
@@ -480,7 +484,7 @@ class FunctionRequirement(Requirement):
         return at_positions(np.column_stack([law.offsets, law.tabulated]), law.offsets)
 
     def deviation(self, problem: Designed, pose: Pose, values: Mapping[str, Value], target: tuple[Value, ...]) -> list[Value]:
-        """Return actual minus prescribed slide [m] or angle [rad]."""
+        """Return actual minus prescribed coordinate [m] or angle [rad]."""
         prescribed = self.prescribed(problem, values, *target)
         if self.slides:
             return [self.actual(problem, pose) - prescribed]
@@ -494,8 +498,8 @@ class FunctionRequirement(Requirement):
         Unusable
             with the full key of the cause.
         """
-        law, of = self.law, self.of(problem)
-        if problem.four_bar and problem.mechanism.placed:
+        law, of, by_rocker = self.law, self.of(problem), self.by_rocker(problem)
+        if by_rocker and problem.mechanism.placed:
             message = "a motion law does not depend on the position of the linkage"
             raise Unusable(message, "Leave pivot and direction out", "mechanism.pivot")
         self._check_output(problem)
@@ -517,13 +521,13 @@ class FunctionRequirement(Requirement):
             raise Unusable("not a number of positions", remedy, "requirement.points", self.points)
         turns = problem.quantities.get(of.start)
         if (
-            problem.four_bar
+            by_rocker
             and turns is not None
             and max(map(abs, filter(math.isfinite, turns.bounds)), default=0.0) > TURN * (1.0 + 1e-9)
         ):
             message = "the start angle lies beyond one revolution"
             raise Unusable(message, "Give it within -360 deg ... 360 deg", f"requirement.{of.key}", str(turns))
-        if problem.four_bar and problem.limits.pivots is not None:
+        if by_rocker and problem.limits.pivots is not None:
             message = "a motion law does not depend on the position of the linkage"
             raise Unusable(message, "Leave pivots out", "limits.pivots")
         check_robust(self.robust, self.measure, len(problem.tolerances))
@@ -535,25 +539,31 @@ class FunctionRequirement(Requirement):
     def _check_output(self, problem: Designed) -> None:
         """Check that the output exists and that its keys apply to it."""
         linkage, output, of = problem.linkage, self.output_of(problem), self.of(problem)
-        if self.slides and not linkage.guides:
-            remedy = 'Write an angle, such as output = "60 deg", or law = "psi0 + 0.5*(phi - phi0)"'
+        if self.slides and not linkage.guides and not output:
+            remedy = 'Write output = "P.y" for a coordinate of a point, or an angle: law = "psi0 + 0.5*(phi - phi0)"'
             of_function = isinstance(self.law, Function)
             place = ("requirement.law.output", f"{1e3 * self.law.output:g} mm") if of_function else ("requirement.law", None)
             raise Unusable("this linkage has no guide whose slide could follow a law", remedy, *place)
+        places = [f"{point}.{axis}" for point in moving_points(linkage) for axis in "xy"]
         outputs = [guide.name for guide in linkage.guides] if self.slides else [link.body for link in linkage.links[1:]]
+        if not self.slides and output in places:
+            message = "a coordinate of a point follows a law with a unit of length"
+            raise Unusable(message, f"Write {SLIDE}, or name a body that turns", "requirement.output", output)
         if of.output in outputs and output in outputs and output != of.output:
             message = f"a law of a four-bar by its lengths is one of its {of.output}"
             raise Unusable(message, "Leave output out, or write the linkage as dyads", "requirement.output", output)
-        if output not in outputs:
-            remedy = nearest(output, outputs) if output else f"Write output = one of: {', '.join(outputs)}"
-            what = "guide" if self.slides else "body that turns"
+        if output not in (*outputs, *(places if self.slides else ())):
+            named = [*outputs, *(places if self.slides and "." in output else ())]
+            example = ' or a coordinate such as "P.y"' if self.slides else ""
+            remedy = nearest(output, named) if output and named else f"Write output = one of: {', '.join(outputs)}{example}"
+            what = "guide, or a coordinate of a moving point" if self.slides else "body that turns"
             raise Unusable(f"the output is the name of a {what}", remedy, "requirement.output", self.output)
         if self.zero is not None and not self.slides:
-            message = "this key applies to a slider only"
+            message = "this key applies to a slider or a point only"
             raise Unusable(message, "Write psi0 for the angle of a body", "requirement.zero", str(self.zero))
         if self.psi0 is not None and self.slides:
             message = "this key applies to a rotating body only"
-            raise Unusable(message, "Write zero for a slide", "requirement.psi0", str(self.psi0))
+            raise Unusable(message, "Write zero for a slide or a coordinate", "requirement.psi0", str(self.psi0))
         for key in ("zero", "psi0"):
             if (value := getattr(self, key)) is not None and not self.based and not of.tied:
                 remedy = f"Leave it out, or add {'s0' if key == 'zero' else 'psi0'} to the law"
@@ -561,7 +571,7 @@ class FunctionRequirement(Requirement):
         if self.base == TIED and isinstance(self.law, Function):
             message = "psi0 of a function is the output at its least y, not at the start"
             raise Unusable(message, "Give a value or a range, or leave it out: then it is free", "requirement.psi0", TIED)
-        if problem.four_bar:
+        if of is OF_FOUR_BAR:
             return
         if isinstance(self.start, str) and self.loop(problem) is None:
             message = f"{output} is not the rocker of a four-bar with the crank, so its dead centres are not known"
@@ -591,7 +601,7 @@ class FunctionRequirement(Requirement):
             span, begin = (f"{np.degrees(turned):.6g} deg" for turned in (self.rotation, starts[0][0]))
             message = f"the law {defects[0]} on the span, {span} from {begin} on"
             raise Unusable(message, "Change the law, the span or the start", "requirement.law", law.text)
-        if not problem.four_bar and not self.travel(problem) > 1e-9:
+        if not self.by_rocker(problem) and not self.travel(problem) > 1e-9:
             raise Unusable("the law does not move the output", "Change the law", "requirement.law", law.text)
 
     def _defect(self, law: Expression | SlideExpression | Function, phi0: float, psi0: float) -> str | None:
@@ -612,7 +622,7 @@ class FunctionRequirement(Requirement):
     def inapplicable(self, problem: Designed) -> set[str]:
         """Return the keys of the other kind of output, and those of the other way to write a linkage."""
         other = "requirement.psi0" if self.slides else "requirement.zero"
-        return {other, "requirement.output", "limits.pivots"} if problem.four_bar else {other, "requirement.robust"}
+        return {other, "requirement.output", "limits.pivots"} if self.by_rocker(problem) else {other, "requirement.robust"}
 
     def effective(self, problem: Designed) -> dict[str, str]:
         """Return the effective values of optional keys, for display."""

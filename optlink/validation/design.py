@@ -408,7 +408,7 @@ class _Law(_Targets):
     def _output(self, angles: Array, sizes: Mapping[str, Array] | None = None) -> Array:
         """Return the output (..., designs, n) [rad, within a turn, or m] at crank angles [rad]."""
         motion = self.tested.placed(angles, sizes)
-        return np.asarray(motion.slide(self.name).value) if self.problem.slides else motion.wrapped_angle(self.name)
+        return np.asarray(motion.coordinate(self.name).value) if self.problem.slides else motion.wrapped_angle(self.name)
 
     def _difference(self, one: Array, other: Array) -> Array:
         """Return the difference of two outputs [rad, of angles within half a turn, or m]."""

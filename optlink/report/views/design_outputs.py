@@ -122,7 +122,7 @@ def output_film(view: DesignView, steps: Array, titles: Sequence[str]) -> list[I
         axis, values = "transmission angle γ [deg]", np.degrees(view.transmission(angles)[:, 0])
     else:
         unit = view.sketch.scale if task.slides else scale(0.0, "deg")
-        jet = view.motion.slide(task.output) if task.slides else view.motion.body_angle(task.output)
+        jet = view.motion.coordinate(task.output) if task.slides else view.motion.body_angle(task.output)
         axis, values = _output_axis(view, unit.unit), np.asarray(jet.value) * unit.factor
     crank, at, order = view.crank(angles), view.crank(steps), np.argsort(angles)
     at = (at - crank.min()) % 360.0 + crank.min() if view.turns else at
@@ -139,4 +139,5 @@ def output_film(view: DesignView, steps: Array, titles: Sequence[str]) -> list[I
 
 
 def _output_axis(view: DesignView, unit: str) -> str:
-    return f"{'place along' if view.task.slides else 'angle of'} {view.task.output} [{unit}]"
+    words = ("" if "." in view.task.output else "place along ") if view.task.slides else "angle of "
+    return f"{words}{view.task.output} [{unit}]"

@@ -77,7 +77,7 @@ class DesignView:
 
     @cached_property
     def output(self) -> str | None:
-        """The output of the requirement, a guide or a body; without one the last body that turns about a fixed pivot."""
+        """The output of the requirement; without one the last body that turns about a fixed pivot."""
         mechanism = self.task.linkage
         pivoted = [link.body for link in mechanism.links if {link.start, link.end} & set(mechanism.ground)]
         last = next((body for body in pivoted[::-1] if body != mechanism.crank.body), None)
@@ -88,7 +88,8 @@ class DesignView:
         if self.output is None:
             return []
         if self.task.slides:
-            return [f"s {self.sketch.scale.text(float(motion.slide(self.output).value[0]))}"]
+            symbol = self.output if "." in self.output else "s"
+            return [f"{symbol} {self.sketch.scale.text(float(motion.coordinate(self.output).value[0]))}"]
         return [f"ψ {degrees(float(motion.body_angle(self.output).value[0]))}"]
 
     def crank(self, angles: Array) -> Array:

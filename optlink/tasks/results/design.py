@@ -155,7 +155,7 @@ class LinkageDesign(Summary):
         at = law.offsets if offsets is None else np.asarray(offsets, dtype=float)
         begin, base = self.own[task.start_name], self.own.get(task.base_name, 0.0)
         motion, output = sweep(task.linkage, self.values, begin + at), task.output
-        actual = motion.slide(output).value if task.slides else motion.body_angle(output).value
+        actual = motion.coordinate(output).value if task.slides else motion.body_angle(output).value
         error = np.asarray(law.curve(at, begin, base) - np.asarray(actual, dtype=float), dtype=float)
         return error if task.slides else np.remainder(error + np.pi, TURN) - np.pi
 

@@ -74,7 +74,7 @@ def _errors(task: DesignProblem, values: Mapping[str, float], starts: Array) -> 
 
     def output(angles: Array) -> Array:
         motion = sweep(task.linkage, values, angles.ravel())
-        actual = motion.slide(task.output).value if task.slides else motion.body_angle(task.output).value
+        actual = motion.coordinate(task.output).value if task.slides else motion.body_angle(task.output).value
         return np.asarray(actual, dtype=float).reshape(angles.shape)
 
     base = output(begin) if task.tied else np.full_like(begin, values.get(task.base_name, 0.0))
