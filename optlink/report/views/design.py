@@ -21,7 +21,7 @@ from optlink.report.views.certificate_view import certificate_charts
 from optlink.report.views.design_charts import CloseUp, dots, errors, points_on, small_frames
 from optlink.report.views.design_drawings import at_positions, beside_curve, designs
 from optlink.report.views.design_outputs import law, output_film, transmission
-from optlink.report.views.design_view import DesignView, best, with_verdict
+from optlink.report.views.design_view import DesignView, best, views, with_verdict
 from optlink.report.views.design_words import words_of
 from optlink.report.views.objective_map import objective_map
 from optlink.tasks.results.design import SynthesisResult
@@ -97,8 +97,9 @@ PICTURES = {
 
 def charts(result: SynthesisResult) -> list[ChartSpec]:
     """Return the charts of the requirement, the transmission angle over the motion, and the charts of the global search."""
-    view, model, best_design = best(result), result.problem.model, result.best
-    specs = [] if view is None else [*PICTURES[view.task.requirement.kind].charts(view), *transmission(view)]
+    shown, model, best_design = views(result), result.problem.model, result.best
+    specs = [chart for view in shown for chart in PICTURES[view.task.requirement.kind].charts(view)]
+    specs += [chart for view in shown[:1] for chart in transmission(view)]
     values, mode = ({}, "") if best_design is None else (best_design.values if best_design.valid else {}, best_design.assembly)
     return specs + certificate_charts(result.certificate, model.title, model.shown_objective, values, mode, model.display)
 
@@ -117,10 +118,16 @@ def frames(result: SynthesisResult, count: int = FRAMES) -> list[Image.Image]:
     return PICTURES[view.task.requirement.kind].film(view, steps, titles)
 
 
+def positions(result: SynthesisResult) -> dict[str, dict[str, Array]]:
+    """Return the columns of points.csv; of several requirements those of each, with its name."""
+    parts = () if result.best is None else result.best.parts
+    return {f"points{part.task.prefix and f'-{part.task.prefix[:-1]}'}": words_of(part).columns(part) for part in parts}
+
+
 VIEW = View(
     charts=charts,
     drawings={"path": beside_curve, "mechanism": at_positions, "map": objective_map, "designs": designs},
-    tables=lambda result: {} if result.best is None else {"points": words_of(result.best).columns(result.best)},
+    tables=positions,
     design=lambda result: with_verdict(result.machine, result.best, result.refuted),
     frames=frames,
     result=SynthesisResult,

@@ -13,8 +13,8 @@ from optlink.report.format import si
 from optlink.report.labels import Label
 from optlink.report.shapes import even, finite
 from optlink.report.style import BODIES, LIMIT, MUTED, RESULT, TARGET, scale
-from optlink.report.views.design_view import DesignView, captions, fitting, title_of, wrapped
-from optlink.report.views.design_words import words_of
+from optlink.report.views.design_view import DesignView, fitting, title_of, wrapped
+from optlink.report.views.design_words import captions, words_of
 
 MAX_NUMBERED = 20  # number of points up to which each is numbered
 COINCIDENT = 5e-3  # distance below which points share a label, as a share of the extent of the points
@@ -207,7 +207,7 @@ def errors(view: DesignView) -> list[ChartSpec]:
     count, what = len(view.targets), words_of(view.design).spot
     every = next(step for step in (1, 2, 5, 10, 20, 50, 100) if count <= MAX_NUMBERED * step or step == 100)
     x = Axis(what, (0.4, count + 0.6), ticks=[(float(k), str(k)) for k in range(1, count + 1) if k % every == 0])
-    heading = title_of(view, 7.2, f"{view.task.title}: deviations", wrapped(captions(view), 7.2, "; "))
+    heading = title_of(view, 7.2, f"{view.title}: deviations", wrapped(captions(view.design), 7.2, "; "))
     return [ChartSpec("errors", f"Deviations at the {what}s", panels, x, heading, warning=not view.design.valid, cursor=False)]
 
 

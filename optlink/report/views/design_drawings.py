@@ -12,7 +12,7 @@ from matplotlib.path import Path as Outline
 
 from optlink.linkage.dyad_types import transmitting
 from optlink.linkage.motion import Motion
-from optlink.linkage.stroke import travels
+from optlink.linkage.stroke import travels, within_cycle
 from optlink.linkage.vector2d import TURN
 from optlink.report.drawing import merged_positions
 from optlink.report.labels import Label, place_labels
@@ -20,8 +20,8 @@ from optlink.report.shapes import even
 from optlink.report.style import CRANK, LIMIT, TARGET, charts_per_row, degrees, figure, heading, panels, styled
 from optlink.report.views.design_charts import MAX_NUMBERED, CloseUp, points_on
 from optlink.report.views.design_tables import cognate_sources
-from optlink.report.views.design_view import LINE, SMALL, TITLE, DesignView, best, captions, mechanism_title, wrapped
-from optlink.report.views.design_words import modes, transmission, words_of
+from optlink.report.views.design_view import LINE, SMALL, TITLE, DesignView, mechanism_title, views, wrapped
+from optlink.report.views.design_words import captions, modes, transmission, words_of
 from optlink.tasks.results.design import SynthesisResult
 
 MAX_HEIGHT, LABEL_WIDTH = 4.3, 0.75  # largest height of a panel and width of its axis labels [inch]
@@ -97,8 +97,8 @@ def initial_pose(axes: Axes, view: DesignView) -> list[Label]:
 @styled
 def beside_curve(result: SynthesisResult) -> Figure | None:
     """Draw the mechanism at its first target beside a close-up of its curve; None without target points."""
-    view = best(result)
-    if view is None or not view.task.pointed:
+    view = next((view for view in views(result) if view.task.pointed), None)
+    if view is None:
         return None
     close = CloseUp(view)
     widths = [min(max(MAX_HEIGHT / ratio + LABEL_WIDTH, 3.6), 6.2) for ratio in (view.sketch.ratio, close.ratio)]
@@ -160,8 +160,8 @@ def _dead_centre(view: DesignView, at: float) -> str:
 @styled
 def at_positions(result: SynthesisResult) -> Figure | None:
     """Draw the mechanism at its characteristic positions side by side, on one scale; None with target points."""
-    view = best(result)
-    if view is None or view.task.pointed:
+    view = next((view for view in views(result) if not view.task.pointed), None)
+    if view is None:
         return None
     named = positions(view) or {"the reachable range begins": float(view.motion.crank_angle[0])}
     columns = 3 if len(named) > 4 else min(len(named), 2)
@@ -175,7 +175,7 @@ def at_positions(result: SynthesisResult) -> Figure | None:
         labels += view.sketch.show(axes, pose)
         _turning(axes, view, pose)
         gamma = ", ".join(f"{math.degrees(angle):z.2f}°" for angle in view.transmission(np.array([phi]))[0])
-        figures = [f"φ {math.degrees(phi) % 360.0:z.2f}°", *view.output_at(pose), *([f"γ {gamma}"] if gamma else [])]
+        figures = [f"φ {math.degrees(within_cycle(phi)):z.2f}°", *view.output_at(pose), *([f"γ {gamma}"] if gamma else [])]
         axes.set_title(f"{name}\n{'   '.join(figures)}", fontsize=SMALL)
     fig.suptitle(title, fontsize=TITLE, color=TARGET if view.design.valid else LIMIT)
     place_labels(fig, labels)
@@ -210,7 +210,7 @@ def designs(result: SynthesisResult) -> Figure | None:
         half = 0.5 * common * smaller * view.sketch.scale.factor
         middle = np.mean(view.sketch.limits, axis=1)
         axes.set(xlim=(middle[0] - half[0], middle[0] + half[0]), ylim=(middle[1] - half[1], middle[1] + half[1]))
-        headline, least = captions(view)[0], transmission(view.design)
+        headline, least = captions(view.design)[0], transmission(view.design)
         texts = [heading(f"{number + 1}: {headline}", panel - 0.3, 9.0), least * (least != headline)]
         texts.append(wrapped([*map(" ".join, modes(view.design).items())], panel - 0.3, ", ", 9.0))
         if number in related:

@@ -13,7 +13,8 @@ from optlink.problem.targets.function import Function
 from optlink.report.animation import film
 from optlink.report.chart_spec import Array, Axis, Band, ChartSpec, Curve, Line, Mark, Panel, Span, Trace, crank_angle
 from optlink.report.style import BODIES, LIMIT, MUTED, RESULT, TARGET, scale
-from optlink.report.views.design_view import DesignView, captions, title_of, wrapped
+from optlink.report.views.design_view import DesignView, title_of, wrapped
+from optlink.report.views.design_words import captions
 
 POSITIONS = 721  # over the range of a law
 MAX_MARKED = 100  # largest number of positions of a law that are marked
@@ -23,7 +24,7 @@ def law(view: DesignView) -> list[ChartSpec]:
     """Return the prescribed and the generated output of a law with their difference, and y(x) of a function."""
     task, design = view.task, view.design
     offsets, at = task.span * np.linspace(0.0, 1.0, POSITIONS), task.law.offsets
-    target, prescribed = (task.law.curve(places, view.begin, design.values.get(task.base_name, 0.0)) for places in (offsets, at))
+    target, prescribed = (task.law.curve(places, view.begin, design.own.get(task.base_name, 0.0)) for places in (offsets, at))
     unit = view.sketch.scale if task.slides else scale(0.0, "deg")
     error, at_marks = (-unit.factor * design.errors(places) for places in (offsets, at))
     if not np.any(np.isfinite(error)):
@@ -37,7 +38,7 @@ def law(view: DesignView) -> list[ChartSpec]:
     worst = int(np.nanargmax(np.abs(error)))
     top, words = float(error[worst]), f"largest {error[worst]:+.4g}{'°' if unit.unit == 'deg' else ' ' + unit.unit}"
     if task.robust is not None:  # there the error is prescribed minus generated
-        high, low = (-unit.factor * end for end in ErrorResiduals(task).band(design.values, offsets))
+        high, low = (-unit.factor * end for end in ErrorResiduals(task).band(design.own, offsets))
         below.append(Band(crank, low, high, f"built, {task.robust.band}", LIMIT))
         top, words = float((high if error[worst] > 0.0 else low)[worst]), f"{words} nominal"
     below.append(Curve(crank, error, "" if task.robust is None else "nominal", LIMIT, 1.5, gid="error"))
@@ -50,7 +51,7 @@ def law(view: DesignView) -> list[ChartSpec]:
         Panel(Axis(_output_axis(view, unit.unit)), above, 1.7),
         Panel(Axis(f"generated minus target [{unit.unit}]"), below, marks=[mark]),
     ]
-    title = title_of(view, 7.0, task.title, wrapped(captions(view), 7.0, "; "))
+    title = title_of(view, 7.0, view.title, wrapped(captions(design), 7.0, "; "))
     warning = not design.valid
     chart = ChartSpec("law", "Output over the range", panels, _crank(view, crank), title, warning=warning)
     source = task.requirement.law
@@ -72,7 +73,7 @@ def _function(view: DesignView, function: Function, offsets: Array, error: Array
         Curve(x, target + deviation, "generated", RESULT, 1.8, gid="generated y"),
     ]
     below = Panel(Axis("generated minus target"), [Curve(x, deviation, "", LIMIT, 1.5, gid="error in y")], marks=[mark])
-    panels, title = [Panel(Axis("y"), above, 1.7), below], title_of(view, 7.6, f"{view.task.title}: {function.text}")
+    panels, title = [Panel(Axis("y"), above, 1.7), below], title_of(view, 7.6, f"{view.title}: {function.text}")
     return ChartSpec("function", "Function y(x)", panels, Axis("x"), title, cursor=False, warning=not view.design.valid)
 
 

@@ -2,11 +2,12 @@
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 from optlink.errors import Status
 from optlink.linkage.cognates import Cognate, CouplerLinkage
 from optlink.linkage.vector2d import TURN
-from optlink.report.format import fixed, precise, significant
+from optlink.report.format import fixed, number, precise, significant
 from optlink.report.table_spec import Line, Row, Summary, TableSpec, bad, noted, quiet, strong, summary, table
 from optlink.report.views.certificate_view import certificate_lines, certificate_table, certified
 from optlink.report.views.design_words import measure, modes, words_of
@@ -21,6 +22,7 @@ from optlink.report.views.search_tables import (
 )
 from optlink.tasks.machine import turning_machine
 from optlink.tasks.results.design import LinkageDesign, SynthesisResult
+from optlink.units import display_unit
 
 LINKAGE_TOLERANCE = 1e-3  # relative tolerance for equal four-bars
 
@@ -38,13 +40,13 @@ def design_result(outcome: SynthesisResult) -> Summary:
         status: list[Line] = [*refuted_first(outcome), bad("no linkage found"), *reason, *certificate_lines(proof)]
         opposed = conflict(outcome.conflict, outcome.together) if outcome.conflict else None
         return summary(model.title, status, opposed, certificate, effort(outcome))
-    words, machine = words_of(best), turning_machine(best.problem, best.values)
+    machine = turning_machine(best.problem, best.values)
     strokes = None if machine is None else machine_strokes(machine, best.rotation[1])
     return search_summary(
         outcome,
         _sizes(outcome, best),
-        table("Objective", "<><<", words.rows(best, outcome)) if math.isfinite(best.objective) else None,
-        (strokes, words.targets(best)),
+        _figures(outcome, best) if math.isfinite(best.objective) else None,
+        (strokes, *(words_of(part).targets(part) for part in best.parts)),
         (
             optima(outcome),
             _alternatives(outcome.designs) if count > 1 else None,
@@ -56,10 +58,12 @@ def design_result(outcome: SynthesisResult) -> Summary:
 
 
 def _sizes(outcome: SynthesisResult, design: LinkageDesign) -> TableSpec:
-    task, stated = design.task, "start" in design.task.requirement.model_fields_set
-    start = f"at the {getattr(task, 'dead_centre', None)}{'' if stated else ', the default start'}"
-    base = f"the {task.output} angle there" if design.follows_law else ""
-    rows = dimension_rows(task, design.values, {task.start_name: start, task.base_name: base})
+    derived = {}
+    for task in (part.task for part in design.parts if part.follows_law):
+        default = "" if "start" in task.requirement.model_fields_set else ", the default start"
+        derived[task.prefix + task.start_name] = f"at the {task.dead_centre}{default}"
+        derived[task.prefix + task.base_name] = f"the {task.output} angle there"
+    rows = dimension_rows(design.whole, design.values, derived)
     chosen = "either" in str(outcome.problem.model.mechanism.assembly)
     shown = ", ".join(f"{joint} {mode}".removeprefix("assembly").strip() for joint, mode in modes(design).items())
     remark = "chosen" if chosen else "fixed"
@@ -69,12 +73,38 @@ def _sizes(outcome: SynthesisResult, design: LinkageDesign) -> TableSpec:
     return table(NEAREST_DESIGN if design.status is Status.INFEASIBLE else "Design", "<><<", rows)
 
 
+def _figures(outcome: SynthesisResult, design: LinkageDesign) -> TableSpec:
+    """Tabulate the objective, the deviations from every requirement, the transmission angle, quantities of the machine."""
+    whole = design.whole
+    rows: list[Row] = []
+    if whole.composed:
+        shown = whole.shown_objective(design.objective)
+        rows.append(("objective", strong(precise(shown.value, 6)), shown.unit, ""))
+    rows += [row for part in design.parts for row in words_of(part).rows(part, outcome)]
+    least, where = math.degrees(design.least_transmission), "revolution" if design.crank_turns else "range"
+    if math.isfinite(least) and not any(part.task.requirement.by_angle for part in design.parts):
+        remark = f"least distance from 0 or 180 deg over the {where}"
+        rows.append(("transmission angle", fixed(least, 2), "deg", quiet(remark)))
+    goals = [(goal, f"{goal.sense}d") for goal in whole.goals]
+    terms: list[tuple[Any, str]] = [*goals, *((bound.term, str(bound.interval)) for bound in whole.bounds)]
+    if terms:
+        from optlink.validation.cycle import Cycle
+
+        cycle = Cycle(whole, {name: design.values[name] for name in whole.mechanism.quantities})
+        for term, remark in terms:
+            size, unit = display_unit(kind) if (kind := whole.kind(term)) else (1.0, "")
+            rows.append((term.words, number(size * cycle.figure(term), 6), unit, quiet(remark)))
+    return table("Objective", "<><<", rows)
+
+
 def _alternatives(designs: Sequence[LinkageDesign]) -> TableSpec:
     """Tabulate the distinct designs side by side."""
-    task, related = designs[0].task, cognate_sources(designs)
+    task, related = designs[0].whole, cognate_sources(designs)
     (factor, unit), least = task.objective_display, [math.degrees(design.least_transmission) for design in designs]
     objectives = ["exact" if design.exact else precise(factor * design.objective, 6) for design in designs]
-    rows: list[tuple[str, ...]] = [] if task.by_angle else [(measure(designs[0]), unit, *objectives)]
+    rows: list[tuple[str, ...]] = (
+        [] if task.by_angle else [("objective" if task.composed else measure(designs[0]), unit, *objectives)]
+    )
     rows.append(("least transmission angle", "deg", *(fixed(angle, 1) if math.isfinite(angle) else "" for angle in least)))
     rows.append(("same curve as", "", *(f"cognate of {related[k] + 1}" if k in related else "" for k in range(len(designs)))))
     for name in (name for name, quantity in task.quantities.items() if not quantity.fixed):

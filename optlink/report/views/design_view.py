@@ -16,10 +16,10 @@ from optlink.problem.requirement import MARK
 from optlink.report.causes import marked, why_invalid
 from optlink.report.drawing import Sketch
 from optlink.report.files import verdict
-from optlink.report.format import pretty, round_below
+from optlink.report.format import round_below
 from optlink.report.shapes import finite, spread
 from optlink.report.style import Scale, degrees, heading, scale
-from optlink.report.views.design_words import words_of
+from optlink.report.views.design_words import captions
 from optlink.tasks.results.cycle import CycleResult
 from optlink.tasks.results.design import LinkageDesign, SynthesisResult
 from optlink.validation.linkage_motion import transmission_angles
@@ -111,6 +111,11 @@ class DesignView:
         places, cosines = extremes(lambda at: np.cos(self.transmission(at)).T, grid, periodic=self.design.crank_turns)
         return places[:, ::-1], np.arccos(np.clip(cosines, -1.0, 1.0))[:, ::-1]
 
+    @property
+    def title(self) -> str:
+        """Title of the problem, with the name of the requirement if there are several."""
+        return f"{self.task.title}{self.task.prefix and f': {self.task.prefix[:-1]}'}"
+
     @cached_property
     def sketch(self) -> Sketch:
         """Sketch of the mechanism, with room for the points."""
@@ -144,7 +149,7 @@ class DesignView:
 
     def angles(self, motion: Motion) -> Array:
         """Return the pose angles of the guided body [rad]."""
-        return np.asarray(motion.body_angle(self.task.body).value) + self.design.values[MARK]
+        return np.asarray(motion.body_angle(self.task.body).value) + self.design.own[MARK]
 
     @cached_property
     def size(self) -> float:
@@ -164,12 +169,15 @@ class DesignView:
         return max(1.0, round_below(limit))
 
 
+def views(result: SynthesisResult) -> list[DesignView]:
+    """Return the best design or the nearest miss, one view for each of its requirements; empty if there is nothing to draw."""
+    parts = () if result.best is None else result.best.parts
+    return [view for view in (DesignView(part, result.refuted) for part in parts) if view.reached]
+
+
 def best(result: SynthesisResult) -> DesignView | None:
-    """Return the best design or the nearest miss; None if there is nothing to draw."""
-    if result.best is None:
-        return None
-    view = DesignView(result.best, result.refuted)
-    return view if view.reached else None
+    """Return the view of the first requirement; None if there is nothing to draw."""
+    return next(iter(views(result)), None)
 
 
 MAX_DIMENSIONS = 14  # largest number of dimensions below a title
@@ -191,11 +199,6 @@ def with_verdict(
         return None
     why = refuted or why_invalid(design.validation.checks, design.status.text)
     return machine, verdict(design.status.value, design.valid, why)
-
-
-def captions(view: DesignView) -> list[str]:
-    """Return the captions of objective, deviations and transmission angle."""
-    return [pretty(text) for text in words_of(view.design).captions(view.design)]
 
 
 def sizes(view: DesignView) -> list[str]:
@@ -229,5 +232,5 @@ def title_of(view: DesignView, width: float, title: str, *more: str) -> str:
 
 def mechanism_title(view: DesignView, width: float) -> str:
     """Compose the title of a mechanism with its deviations and dimensions."""
-    texts = wrapped(captions(view), width, "; "), wrapped(sizes(view), width, "   ")
-    return title_of(view, width, view.task.title, *texts)
+    texts = wrapped(captions(view.design), width, "; "), wrapped(sizes(view), width, "   ")
+    return title_of(view, width, view.title, *texts)

@@ -6,7 +6,7 @@ import numpy as np
 
 from optlink.linkage.dyad_types import transmitting
 from optlink.linkage.vector2d import Array
-from optlink.report.format import figure, fixed, number, precise, si
+from optlink.report.format import figure, fixed, number, precise, pretty, si
 from optlink.report.table_spec import Row, TableSpec, quiet, strong, table
 from optlink.tasks.results.design import LinkageDesign, SynthesisResult
 from optlink.tasks.results.fit import PathFit
@@ -31,23 +31,17 @@ class Words:
         return [f"{self.deviation}: rms {rms}, largest {largest} {unit}".rstrip()]
 
     def rows(self, design: LinkageDesign, outcome: SynthesisResult) -> list[Row]:
-        """Return the rows of the table of figures, the objective first."""
-        shown = design.task.shown_objective(design.objective)
-        value, remark = (number if design.exact else precise)(shown.value, 6), "; ".join(self.figures(design))
-        rows: list[Row] = [(measure(design), strong(value), shown.unit, quiet(remark))]
-        least, where = math.degrees(design.least_transmission), "revolution" if design.crank_turns else "range"
-        if math.isfinite(least):
-            rows.append(
-                ("transmission angle", fixed(least, 2), "deg", quiet(f"least distance from 0 or 180 deg over the {where}"))
-            )
-        return rows
+        """Return the rows of the table of figures, the measure of the deviations first."""
+        (value, unit), tolerance, texts = measured(design), design.task.tolerance, self.figures(design)
+        if tolerance is not None:
+            texts.append(f"at most {DISPLAYED[design.task.unit][0] * tolerance:.6g} {unit}".rstrip())
+        shown = (number if design.exact else precise)(value, 6)
+        return [(measure(design) + design.task.suffix, strong(shown), unit, quiet("; ".join(texts)))]
 
     def captions(self, design: LinkageDesign) -> list[str]:
-        """Return the captions of a picture: objective, deviations and transmission angle."""
-        shown = design.task.shown_objective(design.objective)
-        objective = [f"{measure(design)} {figure(shown.value, shown.unit)}"]
+        """Return the captions of a picture: the measure of the deviations, and these."""
         stated = design.exact or measure(design) in ("rms", "max")
-        return [*([] if stated else objective), *self.figures(design), *filter(None, [transmission(design)])]
+        return [*([] if stated else [f"{measure(design)} {figure(*measured(design))}"]), *self.figures(design)]
 
     def targets(self, design: LinkageDesign) -> TableSpec | None:
         """Return the table of the targets in the terminal, if there is one."""
@@ -58,15 +52,8 @@ class Words:
         return {"point": np.arange(1.0, len(design.crank_angles) + 1.0)}
 
     def achieved(self, design: LinkageDesign) -> str:
-        """Return what an inexact design achieves, as the main clause of its conclusion."""
-        raise NotImplementedError
-
-    def sentence(self, design: LinkageDesign) -> str:
-        """Return the conclusion of a design: what it achieves, with its transmission angle."""
-        text = "The linkage meets every prescribed position exactly" if design.exact else self.achieved(design)
-        if isinstance(design.fit, PathFit) and design.fit.grade != design.fit.at_points:
-            text += f", but deviates by {si(design.fit.excursion, 'm')} between {design.fit.segment}"
-        return f"{'; '.join(filter(None, [text, transmission(design)]))}."
+        """Return what an inexact design achieves, as a clause of its conclusion."""
+        return ""
 
 
 class _Law(Words):
@@ -81,7 +68,7 @@ class _Law(Words):
 
     def rows(self, design: LinkageDesign, outcome: SynthesisResult) -> list[Row]:
         rows, step, task = super().rows(design, outcome), outcome.first_step, design.task
-        if task.everywhere:
+        if task.everywhere and task.tolerance is None:
             remark = "times that the largest error occurs in the range, with alternating sign"
             rows.append(("alternations", str(design.alternations), "", quiet(remark)))
         if step is not None:
@@ -97,7 +84,7 @@ class _Law(Words):
 
     def columns(self, design: LinkageDesign) -> dict[str, Array]:
         unit, measured, law = design.task.unit, design.measured, design.task.law
-        target = law.curve(law.offsets, design.rotation[0], design.values.get(design.task.base_name, 0.0))
+        target = law.curve(law.offsets, design.rotation[0], design.own.get(design.task.base_name, 0.0))
         values = {f"target_{unit}": target, f"generated_{unit}": measured.generated[:, 0], f"distance_{unit}": measured.distances}
         return {**super().columns(design), **values, "crank_angle_rad": design.crank_angles}
 
@@ -106,7 +93,7 @@ class _Law(Words):
         where = "" if between is None else f" at the design positions, {si(between, unit)} between them"
         rms = si(rms_of(distances), unit)
         return (
-            f"The output follows the required motion within {si(float(np.max(distances)), unit)}{where} (root mean square {rms})"
+            f"the output follows the required motion within {si(float(np.max(distances)), unit)}{where} (root mean square {rms})"
         )
 
 
@@ -156,7 +143,7 @@ class _Points(Words):
     def achieved(self, design: LinkageDesign) -> str:
         distances = design.measured.distances
         rms, most = si(rms_of(distances), "m"), si(float(np.max(distances)), "m")
-        return f"The linkage passes the {len(distances)} prescribed points within {most} (root mean square {rms})"
+        return f"the linkage passes the {len(distances)} prescribed points within {most} (root mean square {rms})"
 
 
 class _Poses(_Points):
@@ -186,21 +173,18 @@ class _Transmission(Words):
 
     def rows(self, design: LinkageDesign, outcome: SynthesisResult) -> list[Row]:
         least = math.degrees(design.least_transmission)
-        if not design.task.by_angle or not math.isfinite(least):
+        if not design.task.requirement.by_angle or not math.isfinite(least):
             return super().rows(design, outcome)
         remark = f"{number(90.0 - least, 4)} deg from ideal, over the revolution"
         return [("worst transmission angle", strong(fixed(least, 2)), "deg", quiet(remark))]
 
     def captions(self, design: LinkageDesign) -> list[str]:
-        return [transmission(design)] if design.task.by_angle and transmission(design) else super().captions(design)
+        return [] if design.task.requirement.by_angle else super().captions(design)
 
     def columns(self, design: LinkageDesign) -> dict[str, Array]:
         joints = [group.joint for group in transmitting(design.task.linkage)]
         angles = {f"{joint}.transmission_rad": design.measured.generated[:, k] for k, joint in enumerate(joints)}
         return {**super().columns(design), "crank_angle_rad": design.crank_angles, **angles}
-
-    def sentence(self, design: LinkageDesign) -> str:
-        return f"The {transmission(design)}." if transmission(design) else ""
 
 
 WORDS: dict[str, Words] = {"function": _Law(), "path": _Points(), "motion": _Poses(), "transmission": _Transmission()}
@@ -212,9 +196,30 @@ def words_of(design: LinkageDesign) -> Words:
     return WORDS[design.task.requirement.kind]
 
 
+def captions(design: LinkageDesign) -> list[str]:
+    """Return the captions of a picture of one requirement of a design, and its worst transmission angle."""
+    return [pretty(text) for text in (*words_of(design).captions(design), transmission(design)) if text]
+
+
 def sentence(design: LinkageDesign) -> str:
-    """Return the conclusion of a design."""
-    return words_of(design).sentence(design)
+    """Return the conclusion of a design: what it achieves of every requirement, with its transmission angle."""
+    exact = "the linkage meets every prescribed position exactly"
+    clauses = [exact] if design.exact else [words_of(part).achieved(part) for part in design.parts]
+    if isinstance(design.fit, PathFit) and design.fit.grade != design.fit.at_points:
+        clauses[0] += f", but deviates by {si(design.fit.excursion, 'm')} between {design.fit.segment}"
+    clauses = [*filter(None, clauses)]
+    least = transmission(design)
+    text = "; ".join([*clauses, least] if least and clauses else clauses or [f"the {least}"] * bool(least))
+    return f"{text[:1].upper()}{text[1:]}." if text else ""
+
+
+def measured(design: LinkageDesign) -> tuple[float, str]:
+    """Return the measure of the deviations from the targets in its display unit, and that unit."""
+    if not design.whole.composed:
+        shown = design.task.shown_objective(design.objective)
+        return shown.value, shown.unit
+    (factor, unit), squared = DISPLAYED[design.task.unit], design.task.measure == "sum of squares"
+    return float(design.measured.objective) * (factor**2 if squared else factor), f"{unit}^2" if squared and unit else unit
 
 
 def measure(design: LinkageDesign) -> str:

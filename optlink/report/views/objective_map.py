@@ -26,7 +26,7 @@ SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 def objective_map(result: SynthesisResult) -> Figure | None:
     """Draw contours of the objective over two design variables; None if there are more unknowns, or fewer."""
     best, solution, model = result.best, result.solution, result.problem.model
-    if best is None or solution is None or len(model.free) != 2:
+    if best is None or solution is None or len(model.free) != 2 or best.whole.composed:
         return None
     nlp, names = solution.nlp, list(model.free)
     if len([variable for variable in nlp.variables if variable.name not in nlp.helpers]) != 2:

@@ -93,6 +93,17 @@ class LinkageDesign(Summary):
         return self.whole.parts[0]
 
     @cached_property
+    def parts(self) -> tuple[LinkageDesign, ...]:
+        """The design as one for each requirement alone, with the crank angles of its positions."""
+        parts = []
+        for task, angles in self.whole.of_parts(self.crank_angles):
+            assert angles is not None
+            part = replace(self, crank_angles=angles)
+            vars(part)["task"] = task
+            parts.append(part)
+        return tuple(parts)
+
+    @cached_property
     def own(self) -> dict[str, float]:
         """The quantities [m, rad] that belong to the first requirement, by their short names."""
         return self.task.own(self.values)
