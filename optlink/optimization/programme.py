@@ -371,6 +371,10 @@ class _Targets:
         self.further.append(self.watched.at(angle, self.origin, *[0.0] * self.part.data.columns.shape[1]))
         return list(self._below(self.further[-1], "at its peak" if self.signed else "at another crank angle"))
 
+    def _place(self, i: int) -> str:
+        """Return where a position is: of a law, by its crank rotation."""
+        return f"{math.degrees(self.part.law.offsets[i]):.4g} deg from the start" if self.part.law_given else f"at point {i + 1}"
+
     def _below(self, error: Any, where: str) -> Iterator[ConstraintRow]:
         """Yield the rows that keep an error, or each of several transmission cosines, below the largest one or the tolerance.
 
@@ -411,7 +415,7 @@ class _Targets:
                 most = (tolerance / part.size) ** 2
                 of.rows.append(ConstraintRow(f"{part.key}.points", label, square, -math.inf, most, scale))
             if part.measure == "max":
-                of.rows += self._below(error, f"at point {i + 1}")
+                of.rows += self._below(error, self._place(i))
         self.residual = casadi.vertcat(*self.errors, *self.further)
         if part.measure == "max":
             self.value = 0.0 if self.level is None else part.whole * self.level

@@ -167,7 +167,7 @@ def _faults(error: pydantic.ValidationError, model: type[Problem], raw: Mapping[
         if isinstance(problem, Unusable):
             below = f".{problem.key}" if problem.key and not problem.key.startswith("[") else problem.key
             yield Fault(problem.message, problem.remedy, file, key + below, problem.value if problem.key else value)
-        elif path[:1] == ["limits"] and model is DesignProblem and _unknown_limit(item, path):
+        elif path[:1] == ["limits"] and model is DesignProblem and _unknown_limit(item["type"], path, raw):
             if len(path) == 2 or item["type"] == "missing":
                 key = ".".join(map(str, path[:2]))
                 yield Fault(*(unsupported_key(key) or _needless(path[:2], model, raw)), file, key)
@@ -184,12 +184,11 @@ def _faults(error: pydantic.ValidationError, model: type[Problem], raw: Mapping[
             yield Fault(*_wrong(item, path, key), file, key, value)
 
 
-def _unknown_limit(item: Any, path: list[str | int]) -> bool:
+def _unknown_limit(kind: str, path: list[str | int], raw: Mapping[str, Any]) -> bool:
     """Return whether an error is due to a key of the limits that neither is known nor limits a quantity of the machine."""
-    if path[1:2] and path[1] in Limits.model_fields:
+    if len(path) < 2 or path[1] in Limits.model_fields:
         return False
-    value = item["input"]
-    return item["type"] == "model_type" or (item["type"] in ("missing", "extra_forbidden") and "quantity" not in value)
+    return kind == "model_type" or (kind in ("missing", "extra_forbidden") and "quantity" not in raw["limits"][path[1]])
 
 
 def _wrong(item: Any, path: list[str | int], key: str) -> tuple[str, str]:

@@ -140,6 +140,12 @@ BAD = {
     "table: no such file": ({"requirement.law": {"csv": "nowhere.csv"}}, "requirement.law.csv", "cannot read"),
     "table: twice": ({"requirement.law": {"csv": "a.csv", "phi": ["0 deg"]}}, "requirement.law.csv", "twice"),
     "section is a value": ({"limits": 3}, "limits", "expected a table"),
+    "limit without a quantity": ({"limits.driving": {"max": "3 N*m"}}, "limits.driving", "unknown key"),
+    "limit with an unknown key": (
+        {"limits.driving": {"quantity": "torque", "max": "3 N*m", "bar": 2}},
+        "limits.driving.bar",
+        "unknown key",
+    ),
 }
 
 

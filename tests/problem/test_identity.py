@@ -240,7 +240,29 @@ IDEAL = {"drive": {"body": "crank", "speed": "60 rpm"}}
 GAP = {"clearance": "0.5 mm", "bearing_radius": "10 mm", "journal": "rod", "modulus": "207 GPa", "restitution": 0.9}
 TABLE = {"over": "phi", "csv": "data.csv"}
 
+
+def listed(mechanism: Mapping[str, Any], **requirement: Any) -> dict[str, Any]:
+    """A problem whose requirement is a limit in a list, beside the best transmission."""
+    return {"mechanism": mechanism, "requirements": [requirement, {"kind": "transmission"}], "limits": LIMITS}
+
+
 CASES = {
+    "law in a list": Case(
+        "requirements.*.law",
+        listed(FOUR_BAR, law={"csv": "data.csv"}, measure="max", tolerance="40 deg"),
+        "data.csv",
+        LAW,
+        scaled(LAW, 1.3),
+        (validation,),
+    ),
+    "points in a list": Case(
+        "requirements.*.points",
+        listed(TRACER, kind="path", point="P", points={"csv": "data.csv"}, measure="max", tolerance="20 mm"),
+        "data.csv",
+        timed(1.02),
+        timed(1.1),
+        (validation,),
+    ),
     "law": Case("requirement.law", LAW_PROBLEM, "data.csv", LAW, scaled(LAW, 1.3), (*OPTIMA, scatter)),
     "law of a slide": Case(
         "requirement.law",

@@ -78,14 +78,23 @@ def slopes(coupler, rocker, count=31):
 
 
 def figure(coupler, rocker, robust):
-    """What is made least, by its definition."""
-    error, by = errors(coupler, rocker), slopes(coupler, rocker)
+    """What is made least, by its definition: at the design positions, or the largest value over the whole span."""
+    count = 31 if robust == "expected value" else 2001
+    error, by = errors(coupler, rocker, None, count), slopes(coupler, rocker, count)
     sigma = np.sqrt(np.sum((by * np.array(list(SIGMAS.values()))[:, None]) ** 2, axis=0))
     if robust == "worst case":
-        return np.max(np.abs(error) + np.sum(np.abs(by * np.array(list(ENDS.values()))[:, None]), axis=0))
+        return largest(np.abs(error) + np.sum(np.abs(by * np.array(list(ENDS.values()))[:, None]), axis=0))
     if robust == "expected value":
         return np.sum(error**2 + sigma**2)
-    return np.max(np.abs(error) + float(robust.split()[0]) * sigma)
+    return largest(np.abs(error) + float(robust.split()[0]) * sigma)
+
+
+def largest(values):
+    """The largest of two ends and of the vertices of the parabolas through every local maximum and its neighbours."""
+    before, middle, after = values[:-2], values[1:-1], values[2:]
+    top = (middle >= before) & (middle >= after)
+    before, middle, after = before[top], middle[top], after[top]
+    return max(values[0], values[-1], *(middle - (after - before) ** 2 / (8.0 * (before - 2.0 * middle + after))))
 
 
 def along_the_limit(robust):
