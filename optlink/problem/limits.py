@@ -128,7 +128,8 @@ class Limits(Margins):
     @property
     def named(self) -> dict[str, Limit]:
         """The limits of quantities of the machine by their names."""
-        return dict(self.__pydantic_extra__ or {})
+        extra = self.__pydantic_extra__
+        return dict(extra) if isinstance(extra, dict) else {}  # a copy with other numbers may have none
 
     @property
     def transmission_range(self) -> str:
