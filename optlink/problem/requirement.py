@@ -576,10 +576,6 @@ class FunctionRequirement(Requirement):
         if isinstance(self.start, str) and self.loop(problem) is None:
             message = f"{output} is not the rocker of a four-bar with the crank, so its dead centres are not known"
             raise Unusable(message, 'Write start = "60 deg", or leave it out', "requirement.start", self.start)
-        if isinstance(self.start, str) or self.tied(problem):
-            message = "a start that follows from the dimensions is supported for a four-bar by its lengths only"
-            key, value = ("start", self.start) if isinstance(self.start, str) else ("zero" if self.slides else "psi0", TIED)
-            raise Unusable(message, "Give a value or a range, or leave it out: then it is free", f"requirement.{key}", value)
         if self.robust is not None:
             message = "robust design supports motion laws of a four-bar only"
             remedy = "Leave it out; `optlink study tolerance` analyses any design"

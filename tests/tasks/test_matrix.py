@@ -139,16 +139,6 @@ def solved(row: str) -> Any:
     return optlink.solve(problem(row), starts=24)
 
 
-def free_name(row: str) -> str:
-    """The first free length of a row, as a key of the file."""
-    mechanism = ROWS[row]["mechanism"]
-    return (
-        "mechanism.coupler"
-        if "links" not in mechanism
-        else f"mechanism.links.{'rod' if 'guides' in mechanism else 'coupler'}.length"
-    )
-
-
 def _back_ends(row: str, folder: Path) -> None:
     result = optlink.solve(problem(row), "both", starts=24)
     assert result.valid
@@ -157,6 +147,8 @@ def _back_ends(row: str, folder: Path) -> None:
 
 
 def _designs(row: str, folder: Path) -> None:
+    if row.startswith("stroke"):
+        pytest.skip("a problem over the cycle has its distinct optima in its result")
     result = optlink.solve(problem(row), starts=24, designs=2)
     assert result.valid
     assert result.objective == pytest.approx(solved(row).objective, rel=1e-6, abs=1e-12)
@@ -172,15 +164,19 @@ def _either(row: str, folder: Path) -> None:
 
 
 def _sweep(row: str, folder: Path) -> None:
-    key = next(key for key in ("mechanism.frame", "mechanism.links.crank.length", "drive.speed") if _has(row, key))
-    if row == "stroke, slider-crank":
-        key = "requirement.stroke"
-    values = {"mechanism.frame": "119, 120 mm", "mechanism.links.crank.length": "39, 40 mm", "requirement.stroke": "95, 100 mm"}
-    found = sweep(problem(row), [f"{key}={values.get(key, '50, 60 rpm')}"], folder / "sweep")
+    varied = {
+        "mechanism.frame": "119, 120 mm",
+        "mechanism.links.crank.length": "39, 40 mm",
+        "requirement.stroke": "95, 100 mm",
+        "mechanism.guides.slide.direction": "0, 1 deg",
+    }
+    key = next(key for key in varied if _fixed(row, key))
+    found = sweep(problem(row), [f"{key}={varied[key]}"], folder / "sweep")
     assert found.statuses == {"optimal": 2}
 
 
-def _has(row: str, key: str) -> bool:
+def _fixed(row: str, key: str) -> bool:
+    """Whether the problem of a row has a fixed value under a key."""
     table: Any = ROWS[row]
     for step in key.split("."):
         if not isinstance(table, dict) or step not in table:
