@@ -57,7 +57,7 @@ def design_result(outcome: SynthesisResult) -> Summary:
 
 def _sizes(outcome: SynthesisResult, design: LinkageDesign) -> TableSpec:
     task, stated = design.task, "start" in design.task.requirement.model_fields_set
-    start = f"at the {getattr(task, 'dead_centre', None)}{'' if stated else ', the default start'}"
+    start = f"at the {task.dead_centre}{'' if stated else ', the default start'}" if task.dead_centre else "given"
     base = f"the {task.output} angle there" if design.follows_law else ""
     rows = dimension_rows(task, design.values, {task.start_name: start, task.base_name: base})
     chosen = "either" in str(outcome.problem.model.mechanism.assembly)

@@ -209,7 +209,7 @@ WORDS: dict[str, Words] = {"function": _Law(), "path": _Points(), "motion": _Pos
 
 def words_of(design: LinkageDesign) -> Words:
     """Return the words of the requirement of a design."""
-    return WORDS[design.task.requirement.kind]
+    return WORDS[design.task.requirement.family]
 
 
 def sentence(design: LinkageDesign) -> str:
