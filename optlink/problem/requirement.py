@@ -5,12 +5,12 @@ import itertools
 import math
 import operator
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Protocol
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Protocol, Self
 
 import numpy as np
-from pydantic import AliasChoices, BeforeValidator, Discriminator, Field, Tag
+from pydantic import AliasChoices, BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from optlink.io import Registry
 from optlink.linkage.dyad_types import RRR, Transmitting, transmitting
@@ -19,7 +19,7 @@ from optlink.linkage.inner_four_bar import InnerFourBar, inner_four_bars
 from optlink.linkage.mechanism import FRAME, Mechanism, Pose
 from optlink.linkage.vector2d import TURN, Array, Value, Vector, angle, angle_from, dot, minus, turn, unit
 from optlink.problem.base_model import Name, Section, in_folder
-from optlink.problem.interval import read_figure
+from optlink.problem.interval import Interval, read_figure
 from optlink.problem.limits import Limits
 from optlink.problem.machine.model import MAX_SHIFT
 from optlink.problem.mechanism import moving_points
@@ -32,12 +32,14 @@ from optlink.problem.quantity import (
     Unusable,
     below,
     check_name,
+    check_pair,
     nearest,
+    read_fixed,
     read_quantity,
     where,
 )
 from optlink.problem.robust import Robust, Robustness, check_robust
-from optlink.problem.targets.expression import Expression
+from optlink.problem.targets.expression import Expression, parse
 from optlink.problem.targets.function import Function
 from optlink.problem.targets.law import (
     SLIDE,
@@ -720,6 +722,157 @@ class FunctionRequirement(LawRequirement):
         return values | ({"start": dead} if (dead := self.dead_centre(problem)) and "start" not in values else {})
 
 
+def check_output(problem: Designed, output: str) -> None:
+    """Refuse the name of an output that the linkage does not have.
+
+    Raises
+    ------
+    Unusable
+        with the full key.
+    """
+    linkage = problem.linkage
+    named = [link.body for link in linkage.links[1:]] + [guide.name for guide in linkage.guides]
+    places = [f"{point}.{axis}" for point in moving_points(linkage) for axis in "xy"]
+    if output not in (*named, *places):
+        remedy = nearest(output, places if "." in output else named) if output else f'Write output = "{named[-1]}"'
+        message = "the output is the name of a body that turns, of a guide, or a coordinate of a moving point"
+        raise Unusable(message, remedy, "requirement.output", output or None)
+
+
+def check_kind(value: Quantity | Interval | None, key: str, *, slides: bool) -> None:
+    """Refuse an angle of a coordinate, and a length of an angle.
+
+    Raises
+    ------
+    Unusable
+        with the full key.
+    """
+    if value is not None and value.kind != ("coordinate" if slides else "angle"):
+        message = "the output is a coordinate, and this is an angle" if slides else "the output is an angle, and this is a length"
+        raise Unusable(message, f'Write {key} = "{"12 mm" if slides else "30 deg"}"', f"requirement.{key}", str(value))
+
+
+# --- the output dwells ------------------------------------------------------------------------------------------------------
+
+
+def _read_over(raw: object) -> tuple[Quantity | None, Quantity]:
+    """Read a crank range: the angles of its ends, or its length alone. Return its start, None for any, and its rotation."""
+    if not isinstance(raw, list):
+        return None, read_fixed(raw, "angle")
+    ends = check_pair(raw, "a crank range is two angles, or its length alone", 'Write ["100 deg", "160 deg"] or "60 deg"')
+    begin, end = (read_fixed(one, "angle") for one in ends)
+    return begin, replace(end, value=end.value - begin.value)
+
+
+def _read_output(raw: object) -> Quantity:
+    """Read an angle or a coordinate, fixed or free; which of them the output has is checked later."""
+    if isinstance(raw, dict) and "equals" in raw:
+        raise Unusable("this value cannot be linked to others", 'Give one value, or { bounds = ["30 deg", "40 deg"] }')
+    try:
+        return read_quantity(raw, "angle")
+    except Unusable:
+        return read_quantity(raw, "coordinate")
+
+
+class DwellRequirement(LawRequirement):
+    """The output stays within a band while the crank rotates through a range."""
+
+    kind: Literal["dwell"]
+    """Kind of requirement."""
+    output: str | None = None
+    """What dwells: a body (its angle), a guide (its slide) or a coordinate of a point, `"P.y"`; default: the rocker of a
+    four-bar."""
+    over: Annotated[Any, BeforeValidator(_read_over)]
+    """Crank range: the angles of its ends, `["100 deg", "160 deg"]`, the second one smaller for a clockwise crank; or its length
+    alone, `"60 deg"`, for a range that begins at `start`."""
+    start: Angle | None = None
+    """Crank angle at which a range begins that is given by its length, fixed or free; default: any angle."""
+    band: Any = None
+    """Largest breadth of the band in which the output stays: an angle or a length. The requirement is then a limit; without it,
+    half the breadth is minimised."""
+    value: Annotated[Any, BeforeValidator(_read_output)] = None
+    """Middle of the band, fixed or within bounds; default: any."""
+
+    limited_by: ClassVar[tuple[str, str]] = "band", "breadth"
+
+    @property
+    def law(self) -> Expression:
+        """The output at the start of the law, whatever the crank angle: the middle of the band."""
+        return parse("psi0", ("psi0",))
+
+    @property
+    def span(self) -> Quantity:
+        """Length of the crank range."""
+        span: Quantity = self.over[1]
+        return span
+
+    @property
+    def base(self) -> Quantity | None:
+        """Middle of the band as the file states it."""
+        value: Quantity | None = self.value
+        return value
+
+    @property
+    def points(self) -> None:
+        """The default number of positions."""
+
+    @property
+    def robust(self) -> None:
+        """Manufacturing deviations have no effect."""
+
+    @model_validator(mode="after")
+    def _begins(self) -> Self:
+        if self.start is None:
+            vars(self)["start"] = self.over[0]
+        return self
+
+    def stated(self, problem: Designed) -> tuple[float, None]:
+        """Return factor and offset from a deviation from the middle to the breadth of the band."""
+        return 2.0, None
+
+    def ranged(self, problem: Designed) -> bool:
+        """Return that the band holds over the whole range."""
+        return True
+
+    def of(self, problem: Designed) -> LawOf:
+        """Return names and defaults, however the linkage is written."""
+        return OF_DYADS
+
+    def key_of(self, problem: Designed, name: str) -> str:
+        """Return the key of the start angle, or of the middle of the band."""
+        return "start" if name == START else "value"
+
+    def output_of(self, problem: Designed) -> str:
+        """Return the name of the output."""
+        return self.output or (OF_FOUR_BAR.output if problem.four_bar else None) or ""
+
+    def slides(self, problem: Designed) -> bool:
+        """Return whether the output is a coordinate, not the angle of a body."""
+        return self.output_of(problem) not in problem.linkage.bodies
+
+    def quantities(self, problem: Designed) -> dict[str, Quantity]:
+        """Return the start of a range that is given by its length, and the middle of the band."""
+        quantities = super().quantities(problem)
+        return quantities if self.over[0] is None else {ZERO: quantities[ZERO]}
+
+    def check(self, problem: Designed) -> None:
+        """Check output, range and band.
+
+        Raises
+        ------
+        Unusable
+            with the full key of the cause.
+        """
+        if self.tolerance is not None:
+            raise Unusable("a dwell has no tolerance", 'Write band = "0.5 deg"', "requirement.tolerance", self.tolerance)
+        check_output(problem, self.output_of(problem))
+        if self.over[0] is not None and "start" in self.model_fields_set:
+            remedy = f'Leave it out, or write over = "{math.degrees(self.rotation):g} deg"'
+            raise Unusable("the crank range already states its start", remedy, "requirement.start", str(self.start))
+        check_rotation(self.law, self.span, "over", None, "over")
+        check_kind(self.value, "value", slides=self.slides(problem))
+
+
 # --- a point or a body takes positions --------------------------------------------------------------------------------------
 
 
@@ -1019,7 +1172,7 @@ def transmission_cosine(pose: Pose, group: Transmitting) -> Value:
 # --- the kinds --------------------------------------------------------------------------------------------------------------
 
 DEFAULT_KIND = "function"
-for _kind in (FunctionRequirement, PathRequirement, MotionRequirement, TransmissionRequirement):
+for _kind in (FunctionRequirement, DwellRequirement, PathRequirement, MotionRequirement, TransmissionRequirement):
     REQUIREMENTS.add(_kind.__annotations__["kind"].__args__[0], _kind)
 
 
