@@ -396,11 +396,18 @@ class _Targets:
                 height = (self.level * self.level - square) / (scale * scale)
                 yield ConstraintRow(EPIGRAPH, f"deviation {where}", height, 0.0, math.inf, PLAIN)
             return
-        key, bound, (factor, unit_of) = f"{self.part.key}.tolerance", most / whole, DISPLAYED[self.part.unit]
-        label = f"deviation{self.part.suffix}"
+        assert self.part.interval is not None
+        low, high = (bound / whole for bound in self.part.interval)
+        (key, label), (factor, unit_of) = self.part.requirement.limited_by, DISPLAYED[self.part.unit]
+        key, label, bound = f"{self.part.key}.{key}", f"{label}{self.part.suffix}", high
+        stated, offset = self.part.requirement.stated(self.part)
+        if offset is not None:
+            scale_of = Scale(unit_of, factor * whole * stated, offset=factor * offset)
+            yield ConstraintRow(key, label, parts[0] / whole, low, high, scale_of)
+            return
         if self.signed:
-            for part, low, high in ((parts[0], -math.inf, bound), (parts[-1], -bound, math.inf)):
-                yield ConstraintRow(key, label, part / whole, low, high, Scale(unit_of, factor * whole))
+            for value in (parts[0], -parts[-1]):
+                yield ConstraintRow(key, label, value / whole, -math.inf, bound, Scale(unit_of, factor * whole * stated))
             return
         for square in squares:
             yield ConstraintRow(key, label, square, -math.inf, bound**2, SquareRootScale(unit_of, factor * whole))

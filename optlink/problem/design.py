@@ -65,7 +65,7 @@ class DesignProblem(MachineTerms):
     @property
     def composed(self) -> bool:
         """Whether anything but the deviations of one requirement is minimised or limited by a measure."""
-        return bool(self.requirements or self.requirement.tolerance is not None or self.objective or self.limits.named)
+        return bool(self.requirements or self.requirement.limited or self.objective or self.limits.named)
 
     @property
     def task(self) -> str:
@@ -215,15 +215,13 @@ class DesignProblem(MachineTerms):
     @cached_property
     def tolerance(self) -> float | None:
         """Largest measure of the deviations [SI] of a requirement that is a limit; None for one that is minimised."""
-        raw = self.requirement.tolerance
-        if raw is None:
-            return None
-        if self.measure == "sum of squares":
-            raise Unusable("a tolerance limits the largest deviation or the rms", 'Write measure = "max"', "requirement.measure")
-        value = self._figure(raw, "tolerance")
-        if value <= 0.0:
-            raise Unusable("a tolerance must be positive", "Give one above zero", "requirement.tolerance", raw)
-        return value
+        return None if self.interval is None else max(-self.interval[0], self.interval[1])
+
+    @cached_property
+    def interval(self) -> tuple[float, float] | None:
+        """Least and largest deviation, or measure of them, [SI] of a requirement that is a limit; else None."""
+        interval: tuple[float, float] | None = self.requirement.interval(self)
+        return interval
 
     @cached_property
     def worth(self) -> float:
@@ -233,22 +231,20 @@ class DesignProblem(MachineTerms):
         raw, squared = self.requirement.scale, self.measure == "sum of squares"
         if raw is not None and squared:
             raise Unusable("a scale divides the largest deviation or the rms", 'Write measure = "rms"', "requirement.scale", raw)
-        scale = self.whole ** (2 if squared else 1) if raw is None else self._figure(raw, "scale")
+        scale = self.whole ** (2 if squared else 1)
+        if raw is not None:
+            with below("requirement"):
+                scale = read_figure(raw, {"m": "length", "rad": "angle"}.get(self.unit, ""), "scale")[0]
         if scale <= 0.0:
             raise Unusable("a scale must be positive", "Give one above zero", "requirement.scale", raw)
         return float(self.requirement.weight) / scale
-
-    def _figure(self, raw: object, key: str) -> float:
-        """Return a deviation [SI] that the requirement states under a key."""
-        with below("requirement"):
-            return read_figure(raw, {"m": "length", "rad": "angle"}.get(self.unit, ""), key)[0]
 
     @cached_property
     def goals(self) -> tuple[Goal, ...]:
         """Quantities of the machine that are minimised or maximised; where nothing else is, the worst pressure angle."""
         if self.objective is not None:
             return self.objective.goals
-        if any(part.requirement.tolerance is None for part in self.parts):
+        if any(not part.requirement.limited for part in self.parts):
             return ()
         turns = self.limits.crank != "span" and transmitting(self.linkage)
         return Objective(quantity="pressure angle" if turns else "total length").goals
@@ -511,7 +507,7 @@ class DesignProblem(MachineTerms):
     @property
     def slides(self) -> bool:
         """Whether the output of a law is a slider, not the angle of a body."""
-        return getattr(self.requirement, "slides", False)
+        return bool(self.requirement.slides(self))
 
     @property
     def based(self) -> bool:
@@ -567,7 +563,8 @@ class DesignProblem(MachineTerms):
     @property
     def movable_span(self) -> bool:
         """Whether the crank rotation of the requirement may vary: of a law that is an expression."""
-        return self.law_given and isinstance(self.requirement.law, Expression | SlideExpression)
+        stated = self.law_given and "span" in type(self.requirement).model_fields
+        return stated and isinstance(self.requirement.law, Expression | SlideExpression)
 
     @property
     def everywhere(self) -> bool:

@@ -99,6 +99,6 @@ def quantity_key(problem: Any, name: str) -> str:
     for part in getattr(problem, "parts", ()):
         if part.prefix and name.startswith(part.prefix):
             return str(part.key) + quantity_key(part, name.removeprefix(part.prefix)).removeprefix("requirement")
-    if name in ("psi0", "start", "mark", "zero"):
-        return "requirement.psi0" if name == "zero" and not getattr(problem, "slides", True) else f"requirement.{name}"
-    return "requirement.from" if name == "phi0" else file_key(vars(problem.mechanism), name)
+    if name in ("phi0", "psi0", "start", "mark", "zero"):
+        return f"requirement.{problem.requirement.key_of(problem, name)}"
+    return file_key(vars(problem.mechanism), name)

@@ -5,12 +5,12 @@ import itertools
 import math
 import operator
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Protocol
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Protocol, Self
 
 import numpy as np
-from pydantic import AliasChoices, BeforeValidator, Discriminator, Field, Tag
+from pydantic import AliasChoices, BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from optlink.io import Registry
 from optlink.linkage.dyad_types import RRR, Transmitting, transmitting
@@ -19,6 +19,7 @@ from optlink.linkage.inner_four_bar import InnerFourBar, inner_four_bars
 from optlink.linkage.mechanism import FRAME, Mechanism, Pose
 from optlink.linkage.vector2d import TURN, Array, Value, Vector, angle, angle_from, dot, minus, turn, unit
 from optlink.problem.base_model import Name, Section, in_folder
+from optlink.problem.interval import Interval, read_figure
 from optlink.problem.limits import Limits
 from optlink.problem.machine.model import MAX_SHIFT
 from optlink.problem.mechanism import moving_points
@@ -29,13 +30,16 @@ from optlink.problem.quantity import (
     Number,
     Quantity,
     Unusable,
+    below,
     check_name,
+    check_pair,
     nearest,
+    read_fixed,
     read_quantity,
     where,
 )
-from optlink.problem.robust import Robustness, check_robust
-from optlink.problem.targets.expression import Expression
+from optlink.problem.robust import Robust, Robustness, check_robust
+from optlink.problem.targets.expression import Expression, parse
 from optlink.problem.targets.function import Function
 from optlink.problem.targets.law import (
     SLIDE,
@@ -120,15 +124,27 @@ class Requirement(Section):
     scale: Any = None
     """Divisor in an objective of several terms, in the unit of the measure; default: the size of the curve or 1 rad."""
 
+    limited_by: ClassVar[tuple[str, str]] = "tolerance", "deviation"
+    """Key whose value makes the requirement a limit, and what it limits."""
+
     pointed: ClassVar[bool] = False
     """Whether points in the plane are prescribed."""
 
     law_given: ClassVar[bool] = False
     """Whether an output follows a law."""
 
+    def slides(self, problem: Designed) -> bool:
+        """Return whether the output of a law is a coordinate, of a slider or a point, not the angle of a body."""
+        return False
+
     def ranged(self, problem: Designed) -> bool:
         """Return whether its largest deviation counts over a range of crank angles, not at positions."""
         return False
+
+    @property
+    def family(self) -> str:
+        """The kind that measures and shows its designs: this one, or the one that it specialises."""
+        return self.kind
 
     @property
     def timed(self) -> str:
@@ -151,10 +167,34 @@ class Requirement(Section):
         return TargetPoints(points=())
 
     @property
+    def limited(self) -> bool:
+        """Whether the requirement is a limit; else it is minimised."""
+        return getattr(self, self.limited_by[0]) is not None
+
+    @property
     def reduction(self) -> str:
         """Measure that reduces the deviations; a limit applies to the largest one unless the file states another."""
-        limited = self.tolerance is not None and "measure" not in self.model_fields_set
+        limited = self.limited and "measure" not in self.model_fields_set
         return "max" if limited else str(getattr(self, "measure", "max"))
+
+    def stated(self, problem: Designed) -> tuple[float, float | None]:
+        """Return factor and offset from a deviation [SI] to what the file limits; None for deviations of either sign."""
+        return 1.0, None
+
+    def interval(self, problem: Designed) -> tuple[float, float] | None:
+        """Return the least and the largest deviation, or measure of them, [SI] of a limit; None if it is minimised."""
+        key, raw = self.limited_by[0], getattr(self, self.limited_by[0])
+        if raw is None:
+            return None
+        if self.reduction == "sum of squares":
+            message = f"a {key} limits the largest deviation or the rms"
+            raise Unusable(message, 'Write measure = "max"', "requirement.measure")
+        with below("requirement"):
+            value = read_figure(raw, {"m": "length", "rad": "angle"}.get(self.unit(problem), ""), key)[0]
+        if value <= 0.0:
+            raise Unusable(f"a {key} must be positive", "Give one above zero", f"requirement.{key}", raw)
+        most = value / self.stated(problem)[0]
+        return -most, most
 
     def task(self, problem: Designed) -> str:
         """Return the name of the search: "function" for laws of a four-bar section, else "path"."""
@@ -163,6 +203,10 @@ class Requirement(Section):
     def names(self, problem: Designed) -> tuple[str, str]:
         """Return the names of the quantities at the common start: crank angle and output."""
         return START, ZERO
+
+    def key_of(self, problem: Designed, name: str) -> str:
+        """Return the key under which the requirement states one of its quantities."""
+        return name
 
     def dead_centre(self, problem: Designed) -> str | None:
         """Return the dead centre at which the requirement starts; None if it starts at a crank angle."""
@@ -271,50 +315,50 @@ def _read_base(raw: object, kind: str) -> str | Quantity:
     return TIED if raw == TIED else read_quantity(raw, kind)
 
 
-class FunctionRequirement(Requirement):
-    """The output follows a law or a function while the crank rotates through the span."""
+class LawRequirement(Requirement):
+    """An output follows a law while the crank rotates through a span; base of the kinds with one."""
 
-    kind: Literal["function"] = "function"
-    """Kind of requirement."""
-    law: Annotated[Any, in_folder(read_output_law)]
-    """Output over crank angle: an expression in phi, phi0, psi0, for a slide `{ slide = "s0 + 40*(1 - cos(phi))", unit = "mm" }`;
-    a table of phi and psi, or phi and s, or a CSV file; or a function y(x), with x proportional to the crank angle."""
-    output: str | None = None
-    """Output of the law: a guide (its slide), a coordinate of a point, `"P.y"`, or a body (its angle); default: the rocker of a
-    four-bar."""
-    start: Annotated[Any, BeforeValidator(_read_start), Field(validation_alias=AliasChoices("start", "from"))] = None
-    """Start of the span, also written `from`: a dead centre of the rocker of a four-bar, or the crank angle, fixed or free;
-    default: the outer dead centre of a four-bar (for a function: any angle), any angle of dyads."""
-    psi0: Annotated[Any, BeforeValidator(functools.partial(_read_base, kind="angle"))] = None
-    """Angle of the output body at the start of a law, or at the least y of a function: fixed, free, or that which the linkage
-    has there, `output at the start`; default: that for a law of a four-bar and for a start at a dead centre, else free."""
-    zero: Annotated[Any, BeforeValidator(functools.partial(_read_base, kind="coordinate"))] = None
-    """Slide at the start of a law (s0), or at the least y of a function: fixed, free, or `output at the start`; default: free."""
-    span: FixedAngle | None = None
-    """Crank rotation over which an expression applies, negative clockwise; a table or function defines it itself."""
-    points: Annotated[int, Field(strict=True, ge=1, le=OF_FOUR_BAR.positions[1])] | None = None
-    """Number of evenly spaced positions after the start; default: the rows of a table, else 60."""
-    measure: Measure = "sum of squares"
-    """Measure that combines all errors into the objective; `max` is the largest error."""
-    robust: Robustness = None
-    """Effect of `[tolerances]` on the objective: `"3 sigma"` or `"worst case"` with the measure `max`, `"expected value"` with
-    the sum of squares or rms; default: none."""
+    if TYPE_CHECKING:  # keys of each kind, or properties of it
+
+        @property
+        def law(self) -> Any:
+            """The law as the file states it."""
+
+        @property
+        def output(self) -> str | None:
+            """Output as the file states it."""
+
+        @property
+        def start(self) -> str | Quantity | None:
+            """Start of the span as the file states it."""
+
+        @property
+        def span(self) -> Quantity | None:
+            """Crank rotation as the file states it."""
+
+        @property
+        def base(self) -> str | Quantity | None:
+            """Output at the start of the law as the file states it."""
+
+        @property
+        def points(self) -> int | None:
+            """Number of positions as the file states it."""
+
+        @property
+        def robust(self) -> Robust | None:
+            """Effect of manufacturing deviations as the file states it."""
 
     law_given: ClassVar[bool] = True
 
-    def ranged(self, problem: Designed) -> bool:
-        """Return whether its largest error counts over the whole span: that of a formula."""
-        return not isinstance(self.law, Table)
+    @property
+    def family(self) -> str:
+        """The kind that measures and shows its designs."""
+        return DEFAULT_KIND
 
     @property
     def timed(self) -> str:
         """Timing: relative to a common start."""
         return "from start"
-
-    @property
-    def slides(self) -> bool:
-        """Whether the output is a coordinate, of a slider or a point, not the angle of a body."""
-        return getattr(self.law, "kind", "angle") == "coordinate"
 
     @property
     def based(self) -> bool:
@@ -333,11 +377,11 @@ class FunctionRequirement(Requirement):
 
     def by_rocker(self, problem: Designed) -> bool:
         """Return whether the output is the rocker of a four-bar by its lengths, whose place does not matter."""
-        return problem.four_bar and not self.slides
+        return self.of(problem) is OF_FOUR_BAR
 
     def of(self, problem: Designed) -> LawOf:
         """Return names and defaults for the way in which the linkage is written."""
-        return OF_FOUR_BAR if self.by_rocker(problem) else OF_DYADS
+        return OF_FOUR_BAR if problem.four_bar and not self.slides(problem) else OF_DYADS
 
     def task(self, problem: Designed) -> str:
         """Return the name of the search."""
@@ -346,6 +390,11 @@ class FunctionRequirement(Requirement):
     def names(self, problem: Designed) -> tuple[str, str]:
         """Return the names of the quantities at the common start: crank angle and output."""
         return self.of(problem).start, self.of(problem).base
+
+    def key_of(self, problem: Designed, name: str) -> str:
+        """Return the key of the start angle, or of the output there."""
+        of = self.of(problem)
+        return of.key if name == of.start else "zero" if self.slides(problem) else "psi0"
 
     def output_of(self, problem: Designed) -> str:
         """Return the name of the output."""
@@ -356,12 +405,6 @@ class FunctionRequirement(Requirement):
         if self.start is None and not self.of_frame and not isinstance(self.law, Function):
             return self.of(problem).dead_centre
         return self.start if isinstance(self.start, str) else None
-
-    @property
-    def base(self) -> str | Quantity | None:
-        """Output at the start of the law as the file states it."""
-        base: str | Quantity | None = self.zero if self.slides else self.psi0
-        return base
 
     def tied(self, problem: Designed) -> bool:
         """Return whether the prescribed output at the start is the actual one."""
@@ -385,7 +428,7 @@ class FunctionRequirement(Requirement):
     def actual(self, problem: Designed, pose: Pose) -> Value:
         """Return the output in a pose: a coordinate [m] or the angle [rad] of a body."""
         output = self.output_of(problem)
-        return pose.coordinate(output) if self.slides else angle(pose.direction(output))
+        return pose.coordinate(output) if self.slides(problem) else angle(pose.direction(output))
 
     def quantities(self, problem: Designed) -> dict[str, Quantity]:
         """Return the start angle of the crank and the output there, where they are not derived."""
@@ -399,7 +442,7 @@ class FunctionRequirement(Requirement):
             quantities[of.start] = anywhere
         if isinstance(self.base, Quantity):
             quantities[of.base] = self.base
-        elif self.based and self.slides and not self.tied(problem):
+        elif self.based and self.slides(problem) and not self.tied(problem):
             lengths = [one.value for one in problem.mechanism.quantities.values() if one.kind == "length"]
             far = 10.0 * max([self.travel(problem), *lengths])
             quantities[of.base] = Quantity(0.0, "coordinate", "mm", -far, far)
@@ -411,8 +454,9 @@ class FunctionRequirement(Requirement):
         """Return the start of the law for given quantities; elementwise, NaN where it does not exist."""
         of = self.of(problem)
         if of.start in problem.quantities:
-            phi0 = values[of.start]
-            crank, rocker = unit(phi0), None
+            crank, phi0, rocker = unit(values[of.start]), values[of.start], None
+        elif isinstance(self.start, Quantity):  # stated otherwise than by its value
+            crank, phi0, rocker = unit(self.start.value), self.start.value, None
         else:
             limit = self._limit(problem, values, outer=self.dead_centre(problem) == DEAD_CENTRES[0])
             crank, phi0, rocker = limit.crank, limit.phi, limit.rocker
@@ -466,13 +510,13 @@ class FunctionRequirement(Requirement):
 
     def size(self, problem: Designed) -> float | None:
         """Return the travel [m] of a slider or a point, else the frame of a four-bar."""
-        if self.slides and (travel := self.travel(problem)) > 0.0:
+        if self.slides(problem) and (travel := self.travel(problem)) > 0.0:
             return travel
         return float(problem.mechanism.frame.value) if problem.four_bar else None
 
     def unit(self, problem: Designed) -> str:
         """Return the SI unit of a deviation."""
-        return "m" if self.slides else "rad"
+        return "m" if self.slides(problem) else "rad"
 
     def width(self, problem: Designed) -> int:
         """Return the number of components of the deviation at one position."""
@@ -486,9 +530,53 @@ class FunctionRequirement(Requirement):
     def deviation(self, problem: Designed, pose: Pose, values: Mapping[str, Value], target: tuple[Value, ...]) -> list[Value]:
         """Return actual minus prescribed coordinate [m] or angle [rad]."""
         prescribed = self.prescribed(problem, values, *target)
-        if self.slides:
+        if self.slides(problem):
             return [self.actual(problem, pose) - prescribed]
         return [angle_from(unit(prescribed), pose.direction(self.output_of(problem)))]
+
+
+class FunctionRequirement(LawRequirement):
+    """The output follows a law or a function while the crank rotates through the span."""
+
+    kind: Literal["function"] = "function"
+    """Kind of requirement."""
+    law: Annotated[Any, in_folder(read_output_law)]
+    """Output over crank angle: an expression in phi, phi0, psi0, for a slide `{ slide = "s0 + 40*(1 - cos(phi))", unit = "mm" }`;
+    a table of phi and psi, or phi and s, or a CSV file; or a function y(x), with x proportional to the crank angle."""
+    output: str | None = None
+    """Output of the law: a guide (its slide), a coordinate of a point, `"P.y"`, or a body (its angle); default: the rocker of a
+    four-bar."""
+    start: Annotated[Any, BeforeValidator(_read_start), Field(validation_alias=AliasChoices("start", "from"))] = None
+    """Start of the span, also written `from`: a dead centre of the rocker of a four-bar, or the crank angle, fixed or free;
+    default: the outer dead centre of a four-bar (for a function: any angle), any angle of dyads."""
+    psi0: Annotated[Any, BeforeValidator(functools.partial(_read_base, kind="angle"))] = None
+    """Angle of the output body at the start of a law, or at the least y of a function: fixed, free, or that which the linkage
+    has there, `output at the start`; default: that for a law of a four-bar and for a start at a dead centre, else free."""
+    zero: Annotated[Any, BeforeValidator(functools.partial(_read_base, kind="coordinate"))] = None
+    """Slide at the start of a law (s0), or at the least y of a function: fixed, free, or `output at the start`; default: free."""
+    span: FixedAngle | None = None
+    """Crank rotation over which an expression applies, negative clockwise; a table or function defines it itself."""
+    points: Annotated[int, Field(strict=True, ge=1, le=OF_FOUR_BAR.positions[1])] | None = None
+    """Number of evenly spaced positions after the start; default: the rows of a table, else 60."""
+    measure: Measure = "sum of squares"
+    """Measure that combines all errors into the objective; `max` is the largest error."""
+    robust: Robustness = None
+    """Effect of `[tolerances]` on the objective: `"3 sigma"` or `"worst case"` with the measure `max`, `"expected value"` with
+    the sum of squares or rms; default: none."""
+
+    def ranged(self, problem: Designed) -> bool:
+        """Return whether its largest error counts over the whole span: that of a formula."""
+        return not isinstance(self.law, Table)
+
+    @property
+    def base(self) -> str | Quantity | None:
+        """Output at the start of the law as the file states it."""
+        base: str | Quantity | None = self.psi0 if self.zero is None else self.zero
+        return base
+
+    def slides(self, problem: Designed) -> bool:
+        """Return whether the output is a coordinate, of a slider or a point, not the angle of a body."""
+        return getattr(self.law, "kind", "angle") == "coordinate"
 
     def check(self, problem: Designed) -> None:
         """Check output, start and law.
@@ -539,29 +627,30 @@ class FunctionRequirement(Requirement):
     def _check_output(self, problem: Designed) -> None:
         """Check that the output exists and that its keys apply to it."""
         linkage, output, of = problem.linkage, self.output_of(problem), self.of(problem)
-        if self.slides and not linkage.guides and not output:
+        slides = self.slides(problem)
+        if slides and not linkage.guides and not output:
             remedy = 'Write output = "P.y" for a coordinate of a point, or an angle: law = "psi0 + 0.5*(phi - phi0)"'
             of_function = isinstance(self.law, Function)
             place = ("requirement.law.output", f"{1e3 * self.law.output:g} mm") if of_function else ("requirement.law", None)
             raise Unusable("this linkage has no guide whose slide could follow a law", remedy, *place)
         places = [f"{point}.{axis}" for point in moving_points(linkage) for axis in "xy"]
-        outputs = [guide.name for guide in linkage.guides] if self.slides else [link.body for link in linkage.links[1:]]
-        if not self.slides and output in places:
+        outputs = [guide.name for guide in linkage.guides] if slides else [link.body for link in linkage.links[1:]]
+        if not slides and output in places:
             message = "a coordinate of a point follows a law with a unit of length"
             raise Unusable(message, f"Write {SLIDE}, or name a body that turns", "requirement.output", output)
         if of.output in outputs and output in outputs and output != of.output:
             message = f"a law of a four-bar by its lengths is one of its {of.output}"
             raise Unusable(message, "Leave output out, or write the linkage as dyads", "requirement.output", output)
-        if output not in (*outputs, *(places if self.slides else ())):
-            named = [*outputs, *(places if self.slides and "." in output else ())]
-            example = ' or a coordinate such as "P.y"' if self.slides else ""
+        if output not in (*outputs, *(places if slides else ())):
+            named = [*outputs, *(places if slides and "." in output else ())]
+            example = ' or a coordinate such as "P.y"' if slides else ""
             remedy = nearest(output, named) if output and named else f"Write output = one of: {', '.join(outputs)}{example}"
-            what = "guide, or a coordinate of a moving point" if self.slides else "body that turns"
+            what = "guide, or a coordinate of a moving point" if slides else "body that turns"
             raise Unusable(f"the output is the name of a {what}", remedy, "requirement.output", self.output)
-        if self.zero is not None and not self.slides:
+        if self.zero is not None and not slides:
             message = "this key applies to a slider or a point only"
             raise Unusable(message, "Write psi0 for the angle of a body", "requirement.zero", str(self.zero))
-        if self.psi0 is not None and self.slides:
+        if self.psi0 is not None and slides:
             message = "this key applies to a rotating body only"
             raise Unusable(message, "Write zero for a slide or a coordinate", "requirement.psi0", str(self.psi0))
         for key in ("zero", "psi0"):
@@ -591,8 +680,8 @@ class FunctionRequirement(Requirement):
         begins = stated or ((values[start],) if start not in problem.quantities else ())
         starts = [(float(begin), float(values.get(base, 0.0))) for begin in begins]
         if not starts or not np.all(np.isfinite(starts)):
-            starts = [(begin, 0.0 if self.slides else turned) for begin, turned in TRIAL_STARTS]
-        defects = [self._defect(law, begin, turned) for begin, turned in starts]
+            starts = [(begin, 0.0 if self.slides(problem) else turned) for begin, turned in TRIAL_STARTS]
+        defects = [self._defect(problem, law, begin, turned) for begin, turned in starts]
         if all(defects):
             span, begin = (f"{np.degrees(turned):.6g} deg" for turned in (self.rotation, starts[0][0]))
             message = f"the law {defects[0]} on the span, {span} from {begin} on"
@@ -600,7 +689,7 @@ class FunctionRequirement(Requirement):
         if not self.by_rocker(problem) and not self.travel(problem) > 1e-9:
             raise Unusable("the law does not move the output", "Change the law", "requirement.law", law.text)
 
-    def _defect(self, law: Expression | SlideExpression | Function, phi0: float, psi0: float) -> str | None:
+    def _defect(self, problem: Designed, law: Expression | SlideExpression | Function, phi0: float, psi0: float) -> str | None:
         """Return the defect of a law along the span, or None; poles of even order are found near the largest value."""
         low, high = 0.0, 1.0
         for _ in range(5):
@@ -610,23 +699,174 @@ class FunctionRequirement(Requirement):
                 return worry
             size = np.abs(np.asarray(law(values), dtype=float) + 0.0 * share)
             peak, step = float(share[int(np.argmax(size))]), (high - low) / (FINE - 1.0)
-            if np.max(size) > ABSURD and not self.slides:
+            if np.max(size) > ABSURD and not self.slides(problem):
                 return f"exceeds {ABSURD:g} rad"
             low, high = max(0.0, peak - 2.0 * step), min(1.0, peak + 2.0 * step)
         return None
 
     def inapplicable(self, problem: Designed) -> set[str]:
         """Return the keys of the other kind of output, and those of the other way to write a linkage."""
-        other = "requirement.psi0" if self.slides else "requirement.zero"
+        other = "requirement.psi0" if self.slides(problem) else "requirement.zero"
         return {other, "requirement.output", "limits.pivots"} if self.by_rocker(problem) else {other, "requirement.robust"}
 
     def effective(self, problem: Designed) -> dict[str, str]:
         """Return the effective values of optional keys, for display."""
         rows = f"its {len(self.law.phi)} rows" if isinstance(self.law, Table) else str(POSITIONS)
         values = {"span": f"{math.degrees(self.rotation):g} deg", "points": rows}
-        names = dict(zip(self.names(problem), ("start", "zero" if self.slides else "psi0"), strict=True))
+        names = dict(zip(self.names(problem), ("start", "zero" if self.slides(problem) else "psi0"), strict=True))
         values |= {key: str(problem.quantities[name]) for name, key in names.items() if name in problem.quantities}
         return values | ({"start": dead} if (dead := self.dead_centre(problem)) and "start" not in values else {})
+
+
+def check_output(problem: Designed, output: str) -> None:
+    """Refuse the name of an output that the linkage does not have.
+
+    Raises
+    ------
+    Unusable
+        with the full key.
+    """
+    linkage = problem.linkage
+    named = [link.body for link in linkage.links[1:]] + [guide.name for guide in linkage.guides]
+    places = [f"{point}.{axis}" for point in moving_points(linkage) for axis in "xy"]
+    if output not in (*named, *places):
+        remedy = nearest(output, places if "." in output else named) if output else f'Write output = "{named[-1]}"'
+        message = "the output is the name of a body that turns, of a guide, or a coordinate of a moving point"
+        raise Unusable(message, remedy, "requirement.output", output or None)
+
+
+def check_kind(value: Quantity | Interval | None, key: str, *, slides: bool) -> None:
+    """Refuse an angle of a coordinate, and a length of an angle.
+
+    Raises
+    ------
+    Unusable
+        with the full key.
+    """
+    if value is not None and value.kind != ("coordinate" if slides else "angle"):
+        message = "the output is a coordinate, and this is an angle" if slides else "the output is an angle, and this is a length"
+        raise Unusable(message, f'Write {key} = "{"12 mm" if slides else "30 deg"}"', f"requirement.{key}", str(value))
+
+
+# --- the output dwells ------------------------------------------------------------------------------------------------------
+
+
+def _read_over(raw: object) -> tuple[Quantity | None, Quantity]:
+    """Read a crank range: the angles of its ends, or its length alone. Return its start, None for any, and its rotation."""
+    if not isinstance(raw, list):
+        return None, read_fixed(raw, "angle")
+    ends = check_pair(raw, "a crank range is two angles, or its length alone", 'Write ["100 deg", "160 deg"] or "60 deg"')
+    begin, end = (read_fixed(one, "angle") for one in ends)
+    return begin, replace(end, value=end.value - begin.value)
+
+
+def _read_output(raw: object) -> Quantity:
+    """Read an angle or a coordinate, fixed or free; which of them the output has is checked later."""
+    if isinstance(raw, dict) and "equals" in raw:
+        raise Unusable("this value cannot be linked to others", 'Give one value, or { bounds = ["30 deg", "40 deg"] }')
+    try:
+        return read_quantity(raw, "angle")
+    except Unusable:
+        return read_quantity(raw, "coordinate")
+
+
+class DwellRequirement(LawRequirement):
+    """The output stays within a band while the crank rotates through a range."""
+
+    kind: Literal["dwell"]
+    """Kind of requirement."""
+    output: str | None = None
+    """What dwells: a body (its angle), a guide (its slide) or a coordinate of a point, `"P.y"`; default: the rocker of a
+    four-bar."""
+    over: Annotated[Any, BeforeValidator(_read_over)]
+    """Crank range: the angles of its ends, `["100 deg", "160 deg"]`, the second one smaller for a clockwise crank; or its length
+    alone, `"60 deg"`, for a range that begins at `start`."""
+    start: Angle | None = None
+    """Crank angle at which a range begins that is given by its length, fixed or free; default: any angle."""
+    band: Any = None
+    """Largest breadth of the band in which the output stays: an angle or a length. The requirement is then a limit; without it,
+    half the breadth is minimised."""
+    value: Annotated[Any, BeforeValidator(_read_output)] = None
+    """Middle of the band, fixed or within bounds; default: any."""
+
+    limited_by: ClassVar[tuple[str, str]] = "band", "breadth"
+
+    @property
+    def law(self) -> Expression:
+        """The output at the start of the law, whatever the crank angle: the middle of the band."""
+        return parse("psi0", ("psi0",))
+
+    @property
+    def span(self) -> Quantity:
+        """Length of the crank range."""
+        span: Quantity = self.over[1]
+        return span
+
+    @property
+    def base(self) -> Quantity | None:
+        """Middle of the band as the file states it."""
+        value: Quantity | None = self.value
+        return value
+
+    @property
+    def points(self) -> None:
+        """The default number of positions."""
+
+    @property
+    def robust(self) -> None:
+        """Manufacturing deviations have no effect."""
+
+    @model_validator(mode="after")
+    def _begins(self) -> Self:
+        if self.start is None:
+            vars(self)["start"] = self.over[0]
+        return self
+
+    def stated(self, problem: Designed) -> tuple[float, None]:
+        """Return factor and offset from a deviation from the middle to the breadth of the band."""
+        return 2.0, None
+
+    def ranged(self, problem: Designed) -> bool:
+        """Return that the band holds over the whole range."""
+        return True
+
+    def of(self, problem: Designed) -> LawOf:
+        """Return names and defaults, however the linkage is written."""
+        return OF_DYADS
+
+    def key_of(self, problem: Designed, name: str) -> str:
+        """Return the key of the start angle, or of the middle of the band."""
+        return "start" if name == START else "value"
+
+    def output_of(self, problem: Designed) -> str:
+        """Return the name of the output."""
+        return self.output or (OF_FOUR_BAR.output if problem.four_bar else None) or ""
+
+    def slides(self, problem: Designed) -> bool:
+        """Return whether the output is a coordinate, not the angle of a body."""
+        return self.output_of(problem) not in problem.linkage.bodies
+
+    def quantities(self, problem: Designed) -> dict[str, Quantity]:
+        """Return the start of a range that is given by its length, and the middle of the band."""
+        quantities = super().quantities(problem)
+        return quantities if self.over[0] is None else {ZERO: quantities[ZERO]}
+
+    def check(self, problem: Designed) -> None:
+        """Check output, range and band.
+
+        Raises
+        ------
+        Unusable
+            with the full key of the cause.
+        """
+        if self.tolerance is not None:
+            raise Unusable("a dwell has no tolerance", 'Write band = "0.5 deg"', "requirement.tolerance", self.tolerance)
+        check_output(problem, self.output_of(problem))
+        if self.over[0] is not None and "start" in self.model_fields_set:
+            remedy = f'Leave it out, or write over = "{math.degrees(self.rotation):g} deg"'
+            raise Unusable("the crank range already states its start", remedy, "requirement.start", str(self.start))
+        check_rotation(self.law, self.span, "over", None, "over")
+        check_kind(self.value, "value", slides=self.slides(problem))
 
 
 # --- a point or a body takes positions --------------------------------------------------------------------------------------
@@ -928,7 +1168,7 @@ def transmission_cosine(pose: Pose, group: Transmitting) -> Value:
 # --- the kinds --------------------------------------------------------------------------------------------------------------
 
 DEFAULT_KIND = "function"
-for _kind in (FunctionRequirement, PathRequirement, MotionRequirement, TransmissionRequirement):
+for _kind in (FunctionRequirement, DwellRequirement, PathRequirement, MotionRequirement, TransmissionRequirement):
     REQUIREMENTS.add(_kind.__annotations__["kind"].__args__[0], _kind)
 
 

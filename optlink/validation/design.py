@@ -106,10 +106,10 @@ def _composed(
         if part.tolerance is None:
             total += part.worth * tested.objective
             continue
-        factor, unit = DISPLAYED[part.unit]
-        name = ("largest deviation" if part.measure == "max" else "rms") + part.suffix
+        (factor, unit), stated = DISPLAYED[part.unit], part.requirement.stated(part)[0]
+        name = (f"largest {part.requirement.limited_by[1]}" if part.measure == "max" else "rms") + part.suffix
         met = bool(tested.objective <= part.tolerance * (1.0 + TOLERATED))
-        checks[name] = Check(name, met, tested.objective * factor, f"<= {part.tolerance * factor:.6g}", unit)
+        checks[name] = Check(name, met, tested.objective * factor * stated, f"<= {part.tolerance * factor * stated:.6g}", unit)
     rounding = 1e-300
     if problem.goals or problem.bounds:
         from optlink.validation.cycle import Cycle, limit_checks_of
@@ -197,7 +197,7 @@ class _Tested:
         angles = problem.crank_angles(self.values, None) if angles is None else angles
         self.angles = np.array(np.broadcast_to(np.asarray(angles, dtype=float), (self.count, np.shape(angles)[-1])))
         self.size = self.design["frame"] if problem.unit != "m" and "frame" in self.design else problem.size
-        self.targets = TARGETS[problem.requirement.kind](self)
+        self.targets = TARGETS[problem.requirement.family](self)
 
     def _column(self, value: ArrayLike) -> Array:
         return np.array(np.broadcast_to(np.asarray(value, dtype=float), self.count))[:, None]

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from optlink.tasks.path import solve
 from scipy.optimize import minimize
 
 import optlink
@@ -15,6 +14,7 @@ from optlink.errors import InputError
 from optlink.report.html.page import page
 from optlink.report.report_model import report_model_of
 from optlink.tasks.certify import certify
+from optlink.tasks.design import solve
 from tests.solved import solution
 
 FINE = np.radians(np.linspace(110.0, 250.0, 14_001))

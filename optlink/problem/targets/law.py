@@ -137,10 +137,10 @@ def rotation(law: Source, span: Quantity | None) -> float:
     return span.value
 
 
-def check_rotation(law: Source, span: Quantity | None, key: str, start: object) -> None:
+def check_rotation(law: Source, span: Quantity | None, key: str, start: object, span_key: str = "span") -> None:
     """Refuse a span or a start that a law brings itself, and a span that is missing or out of range.
 
-    `span` and `start` are those that the file states, `key` is that of the start in the requirement.
+    `span` and `start` are those that the file states under `span_key` and `key` in the requirement.
 
     Raises
     ------
@@ -162,7 +162,7 @@ def check_rotation(law: Source, span: Quantity | None, key: str, start: object) 
     if not 1e-6 <= abs(turned) <= TURN * (1.0 + 1e-9):
         remedy = 'Give one such as "90 deg" (negative: clockwise)'
         value = f"{math.degrees(turned):.6g} deg"
-        raise Unusable("the span must not be zero, nor exceed one revolution", remedy, "requirement.span", value)
+        raise Unusable("the span must not be zero, nor exceed one revolution", remedy, f"requirement.{span_key}", value)
 
 
 @dataclass(frozen=True, eq=False)

@@ -98,7 +98,7 @@ PICTURES = {
 def charts(result: SynthesisResult) -> list[ChartSpec]:
     """Return the charts of the requirement, the transmission angle over the motion, and the charts of the global search."""
     shown, model, best_design = views(result), result.problem.model, result.best
-    specs = [chart for view in shown for chart in PICTURES[view.task.requirement.kind].charts(view)]
+    specs = [chart for view in shown for chart in PICTURES[view.task.requirement.family].charts(view)]
     specs += [chart for view in shown[:1] for chart in transmission(view)]
     values, mode = ({}, "") if best_design is None else (best_design.values if best_design.valid else {}, best_design.assembly)
     return specs + certificate_charts(result.certificate, model.title, model.shown_objective, values, mode, model.display)
@@ -115,7 +115,7 @@ def frames(result: SynthesisResult, count: int = FRAMES) -> list[Image.Image]:
         ends = view.run if view.task.pointed else view.motion
         steps = there_and_back(float(ends.crank_angle[0]), float(ends.crank_angle[-1]), count)
     titles = marked(view.task.title, view.design, view.refuted)
-    return PICTURES[view.task.requirement.kind].film(view, steps, titles)
+    return PICTURES[view.task.requirement.family].film(view, steps, titles)
 
 
 def positions(result: SynthesisResult) -> dict[str, dict[str, Array]]:

@@ -61,7 +61,7 @@ def _sizes(outcome: SynthesisResult, design: LinkageDesign) -> TableSpec:
     derived = {}
     for task in (part.task for part in design.parts if part.follows_law):
         default = "" if "start" in task.requirement.model_fields_set else ", the default start"
-        derived[task.prefix + task.start_name] = f"at the {task.dead_centre}{default}"
+        derived[task.prefix + task.start_name] = f"at the {task.dead_centre}{default}" if task.dead_centre else "given"
         derived[task.prefix + task.base_name] = f"the {task.output} angle there"
     rows = dimension_rows(design.whole, design.values, derived)
     chosen = "either" in str(outcome.problem.model.mechanism.assembly)

@@ -193,7 +193,7 @@ WORDS: dict[str, Words] = {"function": _Law(), "path": _Points(), "motion": _Pos
 
 def words_of(design: LinkageDesign) -> Words:
     """Return the words of the requirement of a design."""
-    return WORDS[design.task.requirement.kind]
+    return WORDS[design.task.requirement.family]
 
 
 def captions(design: LinkageDesign) -> list[str]:

@@ -121,13 +121,13 @@ def _of_positions(model: DesignProblem) -> Numbers:
     data, requirement = model.data, model.requirement
     assert data.offsets is not None
     numbers = {
-        "kind": requirement.kind,
+        "kind": requirement.family,
         "offsets": data.offsets.tolist(),
         "span": float(data.offsets[-1] - data.offsets[0]),
         **_EMPTY,
     }
-    if requirement.kind == "function":
-        return numbers | {"law": _law(model.law), "output": str(requirement.output), "slides": model.slides}
+    if model.law_given:
+        return numbers | {"law": _law(model.law), "output": model.output, "slides": model.slides}
     if not model.pointed:
         return numbers
     return numbers | {
