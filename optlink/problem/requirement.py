@@ -34,7 +34,7 @@ from optlink.problem.quantity import (
     read_quantity,
     where,
 )
-from optlink.problem.robust import Robustness, check_robust
+from optlink.problem.robust import Robustness
 from optlink.problem.targets.expression import Expression
 from optlink.problem.targets.function import Function
 from optlink.problem.targets.law import (
@@ -119,9 +119,15 @@ class Requirement(Section):
     """Weight in an objective of several terms."""
     scale: Any = None
     """Divisor in an objective of several terms, in the unit of the measure; default: the size of the curve or 1 rad."""
+    robust: Robustness = None
+    """Effect of `[tolerances]` on the objective: `"3 sigma"` or `"worst case"` with the measure `max`, `"expected value"` with
+    the sum of squares or rms; default: none."""
 
     pointed: ClassVar[bool] = False
     """Whether points in the plane are prescribed."""
+
+    separate: ClassVar[bool] = False
+    """Whether each component of a deviation is judged by itself, not the length of their vector."""
 
     law_given: ClassVar[bool] = False
     """Whether an output follows a law."""
@@ -225,6 +231,10 @@ class Requirement(Section):
         """Return the effective values of optional keys, for display."""
         return {}
 
+    def loaded(self, problem: Designed) -> str:
+        """Return the output that shows to which side a joint clearance lies: a body (its angle), or "P.x" of a point."""
+        return "rocker" if problem.four_bar else ""
+
 
 REQUIREMENTS: Registry[type[Requirement]] = Registry()
 """Classes of requirements by their kind."""
@@ -296,9 +306,6 @@ class FunctionRequirement(Requirement):
     """Number of evenly spaced positions after the start; default: the rows of a table, else 60."""
     measure: Measure = "sum of squares"
     """Measure that combines all errors into the objective; `max` is the largest error."""
-    robust: Robustness = None
-    """Effect of `[tolerances]` on the objective: `"3 sigma"` or `"worst case"` with the measure `max`, `"expected value"` with
-    the sum of squares or rms; default: none."""
 
     law_given: ClassVar[bool] = True
 
@@ -422,6 +429,10 @@ class FunctionRequirement(Requirement):
             return StartPosition(crank, phi0, angle(rocker))
         return StartPosition(crank, phi0, self.actual(problem, problem.linkage.pose(values, crank)))
 
+    def loaded(self, problem: Designed) -> str:
+        """Return the output, see `Requirement.loaded`."""
+        return self.output_of(problem)
+
     def derived(self, problem: Designed, values: Mapping[str, Value]) -> dict[str, Value]:
         """Return the start angle of the crank at a dead centre, and the output there if it is the actual one."""
         of, start = self.of(problem), None
@@ -530,7 +541,6 @@ class FunctionRequirement(Requirement):
         if by_rocker and problem.limits.pivots is not None:
             message = "a motion law does not depend on the position of the linkage"
             raise Unusable(message, "Leave pivots out", "limits.pivots")
-        check_robust(self.robust, self.measure, len(problem.tolerances))
         if problem.limits.crank == "double-crank" and of.start not in problem.quantities:
             remedy = f'Start at an angle: {of.key} = "60 deg"'
             raise Unusable("a double-crank has no dead centres", remedy, f"requirement.{of.key}", self.dead_centre(problem))
@@ -580,10 +590,6 @@ class FunctionRequirement(Requirement):
             message = "a start that follows from the dimensions is supported for a four-bar by its lengths only"
             key, value = ("start", self.start) if isinstance(self.start, str) else ("zero" if self.slides else "psi0", TIED)
             raise Unusable(message, "Give a value or a range, or leave it out: then it is free", f"requirement.{key}", value)
-        if self.robust is not None:
-            message = "robust design supports motion laws of a four-bar only"
-            remedy = "Leave it out; `optlink study tolerance` analyses any design"
-            raise Unusable(message, remedy, "requirement.robust", str(self.robust))
 
     def _check_values(self, problem: Designed) -> None:
         """Check that an expression has plausible values over the span for some start, and moves the output."""
@@ -622,7 +628,7 @@ class FunctionRequirement(Requirement):
     def inapplicable(self, problem: Designed) -> set[str]:
         """Return the keys of the other kind of output, and those of the other way to write a linkage."""
         other = "requirement.psi0" if self.slides else "requirement.zero"
-        return {other, "requirement.output", "limits.pivots"} if self.by_rocker(problem) else {other, "requirement.robust"}
+        return {other, "requirement.output", "limits.pivots"} if self.by_rocker(problem) else {other}
 
     def effective(self, problem: Designed) -> dict[str, str]:
         """Return the effective values of optional keys, for display."""
@@ -692,6 +698,10 @@ class PathRequirement(Requirement):
         """Return the common start angle of the crank, where the timing has one."""
         anywhere = Quantity(0.0, "angle", "deg", -math.pi, math.pi)
         return {START: self.start or anywhere} if self.timed == "from start" else {}
+
+    def loaded(self, problem: Designed) -> str:
+        """Return a coordinate of the point, see `Requirement.loaded`."""
+        return f"{self.point}.x"
 
     @property
     def centre(self) -> tuple[float, float]:
@@ -878,9 +888,11 @@ class TransmissionRequirement(Requirement):
         """Whether the objective is the cosine of one angle."""
         return self.measure == "max"
 
+    separate: ClassVar[bool] = True
+
     def ranged(self, problem: Designed) -> bool:
-        """Return whether the largest cosine counts over the revolution: for a four-bar its extremes are known."""
-        return not problem.four_bar
+        """Return whether the largest cosine counts over the revolution: for a four-bar its extremes, as drawn, are known."""
+        return not problem.four_bar or self.robust is not None
 
     def unit(self, problem: Designed) -> str:
         """Return the SI unit of a deviation: none."""
@@ -891,8 +903,9 @@ class TransmissionRequirement(Requirement):
         return len(transmitting(problem.linkage))
 
     def data(self, problem: Designed) -> TargetArrays:
-        """Return the crank angles: of a four-bar those of the extreme transmission angles."""
-        offsets = np.array([0.0, math.pi]) if problem.four_bar else np.linspace(0.0, TURN, GRID, endpoint=False)
+        """Return the crank angles: of a four-bar those of the extreme transmission angles, as drawn."""
+        known = problem.four_bar and (self.robust is None or self.measure != "max")
+        offsets = np.array([0.0, math.pi]) if known else np.linspace(0.0, TURN, GRID, endpoint=False)
         return at_positions(np.zeros((len(offsets), 1)), offsets)
 
     def deviation(self, problem: Designed, pose: Pose, values: Mapping[str, Value], target: tuple[Value, ...]) -> list[Value]:

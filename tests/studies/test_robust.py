@@ -77,9 +77,10 @@ def slopes(coupler, rocker, count=31):
     )
 
 
-def figure(coupler, rocker, robust):
-    """What is made least, by its definition."""
-    error, by = errors(coupler, rocker), slopes(coupler, rocker)
+def figure(coupler, rocker, robust, count=8001):
+    """What is made least, by its definition: squares at the 31 positions, the largest over the whole span."""
+    count = 31 if robust == "expected value" else count
+    error, by = errors(coupler, rocker, count=count), slopes(coupler, rocker, count)
     sigma = np.sqrt(np.sum((by * np.array(list(SIGMAS.values()))[:, None]) ** 2, axis=0))
     if robust == "worst case":
         return np.max(np.abs(error) + np.sum(np.abs(by * np.array(list(ENDS.values()))[:, None]), axis=0))
@@ -96,7 +97,7 @@ def along_the_limit(robust):
         return 0.5 * (c + math.sqrt(c * c - 4.0 * (coupler**2 - 0.36)))
 
     grid = np.linspace(0.36, 0.46, 401)
-    values = [figure(coupler, rocker_of(coupler), robust) for coupler in grid]
+    values = [figure(coupler, rocker_of(coupler), robust, 301) for coupler in grid]
     best = int(np.argmin(values))
     low, high = grid[best - 1], grid[best + 1]
     for _ in range(80):  # by thirds: the least of a largest has a corner, where parabolas do not help
