@@ -97,7 +97,10 @@ class ErrorCourse:
         return ErrorResiduals(self.part)
 
     def sizes(self, values: Mapping[str, Value], shares: Array) -> Array:
-        """Return the errors (rows, n) in scaled units: one row for either sign of a law, one for the cosine of each dyad."""
+        """Return the errors (rows, n) in scaled units.
+
+        One row for either sign of a law and of a cosine with its scatter, else one for the cosine of each dyad.
+        """
         begin, whole = self.motion()
         offsets = begin + whole * shares
         with np.errstate(all="ignore"):
@@ -105,8 +108,9 @@ class ErrorCourse:
                 lower, upper = self._errors.band(values, offsets)
                 sizes = np.array([-lower + 0.0 * shares, upper + 0.0 * shares])
             else:
-                cosines = self.part.deviation(self.part.linkage.pose(values, unit(offsets)), values, ())
-                sizes = np.array([np.abs(cosine) + 0.0 * shares for cosine in cosines])
+                cosines, signs = self._errors.cosines(values, offsets), itertools.cycle((1.0, -1.0))
+                ends = map(np.abs, cosines) if self.part.robust is None else map(np.multiply, cosines, signs)
+                sizes = np.array([end + 0.0 * shares for end in ends])
         return np.where(np.isfinite(sizes), sizes, -np.inf) / self.part.whole
 
     def heights(self, values: Mapping[str, float], level: float | None, shares: Array) -> Array:

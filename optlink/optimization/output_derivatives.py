@@ -83,12 +83,15 @@ def traced_residuals(
     `known` has the quantities and, by their keys, the tolerances that count.
     """
     deviations = [replace(d, tolerance=known.get(f"tolerances.{d.name}", d.tolerance)) for d in problem.deviations]
-    (error,), (slopes,) = ErrorDerivatives(problem).symbolic(known, angle, target)
-    return residuals(problem.robust, deviations, error, slopes, smoothed)
+    errors, slopes = ErrorDerivatives(problem).symbolic(known, angle, target)
+    return residuals(problem.robust, deviations, errors, slopes, smoothed, separate=problem.separate)
 
 
 class ErrorResiduals:
-    """Residuals of the objective of a law on numpy arrays: the error (prescribed minus actual), or the error with its scatter."""
+    """Residuals of the objective of a law or of the transmission on numpy arrays, with their scatter if the problem is robust.
+
+    The error of a law is prescribed minus actual.
+    """
 
     def __init__(self, problem: DesignProblem) -> None:
         self.problem, self.robust = problem, problem.robust
@@ -120,7 +123,16 @@ class ErrorResiduals:
             if self.slopes is None:
                 return [-part for part in problem.deviation(problem.linkage.pose(values, unit(angle)), values, target)]
             (error,), (slopes,) = self.slopes.numeric(values, angle, target)
-            return residuals(self.robust, problem.deviations, -error, [-slope for slope in slopes])
+            return residuals(self.robust, problem.deviations, [-error], [[-slope for slope in slopes]])
+
+    def cosines(self, values: Mapping[str, Value], angles: Array) -> list[Array]:
+        """Return the cosines of the transmission angles at crank angles [rad]; of a robust problem both ends of each."""
+        problem = self.problem
+        with np.errstate(all="ignore"):
+            if self.slopes is None:
+                return problem.deviation(problem.linkage.pose(values, unit(angles)), values, ())
+            errors, slopes = self.slopes.numeric(values, angles, (0.0,))
+            return residuals(self.robust, problem.deviations, errors, slopes, separate=True)
 
 
 def _tabulated(problem: DesignProblem, offsets: Array) -> Array:

@@ -88,7 +88,7 @@ class _Builder:
             self.variables.append(Variable(f"{EPIGRAPH}{part.suffix}", part.whole, scale))
         self.variables += () if self.terms is None else self.terms.levels
         self.helpers = frozenset({EPIGRAPH, *angles, *(v.name for v in self.variables[self.first_level :])})
-        self.moving = target_constants(first) if movable and first.pointed else []
+        self.moving = target_constants(first) if movable and first.pointed and robust is None else []
         self.spanned = movable and first.movable_span
         counted = [Variable(name, problem.size, Scale("mm", 1e3 * problem.size)) for name in problem.counted]
         self.constants = [*fixed, *counted, *([Variable(SPAN, 1.0, DEGREES)] if self.spanned else []), *self.moving]
@@ -289,12 +289,15 @@ class _Targets:
     def __init__(self, of: _Builder, part: DesignProblem, angles: list[Any], level: Any) -> None:
         self.of, self.part, self.level = of, part, level
         self.count, self.free_timing = len(part.data.columns), part.data.offsets is None
-        self.cosines = part.requirement.kind == "transmission"  # every dyad has a transmission angle of its own
-        self.signed = part.width == 1 and not self.cosines
-        width = 1 if self.cosines else part.width
-        if part.robust is not None and part.robust.text == EXPECTED:
-            width = 1 + len(part.deviations)
-        self.measure = error_measures(part.unit, width)[part.measure]
+        robust, single = part.robust, part.width == 1 or part.separate
+        expected = robust is not None and robust.text == EXPECTED
+        banded = robust is not None and not expected
+        self.pairs = banded and single  # residuals are the ends of error bands
+        self.scattered = banded and not single  # the last residual is the scatter of the vector of the others
+        self.signed = self.pairs or (part.width == 1 and not part.separate)
+        self.drawn = robust is not None and bool(np.any(np.isfinite(part.data.tolerances)))  # deviations of points follow
+        width = 1 if part.separate or banded else part.width
+        self.measure = error_measures(part.unit, width * (1 + len(part.deviations)) if expected else width)[part.measure]
         self.course = ErrorCourse(part) if part.everywhere else None
         self.own = part.own(of.values)
         self.heights: list[Any] = []
@@ -316,7 +319,8 @@ class _Targets:
         if part.robust is None:
             parts = part.deviation(part.linkage.pose(known, unit(angle)), known, target)
         else:
-            parts = traced_residuals(part, known, angle, target, known.get(SMOOTHED_BY, 0.0))
+            parts = traced_residuals(part, known, angle, target, known.get(SMOOTHED_BY, 0.0) * part.whole)
+            parts += part.deviation(part.linkage.pose(known, unit(angle)), known, target)[:2] if self.drawn else []
         self.watched = self.of.positions(casadi.Function("residual", [inputs, senses], [casadi.vertcat(*parts)]))
 
     def one_position(self) -> dict[str, Any]:
@@ -344,6 +348,9 @@ class _Targets:
             columns = [of.targets[width * k : width * (k + 1)] for k in range(self.count)]
             stretch = casadi.vertcat(1.0, 1.0, of.targets[-1] / part.radian) if part.width == 3 else 1.0
         errors = [self.watched.at(angle, self.origin, *row) for angle, row in zip(self.angles, columns, strict=True)]
+        if part.pointed:  # deviations of the points as drawn, for their tolerances
+            self.places = [error[-2:] if self.drawn else error[:2] for error in errors]
+        errors = [error[:-2] if self.drawn else error for error in errors]
         self.errors = [error * root * stretch for error, root in zip(errors, data.roots.tolist(), strict=True)]
 
     @property
@@ -382,14 +389,21 @@ class _Targets:
         its rows: otherwise all rows of a small error would count as active.
         """
         parts, whole, most = casadi.vertsplit(error), self.part.whole, self.part.tolerance
-        squares = [part * part / whole**2 for part in parts] if self.cosines else [casadi.sumsqr(error) / whole**2]
+        squares = [part * part / whole**2 for part in parts] if self.part.separate else [casadi.sumsqr(error) / whole**2]
         if most is None:
             scale = self.of.p[0] if len(self.of.variables) == self.of.first_level + 1 else 1.0
-            upper, lower = self.level - parts[0] / whole, self.level + parts[-1] / whole
             if self.signed:
                 self.heights += [casadi.fabs(part) / whole for part in parts]
-                yield ConstraintRow(EPIGRAPH, f"positive error {where}", upper / scale, 0.0, math.inf, PLAIN)
-                yield ConstraintRow(EPIGRAPH, f"negative error {where}", lower / scale, 0.0, math.inf, PLAIN)
+                for high, low in zip(parts[::2], parts[1::2], strict=True) if self.pairs else [(parts[0], parts[0])]:
+                    upper, lower = self.level - high / whole, self.level + low / whole
+                    yield ConstraintRow(EPIGRAPH, f"positive error {where}", upper / scale, 0.0, math.inf, PLAIN)
+                    yield ConstraintRow(EPIGRAPH, f"negative error {where}", lower / scale, 0.0, math.inf, PLAIN)
+                return
+            if self.scattered:  # a cone: the length of the vector is at most the largest one less its scatter
+                room, square = self.level - parts[-1] / whole, casadi.sumsqr(error[:-1]) / whole**2
+                self.heights.append(casadi.sqrt(square) + parts[-1] / whole)
+                yield ConstraintRow(EPIGRAPH, f"scatter {where}", room / scale, 0.0, math.inf, PLAIN)
+                yield ConstraintRow(EPIGRAPH, f"deviation {where}", (room * room - square) / scale**2, 0.0, math.inf, PLAIN)
                 return
             for square in squares:
                 self.heights.append(casadi.sqrt(square))
@@ -412,18 +426,22 @@ class _Targets:
         for square in squares:
             yield ConstraintRow(key, label, square, -math.inf, bound**2, SquareRootScale(unit_of, factor * whole))
 
+    def _residual(self, error: Any) -> Any:
+        """Return the residual of the measure at one position: of a vector with scatter its largest length."""
+        return casadi.norm_2(error[:-1]) + error[-1] if self.scattered else error
+
     def reduce(self) -> None:
         """Reduce the deviations: rows of the tolerances, and of the largest one or the limited measure; `value` [SI]."""
         data, part, of = self.part.data, self.part, self.of
         for i, (error, tolerance) in enumerate(zip(self.errors, data.tolerances.tolist(), strict=True)):
             if math.isfinite(tolerance):
-                square = casadi.sumsqr(error[:2]) / (data.roots[i] * part.size) ** 2
+                square = casadi.sumsqr(self.places[i]) / part.size**2
                 label, scale = f"distance from point {i + 1}{part.suffix}", SquareRootScale("mm", 1e3 * part.size)
                 most = (tolerance / part.size) ** 2
                 of.rows.append(ConstraintRow(f"{part.key}.points", label, square, -math.inf, most, scale))
             if part.measure == "max":
                 of.rows += self._below(error, self._place(i))
-        self.residual = casadi.vertcat(*self.errors, *self.further)
+        self.residual = casadi.vertcat(*map(self._residual, (*self.errors, *self.further)))
         if part.measure == "max":
             self.value = 0.0 if self.level is None else part.whole * self.level
             return

@@ -23,7 +23,7 @@ from optlink.problem.machine.model import ShownObjective
 from optlink.problem.mechanism import FourBarSection, check_one_mode
 from optlink.problem.quantity import Quantity, Unusable, below
 from optlink.problem.requirement import AnyRequirement, StartPosition, TargetArrays, carrier
-from optlink.problem.robust import Robust
+from optlink.problem.robust import Robust, check_robust
 from optlink.problem.targets.expression import Expression
 from optlink.problem.targets.function import Function
 from optlink.problem.targets.law import Law, SlideExpression
@@ -101,6 +101,7 @@ class DesignProblem(MachineTerms):
         for part in self.parts:
             with part.keyed():
                 part.requirement.check(part)
+                check_robust(part.robust, part.measure, len(part.tolerances))
         if self.composed:
             self._check_composition()
         super().check()
@@ -516,8 +517,19 @@ class DesignProblem(MachineTerms):
 
     @property
     def robust(self) -> Robust | None:
-        """Effect of manufacturing deviations on the objective of a law; None if they have none."""
-        return getattr(self.requirement, "robust", None)
+        """Effect of manufacturing deviations on the objective; None if they have none."""
+        robust: Robust | None = self.requirement.robust
+        return robust
+
+    @property
+    def separate(self) -> bool:
+        """Whether each component of a deviation is judged by itself, not the length of their vector."""
+        return bool(self.requirement.separate)
+
+    @property
+    def loaded(self) -> str:
+        """The output that shows to which side a joint clearance lies; see `Requirement.loaded`."""
+        return str(self.requirement.loaded(self)) if self.robust is not None else super().loaded
 
     @property
     def tied(self) -> bool:

@@ -38,7 +38,7 @@ from optlink.problem.quantity import (
     read_quantity,
     where,
 )
-from optlink.problem.robust import Robust, Robustness, check_robust
+from optlink.problem.robust import Robustness
 from optlink.problem.targets.expression import Expression, parse
 from optlink.problem.targets.function import Function
 from optlink.problem.targets.law import (
@@ -123,12 +123,18 @@ class Requirement(Section):
     """Weight in an objective of several terms."""
     scale: Any = None
     """Divisor in an objective of several terms, in the unit of the measure; default: the size of the curve or 1 rad."""
+    robust: Robustness = None
+    """Effect of `[tolerances]` on the objective: `"3 sigma"` or `"worst case"` with the measure `max`, `"expected value"` with
+    the sum of squares or rms; default: none."""
 
     limited_by: ClassVar[tuple[str, str]] = "tolerance", "deviation"
     """Key whose value makes the requirement a limit, and what it limits."""
 
     pointed: ClassVar[bool] = False
     """Whether points in the plane are prescribed."""
+
+    separate: ClassVar[bool] = False
+    """Whether each component of a deviation is judged by itself, not the length of their vector."""
 
     law_given: ClassVar[bool] = False
     """Whether an output follows a law."""
@@ -269,6 +275,10 @@ class Requirement(Section):
         """Return the effective values of optional keys, for display."""
         return {}
 
+    def loaded(self, problem: Designed) -> str:
+        """Return the output that shows to which side a joint clearance lies: a body (its angle), or "P.x" of a point."""
+        return "rocker" if problem.four_bar else ""
+
 
 REQUIREMENTS: Registry[type[Requirement]] = Registry()
 """Classes of requirements by their kind."""
@@ -343,10 +353,6 @@ class LawRequirement(Requirement):
         @property
         def points(self) -> int | None:
             """Number of positions as the file states it."""
-
-        @property
-        def robust(self) -> Robust | None:
-            """Effect of manufacturing deviations as the file states it."""
 
     law_given: ClassVar[bool] = True
 
@@ -466,6 +472,10 @@ class LawRequirement(Requirement):
             return StartPosition(crank, phi0, angle(rocker))
         return StartPosition(crank, phi0, self.actual(problem, problem.linkage.pose(values, crank)))
 
+    def loaded(self, problem: Designed) -> str:
+        """Return the output, see `Requirement.loaded`."""
+        return self.output_of(problem)
+
     def derived(self, problem: Designed, values: Mapping[str, Value]) -> dict[str, Value]:
         """Return the start angle of the crank at a dead centre, and the output there if it is the actual one."""
         of, start = self.of(problem), None
@@ -560,9 +570,6 @@ class FunctionRequirement(LawRequirement):
     """Number of evenly spaced positions after the start; default: the rows of a table, else 60."""
     measure: Measure = "sum of squares"
     """Measure that combines all errors into the objective; `max` is the largest error."""
-    robust: Robustness = None
-    """Effect of `[tolerances]` on the objective: `"3 sigma"` or `"worst case"` with the measure `max`, `"expected value"` with
-    the sum of squares or rms; default: none."""
 
     def ranged(self, problem: Designed) -> bool:
         """Return whether its largest error counts over the whole span: that of a formula."""
@@ -618,7 +625,6 @@ class FunctionRequirement(LawRequirement):
         if by_rocker and problem.limits.pivots is not None:
             message = "a motion law does not depend on the position of the linkage"
             raise Unusable(message, "Leave pivots out", "limits.pivots")
-        check_robust(self.robust, self.measure, len(problem.tolerances))
         if problem.limits.crank == "double-crank" and of.start not in problem.quantities:
             remedy = f'Start at an angle: {of.key} = "60 deg"'
             raise Unusable("a double-crank has no dead centres", remedy, f"requirement.{of.key}", self.dead_centre(problem))
@@ -665,10 +671,6 @@ class FunctionRequirement(LawRequirement):
         if isinstance(self.start, str) and self.loop(problem) is None:
             message = f"{output} is not the rocker of a four-bar with the crank, so its dead centres are not known"
             raise Unusable(message, 'Write start = "60 deg", or leave it out', "requirement.start", self.start)
-        if self.robust is not None:
-            message = "robust design supports motion laws of a four-bar only"
-            remedy = "Leave it out; `optlink study tolerance` analyses any design"
-            raise Unusable(message, remedy, "requirement.robust", str(self.robust))
 
     def _check_values(self, problem: Designed) -> None:
         """Check that an expression has plausible values over the span for some start, and moves the output."""
@@ -707,7 +709,7 @@ class FunctionRequirement(LawRequirement):
     def inapplicable(self, problem: Designed) -> set[str]:
         """Return the keys of the other kind of output, and those of the other way to write a linkage."""
         other = "requirement.psi0" if self.slides(problem) else "requirement.zero"
-        return {other, "requirement.output", "limits.pivots"} if self.by_rocker(problem) else {other, "requirement.robust"}
+        return {other, "requirement.output", "limits.pivots"} if self.by_rocker(problem) else {other}
 
     def effective(self, problem: Designed) -> dict[str, str]:
         """Return the effective values of optional keys, for display."""
@@ -811,10 +813,6 @@ class DwellRequirement(LawRequirement):
     @property
     def points(self) -> None:
         """The default number of positions."""
-
-    @property
-    def robust(self) -> None:
-        """Manufacturing deviations have no effect."""
 
     @model_validator(mode="after")
     def _begins(self) -> Self:
@@ -928,6 +926,10 @@ class PathRequirement(Requirement):
         """Return the common start angle of the crank, where the timing has one."""
         anywhere = Quantity(0.0, "angle", "deg", -math.pi, math.pi)
         return {START: self.start or anywhere} if self.timed == "from start" else {}
+
+    def loaded(self, problem: Designed) -> str:
+        """Return a coordinate of the point, see `Requirement.loaded`."""
+        return f"{self.point}.x"
 
     @property
     def centre(self) -> tuple[float, float]:
@@ -1114,9 +1116,11 @@ class TransmissionRequirement(Requirement):
         """Whether the objective is the cosine of one angle."""
         return self.measure == "max"
 
+    separate: ClassVar[bool] = True
+
     def ranged(self, problem: Designed) -> bool:
-        """Return whether the largest cosine counts over the revolution: for a four-bar its extremes are known."""
-        return not problem.four_bar
+        """Return whether the largest cosine counts over the revolution: for a four-bar its extremes, as drawn, are known."""
+        return not problem.four_bar or self.robust is not None
 
     def unit(self, problem: Designed) -> str:
         """Return the SI unit of a deviation: none."""
@@ -1127,8 +1131,9 @@ class TransmissionRequirement(Requirement):
         return len(transmitting(problem.linkage))
 
     def data(self, problem: Designed) -> TargetArrays:
-        """Return the crank angles: of a four-bar those of the extreme transmission angles."""
-        offsets = np.array([0.0, math.pi]) if problem.four_bar else np.linspace(0.0, TURN, GRID, endpoint=False)
+        """Return the crank angles: of a four-bar those of the extreme transmission angles, as drawn."""
+        known = problem.four_bar and (self.robust is None or self.measure != "max")
+        offsets = np.array([0.0, math.pi]) if known else np.linspace(0.0, TURN, GRID, endpoint=False)
         return at_positions(np.zeros((len(offsets), 1)), offsets)
 
     def deviation(self, problem: Designed, pose: Pose, values: Mapping[str, Value], target: tuple[Value, ...]) -> list[Value]:

@@ -1,7 +1,9 @@
 """Robust objectives: an error with its scatter, as standard deviations, worst case or expected value.
 
 To first order, a deviation d of a dimension changes the error by its derivative times d; the derivatives are those of the
-linkage.
+linkage. An error of one component has the exact scatter of this model. Of a vector, such as the distance of a point from its
+target, the expected square is exact too; its length with scatter is an upper bound by the triangle inequality, the length of the
+mean error plus the root of the sum of the variances of all components, or plus the sum of the lengths of the worst changes.
 """
 
 import re
@@ -19,7 +21,7 @@ from optlink.problem.tolerances import Deviation
 MAX_SIGMAS = 100.0  # standard deviations
 WORST, EXPECTED = "worst case", "expected value"
 SQUARES, LARGEST = ("sum of squares", "rms"), ("max",)  # measures for the expected value, and for the others
-SMOOTHED = 1e-8  # rad; a programme has sqrt(s^2 + SMOOTHED^2) for |s|, which has a derivative where the scatter s vanishes
+SMOOTHED = 1e-8  # of the scale of an error; a programme has sqrt(s^2 + SMOOTHED^2) for |s|, smooth where the scatter s vanishes
 _SIGMAS = re.compile(r"([-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?) *sigma")
 _REMEDY = f'Write robust = "3 sigma" or "{WORST}" with measure = "max", or "{EXPECTED}" with squares'
 
@@ -76,7 +78,13 @@ Robustness = Annotated[Robust | None, BeforeValidator(read_robust)]
 
 
 def residuals(
-    robust: Robust | None, deviations: Sequence[Deviation], error: Value, slopes: Sequence[Value], smoothed: Value = 0.0
+    robust: Robust | None,
+    deviations: Sequence[Deviation],
+    errors: Sequence[Value],
+    slopes: Sequence[Sequence[Value]],
+    smoothed: Value = 0.0,
+    *,
+    separate: bool = False,
 ) -> list[Value]:
     """Return the residuals at one position, elementwise: the error, or the error with its scatter.
 
@@ -86,34 +94,43 @@ def residuals(
         None: the nominal error only.
     deviations : sequence of Deviation
         Of dimensions; their tolerances may be symbols.
-    error : float, array or symbol [rad]
-        Nominal error.
-    slopes : sequence of float, array or symbol [rad/SI]
-        Derivatives of the error with respect to the dimension of every deviation.
-    smoothed : float or symbol [rad]
+    errors : sequence of float, array or symbol [SI]
+        Components of the nominal error.
+    slopes : sequence of sequences of float, array or symbol
+        For each component the derivatives [1/SI] with respect to the dimension of every deviation.
+    smoothed : float or symbol [SI]
         See `SMOOTHED`; 0: none.
+    separate : bool
+        Whether every component is an error of its own, not one of a vector.
 
     Returns
     -------
-    list [rad]
-        Without robustness the error. For sigmas or the worst case, the upper and the lower end of the error band: the larger of
-        their magnitudes is that of the mean error plus the scatter. For the expected value, the mean error and the standard
-        deviation due to every dimension, whose squares add up to the expected square of the error.
+    list [SI]
+        Without robustness the error. For sigmas or the worst case of one component, the upper and the lower end of the error
+        band: the larger of their magnitudes is that of the mean error plus the scatter; of a vector, the components of its mean
+        and its scatter. For the expected value, the mean error and the standard deviation due to every dimension, whose squares
+        add up to the expected square of the error.
     """
     if robust is None:
-        return [error]
-    if robust.text == WORST:
-        ends = [d.ends for d in deviations]
-        middle = error + sum(0.5 * (low + high) * by for (low, high), by in zip(ends, slopes, strict=True))
-        parts = [0.5 * (high - low) * by for (low, high), by in zip(ends, slopes, strict=True)]
-        spread = sum(np.sqrt(part * part + smoothed * smoothed) for part in parts)
-        return [middle + spread, middle - spread]
-    mean = error + sum(d.mean * by for d, by in zip(deviations, slopes, strict=True))
-    each = [d.sigma * by for d, by in zip(deviations, slopes, strict=True)]
+        return list(errors)
+    worst = robust.text == WORST
+    means = [0.5 * (d.ends[0] + d.ends[1]) if worst else d.mean for d in deviations]
+    sizes = [0.5 * (d.ends[1] - d.ends[0]) if worst else d.sigma for d in deviations]
+    middle = [error + sum(m * by for m, by in zip(means, own, strict=True)) for error, own in zip(errors, slopes, strict=True)]
+    parts = [[size * by for size, by in zip(sizes, own, strict=True)] for own in slopes]
     if robust.text == EXPECTED:
-        return [mean, *each]
-    spread = robust.sigmas * np.sqrt(sum(part * part for part in each) + smoothed * smoothed)
-    return [mean + spread, mean - spread]
+        return [*middle, *(part for own in zip(*parts, strict=True) for part in own)]
+
+    def spread(components: Sequence[Sequence[Value]]) -> Value:
+        squares = [sum(part * part for part in own) for own in zip(*components, strict=True)]  # of every deviation
+        if worst:
+            return sum(np.sqrt(square + smoothed * smoothed) for square in squares)
+        return robust.sigmas * np.sqrt(sum(squares) + smoothed * smoothed)
+
+    if separate or len(errors) == 1:
+        bands = [(mean, spread([own])) for mean, own in zip(middle, parts, strict=True)]
+        return [end for mean, by in bands for end in (mean + by, mean - by)]
+    return [*middle, spread(parts)]
 
 
 def check_robust(robust: Robust | None, measure: str, tolerance_count: int) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -242,6 +242,21 @@ class _Tested:
         """Return the positions at crank angles (..., designs, n) [rad]."""
         return placed(self.mechanism, sizes or self.sizes, angles)
 
+    def deviating(self, angles: Array, name: str, by: Array) -> tuple[Motion, Array, tuple[Array, Array]]:
+        """Return the positions at crank angles [rad], with one dimension or coordinate larger by `by` (designs, 1) [m, rad].
+
+        The crank angle is that of the drawing. Displaced pivots of a four-bar that is given by its lengths rotate its frame, and
+        thus the crank angle relative to it: the positions are in the frame, which is turned [rad] and moved [m].
+        """
+        still = np.zeros_like(by)
+        sizes = {key: size + by if key == name else size for key, size in self.sizes.items()}
+        if name in sizes:
+            return self.placed(angles, sizes), still, (still, still)
+        along = sizes["frame"] - (by if name == "A.x" else 0.0)
+        across = {"D.y": by, "A.y": -by}.get(name, still)
+        sizes["frame"], tilt = np.hypot(along, across), np.arctan2(across, along)
+        return self.placed(angles - tilt, sizes), tilt, (by if name == "A.x" else still, by if name == "A.y" else still)
+
 
 class _OneDesign:
     """One of the designs in motion, as the limits of `optlink.problem.limits` measure it."""
@@ -289,6 +304,47 @@ class _Targets:
         whole, largest = np.all(np.isfinite(distances), axis=1), np.max(distances, axis=1) * factor
         yield Checks("the linkage has a position for every target", whole, largest, "finite", unit)
 
+    def scattered(self, middle: Array, outputs: Callable[[str, Array], Array]) -> tuple[Array, Array]:
+        """Return the mean deviation (..., components) with tolerances and its scatter (...), by central differences.
+
+        The scatter is the requested number of standard deviations (one for an expected square), or the worst case; of several
+        components it is the root of the sum of their variances, or the sum of the lengths of the changes. `outputs` has the
+        deviation with one dimension or coordinate larger by some columns [m, rad].
+        """
+        robust, spread = self.problem.robust, np.zeros(middle.shape[:-1])
+        if robust is None:
+            return middle, spread
+        reference = np.broadcast_to(np.asarray(self.tested.size, dtype=float), self.tested.count)[:, None]
+        for deviation in self.problem.deviations:
+            step = DIFFERENCE * (np.ones_like(reference) if deviation.kind == "angle" else reference)
+            change = self.difference(*(outputs(deviation.size, way) for way in (step, -step)))
+            slope = change / (2.0 * step[..., None])
+            length = np.linalg.norm(slope, axis=-1)
+            if robust.text == WORST:
+                low, high = deviation.ends
+                middle, spread = middle + 0.5 * (low + high) * slope, spread + 0.5 * (high - low) * length
+            else:
+                middle, spread = middle + slope * deviation.mean, spread + np.square(length * deviation.sigma)
+        if robust.text != WORST:
+            spread = (1.0 if robust.text == EXPECTED else robust.sigmas) * np.sqrt(spread)
+        return middle, spread
+
+    def difference(self, one: Array, other: Array) -> Array:
+        """Return the difference of two deviations (..., components)."""
+        return np.asarray(one - other)
+
+    def with_scatter(self, middle: Array, spread: Array) -> Array:
+        """Return the squares of deviations (..., components) with their scatter: the largest ones, or the expected ones."""
+        length = np.linalg.norm(middle, axis=-1)
+        return np.asarray(np.square(length + spread) if self.problem.measure == "max" else np.square(length) + np.square(spread))
+
+    def robust_check(self, largest: Array) -> Checks:
+        """Check that the largest deviation (designs,) with tolerances has a value."""
+        factor, unit = DISPLAYED[self.problem.unit]
+        most = largest * factor
+        name = f"error with tolerances, {'' if self.problem.robust is None else self.problem.robust.band}, has a value"
+        return Checks(name, np.isfinite(most), most, "finite", unit)
+
     def reduced(self, squares: Array) -> Array:
         """Return the objectives (designs,) for squared deviations (designs, positions)."""
         weighted, measure = squares * self.problem.data.roots**2, self.problem.measure
@@ -326,7 +382,27 @@ class _Points(_Targets):
         tested, targets = self.tested, self.problem.data.columns
         motion = tested.placed(tested.angles)
         generated, distances, turned, squares = point_deviations(self.problem, motion, tested.values, targets)
+        if self.problem.robust is not None:
+            away = generated - targets[..., :2]
+            parts = [away] if turned is None else [away, self.problem.radian * turned[..., None]]
+            squares = self.with_scatter(*self.scattered(np.concatenate(parts, axis=-1), self._deviating))
         return MeasuredDeviations(generated, distances, turned, self.reduced(squares))
+
+    def _deviating(self, name: str, by: Array) -> Array:
+        """Return the places of the point [m], and the angles of its body times `radian`, with a dimension larger by `by`."""
+        motion, tilt, (x, y) = self.tested.deviating(self.tested.angles, name, by)
+        place = motion.position(self.problem.point)
+        cosine, sine = np.cos(tilt), np.sin(tilt)
+        parts = [x + cosine * place[..., 0] - sine * place[..., 1], y + sine * place[..., 0] + cosine * place[..., 1]]
+        if MARK in self.problem.quantities:
+            parts.append(self.problem.radian * (motion.wrapped_angle(self.problem.body) + tilt))
+        return np.stack(parts, axis=-1)
+
+    def difference(self, one: Array, other: Array) -> Array:
+        """Return the difference of two positions, of angles within half a turn."""
+        change, whole = one - other, TURN * self.problem.radian
+        turned = np.remainder(change[..., 2:] + 0.5 * whole, whole) - 0.5 * whole
+        return np.concatenate([change[..., :2], turned], axis=-1)
 
     def checks(self) -> Iterator[Checks]:
         """Check that the points are passed in order within a revolution, in one sense of rotation, within their tolerances."""
@@ -342,6 +418,8 @@ class _Points(_Targets):
         if rotation is not None:
             yield Checks(f"crank turns {problem.rotation}", tested.way == rotation, tested.way, f"= {rotation:g}", "")
         yield from super().checks()
+        if problem.robust is not None:
+            yield self.robust_check(self.measured.objective)
         if np.any(np.isfinite(tolerances)):
             used = np.max(self.measured.distances / tolerances, axis=1)
             yield Checks("points met within their tolerances", used <= 1.0 + 1e-6, used, "<= 1", "of the tolerance")
@@ -357,11 +435,38 @@ class _Transmission(_Targets):
         generated = transmission_angles(tested.placed(tested.angles), self.problem.linkage)
         cosines = np.abs(np.cos(generated))
         if self.problem.measure != "max":
-            objective = self.reduced(np.sum(cosines**2, axis=2))
+            squares = cosines**2 if self.problem.robust is None else self.with_scatter(*self._cosines(tested.angles))
+            objective = self.reduced(np.sum(squares, axis=2))
+        elif self.problem.robust is not None:
+            grid = np.linspace(0.0, TURN, POSITIONS, endpoint=False)
+
+            def ends(angles: Array) -> Array:
+                middle, spread = self._cosines(angles)
+                return np.moveaxis(np.abs(middle[..., 0]) + spread, -1, 0)
+
+            rows = rows_of(ends, cosines.shape[-1], tested.count)
+            largest = extremes_of_rows(rows, grid, periodic=True, signs=(-1.0,))
+            objective = np.max(largest.reshape(-1, tested.count), axis=0)
         else:
             worst = np.max(np.abs(np.cos(tested.revolution.transmission_extremes)), axis=(0, 1))
             objective = np.where(np.all(tested.revolution.least_squared_sines >= 0.0, axis=0), worst, np.nan)
         return MeasuredDeviations(generated, np.max(cosines, axis=2), None, objective)
+
+    def _cosines(self, angles: Array) -> tuple[Array, Array]:
+        """Return the mean cosines (designs, positions, joints, 1) with tolerances at crank angles [rad], and their scatter."""
+
+        def outputs(name: str, by: Array) -> Array:
+            motion = self.tested.deviating(angles, name, by)[0]
+            return np.cos(transmission_angles(motion, self.problem.linkage))[..., None]
+
+        drawn = np.cos(transmission_angles(self.tested.placed(angles), self.problem.linkage))[..., None]
+        return self.scattered(drawn, outputs)
+
+    def checks(self) -> Iterator[Checks]:
+        """Check that every position has a deviation, with tolerances too."""
+        yield from super().checks()
+        if self.problem.robust is not None:
+            yield self.robust_check(self.measured.objective)
 
 
 class _Law(_Targets):
@@ -370,7 +475,7 @@ class _Law(_Targets):
     def __init__(self, tested: _Tested) -> None:
         super().__init__(tested)
         problem, zero = tested.problem, np.zeros((tested.count, 1))
-        self.law, self.robust, self.name = problem.law, problem.robust, problem.output
+        self.law, self.name = problem.law, problem.output
         self.start, self.base = tested.values[problem.start_name], tested.values.get(problem.base_name, zero)
 
     @property
@@ -405,9 +510,11 @@ class _Law(_Targets):
         """Mean error and scatter at the positions (designs, positions)."""
         return self._scattered(self._errors, self.tested.angles)
 
-    def _output(self, angles: Array, sizes: Mapping[str, Array] | None = None) -> Array:
+    def _output(self, angles: Array) -> Array:
         """Return the output (..., designs, n) [rad, within a turn, or m] at crank angles [rad]."""
-        motion = self.tested.placed(angles, sizes)
+        return self._shown(self.tested.placed(angles))
+
+    def _shown(self, motion: Motion) -> Array:
         return np.asarray(motion.coordinate(self.name).value) if self.problem.slides else motion.wrapped_angle(self.name)
 
     def _difference(self, one: Array, other: Array) -> Array:
@@ -420,40 +527,19 @@ class _Law(_Targets):
             target = np.asarray(self.law.target(at, tabulated, self.start, self.base) + 0.0 * at, dtype=float)
         return self._difference(actual, target)
 
-    def _deviating(self, angles: Array, name: str, by: Array) -> Array:
-        """Return the output at crank angles [rad], with one dimension or coordinate larger by `by` [m].
-
-        The crank angle is that of the drawing. Displaced pivots of a four-bar that is given by its lengths rotate its frame, and
-        thus the crank angle relative to it.
-        """
-        sizes = {key: size + by if key == name else size for key, size in self.tested.sizes.items()}
-        if name in sizes:
-            return self._output(angles, sizes)
-        along = sizes["frame"] - (by if name == "A.x" else 0.0)
-        across = {"D.y": by, "A.y": -by}.get(name, np.zeros_like(by))
-        sizes["frame"], tilt = np.hypot(along, across), np.arctan2(across, along)
-        return np.asarray(self._output(angles - tilt, sizes) + tilt)
+    def difference(self, one: Array, other: Array) -> Array:
+        """Return the difference of two outputs."""
+        return self._difference(one, other)
 
     def _scattered(self, middle: Array, angles: Array) -> tuple[Array, Array]:
-        """Return the mean error with tolerances and its scatter to either side, by central differences of the motion.
+        """Return the mean error with tolerances at crank angles [rad] and its scatter to either side."""
 
-        The scatter is the requested number of standard deviations (one for an expected square), or the worst case.
-        """
-        robust, spread = self.robust, np.zeros_like(middle)
-        if robust is None:
-            return middle, spread
-        step = np.broadcast_to(DIFFERENCE * np.asarray(self.tested.size, dtype=float), self.tested.count)[:, None]
-        for deviation in self.problem.deviations:
-            there, back = (self._deviating(angles, deviation.size, way) for way in (step, -step))
-            slope = self._difference(there, back) / (2.0 * step)
-            if robust.text == WORST:
-                low, high = (slope * end for end in deviation.ends)
-                middle, spread = middle + 0.5 * (low + high), spread + 0.5 * np.abs(high - low)
-            else:
-                middle, spread = middle + slope * deviation.mean, spread + np.square(slope * deviation.sigma)
-        if robust.text != WORST:
-            spread = (1.0 if robust.text == EXPECTED else robust.sigmas) * np.sqrt(spread)
-        return middle, spread
+        def outputs(name: str, by: Array) -> Array:
+            motion, tilt, _ = self.tested.deviating(angles, name, by)
+            return np.asarray(self._shown(motion) + tilt)[..., None]
+
+        mean, spread = self.scattered(middle[..., None], outputs)
+        return mean[..., 0], spread
 
     def _largest(self) -> Array:
         """Return the largest magnitude of the error with its scatter over the whole range (designs,)."""
@@ -497,10 +583,9 @@ class _Law(_Targets):
             at, target = self._prescribed_from_start()
             fine, index = finely(at)
             yield from revolutions_check(at, target, lambda: np.unwrap(self._output(self.start + fine), axis=1)[:, index])
-        if self.robust is not None:
+        if problem.robust is not None:
             middle, spread = self._at_positions
-            most = np.max(np.abs(middle) + spread, axis=1) * factor
-            yield Checks(f"error with tolerances, {self.robust.band}, has a value", np.isfinite(most), most, "finite", unit)
+            yield self.robust_check(np.max(np.abs(middle) + spread, axis=1))
 
     def _dead_centre(self) -> Iterator[Checks]:
         """Check that a start at a dead centre is one: the rocker at rest, crank and coupler in line."""

@@ -105,7 +105,7 @@ def along_the_limit(robust):
         return 0.5 * (c + math.sqrt(c * c - 4.0 * (coupler**2 - 0.36)))
 
     grid = np.linspace(0.36, 0.46, 401)
-    values = [figure(coupler, rocker_of(coupler), robust) for coupler in grid]
+    values = [figure(coupler, rocker_of(coupler), robust, 301) for coupler in grid]
     best = int(np.argmin(values))
     low, high = grid[best - 1], grid[best + 1]
     for _ in range(80):  # by thirds: the least of a largest has a corner, where parabolas do not help

@@ -354,8 +354,12 @@ class Problem(Section):
         quantities = self.mechanism.quantities
         mechanism, pivots = with_deviating_pivots(self.mechanism, self.linkage)
         largest = {name: quantity.value if quantity.low is None else quantity.bounds[1] for name, quantity in quantities.items()}
-        output = "rocker" if isinstance(self.mechanism, FourBarSection) else ""
-        return deviations(self.tolerances, mechanism, quantities, largest | pivots, output=output)
+        return deviations(self.tolerances, mechanism, quantities, largest | pivots, output=self.loaded)
+
+    @property
+    def loaded(self) -> str:
+        """The output that shows to which side a joint clearance lies: a body (its angle), "P.x" of a point, or none."""
+        return "rocker" if isinstance(self.mechanism, FourBarSection) else ""
 
     def machine(self, design: Mapping[str, Value] | None = None, slow: Mapping[str, Direction] | None = None) -> Machine:
         """Return the machine for given quantities [m, rad]; values and starts of the file are the defaults.
