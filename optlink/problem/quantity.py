@@ -86,6 +86,12 @@ class Quantity:
         return self.value, self.value
 
     @property
+    def begun(self) -> bool:
+        """Whether a design variable starts elsewhere than in the middle of its bounds, the default."""
+        low, high = self.bounds
+        return self.free and abs(self.value - 0.5 * (low + high)) > 1e-12 * (high - low)
+
+    @property
     def status(self) -> str:
         """Origin of the value, for tables: "fixed", "= crank" if linked, else "free"."""
         return "fixed" if self.fixed else "free" if self.equals is None else f"= {self.equals}"

@@ -281,7 +281,10 @@ class SearchRounds:
             self.interrupted = True
 
     def _given(self) -> None:
-        """Refine the starts that are not random: `begin` alone, or convex first designs and the start of the file."""
+        """Refine the starts that are not random: `begin` alone, or convex first designs and the start of the file.
+
+        The middle of all bounds is no start for points and poses: batched random ones are better.
+        """
         begin, polisher = self.options.begin, self.collection.polisher
         for variant, file in enumerate(self.files):
             task = file.spec
@@ -292,6 +295,8 @@ class SearchRounds:
                 steps = function_starts.steps(task)
                 self.first_step = min(filter(None, (self.first_step, *steps[:1])), key=lambda step: step.error, default=None)
                 starts = [*((function_starts.values(task, step), True) for step in steps), *starts]
+            if begin is None and not task.law_given and not any(quantity.begun for quantity in task.quantities.values()):
+                continue
             for values, close in starts:
                 full, first = task.design(values), task.parts[0]
                 angles = passing(first, first.own(full)) if first.data.offsets is None else None

@@ -122,7 +122,9 @@ class Polisher:
         full = self.files[variant].spec.design(values)
         nlp, x = self._point(variant, full, angles, 1 if angles is None or angles[-1] >= angles[0] else -1)
         nlp.spread_exchange_points()
-        solution = multistart.solve_from(nlp, x, CLOSE if close and self.backend == "ipopt" else self.backend, track=track)
+        task, method = self.files[variant].spec, CLOSE if close and self.backend == "ipopt" else self.backend
+        once = {} if task.law_given else {"persistent": False, "continuations": 0}  # the batched starts of points are better
+        solution = multistart.solve_from(nlp, x, method, track=track, **once)
         design = self._polished(variant, solution)
         if design.solution is None or solution.path is None:
             return design
