@@ -126,7 +126,7 @@ Speed = Annotated[str | None, option("SPEED", 'Crank speed: --speed "64 rpm"; ne
 BACKEND_HELP = "Solver; both: SLSQP and IPOPT solve independently and must agree."
 Searcher = Annotated[str, option(BACK_ENDS, BACKEND_HELP, "--backend", parser=back_end)]
 STARTS_HELP = (
-    "Number of starting points; a larger number is never worse. Motion law or function: N per assembly mode; path: at least N. "
+    "Number of starting points, at least N; a larger number is never worse. "
     "Default: until a better design is unlikely; 1 for a law with a certified optimum."
 )
 Starts = Annotated[int | None, number(STARTS_HELP, "--starts")]
