@@ -10,6 +10,8 @@ References
 E. A. Dijksman, Motion geometry of mechanisms, Cambridge University Press (1976), on pantographs and Watt's six-bar.
 """
 
+from __future__ import annotations
+
 import copy
 import math
 from collections.abc import Mapping

@@ -1,5 +1,7 @@
 """Random starting points of path synthesis: proportions that can turn and timing along the points."""
 
+from __future__ import annotations
+
 import math
 
 import numpy as np

@@ -331,7 +331,7 @@ class SearchRounds:
         """Return limits of the linkage that conflict, or refine a design that meets all of them, regardless of its deviations.
 
         All assembly modes and senses of rotation are tried, those of the nearest design first. The order of the points and their
-        tolerances are kept while limits are relaxed. If no design is valid although limits are met within the tolerance of a
+        tolerances are kept while limits are relaxed. If no design is optimal although limits are met within the tolerance of a
         solution, limits that are missed by less count as conflicting (`exactly`).
         """
         polisher, near, seed = self.collection.polisher, self.collection.nearest, self.options.seed
@@ -355,7 +355,7 @@ class SearchRounds:
                 possible = True
                 near_it = polisher.from_feasible(k, nlp, outcome)
                 valid = next((design for design in near_it if design.valid), None)
-                if valid is not None:
+                if valid is not None and (exactly or valid.status is Status.OPTIMAL):
                     self.collection.insert(valid)
                     break
         if possible and not (exactly or self.collection.designs):

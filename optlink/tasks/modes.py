@@ -52,7 +52,8 @@ def possible_modes(problem: ProblemFile) -> list[ProblemFile]:
     variants, refused = list[ProblemFile](), list[InputError]()
     for change in problem.model.mechanism.variants(problem.model.linkage):
         try:
-            variants.append(problem.override({**problem.located, **change}) if change else problem)
+            definite = {**problem.located, **change}
+            variants.append(problem.override(definite) if definite else problem)
         except InputError as error:
             refused.append(error)
     if not variants:

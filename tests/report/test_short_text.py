@@ -34,7 +34,7 @@ def test_solve_prints_the_verdict_the_design_its_limits_and_the_proof():
         "globally optimal within the bounds: no design is better by more than 0.0001 %",
         "coupler   412.865  mm   free, 100 ... 900",
         "largest transmission angle  <= 135 deg  0.0001465 rad^2 per deg (1.93 %)",
-        "Validation: 18 of 18 checks passed; --details shows the rest",
+        "Validation: 19 of 19 checks passed; --details shows the rest",
     ):
         assert line in text
     for detail in ("KKT residual", "Working and return strokes", "lower bound", "iterations"):
@@ -51,7 +51,7 @@ def test_details_are_the_whole_summary_and_the_json_does_not_depend_on_them():
     assert plain[0].partition(" time ")[0] == plain[1].partition(" time ")[0]
     short, long = (json.loads(run("solve", "crank-rocker", "--json", *option).stdout) for option in ((), ("--details",)))
     assert {**short, "seconds": {}, "crc32": ""} == {**long, "seconds": {}, "crc32": ""}
-    assert len(short["validation"]) == 18
+    assert len(short["validation"]) == 19
 
 
 @pytest.mark.parametrize("command", ["solve", "validate"])
@@ -59,7 +59,7 @@ def test_failed_checks_are_always_shown(command):
     done = run(command, "crank-rocker", *PUBLISHED)
     assert done.exit_code == 1
     assert "FAIL   largest transmission angle" in done.stdout
-    assert "Validation: 14 of 15 checks passed" in done.stdout
+    assert "Validation: 15 of 16 checks passed" in done.stdout
     assert done.stdout.count("FAIL") == 1
     assert ("4 dimensions within bounds" in done.stdout) == (command == "validate")
 
