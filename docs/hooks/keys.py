@@ -103,7 +103,7 @@ FORMS = {
     "Requirement.tolerance": "length or angle",
     "Requirement.scale": "length or angle",
     "FunctionRequirement.law": "text or table",
-    "FunctionRequirement.robust": "text",
+    "Requirement.robust": "text",
     "FunctionRequirement.psi0": "angle, fixed, free or linked, or `output at the start`",
     "FunctionRequirement.zero": "coordinate, fixed, free or linked, or `output at the start`",
     "FunctionRequirement.start": " or ".join(f"`{start}`" for start in DEAD_CENTRES) + ", or angle, fixed, free or linked",

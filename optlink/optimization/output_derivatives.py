@@ -35,20 +35,24 @@ def output_derivatives(
 
 
 class ErrorDerivatives:
-    """Components of the deviation at one position, and their derivatives with respect to the dimension of every deviation."""
+    """Components of the deviation at one position, and their derivatives with respect to dimensions.
 
-    def __init__(self, problem: DesignProblem) -> None:
+    `sizes`: their names; by default the dimension of every deviation of the problem.
+    """
+
+    def __init__(self, problem: DesignProblem, sizes: Sequence[str] | None = None) -> None:
+        sizes = [d.size for d in problem.deviations] if sizes is None else sizes
         linkage, self._pivots = with_deviating_pivots(problem.mechanism, problem.linkage)
         start = {problem.start_name, problem.base_name}
         self._names = list(dict.fromkeys([*problem.quantities, *start, *self._pivots]))
         symbols = {name: casadi.SX.sym(name) for name in self._names}
         angle, more = casadi.SX.sym("crank angle"), [casadi.SX.sym(f"target {k}") for k in range(problem.data.columns.shape[1])]
-        by = list(dict.fromkeys(d.size for d in problem.deviations))
+        by = list(dict.fromkeys(sizes))
         with symbols_in_numpy():
             parts = problem.deviation(linkage.pose(symbols, unit(angle)), symbols, tuple(more))
             slopes = [casadi.jacobian(part, symbols[name]) for part in parts for name in by]
         self._inputs, self._outputs, self._count = [*symbols.values(), angle, *more], [*parts, *slopes], len(parts)
-        self._place = [by.index(d.size) for d in problem.deviations]
+        self._place = [by.index(size) for size in sizes]
         self._each = len(by)
 
     def _arguments(self, values: Mapping[str, Value], angle: Value, target: tuple[Value, ...]) -> list[Value]:

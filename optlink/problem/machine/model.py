@@ -257,9 +257,9 @@ class Problem(Section):
         return float(self.drive.start.value)
 
     @property
-    def has_error(self) -> bool:
-        """Whether a design has an error over the span of a motion law."""
-        return False
+    def parts(self) -> tuple[Any, ...]:
+        """The problem with each of its requirements of targets alone; none without."""
+        return ()
 
     def shares_programme(self, keys: Sequence[str]) -> bool:
         """Return whether one programme serves all values of keys of the file, including the side of a limit."""

@@ -118,7 +118,7 @@ def _band(result: Tolerance) -> ChartSpec:
         traces.append(Curve.entry(f"{words} (far outside)", LIMIT))
     name = result.nominal.name
     what = name if error else f"change of {name}"
-    panel = Panel(Axis(f"{what} [{unit}]", ends_of_y), traces, 1.7, lines)
+    panel = Panel(Axis(f"{what}{result.bracketed}", ends_of_y), traces, 1.7, lines)
     output = f"the {name}" if error else name
     title, heading = f"Scatter of {name}", f"{result.problem.model.title}: {output} as built"
     return ChartSpec("band", title, [panel], crank_angle(), heading, width=8.0)
@@ -152,7 +152,7 @@ def _histogram(result: Tolerance, sampled: MonteCarlo) -> ChartSpec:
     panel, x = Panel(Axis("share of the samples [%]"), bars, 1.4), f"largest {what} at any of the crank angles"
     text, unit = (f"{result.problem.model.title}: {title}", remark), result.display_unit
     lines = [Line(limit, f"limit {limit:.5g} {unit}", LIMIT, 1.6, "solid")] if limited else []
-    return ChartSpec("histogram", title, [panel], Axis(f"{x} [{unit}]"), *text, lines, cursor=False, width=8.0)
+    return ChartSpec("histogram", title, [panel], Axis(f"{x}{result.bracketed}"), *text, lines, cursor=False, width=8.0)
 
 
 VIEW = View(charts=charts, tables=lambda result: {"tolerance": result.columns}, page=page, result=Tolerance)

@@ -66,9 +66,10 @@ def _redesigned(result: Tolerance, robust: RobustDesign) -> TableSpec:
         before, after = (dimension(factor * design[name]) for design in (robust.nominal, redesign.design))
         rows.append((name, before, strong(after), unit))
     words = "largest, nominal" if robust.by_yield else "largest"
-    rows.append((words, *(fixed(math.degrees(value), 4) for value in (robust.before, redesign.objective)), "deg"))
+    unit = result.display_unit
+    rows.append((words, *(fixed(result.scale * value, 4) for value in (robust.before, redesign.objective)), unit))
     if result.unrobust is not None and result.monte_carlo is not None and result.limit is not None:
-        both, limit = (result.unrobust, result.monte_carlo), f"within {number(math.degrees(result.limit))} deg"
+        both, limit = (result.unrobust, result.monte_carlo), f"within {number(result.scale * result.limit)} {unit}".strip()
         rows.append(("yield", percent(both[0].share, 3), strong(percent(both[1].share, 3)), quiet(limit)))
         for end, name in enumerate(("at least", "at most")):
             rows.append([quiet(text) for text in (name, *(percent(sample.interval[end], 3) for sample in both), INTERVAL)])
@@ -82,14 +83,14 @@ def _redesigned(result: Tolerance, robust: RobustDesign) -> TableSpec:
 
 
 def _contributions(result: Tolerance) -> TableSpec:
-    at, parts = result.where, zip(result.deviations, result.by, 100.0 * result.contributions, strict=True)
+    at, parts = result.where, zip(result.deviations, result.effects, 100.0 * result.contributions, strict=True)
     units, rows = {_unit(result.problem, deviation)[1] for deviation in result.deviations}, []
     for deviation, by, shares in sorted(parts, key=lambda part: -part[2][at]):
         unit = _unit(result.problem, deviation)
         per = f"{result.scale * by[at] / unit[0]:+z.5f}"
         cells = quiet(_distribution(deviation)), per, strong(f"{shares[at]:z.1f} %"), f"{np.mean(shares):z.1f} %"
         rows.append((deviation.name, _symmetric(deviation.tolerance, unit), *cells))
-    change = f">change [{result.display_unit}\nper {' or '.join(sorted(units, reverse=True))}]"
+    change = f">change [{result.display_unit or '-'}\nper {' or '.join(sorted(units, reverse=True))}]"
     columns = ["", ">tolerance", "distribution", change, ">share of the\nvariance", ">over all\nangles"]
     return table(f"Variance contributions at the worst crank angle: {result.nominal.degrees[at]:.4g} deg", columns, rows)
 
@@ -103,20 +104,22 @@ def _scatter(result: Tolerance) -> TableSpec:
     ):
         at = int(np.argmax(column))
         rows.append((name, sign + number(result.scale * column[at], 5), quiet(f"at {result.nominal.degrees[at]:.4g} deg")))
-    return table(f"Change of the output to first order [{result.display_unit}]", "<><", rows)
+    return table(f"Change of the output to first order{result.bracketed}", "<><", rows)
 
 
 def _sampled(result: Tolerance, sampled: MonteCarlo) -> TableSpec:
     scale, unit, at = result.scale, result.display_unit, result.where
     sigma = f"{number(scale * sampled.sigma[at], 5)} ± {number(scale * 2.0 * sampled.sigma_error[at], 2)}"
-    rows: list[Row] = [("standard deviation", sigma, quiet(f"{unit}, at {result.nominal.degrees[at]:.4g} deg"))]
+    rows: list[Row] = [
+        ("standard deviation", sigma, quiet(f"{unit}, at {result.nominal.degrees[at]:.4g} deg".removeprefix(", ")))
+    ]
     for name, value in sampled.quantiles.items():
         shown = number(scale * value, 5) if math.isfinite(value) else "beyond the histogram"
         rows.append((f"largest {judged_value(result)}: {name.removesuffix('_percent')} % below", shown, unit))
     if sampled.stuck:
         rows.append((bad("cannot be assembled"), f"{sampled.stuck:,}", ""))
     if result.limit is not None:
-        limit = f"yield, within {number(scale * result.limit)} {unit}"
+        limit = f"yield, within {number(scale * result.limit)} {unit}".strip()
         rows.append((limit, strong(percent(sampled.share, 3)), quiet(_between(sampled))))
         rows.append(("yield by the linear model", percent(sampled.linear_share, 3), ""))
     rows.append((quiet("time"), quiet(f"{sampled.seconds:z.2f} s"), ""))

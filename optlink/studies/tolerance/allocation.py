@@ -121,7 +121,7 @@ def allocate(
         raise InputError("a cost coefficient must be above zero", "Give for example --cost coupler=2", key="--cost")
     tolerances = np.array([d.tolerance for d in study.deviations])
     sigma_per_tolerance = np.array([d.sigma / d.tolerance for d in study.deviations])  # standard deviation per tolerance
-    weights = np.square((sigma_per_tolerance[:, None] * study.by / room).T)
+    weights = np.square((sigma_per_tolerance[:, None] * study.effects / room).T)
     moves = np.max(weights, axis=0) > 0.0
     unit, gap = least_cost(weights[:, moves], coefficients[moves])
     if gap > PROVEN:

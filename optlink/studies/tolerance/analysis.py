@@ -29,9 +29,9 @@ from optlink.studies.tolerance.maximum_yield import maximise_yield
 from optlink.studies.tolerance.monte_carlo import CHUNK, MonteCarlo, Progress, monte_carlo
 from optlink.studies.tolerance.nominal import ERROR, nominal_design
 from optlink.studies.tolerance.options import identified, read_deviations
-from optlink.studies.tolerance.robust_design import YIELD, RobustDesign, check_law
+from optlink.studies.tolerance.robust_design import YIELD, RobustDesign, check_targets
 from optlink.tasks.machine import check_design
-from optlink.units import DISPLAYED, UnitProblem, parse
+from optlink.units import DISPLAYED, UnitProblem, parse, read_number
 
 WORST, MARGIN = "worst", "margin"
 SAMPLES, MAX_SAMPLES = 1 << 17, 100_000_000
@@ -54,7 +54,7 @@ def _effects(result: Tolerance) -> list[dict[str, Any]]:
             "contribution_where_it_scatters_most_percent": 100.0 * share[result.where],
             **({"measured_parts": len(deviation.values)} if deviation.values else {}),
         }
-        for deviation, by, share in zip(result.deviations, result.by, result.contributions, strict=True)
+        for deviation, by, share in zip(result.deviations, result.effects, result.contributions, strict=True)
     ]
 
 
@@ -123,6 +123,11 @@ class Tolerance(LinearAnalysis, Document):
         return DISPLAYED[self.nominal.unit][1]
 
     @property
+    def bracketed(self) -> str:
+        """Display unit after the name of an axis or column; none for a plain number."""
+        return f" [{self.display_unit}]" if self.display_unit else ""
+
+    @property
     def nominal_yields_more(self) -> bool:
         """Whether the nominal optimum has a larger yield than the robust design, for the same samples."""
         if self.limit is None or self.unrobust is None or self.monte_carlo is None:
@@ -138,7 +143,7 @@ class Tolerance(LinearAnalysis, Document):
         if self.monte_carlo is not None:
             named_columns |= {"sampled_mean": self.monte_carlo.mean, "sampled_sigma": self.monte_carlo.sigma}
             named_columns |= {"sampled_least": self.monte_carlo.least, "sampled_most": self.monte_carlo.most}
-        columns |= {f"{name}_{self.display_unit}": self.scale * column for name, column in named_columns.items()}
+        columns |= {f"{name}_{self.display_unit}".rstrip("_"): self.scale * column for name, column in named_columns.items()}
         shares = {f"{d.name}_percent": 100.0 * row for d, row in zip(self.deviations, self.contributions, strict=True)}
         return columns | shares
 
@@ -173,9 +178,11 @@ def tolerance(
         Tolerances by name: "coupler=0.1 mm", "D.x=0.05 mm uniform", "C.clearance=0.02 mm", "rocker=parts.csv". Default: those of
         the file.
     output : str, optional
-        Name of a body (its angle), coordinate "P.x" or "P.y" of a point, or "error" of a motion law. Default: "error".
+        Name of a body (its angle), coordinate "P.x" or "P.y" of a point, or "error" of the requirement: of a motion law, the
+        distance from the points or poses, the cosine of the transmission angle ("error at C" for one of several dyads;
+        "walk.error" for the requirement "walk" of several). Default: the error.
     crank_angles : array (angles,) [rad], optional
-        Crank angles of the analysis. Default: the span of a motion law, the points of a path, otherwise a revolution.
+        Crank angles of an output without target. Default: the points of a path, otherwise a revolution.
     limit : str, optional
         Permitted absolute error, or permitted change of another output, at all crank angles, for the yield: "0.5 deg".
     samples : int
@@ -221,7 +228,7 @@ def tolerance(
     with _processes(samples, engine, workers, scheduler) as runs:
         file, robust_result = problem, None
         if robust is not None:
-            check_law(problem)
+            check_targets(problem)
             if design is not None or output not in (None, ERROR):
                 remedy = "Leave --design and --quantity out, or --robust"
                 raise InputError("a robust design is searched, for its error", remedy, problem.file, "--robust")
@@ -236,7 +243,7 @@ def tolerance(
                 )
             if name not in [d.name for d in deviations]:
                 raise InputError("no such tolerance", nearest(name, [d.name for d in deviations]), key=f"--cost {name}")
-        first = linear_analysis(problem, nominal, deviations, _limit(limit, angular=nominal.angular))
+        first = linear_analysis(problem, nominal, deviations, _limit(limit, nominal.unit))
         if not np.any(first.by):
             remedy = "Choose another one: a body stands for its angle, P.x and P.y for the position of a point"
             raise InputError("no tolerance has an effect on this output", remedy, problem.file, "--quantity", nominal.name)
@@ -276,7 +283,7 @@ def _robust_design(
     """Return the robust design for the error; see `tolerance`."""
     if robust == YIELD and not samples:
         raise InputError("a yield requires samples", "Leave --samples out", key="--samples", value=samples)
-    allowed = _limit(limit, angular=True)
+    allowed = _limit(limit, problem.spec.unit)
     if robust not in (MARGIN, YIELD):
         return robust_design.robust(problem, tolerances, None if robust == WORST else float(robust), shape=shape)
     if allowed is None:
@@ -299,11 +306,16 @@ def _check(samples: int, seed: int, shape: str, target_yield: float | None, limi
         raise InputError("a yield needs a limit", 'Add for example --limit "0.5 deg"', key="--allocate")
 
 
-def _limit(text: str | None, *, angular: bool) -> float | None:
+def _limit(text: str | None, unit: str) -> float | None:
+    """Return a limit of a value with an SI unit; of the cosine of a transmission angle, a number or an angle from 90 deg."""
     if text is None:
         return None
     try:
-        value, _ = parse(text, "angle" if angular else "length")
+        if unit:
+            value, _ = parse(text, {"rad": "angle", "m": "length"}[unit])
+        else:
+            number = read_number(text)
+            value = number if math.isfinite(number) else math.sin(parse(text, "angle")[0])
     except UnitProblem as error:
         raise InputError(error.message, error.remedy, key="--limit", value=text) from None
     if not value > 0.0:

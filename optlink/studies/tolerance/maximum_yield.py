@@ -36,7 +36,7 @@ STAGES = ((1 << 12, 1.0, 1.0), (1 << 14, 0.1, 0.3))  # samples, and relative to 
 LAST_STEP, MAX_STEPS = 0.01, 300
 SCRAP_OFFSET = 1e-5  # added to the scrap rate, so that single samples do not drive the search
 MIN_SLOPE = 1e-3  # least slope, relative to that of the steepest direction
-UNASSEMBLED_ERROR = 10.0  # rad, error of a linkage that cannot be assembled
+UNASSEMBLED_ERROR = 10.0  # rad or m, error of a linkage that cannot be assembled
 
 
 def maximise_yield(
@@ -51,7 +51,7 @@ def maximise_yield(
 ) -> RobustDesign:
     """Return the design with the largest yield, searched from the nominal optimum and a robust design and compared with both.
 
-    `limit` [rad] of the error along the span; `samples` of `seed` compare the designs, the search uses those of the next one.
+    `limit` [SI] of the error; `samples` of `seed` compare the designs, the search uses those of the next one.
     """
     redesign = RobustSearch(problem, tolerances, shape)
     file = redesign.problem.override({"requirement.robust": None})
@@ -134,7 +134,7 @@ class _Search:
         return list(sample_deviations(self.deviations, samples, self.seed))
 
     def _sizes(self, x: Array, batches: Sequence[Array]) -> Array:
-        """Return the largest error of every sample [rad]."""
+        """Return the largest error of every sample [SI]."""
         try:
             nominal = nominal_design(self.file, None, None, self.nlp.design(x))
         except InputError:  # it cannot be assembled as drawn

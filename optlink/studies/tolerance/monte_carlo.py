@@ -131,14 +131,10 @@ class SampleSums:
 class SampleTask:
     """Moves the samples of a tolerance study, `chunk` of them in each chunk for `optlink.execution.runner`.
 
-    `shift`, `by` and `limit` are those of the study; the histogram has `bins` per unit from `bottom` [SI] on.
+    The histogram has `bins` per unit from `bottom` [SI] on.
     """
 
-    nominal: Nominal
-    deviations: tuple[Deviation, ...]
-    shift: Array
-    by: Array
-    limit: float | None
+    study: LinearAnalysis
     bottom: float
     bins: float
     samples: int
@@ -152,9 +148,10 @@ class SampleTask:
 
     def __call__(self, index: int, advance: Callable[[int], None] | None = None) -> SampleSums:
         """Return the sums over a chunk; `advance` receives the number of samples of every completed batch."""
-        sums, begin = SampleSums.none(len(self.shift)), self.chunk * index
-        for batch in sample_deviations(self.deviations, min(begin + self.chunk, self.samples), self.seed, begin):
-            for part, change in _moved(self.nominal, self.deviations, batch):
+        study, begin = self.study, self.chunk * index
+        sums = SampleSums.none(len(study.shift))
+        for batch in sample_deviations(study.deviations, min(begin + self.chunk, self.samples), self.seed, begin):
+            for part, change in _moved(study.nominal, study.deviations, batch):
                 self._count(sums, part, change)
             if advance is not None:
                 advance(len(batch))
@@ -162,20 +159,20 @@ class SampleTask:
 
     def _count(self, sums: SampleSums, part: Array, change: Array) -> None:
         """Add a block of deviations and the changes that they cause."""
-        base, assembled = self.nominal.base, np.isfinite(change).all(axis=1)
+        study, assembled = self.study, np.isfinite(change).all(axis=1)
         if not assembled.all():
             sums.stuck += int(np.sum(~assembled))
             change = change[assembled]
-        largest = np.max(np.abs(base + change), axis=1)
+        largest = np.max(np.abs(study.nominal.base + change), axis=1)
         places = np.clip((largest - self.bottom) * self.bins, 0, BINS - 1).astype(int)
         sums.counts += np.bincount(places, minlength=BINS)
         if len(change):
             np.minimum(sums.least, np.min(change, axis=0), out=sums.least)
             np.maximum(sums.most, np.max(change, axis=0), out=sums.most)
-        if self.limit is not None:
-            sums.good += int(np.sum(largest <= self.limit))
-            sums.linear += int(np.sum(np.max(np.abs(base + part @ self.by), axis=1) <= self.limit))
-        change -= self.shift  # keeps the sums of powers accurate
+        if study.limit is not None:
+            sums.good += int(np.sum(largest <= study.limit))
+            sums.linear += int(np.sum(np.max(np.abs(study.nominal.after(study.changes(part))), axis=1) <= study.limit))
+        change -= study.shift  # keeps the sums of powers accurate
         power = change
         for i in range(4):
             sums.powers[i] += np.sum(power, axis=0)
@@ -192,7 +189,8 @@ def monte_carlo(
     reach = HISTOGRAM_RATIO * max(float(np.max(np.maximum(-study.worst[0], study.worst[1]))), 1e-15)
     bottom = max(0.0, middle - reach)
     bins = BINS / (middle + reach - bottom)
-    task = SampleTask(nominal, study.deviations, study.shift, study.by, limit, bottom, bins, samples, seed, CHUNK)
+    study = LinearAnalysis(study.problem, nominal, study.deviations, study.by, limit)  # alone, for other processes
+    task = SampleTask(study, bottom, bins, samples, seed, CHUNK)
     total = SampleSums.none(len(study.shift))
     for part in _parts(task, progress, runs):
         total.add(part)

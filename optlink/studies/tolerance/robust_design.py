@@ -4,7 +4,6 @@
 nominal optimum is found as well.
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
@@ -19,15 +18,16 @@ from optlink.tasks.design import solve, validate
 from optlink.tasks.protocol import completed
 from optlink.tasks.results.design import SynthesisResult
 from optlink.tasks.run import solve as solve_nominal
+from optlink.units import DISPLAYED
 
 YIELD = "yield"
 STEPS, LIMIT_TOLERANCE = 12, 1e-5  # of the search for the largest number of standard deviations, and its relative accuracy
-MIN_SLOPE = 1e-12  # rad per standard deviation; least slope of the secants
+MIN_SLOPE = 1e-12  # [SI] per standard deviation; least slope of the secants
 
 
 @dataclass(frozen=True)
 class RobustDesign:
-    """A robust design, `result`, and the nominal optimum, `nominal` [SI]; `before` [rad]: objective of the latter.
+    """A robust design, `result`, and the nominal optimum, `nominal` [SI]; `before` [SI]: objective of the latter.
 
     `sigmas`: number of standard deviations, None: the worst case; `by_yield`: the yield was maximised instead.
     """
@@ -39,8 +39,8 @@ class RobustDesign:
         "kkt": lambda robust: getattr(robust.result.solution, "kkt", None),
         "design_SI": "result.design",
         "nominal_design_SI": "nominal",
-        "largest_rad": "result.objective",
-        "largest_of_the_nominal_design_rad": "before",
+        "largest_SI": "result.objective",
+        "largest_of_the_nominal_design_SI": "before",
         "failed_checks?": lambda robust: robust.result.validation.failed or None,
     }
 
@@ -64,7 +64,7 @@ class RobustDesign:
 
 
 def robust(problem: ProblemFile, tolerances: Sequence[str], sigmas: float | None = 3.0, *, shape: str = NORMAL) -> RobustDesign:
-    """Minimise the largest error over the span, including its scatter."""
+    """Minimise the largest error, including its scatter."""
     if sigmas is not None and not 0.0 <= sigmas <= MAX_SIGMAS:
         remedy = f"Give 0 to {MAX_SIGMAS:g} standard deviations, or worst, margin or yield"
         raise InputError("out of range", remedy, key="--robust", value=sigmas)
@@ -79,9 +79,10 @@ def most_reliable(problem: ProblemFile, tolerances: Sequence[str], limit: float,
     redesign = RobustSearch(problem, tolerances, shape)
     before = redesign.least(0.0)
     if before.result.objective > limit:
-        least = f"{math.degrees(before.result.objective):.4g} deg"
+        factor, unit = DISPLAYED[problem.spec.unit]
+        least, stated = (f"{factor * value:.4g} {unit}".strip() for value in (before.result.objective, limit))
         message = f"no design meets the limit, even without tolerances: the smallest largest error found is {least}"
-        raise InputError(message, f"Give more than {least}", problem.file, "--limit", f"{math.degrees(limit):.4g} deg")
+        raise InputError(message, f"Give more than {least}", problem.file, "--limit", stated)
     current, sigmas = redesign.least(1.0, before.free), 1.0
     for _ in range(STEPS):  # secant method: the minimum is nearly linear in them
         rise = (current.result.objective - before.result.objective) / (sigmas - (before.sigmas or 0.0))
@@ -92,10 +93,10 @@ def most_reliable(problem: ProblemFile, tolerances: Sequence[str], limit: float,
     return current
 
 
-def check_law(problem: ProblemFile) -> None:
-    """Check that the problem has an error over a span."""
-    if not problem.model.has_error:
-        message = "robust design supports motion laws of a four-bar only"
+def check_targets(problem: ProblemFile) -> None:
+    """Check that the errors of one requirement are all that is minimised."""
+    if not problem.model.parts or problem.spec.composed:
+        message = "robust design minimises the error of one requirement alone, which this problem does not have"
         raise InputError(message, "Analyse its designs without --robust", problem.file, "--robust")
 
 
@@ -103,7 +104,7 @@ class RobustSearch:
     """Search of robust designs of one problem from its nominal optimum, `nominal` [SI]; `problem`: with its tolerances."""
 
     def __init__(self, problem: ProblemFile, tolerances: Sequence[str], shape: str) -> None:
-        check_law(problem)
+        check_targets(problem)
         entries = {name: tolerance.raw for name, tolerance in read_tolerances(problem, tolerances, shape).items()}
         first: Any = completed(solve_nominal(problem.override({"requirement.robust": None})))
         if not first.valid:
