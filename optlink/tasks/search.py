@@ -123,8 +123,8 @@ class Polisher:
         nlp, x = self._point(variant, full, angles, 1 if angles is None or angles[-1] >= angles[0] else -1)
         nlp.spread_exchange_points()
         task, method = self.files[variant].spec, CLOSE if close and self.backend == "ipopt" else self.backend
-        once = {} if task.law_given else {"persistent": False, "continuations": 0}  # the batched starts of points are better
-        solution = multistart.solve_from(nlp, x, method, track=track, **once)
+        rounds = {"continuations": multistart.CONTINUATIONS if task.law_given else 0}  # batched starts of points are better
+        solution = multistart.solve_from(nlp, x, method, track=track, persistent=task.law_given, **rounds)
         design = self._polished(variant, solution)
         if design.solution is None or solution.path is None:
             return design
