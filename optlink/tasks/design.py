@@ -270,8 +270,9 @@ class SearchRounds:
                 self.collection.add(self.exploration)
                 if self.exploration.rounds == 1 and self.compound and not self.collection.exact:
                     self._grow()
-                if progress:
-                    progress(min(self.starts / starts if starts else self.exploration.rounds / self._most, 1.0))
+                share = self.starts / starts if starts else self.exploration.rounds / self._most
+                if progress and share < 1.0:
+                    progress(share)
             if progress:
                 progress(1.0)
         except KeyboardInterrupt:

@@ -377,7 +377,7 @@ def test_an_angle_from_which_others_follow_is_not_periodic():
 def test_links_hold_for_every_requirement_of_one_linkage():
     """Points and rocker angles of the four-bar 40, 110, 80, 120 mm with P (60, 35): the design is exact, as are its links."""
     at = np.radians([20.0, 60.0, 110.0, 180.0, 250.0])
-    psi = rocker(0.04, 0.11, 0.08, 0.12, at)
+    psi = np.unwrap(rocker(0.04, 0.11, 0.08, 0.12, at))
     turned = np.arctan2(0.08 * np.sin(psi) - 0.04 * np.sin(at), 0.12 + 0.08 * np.cos(psi) - 0.04 * np.cos(at))
     x = 40.0 * np.cos(at) + 60.0 * np.cos(turned) - 35.0 * np.sin(turned)
     y = 40.0 * np.sin(at) + 60.0 * np.sin(turned) + 35.0 * np.cos(turned)
@@ -404,7 +404,8 @@ def test_links_hold_for_every_requirement_of_one_linkage():
                     "kind": "function",
                     "law": {
                         name: [f"{angle!r} rad" for angle in angles.tolist()] for name, angles in (("phi", at), ("psi", psi))
-                    },
+                    }
+                    | {"measured_from": "frame"},
                     "weight": 1.0,
                 },
             ],

@@ -177,8 +177,8 @@ KEYS = {
     ): "alignment length_margin crank transmission_angle pressure_angle transmission_cosine transmission_over "
     "swing_angle time_ratio frame_length link_ratio pivots",
     ("slider", "limits"): "alignment crank transmission_angle pressure_angle transmission_over pivots",
-    ("path", "requirement"): "kind point points timing start rotation closed measure",
-    ("slider", "requirement"): "kind point points timing start rotation closed measure",
+    ("path", "requirement"): "name tolerance weight scale robust kind point points timing start rotation closed measure",
+    ("slider", "requirement"): "name tolerance weight scale robust kind point points timing start rotation closed measure",
 }
 
 
