@@ -208,7 +208,10 @@ def _tolerance(row: str, folder: Path) -> None:
 
 
 def _robust(row: str, folder: Path) -> None:
-    measure, robust = ("max", "3 sigma") if "largest" in row else ("sum of squares", "expected value")
+    if row.startswith("stroke"):
+        pytest.skip("quantities of machine cycles have no robust objective")
+    largest = row.startswith(("largest", "transmission"))
+    measure, robust = ("max", "3 sigma") if largest else ("sum of squares", "expected value")
     result = optlink.solve(problem(row, {"requirement.measure": measure, "requirement.robust": robust}), starts=24)
     assert result.valid
     assert result.objective >= solved(row).objective * (1.0 - 1e-9)
