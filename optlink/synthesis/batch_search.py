@@ -162,6 +162,9 @@ class Searcher:
         if fit.applies:
             fitted, turned = fit.fit(x, batch.crank_angles(x, t))
             x, t = np.clip(fitted, batch.low, batch.high), turned if batch.free_timing else t
+        if not batch.free_timing:  # designs beyond several bounds end in the same corner
+            distinct = np.sort(np.unique(x, axis=0, return_index=True)[1])
+            x, t = x[distinct], t[distinct]
         r, _, _ = batch.residuals(x, batch.crank_angles(x, t))
         cost = np.einsum("bpk,bpk->b", r, r)
         order = np.argsort(np.where(np.isfinite(cost), cost, np.inf))

@@ -95,7 +95,9 @@ def _composed(
 ) -> Validation:
     """Validate a design with several requirements, tolerances of requirements, or quantities of the machine."""
     every = problem.crank_angles(design, None) if angles is None else np.asarray(angles, dtype=float)
-    checks: dict[str, Check] = {}
+    linked = {f"{name} {problem.quantities[name].status}" for name in problem.links}  # which the parts do not know
+    sizes = [tested.of() for tested in bounds_and_links(problem, design, problem.size)]
+    checks = {check.name: check for check in sizes if check.name in linked}
     total = 0.0
     for part, own in problem.of_parts(every):
         tested = validate_batch(part, part.own(design), own, None, mechanism).of()

@@ -140,8 +140,8 @@ def test_rms_is_the_root_of_the_mean_expected_square(problem):
     rms = solve(problem.override({"requirement.robust": "expected value", "requirement.measure": "rms"}))
     assert rms.objective == pytest.approx(math.sqrt(squares.objective / 31.0), rel=1e-9)
     assert rms.design["coupler"] == pytest.approx(squares.design["coupler"], abs=1e-8)
-    assert squares.measure == "expected sum of squares"
-    assert rms.measure == "root of the expected mean square"
+    assert squares.best.measure == "expected sum of squares"
+    assert rms.best.measure == "root of the expected mean square"
 
 
 def test_the_expected_square_is_that_of_samples(problem):
@@ -211,7 +211,7 @@ def test_a_function_is_robust_anywhere_in_its_range():
     x = np.linspace(0.0, math.pi / 2.0, 4001)
     largest = []
     for design in (result.design, plain.design):
-        side = 1.0 if (result if design is result.design else plain).problem.spec.side > 0 else -1.0
+        side = 1.0 if (result if design is result.design else plain).definite.spec.side > 0 else -1.0
         sizes = [design[name] for name in ("crank", "coupler", "rocker", "frame")]
 
         def psi(by=(0.0, 0.0), sizes=sizes, side=side, phi=design["phi0"] + x):
@@ -630,7 +630,7 @@ def test_bad_input_is_reported(changes, words):
 
 @pytest.mark.slow
 def test_other_kinds_of_problems_are_not_robust():
-    with pytest.raises(InputError, match="motion laws of a four-bar only"):
+    with pytest.raises(InputError, match="needs tolerances"):
         optlink.load("path-arc5", {"requirement.robust": "3 sigma"})
     with pytest.raises(InputError, match="unknown key"):
         optlink.load("shaper-design", {"objective.robust": "3 sigma"})
@@ -650,7 +650,7 @@ def test_spellings():
 @pytest.mark.slow
 def test_worst_case_whose_tolerances_change_sign_at_the_worst_angle():
     """Where the effect of a tolerance on the critical error vanishes, the worst case has a kink: the optimum lies on one."""
-    crank, frame, clockwise = 0.09, 0.26, np.radians(-5.0) * np.arange(17)
+    crank, frame, clockwise = 0.09, 0.26, np.radians(-80.0) * np.linspace(0.0, 1.0, 4001)
     problem = optlink.read(
         {
             "title": "A lever in proportion to a crank that turns clockwise",
@@ -678,7 +678,7 @@ def test_worst_case_whose_tolerances_change_sign_at_the_worst_angle():
 
     def worst(design):
         coupler, rocker, phi0 = design
-        phi = phi0 + clockwise
+        phi = phi0 + clockwise  # the whole span
 
         def angle(by):
             sizes = np.array([crank, coupler, rocker, frame, 0.0]) + by
@@ -694,5 +694,6 @@ def test_worst_case_whose_tolerances_change_sign_at_the_worst_angle():
     for backend in ("ipopt", "slsqp"):
         result = solve(problem, backend, starts=1)
         assert result.valid, [check for check in result.validation.checks if not check.passed]
-        assert result.objective == pytest.approx(best.fun, rel=1e-6)
-        assert result.objective == pytest.approx(worst([result.design[name] for name in ("coupler", "rocker", "phi0")]), rel=1e-7)
+        assert result.objective == pytest.approx(best.fun, rel=1e-5)
+        assert result.objective <= best.fun * (1.0 + 1e-6)
+        assert result.objective == pytest.approx(worst([result.design[name] for name in ("coupler", "rocker", "phi0")]), rel=1e-6)
