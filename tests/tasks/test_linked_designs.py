@@ -402,9 +402,7 @@ def test_links_hold_for_every_requirement_of_one_linkage():
                 },
                 {
                     "kind": "function",
-                    "law": {
-                        name: [f"{angle!r} rad" for angle in angles.tolist()] for name, angles in (("phi", at), ("psi", psi))
-                    }
+                    "law": {name: [f"{angle!r} rad" for angle in angles.tolist()] for name, angles in (("phi", at), ("psi", psi))}
                     | {"measured_from": "frame"},
                     "weight": 1.0,
                 },
