@@ -70,7 +70,7 @@ READERS = {
     "read_quantity": "{kind}, fixed, free or linked",
     "read_fixed": "{kind}",
     "read_positive": "{kind}, not negative",
-    "_read_interval": "range of {kind}",
+    "read_interval": "range of {kind}",
     "_read_joint_ranges": "range of {kind}, or table of ranges by joint",
     "_read_joint_maxima": "largest {kind}, or table of them by joint",
     "_read_stroke_ratio": "range of {kind}, with `stroke` `forward`, `backward`, `slow` or `quick`",
@@ -110,6 +110,7 @@ FORMS = {
     "DwellRequirement.over": "angle, or `[begin, end]`",
     "DwellRequirement.band": "length or angle",
     "DwellRequirement.value": "angle or coordinate, fixed or free",
+    "PositionRequirement.value": "angle or coordinate, range of these, or table of `min`, `max`, `exactly`",
     "PathRequirement.points": "list or table",
     "StrokeRequirement.stroke": "length or angle, range of these, or table of `min`, `max`, `exactly`",
     "Goal.scale": "quantity",
@@ -353,7 +354,7 @@ def example(model: type[Section], name: str) -> str:
         if found is None or found[1] is None:
             return ""
         text = KINDS[found[1]].example
-        known = f'{{ max = "{text}" }}' if found[0] == "_read_interval" else f'"{text}"'
+        known = f'{{ max = "{text}" }}' if found[0] == "read_interval" else f'"{text}"'
     return f"{field.alias or name} = {known}"
 
 

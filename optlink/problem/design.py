@@ -57,7 +57,7 @@ class DesignProblem(MachineTerms):
         if self.requirements and self.requirement is not None:
             raise Unusable("there is one requirement and a list of them", "Move it into the list", "requirement")
         if self.requirements:
-            vars(self)["requirement"] = self.requirements[0]
+            vars(self)["requirement"] = min(self.requirements, key=lambda one: one.secondary)
         if self.requirement is None:
             raise Unusable("there is no requirement", "Add the section [requirement]", "requirement")
         return self
@@ -184,7 +184,7 @@ class DesignProblem(MachineTerms):
             part = type(self).model_construct(**(fields | changes))
             part._place = f"requirements.{k}", f"{name}."
             parts.append(part)
-        return tuple(parts)
+        return tuple(sorted(parts, key=lambda part: part.requirement.secondary))
 
     @property
     def key(self) -> str:

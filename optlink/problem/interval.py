@@ -107,7 +107,13 @@ def read_figure(raw: object, kind: str | None, key: str = "") -> tuple[float, st
     return read_scalar(raw, kind, key) if kind else (read_number(raw, key), "")
 
 
-def _read_interval(raw: object, kind: str | None) -> Interval:
+def read_interval(raw: object, kind: str | None) -> Interval:
+    """Read a range: two values, one for both, or a table of `min`, `max` or `exactly`.
+
+    Raises
+    ------
+    Unusable
+    """
     example = range_example(kind)
     if isinstance(raw, str) and (suggestion := mistyped_range(raw)) is not None:
         raise Unusable("this is not a range", f'Write it with two dots: "{suggestion}"', "", raw)
@@ -139,7 +145,7 @@ def _read_stroke_ratio(raw: object, kind: None) -> StrokeRatio:
             check_name(stroke, STROKES, "unknown stroke", "stroke")
             if not sides:
                 raise Unusable("the time ratio has no limit", "Add min, max or exactly", "", raw)
-    interval = _read_interval(sides, kind)
+    interval = read_interval(sides, kind)
     for key, value in (("min", interval.low), ("max", interval.high)):
         if value is not None:
             written = "exactly" if isinstance(sides, dict) and "exactly" in sides else key
@@ -149,7 +155,7 @@ def _read_stroke_ratio(raw: object, kind: None) -> StrokeRatio:
 
 def _read_joint_ranges(raw: object, kind: str) -> JointRanges:
     """Read a range for every joint, or a table with the ranges of single joints beside it."""
-    return _joint_ranges(raw, kind, _read_interval)
+    return _joint_ranges(raw, kind, read_interval)
 
 
 def _read_joint_maxima(raw: object, kind: str) -> JointRanges:
@@ -165,7 +171,7 @@ def _read_largest(raw: object, kind: str) -> Interval:
     for key, value in raw.items():
         if key != "max":
             raise Unusable("only its largest value is limited", f'Write max = "{KINDS[kind].example}"', key, value)
-    return _read_interval(raw, kind)
+    return read_interval(raw, kind)
 
 
 def _joint_ranges(raw: object, kind: str, read: Callable[[object, str], Interval]) -> JointRanges:
@@ -182,12 +188,12 @@ def _joint_ranges(raw: object, kind: str, read: Callable[[object, str], Interval
     return JointRanges(plain.low, plain.high, kind, plain.unit, tuple(entries))
 
 
-CoordinateInterval = Annotated[Interval, reader(_read_interval, "coordinate")]
-LengthInterval = Annotated[Interval, reader(_read_interval, "length")]
-AngleInterval = Annotated[Interval, reader(_read_interval, "angle")]
+CoordinateInterval = Annotated[Interval, reader(read_interval, "coordinate")]
+LengthInterval = Annotated[Interval, reader(read_interval, "length")]
+AngleInterval = Annotated[Interval, reader(read_interval, "angle")]
 AnglesOfJoints = Annotated[JointRanges, reader(_read_joint_ranges, "angle")]
 LargestAnglesOfJoints = Annotated[JointRanges, reader(_read_joint_maxima, "angle")]
-NumberInterval = Annotated[Interval, reader(_read_interval, None)]
+NumberInterval = Annotated[Interval, reader(read_interval, None)]
 RatioOfStrokes = Annotated[StrokeRatio, reader(_read_stroke_ratio, None)]
-MassInterval = Annotated[Interval, reader(_read_interval, "mass")]
-StiffnessInterval = Annotated[Interval, reader(_read_interval, "stiffness")]
+MassInterval = Annotated[Interval, reader(read_interval, "mass")]
+StiffnessInterval = Annotated[Interval, reader(read_interval, "stiffness")]

@@ -4,7 +4,7 @@ import functools
 import itertools
 import math
 import operator
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Protocol, Self
@@ -19,7 +19,7 @@ from optlink.linkage.inner_four_bar import InnerFourBar, inner_four_bars
 from optlink.linkage.mechanism import FRAME, Mechanism, Pose
 from optlink.linkage.vector2d import TURN, Array, Value, Vector, angle, angle_from, dot, minus, turn, unit
 from optlink.problem.base_model import Name, Section, in_folder
-from optlink.problem.interval import Interval, read_figure
+from optlink.problem.interval import Interval, read_figure, read_interval
 from optlink.problem.limits import Limits
 from optlink.problem.machine.model import MAX_SHIFT
 from optlink.problem.mechanism import moving_points
@@ -138,6 +138,9 @@ class Requirement(Section):
 
     law_given: ClassVar[bool] = False
     """Whether an output follows a law."""
+
+    secondary: ClassVar[bool] = False
+    """Whether the other requirements of a problem come first: results are shown by theirs."""
 
     def slides(self, problem: Designed) -> bool:
         """Return whether the output of a law is a coordinate, of a slider or a point, not the angle of a body."""
@@ -755,6 +758,8 @@ def check_kind(value: Quantity | Interval | None, key: str, *, slides: bool) -> 
 
 def _read_over(raw: object) -> tuple[Quantity | None, Quantity]:
     """Read a crank range: the angles of its ends, or its length alone. Return its start, None for any, and its rotation."""
+    if isinstance(raw, dict) and set(raw) == {"bounds"}:  # "100..160 deg"
+        raw = raw["bounds"]
     if not isinstance(raw, list):
         return None, read_fixed(raw, "angle")
     ends = check_pair(raw, "a crank range is two angles, or its length alone", 'Write ["100 deg", "160 deg"] or "60 deg"')
@@ -766,10 +771,19 @@ def _read_output(raw: object) -> Quantity:
     """Read an angle or a coordinate, fixed or free; which of them the output has is checked later."""
     if isinstance(raw, dict) and "equals" in raw:
         raise Unusable("this value cannot be linked to others", 'Give one value, or { bounds = ["30 deg", "40 deg"] }')
+    value: Quantity = _of_either_kind(read_quantity, raw)
+    return value
+
+
+def _of_either_kind(read: Callable[[object, str], Any], raw: object) -> Any:
+    """Read an angle or a coordinate; the error of something else is that of an angle."""
     try:
-        return read_quantity(raw, "angle")
-    except Unusable:
-        return read_quantity(raw, "coordinate")
+        return read(raw, "angle")
+    except Unusable as error:
+        try:
+            return read(raw, "coordinate")
+        except Unusable:
+            raise error from None
 
 
 class DwellRequirement(LawRequirement):
@@ -865,6 +879,95 @@ class DwellRequirement(LawRequirement):
             raise Unusable("the crank range already states its start", remedy, "requirement.start", str(self.start))
         check_rotation(self.law, self.span, "over", None, "over")
         check_kind(self.value, "value", slides=self.slides(problem))
+
+
+# --- the output has a place ----------------------------------------------------------------------------------------------
+
+
+def _read_place(raw: object) -> Interval:
+    """Read one value, or a range, of an angle or a coordinate; which of them the output has is checked later."""
+    whole = raw["bounds"] if isinstance(raw, dict) and set(raw) == {"bounds"} else raw  # "50..60 deg"
+    place: Interval = _of_either_kind(read_interval, whole)
+    return place
+
+
+class PositionRequirement(Requirement):
+    """The output has a value, or lies in a range, at a crank angle."""
+
+    kind: Literal["position"]
+    """Kind of requirement."""
+    output: str | None = None
+    """What has the value: a body (its angle), a guide (its slide) or a coordinate of a point, `"P.x"`; default: the rocker of a
+    four-bar."""
+    at: FixedAngle
+    """Crank angle."""
+    value: Annotated[Any, BeforeValidator(_read_place)]
+    """Value of the output, or its range: an angle or a coordinate; of a coordinate either side may be open."""
+
+    limited_by: ClassVar[tuple[str, str]] = "value", "output"
+    secondary: ClassVar[bool] = True
+
+    def output_of(self, problem: Designed) -> str:
+        """Return the name of the output."""
+        return self.output or (OF_FOUR_BAR.output if problem.four_bar else None) or ""
+
+    def slides(self, problem: Designed) -> bool:
+        """Return whether the output is a coordinate, not the angle of a body."""
+        return self.output_of(problem) not in problem.linkage.bodies
+
+    @property
+    def middle(self) -> float:
+        """Middle of the range [m or rad], or its only end."""
+        ends = [end for end in (self.value.low, self.value.high) if end is not None]
+        return float(sum(ends) / len(ends))
+
+    def stated(self, problem: Designed) -> tuple[float, float]:
+        """Return factor and offset from a deviation from the middle to the output."""
+        return 1.0, self.middle
+
+    def interval(self, problem: Designed) -> tuple[float, float]:
+        """Return the ends of the range, from its middle."""
+        low, high = self.value.bounds
+        return low - self.middle, high - self.middle
+
+    def unit(self, problem: Designed) -> str:
+        """Return the SI unit of a deviation."""
+        return "m" if self.slides(problem) else "rad"
+
+    def width(self, problem: Designed) -> int:
+        """Return the number of components of the deviation at one position."""
+        return 1
+
+    def data(self, problem: Designed) -> TargetArrays:
+        """Return the position."""
+        return at_positions(np.array([[self.middle]]), np.array([self.at.value]))
+
+    def deviation(self, problem: Designed, pose: Pose, values: Mapping[str, Value], target: tuple[Value, ...]) -> list[Value]:
+        """Return the output minus the middle of its range, of an angle within half a turn."""
+        output = self.output_of(problem)
+        if self.slides(problem):
+            return [pose.coordinate(output) - self.middle]
+        return [angle_from(unit(self.middle), pose.direction(output))]
+
+    def check(self, problem: Designed) -> None:
+        """Check output and range.
+
+        Raises
+        ------
+        Unusable
+            with the full key of the cause.
+        """
+        for key in ("tolerance", "weight", "scale"):
+            if getattr(self, key) is not None:
+                remedy = 'Leave it out; a range is value = ["50 deg", "60 deg"]'
+                raise Unusable(f"a position is a limit without {key}", remedy, f"requirement.{key}", getattr(self, key))
+        check_output(problem, self.output_of(problem))
+        slides = self.slides(problem)
+        check_kind(self.value, "value", slides=slides)
+        low, high = self.value.bounds
+        if not slides and not high - low < TURN:
+            message = "an angle lies between two values less than a revolution apart"
+            raise Unusable(message, 'Write value = ["50 deg", "60 deg"]', "requirement.value", str(self.value))
 
 
 # --- a point or a body takes positions --------------------------------------------------------------------------------------
@@ -1173,7 +1276,15 @@ def transmission_cosine(pose: Pose, group: Transmitting) -> Value:
 # --- the kinds --------------------------------------------------------------------------------------------------------------
 
 DEFAULT_KIND = "function"
-for _kind in (FunctionRequirement, DwellRequirement, PathRequirement, MotionRequirement, TransmissionRequirement):
+_KINDS = (
+    FunctionRequirement,
+    DwellRequirement,
+    PositionRequirement,
+    PathRequirement,
+    MotionRequirement,
+    TransmissionRequirement,
+)
+for _kind in _KINDS:
     REQUIREMENTS.add(_kind.__annotations__["kind"].__args__[0], _kind)
 
 

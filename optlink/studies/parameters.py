@@ -130,7 +130,8 @@ def parameters(nlp: NLP) -> list[Parameter]:
                 limits[mark] = replace(limit, name=label, entries=(*limit.entries, entry))
                 continue
             own = entry < n or key.startswith(QUANTITIES)
-            prescribed = own or (key.startswith("limits.") and key not in ("limits.crank", *MARGIN_KEYS))
+            stated = key.endswith(".value") or (key.startswith("limits.") and key not in ("limits.crank", *MARGIN_KEYS))
+            prescribed = own or stated
             bounds = f"{name}, {'largest' if side == 'max' else 'smallest'} allowed" if own else name
             limit_key = f"{key}.{side}" if side and prescribed else key
             limits[mark] = Parameter(

@@ -30,6 +30,7 @@ from optlink.problem.robust import EXPECTED, WORST
 from optlink.problem.targets.law import Table
 from optlink.units import DISPLAYED
 from optlink.validation.check import (
+    ANGLE_TOLERANCE,
     MEASURED_ROBUST,
     POSITIONS,
     Check,
@@ -55,7 +56,7 @@ ROUNDING = {"rad": 1e-12, "m": 1e-11, "": 1e-11}
 BASE = math.radians(1e-7)  # or share of the size; tolerance of an output at the start that is the actual one
 LEAST_PART = 0.25  # of a revolution whose positions cover the range of a law at least
 TOLERATED, ZERO = 1e-6, 1e-6  # relative excess over a tolerance; share of the size of a signal that is a rounding error
-PIVOT = 1e-8  # of the size; tolerance of the places of pivots
+PIVOT = PLACED = 1e-8  # of the size; tolerance of the places of pivots, and of points
 DIFFERENCE = 1e-5  # of the reference length; step of central differences by dimensions
 
 
@@ -107,8 +108,9 @@ def _composed(
             checks[check.name] = check
         if part.tolerance is None:
             total += part.worth * tested.objective
+        (factor, unit), (stated, offset) = DISPLAYED[part.unit], part.requirement.stated(part)
+        if part.tolerance is None or offset is not None:  # the output itself is limited, by a check of its own
             continue
-        (factor, unit), stated = DISPLAYED[part.unit], part.requirement.stated(part)[0]
         name = (f"largest {part.requirement.limited_by[1]}" if part.measure == "max" else "rms") + part.suffix
         met = bool(tested.objective <= part.tolerance * (1.0 + TOLERATED))
         checks[name] = Check(name, met, tested.objective * factor * stated, f"<= {part.tolerance * factor * stated:.6g}", unit)
@@ -608,7 +610,35 @@ class _Law(_Targets):
             yield at_least("inner dead centre: C apart from A", np.abs(coupler - crank) * 1e3, margin * 1e3, "mm")
 
 
-TARGETS: Mapping[str, type[_Targets]] = {"path": _Points, "motion": _Points, "function": _Law, "transmission": _Transmission}
+class _Position(_Targets):
+    """An output at one crank angle."""
+
+    @cached_property
+    def measured(self) -> MeasuredDeviations:
+        """Output, and its difference from the middle of its range."""
+        motion, output, middle = self.tested.placed(self.tested.angles), self.problem.output, self.problem.requirement.middle
+        if self.problem.slides:
+            generated = np.asarray(motion.coordinate(output).value)
+        else:
+            generated = middle + np.remainder(motion.wrapped_angle(output) - middle + math.pi, TURN) - math.pi
+        away = np.abs(generated - middle)
+        return MeasuredDeviations(generated[..., None], away, None, away[:, 0])
+
+    def checks(self) -> Iterator[Checks]:
+        """Check that the output lies in its range."""
+        problem, stated = self.problem, self.problem.requirement
+        factor, unit = DISPLAYED[problem.unit]
+        near = ANGLE_TOLERANCE if unit == "deg" else PLACED * problem.size * factor
+        value = self.measured.generated[:, 0, 0] * factor
+        yield from limit_checks(
+            f"{problem.output} at {math.degrees(stated.at.value):g} deg", value, stated.value, near, factor, unit
+        )
+
+
+TARGETS: Mapping[str, type[_Targets]] = {
+    **{"path": _Points, "motion": _Points, "function": _Law},
+    **{"position": _Position, "transmission": _Transmission},
+}
 """What is measured, by the kind of the requirement."""
 
 

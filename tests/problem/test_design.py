@@ -18,15 +18,11 @@ PLACE, DATUM = (0.013, -0.021), math.radians(37.0)
 
 
 def of_kind(kind, **keys):
-    raw = copy.deepcopy(
-        dict(
-            optlink.load(
-                {"function": "law-six-bar", "dwell": "law-six-bar", "motion": "motion-3-poses"}.get(kind, "path-arc5")
-            ).raw
-        )
-    )
+    shown = {**dict.fromkeys(("function", "dwell", "position"), "law-six-bar"), "motion": "motion-3-poses"}
+    raw = copy.deepcopy(dict(optlink.load(shown.get(kind, "path-arc5")).raw))
     raw.pop("expected", None)
     own = {"transmission": {"kind": kind}, "dwell": {"kind": kind, "over": "60 deg", "output": "rocker"}}
+    own["position"] = {"kind": kind, "at": "60 deg", "value": "30 deg", "output": "rocker"}
     raw["requirement"] = own.get(kind, raw["requirement"])
     raw["requirement"] |= keys
     return raw

@@ -12,7 +12,7 @@ from optlink.errors import InputError
 from optlink.problem.assignment import parse_assignment
 from optlink.problem.base_model import with_ranges
 from optlink.problem.file import load, read
-from optlink.problem.interval import _read_interval
+from optlink.problem.interval import read_interval
 from optlink.problem.quantity import Unusable, read_quantity
 from optlink.units import UnitProblem, parse, split_range
 
@@ -182,8 +182,8 @@ def test_range_is_read_as_its_two_ends(a, b, unit, form):
     assert sides is not None
     for side, value in (("min", low), ("max", high)):
         assert parse(sides[side], "coordinate") == parse(f"{value!r} {unit}", "coordinate")
-    interval = _read_interval(sides, "coordinate")
-    shown = _read_interval(split_range(str(interval)) or str(interval).removeprefix("exactly "), "coordinate")
+    interval = read_interval(sides, "coordinate")
+    shown = read_interval(split_range(str(interval)) or str(interval).removeprefix("exactly "), "coordinate")
     assert shown.bounds == pytest.approx(interval.bounds, rel=5.1e-6)
     assert str(shown) == str(interval)
 
@@ -200,7 +200,7 @@ def test_any_text_is_a_value_or_a_fault(text, kind):
         with_ranges({"mechanism": {"a": text}})["mechanism"]["a"],
     ):
         try:
-            low, high = _read_interval(raw, kind).bounds
+            low, high = read_interval(raw, kind).bounds
             assert low <= high
             if kind is not None:
                 assert math.isfinite(read_quantity(raw, kind).value)
@@ -267,10 +267,10 @@ def test_template_keeps_comments_and_spellings(tmp_path):
 
 
 def test_percent_is_a_fraction():
-    assert _read_interval({"max": "2 %"}, None).high == 0.02
+    assert read_interval({"max": "2 %"}, None).high == 0.02
     for text, reason in (("2,5 %", "plain number"), (f"{'9' * 400} %", "finite")):
         with pytest.raises(Unusable, match=reason):
-            _read_interval({"max": text}, None)
+            read_interval({"max": text}, None)
 
 
 @pytest.mark.parametrize(

@@ -90,6 +90,7 @@ PICTURES = {
     "function": Pictures(law, output_film),
     "path": POINTS,
     "motion": POINTS,
+    "position": Pictures(lambda _: [], output_film),
     "transmission": Pictures(lambda _: [], output_film),
 }
 """Pictures by kind of requirement."""

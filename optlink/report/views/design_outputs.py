@@ -119,7 +119,7 @@ def _crank(view: DesignView, crank: Array) -> Axis:
 def output_film(view: DesignView, steps: Array, titles: Sequence[str]) -> list[Image.Image]:
     """Draw the frames of the mechanism at crank angles [rad] beside its output, or else its transmission angle."""
     task, angles = view.task, view.motion.crank_angle
-    if not view.design.follows_law:
+    if not hasattr(task.requirement, "output_of"):
         axis, values = "transmission angle γ [deg]", np.degrees(view.transmission(angles)[:, 0])
     else:
         unit = view.sketch.scale if task.slides else scale(0.0, "deg")

@@ -187,7 +187,33 @@ class _Transmission(Words):
         return {**super().columns(design), "crank_angle_rad": design.crank_angles, **angles}
 
 
-WORDS: dict[str, Words] = {"function": _Law(), "path": _Points(), "motion": _Poses(), "transmission": _Transmission()}
+class _Position(Words):
+    def figures(self, design: LinkageDesign) -> list[str]:
+        name, value, unit = self._output(design)
+        return [f"{name}: {value} {unit}"]
+
+    def rows(self, design: LinkageDesign, outcome: SynthesisResult) -> list[Row]:
+        name, value, unit = self._output(design)
+        return [(name + design.task.suffix, strong(value), unit, quiet(str(design.task.requirement.value)))]
+
+    def captions(self, design: LinkageDesign) -> list[str]:
+        return self.figures(design)
+
+    def columns(self, design: LinkageDesign) -> dict[str, Array]:
+        output = {f"generated_{design.task.unit}": design.measured.generated[:, 0]}
+        return {**super().columns(design), "crank_angle_rad": design.crank_angles, **output}
+
+    @staticmethod
+    def _output(design: LinkageDesign) -> tuple[str, str, str]:
+        factor, unit = DISPLAYED[design.task.unit]
+        at = math.degrees(design.task.requirement.at.value)
+        return f"{design.task.output} at {at:g} deg", number(factor * design.measured.generated[0, 0], 6), unit
+
+
+WORDS: dict[str, Words] = {
+    **{"function": _Law(), "path": _Points(), "motion": _Poses()},
+    **{"position": _Position(), "transmission": _Transmission()},
+}
 """Words by kind of requirement."""
 
 
