@@ -15,8 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from optlink.linkage.vector2d import Array
 from optlink.synthesis.freudenstein_convex import PROVEN_GAP, Refinement
-from optlink.synthesis.freudenstein_fit import Cells, FitProblem, distinct_cells, scan, step_of, zoom
+from optlink.synthesis.freudenstein_fit import Cells, FitProblem, distinct_cells, fit, scan, step_of, zoom
 from optlink.synthesis.loop_equations import EXACT, linear_form
 
 START_SEPARATION = 3.0  # least distance of two distinct start positions, in grid steps
@@ -80,6 +81,13 @@ def first_steps(task: FitProblem, phi0: ArrayLike, psi0: ArrayLike, count: int =
         step = _step(task, cell, float(task.figure(a @ cell.k - w)), bound, proven, status)
         designs.append((max(error, EXACT), -float(cell.margin), step))
     return [step for *_, step in sorted(designs, key=lambda one: one[:2])]
+
+
+def fit_pairs(task: FitProblem, phi0: Array, psi0: Array) -> list[FirstStep]:
+    """Return the fit at each pair of start angles (m,) [rad] that gives an admissible linkage, in order and without bounds."""
+    cells = fit(task, phi0, psi0)
+    cells = cells[np.isfinite(cells.error)]
+    return [_step(task, cells[i], math.nan, 0.0, False, "fit") for i in range(len(cells.error))]
 
 
 def _step(task: FitProblem, cell: Cells, residual: float, bound: float, proven: bool, status: str) -> FirstStep:

@@ -1,6 +1,7 @@
-"""Starting points of function synthesis: convex first designs by Freudenstein's equation (`optlink.synthesis.freudenstein`)."""
+"""Starting points of function synthesis: Freudenstein fits and convex first designs (`optlink.synthesis.freudenstein`)."""
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,11 +11,12 @@ from optlink.linkage.vector2d import TURN, Array, unit
 from optlink.problem.design import DesignProblem
 from optlink.problem.quantity import Quantity
 from optlink.problem.targets.function import Function
-from optlink.synthesis.freudenstein import FirstStep, first_steps
+from optlink.synthesis.freudenstein import FirstStep, first_steps, fit_pairs
 from optlink.synthesis.freudenstein_fit import FitProblem, Keep
 from optlink.synthesis.loop_equations import LoopEquation
 
 UNLIMITED = (1e-3, 1e3)  # ratios beyond a thousand are not practical
+BLOCK, BLOCKS = 1024, 8  # random start angles per block, and number of blocks
 GRID = 36  # start angles of crank and rocker that are scanned, each over half a turn
 WIDER = 2.0 * math.pi / 180.0  # relaxation of the transmission-angle limits: the nearest start may just violate them
 
@@ -40,6 +42,25 @@ def steps(problem: DesignProblem) -> list[FirstStep]:
     free, ranges = _ranges(problem)
     phi0, psi0 = (_grid(low, high, free) for low, high in ranges)
     return first_steps(_fit_problem(problem, free), phi0, psi0)
+
+
+def fits(problem: DesignProblem, seed: int) -> Iterator[dict[str, float]]:
+    """Yield fitted linkages at random start angles (scrambled Sobol points) as quantities of the problem.
+
+    Only linkages that keep the assembly mode of the problem are yielded; at most `BLOCK` times `BLOCKS` points are tried.
+    """
+    from scipy.stats import qmc
+
+    free, ranges = _ranges(problem)
+    if all(low == high for low, high in ranges):
+        return
+    task, points = _fit_problem(problem, free), qmc.Sobol(2, rng=np.random.default_rng(seed))
+    low = np.array([start[0] for start in ranges])
+    size = np.array([math.pi if free else start[1] - start[0] for start in ranges])
+    for _ in range(BLOCKS):
+        phi0, psi0 = (low + size * points.random(BLOCK)).T
+        for step in fit_pairs(task, phi0, psi0):
+            yield values(problem, step)
 
 
 def _fit_problem(problem: DesignProblem, free: bool) -> FitProblem:

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import cached_property
+from itertools import islice, repeat, zip_longest
 
 import numpy as np
 
@@ -48,8 +49,8 @@ NEAREST = "nearest design"
 MIN_CURVATURE = 1e-7  # least curvature, for an objective scaled to 1, of a unique optimum
 ONLY_RATIOS = "all four lengths are free and only their ratios matter here: any multiple within the bounds is as good; fix one"
 MISSED_CHANCE = 0.02  # estimated chance that a better design was missed at which a search ends
+FITS_PER_ROUND = 24  # random fits of a function per assembly mode
 MIN_ROUNDS, MAX_ROUNDS = 3, 20
-MIN_ROUNDS_OF_LAW = 2  # of a four-bar, whose few optima many starts reach
 MAX_ROUNDS_POOR_FIT = 40  # largest number, while the best design fits poorly
 BATCH_ROUNDS = 2  # rounds computed together after the first one, while no design is exact
 SHARED_BATCH_ROUNDS = 4  # the same for several processes
@@ -265,9 +266,10 @@ class SearchRounds:
             while self.starts < starts if starts else not self._enough(exact):
                 self._share()
                 exact = self.collection.exact
-                self.searcher.advance(self._ahead(exact))
-                self._share()
-                self.collection.add(self.exploration)
+                if not self._fitted():
+                    self.searcher.advance(self._ahead(exact))
+                    self._share()
+                    self.collection.add(self.exploration)
                 if self.exploration.rounds == 1 and self.compound and not self.collection.exact:
                     self._grow()
                 share = self.starts / starts if starts else self.exploration.rounds / self._most
@@ -307,6 +309,25 @@ class SearchRounds:
                     self.given += 1
                 if self._met:
                     return
+
+    @cached_property
+    def fits(self) -> Iterator[tuple[int, Mapping[str, float]]]:
+        """Random linkages that fit a function of a four-bar, with their assembly modes in turn; none for other problems."""
+        if not has_first_steps(self.task):
+            return iter(())
+        from optlink.synthesis import function_starts
+
+        sources = [zip(repeat(k), function_starts.fits(f.spec, self.options.seed)) for k, f in enumerate(self.files)]
+        return (fit for each in zip_longest(*sources) for fit in each if fit is not None)
+
+    def _fitted(self) -> bool:
+        """Refine a round of fits; return whether there were any."""
+        chosen = list(islice(self.fits, FITS_PER_ROUND * len(self.files)))
+        for variant, values in chosen:
+            self.collection.refine_fit(variant, values)
+            self.exploration.starts += 1
+        self.exploration.rounds += bool(chosen)
+        return bool(chosen)
 
     def _share(self) -> None:
         """Let several processes share the search from where it is long enough to pay for their start."""
@@ -408,7 +429,7 @@ class SearchRounds:
         if collection.exact:
             often = collection.evidence().hits >= STARTS_PER_EXACT * collection.exact
             return collection.exact >= self.options.designs or collection.exact == exact or often
-        if rounds < (MIN_ROUNDS_OF_LAW if self.task.has_error else MIN_ROUNDS):
+        if rounds < MIN_ROUNDS:
             return False
         if not collection.designs and collection.beyond_tolerances(self.exploration.candidates) <= MISSED_CHANCE:
             return True

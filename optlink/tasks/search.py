@@ -11,7 +11,7 @@ import numpy as np
 from optlink.errors import Status
 from optlink.execution.runner import ordered
 from optlink.execution.worker import Runs, built, packed
-from optlink.linkage.vector2d import Array
+from optlink.linkage.vector2d import TURN, Array
 from optlink.optimization.nlp import NLP
 from optlink.optimization.programme import angle_name, build, path_variable, solved_values
 from optlink.problem.design import DesignProblem
@@ -46,6 +46,7 @@ REORDERED = 2  # reordered candidates of a round, and unsuccessful refinements o
 COMPOUND_TRIES = 4  # unsuccessful refinements of the first round for a linkage of several dyads: each takes seconds
 IDLE_ROUNDS = 3  # rounds in a row whose reordered candidates improve no design: the last with any, unless the fit is poor
 POOR_FIT_TRIES = 3  # candidates and reordered candidates of a later round refined at any cost, while the fit is poor
+FIT_RATIO = 2.0  # objective at the positions, relative to the best one, up to which a fit is refined over the range
 COUNTED_RATIO = 1.5  # largest error of counted optima, relative to the least one: a better one would be among them
 ANY_ORDER = 3  # points that every crank passes in their order, in one direction or the other
 MISSING = 0.25  # how far counts can be relied on where the best design misses the points
@@ -110,7 +111,7 @@ class Polisher:
 
     def polish(self, candidate: Candidate, *, near: bool = False) -> LinkageDesign:
         """Return the nearest local optimum with all limits, validated; `near`: the candidate meets its limits everywhere."""
-        return self._polished(candidate.variant, self._scaled_point(candidate), near=near)
+        return self.polished(candidate.variant, self._scaled_point(candidate), near=near)
 
     def from_values(
         self, variant: int, values: Mapping[str, float], angles: Array | None, *, close: bool = False, track: bool = False
@@ -119,16 +120,22 @@ class Polisher:
 
         `close`: they are nearly optimal; `track`: keep the iterates of the search.
         """
+        solution = self.at_positions(variant, values, angles, close=close, track=track)
+        design = self.polished(variant, solution)
+        if design.solution is None or solution.path is None:
+            return design
+        return replace(design, solution=replace(design.solution, path=solution.path, iterations=solution.iterations))
+
+    def at_positions(
+        self, variant: int, values: Mapping[str, float], angles: Array | None = None, *, close: bool = True, track: bool = False
+    ) -> Solution:
+        """Return the local optimum at the positions of the programme alone; see `from_values`."""
         full = self.files[variant].spec.design(values)
         nlp, x = self._point(variant, full, angles, 1 if angles is None or angles[-1] >= angles[0] else -1)
         nlp.spread_exchange_points()
         task, method = self.files[variant].spec, CLOSE if close and self.backend == "ipopt" else self.backend
         rounds = {"continuations": multistart.CONTINUATIONS if task.law_given else 0}  # batched starts of points are better
-        solution = multistart.solve_from(nlp, x, method, track=track, persistent=task.law_given, **rounds)
-        design = self._polished(variant, solution)
-        if design.solution is None or solution.path is None:
-            return design
-        return replace(design, solution=replace(design.solution, path=solution.path, iterations=solution.iterations))
+        return multistart.solve_from(nlp, x, method, track=track, persistent=task.law_given, **rounds)
 
     def _point(self, variant: int, values: Mapping[str, float], angles: Array | None, direction: int) -> tuple[NLP, Array]:
         """Return the programme, and its x for all quantities [SI] and the crank angles [rad] of the first requirement, if free.
@@ -144,7 +151,8 @@ class Polisher:
         nlp = self.programme(variant, direction, values if task.goals or task.bounds else None)
         return nlp, nlp.x_of(named)
 
-    def _polished(self, variant: int, start: Solution, *, near: bool = False) -> LinkageDesign:
+    def polished(self, variant: int, start: Solution, *, near: bool = False) -> LinkageDesign:
+        """Return the local optimum from a point of the programme, validated; see `polish`."""
         file = self.files[variant]
         task, minimax = file.spec, self.method == MINIMAX
         solution = solve_semi_infinite(task, start, self.method, near=near)
@@ -209,6 +217,15 @@ class Polisher:
         return multistart.solution_at(nlp, x, FOUND)
 
 
+def same_end(one: Solution, other: Solution) -> bool:
+    """Return whether two solutions of one programme are one design, up to whole turns of its angles."""
+    if not (other.usable and multistart.compare(one, other).same):
+        return False
+    gaps, periodic = np.abs(one.x - other.x), np.array([v.periodic for v in one.nlp.variables], dtype=bool)
+    gaps[periodic] = np.abs(np.remainder(gaps[periodic] + math.pi, TURN) - math.pi)
+    return bool(np.max(gaps) <= multistart.SAME_DESIGN)
+
+
 def feasible(design: LinkageDesign) -> LinkageDesign:
     """Return a design that is not a local optimum as one that only has to satisfy all limits."""
     checks = tuple(check for check in design.validation.checks if check.name != OPTIMALITY_CHECK)
@@ -239,6 +256,7 @@ class DesignCollection:
         self.designs: list[LinkageDesign] = []
         self.nearest: LinkageDesign | None = None
         self._ends: dict[Candidate, LinkageDesign] = {}
+        self._fits: dict[Candidate, Solution] = {}
         self._given: list[LinkageDesign] = []  # ends of starts that are not random
         self._compound = has_several_dyads(self.task)
         self._tries = COMPOUND_TRIES if self._compound else PER_ROUND
@@ -318,6 +336,23 @@ class DesignCollection:
         """Take the end of a start that is not random."""
         self._given.append(self._taken(design))
 
+    def refine_fit(self, variant: int, values: Mapping[str, float]) -> None:
+        """Refine a random linkage that fits a function [SI]; ends at the positions that are known already are counted only.
+
+        Several optima of the largest error may belong to one of the least squares, so that each fit is refined by itself.
+        """
+        solution = self.polisher.at_positions(variant, values)
+        known = next((c for c, other in self._fits.items() if c.variant == variant and same_end(other, solution)), None)
+        if known is not None:
+            known.count += 1
+            return
+        candidate = Candidate(variant, solution.x, np.zeros(0), solution.objective, 1)
+        worth = not self.designs or solution.objective <= FIT_RATIO * self.designs[0].objective
+        if solution.status is Status.OPTIMAL:
+            self._fits[candidate] = solution
+        if worth and solution.usable:
+            self._ends[candidate] = self._taken(self.polisher.polished(variant, solution))
+
     def _taken(self, design: LinkageDesign) -> LinkageDesign:
         """Insert a design, or note it as the nearest one; return it, refined where only figures were inexact."""
         if not design.valid and self._better(design) and inexact(design.status, design.validation):
@@ -396,7 +431,8 @@ class DesignCollection:
         errors = [(0.0 if best.exact and error <= best.level else error, count) for error, count in ends]
         if errors[0][0] > level * (1.0 + OBJECTIVE_TOLERANCE):
             errors.insert(0, (level, 1))  # no random start reached the best design
-        near = (one for one in errors if one[0] <= COUNTED_RATIO * level)
+        ratio = math.inf if self._fits else COUNTED_RATIO  # every fit is refined
+        near = (one for one in errors if one[0] <= ratio * level)
         failing = sorted(((d.error, c.count) for c, d in self._ends.items() if self._fails(d)), key=lambda end: end[0])
         found_evidence = evidence(
             [

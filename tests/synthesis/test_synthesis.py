@@ -626,3 +626,26 @@ def test_a_search_with_exact_designs_takes_few_steps(monkeypatch: pytest.MonkeyP
     result = Searcher([file.model for file in optlink.load("path-vline6").variants()], 0).advance()
     assert sum(candidate.cost <= PERFECT for candidate in result.candidates) >= 3
     assert len(steps) < 150
+
+
+@pytest.mark.parametrize("start", ["outer dead centre", {"bounds": ["0 deg", "360 deg"]}, "70 deg"])
+def test_a_batch_differentiates_starts_and_outputs_that_follow_from_the_lengths(start: object) -> None:
+    """Each assembly mode has its own dead centre and output there: central differences of the residuals, which are the errors."""
+    file = optlink.load("crank-rocker", {"mechanism.assembly": "either", "requirement.from": start})
+    problems = [variant.spec for variant in file.variants()]
+    batch = Batch(problems[0], problems[1:])
+    x = np.array([[0.85, 0.45], [0.85, 0.45], [0.95, 0.52], [0.9, 0.5]])
+    x = np.column_stack([x, np.full((4, len(batch.names) - 2), 0.4)])
+    variant, t = np.array([0, 1, 1, 0]), np.zeros((4, len(batch.data.columns)))
+
+    def errors(at: np.ndarray) -> np.ndarray:
+        return batch.residuals(at, batch.crank_angles(at, t, variant), variant)[0]
+
+    slopes = batch.residuals(x, batch.crank_angles(x, t, variant), variant)[1]
+    for k in range(x.shape[1]):
+        step = 1e-6 * np.eye(x.shape[1])[k]
+        np.testing.assert_allclose(slopes[..., k], (errors(x + step) - errors(x - step)) / 2e-6, atol=1e-8)
+    for row, side, one in zip(x, variant, errors(x), strict=True):
+        values = {v.name: float(v.value(value)) for v, value in zip(batch.variables, row, strict=True)}
+        result = optlink.validate(file.variants()[side], values)
+        np.testing.assert_allclose(one[:, 0], -result.error(), atol=1e-12)
