@@ -602,7 +602,12 @@ class DesignProblem(MachineTerms):
         """Return whether one programme serves all values of keys of the file, including the side of a limit."""
         if self.task != "function" or self.everywhere or self.mechanism.assembly == EITHER:
             return False
-        return all(key.startswith(NUMBERS) and key not in CHOICES for key in keys)
+        return all(map(is_parameter, keys))
+
+
+def is_parameter(key: str) -> bool:
+    """Return whether the value of a key is a parameter of a programme."""
+    return key.startswith(NUMBERS) and key not in CHOICES
 
 
 def add_limit(term: LimitTerm) -> None:

@@ -29,7 +29,7 @@ from optlink.solvers.cycle_search import at_edge
 from optlink.solvers.semi_infinite import exchange, peaks
 from optlink.studies.continuation import FOLLOWED
 from optlink.studies.grid import Grid
-from optlink.studies.reoptimise_task import SEARCHED, SLOW_CHUNK, ReoptimiseTask, active
+from optlink.studies.reoptimise_task import FOLLOWED_CHUNK, SEARCHED, SLOW_CHUNK, ReoptimiseTask, active
 from optlink.studies.sweep_task import FoundOptimum, OptimumTask
 from optlink.tasks.cycle import solve as solve_cycle
 from optlink.tasks.modes import possible_modes
@@ -117,7 +117,7 @@ def optimum_task(
         return CycleTask(problem, grid, SLOW_CHUNK, backend, tuple(tuple(sizes.items()) for sizes in anchors))
     task = ReoptimiseTask(problem, grid, chunk, backend)
     shared = task.template.model.shares_programme([axis.key for axis in grid.axes])
-    return task if shared else replace(task, chunk=SLOW_CHUNK)
+    return task if shared else replace(task, chunk=FOLLOWED_CHUNK)
 
 
 class CycleProgramme:

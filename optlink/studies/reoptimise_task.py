@@ -4,6 +4,9 @@ The programme is built once: what varies are its parameters and bounds. A search
 in the middle of every block of neighbouring points; Newton's method leads from there to the optima of all points of the block at
 once (`optlink.studies.batch`). A point where it does not end at a verified optimum is searched. Every optimum is validated like a
 single one. A row depends on the grid alone.
+
+Other programmes, of largest errors over a range, points, poses or linkages of dyads, are searched at the first and the last point
+of every chunk; their designs are followed from point to point from both ends, and the best one is kept.
 """
 
 from __future__ import annotations
@@ -24,7 +27,7 @@ from optlink.optimization.constraints import rows as limit_rows
 from optlink.optimization.multipliers import ACTIVE
 from optlink.optimization.nlp import NLP
 from optlink.optimization.programme import SPAN, build
-from optlink.problem.design import DesignProblem
+from optlink.problem.design import DesignProblem, is_parameter
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import check_choice
 from optlink.solvers import multistart
@@ -37,13 +40,18 @@ from optlink.studies.continuation import FOLLOWED, follow_optimum
 from optlink.studies.fast_overrides import FastOverride
 from optlink.studies.grid import Grid
 from optlink.studies.sweep_task import FoundOptimum, OptimumTask
+from optlink.studies.target_programme import TargetProgramme, variables_of
 from optlink.tasks.certify import automatic
 from optlink.tasks.protocol import completed
+from optlink.tasks.results.design import LinkageDesign, SynthesisResult, of_designs
 from optlink.tasks.run import solve
+from optlink.tasks.search import validated_design
 from optlink.validation import validate, validate_batch
 
 Index = NDArray[np.intp]
 CHUNK, SLOW_CHUNK = 100, 4  # points per chunk; the second if every point needs a separate search
+FOLLOWED_CHUNK = 8  # the same if the designs of searches at both ends are followed
+FOLLOWED_RATIO = 1.5  # of the best objective at the end of a chunk, up to which its other designs are followed too
 LARGEST_CHUNK, CHUNKS = 10_000, 10  # points of the chunks of a large grid, and the least number of chunks
 BATCH = 2_000  # points per batch
 STARTS, SEED = 6, 0  # searches in each of the few large blocks of a grid, from random points
@@ -108,13 +116,58 @@ class ReoptimiseTask(OptimumTask):
     def lines(self, index: int) -> list[list[str]]:
         """Return the rows of a chunk."""
         if not self.shared:
-            results = (_separately(self.problem.override(self.grid.changes(point)), self.backend) for point in self.span(index))
-            return [self.optimum(point, result) for point, result in zip(self.span(index), results, strict=True)]
+            return self._apart(self.span(index))
         rows: dict[int, list[str]] = {}
         points = np.array(self.span(index))
         for first in range(0, len(points), BATCH):
             rows |= self._followed(points[first : first + BATCH])
         return [rows[point] if point in rows else self.optimum(point, self._again(point)) for point in self.span(index)]
+
+    def _apart(self, points: range) -> list[list[str]]:
+        """Return the rows of neighbouring points without a common programme of fixed positions."""
+        files = {point: self.problem.override(self.grid.changes(point)) for point in points}
+        found = {point: _searched(files[point], self.backend) for point in dict.fromkeys((points[0], points[-1]))}
+        followed: dict[int, list[LinkageDesign]] = {point: [] for point in points}
+        for end, way in ((points[0], 1), (points[-1], -1)):
+            for design in found[end].designs:
+                if design.solution is None or design.objective > FOLLOWED_RATIO * found[end].objective:
+                    continue
+                known = {end: design}
+                for point in points[1:-1][::way]:
+                    neighbour = known.get(point - way, known.get(point - way * self.grid.row))
+                    near = None if neighbour is None else self._beside(neighbour, point)
+                    if near is not None and near.valid:
+                        known[point] = near
+                        followed[point].append(near)
+        rows = []
+        for point in points:
+            result, how = found.get(point), SEARCHED
+            if result is None and followed[point]:
+                result, how = of_designs(files[point], followed[point], len(followed[point]), self.backend), FOLLOWED
+            rows.append(self.optimum(point, _row(result or _searched(files[point], self.backend), how)))
+        return rows
+
+    def _beside(self, near: LinkageDesign, point: int) -> LinkageDesign | None:
+        """Return the validated optimum of a point near the design of a neighbour; None if its programme has other variables."""
+        file, solution, angles = near.problem.override(self.grid.changes(point)), near.solution, near.crank_angles
+        assert solution is not None
+        key = (repr(file.at("mechanism.assembly")), -1 if near.task.data.offsets is None and angles[-1] < angles[0] else 1)
+        kept = [axis.key for axis in self.grid.axes]
+        if key not in self._programmes:
+            template = near.problem.override(self.grid.changes(0)).spec
+            self._programmes[key] = TargetProgramme(template, key[1], self.backend)
+        programme = self._programmes[key]
+        if not (all(map(is_parameter, kept)) and programme.bind(file.spec)):
+            programme = TargetProgramme(file.spec, key[1], self.backend)
+        values = variables_of(solution)
+        if {v.name for v in programme.nlp.variables} != values.keys():
+            return None
+        return validated_design(file, programme.optimum(file.spec, values))
+
+    @cached_property
+    def _programmes(self) -> dict[tuple[str, int], TargetProgramme]:
+        """Programmes at the first point of the grid by assembly modes and sense of rotation."""
+        return {}
 
     def model(self, point: int) -> DesignProblem:
         """Return the problem at a point of the grid."""
@@ -211,9 +264,9 @@ class ReoptimiseTask(OptimumTask):
             nlp = build(task)
             solution = multistart.best([solution, multistart.solve_from(nlp, nlp.x_start, self.backend)])
         if solution.status is not Status.OPTIMAL and (self.starts > 1 or solution.status is not Status.INFEASIBLE):
-            anew = _separately(self.problem.override(self.grid.changes(point)), self.backend)
+            anew = _searched(self.problem.override(self.grid.changes(point)), self.backend)
             if anew.valid:
-                return anew
+                return _row(anew, SEARCHED)
         design = task.design(solution.design)
         validation = validate(task, design, objective=solution.objective)
         failed = validation.failed
@@ -290,13 +343,18 @@ class ParametricProgramme:
         return multistart.best(tries), SEARCHED
 
 
-def _separately(task: ProblemFile, backend: str) -> FoundOptimum:
-    """Return the optimum of a problem that is built and searched separately."""
-    result: Any = completed(solve(task, backend))
+def _searched(file: ProblemFile, backend: str) -> SynthesisResult:
+    """Return the result of a search of one problem."""
+    result: Any = completed(solve(file, backend))
+    return result.oriented  # type: ignore[no-any-return]
+
+
+def _row(result: SynthesisResult, how: str) -> FoundOptimum:
+    """Return the row of a result."""
     result = result.oriented
     failed = tuple(item.name for item in result.conflict) or result.validation.failed
     limits = () if result.solution is None else active(result.solution)
-    return FoundOptimum(result.design, result.objective, result.status, result.valid, failed, limits, SEARCHED)
+    return FoundOptimum(result.design, result.objective, result.status, result.valid, failed, limits, how)
 
 
 def conflicting(solution: Solution) -> tuple[tuple[str, ...], tuple[str, ...]]:

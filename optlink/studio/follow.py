@@ -10,18 +10,13 @@ from typing import Protocol
 
 import numpy as np
 
-from optlink.linkage.vector2d import Array, unit
-from optlink.optimization.constraints import position_rows, rows as limit_rows
-from optlink.optimization.courses import has_position_limits
+from optlink.linkage.vector2d import Array
 from optlink.optimization.cycle_nlp import CycleNLP
 from optlink.optimization.cycle_signals import TracedCycle
 from optlink.optimization.nlp import NLP
-from optlink.optimization.programme import build, constant_values
 from optlink.problem.cycle.model import CycleProblem
 from optlink.problem.design import DesignProblem
 from optlink.problem.file import ProblemFile
-from optlink.problem.limits import Reach
-from optlink.problem.machine.model import Problem
 from optlink.solvers import multistart
 from optlink.solvers.contract import MINIMAX
 from optlink.solvers.exchange import solve_semi_infinite
@@ -29,6 +24,7 @@ from optlink.solvers.semi_infinite import EXACTLY, exchange, peaks
 from optlink.solvers.solution import Solution, stationarity
 from optlink.studies.continuation import follow_optimum
 from optlink.studies.cycle_task import CycleProgramme, with_bounds, with_starting_values
+from optlink.studies.target_programme import TargetProgramme, set_bounds
 from optlink.tasks.results.cycle import task_of
 from optlink.units import factor
 
@@ -56,15 +52,15 @@ class TargetsFollower:
 
     def _build(self, task: DesignProblem) -> None:
         """Build the programme of a problem; it serves all problems with the same limits."""
-        self.task, self.nlp = task, build(task, self.direction, movable=True)
-        multistart.prepare(self.nlp, BACKEND)
+        self.programme = TargetProgramme(task, self.direction, BACKEND, movable=True)
 
     def follow(self, problem: ProblemFile, near: Solution | None) -> Solution:
         """Return the optimum of a problem near the last one."""
         task = problem.spec
-        if not self._bind(task):
+        if not self.programme.bind(task):
             self._build(task)
-        nlp, x = self.nlp, start_of(self.nlp, near)
+        nlp = self.programme.nlp
+        x = start_of(nlp, near)
         if near is not None and near.nlp is nlp and not nlp.exchange_count:
             solution = follow_optimum(nlp, near)
             if solution is not None:
@@ -74,26 +70,6 @@ class TargetsFollower:
             start = multistart.solution_at(nlp, x, "the last optimum")
             return solve_semi_infinite(task, start, backend, near=start.usable)
         return multistart.solve_from(nlp, x, backend)
-
-    def _bind(self, task: DesignProblem) -> bool:
-        """Set parameters, bounds and limits; return whether the limits of the programme are those of the problem."""
-        nlp, n = self.nlp, len(self.nlp.variables)
-        values = {name: quantity.value for name, quantity in task.quantities.items()}
-        with np.errstate(all="ignore"):
-            rows = limit_rows(task, values, Reach(0.0, 1.0, self.direction), self.task.size)
-            placed = position_rows(task, task.linkage.pose(values, unit(0.0))) if has_position_limits(task) else []
-        anywhere = {(row.limit, row.label): row for row in placed}
-        first, each = nlp.exchange_rows
-        labels = [(row.limit, row.label) for row in nlp.rows[first : first + each] if row.limit not in nlp.helpers]
-        if [row.limit for row in rows] != [row.limit for row in nlp.rows[: len(rows)]] or set(anywhere) != set(labels):
-            return False
-        nlp.p[1 : 1 + len(nlp.constants)] = constant_values(task, nlp.constants)
-        _set_bounds(nlp, task)
-        for j, programme_row in enumerate(nlp.rows):
-            row = rows[j] if j < len(rows) else anywhere.get((programme_row.limit, programme_row.label))
-            if row is not None:
-                nlp.limit(n + j, row.low, row.high)
-        return True
 
 
 def start_of(nlp: NLP, near: Solution | None) -> Array:
@@ -171,16 +147,8 @@ class CycleFollower:
         nlp = with_bounds(programme_nlp, _moved(self.task, task), trace=trace, **movable)
         nlp.p[:] = last.p
         nlp.p[1 : 1 + len(nlp.constants)] = [v.scaled(task.quantities[v.name].value) for v in nlp.constants]
-        _set_bounds(nlp, task)
+        set_bounds(nlp, task)
         return nlp
-
-
-def _set_bounds(nlp: NLP, task: Problem) -> None:
-    """Set the bounds of the design variables to those of a problem."""
-    for i, v in enumerate(nlp.variables):
-        if v.name not in nlp.helpers:
-            low, high = task.quantities[v.name].bounds
-            nlp.limit(i, v.scaled(low), v.scaled(high))
 
 
 def _moved(old: CycleProblem, new: CycleProblem) -> dict[str, float]:

@@ -1,0 +1,93 @@
+"""One programme for many problems with targets: what varies are its parameters, bounds and limits."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from optlink.linkage.vector2d import unit
+from optlink.optimization.constraints import position_rows, rows as limit_rows
+from optlink.optimization.courses import has_position_limits
+from optlink.optimization.nlp import NLP
+from optlink.optimization.programme import build, constant_values
+from optlink.problem.design import DesignProblem
+from optlink.problem.limits import Reach
+from optlink.problem.machine.model import Problem
+from optlink.solvers import multistart
+from optlink.solvers.contract import MINIMAX
+from optlink.solvers.exchange import solve_semi_infinite
+from optlink.solvers.solution import Solution
+from optlink.units import DISPLAYED
+
+OF_PROBLEM = ("courses", "forward", "backward")
+"""Keys of what the exchange keeps of a problem in the cache of its programme."""
+
+
+class TargetProgramme:
+    """The programme of a problem, traced once, for all problems of the same structure.
+
+    `direction`: sense of crank rotation from point to point, +1 or -1; `movable`: whether targets and the rotation of a law are
+    parameters too.
+    """
+
+    def __init__(self, task: DesignProblem, direction: int, backend: str, *, movable: bool = False) -> None:
+        self.task, self.direction, self.backend = task, direction, backend
+        self.nlp: NLP = build(task, direction, movable=movable)
+        multistart.prepare(self.nlp, backend)
+
+    def bind(self, task: DesignProblem) -> bool:
+        """Set parameters, bounds and limits; return whether the limits of the programme are those of the problem."""
+        nlp, n = self.nlp, len(self.nlp.variables)
+        values = {name: quantity.value for name, quantity in task.quantities.items()}
+        with np.errstate(all="ignore"):
+            rows = limit_rows(task, values, Reach(0.0, 1.0, self.direction), self.task.size)
+            placed = position_rows(task, task.linkage.pose(values, unit(0.0))) if has_position_limits(task) else []
+        anywhere = {(row.limit, row.label): row for row in placed}
+        first, each = nlp.exchange_rows
+        tolerances = {f"{part.key}.tolerance": part for part in task.parts if part.tolerance is not None}
+        others = nlp.helpers | tolerances.keys() | {bound.key for bound in task.bounds}
+        labels = [(row.limit, row.label) for row in nlp.rows[first : first + each] if row.limit not in others]
+        if [row.limit for row in rows] != [row.limit for row in nlp.rows[: len(rows)]] or set(anywhere) != set(labels):
+            return False
+        for key in OF_PROBLEM:
+            nlp.cache.pop(key, None)
+        nlp.p[1 : 1 + len(nlp.constants)] = constant_values(task, nlp.constants)
+        set_bounds(nlp, task)
+        for j, programme_row in enumerate(nlp.rows):
+            row = rows[j] if j < len(rows) else anywhere.get((programme_row.limit, programme_row.label))
+            if row is not None:
+                nlp.limit(n + j, row.low, row.high)
+            elif programme_row.limit in tolerances:
+                part = tolerances[programme_row.limit]
+                assert part.tolerance is not None
+                most = programme_row.scale.to_internal(part.tolerance * DISPLAYED[part.unit][0])
+                low, high = (most if np.isfinite(end) else None for end in (programme_row.low, programme_row.high))
+                nlp.limit(n + j, None if low is None else -low, high)
+        return True
+
+    def optimum(self, task: DesignProblem, values: Mapping[str, float]) -> Solution:
+        """Return the local optimum of a problem to which the programme is bound, near values of its variables [SI].
+
+        Limits and the largest error hold also between the positions of the programme.
+        """
+        nlp = self.nlp
+        start = multistart.solution_at(nlp, nlp.x_of(values), "the last optimum")
+        minimax = task.measure == "max" and not (task.law_given or task.composed or task.robust is not None)
+        for method in (MINIMAX, self.backend) if minimax else (self.backend,):
+            solution = solve_semi_infinite(task, start, method, near=start.usable)
+            if solution.usable:
+                break
+        return solution
+
+
+def set_bounds(nlp: NLP, task: Problem) -> None:
+    """Set the bounds of the design variables to those of a problem."""
+    for i, v in enumerate(nlp.variables):
+        if v.name not in nlp.helpers:
+            low, high = task.quantities[v.name].bounds
+            nlp.limit(i, v.scaled(low), v.scaled(high))
+
+
+def variables_of(solution: Solution) -> dict[str, Any]:
+    """Return the values [SI] of all variables of a solved programme by their names."""
+    return {v.name: v.value(float(value)) for v, value in zip(solution.nlp.variables, solution.x, strict=True)}

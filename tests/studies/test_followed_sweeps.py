@@ -1,0 +1,69 @@
+"""Sweeps whose points have no common programme of fixed positions: rows of single searches, the same over workers."""
+
+from __future__ import annotations
+
+import csv
+
+import pytest
+
+import optlink
+from optlink.studies.continuation import FOLLOWED
+from optlink.studies.reoptimise_task import SEARCHED
+from optlink.studies.sweep import sweep
+
+CASES = [
+    ("crank-rocker", {"requirement.measure": "max"}, "limits.transmission_angle.max=125..140 deg:9"),
+    ("law-slider-crank", {"requirement.measure": "max"}, "mechanism.guides.G.offset.max=20..40 mm:4"),
+    ("function-sin", {}, "limits.link_ratio.max=2..8:4"),
+    ("path-ellipse10", {"requirement.measure": "max"}, "limits.transmission_angle.min=30..45 deg:4"),
+    ("motion-3-poses", {}, "limits.transmission_angle.min=20..40 deg:3"),
+    ("transmission-optimal", {}, "limits.swing_angle=70..90 deg:5"),
+    ("crank-rocker", {"requirement.measure": "max"}, "requirement.span=60..90 deg:4"),
+    ("crank-rocker-robust", {}, "tolerances.coupler=0.5..1.5 mm:4"),
+]
+
+
+def rows_of(result):
+    with open(result.table.path, encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "vary"),
+    [case if k in (0, 5) else pytest.param(*case, marks=pytest.mark.slow) for k, case in enumerate(CASES)],
+)
+def test_followed_rows_are_those_of_single_searches(name, changes, vary):
+    """Each point is solved from the problem file alone; no row is worse, and those between the ends of a chunk are followed."""
+    problem = optlink.load(name, changes)
+    rows = rows_of(sweep(problem, [vary], workers=1))
+    key, _, _ = vary.partition("=")
+    objective = next(column for column in rows[0] if column.startswith("objective"))
+    assert FOLLOWED in [row["method"] for row in rows]
+    assert rows[0]["method"] == SEARCHED
+    for row in rows:
+        assert row["valid"] == "true", row
+        value, unit = next(iter(row.values())), vary.rpartition(" ")[2].partition(":")[0] if " " in vary else ""
+        single = optlink.solve(problem.override({key: f"{value} {unit}" if unit else float(value)}), certify=False)
+        shown = single.problem.model.shown_objective(single.objective).value
+        assert float(row[objective]) <= shown + 1e-6 * abs(shown) + 1e-9, (row, shown)
+
+
+def test_followed_rows_do_not_depend_on_workers():
+    problem = optlink.load("crank-rocker", {"requirement.measure": "max"})
+    vary = ["limits.transmission_angle.max=125..140 deg:5", "mechanism.frame=480..520 mm:4"]
+    one, *others = [rows_of(sweep(problem, vary, workers=workers)) for workers in (1, 2, 3)]
+    assert len(one) == 20
+    assert {row["method"] for row in one} == {SEARCHED, FOLLOWED}
+    assert all(rows == one for rows in others)
+
+
+def test_a_point_without_a_neighbour_is_searched():
+    """Short couplers have no transmission angle within the limits: these rows say so, and the design beside them is searched."""
+    problem = optlink.load("crank-rocker", {"requirement.measure": "max", "mechanism.coupler": {"bounds": ["100 mm", "900 mm"]}})
+    rows = rows_of(sweep(problem, ["mechanism.coupler.max=110 mm, 120 mm, 420 mm, 430 mm"], workers=1))
+    assert [(row["valid"], row["method"]) for row in rows] == [
+        ("false", SEARCHED),
+        ("false", SEARCHED),
+        ("true", FOLLOWED),
+        ("true", SEARCHED),
+    ]
