@@ -22,9 +22,8 @@ from optlink.studies.pareto.epsilon_constraint import pareto
 from optlink.studies.sensitivity import sensitivities
 from optlink.studies.sweep import sweep
 from optlink.studies.tolerance.analysis import tolerance
-from tests.tiers import mostly_slow
 
-pytestmark = mostly_slow
+pytestmark = pytest.mark.slow
 
 BOUNDS = ["20 mm", "400 mm"]
 FREE = {"start": "90 mm", "bounds": BOUNDS}
