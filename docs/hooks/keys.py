@@ -59,7 +59,7 @@ NARRATED = {
     "expected": "problem-files.md#expected",
     "report": "problem-files.md#report",
     "requirement": "problem-files.md#kinds-of-requirement",
-    "requirements": "problem-files.md#kinds-of-requirement",
+    "requirements": "problem-files.md#several-demands",
     "limits": "problem-files.md#limits",
     "tolerances": "problem-files.md#tolerances-and-a-robust-design",
     "objective": "machine-design.md#terms",

@@ -22,7 +22,7 @@ from optlink.problem.linked import Link
 from optlink.problem.machine.model import ShownObjective
 from optlink.problem.mechanism import FourBarSection, check_one_mode
 from optlink.problem.quantity import Quantity, Unusable, below
-from optlink.problem.requirement import AnyRequirement, StartPosition, TargetArrays, carrier
+from optlink.problem.requirement import AnyRequirement, StartPosition, TargetArrays, carrier, names_of
 from optlink.problem.robust import Robust, check_robust
 from optlink.problem.targets.expression import Expression
 from optlink.problem.targets.function import Function
@@ -102,6 +102,13 @@ class DesignProblem(MachineTerms):
             with part.keyed():
                 part.requirement.check(part)
                 check_robust(part.robust, part.measure, len(part.tolerances))
+        minimised = [part for part in self.parts if not part.requirement.limited]
+        for part in self.parts:
+            for key in ("weight", "scale"):
+                stated = getattr(part.requirement, key)
+                if stated is not None and (part not in minimised or len(minimised) + len(self.goals) < 2):
+                    message = "only a term of an objective of several terms has one"
+                    raise Unusable(message, "Leave it out", f"{part.key}.{key}", stated)
         if self.composed:
             self._check_composition()
         super().check()
@@ -124,10 +131,13 @@ class DesignProblem(MachineTerms):
         Unusable
             with the full key of the cause.
         """
-        names = [name for name, _ in self._named]
+        names = names_of([(requirement.name, requirement.kind) for requirement in self.requirements])
         for k, name in enumerate(names):
             if name in names[:k]:
                 raise Unusable("two requirements have this name", "Give each another name", f"requirements.{k}.name", name)
+            if any(quantity.startswith(f"{name}.") for quantity in self.mechanism.quantities):
+                message = "a body or point of the mechanism has this name"
+                raise Unusable(message, "Give the requirement another name", f"requirements.{k}.name", name)
         for part in self.parts:
             with part.keyed():
                 _ = part.tolerance, part.worth
@@ -158,17 +168,6 @@ class DesignProblem(MachineTerms):
 
     # --- several requirements
 
-    @cached_property
-    def _named(self) -> list[tuple[str, Any]]:
-        """The requirements with their names: their kinds, numbered from the second one of a kind on."""
-        kinds: list[str] = []
-        named = []
-        for requirement in self.requirements:
-            kinds.append(requirement.kind)
-            count = kinds.count(requirement.kind)
-            named.append((requirement.name or (requirement.kind if count == 1 else f"{requirement.kind}{count}"), requirement))
-        return named
-
     @property
     def parts(self) -> tuple[Self, ...]:
         """The problem with each of its requirements alone, whose quantities have their short names there."""
@@ -179,7 +178,8 @@ class DesignProblem(MachineTerms):
         """The parts of several requirements; none of a single one, as a model that contains itself cannot be compared."""
         fields = {name: getattr(self, name) for name in type(self).model_fields}
         parts: list[Any] = []
-        for k, (name, requirement) in enumerate(self._named):
+        names = names_of([(requirement.name, requirement.kind) for requirement in self.requirements])
+        for k, (name, requirement) in enumerate(zip(names, self.requirements, strict=True)):
             changes = {"requirement": requirement, "requirements": (), "objective": None}
             part = type(self).model_construct(**(fields | changes))
             part._place = f"requirements.{k}", f"{name}."

@@ -42,7 +42,7 @@ from optlink.problem.machine.model import Problem
 from optlink.problem.nearby import read_near
 from optlink.problem.overview import linkage_type
 from optlink.problem.quantity import input_of, nearest
-from optlink.problem.requirement import DEFAULT_KIND, REQUIREMENTS
+from optlink.problem.requirement import DEFAULT_KIND, REQUIREMENTS, names_of
 from optlink.problem.targets.target_points import split_enclosed
 from optlink.problem.tolerances import with_tolerance
 from optlink.units import in_si, is_unit, split
@@ -541,7 +541,9 @@ def _assign(raw: dict[str, Any], key: str, value: object, file: str) -> None:
         following = steps[depth + 1]
         if not isinstance(table, dict) and _coordinate(tuple(steps[: depth + 1]), table, following) is None:
             above = ".".join(steps[: depth + 1])
-            raise InputError(f"{above} has no key {following}", f"Set {above} itself", file, key, value)
+            listed = above == "requirements" and isinstance(table, list)
+            remedy = nearest(following, _names_of(table)) if listed else f"Set {above} itself"
+            raise InputError(f"{above} has no key {following}", remedy, file, key, value)
     place = _coordinate(tuple(steps[:-1]), table, steps[-1])
     if place is not None:
         table[place] = value
@@ -552,12 +554,24 @@ def _assign(raw: dict[str, Any], key: str, value: object, file: str) -> None:
 
 
 def _coordinate(path: tuple[str, ...], table: Any, step: str) -> int | None:
-    """Return the index of a coordinate in its pair, as in `mechanism.ground.A.x`; None if the key is not a coordinate."""
+    """Return the index of an element of a list: a coordinate, as in `mechanism.ground.A.x`, or a requirement by name or number.
+
+    None if the key is neither.
+    """
+    if path == ("requirements",) and isinstance(table, list):
+        listed = _names_of(table)
+        return listed.index(step) if step in listed else int(step) if step.isdecimal() and int(step) < len(table) else None
     placed = path[:1] == ("mechanism",) or path == ("gravity",) or path[-1:] == ("centroid",)
     if not placed or not isinstance(table, list) or len(table) != 2 or path[-1] in ("bounds", "joints"):
         return None
     names = ("along", "across") if "points" in path or path[-1] == "centroid" else ("x", "y")
     return names.index(step) if step in names else None
+
+
+def _names_of(requirements: list[Any]) -> list[str]:
+    """Return the names of a list of requirements."""
+    tables = [one if isinstance(one, dict) else {} for one in requirements]
+    return names_of([(one.get("name"), str(one.get("kind", DEFAULT_KIND))) for one in tables])
 
 
 def _at(raw: Mapping[str, Any], key: str) -> Any:

@@ -14,8 +14,9 @@ import pydantic
 from optlink.errors import Fault
 from optlink.io import Registry
 from optlink.problem.base_model import ALSO_WRITTEN, Ends, written
+from optlink.problem.cycle.terms import Limit
 from optlink.problem.design import DesignProblem
-from optlink.problem.limits import Limits, four_bar_limits
+from optlink.problem.limits import Alignment, Limits, four_bar_limits
 from optlink.problem.machine.model import Problem
 from optlink.problem.mechanism import DyadsSection, FourBarSection
 from optlink.problem.quantity import Unusable, nearest
@@ -67,6 +68,8 @@ def known_keys(path: tuple[str | int, ...], *kinds: type[Problem]) -> list[str]:
         fields = [field for model in models for name, field in model.model_fields.items() if step == name]
         if fields:  # otherwise the step is the name of a body, a point ...: the models stay the same
             models = [model for f in fields for model in _models(f.annotation)]
+        elif any(issubclass(model, Alignment) for model in models):  # a limit of a quantity of the machine
+            models = [Limit]
         if not models:
             return ["start", "bounds", "equals"]
     return list(dict.fromkeys(key for model in models for key in keys_of(model)))
@@ -166,7 +169,7 @@ def _faults(error: pydantic.ValidationError, model: type[Problem], raw: Mapping[
         value, problem = _plain(item["input"]), item.get("ctx", {}).get("error")
         if isinstance(problem, Unusable):
             below = f".{problem.key}" if problem.key and not problem.key.startswith("[") else problem.key
-            yield Fault(problem.message, problem.remedy, file, key + below, problem.value if problem.key else value)
+            yield Fault(problem.message, problem.remedy, file, (key + below).lstrip("."), problem.value if problem.key else value)
         elif path[:1] == ["limits"] and model is DesignProblem and _unknown_limit(item["type"], path, raw):
             if len(path) == 2 or item["type"] == "missing":
                 key = ".".join(map(str, path[:2]))

@@ -4,7 +4,7 @@ import functools
 import itertools
 import math
 import operator
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Protocol, Self
@@ -285,6 +285,13 @@ class Requirement(Section):
 
 REQUIREMENTS: Registry[type[Requirement]] = Registry()
 """Classes of requirements by their kind."""
+
+
+def names_of(stated: Sequence[tuple[str | None, str]]) -> list[str]:
+    """Return the names of several requirements, each stated by its name and kind: its kind, numbered from the second one on."""
+    kinds = [kind for _, kind in stated]
+    counts = [kinds[: k + 1].count(kind) for k, kind in enumerate(kinds)]
+    return [name or f"{kind}{count if count > 1 else ''}" for (name, kind), count in zip(stated, counts, strict=True)]
 
 
 # --- the output follows a law -----------------------------------------------------------------------------------------------

@@ -78,10 +78,13 @@ def solve_semi_infinite(task: DesignProblem, start: Solution, backend: str, *, n
         return start if start.status is Status.OPTIMAL else local.solve_from(nlp, start.x, backend, persistent=False)
     nlp.spread_exchange_points()
     solution = local.solution_at(nlp, start.x, start.message)
+    near = near or (task.composed and solution.violation <= 0.0)
     if not near and solution.status is not Status.OPTIMAL:
         solution = local.solve_from(nlp, start.x, backend, persistent=False, continuations=0)
     course = _courses(task, nlp)
     radius, tops, violated = RADIUS, course.tops(solution), list[RowPeak]()
+    if solution.status is Status.INFEASIBLE and all(top.height <= 0.0 for top in tops if top.level < 0):
+        return solution  # what is violated does not lie between the positions of the NLP
     worst, penalty = math.inf, 0.0
     for _ in range(EXCHANGES):
         if not math.isfinite(solution.objective):
@@ -149,7 +152,7 @@ def _followed(
     chosen = [top for top in tops if top.moving]
     positions = [[top.at for top in chosen if top.row == row] for row in range(each)]
     per_row = PER_ROW
-    while per_row < max(map(len, positions)) and 2 * per_row * each <= nlp.exchange_count:
+    while per_row < max(map(len, positions), default=0) and 2 * per_row * each <= nlp.exchange_count:
         per_row *= 2
     many = min(per_row * each, nlp.exchange_count)
     placed = ((i * each + row, at) for row, places in enumerate(positions) for i, at in enumerate(places[:per_row]))

@@ -210,7 +210,7 @@ def _compared(problem: ProblemFile, search: Search, one: Callable[[ProblemFile, 
     for name, result in results.items():
         solution = result.solution
         if solution is None or not multistart.compare(solution, best.solution).same:  # a true optimum does not move
-            again = solve_semi_infinite(best.task, best.solution, name, near=True)
+            again = solve_semi_infinite(best.whole, best.solution, name, near=True)
             solution = again if solution is None else multistart.best([solution, again])
         solutions[name] = solution
     gaps = multistart.compare(*solutions.values())

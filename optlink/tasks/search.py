@@ -169,7 +169,7 @@ class Polisher:
         solution = design.solution
         assert solution is not None
         backend = next(name for name in BACKENDS if name != self.backend)
-        again = validated_design(design.problem, solve_semi_infinite(design.task, solution, backend, near=True))
+        again = validated_design(design.problem, solve_semi_infinite(design.whole, solution, backend, near=True))
         return min(design, again, key=lambda one: (not one.valid, one.objective))
 
     def relaxed(self, design: LinkageDesign) -> Callable[[ProblemFile], float]:
@@ -472,8 +472,15 @@ def _cost(design: LinkageDesign) -> float:
 
 
 def _allowed_cost(task: DesignProblem) -> float:
-    """Return the largest batch cost near which a candidate can become a design within the tolerances of all points of a path."""
-    if task.composed or task.requirement.kind != "path" or has_several_dyads(task):  # those of several dyads have not converged
+    """Return the largest batch cost near which a candidate can become a design within the tolerances of all points of a path, or
+    within that of the first requirement.
+    """
+    first = task.parts[0]
+    if has_several_dyads(task):  # their candidates have not converged
+        return math.inf
+    if first.tolerance is not None:
+        return COUNTED_RATIO**2 * len(first.data.columns) * (first.tolerance / first.whole) ** 2
+    if task.composed or task.requirement.kind != "path":
         return math.inf
     return COUNTED_RATIO**2 * float(np.sum((task.data.roots * task.data.tolerances) ** 2)) / task.whole**2
 

@@ -23,6 +23,7 @@ LENGTH_TOLERANCE = 1e-9  # of the frame, or of the size of a curve
 RATIO_TOLERANCE = 1e-7
 LONG_STEP = math.tau / 3.0  # rad; a law with longer steps between its positions can be met by whole revolutions less
 FINE_STEP = math.radians(1.0)  # of the crank, at which an output is followed between positions
+SAME = 1e-6  # relative difference of objectives that are the same
 MEASURED = "objective measured in motion"
 MEASURED_ROBUST = "error with tolerances measured in motion"
 """Names of the checks that compare the measured objective with that of the optimiser."""
@@ -183,7 +184,7 @@ def same_objective(
     gap = np.abs(measured - claimed) / np.maximum(np.abs(measured), least)
     error, other = (np.sqrt(np.maximum(one, 0.0)) if squared else one for one in (measured, claimed))
     difference = np.abs(error - other)
-    near, tiny = gap <= 1e-6, difference <= rounding  # NaN is neither
+    near, tiny = gap <= SAME, difference <= rounding  # NaN is neither
     limit = text("{}", np.where(near | ~tiny, "<= 1e-06", f"<= {rounding:.0e}"))
     return Checks(MEASURED, near | tiny, np.where(near | ~tiny, gap, difference), limit, "")
 

@@ -33,6 +33,7 @@ from optlink.validation.check import (
     ANGLE_TOLERANCE,
     MEASURED_ROBUST,
     POSITIONS,
+    SAME,
     Check,
     Checks,
     Validation,
@@ -99,7 +100,7 @@ def _composed(
     linked = {f"{name} {problem.quantities[name].status}" for name in problem.links}  # which the parts do not know
     sizes = [tested.of() for tested in bounds_and_links(problem, design, problem.size)]
     checks = {check.name: check for check in sizes if check.name in linked}
-    total = 0.0
+    total, least = 0.0, 1e-300
     for part, own in problem.of_parts(every):
         tested = validate_batch(part, part.own(design), own, None, mechanism).of()
         for check in tested.checks:
@@ -108,13 +109,14 @@ def _composed(
             checks[check.name] = check
         if part.tolerance is None:
             total += part.worth * tested.objective
+            rounding = ROUNDING[part.unit] * part.whole
+            least = max(least, part.worth * (rounding**2 if part.measure == "sum of squares" else rounding) / SAME)
         (factor, unit), (stated, offset) = DISPLAYED[part.unit], part.requirement.stated(part)
         if part.tolerance is None or offset is not None:  # the output itself is limited, by a check of its own
             continue
         name = (f"largest {part.requirement.limited_by[1]}" if part.measure == "max" else "rms") + part.suffix
         met = bool(tested.objective <= part.tolerance * (1.0 + TOLERATED))
         checks[name] = Check(name, met, tested.objective * factor * stated, f"<= {part.tolerance * factor * stated:.6g}", unit)
-    rounding = 1e-300
     if problem.goals or problem.bounds:
         from optlink.validation.cycle import Cycle, limit_checks_of
 
@@ -124,9 +126,9 @@ def _composed(
         for goal, scale in zip(problem.goals, problem.scales, strict=True):
             worth = (-1.0 if goal.sense == "maximise" else 1.0) * goal.weight / (scale or 1.0)
             total += worth * cycle.figure(goal)
-            rounding = max(rounding, abs(worth) * ZERO * cycle.size(goal))
+            least = max(least, abs(worth) * ZERO * cycle.size(goal))
     if objective is not None:
-        agrees = same_objective(total, objective, rounding).of()
+        agrees = same_objective(total, objective, least).of()
         checks[agrees.name] = agrees
     return Validation(tuple(checks.values()), total)
 

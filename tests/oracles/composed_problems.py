@@ -218,14 +218,14 @@ def path_of_two_edges() -> Answer:
 # --- a law or poses within a tolerance, then the smallest machine ----------------------------------------------------------
 
 
-def smallest_machine(largest: float = 2.5) -> Answer:
+def smallest_machine(largest: float = 2.5, positions: int = 30) -> Answer:
     """Least coupler + rocker of a crank-rocker whose rocker follows a law within `largest` [deg].
 
-    Crank 100, frame 500; psi = psi0 + 2 phi^2 / (3 pi) over a right angle from the outer dead centre, at 30 positions;
+    Crank 100, frame 500; psi = psi0 + 2 phi^2 / (3 pi) over a right angle from the outer dead centre, at even positions;
     transmission angle 45 ... 135 deg. SLSQP from the feasible positions of a grid; the grid itself has nothing less.
     """
     crank, frame = 100.0, 500.0
-    offsets = np.arange(1, 31) * (0.5 * math.pi / 30.0)
+    offsets = np.arange(1, positions + 1) * (0.5 * math.pi / positions)
 
     def rows(x: Array) -> Array:
         """Not negative where coupler and rocker are admissible."""

@@ -75,18 +75,21 @@ def _sizes(outcome: SynthesisResult, design: LinkageDesign) -> TableSpec:
 
 def _figures(outcome: SynthesisResult, design: LinkageDesign) -> TableSpec:
     """Tabulate the objective, the deviations from every requirement, the transmission angle, quantities of the machine."""
-    whole = design.whole
+    whole, goals = design.whole, list(design.whole.goals)
+    parts = sorted(design.parts, key=lambda part: part.task.tolerance is not None)
     rows: list[Row] = []
-    if whole.composed:
-        shown = whole.shown_objective(design.objective)
-        rows.append(("objective", strong(precise(shown.value, 6)), shown.unit, ""))
-    rows += [row for part in design.parts for row in words_of(part).rows(part, outcome)]
+    if len(goals) + sum(part.task.tolerance is None for part in parts) > 1:
+        rows.append(("weighted sum", strong(precise(design.objective, 6)), "", quiet("minimised")))
+    elif goals:
+        (goal,), goals, shown = goals, [], whole.shown_objective(design.objective)
+        rows.append((goal.words, strong(precise(shown.value, 6)), shown.unit, quiet(f"{goal.sense}d")))
+    rows += [row for part in parts for row in words_of(part).rows(part, outcome)]
     least, where = math.degrees(design.least_transmission), "revolution" if design.crank_turns else "range"
     if math.isfinite(least) and not any(part.task.requirement.by_angle for part in design.parts):
         remark = f"least distance from 0 or 180 deg over the {where}"
         rows.append(("transmission angle", fixed(least, 2), "deg", quiet(remark)))
-    goals = [(goal, f"{goal.sense}d") for goal in whole.goals]
-    terms: list[tuple[Any, str]] = [*goals, *((bound.term, str(bound.interval)) for bound in whole.bounds)]
+    terms: list[tuple[Any, str]] = [(goal, f"{goal.sense}d") for goal in goals]
+    terms += [(bound.term, str(bound.interval)) for bound in whole.bounds]
     if terms:
         from optlink.validation.cycle import Cycle
 

@@ -203,7 +203,7 @@ def with_verdict(
 
 def sizes(view: DesignView) -> list[str]:
     """Return the captions of all dimensions, or of the design variables only if there are too many."""
-    task, unit, values = view.task, view.sketch.scale, view.design.values
+    task, unit, values = view.task, view.sketch.scale, view.design.own
     names = [name for name in task.quantities if name in task.mechanism.quantities or name == MARK]
     if len(names) > MAX_DIMENSIONS:
         names = [name for name in names if not task.quantities[name].fixed]

@@ -13,6 +13,7 @@ from optlink.tasks.results.fit import PathFit
 from optlink.units import DISPLAYED
 
 MIN_LENGTH = 1e-8  # m, least length that is shown
+LARGEST = "largest deviation"
 MAX_POINTS = 12  # largest number of points listed on a terminal; result.json and points.csv contain all
 
 
@@ -40,7 +41,7 @@ class Words:
 
     def captions(self, design: LinkageDesign) -> list[str]:
         """Return the captions of a picture: the measure of the deviations, and these."""
-        stated = design.exact or measure(design) in ("rms", "max")
+        stated = design.exact or measure(design) in ("rms", "max", LARGEST)
         return [*([] if stated else [f"{measure(design)} {figure(*measured(design))}"]), *self.figures(design)]
 
     def targets(self, design: LinkageDesign) -> TableSpec | None:
@@ -250,7 +251,8 @@ def measured(design: LinkageDesign) -> tuple[float, str]:
 
 def measure(design: LinkageDesign) -> str:
     """Return the name of the measure of the deviations, with a note if it is weighted."""
-    return design.measure + (", weighted" if design.task.target_points.weights is not None else "")
+    name = LARGEST if design.whole.composed and design.measure == "max" else design.measure
+    return name + (", weighted" if design.task.target_points.weights is not None else "")
 
 
 def transmission(design: LinkageDesign) -> str:

@@ -34,6 +34,7 @@ DERIVATIVE_TOLERANCE = 1e-5  # relative tolerance between exact derivatives and 
 MAX_ROWS = 12  # largest number of active-set changes and of points listed
 MAX_COLUMNS = 5  # largest number of quantities side by side
 MIN_CHANGE = 5e-6  # relative change that vanishes with three decimals of a percentage
+MOST_CHANGE = 1e3  # share of the objective from which a change is shown in its unit
 MAX_VARIABLES = 3  # largest number of design variables with their own columns
 LISTED_VARIABLES = 2  # number of design variables listed otherwise
 _UNIT = re.compile(r"(.+)_((?:rad|m)_s2?|(?:rad|mm|m|deg)2?|N|Nm|W|J)")
@@ -73,11 +74,12 @@ def _effects(result: Sensitivities) -> TableSpec:
     """Tabulate the effect of one step of every parameter on the objective and the design."""
     optimum, rows = result.displayed, []
     names = list(optimum.units)
-    objective, factor, *_ = result.problem.model.shown_objective(result.solution.objective)
+    objective, factor, unit, *_ = result.problem.model.shown_objective(result.solution.objective)
     narrow = len(names) <= MAX_VARIABLES
     for row in optimum.moving:
         p = row.parameter
-        share = _percent(factor * row.effect / objective if objective else math.nan)
+        effect = factor * row.effect  # of an objective that is zero but for rounding no share is informative
+        share = _percent(effect / objective) if abs(effect) < MOST_CHANGE * abs(objective) else f"{effect:+.3g} {unit}".rstrip()
         responses = [signed(row.design[name] * p.step) for name in names] if narrow else [_largest_responses(optimum, row)]
         changed = f"{number(p.value)} {p.unit}".rstrip() + f" + {step(row)}"
         rows.append((p.name, changed, good(share) if row.effect < 0.0 else share, *responses))

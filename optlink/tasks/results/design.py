@@ -74,6 +74,8 @@ class LinkageDesign(Summary):
         **{f"{name}?": of_solution(name) for name in ("kkt", "violation", "curvature", "iterations")},
     }
 
+    alone: ClassVar[bool] = False  # whether it is one of `parts`
+
     problem: ProblemFile
     values: dict[str, Number]
     crank_angles: Column
@@ -99,7 +101,7 @@ class LinkageDesign(Summary):
         for task, angles in self.whole.of_parts(self.crank_angles):
             assert angles is not None
             part = replace(self, crank_angles=angles)
-            vars(part)["task"] = task
+            vars(part).update(task=task, alone=True)
             parts.append(part)
         return tuple(parts)
 
@@ -208,15 +210,18 @@ class LinkageDesign(Summary):
 
     @property
     def exact(self) -> bool:
-        """Whether it satisfies all targets within the rounding of their decimals."""
-        return not self.whole.composed and self.error <= self.level
+        """Whether it satisfies all targets that are minimised within the rounding of their decimals, and nothing else is."""
+        if self.whole.composed and not self.alone:
+            return not self.whole.goals and all(part.exact for part in self.parts if part.task.tolerance is None)
+        return self.error <= self.level
 
     @property
     def error(self) -> float:
         """The objective as a deviation [m, rad or 1]: the root of a sum of squares; what is maximised as its inverse."""
-        if self.whole.composed:
+        if self.whole.composed and not self.alone:
             return self.objective if self.objective >= 0.0 else -1.0 / self.objective
-        return math.sqrt(max(self.objective, 0.0)) if self.task.measure == "sum of squares" else self.objective
+        value = float(self.measured.objective) if self.alone else self.objective
+        return math.sqrt(max(value, 0.0)) if self.task.measure == "sum of squares" else value
 
     @property
     def level(self) -> float:
@@ -267,7 +272,7 @@ class LinkageDesign(Summary):
     @cached_property
     def least_transmission(self) -> float:
         """Least distance of the transmission angle from 0 and 180 deg over the required motion [rad]; NaN if there is none."""
-        begin, end = (0.0, TURN) if self.crank_turns else sorted((float(self.crank_angles[0]), float(self.crank_angles[-1])))
+        begin, end = (0.0, TURN) if self.crank_turns else (float(np.min(self.crank_angles)), float(np.max(self.crank_angles)))
         groups = transmitting(self.task.linkage)
 
         def cosines(angles: Array) -> Array:  # smooth, unlike the angles, which have corners at 0 and pi
@@ -283,7 +288,7 @@ class LinkageDesign(Summary):
     def cognates(self) -> tuple[Cognate, ...]:
         """The other four-bars with the same coupler curve, fully turning cranks first; none for other mechanisms."""
         linkage = self.coupler_linkage
-        if linkage is None:
+        if linkage is None or self.whole.composed:  # they keep the curve alone
             return ()
         try:
             others = [c for c in cognates(linkage, at=float(self.crank_angles[0])) if c is not None]
@@ -569,9 +574,9 @@ class SynthesisResult(Document):
         first = self.designs[0]
         equal = [d for d in self.designs if d.error <= first.error * (1.0 + EQUALLY_GOOD) or (d.exact and first.exact)]
         equal = [d for d in equal if str(d.assembly) == min(str(other.assembly) for other in equal)]
-        for name in first.task.free:
+        for name in first.whole.free:
             most = max(design.unwrapped(name) for design in equal)
-            within = DISTINCT * max(first.task.size if first.task.quantities[name].kind != "angle" else 1.0, abs(most))
+            within = DISTINCT * max(first.task.size if first.whole.quantities[name].kind != "angle" else 1.0, abs(most))
             equal = [design for design in equal if design.unwrapped(name) >= most - within]
         chosen = replace(equal[0], values={name: equal[0].unwrapped(name) for name in equal[0].values})
         return replace(self, designs=(chosen, *(design for design in self.designs if design is not equal[0])))

@@ -1,0 +1,233 @@
+"""Problems with two demands on one linkage: their optima against searches and formulas of `tests.oracles.composed_problems`."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import optlink
+from optlink.cli.app import app
+from optlink.errors import InputError
+from optlink.problem.file import read
+from tests.oracles import composed_problems as composed
+from tests.solved import solution
+
+PATH = ["crank", "coupler", "rocker", "frame", "P.along", "P.across", "A.x", "A.y"]
+
+
+def dimensions(result: optlink.SynthesisResult) -> np.ndarray:
+    """Crank to A.y [m] and direction [rad] as `composed.driving_torque` takes them: with C to the right of B to D."""
+    best = result.best
+    assert best is not None
+    sign = 1.0 if best.assembly == "right" else -1.0  # of two mirror images about the vertical through the middle of the bean
+    turned = best.design["direction"] if sign > 0.0 else math.pi - best.design["direction"]
+    mirrored = {"P.across": sign, "A.x": sign}
+    return np.array([*(mirrored.get(name, 1.0) * best.design[name] for name in PATH), math.remainder(turned, math.tau)])
+
+
+def measured(result: optlink.SynthesisResult, name: str) -> float:
+    """Value of a check of the validation, in its display unit."""
+    (check,) = [check for check in result.validation.checks if check.name == name]
+    return float(check.value)
+
+
+# --- the shipped problems ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_the_best_path_within_a_torque():
+    result = solution("path-within-torque")
+    assert result.valid
+    own = composed.path_within_torque(0.4, starts=4)
+    assert result.objective == pytest.approx(own.optimum, rel=1e-6)  # that of the search exceeds the torque by 1e-7
+    x = dimensions(result)
+    assert composed.peak_torque(x) == pytest.approx(0.4, rel=1e-7)
+    assert float(np.sum(composed.distances(x) ** 2)) == pytest.approx(result.objective, rel=1e-9)
+    assert measured(result, "driving_torque: peak torque") == pytest.approx(0.4, rel=1e-8)
+
+
+@pytest.mark.slow
+def test_the_least_torque_within_half_a_millimetre_of_the_path():
+    result = solution("least-torque")
+    assert result.valid
+    assert result.objective == pytest.approx(composed.least_torque(0.5, starts=2).optimum, rel=1e-8)
+    x = dimensions(result)
+    assert composed.peak_torque(x) == pytest.approx(result.objective, rel=1e-9)
+    assert 1e3 * float(np.max(composed.distances(x))) == pytest.approx(0.5, rel=1e-6)
+    assert measured(result, "largest deviation") == pytest.approx(0.5, rel=1e-7)
+
+
+def test_poses_and_a_law_are_met_together():
+    result, own = solution("poses-and-law"), composed.poses_and_law().figures
+    best = result.best
+    assert result.valid
+    assert result.exact
+    assert not result.notes
+    planted = composed.PLANTED
+    for name, wanted in zip(("crank", "coupler", "rocker", "frame", "P.along", "P.across"), planted.values(), strict=True):
+        assert 1e3 * best.design[name] == pytest.approx(wanted, abs=1e-6)
+    poses, law = best.parts
+    assert [poses.task.prefix, law.task.prefix] == ["gripper.", "valve."]
+    assert (
+        pytest.approx(np.array([[own[f"{x} {k}"] for k in (1, 2, 3)] for x in "xy"]), abs=1e-6)
+        == 1e3 * poses.measured.generated.T
+    )
+    assert np.degrees(law.measured.generated[:, 0]) == pytest.approx([own[f"rocker {k}"] for k in range(1, 7)], abs=1e-6)
+
+
+@pytest.mark.parametrize("ratio", [0.1, 10.0])
+def test_a_weight_favours_its_requirement(ratio):
+    """With a wrong frame not both can be met; the sum is that of squares divided by those of sizes, and each weight moves it."""
+    problem = optlink.load("poses-and-law", {"mechanism.frame": "123 mm"})
+    result = optlink.solve(problem.override({"requirements.gripper.weight": ratio}), starts=100)
+    even = optlink.solve(problem, starts=100)
+    assert result.valid
+    squares, own = ([float(one.measured.objective) for one in each.best.parts] for each in (result, even))
+    assert (squares[0] < own[0]) == (squares[1] > own[1]) == (ratio > 1.0)
+    size = problem.spec.parts[0].size
+    assert result.objective == pytest.approx(ratio * squares[0] / size**2 + squares[1], rel=1e-9)
+
+
+def test_the_smallest_machine_for_a_law():
+    result, own = solution("law-smallest-machine"), composed.smallest_machine(2.5, positions=3000)
+    assert result.valid
+    assert 1e3 * result.objective == pytest.approx(own.optimum + 600.0, abs=1e-5)
+    assert [1e3 * result.design[name] for name in ("coupler", "rocker")] == pytest.approx(
+        [own.figures["coupler"], own.figures["rocker"]], abs=1e-4
+    )
+    assert measured(result, "largest deviation") == pytest.approx(2.5, rel=1e-7)
+    wider = optlink.load("law-smallest-machine", {"requirement.tolerance": "3 deg"})
+    assert 1e3 * optlink.solve(wider).objective == pytest.approx(composed.smallest_machine(3.0, 1000).optimum + 600.0, abs=1e-4)
+
+
+def test_two_wipers_on_one_crank_pin():
+    result, own = solution("two-wipers"), composed.two_wipers()
+    assert result.valid
+    assert 90.0 - math.degrees(result.objective) == pytest.approx(own.optimum, abs=1e-6)
+    names = {"crank.length": "crank", "rod1.length": "coupler 1", "arm1.length": "rocker 1"}
+    names |= {"rod2.length": "coupler 2", "arm2.length": "rocker 2"}
+    for name, other in names.items():
+        assert 1e3 * result.design[name] == pytest.approx(own.figures[other], abs=1e-4)
+
+
+# --- what a user does with them ---------------------------------------------------------------------------------------------
+
+
+def test_both_back_ends_agree():
+    for name in ("poses-and-law", "law-smallest-machine"):
+        assert optlink.solve(optlink.load(name), "both").valid
+
+
+def test_the_terminal_states_every_demand(tmp_path):
+    done = CliRunner().invoke(app, ["solve", "law-smallest-machine", "--out", str(tmp_path), "--quiet"])
+    assert done.exit_code == 0
+    text = CliRunner().invoke(app, ["validate", str(tmp_path)])
+    assert text.exit_code == 0
+    words = " ".join(text.stdout.split())
+    for part in ("total length of the links 1242.81 mm", "at most 2.5 deg", "given design, valid"):
+        assert part in words
+    assert (tmp_path / "points.csv").exists()
+
+
+def test_each_requirement_has_its_pictures_and_points(tmp_path):
+    done = CliRunner().invoke(
+        app, ["solve", "poses-and-law", "--set", "mechanism.frame=123 mm", "--starts", "60", "--out", str(tmp_path)]
+    )
+    assert done.exit_code == 0
+    for part in ("weighted sum", "sum of squares of gripper", "sum of squares of valve"):
+        assert part in " ".join(done.stdout.split())
+    assert {"points-gripper", "points-valve", "errors", "law"} <= {file.stem for file in tmp_path.iterdir()}
+    again = CliRunner().invoke(app, ["validate", str(tmp_path)])
+    assert again.exit_code == 0
+
+
+# --- input that is refused -------------------------------------------------------------------------------------------------
+
+
+def first(**changes: Any) -> Callable[[Any], Any]:
+    return lambda raw: raw["requirements"][0].update(changes)
+
+
+def second(**changes: Any) -> Callable[[Any], Any]:
+    return lambda raw: raw["requirements"][1].update(changes)
+
+
+def torque(**changes: Any) -> Callable[[Any], Any]:
+    return lambda raw: raw["limits"]["driving_torque"].update(changes)
+
+
+def limits(**changes: Any) -> Callable[[Any], Any]:
+    return lambda raw: raw["limits"].update(changes)
+
+
+def stated(**changes: Any) -> Callable[[Any], Any]:
+    return lambda raw: raw["requirement"].update(changes)
+
+
+LOAD = {"push": {"on": "rocker", "torque": "1 N*m", "acts": "opposing"}}
+TWO, TORQUE, LEAST = "poses-and-law", "path-within-torque", "least-torque"
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "key", "text"),
+    [
+        (TWO, second(name="gripper"), "requirements.1.name", "two requirements have this name"),
+        (TWO, lambda raw: raw["requirements"][1].pop("weight"), "requirements.1.weight", "Give each a weight, or a tolerance"),
+        (TWO, first(tolerance="1 mm"), "requirements.0.weight", "only a term of an objective of several terms"),
+        (TWO, lambda raw: raw["requirements"].pop(), "requirements.0.weight", "only a term of an objective of several terms"),
+        (TWO, first(weight=-1), "requirements.0.weight", "positive"),
+        (TWO, first(kind="pose"), "requirements.0.kind", "Known: function"),
+        (TWO, second(kind="funktion"), "requirements.1.kind", 'Did you mean "function"?'),
+        (TWO, first(kind="stroke"), "requirements.0.kind", "[limits]"),
+        (TWO, first(toleranse="1 mm"), "requirements.0.toleranse", 'Did you mean "tolerance"?'),
+        (TWO, first(point="Q"), "requirements.0.point", "Known: B, C, P"),
+        (TWO, first(name="P"), "requirements.0.name", "a body or point of the mechanism has this name"),
+        (TWO, lambda raw: raw.update(requirement=raw["requirements"][0]), "requirement", "Move it into the list"),
+        (TWO, lambda raw: raw.update(requirements={"a": 1}), "requirements", "[[requirements]]"),
+        (TWO, lambda raw: raw.update(objective={"quantity": "total length"}), "objective.quantity", "[[objective.terms]]"),
+        (LEAST, stated(measure="sum of squares"), "requirement.measure", 'Write measure = "max"'),
+        (LEAST, stated(tolerance="0.5 deg"), "requirement.tolerance", "not a unit of length"),
+        (LEAST, stated(tolerance="0 mm"), "requirement.tolerance", "positive"),
+        (LEAST, stated(weight=2.0), "requirement.weight", "Leave it out"),
+        (LEAST, lambda raw: raw.update(loads=LOAD), "loads.push", "switches"),
+        (LEAST, limits(crank="span"), "limits.crank", 'Write crank = "full rotation"'),
+        (TORQUE, limits(crank="span"), "limits.crank", 'Write crank = "full rotation"'),
+        (
+            TORQUE,
+            limits(transmision_angle=["30 deg", "150 deg"]),
+            "limits.transmision_angle",
+            'Did you mean "transmission_angle"?',
+        ),
+        (TORQUE, limits(foo=3), "limits.foo", "unknown key"),
+        (TORQUE, limits(foo={"of": "crank"}), "limits.foo", "unknown key"),
+        (TORQUE, torque(maxx="1 N*m"), "limits.driving_torque.maxx", 'Did you mean "max"?'),
+        (TORQUE, torque(quantity="torqe"), "limits.driving_torque.quantity", 'Did you mean "torque"?'),
+        (TORQUE, torque(max="0.4 N"), "limits.driving_torque.max", "not a unit of torque"),
+        (TORQUE, lambda raw: raw["limits"]["driving_torque"].pop("max"), "limits.driving_torque.max", "no value"),
+        (TORQUE, torque(quantity="stroke", of="rocker", max="60 deg"), "limits.driving_torque.quantity", "ends of strokes"),
+    ],
+)
+def test_one_error_names_key_and_remedy(name, change, key, text):
+    raw = copy.deepcopy(dict(optlink.load(name).raw))
+    change(raw)
+    with pytest.raises(InputError) as caught:
+        read(raw)
+    assert len(caught.value.faults) == 1
+    assert str(caught.value.faults[0].key).startswith(key)
+    assert text in str(caught.value)
+
+
+def test_a_requirement_is_changed_by_its_name():
+    problem = optlink.load("poses-and-law", {"requirements.valve.weight": 3.0, "requirements.0.weight": 2.0})
+    assert [part.requirement.weight for part in problem.spec.parts] == [2.0, 3.0]
+    assert problem.at("requirements.gripper.weight") == 2.0
+    with pytest.raises(InputError, match=r'requirements has no key grip. Did you mean "gripper"'):
+        problem.override({"requirements.grip.weight": 1.0})
+    with pytest.raises(InputError, match=r"requirements.1.wait: unknown key"):
+        problem.override({"requirements.valve.wait": 1.0})
