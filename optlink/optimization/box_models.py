@@ -116,6 +116,8 @@ def box_problem(problem: ProblemFile, further: Array | None = None) -> DesignBox
         reason = "the objective of a robust design has none"
     elif model.data.offsets is None:
         reason = "the crank angles at the points are unknowns too"
+    elif model.limits.regions:
+        reason = "with limits of regions there is none"
     elif model.slides and "." in model.output:
         reason = "among laws, those of a coordinate of a point have none"
     elif model.requirement.kind == "transmission" and not model.four_bar:

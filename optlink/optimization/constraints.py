@@ -346,6 +346,19 @@ def position_rows(problem: DesignProblem, pose: Pose) -> list[ConstraintRow]:
     return result
 
 
+def region_rows(problem: DesignProblem, pose: Pose, *, over_span: bool) -> list[ConstraintRow]:
+    """Return the limits of the regions at one crank angle, of those over the whole revolution or over the span."""
+    size, required = problem.size, "span" if problem.limits.crank == "span" else "revolution"
+    rows = []
+    for name, region in problem.limits.regions.items():
+        if ((region.over or required) == "span") is over_span:
+            for distance in region.distances(pose.point(region.of), size):
+                label, scale = f"{region.of} {region.side} {name}", Scale("mm", 1e3 * size)
+                row = ConstraintRow(f"limits.{name}.clearance", label, distance / size, region.margin / size, math.inf, scale)
+                rows.append(row)
+    return rows
+
+
 def alignment_row(limits: Alignment, group: Dyad, value: Value) -> ConstraintRow:
     """Return the row that keeps a group away from the position where its assembly modes meet, from the squared sine there."""
     low = math.sin(limits.alignment.value) ** 2

@@ -13,7 +13,7 @@ import numpy as np
 
 from optlink.linkage.mechanism import Pose
 from optlink.linkage.vector2d import TURN, Array, Value, unit
-from optlink.optimization.constraints import ConstraintRow, Scale, position_rows
+from optlink.optimization.constraints import ConstraintRow, Scale, position_rows, region_rows
 from optlink.optimization.nlp import Variable
 from optlink.optimization.output_derivatives import ErrorResiduals
 from optlink.optimization.term_rows import SIGNS, scaled_limit
@@ -73,6 +73,14 @@ class LimitCourse:
             over = [np.maximum(row.low - row.value, row.value - row.high) for row in rows]
             excesses = np.array(np.broadcast_arrays(*over, begin + shares)[:-1])
         return np.where(np.isfinite(excesses), excesses, -np.inf)
+
+
+class RegionCourse(LimitCourse):
+    """Regions that points stay in or out of, over the whole revolution or along the motion of a requirement, `part`."""
+
+    def rows(self, pose: Pose) -> list[ConstraintRow]:
+        """Return the limits at one position."""
+        return region_rows(self.problem, pose, over_span=bool(self.over_span))
 
 
 class ErrorCourse:
@@ -224,14 +232,16 @@ def above_level(values: Array, level: float) -> Array:
 
 def limit_courses(problem: DesignProblem) -> list[LimitCourse]:
     """Return the courses of limits at single crank angles: over the revolution, and along the motion of each requirement."""
-    if not has_position_limits(problem):
-        return []
-    if problem.limits.crank == "span":
-        return [LimitCourse(problem, part, None) for part in problem.parts]
-    along = [LimitCourse(problem, part, True) for part in problem.parts]
     pose = problem.linkage.pose(problem.complete({}), unit(0.0))
+    regions = [RegionCourse(problem, None, False), *(RegionCourse(problem, part, True) for part in problem.parts)]
     with np.errstate(all="ignore"):
-        return [LimitCourse(problem, None, False), *(course for course in along if course.rows(pose))]
+        regions = [course for course in regions if course.rows(pose)]
+        if not has_position_limits(problem):
+            return [*regions]
+        if problem.limits.crank == "span":
+            return [*(LimitCourse(problem, part, None) for part in problem.parts), *regions]
+        along = [LimitCourse(problem, part, True) for part in problem.parts]
+        return [LimitCourse(problem, None, False), *(course for course in along if course.rows(pose)), *regions]
 
 
 def error_courses(problem: DesignProblem) -> list[ErrorCourse]:
@@ -241,7 +251,7 @@ def error_courses(problem: DesignProblem) -> list[ErrorCourse]:
 
 def exchange_count(problem: DesignProblem) -> int:
     """Return the number of exchange points of a programme."""
-    if has_position_limits(problem) or problem.goals or problem.bounds:
+    if has_position_limits(problem) or problem.goals or problem.bounds or problem.limits.regions:
         return EXCHANGE_POINTS
     errors = error_courses(problem)
     return (EXCHANGE_POINTS if problem.robust is not None else LEVEL_POINTS) if errors else 0

@@ -600,7 +600,7 @@ class DesignProblem(MachineTerms):
 
     def shares_programme(self, keys: Sequence[str]) -> bool:
         """Return whether one programme serves all values of keys of the file, including the side of a limit."""
-        if self.task != "function" or self.everywhere or self.mechanism.assembly == EITHER:
+        if self.task != "function" or self.everywhere or self.mechanism.assembly == EITHER or self.limits.regions:
             return False
         return all(map(is_parameter, keys))
 

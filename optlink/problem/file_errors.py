@@ -16,10 +16,11 @@ from optlink.io import Registry
 from optlink.problem.base_model import ALSO_WRITTEN, Ends, written
 from optlink.problem.cycle.terms import Limit
 from optlink.problem.design import DesignProblem
-from optlink.problem.limits import Alignment, Limits, four_bar_limits
+from optlink.problem.limits import OF_QUANTITY, OF_REGION, Alignment, Limits, four_bar_limits
 from optlink.problem.machine.model import Problem
 from optlink.problem.mechanism import DyadsSection, FourBarSection
 from optlink.problem.quantity import Unusable, nearest
+from optlink.problem.region import RegionLimit
 from optlink.problem.requirement import DEFAULT_KIND, REQUIREMENTS, lacks
 from optlink.problem.targets.law import SLIDE
 from optlink.problem.targets.target_points import file_kind
@@ -111,6 +112,8 @@ def _known(path: tuple[str | int, ...], model: type[Problem], raw: Mapping[str, 
         return keys_of(REQUIREMENTS[raw["requirement"].get("kind", DEFAULT_KIND)])
     if path[:1] == ("requirements",) and len(path) == 2 and isinstance(path[1], int):
         return keys_of(REQUIREMENTS[raw["requirements"][path[1]].get("kind", DEFAULT_KIND)])
+    if path[:1] == ("limits",) and len(path) == 2 and "region" in raw["limits"][path[1]]:
+        return keys_of(RegionLimit)
     keys, dyads = known_keys(path, model), of_dyads(raw)
     if path == ("mechanism",):
         fields = (DyadsSection if dyads else FourBarSection).model_fields
@@ -165,6 +168,8 @@ def _faults(error: pydantic.ValidationError, model: type[Problem], raw: Mapping[
             del path[1]  # the tag of the union type
         if path[:1] == ["requirements"] and len(path) > 2 and path[2] in REQUIREMENTS:
             del path[2]
+        if path[:1] == ["limits"] and len(path) > 2 and path[2] in (OF_QUANTITY, OF_REGION):
+            del path[2]
         key = ".".join(map(str, path))
         value, problem = _plain(item["input"]), item.get("ctx", {}).get("error")
         if isinstance(problem, Unusable):
@@ -191,7 +196,9 @@ def _unknown_limit(kind: str, path: list[str | int], raw: Mapping[str, Any]) -> 
     """Return whether an error is due to a key of the limits that neither is known nor limits a quantity of the machine."""
     if len(path) < 2 or path[1] in Limits.model_fields:
         return False
-    return kind == "model_type" or (kind in ("missing", "extra_forbidden") and "quantity" not in raw["limits"][path[1]])
+    stated = raw["limits"][path[1]]
+    kinds = {"quantity", "region"} & set(stated if isinstance(stated, Mapping) else ())
+    return kind == "model_type" or (kind in ("missing", "extra_forbidden") and not kinds)
 
 
 def _wrong(item: Any, path: list[str | int], key: str) -> tuple[str, str]:

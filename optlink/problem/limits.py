@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Protocol
 
 import numpy as np
-from pydantic import ConfigDict
+from pydantic import ConfigDict, Discriminator, Tag
 
 from optlink.io import Registry
 from optlink.linkage.dyad_types import transmitting
@@ -33,7 +33,8 @@ from optlink.problem.interval import (
     NumberInterval,
     RatioOfStrokes,
 )
-from optlink.problem.quantity import FixedAngle, Number, Quantity, Unusable, nearest, where
+from optlink.problem.quantity import FixedAngle, Number, Quantity, Unusable, below, nearest, where
+from optlink.problem.region import RegionLimit
 
 MARGINS: dict[str, str | float] = {"alignment": f"{np.degrees(LEAST_ALIGNMENT):g} deg", "length_margin": LEAST_LENGTH_MARGIN}
 """Limits that every design problem has, as the file would state their defaults."""
@@ -96,11 +97,22 @@ class RegionSection(Section):
     """Range of y; default: unlimited."""
 
 
+OF_QUANTITY, OF_REGION = "limit of a quantity", "limit of a region"
+"""Tags of the limits under names of the user's choice."""
+
+
+def _named_kind(raw: object) -> str:
+    return OF_REGION if isinstance(raw, RegionLimit) or (isinstance(raw, Mapping) and "region" in raw) else OF_QUANTITY
+
+
+NamedLimit = Annotated[Annotated[Limit, Tag(OF_QUANTITY)] | Annotated[RegionLimit, Tag(OF_REGION)], Discriminator(_named_kind)]
+
+
 class Limits(Margins):
-    """Limits of a design problem; further ones, on quantities of the machine, have names of the user's choice."""
+    """Limits of a design problem; further ones, of quantities of the machine and of regions, have names of the user's choice."""
 
     model_config = ConfigDict(extra="allow")
-    __pydantic_extra__: dict[Name, Limit]
+    __pydantic_extra__: dict[Name, NamedLimit]
     crank: Literal["full rotation", "double-crank", "span"] = "full rotation"
     """Crank rotation: full (a four-bar is then a crank-rocker or a double-crank), or only over the span of the requirement."""
     transmission_angle: AnglesOfJoints | None = None
@@ -128,6 +140,15 @@ class Limits(Margins):
     @property
     def named(self) -> dict[str, Limit]:
         """The limits of quantities of the machine by their names."""
+        return {name: limit for name, limit in self._extra.items() if isinstance(limit, Limit)}
+
+    @property
+    def regions(self) -> dict[str, RegionLimit]:
+        """The regions that points stay in or out of, by their names."""
+        return {name: limit for name, limit in self._extra.items() if isinstance(limit, RegionLimit)}
+
+    @property
+    def _extra(self) -> dict[str, Limit | RegionLimit]:
         extra = self.__pydantic_extra__
         return dict(extra) if isinstance(extra, dict) else {}  # a copy with other numbers may have none
 
@@ -232,6 +253,9 @@ def check_limits(limits: Limits, linkage: Mechanism, *, four_bar: bool) -> None:
         if key in limits.model_fields_set:
             remedy = "Leave it out, and bound the lengths themselves"
             raise Unusable("this limit applies to a four-bar only", remedy, f"limits.{key}")
+    for name, region in limits.regions.items():
+        with below(f"limits.{name}"):
+            region.check(linkage, limits.crank)
     if limits.crank == "double-crank" and not four_bar:
         raise Unusable("only a four-bar can be a double-crank", 'Write crank = "full rotation"', "limits.crank", limits.crank)
     if limits.transmission_cosine is not None:

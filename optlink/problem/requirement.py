@@ -1285,11 +1285,11 @@ def transmission_cosine(pose: Pose, group: Transmitting) -> Value:
 DEFAULT_KIND = "function"
 _KINDS = (
     FunctionRequirement,
-    DwellRequirement,
-    PositionRequirement,
     PathRequirement,
     MotionRequirement,
     TransmissionRequirement,
+    DwellRequirement,
+    PositionRequirement,
 )
 for _kind in _KINDS:
     REQUIREMENTS.add(_kind.__annotations__["kind"].__args__[0], _kind)

@@ -130,8 +130,8 @@ def parameters(nlp: NLP) -> list[Parameter]:
                 limits[mark] = replace(limit, name=label, entries=(*limit.entries, entry))
                 continue
             own = entry < n or key.startswith(QUANTITIES)
-            stated = key.endswith(".value") or (key.startswith("limits.") and key not in ("limits.crank", *MARGIN_KEYS))
-            prescribed = own or stated
+            whole = key in ("limits.crank", *MARGIN_KEYS) or key.endswith(".clearance")  # of one value, not of a range
+            prescribed = own or key.endswith(".value") or (key.startswith("limits.") and not whole)
             bounds = f"{name}, {'largest' if side == 'max' else 'smallest'} allowed" if own else name
             limit_key = f"{key}.{side}" if side and prescribed else key
             limits[mark] = Parameter(

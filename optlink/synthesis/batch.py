@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from optlink.linkage.dyad_types import ModalDyad
 from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.vector2d import TURN, Array, unit
-from optlink.optimization.constraints import ConstraintRow, position_rows, rows as limit_rows
+from optlink.optimization.constraints import ConstraintRow, position_rows, region_rows, rows as limit_rows
 from optlink.optimization.programme import path_variable
 from optlink.problem.design import DesignProblem
 from optlink.problem.limits import MARGIN_KEYS, Reach
@@ -136,8 +136,9 @@ class Batch:
         if self.derived:
             begin = casadi.SX(values[problem.start_name])
             self._begin.append(NumpyEvaluator(inputs, [begin, casadi.jacobian(begin, x)]))
-        if self.crank_turns and not self.four_bar:
-            required = [row for row in position_rows(problem, pose) if not row.over_span]
+        required = [] if self.four_bar else [row for row in position_rows(problem, pose) if not row.over_span]
+        required += region_rows(problem, pose, over_span=False)
+        if self.crank_turns and required:
             self.grid_bounds = np.array([(row.low + INSIDE, row.high) for row in required])
             g = casadi.vertcat(*[row.value for row in required])
             self._grid.append(NumpyEvaluator([*inputs, t, *sides], [g, casadi.jacobian(g, x)]))

@@ -448,4 +448,5 @@ def has_first_steps(task: DesignProblem) -> bool:
 def certified_by_default(task: DesignProblem) -> bool:
     """Return whether the optimum is certified instead of searched: that of a motion law of few design variables."""
     few = 0 < len(task.free) <= MAX_CERTIFIED_VARIABLES
-    return few and task.has_error and task.robust is None and not isinstance(task.requirement.law, Function)
+    plain = task.robust is None and not task.limits.regions
+    return few and task.has_error and plain and not isinstance(task.requirement.law, Function)

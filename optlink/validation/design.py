@@ -25,6 +25,7 @@ from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.vector2d import TURN, Array, Value
 from optlink.problem.design import STEP, DesignProblem
 from optlink.problem.limits import limits_in_file
+from optlink.problem.region import RegionLimit
 from optlink.problem.requirement import DEAD_CENTRES, MARK
 from optlink.problem.robust import EXPECTED, WORST
 from optlink.problem.targets.law import Table
@@ -150,7 +151,7 @@ def validate_batch(
     groups = (_sizes, _crank, _circuit, _timing)
     checks = [check for group in groups for check in group(tested)]
     checks += tested.targets.checks()
-    checks += [check for group in (_transmission, _registered, _pivots) for check in group(tested)]
+    checks += [check for group in (_transmission, _registered, _pivots, _regions) for check in group(tested)]
     if objective is not None:
         rounding, squared = ROUNDING[problem.unit] * problem.whole, problem.measure == "sum of squares"
         agrees = same_objective(measured, objective, 1e-300, rounding, squared=squared)
@@ -719,3 +720,25 @@ def _pivots(tested: _Tested) -> Iterator[Checks]:
         for axis, value, interval in zip("xy", motion.position(name)[:, 0].T, (region.x, region.y), strict=True):
             if interval is not None:
                 yield from limit_checks(f"pivot {name}.{axis}", value * 1e3, interval, PIVOT * tested.size * 1e3, 1e3, "mm")
+
+
+def _distances(tested: _Tested, region: RegionLimit, motion: tuple[Value, Value], shares: Array) -> Array:
+    """Return the distances (sides, ..., designs, n) [m] of a point from a region at shares of a motion [rad]."""
+    begin, span = motion
+    return np.asarray(region.measured(tested.placed(begin + span * shares).position(region.of)))
+
+
+def _regions(tested: _Tested) -> Iterator[Checks]:
+    """Check that points stay in or out of the regions, at every crank angle: by sweep and refinement."""
+    for name, region in tested.problem.limits.regions.items():
+        whole = tested.turns and region.over != "span"
+        begin, span = (0.0, TURN) if whole else tested.targets.range
+        grid = np.linspace(0.0, 1.0, POSITIONS + 1)
+
+        distances = functools.partial(_distances, tested, region, (begin, span))
+        sides = len(distances(grid[None, :1]))
+        least = extremes_of_rows(rows_of(distances, sides, tested.count), grid, periodic=whole, signs=(1.0,))
+        nearest = np.min(least.reshape(sides, -1), axis=0) * 1e3
+        near = PLACED * tested.problem.size * 1e3
+        label = f"{region.of} {region.side} {name}"
+        yield Checks(label, nearest >= region.margin * 1e3 - near, nearest, f">= {region.margin * 1e3:.6g}", "mm")

@@ -18,7 +18,7 @@ from optlink.errors import InputError
         ("crank-rocker", {"crank": "90 mm"}, 'Did you mean "mechanism.crank"'),
         ("shaper-design", {"coupler.length": "150 mm"}, 'Did you mean "mechanism.links.coupler.length"'),
         ("six-bar", {"mechanism.type": "sliding"}, "(slider-crank, six-bar and others: `optlink new --list`)"),
-        ("crank-rocker", {"requirement.kind": "dwell"}, "unknown kind. Known: function, path, "),
+        ("crank-rocker", {"requirement.kind": "stance"}, "unknown kind. Known: function, path, "),
         ("six-bar", {"bodies.link3.inertias": "0.1 kg*m^2"}, 'Did you mean "inertia"'),
         ("six-bar", {"mechanism.guides.F.Direction": "3 deg"}, 'Did you mean "direction"'),
         ("six-bar", {"constraints": {}}, "constraints: unknown key. Known: "),
