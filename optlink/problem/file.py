@@ -130,9 +130,10 @@ class ProblemFile:
     @property
     def kind(self) -> str:
         """Type of the linkage and kind of the task, for display."""
-        requirement = getattr(self.model, "requirement", None)
-        purpose = {"cycle": "cycle design", "balance": "balancing"}.get(self.task, self.task)
-        return f"{self.model.mechanism.type}, {purpose if requirement is None else f'{requirement.kind} design'}"
+        requirements = getattr(self.model, "requirements", ()) or filter(None, [getattr(self.model, "requirement", None)])
+        kinds = " and ".join(dict.fromkeys(one.kind for one in requirements))
+        purpose = f"{kinds} design" if kinds else {"cycle": "cycle design", "balance": "balancing"}.get(self.task, self.task)
+        return f"{self.model.mechanism.type}, {purpose}"
 
     @cached_property
     def hash(self) -> str:

@@ -77,9 +77,9 @@ def slopes(coupler, rocker, count=31):
     )
 
 
-def figure(coupler, rocker, robust):
+def figure(coupler, rocker, robust, dense=2001):
     """What is made least, by its definition: at the design positions, or the largest value over the whole span."""
-    count = 31 if robust == "expected value" else 2001
+    count = 31 if robust == "expected value" else dense
     error, by = errors(coupler, rocker, None, count), slopes(coupler, rocker, count)
     sigma = np.sqrt(np.sum((by * np.array(list(SIGMAS.values()))[:, None]) ** 2, axis=0))
     if robust == "worst case":

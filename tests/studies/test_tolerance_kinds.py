@@ -99,7 +99,7 @@ def test_several_requirements_have_errors_of_their_own():
         {
             **{key: value for key, value in problem.raw.items() if key not in ("requirement", "expected")},
             "requirements": [
-                {**table, "name": "swing", "weight": 1.0},
+                {**table, "name": "swing"},
                 {"kind": "transmission", "name": "push", "tolerance": 0.8},
             ],
         }
