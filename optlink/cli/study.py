@@ -33,7 +33,7 @@ DEVIATIONS = 'coupler="0.1 mm", D.x="0.05 mm uniform", rocker=parts.csv. Default
 SHAPE = "Default distribution: normal (the tolerance is 3 sigma), uniform, triangular."
 ROBUST = "Optimise the design for the error plus K sigma, the worst case, the most sigma, or the largest yield."
 VARIED = 'Key to vary and its range or list of values: mechanism.frame="450..550 mm:101". Repeatable.'
-OBJECTIVES_HELP = 'Machine: "peak torque, guide force in F=1300..1600 N"; motion law: "error, limits.transmission_angle.max".'
+OBJECTIVES_HELP = 'Machine: "peak torque, guide force in F=1300..1600 N"; requirement: "error, limits.transmission_angle.max".'
 POINTS = "Number of points; with three objectives along each of two axes. Default: 15; with three objectives 7."
 
 study = App(no_args_is_help=True, help="Parametric studies: sensitivity, sweep, tolerance analysis, Pareto front.")

@@ -251,7 +251,8 @@ def error_courses(problem: DesignProblem) -> list[ErrorCourse]:
 
 def exchange_count(problem: DesignProblem) -> int:
     """Return the number of exchange points of a programme."""
-    if has_position_limits(problem) or problem.goals or problem.bounds or problem.limits.regions:
+    terms = [*problem.goals, *(bound.term for bound in problem.bounds)]
+    if has_position_limits(problem) or problem.limits.regions or any(term.extreme for term in terms):
         return EXCHANGE_POINTS
     errors = error_courses(problem)
     return (EXCHANGE_POINTS if problem.robust is not None else LEVEL_POINTS) if errors else 0

@@ -554,7 +554,7 @@ def compare(file: optlink.ProblemFile) -> None:
     x = np.clip(np.array(known), boxes.low, boxes.high)
     models = boxes.over(x[None], x[None])
     modes = [{"assembly": "the only one", "sides": sides_of(file.model.linkage)}]
-    numbers = json.loads(json.dumps(numbers_of(file) | {"modes": modes}))
+    numbers = json.loads(json.dumps(numbers_of(file, np.zeros(0)) | {"modes": modes}))
     checker.check_form(numbers, checker.NUMBERS, "numbers")
     with flint.ctx.workprec(100):
         problem = Problem(numbers, numbers["modes"][0])

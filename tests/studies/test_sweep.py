@@ -999,20 +999,6 @@ def test_fronts_stay_within_the_bounds_of_sizes(objectives, words):
     assert words in done.stderr
 
 
-@pytest.mark.parametrize(
-    ("name", "expected"),
-    [
-        ("transmission-optimal", "a swing and a good transmission are prescribed here"),
-        ("motion-3-poses", "poses of a body are prescribed here"),
-        ("path-ellipse10", "points of a path are prescribed here"),
-    ],
-)
-def test_problems_without_a_front_state_the_requirement(name, expected):
-    done = CliRunner().invoke(app, ["study", "pareto", name, "--objectives", "error, coupler.max"])
-    assert done.exit_code == 2
-    assert expected in done.stderr
-
-
 def test_a_single_point_is_reported_in_the_singular(tmp_path):
     aims = "error, coupler=500..900 mm"  # at both the coupler of the best design is shorter: one point
     done = CliRunner().invoke(app, ["study", "pareto", "crank-rocker", "--objectives", aims, "--points", "2"])

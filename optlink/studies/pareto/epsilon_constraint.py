@@ -171,10 +171,10 @@ def pareto(
     Parameters
     ----------
     problem : ProblemFile
-        A machine with an objective over its cycle, or a four-bar for a law.
+        A design for a requirement of any kind, or a machine with an objective over its cycle.
     objectives : str
-        Objectives, separated by commas: "peak torque, guide force in F" for a machine, "error, limits.transmission_angle.max"
-        for a law; see `optlink.studies.pareto.objectives`.
+        Objectives, separated by commas: "peak torque, guide force in F" for a machine, "error, limits.transmission_angle.max" or
+        "error, total length" for a requirement; see `optlink.studies.pareto.objectives`.
     out : Path, optional
         Folder for completed chunks and for a table of all points (`sweep.csv`). Default: a temporary folder.
     points : int, optional
@@ -202,10 +202,14 @@ def pareto(
     """
     begin = time.perf_counter()
     objective_list = read_objectives(problem, objectives)
-    first = min(range(len(objective_list)), key=lambda k: (bool(objective_list[k].key), bool(objective_list[k].span), k))
+    first = min(range(len(objective_list)), key=lambda k: _rank(objective_list[k], k))
     if objective_list[first].span:
         message, remedy = "all objectives have ranges", "One of them is minimised: leave its range out"
+        if sum(objective.direct for objective in objective_list) == 1:
+            message, remedy = f"{objective_list[first].name} has no range: it is minimised", "Leave the range out"
         raise InputError(message, remedy, problem.file, OPTION, objectives)
+    limited = RANGES[problem.task].limited
+    objective_list = tuple(one if k == first else limited(problem, one) for k, one in enumerate(objective_list))
     count = POINTS[len(objective_list) - 1] if points is None else points
     if count < 2:
         raise InputError("out of range", "Give 2 points or more", key="--points", value=points)
@@ -270,6 +274,11 @@ def pareto(
             engine=engine,
             workers=workers,
         )
+
+
+def _rank(objective: ParetoObjective, k: int) -> tuple[bool, bool, bool, int]:
+    """Return a sort key: the first objective is minimised, one that cannot be constrained, then a deviation without a range."""
+    return not objective.direct, bool(objective.span), bool(objective.key) and objective.part < 0, k
 
 
 def _about(problem: ProblemFile, objectives: tuple[ParetoObjective, ...], count: int, backend: str) -> dict[str, Any]:

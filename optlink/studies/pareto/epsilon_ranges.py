@@ -11,13 +11,21 @@ from typing import Any
 import numpy as np
 
 from optlink.errors import InputError, Status
-from optlink.optimization.programme import build
+from optlink.optimization.programme import angle_name, build
 from optlink.problem.file import ProblemFile
 from optlink.solvers.infeasibility import tightest
 from optlink.studies.cycle_task import with_starting_values
 from optlink.studies.grid import Axis, Grid
 from optlink.studies.pareto.cycle_objectives import cycle_figures, cycle_objective, epsilon_problem
-from optlink.studies.pareto.law_objectives import law_figure, law_objective, limit_in_file, tightest_bound, without_varied_limits
+from optlink.studies.pareto.design_objectives import (
+    design_figures,
+    design_objective,
+    design_problem,
+    limit_in_file,
+    limited_objective,
+    tightest_bound,
+    without_varied_limits,
+)
 from optlink.studies.pareto.objective import OPTION, ParetoObjective, range_values
 from optlink.studies.toml_keys import Raw, exact_text
 from optlink.tasks.cycle import solve as solve_cycle
@@ -52,6 +60,11 @@ class EpsilonRanges(ABC):
     @abstractmethod
     def objective(problem: ProblemFile, name: str, number: int) -> ParetoObjective:
         """Return the objective of a name, the `number`-th of the front."""
+
+    @staticmethod
+    def limited(problem: ProblemFile, objective: ParetoObjective) -> ParetoObjective:
+        """Return an objective as it is constrained."""
+        return objective
 
     @cached_property
     def constrained(self) -> tuple[int, ...]:
@@ -130,23 +143,15 @@ class EpsilonRanges(ABC):
         )
 
 
-class _LawRanges(EpsilonRanges):
-    """Ranges of a four-bar for a law: from the optimum of the error alone to the tightest feasible limit."""
+class _DesignRanges(EpsilonRanges):
+    """Ranges of a design for targets: from the optimum of the minimised objective alone to the tightest feasible limit."""
 
-    objective = staticmethod(law_objective)
+    objective, limited = staticmethod(design_objective), staticmethod(limited_objective)
 
     @cached_property
     def bare(self) -> ProblemFile:
         """Problem without the limits of the constrained objectives."""
         return without_varied_limits(self.problem, [self.objectives[k] for k in self.constrained])
-
-    @cached_property
-    def fixed(self) -> dict[int, Axis]:
-        values = super().fixed
-        for objective in (self.objectives[k] for k in self.constrained if k not in values):
-            if not self.bare.model.shares_programme([objective.key]):
-                raise self._no_end(objective, "a function has many optima, so the ends of its front are not searched")
-        return values
 
     @property
     def searches(self) -> int:
@@ -154,12 +159,15 @@ class _LawRanges(EpsilonRanges):
         return (1 + len(self.open) + (len(self.constrained) if len(self.constrained) > 1 else 0)) if self.open else 0
 
     def figures(self, problem: ProblemFile, values: Mapping[str, float], error: float) -> tuple[float, ...]:
-        full = problem.model.design(values)
-        return tuple(law_figure(problem.spec, objective, full) if objective.key else error for objective in self.objectives)
+        figures = list(design_figures(problem, self.objectives, values))
+        minimised, model = self.objectives[self.first], problem.spec
+        if math.isfinite(error) and not model.by_angle and (minimised.part >= 0 or not minimised.key):
+            figures[self.first] = error * model.objective_display[0]
+        return tuple(figures)
 
     def reference(self, base: ProblemFile, once: Once) -> tuple[str, tuple[float, ...] | None]:
-        words, limited = "limits of the file", [objective for objective in self.objectives if objective.key]
-        if any(limit_in_file(self.problem, objective.key) is None for objective in limited):
+        words, limited = "limits of the file", [self.objectives[k] for k in self.constrained]
+        if any(one.part >= 0 or one.term or limit_in_file(self.problem, one.key) is None for one in limited):
             return words, None
 
         def searched() -> dict[str, Any]:
@@ -169,34 +177,35 @@ class _LawRanges(EpsilonRanges):
         best = once(words, searched)
         if not best:
             return words, None
-        task = base.override({objective.key: tightest_bound(base, objective) for objective in limited}).spec
-        return words, tuple(
-            law_figure(task, objective, best["design"]) if objective.key else best["error"] for objective in self.objectives
-        )
+        tight = self._bounded(base, {k: tightest_bound(base, self.objectives[k]) for k in self.constrained})
+        return words, self.figures(tight, best["design"], best["error"])
 
     def _optimum(self, problem: ProblemFile) -> Any:
         """Return the optimum that `optlink.solve` finds, certified if there are few design variables."""
         return completed(solve(problem, self.backend))
 
+    def _bounded(self, problem: ProblemFile, bounds: Mapping[int, Raw], minimised: int | None = None) -> ProblemFile:
+        return design_problem(problem, self.objectives, self.first if minimised is None else minimised, bounds)
+
     def _with(self, number: int, value: Raw) -> ProblemFile:
-        return self.bare.override({self.objectives[number].key: value})
+        return self._bounded(self.bare, {number: value})
 
     def _base(self, axes: Mapping[int, Axis], anchors: tuple[Mapping[str, float], ...]) -> ProblemFile:
-        return self.bare
+        return self._bounded(self.bare, {k: axis.raw(0) for k, axis in axes.items() if self.objectives[k].direct})
 
     def _ends(self, once: Once) -> tuple[dict[int, Axis], tuple[Mapping[str, float], ...]]:
         objectives, fixed, unbound = self.objectives, self.fixed, self.open
-        free = self.bare.override({objectives[k].key: axis.raw(0) for k, axis in fixed.items()})  # with the loosest limits only
+        loose = {k: axis.raw(0) for k, axis in fixed.items()}  # the loosest limits only
 
         def optimum(task: ProblemFile, blamed: ParetoObjective | None = None) -> dict[str, Any]:
             result = self._optimum(task)
             if blamed is not None and not result.valid:
                 raise self._no_end(blamed, result.status.text)
-            return {"design": dict(result.design) if result.valid else None}
+            return _found(result) if result.valid else {"design": None}
 
         minimised = objectives[self.first]
-        best = once(minimised.best, lambda: optimum(free, minimised))
-        tight = {k: once(objectives[k].best, partial(self._tight, free, objectives[k], best["design"]))["limit"] for k in unbound}
+        best = once(minimised.best, lambda: optimum(self._bounded(self.bare, loose), minimised))
+        tight = {k: once(objectives[k].best, partial(self._tight, loose, k, best))["limit"] for k in unbound}
         corners = {
             k: exact_text(objectives[k].worsened(tight[k], END_RELAXATION * abs(tight[k])), objectives[k].unit) for k in unbound
         }
@@ -204,27 +213,58 @@ class _LawRanges(EpsilonRanges):
         others = {}
         if len(self.constrained) > 1:
             for k in self.constrained:
-                task = free.override({objectives[k].key: corners[k]})
+                task = self._bounded(self.bare, {**loose, k: corners[k]})
                 others[k] = once(f"{minimised.best}, {objectives[k].best}", partial(optimum, task))
         ranges = {}
         for k in unbound:
-            limited, sense = free.override({objectives[k].key: tightest_bound(free, objectives[k])}).spec, objectives[k].sense
+            sense = objectives[k].sense
+            limited = self._bounded(self.bare, {**loose, k: self._limit_of(k, tight[k])})
             designs = [best["design"], *(other["design"] for j, other in others.items() if j != k and other["design"])]
-            worst = sense * max(sense * law_figure(limited, objectives[k], design) for design in designs)
+            worst = sense * max(sense * design_figures(limited, (objectives[k],), design)[0] for design in designs)
             ranges[k] = _axis(objectives[k], tight[k], worst, self.count)
         return ranges, ()
 
-    def _tight(self, free: ProblemFile, objective: ParetoObjective, design: Mapping[str, float]) -> dict[str, float]:
-        """Return the tightest feasible value of a limit: the least relaxation of an infeasible one; `design` meets the others."""
-        tight = free.override({objective.key: tightest_bound(free, objective)})
+    def _limit_of(self, k: int, value: float) -> Raw:
+        """Return a limit of an objective with which its figure is that of the front: the tightest one, or a value."""
+        if self.objectives[k].direct:
+            return exact_text(value, self.objectives[k].unit)
+        return tightest_bound(self.bare, self.objectives[k])
+
+    def _tight(self, loose: Mapping[int, Raw], k: int, best: Mapping[str, Any]) -> dict[str, float]:
+        """Return the tightest feasible value of a limit: the best of its objective, or the least relaxation of an infeasible one.
+
+        `best` meets the others.
+        """
+        objective = self.objectives[k]
+        if objective.direct:
+            result = self._optimum(self._bounded(self.bare, loose, k))
+            if not result.valid:
+                raise self._no_end(objective, result.status.text)
+            file = self._bounded(self.bare, {**loose, k: exact_text(1.0, objective.unit)})
+            return {"limit": design_figures(file, (objective,), result.design)[0]}
+        tight = self._bounded(self.bare, {**loose, k: tightest_bound(self.bare, objective)})
         result = self._optimum(tight)
         if result.solution is not None and result.solution.usable:  # feasible at the tightest bound that can be stated
-            return {"limit": law_figure(tight.spec, objective, result.design)}
-        nlp, side = build(tight.spec), "<=" if objective.sense > 0 else ">="
-        limit = tightest(nlp, objective.key.rpartition(".")[0], side, nlp.x_of(design, bounded=False))
+            return {"limit": design_figures(tight, (objective,), result.design)[0]}
+        definite, direction = tight.override({"mechanism.assembly": best["assembly"]}).spec, best["direction"]
+        nlp, side = build(definite, direction), "<=" if objective.sense > 0 else ">="
+        limit = tightest(
+            nlp, objective.key.rpartition(".")[0], side, nlp.x_of({**best["design"], **best["angles"]}, bounded=False)
+        )
         if not math.isfinite(limit):
             raise self._no_end(objective, result.status.text)
         return {"limit": limit}
+
+
+def _found(result: Any) -> dict[str, Any]:
+    """Return a design, fit for JSON: values [SI], assembly modes, and the crank angles and their sense where they are free."""
+    best = result.best
+    free = best.whole.data.offsets is None and not best.whole.composed
+    angles = {angle_name(k): float(angle) for k, angle in enumerate(best.crank_angles)} if free else {}
+    ends = best.crank_angles[[0, -1]] if free else np.zeros(2)
+    direction = -1 if ends[1] < ends[0] else 1
+    assembly = best.problem.at("mechanism.assembly")
+    return {"design": dict(best.values), "assembly": assembly, "direction": direction, "angles": angles}
 
 
 class _CycleRanges(EpsilonRanges):
@@ -297,7 +337,7 @@ class _CycleRanges(EpsilonRanges):
         return ranges, tuple(corner[k]["sizes"] for k in sorted(corner, key=lambda k: k != first))
 
 
-RANGES: dict[str, type[EpsilonRanges]] = {"function": _LawRanges, "cycle": _CycleRanges}
+RANGES: dict[str, type[EpsilonRanges]] = {"function": _DesignRanges, "path": _DesignRanges, "cycle": _CycleRanges}
 """Objectives and ranges by the kind of problem."""
 
 

@@ -14,7 +14,8 @@ class ParetoObjective:
     """One objective of a Pareto front: its text, `text`, and its `name`.
 
     `sense`: 1 to minimise, -1 to maximise; `key`: the limit that constrains it in the problem file, with its side, empty for an
-    objective that can only be minimised itself; `term`: of a machine, as in the file; `span`: the requested range, if any.
+    objective that can only be minimised itself; `term`: of a machine, as in the file; `span`: the requested range, if any;
+    `of`: name of a dimension; `part`: number of the requirement whose deviation it is.
     """
 
     text: str
@@ -24,6 +25,13 @@ class ParetoObjective:
     key: str = ""
     term: tuple[tuple[str, Any], ...] = ()
     span: str = ""
+    of: str = ""
+    part: int = -1
+
+    @property
+    def direct(self) -> bool:
+        """Whether it can be minimised itself, not only constrained."""
+        return self.part >= 0 or bool(self.term) or not self.key
 
     @property
     def column(self) -> str:

@@ -1,0 +1,266 @@
+"""Objectives of a design for targets: its deviations, limits, dimensions and quantities of the machine."""
+
+import copy
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from optlink.errors import InputError
+from optlink.linkage.vector2d import TURN, unit
+from optlink.optimization.constraints import position_rows, rows as limit_rows
+from optlink.optimization.courses import has_position_limits
+from optlink.problem.cycle.quantities import QUANTITIES
+from optlink.problem.cycle.terms import read_words
+from optlink.problem.design import DesignProblem
+from optlink.problem.file import SIDES, ProblemFile
+from optlink.problem.interval import Interval, StrokeRatio
+from optlink.problem.limits import Reach
+from optlink.problem.quantity import nearest, range_example
+from optlink.problem.quantity_keys import file_key
+from optlink.studies.pareto.objective import OPTION, ParetoObjective
+from optlink.studies.toml_keys import Raw, exact_text
+from optlink.units import DISPLAYED, KINDS, factor
+from optlink.validation.cycle import Cycle
+from optlink.validation.design import validate_batch
+from optlink.validation.timing import passing
+
+ERROR, SUM = "error", "objective"
+VARIABLE_LIMITS = (
+    "transmission_angle",
+    "pressure_angle",
+    "transmission_cosine",
+    "swing_angle",
+    "time_ratio",
+    "frame_length",
+    "link_ratio",
+)
+SEVERAL = (
+    "transmission_angle",
+    "pressure_angle",
+    "transmission_cosine",
+    "link_ratio",
+)  # limits with a largest and a smallest value
+SIDE_DISTANCE = 1e-3  # relative distance between the sides of a limit with one side at its tightest
+FAR = {"m": 100.0, "rad": 3.0, "": 0.9999}  # of the scale of a deviation: a tolerance that hardly limits it
+POSITIONS = 14_401  # crank angles at which extreme transmission angles are measured
+
+
+def design_objective(problem: ProblemFile, name: str, number: int) -> ParetoObjective:
+    """Return the objective of a name: a deviation, a side of a limit, a design variable, or a quantity of the machine."""
+    task = problem.spec
+    errors = [f"{part.prefix}{ERROR}" for part in task.parts]
+    if name in errors:
+        index = errors.index(name)
+        part = task.parts[index]
+        return ParetoObjective(name, name, _display(part)[1], 1, f"{part.key}.tolerance", part=index)
+    if name == SUM and problem.raw.get("objective") is not None:
+        return ParetoObjective(name, "sum of the objective", task.objective_display[1], 1)
+    keys = [key for key in VARIABLE_LIMITS if f"limits.{key}" not in task.inapplicable]
+    limits = [f"limits.{key}.{side}" for key in keys for side in SIDES if (key, side) != ("pressure_angle", "min")]
+    places = {key: file_key(problem.raw["mechanism"], key) for key in task.mechanism.quantities}
+    above, _, side = name.rpartition(".")
+    key = above.removeprefix("mechanism.").removeprefix("limits.")
+    if f"limits.{key}.{side}" in limits:
+        shown = {"transmission_angle": "deg", "pressure_angle": "deg", "swing_angle": "deg", "frame_length": "mm"}.get(key, "")
+        words = key.replace("_", " ")
+        if key in SEVERAL:
+            words = f"{'largest' if side == 'max' else 'smallest'} {words}"
+        return ParetoObjective(name, words, shown, 1 if side == "max" else -1, f"limits.{key}.{side}")
+    stated, side = (above, side) if side in SIDES else (name, "max")
+    of = next((key for key, place in places.items() if stated in (key, place, f"mechanism.{key}")), None)
+    if of is None:
+        if (term := read_words(name)) is not None:
+            return _termed(problem, term, number, name)
+        known = [*errors, *limits, *(f"{place}.max" for place in places.values()), *QUANTITIES]
+        raise InputError("unknown objective", nearest(name, known), problem.file, OPTION, name)
+    quantity = task.quantities[of]
+    if quantity.equals is not None and quantity.low is None:
+        remedy = f"Give it bounds beside the link, for example: bounds = {range_example(quantity.kind)}"
+        raise InputError(f"{of} follows from other quantities and has no bounds", remedy, problem.file, OPTION, name)
+    if quantity.fixed:
+        remedy = f"Free it, for example: --set {places[of]}={range_example(quantity.kind)}"
+        raise InputError(f"{of} is fixed at {quantity}, so it is not a design variable", remedy, problem.file, OPTION, name)
+    return ParetoObjective(name, of, quantity.display[1], 1 if side == "max" else -1, f"{places[of]}.{side}", of=of)
+
+
+def _display(part: DesignProblem) -> tuple[float, str]:
+    """Return the factor from SI to the displayed measure of a requirement, and the unit of that."""
+    return part.objective_display if part.tolerance is None else DISPLAYED[part.unit]
+
+
+def limited_objective(problem: ProblemFile, objective: ParetoObjective) -> ParetoObjective:
+    """Return an objective as it is constrained: a sum of squares by its root mean square."""
+    if objective.part < 0:
+        return objective
+    part = problem.spec.parts[objective.part]
+    name = f"rms {objective.name}" if part.measure == "sum of squares" else objective.name
+    return replace(objective, name=name, unit=DISPLAYED[part.unit][1])
+
+
+def _termed(problem: ProblemFile, keys: dict[str, Any], number: int, name: str) -> ParetoObjective:
+    """Return the objective that is a quantity of the machine, after validation by the model."""
+    way = keys.pop("sense", "maximise" if keys.get("measure") == "least" else "minimise")
+    sense = -1 if way == "maximise" else 1
+    side = "min" if sense < 0 else "max"
+    asked = ParetoObjective(name, name, "", sense, f"limits.front_{number}.{side}", tuple(keys.items()))
+    try:
+        read = design_problem(problem, [asked], 0, {})
+    except InputError as error:
+        fault = error.faults[0]
+        raise InputError(fault.message, fault.remedy, problem.file, OPTION, name) from None
+    goal = read.spec.goals[0]
+    kind = read.spec.kind(goal)
+    return ParetoObjective(name, goal.words, KINDS[kind].display if kind else "", sense, asked.key, asked.term)
+
+
+def design_problem(
+    problem: ProblemFile, objectives: Sequence[ParetoObjective], minimised: int, bounds: Mapping[int, Raw]
+) -> ProblemFile:
+    """Return the problem with one of its objectives minimised and bounds of others, in their units, by number.
+
+    The deviation of a requirement that is minimised in the file, but here neither minimised nor bounded, is hardly limited.
+    """
+    if not objectives[minimised].term and not any(objectives[k].term or objectives[k].part >= 0 for k in bounds):
+        return problem.override({objectives[k].key: value for k, value in bounds.items()})
+    raw = {key: copy.deepcopy(value) for key, value in problem.raw.items() if key != "expected"}
+    tables = raw["requirements"] if "requirements" in raw else [raw["requirement"]]
+    stated = {objectives[k].part: value for k, value in bounds.items() if objectives[k].part >= 0}
+    for k, (part, table) in enumerate(zip(problem.spec.parts, tables, strict=True)):
+        if k == objectives[minimised].part or part.tolerance is not None or (k not in stated and not objectives[minimised].term):
+            continue
+        shown, name = DISPLAYED[part.unit]
+        table["measure"] = "rms" if part.measure == "sum of squares" else part.measure
+        table["tolerance"] = stated.get(k, exact_text(FAR[part.unit] * part.whole * shown, name))
+    limits = dict(raw.get("limits", {}))
+    for k, value in bounds.items():
+        if objectives[k].term:
+            limits[objectives[k].key.split(".")[1]] = {**dict(objectives[k].term), objectives[k].side: value}
+    if limits:
+        raw["limits"] = limits
+    if objectives[minimised].term:
+        raw["objective"] = {**dict(objectives[minimised].term), "sense": objectives[minimised].way}
+    file = problem.with_tables(raw)
+    others = [k for k in bounds if not objectives[k].term and objectives[k].part < 0]
+    return file.override({objectives[k].key: bounds[k] for k in others}) if others else file
+
+
+def design_figures(problem: ProblemFile, objectives: Sequence[ParetoObjective], values: Mapping[str, float]) -> tuple[float, ...]:
+    """Return the values of objectives for a design [SI] in their units, in the assembly mode with the least deviations."""
+
+    def measured(file: ProblemFile) -> list[float]:
+        task, errors = file.spec, []
+        for part in task.parts:
+            own = part.own(task.design(values))
+            errors.append(float(validate_batch(part, own, passing(part, own)).of().objective))
+        return errors
+
+    tested = [(file, measured(file)) for file in problem.variants()]
+    file, errors = min(tested, key=lambda pair: sum(pair[1]))
+    return tuple(_figure(file.spec, objective, file.spec.design(values), errors) for objective in objectives)
+
+
+def _figure(task: DesignProblem, objective: ParetoObjective, design: Mapping[str, float], errors: Sequence[float]) -> float:
+    """Return the value of an objective in its unit."""
+    if objective.part >= 0:
+        part = task.parts[objective.part]
+        return _display(part)[0] * errors[objective.part]
+    if objective.term:
+        kind = task.kind(objective.cycle_term)
+        figure = Cycle(task, {name: design[name] for name in task.mechanism.quantities}).figure(objective.cycle_term)
+        return figure / (factor(objective.unit, kind) if kind else 1.0)
+    if not objective.key:
+        return math.nan
+    return limited_figure(task, objective, design)
+
+
+def limit_in_file(problem: ProblemFile, key: str) -> Raw | None:
+    """Return the value in the file at one side of a limit, or None."""
+    above, _, side = key.rpartition(".")
+    entry = problem.at(above)
+    if isinstance(entry, Mapping):
+        entry = entry.get("bounds", entry) if key.startswith("mechanism.") else entry
+    if isinstance(entry, list):
+        return entry[SIDES.index(side)]  # type: ignore[no-any-return]
+    return entry.get(side, entry.get("exactly")) if isinstance(entry, Mapping) else entry  # type: ignore[no-any-return]
+
+
+def tightest_bound(problem: ProblemFile, objective: ParetoObjective) -> Raw:
+    """Return the tightest bound that can be stated, whether or not a linkage satisfies it."""
+    above = objective.key.rpartition(".")[0]
+    name = above.rpartition(".")[2]
+    opposite: float | None = None
+    if objective.of:
+        quantity = problem.spec.quantities[objective.of]
+        low, high = (bound / factor(objective.unit, quantity.kind) for bound in quantity.bounds)
+        return exact_text(low + 1e-6 * (high - low) if objective.sense > 0 else high - 1e-6 * (high - low), objective.unit)
+    limited: Interval | None = getattr(problem.spec.limits, name)
+    if limited is not None:
+        opposite = limited.low if objective.sense > 0 else limited.high
+    if opposite is not None:
+        assert limited is not None
+        other_bound = opposite / factor(objective.unit, limited.kind) if limited.kind else opposite
+        return exact_text(
+            objective.worsened(other_bound, SIDE_DISTANCE * abs(other_bound)), objective.unit
+        )  # equal sides would prescribe one value at all positions
+    small, large = {"deg": (1.0, 179.0), "mm": (1e-3, 1e8)}.get(objective.unit, (1e-3, 1e3))
+    if isinstance(limited, StrokeRatio):
+        small, large = (1.0 if limited.stroke in (None, "slow") else small), (1.0 if limited.stroke == "quick" else large)
+    elif name == "time_ratio":
+        small = 1.0
+    if name == "transmission_cosine":
+        small, large = -0.999, 0.999
+    return exact_text(small if objective.sense > 0 else large, objective.unit)
+
+
+def limited_figure(task: DesignProblem, objective: ParetoObjective, design: Mapping[str, float]) -> float:
+    """Return the value that a limit constrains, in the unit of the objective; `design` has all quantities [SI]."""
+    above, _, side = objective.key.rpartition(".")
+    if objective.of:
+        return design[objective.of] / factor(objective.unit, task.quantities[objective.of].kind)
+    keys = {above} | ({"limits.alignment"} if above.startswith("limits.transmission") else set())  # which may be tighter
+    angles = passing(task, design)
+    begin, span = float(angles[0]), float(angles[-1] - angles[0])
+    if has_position_limits(task):
+        begin, span = (begin, span) if task.limits.transmission_range == "span" else (0.0, TURN)
+        rows = position_rows(task, task.linkage.pose(design, unit(begin + span * np.linspace(0.0, 1.0, POSITIONS))))
+    else:
+        reach = task.reach(design) if task.law_given else Reach(begin, span, 1.0 if span >= 0.0 else -1.0)
+        rows = limit_rows(task, design, reach, task.size)
+    limited = [row for row in rows if row.limit in keys]
+    if any(row.limit == above for row in limited):
+        limited = [row for row in limited if row.limit == above or not has_position_limits(task)]
+    limited = [row for row in limited if math.isfinite(row.high if (side == "max") != row.scale.cosine else row.low)]
+    upper = (side == "max") != any(row.scale.cosine for row in limited)  # of the values of the rows
+    extremes = [float(np.max(row.value) if upper else np.min(row.value)) for row in limited]
+    figures = [row.scale.to_display(extreme) for row, extreme in zip(limited, extremes, strict=True)]
+    return max(figures) if side == "max" else min(figures)
+
+
+def without_varied_limits(problem: ProblemFile, objectives: Sequence[ParetoObjective]) -> ProblemFile:
+    """Return the problem without the limits that its objectives vary.
+
+    Bounds of a dimension remain; its search starts from their middle.
+    """
+    for objective in objectives:
+        if objective.term or objective.part >= 0:
+            continue
+        above, _, side = objective.key.rpartition(".")
+        entry = problem.at(above)
+        if above.startswith("mechanism."):
+            problem = problem.override({above: {key: value for key, value in entry.items() if key != "start"}})
+        elif above == "limits.pressure_angle":
+            problem = problem.override({above: None})
+        elif entry is not None:
+            pair = entry if isinstance(entry, list) else [entry, entry]
+            sides = dict(entry) if isinstance(entry, Mapping) else dict(zip(SIDES, pair, strict=True))
+            sides |= dict.fromkeys(SIDES, sides.pop("exactly")) if "exactly" in sides else {}
+            sides.pop(side, None)
+            if list(sides) == ["stroke"]:  # a limit that every linkage satisfies keeps the stroke
+                opposite = "max" if side == "min" else "min"
+                extreme = {"min": 1.0 if sides["stroke"] == "slow" else 1e-6, "max": 1.0 if sides["stroke"] == "quick" else 1e6}
+                sides[opposite] = extreme[opposite]
+            problem = problem.override({above: sides or None})
+    return problem

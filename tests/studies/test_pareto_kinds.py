@@ -1,0 +1,111 @@
+"""Pareto fronts of laws of dyads, points, poses, transmissions and several requirements: own formulas, single solves."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+import optlink
+from optlink.studies.pareto.epsilon_constraint import pareto
+from optlink.studies.pareto.objectives import read_objectives
+from tests.studies.test_robust_kinds import no_neighbour_is_better, slide_errors
+
+LAW = "law-slider-crank"
+
+
+def slider_figure(most):
+    """Sum of squares of a design of the slider-crank, infinite beyond its limits and a total length [m]."""
+
+    def figure(design):
+        crank, rod, offset = (design[name] for name in ("crank.length", "rod.length", "G.offset"))
+        room = 1.0 + 1e-8
+        aligned = (crank + abs(offset)) / rod > math.cos(math.radians(30.0)) * room
+        if aligned or abs(offset) > 0.04 * room or rod < 0.02 / room or crank < 0.005 / room or crank + rod > most * room:
+            return math.inf
+        return float(np.sum(slide_errors(design) ** 2))
+
+    return figure
+
+
+def test_a_front_of_a_law_of_dyads_over_the_total_length():
+    """Every point is a local optimum of the law of the slider-crank with its length, by formulas of its own."""
+    front = pareto(optlink.load(LAW), "error, total length=60..100 mm", points=3, workers=1)
+    assert front.complete
+    assert [objective.unit for objective in front.objectives] == ["mm^2", "mm"]
+    assert len(front.points) == 3
+    for point in front.points:
+        keys = {"crank.length": "crank.length_mm", "rod.length": "rod.length_mm", "G.offset": "G.offset_mm", "zero": "zero_mm"}
+        design = {name: point.design[column] / 1e3 for name, column in keys.items()}
+        design["start"] = math.radians(point.design["start_deg"])
+        error, length = point.values
+        assert length == pytest.approx(1e3 * (design["crank.length"] + design["rod.length"]), rel=1e-9)
+        figure = slider_figure(length / 1e3)
+        assert error == pytest.approx(1e6 * figure(design), rel=1e-6)
+        no_neighbour_is_better(figure, design, figure(design))
+
+
+@pytest.mark.slow
+def test_a_front_can_minimise_either_of_its_objectives():
+    """The least total length with an rms error, and the least error with that length, are the same design."""
+    front = pareto(optlink.load(LAW), "total length, error=0.3..0.6 mm", points=3, workers=1)
+    assert front.complete
+    assert front.objectives[front.minimised].name == "total length of the links"
+    assert [(objective.name, objective.unit) for objective in front.objectives][1] == ("rms error", "mm")
+    for length, rms in (point.values for point in front.points):
+        single = pareto(optlink.load(LAW), f"error, total length={length!r}..{length + 1.0!r} mm", points=2, workers=1)
+        least = min(single.points, key=lambda point: point.values[1])
+        assert math.sqrt(least.values[0] / 31.0) == pytest.approx(rms, rel=1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "objectives", "key"),
+    [
+        ("transmission-optimal", "error, coupler=90..110 mm", "mechanism.coupler"),
+        ("path-ellipse10", "error, limits.transmission_angle.min=105..115 deg", "limits.transmission_angle"),
+        ("law-six-bar", "error, limits.transmission_angle.min=45..50 deg", "limits.transmission_angle"),
+    ],
+)
+def test_points_of_a_front_are_single_optima(name, objectives, key):
+    problem = optlink.load(name)
+    front = pareto(problem, objectives, points=2, workers=1)
+    assert front.complete
+    costs = front.costs
+    assert np.all(np.diff(costs[:, 0]) > 0.0)
+    assert np.all(np.diff(costs[:, 1]) < 0.0)
+    for error, other in (point.values for point in front.points):
+        raw = problem.at(key)
+        pair = raw["bounds"] if isinstance(raw, dict) else raw or ["0 deg", "180 deg"]
+        limited = [pair[0], f"{other!r} mm"] if key.startswith("mechanism") else [f"{other!r} deg", pair[1]]
+        single = optlink.solve(problem.override({key: {"bounds": limited} if isinstance(raw, dict) else limited}), certify=False)
+        factor = single.problem.spec.objective_display[0]
+        assert error <= factor * single.objective * (1.0 + 1e-5)
+
+
+def test_the_ends_of_a_front_of_a_largest_error():
+    """One end is the optimum without the limit, the other one the tightest limit, as for sums of squares."""
+    problem = optlink.load("crank-rocker", {"requirement.measure": "max"})
+    front = pareto(problem, "error, limits.transmission_angle.max", points=3, workers=1)
+    assert front.complete
+    free = optlink.solve(problem.override({"limits.transmission_angle": {"min": "45 deg"}}), certify=False)
+    assert front.points[0].values[0] == pytest.approx(math.degrees(free.objective), rel=1e-5)
+    squares = pareto(optlink.load("crank-rocker"), "error, limits.transmission_angle.max", points=2, workers=1)
+    assert front.points[-1].values[1] == pytest.approx(squares.points[-1].values[1], rel=1e-3)
+
+
+def test_each_of_several_requirements_is_an_objective():
+    problem = optlink.load("crank-rocker")
+    tables = {key: value for key, value in problem.raw.items() if key not in ("requirement", "expected")}
+    swing = {**problem.raw["requirement"], "name": "swing"}
+    several = problem.with_tables({**tables, "requirements": [swing, {"kind": "transmission", "name": "push", "tolerance": 0.7}]})
+    read = read_objectives(several, "swing.error, push.error")
+    assert [objective.key for objective in read] == ["requirements.0.tolerance", "requirements.1.tolerance"]
+    front = pareto(several, "swing.error, push.error=0.6..0.7", points=2, workers=1)
+    assert front.complete
+    for point in front.points:  # the cosine of a crank-rocker is largest where crank and frame are in line
+        coupler, rocker = point.design["coupler_mm"], point.design["rocker_mm"]
+        cosines = [(coupler**2 + rocker**2 - far**2) / (2.0 * coupler * rocker) for far in (400.0, 600.0)]
+        assert max(map(abs, cosines)) == pytest.approx(point.values[1], rel=1e-6)
+    assert front.points[0].values[0] < front.points[-1].values[0]
