@@ -101,7 +101,7 @@ def test_two_records_are_compared(entry: dict[str, Any], tmp_path: Path, capsys:
 def test_a_record_is_extended(tmp_path: Path) -> None:
     out = tmp_path / "record.json"
     for seeds in ([0], [0, 1]):
-        record.record(out, iter([record.Case("path-vline6")]), seeds, ["ipopt"], 20, 100.0)
+        record.record(out, iter([record.Case("path-vline6")]), seeds, ["ipopt"], 20, float("inf"))
         entries = json.loads(out.read_text(encoding="utf-8"))["entries"]
         assert [one["seed"] for one in entries] == seeds
 
