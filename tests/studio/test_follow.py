@@ -17,11 +17,11 @@ def test_a_path_follows_new_and_moved_limits() -> None:
     begun = optlink.solve(file, starts=60, designs=1, workers=1).best
     way = 1 if begun.crank_angles[-1] >= begun.crank_angles[0] else -1
     follower = TargetsFollower(file, way)
-    near = follower.follow(file, multistart.solution_at(follower.nlp, begun.solution.x, "begun"))
+    near = follower.follow(file, multistart.solution_at(follower.programme.nlp, begun.solution.x, "begun"))
     for least in (50, 60, 52):
         changed = file.override({"limits.transmission_angle": [f"{least} deg", f"{180 - least} deg"]})
         other = TargetsFollower(changed, way)
-        expected = other.follow(changed, multistart.solution_at(other.nlp, near.x, "begun"))
+        expected = other.follow(changed, multistart.solution_at(other.programme.nlp, near.x, "begun"))
         near = follower.follow(changed, near)
         assert near.status is expected.status is Status.OPTIMAL
         assert near.objective == pytest.approx(expected.objective, rel=1e-8)
