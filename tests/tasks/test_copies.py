@@ -140,10 +140,10 @@ def test_a_copied_optimum_has_its_proof(kind: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["function", "analysis"])
+@pytest.mark.parametrize("kind", ["law", "analysis"])
 def test_a_copy_is_reported(kind: str, tmp_path: Path) -> None:
-    result = pickle.loads(pickle.dumps(made("law" if kind == "function" else kind)))
-    view_of(kind).write(result, tmp_path)
+    result = pickle.loads(pickle.dumps(made(kind)))
+    view_of(result.kind).write(result, tmp_path)
     assert any(tmp_path.iterdir())
     assert "<svg" in page(report_model_of(result))
 
