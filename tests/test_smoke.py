@@ -171,12 +171,13 @@ def studies(session: Session, designed: bool, of: tuple[str, ...]) -> None:
     deviation = ("--tolerance", f"{length}=0.1 mm", "--samples", "64", *of)
     run(0, "study", "tolerance", name, *deviation, "--quantity", output, "--angles", "90 deg", "--out", "tolerance")
 
-    model = file.model
-    front = file.task == "function" or (file.task == "cycle" and bool(model.bodies or model.loads))
+    model, cycle = file.model, file.task == "cycle"
+    law = designed and not cycle and file.spec.law_given and not file.spec.composed
+    front = law or (cycle and bool(model.bodies or model.loads))
     run(2, "study", "pareto", name)
-    if file.task == "function" and file.spec.everywhere:
+    if designed and not cycle and (not law or file.spec.everywhere):
         return  # each point takes as long as all other commands
-    asked = ("--objectives", MACHINE if file.task == "cycle" else LAW, "--points", "2", "--workers", "1")
+    asked = ("--objectives", MACHINE if cycle else LAW, "--points", "2", "--workers", "1")
     run(0 if front else 2, "study", "pareto", name, *asked, *(("--out", "front") if front else ()))
 
 
