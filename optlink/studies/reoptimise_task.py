@@ -26,7 +26,7 @@ from optlink.optimization.batch_nlp import BatchNLP
 from optlink.optimization.constraints import rows as limit_rows
 from optlink.optimization.multipliers import ACTIVE
 from optlink.optimization.nlp import NLP
-from optlink.optimization.programme import SPAN, build
+from optlink.optimization.programme import build
 from optlink.problem.design import DesignProblem, is_parameter
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import check_choice
@@ -278,13 +278,10 @@ class ReoptimiseTask(OptimumTask):
 
 
 class ParametricProgramme:
-    """One programme for many values of its parameters and bounds.
+    """One programme of a four-bar with a law for many values of its parameters and bounds, also for arrays of them."""
 
-    `movable`: whether the crank rotation of a law is a parameter too.
-    """
-
-    def __init__(self, problem: ProblemFile, *, movable: bool = False) -> None:
-        self.nlp: NLP = build(problem.spec, movable=movable)
+    def __init__(self, problem: ProblemFile) -> None:
+        self.nlp: NLP = build(problem.spec)
         self.size = problem.spec.quantities["frame"].value
 
     def parameters(self, task: DesignProblem, count: int | None = None) -> BatchProblem:
@@ -294,7 +291,7 @@ class ParametricProgramme:
         """
         nlp, quantities = self.nlp, task.quantities
         p: list[Any] = list(nlp.p)
-        counted = task.counted | {SPAN: task.span}
+        counted = task.counted
         for i, constant in enumerate(nlp.constants):
             value = quantities[constant.name].value if constant.name in quantities else counted[constant.name]
             p[1 + i] = (value - constant.origin) / constant.size
