@@ -109,3 +109,16 @@ def test_each_of_several_requirements_is_an_objective():
         cosines = [(coupler**2 + rocker**2 - far**2) / (2.0 * coupler * rocker) for far in (400.0, 600.0)]
         assert max(map(abs, cosines)) == pytest.approx(point.values[1], rel=1e-6)
     assert front.points[0].values[0] < front.points[-1].values[0]
+
+
+def test_the_breadth_of_a_dwell_is_constrained_by_its_band():
+    """The half breadth that is least for a length, and the length that is least for the breadth, belong to the same design."""
+    problem = optlink.load("straight-line")
+    front = pareto(problem, "total length, error=1..3 mm", points=2, workers=1)
+    assert front.complete
+    assert [objective.name for objective in front.objectives] == ["total length of the links", "breadth"]
+    assert {axis.key for axis in front.grid.axes} == {"requirement.band"}
+    for length, breadth in (point.values for point in front.points):
+        other = pareto(problem, f"error, total length={length!r}..{length + 1.0!r} mm", points=2, workers=1)
+        least = min(other.points, key=lambda point: point.values[1])
+        assert 2.0 * least.values[0] == pytest.approx(breadth, rel=1e-5)

@@ -21,6 +21,7 @@ from optlink.problem.limits import Reach
 from optlink.problem.quantity import nearest, range_example
 from optlink.problem.quantity_keys import file_key
 from optlink.studies.pareto.objective import OPTION, ParetoObjective
+from optlink.studies.target_programme import limit_key
 from optlink.studies.toml_keys import Raw, exact_text
 from optlink.units import DISPLAYED, KINDS, factor
 from optlink.validation.cycle import Cycle
@@ -51,11 +52,10 @@ POSITIONS = 14_401  # crank angles at which extreme transmission angles are meas
 def design_objective(problem: ProblemFile, name: str, number: int) -> ParetoObjective:
     """Return the objective of a name: a deviation, a side of a limit, a design variable, or a quantity of the machine."""
     task = problem.spec
-    errors = [f"{part.prefix}{ERROR}" for part in task.parts]
+    errors = {f"{part.prefix}{ERROR}": k for k, part in enumerate(task.parts) if part.requirement.stated(part)[1] is None}
     if name in errors:
-        index = errors.index(name)
-        part = task.parts[index]
-        return ParetoObjective(name, name, _display(part)[1], 1, f"{part.key}.tolerance", part=index)
+        part = task.parts[errors[name]]
+        return ParetoObjective(name, name, _display(part)[1], 1, limit_key(part), part=errors[name])
     if name == SUM and problem.raw.get("objective") is not None:
         return ParetoObjective(name, "sum of the objective", task.objective_display[1], 1)
     keys = [key for key in VARIABLE_LIMITS if f"limits.{key}" not in task.inapplicable]
@@ -88,7 +88,10 @@ def design_objective(problem: ProblemFile, name: str, number: int) -> ParetoObje
 
 def _display(part: DesignProblem) -> tuple[float, str]:
     """Return the factor from SI to the displayed measure of a requirement, and the unit of that."""
-    return part.objective_display if part.tolerance is None else DISPLAYED[part.unit]
+    if part.tolerance is None:
+        return part.objective_display
+    factor, shown = DISPLAYED[part.unit]
+    return factor * part.requirement.stated(part)[0], shown
 
 
 def limited_objective(problem: ProblemFile, objective: ParetoObjective) -> ParetoObjective:
@@ -96,7 +99,9 @@ def limited_objective(problem: ProblemFile, objective: ParetoObjective) -> Paret
     if objective.part < 0:
         return objective
     part = problem.spec.parts[objective.part]
-    name = f"rms {objective.name}" if part.measure == "sum of squares" else objective.name
+    key, what = part.requirement.limited_by
+    name = f"{part.prefix}{what}" if key != "tolerance" else objective.name
+    name = f"rms {name}" if part.measure == "sum of squares" else name
     return replace(objective, name=name, unit=DISPLAYED[part.unit][1])
 
 
@@ -132,8 +137,12 @@ def design_problem(
         if k == objectives[minimised].part or part.tolerance is not None or (k not in stated and not objectives[minimised].term):
             continue
         shown, name = DISPLAYED[part.unit]
-        table["measure"] = "rms" if part.measure == "sum of squares" else part.measure
-        table["tolerance"] = stated.get(k, exact_text(FAR[part.unit] * part.whole * shown, name))
+        if "measure" in type(part.requirement).model_fields:
+            table["measure"] = "rms" if part.measure == "sum of squares" else part.measure
+        for key in ("weight", "scale"):
+            table.pop(key, None)
+        far = FAR[part.unit] * part.whole * shown * part.requirement.stated(part)[0]
+        table[part.requirement.limited_by[0]] = stated.get(k, exact_text(far, name))
     limits = dict(raw.get("limits", {}))
     for k, value in bounds.items():
         if objectives[k].term:
