@@ -34,6 +34,8 @@ MIN_RATE = 1e-11  # scaled units; slower changes are rounding errors
 MIN_CHANGE = 1e-10  # scaled units, or of a multiplier, per change of a parameter by its value; slower ones end no range
 MIN_CURVATURE = 1e-10  # relative to the largest second derivative; smaller ones are rounding errors
 DUPLICATE_SLOPE = 1e-6  # relative difference of the slopes of duplicate rows
+SINGULAR = 1e-11  # relative to the largest singular value of the system; smaller ones are zero
+MIN_SHARE = 1e-6  # component of an undetermined direction; smaller ones are rounding errors
 LIMIT_EVENTS = "is no longer active", "is reached"
 PEAK_EVENTS = "no longer determines the objective", "determines the objective"
 """Ends of the validity at a limit, and at one of the values of which the objective is the largest."""
@@ -87,7 +89,8 @@ def _lagrangian(nlp: NLP, x: Array, p: Array, prices: Array) -> tuple[Array, Arr
 class KKTSystem:
     """The optimality system at a solution: its active set, and its response to parameters.
 
-    `unknown`: indices in (x, p) of the unknowns, x first, then positions of the largest error or force, which move along.
+    `unknown`: indices in (x, p) of the unknowns, x first, then positions of the largest error or force, which move along;
+    `several`: whether several designs or multipliers satisfy the system; `loose`: indices of crank angles that it leaves open.
     """
 
     def __init__(self, solution: Solution, conditions: Stationarity | None = None) -> None:
@@ -126,8 +129,15 @@ class KKTSystem:
                 [jacobian_active, np.zeros((len(jacobian_active), len(jacobian_active)))],
             ]
         )
-        singular = np.linalg.svd(self.matrix, compute_uv=False)
-        self.singular = bool(singular[-1] <= 1e-11 * singular[0])
+        _, singular, axes = np.linalg.svd(self.matrix)
+        undetermined = axes[singular <= SINGULAR * singular[0]]
+        self.singular = bool(len(undetermined))
+        # crank angles of points that do not count may be any: they belong to the same design
+        states = np.array([name.name in nlp.helpers for name in nlp.variables])
+        loose = np.any(np.abs(undetermined[:, :n]) > MIN_SHARE, axis=0) if self.singular else np.zeros(n, dtype=bool)
+        self.loose = np.flatnonzero(loose & states)
+        others = np.delete(undetermined, self.loose, axis=1)
+        self.several = self.singular and bool(np.any(np.abs(others) > MIN_SHARE))
 
     def _distinct(self, strong: list[int], slopes: Array) -> NDArray[np.int_]:
         """Return the active entries without duplicate rows, as where two positions coincide; their multipliers are added."""
@@ -202,6 +212,8 @@ class KKTSystem:
         rows, rooms = set(self.active.tolist()), self.rooms
         for entry in range(len(rates)):
             if entry in self.unlimited - rows and push.lower[entry] == push.upper[entry] == 0.0:
+                continue
+            if entry not in rows and np.any(self.jacobian[entry, self.loose]):
                 continue
             events = []
             peak = entry >= self.free and self.nlp.rows[entry - self.free].limit == EPIGRAPH  # of an objective, not a limit

@@ -9,8 +9,8 @@ from optlink.solvers.solution import Solution
 from optlink.studies.continuation import follow_optimum
 from optlink.studies.kkt_derivatives import KKTPerturbation, KKTSystem
 from optlink.studies.parameters import Parameter, displayed, parameters
+from optlink.studies.target_programme import TargetProgramme, variables_of
 from optlink.studies.toml_keys import exact_text
-from optlink.tasks.protocol import completed
 
 Optimum = tuple[float, dict[str, float]]
 """Objective [SI] and design variables in display units."""
@@ -63,18 +63,19 @@ class OptimumParameters:
         return optimum.objective, displayed(nlp, optimum.x)
 
 
-class FunctionParameters(OptimumParameters):
-    """The parameters of a function synthesis, whose file is read, built and solved again with another value."""
+class TargetParameters(OptimumParameters):
+    """The parameters of a design for targets, whose file is read, built and optimised again near it with another value.
+
+    The largest error and limits hold between the positions of the programme again.
+    """
 
     def optimum_at(
         self, solution: Solution, parameter: Parameter, value: float, change: Mapping[str, float], backend: str
     ) -> Optimum | None:
         """Return the optimum with another value; see `OptimumParameters.optimum_at`."""
-        from optlink.tasks.design import solve
-
         if not parameter.in_file:
             return super().optimum_at(solution, parameter, value, change, backend)
-        changed = self.problem.override({parameter.key: exact_text(value, parameter.unit)})
-        result = completed(solve(changed, backend, begin=solution.design))
-        assert result.solution is not None
-        return result.objective, displayed(result.solution.nlp, result.solution.x)
+        changed = self.problem.override({parameter.key: exact_text(value, parameter.unit)}).spec
+        programme = TargetProgramme(changed, solution.nlp.recipe["direction"], backend)
+        optimum = programme.optimum(changed, variables_of(solution))
+        return (optimum.objective, displayed(programme.nlp, optimum.x)) if optimum.usable else None

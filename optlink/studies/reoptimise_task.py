@@ -26,7 +26,7 @@ from optlink.optimization.batch_nlp import BatchNLP
 from optlink.optimization.constraints import rows as limit_rows
 from optlink.optimization.multipliers import ACTIVE
 from optlink.optimization.nlp import NLP
-from optlink.optimization.programme import SPAN, build
+from optlink.optimization.programme import build
 from optlink.problem.design import DesignProblem, is_parameter
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import check_choice
@@ -40,7 +40,7 @@ from optlink.studies.continuation import FOLLOWED, follow_optimum
 from optlink.studies.fast_overrides import FastOverride
 from optlink.studies.grid import Grid
 from optlink.studies.sweep_task import FoundOptimum, OptimumTask
-from optlink.studies.target_programme import TargetProgramme, variables_of
+from optlink.studies.target_programme import TargetProgramme, limit_key, variables_of
 from optlink.tasks.certify import automatic
 from optlink.tasks.protocol import completed
 from optlink.tasks.results.design import LinkageDesign, SynthesisResult, of_designs
@@ -152,12 +152,13 @@ class ReoptimiseTask(OptimumTask):
         file, solution, angles = near.problem.override(self.grid.changes(point)), near.solution, near.crank_angles
         assert solution is not None
         key = (repr(file.at("mechanism.assembly")), -1 if near.task.data.offsets is None and angles[-1] < angles[0] else 1)
-        kept = [axis.key for axis in self.grid.axes]
+        limited = [limit_key(part) for part in file.spec.parts]
+        kept = all(is_parameter(axis.key) or axis.key in limited for axis in self.grid.axes)
         if key not in self._programmes:
             template = near.problem.override(self.grid.changes(0)).spec
             self._programmes[key] = TargetProgramme(template, key[1], self.backend)
         programme = self._programmes[key]
-        if not (all(map(is_parameter, kept)) and programme.bind(file.spec)):
+        if not (kept and programme.bind(file.spec)):
             programme = TargetProgramme(file.spec, key[1], self.backend)
         values = variables_of(solution)
         if {v.name for v in programme.nlp.variables} != values.keys():
@@ -278,13 +279,10 @@ class ReoptimiseTask(OptimumTask):
 
 
 class ParametricProgramme:
-    """One programme for many values of its parameters and bounds.
+    """One programme of a four-bar with a law for many values of its parameters and bounds, also for arrays of them."""
 
-    `movable`: whether the crank rotation of a law is a parameter too.
-    """
-
-    def __init__(self, problem: ProblemFile, *, movable: bool = False) -> None:
-        self.nlp: NLP = build(problem.spec, movable=movable)
+    def __init__(self, problem: ProblemFile) -> None:
+        self.nlp: NLP = build(problem.spec)
         self.size = problem.spec.quantities["frame"].value
 
     def parameters(self, task: DesignProblem, count: int | None = None) -> BatchProblem:
@@ -294,7 +292,7 @@ class ParametricProgramme:
         """
         nlp, quantities = self.nlp, task.quantities
         p: list[Any] = list(nlp.p)
-        counted = task.counted | {SPAN: task.span}
+        counted = task.counted
         for i, constant in enumerate(nlp.constants):
             value = quantities[constant.name].value if constant.name in quantities else counted[constant.name]
             p[1 + i] = (value - constant.origin) / constant.size

@@ -21,7 +21,7 @@ from optlink.problem.file import ProblemFile
 from optlink.solvers.solution import Solution
 from optlink.studies.cycle_parameters import CycleParameters
 from optlink.studies.kkt_derivatives import KKTSystem, ValidityEnd
-from optlink.studies.optimum_parameters import FunctionParameters, OptimumParameters
+from optlink.studies.optimum_parameters import OptimumParameters, TargetParameters
 from optlink.studies.parameters import Parameter, design_variables, displayed
 from optlink.tasks.protocol import completed
 from optlink.tasks.results.balance import Balance
@@ -178,7 +178,11 @@ class Sensitivities(Document):
         return self.solution.status.value
 
 
-PARAMETERS: dict[str, type[OptimumParameters]] = {"function": FunctionParameters, "cycle": CycleParameters}
+PARAMETERS: dict[str, type[OptimumParameters]] = {
+    "function": TargetParameters,
+    "path": TargetParameters,
+    "cycle": CycleParameters,
+}
 """Parameters of an optimum by the kind of problem; of all others, those of the programme."""
 
 
@@ -280,20 +284,20 @@ def of_solution(
         rows.append(Sensitivity(parameter, objective, design, below, above))
     if dependent:
         notes.insert(0, f"active limits depend on one another: derivatives are of an increase of {'; '.join(dependent)}")
-    elif system.singular:
+    elif system.several:
         notes.insert(0, "several designs are equally good, or limits depend on one another: the smallest change is shown")
     rows.sort(key=lambda row: -float(f"{abs(row.effect):.6g}"))  # equal effects in the order of the parameters
     if check:
         moving = [row for row in rows if row.moves]
         for checked, row in enumerate(moving):
-            result = _searched_again(optimum_parameters, solution, row, backend, degenerate=system.singular)
+            result = _searched_again(optimum_parameters, solution, row, backend, degenerate=system.several)
             rows[rows.index(row)] = replace(row, check=result)
             if progress is not None:
                 progress((checked + 1) / len(moving))
         missing = [row.parameter.name for row in rows if row.moves and row.check is None]
         if missing:
             notes.append(f"not compared, as the range ends at the value or no optimum was found beside it: {', '.join(missing)}")
-        if system.singular:
+        if system.several:
             notes.append("a new search may end at another of the designs: only objectives are compared")
     return Sensitivities(
         problem=problem,

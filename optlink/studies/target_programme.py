@@ -44,8 +44,8 @@ class TargetProgramme:
             placed = position_rows(task, task.linkage.pose(values, unit(0.0))) if has_position_limits(task) else []
         anywhere = {(row.limit, row.label): row for row in placed}
         first, each = nlp.exchange_rows
-        tolerances = {f"{part.key}.tolerance": part for part in task.parts if part.tolerance is not None}
-        others = nlp.helpers | tolerances.keys() | {bound.key for bound in task.bounds}
+        limited = {limit_key(part): part for part in task.parts}
+        others = nlp.helpers | limited.keys() | {bound.key for bound in task.bounds}
         labels = [(row.limit, row.label) for row in nlp.rows[first : first + each] if row.limit not in others]
         if [row.limit for row in rows] != [row.limit for row in nlp.rows[: len(rows)]] or set(anywhere) != set(labels):
             return False
@@ -57,12 +57,13 @@ class TargetProgramme:
             row = rows[j] if j < len(rows) else anywhere.get((programme_row.limit, programme_row.label))
             if row is not None:
                 nlp.limit(n + j, row.low, row.high)
-            elif programme_row.limit in tolerances:
-                part = tolerances[programme_row.limit]
-                assert part.tolerance is not None
-                most = programme_row.scale.to_internal(part.tolerance * DISPLAYED[part.unit][0])
-                low, high = (most if np.isfinite(end) else None for end in (programme_row.low, programme_row.high))
-                nlp.limit(n + j, None if low is None else -low, high)
+            elif programme_row.limit in limited:
+                part = limited[programme_row.limit]
+                stated, offset = part.requirement.stated(part)
+                if offset is not None:  # that of a range is in the formula
+                    return False
+                if part.tolerance is not None:
+                    nlp.limit(n + j, None, programme_row.scale.to_internal(part.tolerance * stated * DISPLAYED[part.unit][0]))
         return True
 
     def optimum(self, task: DesignProblem, values: Mapping[str, float]) -> Solution:
@@ -78,6 +79,11 @@ class TargetProgramme:
             if solution.usable:
                 break
         return solution
+
+
+def limit_key(part: DesignProblem) -> str:
+    """Return the key whose value makes a requirement a limit."""
+    return f"{part.key}.{part.requirement.limited_by[0]}"
 
 
 def set_bounds(nlp: NLP, task: Problem) -> None:

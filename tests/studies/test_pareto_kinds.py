@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import optlink
+from optlink.studies.pareto.design_objectives import design_problem
 from optlink.studies.pareto.epsilon_constraint import pareto
 from optlink.studies.pareto.objectives import read_objectives
 from tests.studies.test_robust_kinds import no_neighbour_is_better, slide_errors
@@ -109,3 +110,40 @@ def test_each_of_several_requirements_is_an_objective():
         cosines = [(coupler**2 + rocker**2 - far**2) / (2.0 * coupler * rocker) for far in (400.0, 600.0)]
         assert max(map(abs, cosines)) == pytest.approx(point.values[1], rel=1e-6)
     assert front.points[0].values[0] < front.points[-1].values[0]
+
+
+def test_the_breadth_of_a_dwell_is_constrained_by_its_band():
+    """The half breadth that is least for a length, and the length that is least for the breadth, belong to the same design."""
+    problem = optlink.load("straight-line")
+    front = pareto(problem, "total length, error=1..3 mm", points=2, workers=1)
+    assert front.complete
+    assert [objective.name for objective in front.objectives] == ["total length of the links", "breadth"]
+    assert {axis.key for axis in front.grid.axes} == {"requirement.band"}
+    for length, breadth in (point.values for point in front.points):
+        other = pareto(problem, f"error, total length={length!r}..{length + 1.0!r} mm", points=2, workers=1)
+        least = min(other.points, key=lambda point: point.values[1])
+        assert 2.0 * least.values[0] == pytest.approx(breadth, rel=1e-5)
+
+
+def test_a_limit_of_the_file_on_a_quantity_is_replaced_along_the_front():
+    limits = {"limits.size": {"quantity": "total length", "max": "1230 mm"}}
+    front = pareto(optlink.load("crank-rocker", limits), "error, limits.size=1235..1245 mm", points=2, workers=1)
+    assert front.objectives[0].unit == "rad^2"
+    assert front.complete  # beyond the limit of the file, which one of them replaces
+    for point in front.points:
+        assert point.values[1] == pytest.approx(600.0 + point.design["coupler_mm"] + point.design["rocker_mm"], rel=1e-9)
+    errors = [point.values[0] for point in front.points]
+    for size, error in zip((1245.0, 1235.0), errors, strict=True):
+        table = {"limits.size": {"quantity": "total length", "max": f"{size} mm"}}
+        assert error == pytest.approx(optlink.solve(optlink.load("crank-rocker", table)).objective, rel=1e-6)
+
+
+def test_one_of_several_weighted_requirements_is_minimised_alone():
+    """Beside the error of the gripper, that of the arm is constrained or left open: no weighted sum of both is minimised."""
+    problem = optlink.load("poses-and-law")
+    names = [f"{part.prefix}error" for part in problem.spec.parts]
+    (first, second) = read_objectives(problem, ", ".join(names))
+    only = design_problem(problem, (first, second), 0, {1: "3 deg"}).spec
+    assert [part.tolerance is None for part in only.parts] == [True, False]
+    loose = design_problem(problem, (first, second), 0, {}).spec
+    assert loose.parts[1].tolerance == pytest.approx(3.0)

@@ -442,3 +442,31 @@ def test_options_without_effect_are_refused_and_leave_no_folder(tmp_path, argume
     assert done.exit_code == 2
     assert words in done.stderr
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "measure"),
+    [
+        ("law-slider-crank", "max"),
+        ("path-ellipse10", "max"),
+        pytest.param("transmission-optimal", "max", marks=pytest.mark.slow),
+        pytest.param("path-ellipse10", "rms", marks=pytest.mark.slow),
+    ],
+)
+def test_derivatives_of_largest_values_are_those_of_new_optima(name, measure):
+    """Each parameter is written to the file and the optimum there exchanged again: peaks and free crank angles move along."""
+    result = sensitivities(optlink.load(name, {"requirement.measure": measure}), check=True)
+    assert result.moving
+    assert all(row.check is not None for row in result.moving)
+    assert result.gap < 1e-5
+
+
+def test_an_idle_crank_angle_does_not_make_several_designs():
+    """At point 10 the deviation is below the largest one, so its crank angle may be any: dimensions and prices are unique."""
+    problem = optlink.load("path-ellipse10", {"requirement.measure": "max"})
+    result = sensitivities(problem)
+    assert not [note for note in result.notes if "equally good" in note]
+    row = result["mechanism.frame.max"]
+    assert row.above.value > row.parameter.value * 1.01  # was the value itself
+    low, high = (optlink.solve(problem.override({"mechanism.frame.max": f"{size} mm"})).objective for size in (79.95, 80.05))
+    assert row.objective == pytest.approx((high - low) / 0.1, rel=1e-4)

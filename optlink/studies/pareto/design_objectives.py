@@ -21,6 +21,7 @@ from optlink.problem.limits import Reach
 from optlink.problem.quantity import nearest, range_example
 from optlink.problem.quantity_keys import file_key
 from optlink.studies.pareto.objective import OPTION, ParetoObjective
+from optlink.studies.target_programme import limit_key
 from optlink.studies.toml_keys import Raw, exact_text
 from optlink.units import DISPLAYED, KINDS, factor
 from optlink.validation.cycle import Cycle
@@ -51,13 +52,14 @@ POSITIONS = 14_401  # crank angles at which extreme transmission angles are meas
 def design_objective(problem: ProblemFile, name: str, number: int) -> ParetoObjective:
     """Return the objective of a name: a deviation, a side of a limit, a design variable, or a quantity of the machine."""
     task = problem.spec
-    errors = [f"{part.prefix}{ERROR}" for part in task.parts]
+    errors = {f"{part.prefix}{ERROR}": k for k, part in enumerate(task.parts) if part.requirement.stated(part)[1] is None}
     if name in errors:
-        index = errors.index(name)
-        part = task.parts[index]
-        return ParetoObjective(name, name, _display(part)[1], 1, f"{part.key}.tolerance", part=index)
+        part = task.parts[errors[name]]
+        return ParetoObjective(name, name, error_display(part)[1], 1, limit_key(part), part=errors[name])
     if name == SUM and problem.raw.get("objective") is not None:
         return ParetoObjective(name, "sum of the objective", task.objective_display[1], 1)
+    if (named := _named(problem, name)) is not None:
+        return named
     keys = [key for key in VARIABLE_LIMITS if f"limits.{key}" not in task.inapplicable]
     limits = [f"limits.{key}.{side}" for key in keys for side in SIDES if (key, side) != ("pressure_angle", "min")]
     places = {key: file_key(problem.raw["mechanism"], key) for key in task.mechanism.quantities}
@@ -86,9 +88,14 @@ def design_objective(problem: ProblemFile, name: str, number: int) -> ParetoObje
     return ParetoObjective(name, of, quantity.display[1], 1 if side == "max" else -1, f"{places[of]}.{side}", of=of)
 
 
-def _display(part: DesignProblem) -> tuple[float, str]:
-    """Return the factor from SI to the displayed measure of a requirement, and the unit of that."""
-    return part.objective_display if part.tolerance is None else DISPLAYED[part.unit]
+def error_display(part: DesignProblem) -> tuple[float, str]:
+    """Return the factor from SI to the displayed measure of a requirement, and the unit of that; squares of angles are in SI."""
+    scale, shown = DISPLAYED[part.unit]
+    if part.tolerance is not None:
+        return scale * part.requirement.stated(part)[0], shown
+    if part.measure != "sum of squares":
+        return scale, shown
+    return (1.0, "rad^2") if part.unit == "rad" else (scale**2, f"{shown}^2" if shown else "")
 
 
 def limited_objective(problem: ProblemFile, objective: ParetoObjective) -> ParetoObjective:
@@ -96,8 +103,30 @@ def limited_objective(problem: ProblemFile, objective: ParetoObjective) -> Paret
     if objective.part < 0:
         return objective
     part = problem.spec.parts[objective.part]
-    name = f"rms {objective.name}" if part.measure == "sum of squares" else objective.name
+    key, what = part.requirement.limited_by
+    name = f"{part.prefix}{what}" if key != "tolerance" else objective.name
+    name = f"rms {name}" if part.measure == "sum of squares" else name
     return replace(objective, name=name, unit=DISPLAYED[part.unit][1])
+
+
+def _named(problem: ProblemFile, name: str) -> ParetoObjective | None:
+    """Return the objective that is the term of a limit of the file under a name of the user's choice; None for another name."""
+    task = problem.spec
+    above, _, side = name.removeprefix("limits.").rpartition(".")
+    key = above if side in SIDES else name.removeprefix("limits.")
+    bound = next((bound for bound in task.bounds if bound.key == f"limits.{key}"), None)
+    if bound is None:
+        return None
+    raw = problem.raw["limits"][key]
+    stated = [one for one in SIDES if one in raw]
+    if side not in SIDES and len(stated) != 1:
+        remedy = f'State the side: "limits.{key}.max" or "limits.{key}.min"'
+        raise InputError("the limit bounds the term on both sides", remedy, problem.file, OPTION, name)
+    side = side if side in SIDES else stated[0]
+    kind = task.kind(bound.term)
+    term = tuple((part, value) for part, value in raw.items() if part not in (*SIDES, "exactly"))
+    shown = KINDS[kind].display if kind else ""
+    return ParetoObjective(name, bound.term.words, shown, 1 if side == "max" else -1, f"limits.{key}.{side}", term)
 
 
 def _termed(problem: ProblemFile, keys: dict[str, Any], number: int, name: str) -> ParetoObjective:
@@ -123,21 +152,29 @@ def design_problem(
 
     The deviation of a requirement that is minimised in the file, but here neither minimised nor bounded, is hardly limited.
     """
-    if not objectives[minimised].term and not any(objectives[k].term or objectives[k].part >= 0 for k in bounds):
+    own, parts = objectives[minimised].part, problem.spec.parts
+    alone = own < 0 or all(k == own or part.tolerance is not None for k, part in enumerate(parts))
+    if alone and not objectives[minimised].term and not any(objectives[k].term or objectives[k].part >= 0 for k in bounds):
         return problem.override({objectives[k].key: value for k, value in bounds.items()})
     raw = {key: copy.deepcopy(value) for key, value in problem.raw.items() if key != "expected"}
     tables = raw["requirements"] if "requirements" in raw else [raw["requirement"]]
     stated = {objectives[k].part: value for k, value in bounds.items() if objectives[k].part >= 0}
-    for k, (part, table) in enumerate(zip(problem.spec.parts, tables, strict=True)):
-        if k == objectives[minimised].part or part.tolerance is not None or (k not in stated and not objectives[minimised].term):
+    for k, (part, table) in enumerate(zip(parts, tables, strict=True)):
+        summed = not (own >= 0 or objectives[minimised].term)  # the objective of the file remains
+        for key in () if summed and k not in stated else ("weight", "scale"):
+            table.pop(key, None)
+        if k not in stated and (k == own or part.tolerance is not None or summed):
             continue
         shown, name = DISPLAYED[part.unit]
-        table["measure"] = "rms" if part.measure == "sum of squares" else part.measure
-        table["tolerance"] = stated.get(k, exact_text(FAR[part.unit] * part.whole * shown, name))
+        if "measure" in type(part.requirement).model_fields:
+            table["measure"] = "rms" if part.measure == "sum of squares" else part.measure
+        far = FAR[part.unit] * part.whole * shown * part.requirement.stated(part)[0]
+        table[part.requirement.limited_by[0]] = stated.get(k, exact_text(far, name))
     limits = dict(raw.get("limits", {}))
     for k, value in bounds.items():
         if objectives[k].term:
-            limits[objectives[k].key.split(".")[1]] = {**dict(objectives[k].term), objectives[k].side: value}
+            name = objectives[k].key.split(".")[1]
+            limits[name] = {**limits.get(name, {}), **dict(objectives[k].term), objectives[k].side: value}
     if limits:
         raw["limits"] = limits
     if objectives[minimised].term:
@@ -166,7 +203,7 @@ def _figure(task: DesignProblem, objective: ParetoObjective, design: Mapping[str
     """Return the value of an objective in its unit."""
     if objective.part >= 0:
         part = task.parts[objective.part]
-        return _display(part)[0] * errors[objective.part]
+        return error_display(part)[0] * errors[objective.part]
     if objective.term:
         kind = task.kind(objective.cycle_term)
         figure = Cycle(task, {name: design[name] for name in task.mechanism.quantities}).figure(objective.cycle_term)
@@ -245,10 +282,13 @@ def without_varied_limits(problem: ProblemFile, objectives: Sequence[ParetoObjec
     Bounds of a dimension remain; its search starts from their middle.
     """
     for objective in objectives:
-        if objective.term or objective.part >= 0:
-            continue
         above, _, side = objective.key.rpartition(".")
         entry = problem.at(above)
+        if objective.term and entry is not None:
+            rest = {key: value for key, value in entry.items() if key not in (side, "exactly")}
+            problem = problem.override({above: rest if any(key in SIDES for key in rest) else None})
+        if objective.term or objective.part >= 0:
+            continue
         if above.startswith("mechanism."):
             problem = problem.override({above: {key: value for key, value in entry.items() if key != "start"}})
         elif above == "limits.pressure_angle":

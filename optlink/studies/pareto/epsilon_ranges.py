@@ -21,6 +21,7 @@ from optlink.studies.pareto.design_objectives import (
     design_figures,
     design_objective,
     design_problem,
+    error_display,
     limit_in_file,
     limited_objective,
     tightest_bound,
@@ -161,8 +162,11 @@ class _DesignRanges(EpsilonRanges):
     def figures(self, problem: ProblemFile, values: Mapping[str, float], error: float) -> tuple[float, ...]:
         figures = list(design_figures(problem, self.objectives, values))
         minimised, model = self.objectives[self.first], problem.spec
-        if math.isfinite(error) and not model.by_angle and (minimised.part >= 0 or not minimised.key):
+        if not minimised.key:
             figures[self.first] = error * model.objective_display[0]
+        elif minimised.part >= 0 and not model.by_angle:  # that of the optimiser, with its digits
+            part = model.parts[minimised.part]
+            figures[self.first] = error * error_display(part)[0] / part.worth
         return tuple(figures)
 
     def reference(self, base: ProblemFile, once: Once) -> tuple[str, tuple[float, ...] | None]:
