@@ -122,7 +122,7 @@ def test_function_reaches_the_best_known_error(function):
     dense = np.degrees(np.abs(result.error(np.linspace(0.0, result.problem.spec.span, 4001))))
     assert np.max(dense) <= best
     assert math.degrees(result.objective) == pytest.approx(np.max(dense), rel=1e-5)
-    assert result.alternations == 6
+    assert result.best.alternations == 6
     assert result.first is not None
     assert result.first.error >= result.objective
 

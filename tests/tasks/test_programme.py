@@ -65,7 +65,9 @@ def test_derivatives_are_those_of_finite_differences(name: str, form: str) -> No
     x = somewhere(built)
     step, multipliers = STEP * sizes(built, x), np.random.default_rng(2).standard_normal(len(built.constraints))
     point, unit = built.at(x), np.eye(len(x))
-    multipliers /= np.maximum(np.max(np.abs(point.jacobian), axis=1, initial=0.0) * np.max(step), 1e-300)
+    slopes = np.max(np.abs(point.jacobian), axis=1, initial=0.0)
+    sloping = slopes > 1e-9 * np.max(slopes, initial=0.0)  # the error at the start vanishes for every design
+    multipliers = np.where(sloping, multipliers / np.maximum(slopes * np.max(step), 1e-300), 0.0)
     hessian = built.hessian(x, multipliers, 0.7)
     for i, h in enumerate(step):
         ahead, behind = built.at(x + h * unit[i]), built.at(x - h * unit[i])
