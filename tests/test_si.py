@@ -43,7 +43,21 @@ PAIRS = {"Check", "Relaxation", "CycleFigure", "ActiveLimit", "RelaxedLimit", "A
 """Classes that state a display value with its unit beside it, as the description of the Python interface says."""
 DISPLAYED = {"displayed", "displayed_limits", "shown"}
 """Attributes that are documents in display units, by name."""
-NO_RESULTS = {"nlp", "problem", "machine", "task", "spec", "model", "definite", "variants", "record", "scale"}
+NO_RESULTS = {
+    "nlp",
+    "whole",
+    "part",
+    "section",
+    "problem",
+    "machine",
+    "task",
+    "spec",
+    "model",
+    "definite",
+    "variants",
+    "record",
+    "scale",
+}
 SI = {"", "rad", "rad^2", "m", "m^2", "N", "N m", "N*m"}
 
 
