@@ -208,7 +208,7 @@ def _compared(problem: ProblemFile, search: Search, one: Callable[[ProblemFile, 
         return winner
     solutions = {}
     for name, result in results.items():
-        solution = result.solution
+        solution = result.solution if result.definite.hash == winner.definite.hash else None  # None in another assembly mode
         if solution is None or not multistart.compare(solution, best.solution).same:  # a true optimum does not move
             again = solve_semi_infinite(best.whole, best.solution, name, near=True)
             solution = again if solution is None else multistart.best([solution, again])

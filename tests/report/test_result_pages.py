@@ -164,7 +164,7 @@ def test_every_chart_is_a_valid_plotly_figure(results, name):
 def test_a_simulation_at_constant_speed_is_the_analysis(results):
     """Published extremes of the torque and of the slide, read from the curves."""
     page = sheet(results, "course")
-    torque = numbers(trace(page, "torque")["y"])
+    torque = numbers(trace(page, "driving torque")["y"])
     assert np.max(torque) == pytest.approx(278.8344391, rel=2e-4)
     assert np.min(torque) == pytest.approx(-320.0521365, rel=2e-4)
     slide = numbers(trace(page, "position")["y"])
