@@ -14,7 +14,8 @@ from scipy.optimize import minimize
 from timing import HERE, Row, race
 
 import optlink
-from optlink.optimization.nlp import NLP, build
+from optlink.optimization.nlp import NLP
+from optlink.optimization.programme import build
 from optlink.solvers.contract import BACKENDS
 from optlink.solvers.multistart import solve_from
 

@@ -399,7 +399,7 @@ def law_file(law: Any, side: str) -> dict[str, Any]:
 def first(laws: str) -> Figures:
     """Best error [rad] of every random law from the convex first steps and from random starts, and processor seconds."""
     import optlink
-    from optlink.optimization.nlp import build
+    from optlink.optimization.programme import build
     from optlink.solvers import multistart as search
     from optlink.synthesis import function_starts
     from tests import synthesis_oracle as oracle

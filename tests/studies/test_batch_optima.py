@@ -13,6 +13,7 @@ from optlink.execution.runner import apart
 from optlink.optimization.batch_nlp import BatchNLP
 from optlink.optimization.programme import build
 from optlink.solvers import multistart
+from optlink.solvers.exchange import solve_semi_infinite
 from optlink.studies import reoptimise_task
 from optlink.studies.batch.blocks import MAX_BLOCK_POINTS, Blocks
 from optlink.studies.batch.prediction import block_nodes
@@ -100,12 +101,16 @@ def test_rows_are_those_of_single_searches(vary, overrides):
     assert len(set(table["active"])) > 1
     assert np.count_nonzero(table["method"] == FOLLOWED) > 0.5 * count
     for point in rng.choice(count, 12, replace=False).tolist():
-        single = multistart.solve_from(build(study.model(point)), build(study.model(point)).x_start, "ipopt")
+        model = study.model(point)
+        single = multistart.solve_from(build(model), build(model).x_start, "ipopt")
+        if model.everywhere:  # the largest error counts over the whole span
+            single = solve_semi_infinite(model, single, "ipopt")
         assert table["valid"][point]
         shown = math.degrees(single.objective) if study.objective_column.endswith("_deg") else single.objective
-        assert table[study.objective_column][point] == pytest.approx(shown, rel=1e-9)
+        assert table[study.objective_column][point] == pytest.approx(shown, rel=1e-7 if model.everywhere else 1e-9)
         for name in ("coupler", "rocker"):
-            assert table[f"{name}_mm"][point] == pytest.approx(1e3 * single.design[name], rel=1e-8)
+            size = pytest.approx(1e3 * single.design[name], rel=1e-5 if model.everywhere else 1e-8)
+            assert table[f"{name}_mm"][point] == size
         assert table["active"][point] == "; ".join(reoptimise_task.active(single))
 
 

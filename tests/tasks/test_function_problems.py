@@ -107,7 +107,7 @@ def test_the_default_result_is_as_good_as_the_oracle_and_claims_nothing_it_refut
     assert error == pytest.approx(result.objective, rel=1e-5)
     assert result.objective <= known()[number] * 1.001
     assert result.evidence is not None
-    assert result.evidence.hits == result.counts[0]
+    assert result.evidence.hits == result.evidence.counts[0]
 
 
 @pytest.mark.slow

@@ -228,16 +228,19 @@ def _validate(row: str, folder: Path) -> None:
 
 def _report(row: str, folder: Path) -> None:
     from optlink.report.html.page import page
-    from optlink.report.report_model import report_model
+    from optlink.report.report_model import report_model_of
 
-    text = page(report_model(problem(row), outcome=solved(row)))
+    text = page(report_model_of(solved(row)))
     assert row in text
     assert "nan" not in text.lower().split()
 
 
 def _export(row: str, folder: Path) -> None:
-    export(problem(row), folder, design=solved(row).design)
-    assert json.loads(next(folder.glob("**/*.json")).read_text())
+    from optlink.report.report_model import report_model_of
+
+    for suffix in ("dxf", "svg", "csv", "json"):
+        export(report_model_of(solved(row)), folder / f"file.{suffix}")
+    assert json.loads((folder / "file.json").read_text())
 
 
 def _certificate(row: str, folder: Path) -> None:
@@ -261,6 +264,8 @@ COLUMNS: dict[str, Callable[[str, Path], None]] = {
     "tolerance of the error": _tolerance,
     "robust": _robust,
     "validate": _validate,
+    "report": _report,
+    "export": _export,
     "certificate": _certificate,
 }
 
