@@ -117,7 +117,7 @@ def record() -> None:
     ]
     from optlink import load
 
-    places = [[1e3 * x for x in place] for place in load("path-closed18").model.target_points.points]
+    places = [[1e3 * x for x in place] for place in load("path-closed18").spec.target_points.points]
     for name, drags in (("crank-rocker", crank), ("path-closed18", path), ("shaper-design", shaper)):
         for handle, begin, end in drags:
             if begin is None or end is None:
