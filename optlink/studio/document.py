@@ -190,7 +190,8 @@ def hello(opened: str | None) -> dict[str, Any]:
     problems = []
     for name, path in shipped().items():
         raw = tomllib.loads(path.read_text(encoding="utf-8"))
-        kind = (raw.get("requirement") or {}).get("kind") or ("machine" if "objective" in raw else "analysis")
+        requirement: dict[str, Any] = raw.get("requirement") or next(iter(raw.get("requirements") or []), {})
+        kind = requirement.get("kind") or ("machine" if "objective" in raw else "analysis")
         problems.append({"name": name, "title": raw.get("title", name), "kind": kind})
     drafts = [{"name": name, "title": template(name).summary} for name in templates()]
     return {"type": "hello", "version": VERSION, "problems": problems, "templates": drafts, "opened": opened}
