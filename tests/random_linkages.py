@@ -438,7 +438,7 @@ def faults_of_rocker(result: optlink.SynthesisResult, task: LawTask) -> list[str
     """Everything that is wrong with a four-bar called valid; "max" is that of the whole range."""
     design = result.design
     lengths = [1e3 * design[name] for name in ("frame", "crank", "coupler", "rocker")]
-    mode = 1 if result.problem.raw["mechanism"]["assembly"] == "left" else -1
+    mode = 1 if result.definite.raw["mechanism"]["assembly"] == "left" else -1
     linkage = oracle.four_bar(*lengths, mode=mode)
     reports = {
         count: oracle.judge_function(linkage, design["phi0"], design["psi0"], *task.offsets(count))
