@@ -226,7 +226,7 @@ def test_compare_tabulates_all_kinds_of_control(problem):
     assert np.all(result.trials["none"].correction == 0.0)
     assert result.gain("inverse") > 0.25
     document = result.to_dict()
-    assert document["schema"] == "optlink/control-comparison/3"
+    assert document["schema"] == "optlink/control-comparison/4"
     json.dumps(document, allow_nan=False)
 
 
