@@ -33,6 +33,7 @@ STYLE: dict[Any, Any] = {
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,
+    "axes.formatter.useoffset": False,  # whole numbers at the ticks, no "+2.729e2" above them
     "axes.titley": 1.0,  # where it is anyway: else the ticks are measured again for each title
     "grid.alpha": 0.25,
     "svg.hashsalt": "optlink",  # else the names in an SVG file are random
