@@ -172,10 +172,9 @@ def studies(session: Session, designed: bool, of: tuple[str, ...]) -> None:
     run(0, "study", "tolerance", name, *deviation, "--quantity", output, "--angles", "90 deg", "--out", "tolerance")
 
     model, cycle = file.model, file.task == "cycle"
-    law = designed and not cycle and file.spec.law_given and not file.spec.composed
-    front = law or (cycle and bool(model.bodies or model.loads))
+    front = designed and (not cycle or bool(model.bodies or model.loads))
     run(2, "study", "pareto", name)
-    if designed and not cycle and (not law or file.spec.everywhere):
+    if designed and not cycle and (file.spec.composed or file.spec.everywhere):
         return  # each point takes as long as all other commands
     asked = ("--objectives", MACHINE if cycle else LAW, "--points", "2", "--workers", "1")
     run(0 if front else 2, "study", "pareto", name, *asked, *(("--out", "front") if front else ()))
