@@ -113,6 +113,24 @@ def solve_semi_infinite(task: DesignProblem, start: Solution, backend: str, *, n
     return replace(solution, status=Status.STALLED, message=what)
 
 
+def sharpened(task: DesignProblem, solution: Solution, backend: str) -> Solution:
+    """Return an optimum with all digits, for differences between optima that are close to each other.
+
+    A design whose optimality conditions hold within their tolerance is an optimum for the search, which does not move it. One
+    step in which the peaks move finds the point at which the conditions hold exactly.
+    """
+    nlp, course = solution.nlp, _courses(task, solution.nlp)
+    if not nlp.exchange_count:
+        return solution
+    tops = course.tops(solution)
+    nlp.set_exchange_points(_places(tops, nlp.exchange_count))
+    moved, _ = _followed(nlp, solution, len(task.free), RADIUS, backend, tops, [])
+    nlp.set_exchange_points(_places(course.tops(moved), nlp.exchange_count))
+    moved = local.solution_at(nlp, moved.x, moved.message)
+    nearly = moved.objective <= solution.objective + LEVELLED * abs(solution.objective)
+    return moved if moved.status is Status.OPTIMAL and nearly else solution
+
+
 def place_at_peaks(task: DesignProblem, nlp: NLP, x: Array) -> None:
     """Move the exchange points, if there are any, to the peaks of the limits of a design."""
     if nlp.exchange_count:

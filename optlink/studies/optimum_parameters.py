@@ -5,6 +5,7 @@ from functools import cached_property
 
 from optlink.problem.file import ProblemFile
 from optlink.solvers import multistart
+from optlink.solvers.exchange import sharpened
 from optlink.solvers.solution import Solution
 from optlink.studies.continuation import follow_optimum
 from optlink.studies.kkt_derivatives import KKTPerturbation, KKTSystem
@@ -78,4 +79,5 @@ class TargetParameters(OptimumParameters):
         changed = self.problem.override({parameter.key: exact_text(value, parameter.unit)}).spec
         programme = TargetProgramme(changed, solution.nlp.recipe["direction"], backend)
         optimum = programme.optimum(changed, variables_of(solution))
+        optimum = sharpened(changed, optimum, backend) if optimum.usable else optimum
         return (optimum.objective, displayed(programme.nlp, optimum.x)) if optimum.usable else None

@@ -123,8 +123,8 @@ def test_function_reaches_the_best_known_error(function):
     assert np.max(dense) <= best
     assert math.degrees(result.objective) == pytest.approx(np.max(dense), rel=1e-5)
     assert result.best.alternations == 6
-    assert result.first is not None
-    assert result.first.error >= result.objective
+    assert result.first_step is not None
+    assert result.first_step.error >= result.objective
 
 
 @pytest.mark.slow
