@@ -15,10 +15,11 @@ from optlink.linkage.extrema import distinct, extremes, maxima
 from optlink.linkage.motion import sweep
 from optlink.linkage.stroke import Travel, reachable, travels
 from optlink.linkage.vector2d import TURN, Array, turn
-from optlink.problem.cycle.model import Bound, CycleProblem, MachineTerms
+from optlink.problem.cycle.model import MachineTerms
 from optlink.problem.cycle.quantities import guide_of
 from optlink.problem.cycle.terms import Term, output_of
-from optlink.problem.limits import stroke_ratio
+from optlink.problem.design import DesignProblem
+from optlink.problem.limits import Bound, stroke_ratio
 from optlink.problem.quantity import Unusable
 from optlink.units import KINDS, factor
 from optlink.validation.check import POSITIONS, Check, Validation, bounds_and_links, same_objective
@@ -235,7 +236,7 @@ class Cycle:
 
 
 def validate_cycle(
-    problem: CycleProblem, design: Mapping[str, float], objective: float | None = None, tested: Cycle | None = None
+    problem: DesignProblem, design: Mapping[str, float], objective: float | None = None, tested: Cycle | None = None
 ) -> Validation:
     """Validate a design, or show where it fails; quantities [SI] not named have their value in the file.
 

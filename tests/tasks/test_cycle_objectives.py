@@ -17,7 +17,6 @@ from optlink.problem.file import ProblemFile, read
 from optlink.solvers.cycle_search import search_all
 from optlink.solvers.cycle_starts import StartGroup
 from optlink.tasks.cycle import solve
-from optlink.tasks.results.cycle import task_of
 from optlink.validation.cycle import BALANCE, Cycle, validate_cycle
 
 PRESS = """
@@ -249,7 +248,7 @@ BESIDE = {
 @pytest.mark.parametrize("name", ["slsqp", "ipopt"])
 def test_positions_near_a_peak_are_not_constrained(name):
     """A search that took those for a proof ended there; along the free direction the measured peak is lower."""
-    task = task_of(optlink.load("press-toggle", {"objective": term("guide force", of="F")}))
+    task = optlink.load("press-toggle", {"objective": term("guide force", of="F")}).spec
     values = {key: 1e-3 * value for key, value in BESIDE.items()}
     trace = TracedCycle(task)
     begin = StartGroup(trace.structure(values), (values,))
