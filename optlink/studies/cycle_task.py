@@ -36,7 +36,7 @@ from optlink.tasks.modes import possible_modes
 from optlink.tasks.protocol import completed
 from optlink.tasks.results.common import with_optimality
 from optlink.tasks.results.cycle import CycleResult
-from optlink.validation.cycle import validate_cycle
+from optlink.validation import validate
 
 N = TypeVar("N", bound=NLP)
 
@@ -158,7 +158,7 @@ class CycleProgramme:
         if at_edge(solution):
             return None
         solved = time.perf_counter()
-        checked = validate_cycle(problem.spec, solution.design, solution.objective)
+        checked = validate(problem.spec, solution.design, objective=solution.objective)
         return CycleResult(
             problem=problem,
             status=solution.status,

@@ -24,8 +24,7 @@ from optlink.tasks.results.cycle import CycleResult, analysis_of
 from optlink.tasks.results.evidence import tally
 from optlink.tasks.results.rotation import cannot_turn
 from optlink.units import factor
-from optlink.validation.check import Check
-from optlink.validation.cycle import validate_cycle
+from optlink.validation import Check, validate as validate_design
 
 if TYPE_CHECKING:
     from optlink.optimization.cycle_nlp import CycleNLP
@@ -106,7 +105,7 @@ def _validated(problem: ProblemFile, design: Mapping[str, float]) -> CycleResult
     task, begin = problem.spec, time.perf_counter()
     names = (*task.free, *(name for name in task.quantities if name in design and name not in task.free))
     values = {name: design.get(name, task.quantities[name].value) for name in names}
-    verification = validate_cycle(task, values)
+    verification = validate_design(task, values)
     seconds = {"build": 0.0, "solve": 0.0, "validate": time.perf_counter() - begin}
     return CycleResult(problem, Status.NOT_SEARCHED, "none", values, verification.objective, verification, seconds, 0, 0)
 
@@ -148,7 +147,7 @@ def _search(problem: ProblemFile, search: Search) -> CycleResult:
     equal = continuum(nlp, winner, chosen) if result.usable else None
     timer.lap("solve")
     measured = analysis_of(task, winner.design)
-    verification = with_optimality(validate_cycle(task, winner.design, winner.objective, measured), winner)
+    verification = with_optimality(validate_design(task, winner.design, objective=winner.objective, cycle=measured), winner)
     if len(solutions) > 1:
         verification = verification.with_checks(_agreement(solutions))
     timer.lap("validate")

@@ -11,6 +11,9 @@ from scipy.optimize import minimize_scalar
 
 import optlink
 from optlink.errors import InputError
+from optlink.validation import validate
+from optlink.validation.cycle import Cycle
+from optlink.validation.linkage_motion import motion_of
 
 Raw = dict[str, object]
 
@@ -397,3 +400,20 @@ def test_a_named_limit_is_part_of_the_identity_of_a_problem() -> None:
     problem = optlink.load("path-within-torque")
     name = next(iter(problem.spec.limits.named))
     assert problem.override({f"limits.{name}.max": "9 N*m"}).hash != problem.hash
+
+
+def test_a_machine_is_checked_for_branch_and_circuit() -> None:
+    """In the other assembly mode every joint is on the wrong side; a motion that leaves out half a radian jumps."""
+    problem = optlink.load("stroke-crank-rocker").spec
+    design = optlink.solve(optlink.load("stroke-crank-rocker")).design
+    other = optlink.load("stroke-crank-rocker", {"mechanism.assembly": "right"}).spec
+    even = np.linspace(0.0, 2.0 * math.pi, 720, endpoint=False)
+    for check, mechanism, angles in (
+        ("one branch: every joint on one side", other.linkage, even),
+        ("one circuit: no point jumps", problem.linkage, np.where(even < 1.0, even, even + 0.5)),
+    ):
+        cycle = Cycle(problem, design)
+        assert validate(problem, design, cycle=cycle).valid
+        sizes = {name: np.array([[value]]) for name, value in cycle.design.items()}
+        vars(cycle)["revolution"] = motion_of(problem.linkage, mechanism, sizes, angles, cycle.longest, closed=True)
+        assert check in validate(problem, design, cycle=cycle).failed

@@ -19,8 +19,8 @@ from optlink.tasks.results.common import SingleResult
 from optlink.tasks.results.fit import Fit, transmission_fit
 from optlink.tasks.results.strokes import stroke_document
 from optlink.units import KINDS, factor, percent
-from optlink.validation.check import Validation
-from optlink.validation.cycle import Cycle, validate_cycle
+from optlink.validation import Validation, validate
+from optlink.validation.cycle import Cycle
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ class CycleResult(SingleResult):
     @cached_property
     def initial(self) -> Validation:
         """Checks and objective of the initial design of the file."""
-        return validate_cycle(self.task, self.complete({}), tested=self._measured_initial)
+        return validate(self.task, self.complete({}), cycle=self._measured_initial)
 
     @property
     def comparison(self) -> str:
