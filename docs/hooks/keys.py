@@ -27,7 +27,6 @@ import optlink
 from optlink.clearance.contact_laws import DAMPING
 from optlink.errors import InputError
 from optlink.problem.base_model import Section
-from optlink.problem.cycle.model import CycleProblem, StrokeProblem
 from optlink.problem.cycle.quantities import QUANTITIES
 from optlink.problem.design import DesignProblem
 from optlink.problem.machine.model import Problem
@@ -41,9 +40,7 @@ LONGEST = 90  # characters of an example
 
 ROOTS: dict[type[Problem], tuple[str, str]] = {
     Problem: ("", "every problem"),
-    DesignProblem: ("design", "laws, functions, paths, motions, transmission"),
-    CycleProblem: ("cycle", "cycle optimisation of a machine"),
-    StrokeProblem: ("stroke", "a stroke and a time ratio"),
+    DesignProblem: ("design", "laws, functions, paths, motions, strokes, transmission, cycle of a machine"),
 }
 """Models of a complete file: suffix of their anchors, and kind of problem."""
 
@@ -372,7 +369,7 @@ def reference() -> str:
 def _table(part: Part) -> str:
     first = inspect.cleandoc(part.model.__doc__ or "").split("\n\n")[0].replace("\n", " ")
     lines = [f"## {part.heading} {{ #{part.anchor} }}", ""]
-    told = NARRATED["objective" if part.root is CycleProblem and part.path else part.path.split(".")[0]]
+    told = NARRATED[part.path.split(".")[0]]
     if part.path:
         lines += [f"{first} [More](../{told})", ""]
     lines += ["| key | value | meaning |", "|---|---|---|"]

@@ -17,8 +17,8 @@ from optlink.optimization.cycle_signals import EventOrder, TracedCycle
 from optlink.optimization.mapped_terms import MappedTerms
 from optlink.optimization.nlp import Variable, scaled_variable
 from optlink.optimization.term_rows import heights_at, rows_below_level, scaled_limit
-from optlink.problem.cycle.model import Bound
 from optlink.problem.cycle.terms import Goal, Term
+from optlink.problem.limits import Bound
 from optlink.symbolic import symbols_in_numpy
 from optlink.units import KINDS
 

@@ -17,8 +17,7 @@ from optlink.optimization.cycle_constraints import EVENT, CycleTerms, WatchedTer
 from optlink.optimization.cycle_signals import EventOrder, TracedCycle
 from optlink.optimization.nlp import NLP, boxed
 from optlink.optimization.objectives import Figure
-from optlink.problem.cycle.model import CycleProblem
-from optlink.problem.design import EPIGRAPH
+from optlink.problem.design import EPIGRAPH, DesignProblem
 from optlink.symbolic import CompiledFunction, symbols_in_numpy
 
 NODES = 48  # per revolution with integral terms; half of it with maxima only
@@ -183,7 +182,7 @@ def build_cycle(
     )
 
 
-def build_cycle_again(problem: CycleProblem, recipe: Mapping[str, Any]) -> CycleNLP:
+def build_cycle_again(problem: DesignProblem, recipe: Mapping[str, Any]) -> CycleNLP:
     """Return the programme that `build_cycle` has built from the parts in its `recipe`."""
     order = {name: tuple(items) for name, items in recipe["structure"].items()}
     trace = TracedCycle(problem, recipe["values"], recipe["loads"])

@@ -9,9 +9,9 @@ from typing import Any
 import casadi
 
 from optlink.optimization.constraints import PLAIN, ConstraintRow, Scale, SquareRootScale
-from optlink.problem.cycle.model import Bound
 from optlink.problem.cycle.terms import Goal
 from optlink.problem.design import EPIGRAPH
+from optlink.problem.limits import Bound
 from optlink.units import KINDS, factor
 
 

@@ -47,8 +47,8 @@ def in_folder(function: Callable[[object, Path], Any]) -> InFolder:
     return InFolder(lambda raw, info: None if raw is None else function(raw, _folder_of(info)))
 
 
-LIMITED = (("requirement", "stroke"), ("requirement", "time_ratio"))
-"""Keys outside the limits whose ranges are limits too, not bounds of a design variable."""
+LIMITED = {"stroke", "time_ratio"}
+"""Keys of requirements whose ranges are limits, not bounds of a design variable."""
 
 
 SPELLINGS = {
@@ -134,7 +134,7 @@ def with_ranges(raw: Any, path: tuple[str, ...] = (), skip: Collection[str] = ()
     required = path[0] in ("requirement", "requirements")
     if path[-1] == "bounds" or (required and path[-1] == "x"):
         return ends or raw
-    if (path[0] == "mechanism" or required) and path[:2] not in LIMITED:
+    if path[0] == "mechanism" or (required and LIMITED.isdisjoint(path)):
         return {"bounds": ends} if ends else raw
     return ends if ends and path[0] == "limits" else sides
 

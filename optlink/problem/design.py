@@ -1,8 +1,9 @@
-"""DesignProblem: a linkage with a requirement, of any kind. Its unknowns are the design variables, and free crank angles."""
+"""DesignProblem: a linkage with requirements or an objective of any kind. Its unknowns are design variables and crank angles."""
 
 import contextlib
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import Any, Self
 
@@ -17,12 +18,12 @@ from optlink.linkage.vector2d import Array, Value
 from optlink.problem.cycle.model import MachineTerms
 from optlink.problem.cycle.terms import Goal, Limit, Objective
 from optlink.problem.interval import read_figure
-from optlink.problem.limits import LIMITS, MARGIN_KEYS, Limits, LimitTerm, Reach, check_limits, four_bar_limits
+from optlink.problem.limits import LIMITS, MARGIN_KEYS, Bound, Limits, LimitTerm, Reach, check_limits, four_bar_limits
 from optlink.problem.linked import Link
 from optlink.problem.machine.model import ShownObjective
 from optlink.problem.mechanism import FourBarSection, check_one_mode
 from optlink.problem.quantity import Quantity, Unusable, below
-from optlink.problem.requirement import AnyRequirement, StartPosition, TargetArrays, carrier, names_of
+from optlink.problem.requirement import AnyRequirement, NoRequirement, StartPosition, TargetArrays, carrier, names_of
 from optlink.problem.robust import Robust, check_robust
 from optlink.problem.targets.expression import Expression
 from optlink.problem.targets.function import Function
@@ -39,13 +40,13 @@ STEP = 1e-4  # rad, least crank rotation from a point to the next
 
 
 class DesignProblem(MachineTerms):
-    """A linkage with a law, a path, a motion or its transmission as requirement: input of `solve`. Immutable.
+    """A linkage with requirements, limits, or an objective of quantities of its machine: input of `solve`. Immutable.
 
     Change it with `optlink.load(..., overrides)`.
     """
 
     requirement: AnyRequirement = None
-    """Law or function, points, poses, or the best transmission; the first of several."""
+    """Law or function, points, poses, stroke, or the best transmission; the first of several."""
     requirements: tuple[AnyRequirement, ...] = ()
     """Several requirements on one linkage, in place of one: those with a tolerance are limits, the others are minimised."""
     limits: Limits = Limits()
@@ -59,7 +60,9 @@ class DesignProblem(MachineTerms):
         if self.requirements:
             vars(self)["requirement"] = min(self.requirements, key=lambda one: one.secondary)
         if self.requirement is None:
-            raise Unusable("there is no requirement", "Add the section [requirement]", "requirement")
+            if self.objective is None:
+                raise Unusable("there is no requirement", "Add the section [requirement]", "requirement")
+            vars(self)["requirement"] = NoRequirement.model_validate({})
         return self
 
     @property
@@ -69,8 +72,8 @@ class DesignProblem(MachineTerms):
 
     @property
     def task(self) -> str:
-        """Kind of task: "function" for laws of a four-bar section, else "path"."""
-        return "path" if self.composed else str(self.requirement.task(self))
+        """Kind of task: "function" for laws of a four-bar section, "cycle" without targets, else "path"."""
+        return ("path" if self.parts else "cycle") if self.composed else str(self.requirement.task(self))
 
     @property
     def has_error(self) -> bool:
@@ -98,12 +101,16 @@ class DesignProblem(MachineTerms):
         """
         check_one_mode(self.mechanism)
         check_limits(self.limits, self.linkage, four_bar=self.four_bar)
-        for part in self.parts:
+        for name in () if self.parts else self.limits.model_fields_set:
+            if name in Limits.model_fields and f"limits.{name}" in self.inapplicable:
+                remedy = f'Leave it out, or limit a quantity of the machine: {name} = {{ quantity = "torque", max = "10 N*m" }}'
+                raise Unusable("not a limit of this kind of problem", remedy, f"limits.{name}")
+        for part in self.each:
             with part.keyed():
                 part.requirement.check(part)
                 check_robust(part.robust, part.measure, len(part.tolerances))
-        minimised = [part for part in self.parts if not part.requirement.limited]
-        for part in self.parts:
+        minimised = [part for part in self.each if not part.requirement.limited]
+        for part in self.each:
             for key in ("weight", "scale"):
                 stated = getattr(part.requirement, key)
                 if stated is not None and (part not in minimised or len(minimised) + len(self.goals) < 2):
@@ -153,14 +160,17 @@ class DesignProblem(MachineTerms):
             raise Unusable("several terms are minimised", remedy, "objective.quantity", self.goals[0].quantity)
         self.check_terms()
         terms = [("objective", goal) for goal in self.goals] + [(bound.key, bound.term) for bound in self.bounds]
-        for key, term in terms:
+        if terms:
+            self.check_repeats(self.machine(slow=self.slow_assumed))
+        for key, term in terms if self.parts else ():
             if term.ended:
                 message = "a quantity at the ends of strokes is not supported beside the targets of a requirement"
-                raise Unusable(message, "State it in a problem with [objective] alone", f"{key}.quantity", term.quantity)
+                key = f"{key}.quantity" * (not key.startswith("requirement")) or f"{key.rpartition('.')[0]}.kind"
+                raise Unusable(message, "State it in a problem without targets", key, term.quantity)
             if (term.nature.cyclic or term.quantity == "work") and self.limits.crank == "span":
                 message = "a quantity of the machine belongs to a whole revolution of the crank"
                 raise Unusable(message, 'Write crank = "full rotation"', "limits.crank", "span")
-        if any(term.nature.forces or term.quantity == "work" for _, term in terms):
+        if self.parts and any(term.nature.forces or term.quantity == "work" for _, term in terms):
             for load in self.machine(slow=self.slow_assumed).loads:
                 if load.switching:
                     message = "a load that switches within the revolution is not supported beside the targets of a requirement"
@@ -170,11 +180,16 @@ class DesignProblem(MachineTerms):
 
     @property
     def parts(self) -> tuple[Self, ...]:
-        """The problem with each of its requirements alone, whose quantities have their short names there."""
-        return self._parts or (self,)
+        """The problem with each of its requirements of targets alone, whose quantities have their short names there."""
+        return tuple(part for part in self.each if part.requirement.targeted)
+
+    @property
+    def each(self) -> tuple[Self, ...]:
+        """The problem with each of its requirements alone, also those without targets."""
+        return self._each or (self,)
 
     @cached_property
-    def _parts(self) -> tuple[Self, ...]:
+    def _each(self) -> tuple[Self, ...]:
         """The parts of several requirements; none of a single one, as a model that contains itself cannot be compared."""
         fields = {name: getattr(self, name) for name in type(self).model_fields}
         parts: list[Any] = []
@@ -256,6 +271,23 @@ class DesignProblem(MachineTerms):
         return {} if self.prefix else self.limits.named
 
     @cached_property
+    def bounds(self) -> tuple[Bound, ...]:
+        """The limits of quantities of the machine with their bounds; without targets those of the transmission angle too."""
+        joints = [] if self.parts else [group.joint for group in transmitting(self.linkage)]
+        return (*self.required, *super().bounds, *self.limits.transmission_bounds(joints))
+
+    @cached_property
+    def required(self) -> tuple[Bound, ...]:
+        """The limits of quantities of the machine that the requirements state."""
+        bounds: list[Bound] = []
+        for part in () if self.prefix else self.each:
+            with part.keyed():
+                for bound in part.requirement.bounds(part):
+                    key = part.key + bound.key.removeprefix("requirement")
+                    bounds.append(replace(bound, name=f"{part.prefix}{bound.name}", key=key))
+        return tuple(bounds)
+
+    @cached_property
     def _sole(self) -> tuple[float, str, str]:
         """Factor from SI to the displayed objective, its SI unit and its display unit; of a sum, a plain number."""
         minimised = [part for part in self.parts if part.tolerance is None]
@@ -264,7 +296,7 @@ class DesignProblem(MachineTerms):
             squared = part.measure == "sum of squares"
             (factor, shown), unit = DISPLAYED[part.unit], part.unit
             return (factor**2, f"{unit}^2", f"{shown}^2") if squared and unit else (factor, unit, shown)
-        if not minimised and len(self.goals) == 1 and self.goals[0].scale is None:
+        if not minimised and self.single:
             kind = self.kind(self.goals[0])
             size, shown = display_unit(kind) if kind else (1.0, "")
             sign = -1.0 if self.goals[0].sense == "maximise" else 1.0
@@ -274,7 +306,9 @@ class DesignProblem(MachineTerms):
     @property
     def inapplicable(self) -> set[str]:
         """Keys of requirement and limits, such as "limits.link_ratio", that do not apply to this mechanism."""
-        limits = () if self.four_bar else four_bar_limits()
+        limits: Collection[str] = () if self.four_bar else four_bar_limits()
+        if not self.parts:
+            limits = Limits.model_fields.keys() - {"alignment", "transmission_angle", "pressure_angle"}
         return {*(f"limits.{key}" for key in limits), *self.requirement.inapplicable(self)}
 
     # --- quantities
@@ -284,7 +318,7 @@ class DesignProblem(MachineTerms):
         """Fixed quantities and design variables by name: those of the mechanism and those of the requirements."""
         if not self.requirements:
             return {**self.mechanism.quantities, **self.requirement.quantities(self)}
-        each = ((part.prefix, part.requirement.quantities(part)) for part in self.parts)
+        each = ((part.prefix, part.requirement.quantities(part)) for part in self.each)
         own = {f"{prefix}{name}": quantity for prefix, quantities in each for name, quantity in quantities.items()}
         return {**self.mechanism.quantities, **own}
 
@@ -301,7 +335,7 @@ class DesignProblem(MachineTerms):
     def is_periodic(self, name: str) -> bool:
         """Return whether values of an angle that are a revolution apart are one design; not those that a law contains as such."""
         kind = self.quantities[name].kind if name in self.quantities else "angle"
-        part = next((part for part in self.parts if part.prefix and name.startswith(part.prefix)), self.parts[0])
+        part = next((part for part in self.each if part.prefix and name.startswith(part.prefix)), self.each[0])
         return kind == "angle" and bool(part.requirement.is_periodic(part, name.removeprefix(part.prefix)))
 
     @cached_property
@@ -316,7 +350,7 @@ class DesignProblem(MachineTerms):
         """
         known = super().complete(values)
         full = {name: known[name] for name in self.quantities}
-        for part in self.parts:
+        for part in self.each:
             derived = part.requirement.derived(part, part.own(full))
             prefix = part.prefix if self.requirements else ""
             full |= {f"{prefix}{name}": value for name, value in derived.items()}
@@ -331,7 +365,7 @@ class DesignProblem(MachineTerms):
 
         0 for a dead centre that does not exist.
         """
-        first = self.parts[0]
+        first = self.each[0]
         own = first.own(values)
         begin = {**own, **first.requirement.derived(first, own)}.get(first.start_name)
         if begin is None:

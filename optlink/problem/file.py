@@ -29,13 +29,12 @@ from optlink.problem.file_errors import (
     faults,
     keys_ending,
     known_keys,
-    of_dyads,
     similar_name,
     text_fault,
     toml_fault,
 )
 from optlink.problem.identity import identity
-from optlink.problem.limits import MARGINS, Alignment, four_bar_limits
+from optlink.problem.limits import MARGINS
 from optlink.problem.linked import states_links
 from optlink.problem.machine.balance import with_terms
 from optlink.problem.machine.model import Problem
@@ -49,8 +48,6 @@ from optlink.units import in_si, is_unit, split
 
 MAX_BYTES = 1_000_000
 MOST_NESTED = 50
-STROKE = "stroke"
-"""Kind of the requirement over the cycle of a machine."""
 ANGLES = ("direction", "tilt", "from", "start", "psi0", "mark")
 """Last steps of the keys of quantities that are angles."""
 SIDES = ("min", "max")
@@ -131,7 +128,7 @@ class ProblemFile:
     def kind(self) -> str:
         """Type of the linkage and kind of the task, for display."""
         requirements = getattr(self.model, "requirements", ()) or filter(None, [getattr(self.model, "requirement", None)])
-        kinds = " and ".join(dict.fromkeys(one.kind for one in requirements))
+        kinds = " and ".join(dict.fromkeys(one.kind for one in requirements if one.kind))
         purpose = f"{kinds} design" if kinds else {"cycle": "cycle design", "balance": "balancing"}.get(self.task, self.task)
         return f"{self.model.mechanism.type}, {purpose}"
 
@@ -337,36 +334,25 @@ def _model(raw: Mapping[str, Any], file: str) -> type[Problem]:
         _check_requirements(raw["requirements"], file)
     kind = requirement.get("kind", DEFAULT_KIND) if isinstance(requirement, dict) else None
     if isinstance(requirement, dict) and not {"kind", "law"} & set(requirement):
-        others = {key for one in REQUIREMENTS.values() for key in one.model_fields} | {STROKE}
+        others = {key for one in REQUIREMENTS.values() for key in one.model_fields}
         if (others - set(REQUIREMENTS[DEFAULT_KIND].model_fields)) & set(requirement):
             raise InputError("this key is missing", 'Add kind = "path", "motion" or "stroke"', file, "requirement.kind")
-    if kind is not None and kind not in (known := (*REQUIREMENTS, STROKE)):
-        raise InputError("unknown kind", nearest(str(kind), known), file, "requirement.kind", kind)
+    if kind is not None and kind not in REQUIREMENTS:
+        raise InputError("unknown kind", nearest(str(kind), REQUIREMENTS), file, "requirement.kind", kind)
     if registered:
         return registered[0]
-    if kind is not None and kind not in REQUIREMENTS:
-        from optlink.problem.cycle.model import StrokeProblem
-
-        return StrokeProblem
-    if "objective" in raw and not {"requirement", "requirements"} & set(raw):
-        from optlink.problem.cycle.model import CycleProblem
-
-        return CycleProblem
-    return DesignProblem if {"requirement", "requirements", "limits"} & set(raw) else Problem
+    return DesignProblem if {"requirement", "requirements", "objective", "limits"} & set(raw) else Problem
 
 
 def _check_requirements(stated: Any, file: str) -> None:
-    """Refuse a list of requirements that is none, or one of a kind that has no place in it."""
+    """Refuse a list of requirements that is none, or one of an unknown kind."""
     if not isinstance(stated, list) or not stated or not all(isinstance(one, dict) for one in stated):
         remedy = "Begin each requirement with [[requirements]], or write one as [requirement]"
         raise InputError("not a list of requirements", remedy, file, "requirements")
     for k, one in enumerate(stated):
         kind = one.get("kind", DEFAULT_KIND)
         if kind not in REQUIREMENTS:
-            remedy = nearest(str(kind), REQUIREMENTS)
-            if kind == STROKE:
-                remedy = 'Limit it: [limits] hub = { quantity = "stroke", of = "slider", exactly = "80 mm" } beside [objective]'
-            raise InputError("not a kind of requirement in a list", remedy, file, f"requirements.{k}.kind", kind)
+            raise InputError("unknown kind", nearest(str(kind), REQUIREMENTS), file, f"requirements.{k}.kind", kind)
 
 
 def _check_values(raw: Mapping[str, Any], file: str) -> None:
@@ -405,11 +391,9 @@ def dump(problem: ProblemFile) -> str:
 def complete(problem: ProblemFile) -> dict[str, Any]:
     """Return the problem as nested tables, including default limits."""
     raw = copy.deepcopy(dict(problem.raw))
-    limits = getattr(problem.model, "limits", None)
-    if isinstance(limits, Alignment):
-        four_bar = not of_dyads(problem.raw)
-        applicable = {key for key in MARGINS if key in type(limits).model_fields and (four_bar or key not in four_bar_limits())}
-        margins = {key: value for key, value in MARGINS.items() if key in applicable}
+    inapplicable = getattr(problem.model, "inapplicable", None)
+    if inapplicable is not None:
+        margins = {key: value for key, value in MARGINS.items() if f"limits.{key}" not in inapplicable}
         raw["limits"] = {**margins, **raw.get("limits", {})}
     return raw
 

@@ -62,9 +62,7 @@ def of_dyads(raw: Mapping[str, Any]) -> bool:
 
 def known_keys(path: tuple[str | int, ...], *kinds: type[Problem]) -> list[str]:
     """Return the keys that models of these kinds (default: any kind) have at a path of sections, the outermost first."""
-    from optlink.problem.cycle.model import CycleProblem, StrokeProblem
-
-    models: list[Any] = list(kinds) or [DesignProblem, CycleProblem, StrokeProblem, Problem, *SECTIONS.values()]
+    models: list[Any] = list(kinds) or [DesignProblem, Problem, *SECTIONS.values()]
     for step in path:
         fields = [field for model in models for name, field in model.model_fields.items() if step == name]
         if fields:  # otherwise the step is the name of a body, a point ...: the models stay the same
@@ -94,14 +92,9 @@ def keys_ending(raw: Mapping[str, Any], end: str, above: str = "") -> list[str]:
 
 
 def _models(annotation: Any) -> Iterator[Any]:
-    """Yield the sections that a key can contain; for the limits of a cycle also the named limits."""
-    from optlink.problem.cycle.model import CycleLimits
-    from optlink.problem.cycle.terms import Limit
-
+    """Yield the sections that a key can contain."""
     if isinstance(annotation, type) and issubclass(annotation, pydantic.BaseModel):
         yield annotation
-        if annotation is CycleLimits:
-            yield Limit
     for inner in getattr(annotation, "__args__", ()):
         yield from _models(inner)
 
@@ -112,8 +105,8 @@ def _known(path: tuple[str | int, ...], model: type[Problem], raw: Mapping[str, 
         return keys_of(REQUIREMENTS[raw["requirement"].get("kind", DEFAULT_KIND)])
     if path[:1] == ("requirements",) and len(path) == 2 and isinstance(path[1], int):
         return keys_of(REQUIREMENTS[raw["requirements"][path[1]].get("kind", DEFAULT_KIND)])
-    if path[:1] == ("limits",) and len(path) == 2 and "region" in raw["limits"][path[1]]:
-        return keys_of(RegionLimit)
+    if path[:1] == ("limits",) and len(path) == 2 and {"region", "quantity"} & set(raw["limits"][path[1]]):
+        return keys_of(RegionLimit if "region" in raw["limits"][path[1]] else Limit)
     keys, dyads = known_keys(path, model), of_dyads(raw)
     if path == ("mechanism",):
         fields = (DyadsSection if dyads else FourBarSection).model_fields

@@ -61,9 +61,12 @@ def _content(value: Any) -> Any:
 
 
 def _fields(value: Any) -> list[str] | None:
-    """Return the names of the fields of a model or dataclass, without its cached values; None for another object."""
+    """Return the names of the fields of a model or dataclass, without its cached values; None for another object.
+
+    Those of a model with keys of the user's choice include these.
+    """
     if isinstance(value, BaseModel):
-        return list(type(value).model_fields)
+        return [*type(value).model_fields, *(value.__pydantic_extra__ or ())]
     return [item.name for item in fields(value) if item.compare] if is_dataclass(value) and not isinstance(value, type) else None
 
 

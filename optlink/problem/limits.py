@@ -7,10 +7,10 @@ measurement of the validator in motion (`measure`).
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, Protocol
+from typing import Annotated, Any, Literal, Protocol, Self
 
 import numpy as np
-from pydantic import ConfigDict, Discriminator, Tag
+from pydantic import ConfigDict, Discriminator, ModelWrapValidatorHandler, Tag, TypeAdapter, model_validator
 
 from optlink.io import Registry
 from optlink.linkage.dyad_types import transmitting
@@ -68,6 +68,16 @@ class Margins(Alignment):
     length_margin: Annotated[Number, _LENGTH_MARGIN] = LEAST_LENGTH_MARGIN
     """Least difference of lengths that must not be equal (Grashof's sums; crank and coupler at an inner dead centre), relative to
     the longest link."""
+
+
+@dataclass(frozen=True)
+class Bound:
+    """A limit with its name for display, its bounds [SI], and its key in the problem file."""
+
+    name: str
+    term: Limit
+    interval: Interval
+    key: str
 
 
 @dataclass(frozen=True)
@@ -137,6 +147,20 @@ class Limits(Margins):
     pivots: RegionSection | None = None
     """Rectangle that contains every point of the frame; not for a law of a four-bar, which has no position."""
 
+    @model_validator(mode="wrap")
+    @classmethod
+    def _with_names(cls, raw: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
+        """Read a table with a quantity as a limit of it, also where its name is that of a key of this section."""
+        if not isinstance(raw, Mapping):
+            return handler(raw)
+        own = {name for name in set(raw) & set(cls.model_fields) if isinstance(raw[name], Mapping) and "quantity" in raw[name]}
+        limits = handler({name: value for name, value in raw.items() if name not in own})
+        if own:
+            named = TypeAdapter(dict[Name, Limit]).validate_python({name: value for name, value in raw.items() if name in own})
+            every = {**named, **limits._extra}
+            limits.__pydantic_extra__ = {name: every[name] for name in raw if name in every}
+        return limits
+
     @property
     def named(self) -> dict[str, Limit]:
         """The limits of quantities of the machine by their names."""
@@ -164,6 +188,29 @@ class Limits(Margins):
             angles = (None if end is None else math.acos(end) for end in (cosine.high, cosine.low))
             general.append(TransmissionLimit("limits.transmission_cosine", *angles))
         return transmission_limit(self.transmission_angle, self.pressure_angle, joint, general)
+
+    def transmission_bounds(self, joints: Sequence[str]) -> Iterator[Bound]:
+        """Yield the limits of the transmission angle of the dyads with these joints."""
+        for joint in joints:
+            limit = self.transmission_at(joint)
+            if limit is None:
+                continue
+            if limit.pressure and limit.high is not None:
+                most = limit.high - 0.5 * math.pi
+                term = Limit(quantity="pressure angle", of=joint, max=_degrees(most))
+                yield Bound(f"pressure_angle.{joint}", term, Interval(None, most, "angle", "deg"), limit.key)
+                continue
+            transmission: dict[str, Any] = {"quantity": "transmission angle", "of": joint}
+            if limit.low is not None:
+                term = Limit(**transmission, measure="least", min=_degrees(limit.low))
+                yield Bound(f"transmission_angle.{joint}.min", term, Interval(limit.low, None, "angle", "deg"), limit.key)
+            if limit.high is not None:
+                term = Limit(**transmission, measure="largest", max=_degrees(limit.high))
+                yield Bound(f"transmission_angle.{joint}.max", term, Interval(None, limit.high, "angle", "deg"), limit.key)
+
+
+def _degrees(angle: float) -> str:
+    return f"{math.degrees(angle):.12g} deg"
 
 
 def transmission_limit(

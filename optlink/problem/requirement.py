@@ -4,7 +4,7 @@ import functools
 import itertools
 import math
 import operator
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Protocol, Self
@@ -19,8 +19,10 @@ from optlink.linkage.inner_four_bar import InnerFourBar, inner_four_bars
 from optlink.linkage.mechanism import FRAME, Mechanism, Pose
 from optlink.linkage.vector2d import TURN, Array, Value, Vector, angle, angle_from, dot, minus, turn, unit
 from optlink.problem.base_model import Name, Section, in_folder
-from optlink.problem.interval import Interval, read_figure, read_interval
-from optlink.problem.limits import Limits
+from optlink.problem.cycle.quantities import guide_of
+from optlink.problem.cycle.terms import Limit, Term, check_term, output_of
+from optlink.problem.interval import SIDES, Interval, RatioOfStrokes, read_figure, read_interval
+from optlink.problem.limits import Bound, Limits
 from optlink.problem.machine.model import MAX_SHIFT
 from optlink.problem.mechanism import moving_points
 from optlink.problem.quantity import (
@@ -31,6 +33,7 @@ from optlink.problem.quantity import (
     Quantity,
     Unusable,
     below,
+    check_keys,
     check_name,
     check_pair,
     nearest,
@@ -130,6 +133,9 @@ class Requirement(Section):
     limited_by: ClassVar[tuple[str, str]] = "tolerance", "deviation"
     """Key whose value makes the requirement a limit, and what it limits."""
 
+    targeted: ClassVar[bool] = True
+    """Whether it has targets, from which designs deviate at positions; else it has `bounds` alone, or nothing."""
+
     pointed: ClassVar[bool] = False
     """Whether points in the plane are prescribed."""
 
@@ -205,9 +211,13 @@ class Requirement(Section):
         most = value / self.stated(problem)[0]
         return -most, most
 
+    def bounds(self, problem: Designed) -> Iterator[Bound]:
+        """Yield limits of quantities of the machine over its cycle that the requirement states."""
+        yield from ()
+
     def task(self, problem: Designed) -> str:
-        """Return the name of the search: "function" for laws of a four-bar section, else "path"."""
-        return "path"
+        """Return the name of the search: "function" for laws of a four-bar section, "cycle" without targets, else "path"."""
+        return "path" if self.targeted else "cycle"
 
     def names(self, problem: Designed) -> tuple[str, str]:
         """Return the names of the quantities at the common start: crank angle and output."""
@@ -281,6 +291,13 @@ class Requirement(Section):
     def loaded(self, problem: Designed) -> str:
         """Return the output that shows to which side a joint clearance lies: a body (its angle), or "P.x" of a point."""
         return "rocker" if problem.four_bar else ""
+
+
+class NoRequirement(Requirement):
+    """Requirement of a problem whose objective and limits say everything."""
+
+    kind: ClassVar[str] = ""  # type: ignore[misc]
+    targeted: ClassVar[bool] = False
 
 
 REQUIREMENTS: Registry[type[Requirement]] = Registry()
@@ -760,6 +777,20 @@ def check_kind(value: Quantity | Interval | None, key: str, *, slides: bool) -> 
         raise Unusable(message, f'Write {key} = "{"12 mm" if slides else "30 deg"}"', f"requirement.{key}", str(value))
 
 
+def check_no_targets(requirement: Requirement) -> None:
+    """Refuse the keys of targets where a requirement is a limit by its nature.
+
+    Raises
+    ------
+    Unusable
+        with the full key.
+    """
+    for key in ("tolerance", "weight", "scale"):
+        if (stated := getattr(requirement, key)) is not None:
+            remedy = f'Leave it out; a range is {requirement.limited_by[0]} = ["50 deg", "60 deg"]'
+            raise Unusable(f"a {requirement.kind} is a limit without {key}", remedy, f"requirement.{key}", stated)
+
+
 # --- the output dwells ------------------------------------------------------------------------------------------------------
 
 
@@ -964,10 +995,7 @@ class PositionRequirement(Requirement):
         Unusable
             with the full key of the cause.
         """
-        for key in ("tolerance", "weight", "scale"):
-            if getattr(self, key) is not None:
-                remedy = 'Leave it out; a range is value = ["50 deg", "60 deg"]'
-                raise Unusable(f"a position is a limit without {key}", remedy, f"requirement.{key}", getattr(self, key))
+        check_no_targets(self)
         check_output(problem, self.output_of(problem))
         slides = self.slides(problem)
         check_kind(self.value, "value", slides=slides)
@@ -975,6 +1003,90 @@ class PositionRequirement(Requirement):
         if not slides and not high - low < TURN:
             message = "an angle lies between two values less than a revolution apart"
             raise Unusable(message, 'Write value = ["50 deg", "60 deg"]', "requirement.value", str(self.value))
+
+
+# --- the output goes to and fro ------------------------------------------------------------------------------------------
+
+
+class StrokeRequirement(Requirement):
+    """An output goes to and fro once per revolution of the crank."""
+
+    kind: Literal["stroke"]
+    """Kind of requirement."""
+    output: str | None = None
+    """Output: a slider or guide (its stroke is a length), a body that swings (an angle), or a point along `direction`; default:
+    the rocker of a four-bar."""
+    stroke: Any = None
+    """Stroke of the output: a length or an angle, a range `[low, high]`, or a table of `min`, `max` or `exactly`."""
+    time_ratio: RatioOfStrokes | None = None
+    """Duration of the slow stroke divided by that of the quick one at constant crank speed; with `stroke`, that of the stroke
+    `"forward"`, `"backward"`, `"slow"` or `"quick"`."""
+    direction: FixedAngle | None = None
+    """Direction of the stroke of a point, from +x."""
+
+    limited_by: ClassVar[tuple[str, str]] = "stroke", "stroke"
+    targeted: ClassVar[bool] = False
+    secondary: ClassVar[bool] = True
+
+    @property
+    def limited(self) -> bool:
+        """Whether the requirement is a limit: always."""
+        return True
+
+    def output_of(self, problem: Designed) -> str:
+        """Return the name of the output."""
+        return self.output or (OF_FOUR_BAR.output if problem.four_bar else None) or ""
+
+    def bounds(self, problem: Designed) -> Iterator[Bound]:
+        """Yield the limits of the stroke and of the time ratio."""
+        raw = {"of": self.output_of(problem), "direction": self.direction}
+        try:
+            term = Limit.model_validate({"quantity": "stroke", **raw, **_sides(self.stroke)})
+            check_term(term, problem.linkage, problem.quantities)
+            yield Bound("stroke", term, term.interval(problem.linkage, problem.quantities), "requirement.stroke")
+        except Unusable as error:  # a plain value has no sides in the file
+            side = error.key if isinstance(self.stroke, dict) else ""
+            error.key = f"requirement.stroke.{side}".rstrip(".")
+            raise
+        if (ratio := self.time_ratio) is not None:
+            sides = {side: value for side, value in (("min", ratio.low), ("max", ratio.high)) if value is not None}
+            term = Limit.model_validate({"quantity": "time ratio", **raw, "stroke": ratio.stroke, **sides})
+            yield Bound("time_ratio", term, Interval(ratio.low, ratio.high, None, ""), "requirement.time_ratio")
+
+    def check(self, problem: Designed) -> None:
+        """Check that the output exists and can go to and fro.
+
+        Raises
+        ------
+        Unusable
+            with the full key of the cause.
+        """
+        check_no_targets(self)
+        mechanism = problem.linkage
+        guides, bodies = (guide.name for guide in mechanism.guides), (link.body for link in mechanism.links[1:])
+        name, names = self.output_of(problem), [*guides, *bodies, *moving_points(mechanism)]
+        if name not in names and guide_of(name, mechanism) is None:
+            remedy = nearest(name, names) if name else f"Write output = one of: {', '.join(names)}"
+            message = "the output is the name of a slider, a body that swings, or a point"
+            raise Unusable(message, remedy, "requirement.output", name or None)
+        try:
+            output_of(Term(quantity="stroke", of=name, direction=self.direction), mechanism)
+        except Unusable as error:
+            error.key = f"requirement.{error.key.replace('of', 'output')}"
+            raise
+
+
+def _sides(raw: object) -> dict[str, object]:
+    """Return a stroke as the bounds of a limit."""
+    if raw is None:
+        raise Unusable("the stroke is missing", 'Write stroke = "60 deg", or "100 mm" for a slider')
+    if isinstance(raw, dict):
+        check_keys(raw, SIDES)
+        return raw
+    if isinstance(raw, list):
+        check_pair(raw, "a range is a list of two values, lower and upper", 'Write ["55 deg", "60 deg"]')
+        return {"exactly": raw[0]} if raw[0] == raw[1] else dict(zip(SIDES, raw, strict=False))
+    return {"exactly": raw}
 
 
 # --- a point or a body takes positions --------------------------------------------------------------------------------------
@@ -1290,6 +1402,7 @@ _KINDS = (
     TransmissionRequirement,
     DwellRequirement,
     PositionRequirement,
+    StrokeRequirement,
 )
 for _kind in _KINDS:
     REQUIREMENTS.add(_kind.__annotations__["kind"].__args__[0], _kind)

@@ -30,7 +30,6 @@ from optlink.studies.toml_keys import exact_text, read_figure
 from optlink.symbolic import CompiledFunction
 from optlink.tasks.cycle import solve as solve_cycle
 from optlink.tasks.protocol import completed
-from optlink.tasks.results.cycle import task_of
 from optlink.units import UnitProblem, factor
 
 SECTIONS = ("bodies", "loads")  # joint parameters do not affect an ideal machine
@@ -124,7 +123,7 @@ class CycleParameters(OptimumParameters):
     def _perturbed(self, parameter: Parameter, value: float) -> tuple[float, Array, Array]:
         """Return the Lagrangian, its gradient by (x, p) and the rows at the optimum, with another value in the file."""
         system, nlp = self.system, self.nlp
-        trace = TracedCycle(task_of(with_parameter(self.problem, parameter, value)), slow=self.nlp.traced.slow)
+        trace = TracedCycle(with_parameter(self.problem, parameter, value).spec, slow=self.nlp.traced.slow)
         slots = nlp.slots // nlp.strokes
         perturbed = build_cycle(trace, nlp.structure, nlp.design(system.x), nlp.nodes, slots, nlp.scales)
         if [row.label for row in perturbed.rows] != [row.label for row in nlp.rows]:

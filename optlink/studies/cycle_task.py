@@ -35,8 +35,8 @@ from optlink.tasks.cycle import solve as solve_cycle
 from optlink.tasks.modes import possible_modes
 from optlink.tasks.protocol import completed
 from optlink.tasks.results.common import with_optimality
-from optlink.tasks.results.cycle import CycleResult, task_of
-from optlink.validation.cycle import validate_cycle
+from optlink.tasks.results.cycle import CycleResult
+from optlink.validation import validate
 
 N = TypeVar("N", bound=NLP)
 
@@ -56,7 +56,7 @@ class CycleTask(OptimumTask):
         if possible_modes(self.problem) != [self.problem]:
             return None
         limits = [axis.key.rpartition(".") for axis in self.grid.axes]
-        limit_keys = [f"limits.{name}" for name in task_of(self.problem).limits.named]
+        limit_keys = [f"limits.{name}" for name in self.problem.spec.limits.named]
         if not all(limit in limit_keys and side in BOUNDS for limit, _, side in limits) or possible_modes(self.problem) != [
             self.problem
         ]:
@@ -124,7 +124,7 @@ class CycleProgramme:
     """One programme for many bounds of its limits, traced and compiled once."""
 
     def __init__(self, problem: ProblemFile, backend: str) -> None:
-        task = task_of(problem)
+        task = problem.spec
         self.backend, self.trace = backend, TracedCycle(task)
         self.structure = self.trace.structure({name: task.quantities[name].value for name in task.free})
         self.possible = self.structure is not None and not any(term.integral for term in self.trace.terms)
@@ -158,7 +158,7 @@ class CycleProgramme:
         if at_edge(solution):
             return None
         solved = time.perf_counter()
-        checked = validate_cycle(task_of(problem), solution.design, solution.objective)
+        checked = validate(problem.spec, solution.design, objective=solution.objective)
         return CycleResult(
             problem=problem,
             status=solution.status,

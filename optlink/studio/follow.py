@@ -14,7 +14,6 @@ from optlink.linkage.vector2d import Array
 from optlink.optimization.cycle_nlp import CycleNLP
 from optlink.optimization.cycle_signals import TracedCycle
 from optlink.optimization.nlp import NLP
-from optlink.problem.cycle.model import CycleProblem
 from optlink.problem.design import DesignProblem
 from optlink.problem.file import ProblemFile
 from optlink.solvers import multistart
@@ -25,7 +24,6 @@ from optlink.solvers.solution import Solution, stationarity
 from optlink.studies.continuation import follow_optimum
 from optlink.studies.cycle_task import CycleProgramme, with_bounds, with_starting_values
 from optlink.studies.target_programme import TargetProgramme, set_bounds
-from optlink.tasks.results.cycle import task_of
 from optlink.units import factor
 
 BACKEND = "ipopt"
@@ -93,7 +91,7 @@ class CycleFollower:
     """
 
     def __init__(self, problem: ProblemFile, values: Mapping[str, float]) -> None:
-        task = task_of(problem)
+        task = problem.spec
         begun = with_starting_values(problem, {name: values[name] for name in task.free})
         self.programme = CycleProgramme(begun, BACKEND)
         self.task = task
@@ -114,7 +112,7 @@ class CycleFollower:
         last = self._near
         if last is None:
             return None
-        nlp = self._bound(task_of(problem), last)
+        nlp = self._bound(problem.spec, last)
         solution = follow_optimum(nlp, last) if last.usable else None
         if solution is None or peaks(nlp, solution.x).excess > PEAK_TOLERANCE:
             x = nlp.lifted(np.clip(last.x if solution is None else solution.x, nlp.x_low, nlp.x_high))
@@ -138,7 +136,7 @@ class CycleFollower:
             self._near = _with_active_rows(exchanged)
         return exchanged
 
-    def _bound(self, task: CycleProblem, last: Solution) -> CycleNLP:
+    def _bound(self, task: DesignProblem, last: Solution) -> CycleNLP:
         """Return the programme with the fixed sizes, bounds and limits of a problem, and the last positions of the peaks."""
         trace = object.__new__(TracedCycle)  # its copy would be traced again
         vars(trace).update(vars(self.programme.trace) | {"problem": task})
@@ -151,7 +149,7 @@ class CycleFollower:
         return nlp
 
 
-def _moved(old: CycleProblem, new: CycleProblem) -> dict[str, float]:
+def _moved(old: DesignProblem, new: DesignProblem) -> dict[str, float]:
     """Return the limits that differ, in the unit of the file, by key with side."""
     moved: dict[str, float] = {}
     for bound, now in zip(old.bounds, new.bounds, strict=True):

@@ -12,8 +12,7 @@ import numpy as np
 from optlink.errors import InputError, Status
 from optlink.execution import interrupts
 from optlink.linkage.vector2d import Array
-from optlink.problem.cycle.model import CycleProblem
-from optlink.problem.design import EPIGRAPH
+from optlink.problem.design import EPIGRAPH, DesignProblem
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import input_of
 from optlink.solvers.solution import Solution
@@ -21,12 +20,11 @@ from optlink.tasks.analyze import quick_stroke_notes
 from optlink.tasks.modes import each_mode, mode_of, possible_modes
 from optlink.tasks.protocol import DesignTask, Search, agreement
 from optlink.tasks.results.common import Optimum, better, with_optimality
-from optlink.tasks.results.cycle import CycleResult, analysis_of, task_of
+from optlink.tasks.results.cycle import CycleResult, analysis_of
 from optlink.tasks.results.evidence import tally
 from optlink.tasks.results.rotation import cannot_turn
 from optlink.units import factor
-from optlink.validation.check import Check
-from optlink.validation.cycle import validate_cycle
+from optlink.validation import Check, validate as validate_design
 
 if TYPE_CHECKING:
     from optlink.optimization.cycle_nlp import CycleNLP
@@ -75,7 +73,7 @@ class CycleTask(DesignTask[CycleResult]):
         from optlink.solvers.cycle_starts import StartSequence
 
         with input_of(problem.file):
-            trace = TracedCycle(task_of(problem), slow=task_of(problem).slow_assumed)
+            trace = TracedCycle(problem.spec, slow=problem.spec.slow_assumed)
         groups = _first_starts(problem, StartSequence(trace, 0), 1)
         if not groups:
             message = "no dimensions were found within the bounds with which the crank turns fully"
@@ -104,10 +102,10 @@ solve, validate = TASK.solve, TASK.validate
 
 def _validated(problem: ProblemFile, design: Mapping[str, float]) -> CycleResult:
     """Return given dimensions with their validation in one assembly mode."""
-    task, begin = task_of(problem), time.perf_counter()
+    task, begin = problem.spec, time.perf_counter()
     names = (*task.free, *(name for name in task.quantities if name in design and name not in task.free))
     values = {name: design.get(name, task.quantities[name].value) for name in names}
-    verification = validate_cycle(task, values)
+    verification = validate_design(task, values)
     seconds = {"build": 0.0, "solve": 0.0, "validate": time.perf_counter() - begin}
     return CycleResult(problem, Status.NOT_SEARCHED, "none", values, verification.objective, verification, seconds, 0, 0)
 
@@ -121,7 +119,7 @@ def _search(problem: ProblemFile, search: Search) -> CycleResult:
     from optlink.solvers.semi_infinite import rank
 
     names, seed, timer, progress = search.names, search.seed, search.timer, search.progress
-    task, count = task_of(problem), STARTS if search.starts is None else search.starts
+    task, count = problem.spec, STARTS if search.starts is None else search.starts
     with input_of(problem.file):
         trace = TracedCycle(task, slow=task.slow_assumed)
     samples = StartSequence(trace, seed)
@@ -149,7 +147,7 @@ def _search(problem: ProblemFile, search: Search) -> CycleResult:
     equal = continuum(nlp, winner, chosen) if result.usable else None
     timer.lap("solve")
     measured = analysis_of(task, winner.design)
-    verification = with_optimality(validate_cycle(task, winner.design, winner.objective, measured), winner)
+    verification = with_optimality(validate_design(task, winner.design, objective=winner.objective, cycle=measured), winner)
     if len(solutions) > 1:
         verification = verification.with_checks(_agreement(solutions))
     timer.lap("validate")
@@ -227,7 +225,7 @@ def _notes(
     """Yield notes on the search and the design."""
     from optlink.solvers.cycle_starts import SAMPLES
 
-    task = task_of(problem)
+    task = problem.spec
     most = max(len(order.begin.starts) for order in result.orders)
     if most < count:
         why = f"no others of {SAMPLES * count} random designs turn fully with the same order of events"
@@ -253,7 +251,7 @@ def _continuum_note(equal: Continuum) -> str:
     return f"a continuum of designs is equally good: {equal.fix} may change{together}; fix {equal.fix} to pick one of them"
 
 
-def _optima(task: CycleProblem, winner: Solution, solutions: list[Solution], equal: Continuum | None) -> tuple[Optimum, ...]:
+def _optima(task: DesignProblem, winner: Solution, solutions: list[Solution], equal: Continuum | None) -> tuple[Optimum, ...]:
     """Return distinct validated designs, the solution first; a continuum of equally good ones counts as one."""
     from optlink.solvers.multistart import SAME_DESIGN
 
@@ -277,14 +275,14 @@ def _no_rotatable_design(problem: ProblemFile, seed: int, starts: int, seconds: 
         f"none of {SAMPLES * starts} random designs within the bounds lets the crank turn fully: "
         "widen the bounds, or start from a design that does"
     )
-    task = task_of(problem)
+    task = problem.spec
     notes = cannot_turn(task.mechanism, task.linkage, "", task.limits.alignment.value) or (note,)
     result = TASK.validate(problem, {})
     times = result.seconds | seconds
     return replace(result, status=Status.INFEASIBLE, seconds=times, seed=seed, starts=starts, notes=notes)
 
 
-def _refined(task: CycleProblem, nlp: CycleNLP, solutions: dict[str, Solution]) -> tuple[CycleNLP, dict[str, Solution]]:
+def _refined(task: DesignProblem, nlp: CycleNLP, solutions: dict[str, Solution]) -> tuple[CycleNLP, dict[str, Solution]]:
     """Double the positions until integrals agree with those of the validation, and continue the search."""
     from optlink.optimization.cycle_nlp import NODES, build_cycle
     from optlink.solvers import multistart

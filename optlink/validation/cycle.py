@@ -1,4 +1,4 @@
-"""Validate a machine optimised over its cycle by ordinary inverse dynamics on a refined sweep, one-sided at load jumps."""
+"""Measure a machine over its cycle by ordinary inverse dynamics on a refined sweep, one-sided at load jumps."""
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -15,21 +15,15 @@ from optlink.linkage.extrema import distinct, extremes, maxima
 from optlink.linkage.motion import sweep
 from optlink.linkage.stroke import Travel, reachable, travels
 from optlink.linkage.vector2d import TURN, Array, turn
-from optlink.problem.cycle.model import Bound, CycleProblem, MachineTerms
+from optlink.problem.cycle.model import MachineTerms
 from optlink.problem.cycle.quantities import guide_of
 from optlink.problem.cycle.terms import Term, output_of
 from optlink.problem.limits import stroke_ratio
-from optlink.problem.quantity import Unusable
-from optlink.units import KINDS, factor
-from optlink.validation.check import POSITIONS, Check, Validation, bounds_and_links, same_objective
+from optlink.validation.check import POSITIONS
 from optlink.validation.four_bar_motion import FourBarMotion
 from optlink.validation.linkage_motion import LinkageMotion, motion_of
-from optlink.validation.margins import alignment_check
 
-MEET = 1e-6  # relative violation permitted for a limit
 ROUNDING = 1e-6  # of the size of the signal, below which a mean or a work counts as zero
-ZERO_LIMIT_REFERENCE = 1e-3  # of the size of the signal, the reference for the tolerance of a limit of zero
-BALANCE = 1e-9  # relative difference permitted between the work of the drive and of the loads
 
 
 class _Weight(Steady):
@@ -232,64 +226,3 @@ class Cycle:
         fed = math.fsum(abs(whole(np.abs(power))) for power in powers)
         stored = float(np.max(np.abs(moving.kinetic), initial=0.0))
         return abs(math.fsum(whole(power) for power in powers)) / max(fed + stored, 1e-300)
-
-
-def validate_cycle(
-    problem: CycleProblem, design: Mapping[str, float], objective: float | None = None, tested: Cycle | None = None
-) -> Validation:
-    """Validate a design, or show where it fails; quantities [SI] not named have their value in the file.
-
-    `objective`: that of the optimiser, compared with the measured one. `tested`: the design in motion, with what was measured
-    already.
-    """
-    try:
-        tested = Cycle(problem, design) if tested is None else tested
-    except Unusable as error:
-        return Validation((Check(f"the machine can be made: {error.message}", False, math.nan, "yes", ""),), math.nan)
-    measured = tested.objective()
-    checks = [*_sizes(tested), *_motion(tested)]
-    if tested.full:
-        checks += [check for item in problem.bounds for check in limit_checks_of(tested, item)]
-    if objective is not None:
-        checks.append(same_objective(measured, objective, max(tested.natural(), 1e-300)).of())
-    return Validation(tuple(checks), measured)
-
-
-def _sizes(tested: Cycle) -> Iterator[Check]:
-    """Check bounds of design variables, fixed quantities, and constant link lengths in motion."""
-    size = tested.longest
-    problem, within = tested.problem, [checks.of() for checks in bounds_and_links(tested.problem, tested.design, size)]
-    as_given = [f"{name} within its bounds" for name in problem.fixed]
-    yield from (check for check in within if check.name not in as_given)
-    changed = [check for check in within if check.name in as_given and not check.passed]
-    yield from changed or [Check("all other dimensions as given", True, 0.0, "= 0", "")]
-    yield tested.revolution.link_lengths(size).of()
-
-
-def _motion(tested: Cycle) -> Iterator[Check]:
-    """Check full rotation on one branch, finite forces, and the energy balance of drive and loads."""
-    yield Check("the crank turns fully", tested.full, float(tested.full), "= 1", "")
-    if not tested.full:
-        return
-    yield Check("no singular position in the revolution", not tested.singular, float(len(tested.singular)), "= 0", "")
-    groups = tested.mechanism.groups
-    for group, least in zip(groups, tested.revolution.least_squared_sines, strict=True):
-        yield alignment_check(group, len(groups) == 1, least, tested.problem.limits, "the revolution").of()
-    record = MotionColumns(tested.machine.moving(tested.positions, tested.speed))
-    good = not np.any(record.singular | record.jammed | record.undefined) and not tested.work.poles
-    yield Check("finite forces over the revolution", bool(good), float(good), "= 1", "")
-    if tested.machine.inertias or tested.machine.loads:
-        gap = tested.imbalance()
-        yield Check("work of the drive is that of the loads", bool(gap <= BALANCE), gap, f"<= {BALANCE:.0e}", "")
-
-
-def limit_checks_of(tested: Cycle, item: Bound) -> Iterator[Check]:
-    """Check a limit."""
-    kind, unit = item.interval.kind, item.interval.unit
-    size = 1.0 / factor(unit or KINDS[kind].display, kind) if kind else 1.0
-    value = tested.figure(item.term)
-    reference = max(abs(value) if math.isfinite(value) else 0.0, ZERO_LIMIT_REFERENCE * tested.size(item.term))
-    for limit, words, sense in ((item.interval.low, ">=", 1.0), (item.interval.high, "<=", -1.0)):
-        if limit is not None:
-            passed = bool(sense * (value - limit) >= -MEET * max(abs(limit), reference))
-            yield Check(f"{item.name}: {item.term.words}", passed, value * size, f"{words} {limit * size:.6g}", unit)

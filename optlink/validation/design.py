@@ -12,10 +12,12 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from optlink.dynamics.columns import MotionColumns
 from optlink.linkage.dyad_types import RRR, transmitting
 from optlink.linkage.extrema import extremes_of_rows
 from optlink.linkage.fourbar import LENGTHS
@@ -24,12 +26,13 @@ from optlink.linkage.mechanism import FRAME, Mechanism
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.vector2d import TURN, Array, Value
 from optlink.problem.design import STEP, DesignProblem
-from optlink.problem.limits import limits_in_file
+from optlink.problem.limits import Bound, limits_in_file
+from optlink.problem.quantity import Unusable
 from optlink.problem.region import RegionLimit
 from optlink.problem.requirement import DEAD_CENTRES, MARK
 from optlink.problem.robust import EXPECTED, WORST
 from optlink.problem.targets.law import Table
-from optlink.units import DISPLAYED
+from optlink.units import DISPLAYED, KINDS, factor
 from optlink.validation.check import (
     ANGLE_TOLERANCE,
     MEASURED_ROBUST,
@@ -53,11 +56,17 @@ from optlink.validation.four_bar_motion import FourBarMotion
 from optlink.validation.linkage_motion import LinkageMotion, motion_of, placed, rows_of, transmission_angles
 from optlink.validation.margins import alignment_check, at_least, grashof_check
 
+if TYPE_CHECKING:
+    from optlink.validation.cycle import Cycle
+
+MEET = 1e-6  # relative violation permitted for a limit of a quantity of the machine
+ZERO_LIMIT_REFERENCE = 1e-3  # of the size of the signal, the reference for the tolerance of a limit of zero
+BALANCE = 1e-9  # relative difference permitted between the work of the drive and of the loads
 ROUNDING = {"rad": 1e-12, "m": 1e-11, "": 1e-11}
 """Absolute agreement required of nearly zero deviations, by their SI unit: lengths as a share of the size of the curve."""
 BASE = math.radians(1e-7)  # or share of the size; tolerance of an output at the start that is the actual one
 LEAST_PART = 0.25  # of a revolution whose positions cover the range of a law at least
-TOLERATED, ZERO = 1e-6, 1e-6  # relative excess over a tolerance; share of the size of a signal that is a rounding error
+TOLERATED = 1e-6  # relative excess over a tolerance
 PIVOT = PLACED = 1e-8  # of the size; tolerance of the places of pivots, and of points
 DIFFERENCE = 1e-5  # of the reference length; step of central differences by dimensions
 
@@ -68,6 +77,7 @@ def validate(
     angles: ArrayLike | None = None,
     objective: float | None = None,
     mechanism: Mechanism | None = None,
+    cycle: Cycle | None = None,
 ) -> Validation:
     """Validate a design, or show where it fails.
 
@@ -83,20 +93,34 @@ def validate(
         That of the optimiser, compared with the measured one.
     mechanism : Mechanism, optional
         Tested instead of the linkage of the problem; its bodies and joints must have the same names.
+    cycle : Cycle, optional
+        The machine in motion, with what was measured of it already.
     """
-    if problem.composed:
-        return _composed(problem, design, angles, objective, mechanism)
-    return validate_batch(problem, design, angles, objective, mechanism).of()
+    if not problem.composed:
+        return validate_batch(problem, design, angles, objective, mechanism).of()
+    checks, total, least = _targets(problem, design, angles, mechanism) if problem.parts else ([], 0.0, 1e-300)
+    if problem.goals or problem.bounds:
+        from optlink.validation.cycle import Cycle
+
+        try:
+            cycle = cycle or Cycle(
+                problem, {name: value for name, value in design.items() if name in problem.mechanism.quantities}
+            )
+        except Unusable as error:
+            return Validation((Check(f"the machine can be made: {error.message}", False, math.nan, "yes", ""),), math.nan)
+        checks += [] if problem.parts else [*_machine_sizes(cycle), *_machine_motion(cycle)]
+        if problem.parts or cycle.full:
+            checks += [check for item in problem.bounds for check in _bound(cycle, item)]
+        total, least = total + cycle.objective(), max(least, cycle.natural())
+    if objective is not None:
+        checks.append(same_objective(total, objective, least).of())
+    return Validation(tuple(checks), total)
 
 
-def _composed(
-    problem: DesignProblem,
-    design: Mapping[str, float],
-    angles: ArrayLike | None,
-    objective: float | None,
-    mechanism: Mechanism | None,
-) -> Validation:
-    """Validate a design with several requirements, tolerances of requirements, or quantities of the machine."""
+def _targets(
+    problem: DesignProblem, design: Mapping[str, float], angles: ArrayLike | None, mechanism: Mechanism | None
+) -> tuple[list[Check], float, float]:
+    """Return the checks of the requirements with targets, their share of the objective, and its rounding error."""
     every = problem.crank_angles(design, None) if angles is None else np.asarray(angles, dtype=float)
     linked = {f"{name} {problem.quantities[name].status}" for name in problem.links}  # which the parts do not know
     sizes = [tested.of() for tested in bounds_and_links(problem, design, problem.size)]
@@ -118,20 +142,7 @@ def _composed(
         name = (f"largest {part.requirement.limited_by[1]}" if part.measure == "max" else "rms") + part.suffix
         met = bool(tested.objective <= part.tolerance * (1.0 + TOLERATED))
         checks[name] = Check(name, met, tested.objective * factor * stated, f"<= {part.tolerance * factor * stated:.6g}", unit)
-    if problem.goals or problem.bounds:
-        from optlink.validation.cycle import Cycle, limit_checks_of
-
-        cycle = Cycle(problem, {name: design[name] for name in problem.mechanism.quantities})
-        for item in problem.bounds:
-            checks |= {check.name: check for check in limit_checks_of(cycle, item)}
-        for goal, scale in zip(problem.goals, problem.scales, strict=True):
-            worth = (-1.0 if goal.sense == "maximise" else 1.0) * goal.weight / (scale or 1.0)
-            total += worth * cycle.figure(goal)
-            least = max(least, abs(worth) * ZERO * cycle.size(goal))
-    if objective is not None:
-        agrees = same_objective(total, objective, least).of()
-        checks[agrees.name] = agrees
-    return Validation(tuple(checks.values()), total)
+    return [*checks.values()], total, least
 
 
 def validate_batch(
@@ -148,8 +159,7 @@ def validate_batch(
     """
     tested = _Tested(problem, designs, angles, mechanism)
     measured = tested.targets.measured.objective
-    groups = (_sizes, _crank, _circuit, _timing)
-    checks = [check for group in groups for check in group(tested)]
+    checks = [*_sizes(tested), *_crank(tested), *_circuit(tested.problem.linkage, tested.required), *_timing(tested)]
     checks += tested.targets.checks()
     checks += [check for group in (_transmission, _registered, _pivots, _regions) for check in group(tested)]
     if objective is not None:
@@ -665,10 +675,9 @@ def _crank(tested: _Tested) -> Iterator[Checks]:
         yield alignment_check(group, len(groups) == 1, least, limits, where)
 
 
-def _circuit(tested: _Tested) -> Iterator[Checks]:
+def _circuit(linkage: Mechanism, motion: FourBarMotion | LinkageMotion) -> Iterator[Checks]:
     """Check one branch (each joint of two links stays on its side) and one circuit (continuous, closed paths of the joints)."""
-    motion = tested.required
-    if any(isinstance(group, RRR) for group in tested.problem.linkage.groups):
+    if any(isinstance(group, RRR) for group in linkage.groups):
         least = motion.least_height * 1e3
         yield Checks("one branch: every joint on one side", least > 0.0, least, "> 0", "mm")
     worst = motion.largest_jump
@@ -742,3 +751,47 @@ def _regions(tested: _Tested) -> Iterator[Checks]:
         near = PLACED * tested.problem.size * 1e3
         label = f"{region.of} {region.side} {name}"
         yield Checks(label, nearest >= region.margin * 1e3 - near, nearest, f">= {region.margin * 1e3:.6g}", "mm")
+
+
+# --- the machine over its cycle -----------------------------------------------------------------------------------------
+
+
+def _machine_sizes(tested: Cycle) -> Iterator[Check]:
+    """Check bounds of design variables, fixed quantities, and constant link lengths in motion."""
+    size = tested.longest
+    problem, within = tested.problem, [checks.of() for checks in bounds_and_links(tested.problem, tested.design, size)]
+    as_given = [f"{name} within its bounds" for name in problem.fixed]
+    yield from (check for check in within if check.name not in as_given)
+    changed = [check for check in within if check.name in as_given and not check.passed]
+    yield from changed or [Check("all other dimensions as given", True, 0.0, "= 0", "")]
+    yield tested.revolution.link_lengths(size).of()
+
+
+def _machine_motion(tested: Cycle) -> Iterator[Check]:
+    """Check full rotation on one branch and circuit, finite forces, and the energy balance of drive and loads."""
+    yield Check("the crank turns fully", tested.full, float(tested.full), "= 1", "")
+    if not tested.full:
+        return
+    yield Check("no singular position in the revolution", not tested.singular, float(len(tested.singular)), "= 0", "")
+    groups = tested.mechanism.groups
+    for group, least in zip(groups, tested.revolution.least_squared_sines, strict=True):
+        yield alignment_check(group, len(groups) == 1, least, tested.problem.limits, "the revolution").of()
+    yield from (checks.of() for checks in _circuit(tested.mechanism, tested.revolution))
+    record = MotionColumns(tested.machine.moving(tested.positions, tested.speed))
+    good = not np.any(record.singular | record.jammed | record.undefined) and not tested.work.poles
+    yield Check("finite forces over the revolution", bool(good), float(good), "= 1", "")
+    if tested.machine.inertias or tested.machine.loads:
+        gap = tested.imbalance()
+        yield Check("work of the drive is that of the loads", bool(gap <= BALANCE), gap, f"<= {BALANCE:.0e}", "")
+
+
+def _bound(tested: Cycle, item: Bound) -> Iterator[Check]:
+    """Check a limit of a quantity of the machine."""
+    kind, unit = item.interval.kind, item.interval.unit
+    size = 1.0 / factor(unit or KINDS[kind].display, kind) if kind else 1.0
+    value = tested.figure(item.term)
+    reference = max(abs(value) if math.isfinite(value) else 0.0, ZERO_LIMIT_REFERENCE * tested.size(item.term))
+    for limit, words, sense in ((item.interval.low, ">=", 1.0), (item.interval.high, "<=", -1.0)):
+        if limit is not None:
+            passed = bool(sense * (value - limit) >= -MEET * max(abs(limit), reference))
+            yield Check(f"{item.name}: {item.term.words}", passed, value * size, f"{words} {limit * size:.6g}", unit)

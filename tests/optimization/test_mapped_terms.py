@@ -16,7 +16,6 @@ from optlink.optimization.programme import build
 from optlink.problem.design import DesignProblem
 from optlink.solvers.exchange import PER_ROW, _with_moving_peaks
 from optlink.solvers.semi_infinite import with_following_peaks
-from optlink.tasks.results.cycle import task_of
 from tests.tiers import mostly_slow
 
 MACHINES = {
@@ -39,7 +38,7 @@ def same_derivatives(nlp: NLP) -> None:
 
 @pytest.mark.parametrize("machine", mostly_slow(MACHINES, "peaks"))
 def test_derivatives_are_those_of_the_whole_expression(machine: str) -> None:
-    task = task_of(optlink.load("shaper-design").override(MACHINES[machine]))
+    task = optlink.load("shaper-design").override(MACHINES[machine]).spec
     trace = TracedCycle(task, slow=task.slow_assumed)
     start = {name: task.quantities[name].value for name in task.free}
     structure = trace.structure(start)

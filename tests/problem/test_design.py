@@ -19,6 +19,7 @@ PLACE, DATUM = (0.013, -0.021), math.radians(37.0)
 
 def of_kind(kind, **keys):
     shown = {**dict.fromkeys(("function", "dwell", "position"), "law-six-bar"), "motion": "motion-3-poses"}
+    shown["stroke"] = "stroke-crank-rocker"
     raw = copy.deepcopy(dict(optlink.load(shown.get(kind, "path-arc5")).raw))
     raw.pop("expected", None)
     own = {"transmission": {"kind": kind}, "dwell": {"kind": kind, "over": "60 deg", "output": "rocker"}}

@@ -21,7 +21,6 @@ import optlink
 from optlink.cli.app import app
 from optlink.errors import InputError
 from optlink.problem.base_model import InFolder
-from optlink.problem.cycle.model import CycleProblem, StrokeProblem
 from optlink.problem.design import DesignProblem
 from optlink.problem.file import WORDS, read
 from optlink.problem.identity import identity
@@ -370,7 +369,7 @@ def sections(annotation: Any, named: bool = False) -> Iterator[tuple[type[pydant
 
 
 def test_every_key_that_can_read_a_file_is_among_the_cases():
-    models = (Problem, DesignProblem, CycleProblem, StrokeProblem)
+    models = (Problem, DesignProblem)
     keys = {key for model in models for key in fields(model)}
     assert keys == {case.field for case in CASES.values()}
 

@@ -19,7 +19,7 @@ from optlink.solvers import multistart
 from optlink.solvers.cycle_search import OrderSearch, build_programme
 from optlink.solvers.cycle_starts import StartSequence, start_groups
 from optlink.tasks.cycle import solve, validate
-from optlink.tasks.results.cycle import CycleResult, task_of
+from optlink.tasks.results.cycle import CycleResult
 
 PUMP = """
 title = "Offset pump"
@@ -163,7 +163,7 @@ def test_ratios_that_no_stroke_has_are_refused(limit, key):
 
 
 def test_starting_points_of_a_smaller_number_come_first():
-    trace = TracedCycle(task_of(problem(PUMP)), slow={"delivery": "forward"})
+    trace = TracedCycle(problem(PUMP).spec, slow={"delivery": "forward"})
     few, more = (start_groups(StartSequence(trace, 3), count) for count in (3, 9))
     assert {own.structure.slow for own in few} == {own.structure.slow for own in more}
     for own in few:
@@ -217,7 +217,7 @@ def test_without_a_feasible_point_no_objective_is_searched(monkeypatch):
 
 def test_a_design_without_the_dead_centres_of_its_limits_is_refused(monkeypatch):
     """A local search may end where the rocker turns fully: the NLP does not see it, the time ratio is not defined there."""
-    task = task_of(optlink.load("shaper-design"))
+    task = optlink.load("shaper-design").spec
     trace = TracedCycle(task, slow=task.slow_assumed)
     samples = StartSequence(trace, 0)
     begin = start_groups(samples, 1)[0]
@@ -375,7 +375,7 @@ def test_loads_do_not_divide_a_search_in_which_no_term_depends_on_forces():
     result = solve(problem(shaking))
     assert result.valid
     assert result.objective == pytest.approx(231.0301, rel=1e-6)
-    kinds = [{event.key[0] for event in TracedCycle(task_of(problem(text))).events} for text in (shaking, RAMP)]
+    kinds = [{event.key[0] for event in TracedCycle(problem(text).spec).events} for text in (shaking, RAMP)]
     assert "corner" not in kinds[0]
     assert "corner" in kinds[1]
 
@@ -390,7 +390,7 @@ TOGGLE = {
 
 
 def toggle_search():
-    trace = TracedCycle(task_of(optlink.load("press-toggle").override(TOGGLE)))
+    trace = TracedCycle(optlink.load("press-toggle").override(TOGGLE).spec)
     begin = start_groups(StartSequence(trace, 0), 1)[0]
     return trace, OrderSearch(build_programme(trace, begin), begin, ("ipopt",))
 

@@ -16,7 +16,7 @@ from optlink.linkage.fourbar import four_bar
 from optlink.linkage.motion import sweep
 from optlink.linkage.stroke import reachable
 from optlink.problem.file import dump
-from optlink.validation.cycle import validate_cycle
+from optlink.validation import validate as validate_design
 from tests.oracle import Kinematics, Mass, newton_euler
 from tests.tiers import mostly_slow
 
@@ -620,7 +620,7 @@ def test_cycle_validation_fails_on_a_singular_revolution():
     task = optlink.read(raw).model
 
     def checks(rod):
-        return {check.name: check for check in validate_cycle(task, {"rod.length": rod}).checks}
+        return {check.name: check for check in validate_design(task, {"rod.length": rod}).checks}
 
     name = "no singular position in the revolution"
     assert checks(0.15)[name].passed

@@ -13,7 +13,8 @@ import optlink
 from optlink.dynamics.columns import MotionColumns
 from optlink.problem.cycle.terms import Limit
 from optlink.tasks.cycle import CycleResult, solve, validate
-from optlink.validation.cycle import Cycle, validate_cycle
+from optlink.validation import validate as validate_design
+from optlink.validation.cycle import Cycle
 from tests.cli.test_cli import run
 from tests.solved import once
 from tests.tasks.test_fit import drag_link, torque
@@ -112,15 +113,15 @@ def test_no_neighbour_that_meets_the_limits_is_better():
 def test_validation_fails_on_planted_defects():
     result = shaper()
     good = result.values
-    assert validate_cycle(result.task, good, result.objective).valid
+    assert validate_design(result.task, good, objective=result.objective).valid
     for change, words in (
         ({"crank.length": good["crank.length"] * 1.001}, "stroke"),
         ({"F.y": 0.46}, "within its bounds"),
         ({"crank.length": 0.5}, "turns fully"),
     ):
-        proof = validate_cycle(result.task, {**good, **change}, result.objective)
+        proof = validate_design(result.task, {**good, **change}, objective=result.objective)
         assert any(words in check.name for check in proof.checks if not check.passed), words
-    wrong = validate_cycle(result.task, good, result.objective * (1.0 + 1e-5))
+    wrong = validate_design(result.task, good, objective=result.objective * (1.0 + 1e-5))
     assert [check.name for check in wrong.checks if not check.passed] == ["objective measured in motion"]
 
 

@@ -17,8 +17,9 @@ from optlink.problem.file import ProblemFile, read
 from optlink.solvers.cycle_search import search_all
 from optlink.solvers.cycle_starts import StartGroup
 from optlink.tasks.cycle import solve
-from optlink.tasks.results.cycle import task_of
-from optlink.validation.cycle import BALANCE, Cycle, validate_cycle
+from optlink.validation import validate as validate_design
+from optlink.validation.cycle import Cycle
+from optlink.validation.design import BALANCE
 
 PRESS = """
 title = "Slider-crank press"
@@ -249,7 +250,7 @@ BESIDE = {
 @pytest.mark.parametrize("name", ["slsqp", "ipopt"])
 def test_positions_near_a_peak_are_not_constrained(name):
     """A search that took those for a proof ended there; along the free direction the measured peak is lower."""
-    task = task_of(optlink.load("press-toggle", {"objective": term("guide force", of="F")}))
+    task = optlink.load("press-toggle", {"objective": term("guide force", of="F")}).spec
     values = {key: 1e-3 * value for key, value in BESIDE.items()}
     trace = TracedCycle(task)
     begin = StartGroup(trace.structure(values), (values,))
@@ -258,7 +259,7 @@ def test_positions_near_a_peak_are_not_constrained(name):
     lower = Cycle(task, result.design)
     assert result.objective == pytest.approx(lower.objective(), rel=1e-7)
     assert lower.objective() < Cycle(task, values).objective() - 0.5
-    assert all(check.passed for check in validate_cycle(task, result.design).checks)
+    assert all(check.passed for check in validate_design(task, result.design).checks)
 
 
 def test_a_result_measures_each_term_of_a_machine_once(monkeypatch):
@@ -355,9 +356,9 @@ def test_quadrature_near_alignment_passes_validation(monkeypatch):
     file = read(
         {"mechanism": mechanism, "bodies": bodies, "objective": {"quantity": "torque"}, "limits": {"alignment": "0.2 deg"}}
     )
-    assert validate_cycle(file.model, {}).valid
+    assert validate_design(file.model, {}).valid
     monkeypatch.setattr("optlink.dynamics.work.ROUGH", 1.0)  # no panel is halved
-    assert not validate_cycle(file.model, {}).valid
+    assert not validate_design(file.model, {}).valid
 
 
 def test_a_wrong_power_fails_validation(monkeypatch):
@@ -369,7 +370,7 @@ def test_a_wrong_power_fails_validation(monkeypatch):
     power = Acting.power
     monkeypatch.setattr(Acting, "power", lambda self, state: 1.0001 * power(self, state))
     assert Cycle(file.model, {}).imbalance() > 1e3 * BALANCE
-    assert "work of the drive is that of the loads" in [c.name for c in validate_cycle(file.model, {}).checks if not c.passed]
+    assert "work of the drive is that of the loads" in [c.name for c in validate_design(file.model, {}).checks if not c.passed]
 
 
 # --- odd input ---------------------------------------------------------------------------------------------------------------

@@ -11,7 +11,9 @@ from scipy.optimize import minimize_scalar
 
 import optlink
 from optlink.errors import InputError
-from optlink.problem.cycle.model import CycleProblem
+from optlink.validation import validate
+from optlink.validation.cycle import Cycle
+from optlink.validation.linkage_motion import motion_of
 
 Raw = dict[str, object]
 
@@ -151,7 +153,6 @@ def test_limits_of_the_transmission_angle_of_a_machine() -> None:
     """Every cycle problem takes them: of all dyads, or by joint."""
     changes = {"limits.pressure_angle": "60 deg", "limits.transmission_angle": {"E": ["40 deg", "140 deg"]}}
     model = optlink.load("press-toggle", changes).model
-    assert isinstance(model, CycleProblem)
     computed = [(bound.key, bound.term.words) for bound in model.bounds if "angle" in bound.key and "rod" not in bound.key]
     assert computed == [
         ("limits.pressure_angle", "peak pressure angle at C"),
@@ -170,7 +171,7 @@ FAULTS: dict[str, tuple[Raw, str, str]] = {
     "reversed": ({"requirement.stroke": ["110 mm", "100 mm"]}, "requirement.stroke", "min is above max"),
     "one side": ({"requirement.stroke": {"mn": "3 mm"}}, "requirement.stroke.mn", 'Did you mean "min"'),
     "ratio": ({"requirement.time_ratio": 0.5}, "requirement.time_ratio", "Give 1 or more"),
-    "a measure": ({"requirement.measure": "max"}, "requirement.measure", "Known: kind, output, stroke"),
+    "a measure": ({"requirement.measure": "max"}, "requirement.measure", "a stroke has no measure"),
     "torque": ({"objective": {"quantity": "torque"}}, "objective", "no masses"),
 }
 
@@ -347,3 +348,72 @@ def test_dependent_limits_never_stop_a_search(block: int) -> None:
             inside = 5.0 < 100.0 * sizes[0] < 90.0 and all(20.0 < 100.0 * size < 200.0 for size in sizes[1:])
             assert result.valid or not inside
             assert not inside or result.objective <= math.asin(worst_cosine(*sizes)) + 1e-7
+
+
+def listed(problem: optlink.ProblemFile, *others: Raw) -> optlink.ProblemFile:
+    """The problem with its requirement in a list, before others."""
+    raw = {key: value for key, value in problem.raw.items() if key != "requirement"}
+    return problem.with_tables({**raw, "requirements": [problem.raw["requirement"], *others]})
+
+
+def test_a_stroke_in_a_list_is_the_same_demand() -> None:
+    """Alone in it, it has the same bounds under its name; two strokes of one machine are two demands."""
+    alone, one = SLIDER.spec, listed(SLIDER).spec
+    assert one.task == "cycle"
+    assert not one.parts
+    assert [(bound.term, bound.interval) for bound in one.bounds] == [(bound.term, bound.interval) for bound in alone.bounds]
+    assert [bound.key for bound in one.required] == ["requirements.0.stroke", "requirements.0.time_ratio"]
+    swing = {"kind": "stroke", "output": "rod", "stroke": "10..60 deg"}
+    two = listed(SLIDER, {**swing, "name": "rod_swing"}).spec
+    assert [bound.name for bound in two.required] == ["stroke.stroke", "stroke.time_ratio", "rod_swing.stroke"]
+    assert math.degrees(two.required[2].interval.high) == pytest.approx(60.0)
+    assert listed(SLIDER).kind == SLIDER.kind == "dyads, stroke design"
+
+
+def test_faults_of_a_stroke_in_a_list_name_its_place() -> None:
+    for changes, key in (({"output": "slidr"}, "output"), ({"stroke": None}, "stroke"), ({"tolerance": "1 mm"}, "tolerance")):
+        with pytest.raises(InputError) as caught:
+            listed(SLIDER, {"kind": "stroke", "name": "other", "output": "slider", "stroke": "9 mm", **changes})
+        assert caught.value.faults[0].key == f"requirements.1.{key}"
+    beside = {"kind": "position", "at": "60 deg", "output": "rod", "value": ["-20 deg", "20 deg"]}
+    with pytest.raises(InputError, match="at the ends of strokes is not supported beside the targets") as caught:
+        listed(SLIDER, beside)
+    assert caught.value.faults[0].key == "requirements.0.kind"
+
+
+def test_a_limit_of_a_quantity_may_have_the_name_of_a_key() -> None:
+    """Its table states the quantity; the order of the file remains."""
+    model = optlink.load("shaper-design").spec
+    assert list(model.limits.named) == ["stroke", "time_ratio", "guide"]
+    assert model.limits.time_ratio is None
+    named = {"frame_length": {"quantity": "length", "of": "crank", "max": "80 mm"}}
+    law = optlink.load("crank-rocker", {"limits": named}).spec
+    assert list(law.limits.named) == ["frame_length"]
+    assert law.limits.frame_length is None
+    with pytest.raises(InputError) as caught:
+        optlink.load("crank-rocker", {"limits": {"frame_length": {"quantity": "length", "off": "crank", "max": "80 mm"}}})
+    assert caught.value.faults[0].key == "limits.frame_length.off"
+    assert 'Did you mean "of"' in str(caught.value)
+
+
+def test_a_named_limit_is_part_of_the_identity_of_a_problem() -> None:
+    problem = optlink.load("path-within-torque")
+    name = next(iter(problem.spec.limits.named))
+    assert problem.override({f"limits.{name}.max": "9 N*m"}).hash != problem.hash
+
+
+def test_a_machine_is_checked_for_branch_and_circuit() -> None:
+    """In the other assembly mode every joint is on the wrong side; a motion that leaves out half a radian jumps."""
+    problem = optlink.load("stroke-crank-rocker").spec
+    design = optlink.solve(optlink.load("stroke-crank-rocker")).design
+    other = optlink.load("stroke-crank-rocker", {"mechanism.assembly": "right"}).spec
+    even = np.linspace(0.0, 2.0 * math.pi, 720, endpoint=False)
+    for check, mechanism, angles in (
+        ("one branch: every joint on one side", other.linkage, even),
+        ("one circuit: no point jumps", problem.linkage, np.where(even < 1.0, even, even + 0.5)),
+    ):
+        cycle = Cycle(problem, design)
+        assert validate(problem, design, cycle=cycle).valid
+        sizes = {name: np.array([[value]]) for name, value in cycle.design.items()}
+        vars(cycle)["revolution"] = motion_of(problem.linkage, mechanism, sizes, angles, cycle.longest, closed=True)
+        assert check in validate(problem, design, cycle=cycle).failed

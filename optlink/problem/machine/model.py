@@ -261,6 +261,16 @@ class Problem(Section):
         """The problem with each of its requirements of targets alone; none without."""
         return ()
 
+    @property
+    def goals(self) -> tuple[Any, ...]:
+        """The quantities of the machine that are minimised or maximised."""
+        return ()
+
+    @property
+    def bounds(self) -> tuple[Any, ...]:
+        """The limits of quantities of the machine with their bounds."""
+        return ()
+
     def shares_programme(self, keys: Sequence[str]) -> bool:
         """Return whether one programme serves all values of keys of the file, including the side of a limit."""
         return False

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from optlink.linkage.vector2d import TURN
-from optlink.problem.cycle.model import REQUIRED, StrokeProblem
 from optlink.report.causes import why_invalid
 from optlink.report.format import figure, joined, pretty, si
 from optlink.report.views import study_tables
@@ -56,7 +55,7 @@ def _sentences(*sentences: str) -> str:
 
 
 def _cycle(outcome: CycleResult) -> str:
-    stroke = isinstance(outcome.task, StrokeProblem)
+    stroke = [bound.name for bound in outcome.task.required]
     goals = [goal for goal in outcome.figures if goal.limit in ("minimised", "maximised")] or outcome.figures[:1]
     words = []
     for goal in goals:
@@ -64,7 +63,7 @@ def _cycle(outcome: CycleResult) -> str:
         change = goal.result / goal.initial - 1.0 if compared else math.nan
         before = f" instead of {figure(goal.initial, goal.unit)} ({100.0 * change:+z.1f} %)" if math.isfinite(change) else ""
         words.append(f"{goal.words} {figure(goal.result, goal.unit)}{before.replace('-', '−')}")
-    words += [f"{goal.words} {figure(goal.result, goal.unit)}" for goal in outcome.figures if stroke and goal.name in REQUIRED]
+    words += [f"{goal.words} {figure(goal.result, goal.unit)}" for goal in outcome.figures if goal.name in stroke]
     text = joined(words)
     unfair = "" if stroke or outcome.initial.valid else "; the initial design does not meet the limits"
     return f"{text[:1].upper()}{text[1:]}{unfair}."

@@ -3,7 +3,6 @@
 import math
 
 from optlink.errors import Status
-from optlink.problem.cycle.model import CycleProblem, StrokeProblem
 from optlink.report.format import change, dimension, number
 from optlink.report.table_spec import Row, Summary, TableSpec, quiet, strong, table
 from optlink.report.views.analysis_tables import machine_strokes
@@ -16,19 +15,6 @@ def cycle_result(outcome: CycleResult) -> Summary:
     strokes = None if outcome.built is None else machine_strokes(outcome.built, outcome.task.drive.speed.value)
     tail = f"; {outcome.comparison}" if outcome.comparison else ""
     return search_summary(outcome, _sizes(outcome), None, (_figures(outcome), strokes), (optima(outcome),), tail=tail)
-
-
-def cycle_problem(task: CycleProblem) -> TableSpec:
-    """List the objective and the limits of a problem."""
-    rows = []
-    for goal in task.goals:
-        share = "" if task.single else f"weight {goal.weight:g}" + (f" per {goal.scale}" if goal.scale is not None else "")
-        rows.append((f"{goal.sense}", goal.words, share))
-    rows += [(bound.name, bound.term.words, str(bound.interval)) for bound in task.bounds]
-    default = "" if "alignment" in task.limits.model_fields_set else ", default"
-    rows.append(("alignment", "every joint off alignment", f"at least {task.limits.alignment}{default}"))
-    required = "[requirement], " if isinstance(task, StrokeProblem) else ""
-    return table(f"{required}[objective] and [limits]", "<<<", rows)
 
 
 def _sizes(outcome: CycleResult) -> TableSpec:

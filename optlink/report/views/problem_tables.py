@@ -1,12 +1,11 @@
 """Tables of a problem file."""
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 
 import numpy as np
 
 from optlink.problem.base_model import Section
-from optlink.problem.cycle.model import CycleProblem
 from optlink.problem.design import DesignProblem
 from optlink.problem.file import ProblemFile
 from optlink.problem.interval import Interval
@@ -26,17 +25,9 @@ def problem(file: ProblemFile) -> Summary:
     parts: list[Part] = []
     if isinstance(model.mechanism, FourBarSection):
         parts.append(_section("mechanism", model.mechanism, {"assembly": file.mode()}))
-    if isinstance(model, DesignProblem):
-        over = {"transmission_over": model.limits.transmission_range}
-        task = effective_values(model)
-        for name, section, instead in (("requirement", model.requirement, task), ("limits", model.limits, over)):
-            hidden = {key for key in type(section).model_fields if f"{name}.{key}" in model.inapplicable}
-            parts.append(_section(name, section, instead, leave_out=hidden))
-    if isinstance(model, CycleProblem):
-        from optlink.report.views.cycle_tables import cycle_problem
-
-        parts.append(cycle_problem(model))
-    if not isinstance(model, DesignProblem) or model.bodies or model.loads:
+    if model.parts or model.goals:
+        parts += _demands(file.spec)
+    if not model.parts or model.bodies or model.loads:
         from optlink.report.views.analysis_tables import machine
 
         parts += machine(file)
@@ -51,6 +42,32 @@ def problem(file: ProblemFile) -> Summary:
     if model.expected is not None:
         parts.append(_section("expected", model.expected, only_stated=True))
     return summary(model.title, [*about, quiet(f"Source: {model.source or 'none is given'}")], *parts)
+
+
+def _demands(model: DesignProblem) -> Iterator[TableSpec]:
+    """List requirement, limits, and what is demanded of quantities of the machine."""
+    if model.parts:
+        over = {"transmission_over": model.limits.transmission_range}
+        task = effective_values(model)
+        for name, section, instead in (("requirement", model.requirement, task), ("limits", model.limits, over)):
+            hidden = {key for key in type(section).model_fields if f"{name}.{key}" in model.inapplicable}
+            yield _section(name, section, instead, leave_out=hidden)
+    if model.goals or model.bounds:
+        yield _terms(model)
+
+
+def _terms(model: DesignProblem) -> TableSpec:
+    """List the quantities of the machine in objective and limits."""
+    rows = []
+    for goal in model.goals:
+        share = "" if model.single else f"weight {goal.weight:g}" + (f" per {goal.scale}" if goal.scale is not None else "")
+        rows.append((f"{goal.sense}", goal.words, share))
+    rows += [(bound.name, bound.term.words, str(bound.interval)) for bound in model.bounds]
+    if not model.parts:
+        default = "" if "alignment" in model.limits.model_fields_set else ", default"
+        rows.append(("alignment", "every joint off alignment", f"at least {model.limits.alignment}{default}"))
+    required = "[requirement], " if model.required else ""
+    return table(f"{required}[objective] and [limits]", "<<<", rows)
 
 
 def effective_values(model: DesignProblem) -> dict[str, str]:

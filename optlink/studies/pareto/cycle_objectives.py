@@ -12,7 +12,6 @@ from optlink.problem.file import SIDES, ProblemFile
 from optlink.problem.quantity import nearest
 from optlink.studies.pareto.objective import OPTION, ParetoObjective
 from optlink.studies.toml_keys import Raw, exact_text
-from optlink.tasks.results.cycle import task_of
 from optlink.units import KINDS, factor
 from optlink.validation.cycle import Cycle
 
@@ -21,7 +20,7 @@ FILE_OBJECTIVE = "objective"
 
 def cycle_objective(problem: ProblemFile, name: str, number: int) -> ParetoObjective:
     """Return the objective of a name."""
-    task = task_of(problem)
+    task = problem.spec
     if name == FILE_OBJECTIVE:
         if not task.single:
             return ParetoObjective(name, "sum of the objective", "", 1)
@@ -55,8 +54,8 @@ def _termed(problem: ProblemFile, raw: dict[str, Any], sense: int, number: int, 
     except InputError as error:
         fault = error.faults[0]
         raise InputError(fault.message, fault.remedy, problem.file, OPTION, name) from None
-    goal = task_of(read_problem).goals[0]
-    kind = task_of(read_problem).kind(goal)
+    goal = read_problem.spec.goals[0]
+    kind = read_problem.spec.kind(goal)
     unit = KINDS[kind].display if kind else ""
     side = "min" if sense < 0 else "max"
     return ParetoObjective(name, goal.words, unit, sense, f"limits.front_{number}.{side}", tuple(raw.items()))
@@ -72,7 +71,7 @@ def epsilon_problem(
     `goals`: reference values of the minimised objectives in their units, by index; `bounds` of the constrained ones.
     """
     raw = {key: copy.deepcopy(value) for key, value in problem.raw.items() if key != "expected"}
-    task = task_of(problem)
+    task = problem.spec
     removed = {
         name for name, limit in task.limits.named.items() if any(_is_replaced(limit, objective) for objective in objectives)
     }
@@ -115,7 +114,7 @@ def _is_replaced(limit: Limit, objective: ParetoObjective) -> bool:
 
 def _remaining_side(problem: ProblemFile, name: str, objectives: Sequence[ParetoObjective]) -> dict[str, Any] | None:
     """Return the other side of a limit that is removed, or None."""
-    limit, raw = task_of(problem).limits.named[name], dict(problem.raw["limits"][name])
+    limit, raw = problem.spec.limits.named[name], dict(problem.raw["limits"][name])
     raw.pop("exactly", None)
     for objective in objectives:
         if _is_replaced(limit, objective):
@@ -128,7 +127,7 @@ def cycle_figures(problem: ProblemFile, objectives: Sequence[ParetoObjective], v
 
     `values` [SI] replace dimensions of the file.
     """
-    task = task_of(problem)
+    task = problem.spec
     cycle = Cycle(task, values)
     figures = []
     for objective in objectives:

@@ -8,8 +8,8 @@ from typing import Any, ClassVar
 
 from optlink.dynamics.machine import Machine
 from optlink.errors import InputError, Status
-from optlink.problem.cycle.model import CycleProblem, StrokeProblem
 from optlink.problem.cycle.terms import Term
+from optlink.problem.design import DesignProblem
 from optlink.problem.document import Number, Source
 from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import fixed_design
@@ -19,8 +19,8 @@ from optlink.tasks.results.common import SingleResult
 from optlink.tasks.results.fit import Fit, transmission_fit
 from optlink.tasks.results.strokes import stroke_document
 from optlink.units import KINDS, factor, percent
-from optlink.validation.check import Validation
-from optlink.validation.cycle import Cycle, validate_cycle
+from optlink.validation import Validation, validate
+from optlink.validation.cycle import Cycle
 
 
 @dataclass(frozen=True)
@@ -59,14 +59,14 @@ class CycleResult(SingleResult):
         return self.design
 
     @property
-    def task(self) -> CycleProblem:
+    def task(self) -> DesignProblem:
         """The model of the problem."""
-        return task_of(self.problem)
+        return self.problem.spec
 
     @property
     def unit(self) -> str:
         """Unit of the objective, SI."""
-        return KINDS[self.task.unit_kind].si if self.task.unit_kind else ""
+        return self.task.objective_unit
 
     @cached_property
     def machine(self) -> ProblemFile:
@@ -108,7 +108,7 @@ class CycleResult(SingleResult):
     @cached_property
     def initial(self) -> Validation:
         """Checks and objective of the initial design of the file."""
-        return validate_cycle(self.task, self.complete({}), tested=self._measured_initial)
+        return validate(self.task, self.complete({}), cycle=self._measured_initial)
 
     @property
     def comparison(self) -> str:
@@ -119,9 +119,9 @@ class CycleResult(SingleResult):
         initial, optimal, unit = (
             (goal.initial, goal.result, goal.unit) if self.task.single else (first.objective, self.objective, "")
         )
-        if not math.isfinite(initial) and not isinstance(self.task, StrokeProblem):
+        if not math.isfinite(initial) and not self.task.required:
             return "the crank of the initial design does not turn fully"
-        if isinstance(self.task, StrokeProblem) and not first.valid:  # the middle of the bounds is not an initial design
+        if self.task.required and not first.valid:  # the middle of the bounds is not an initial design
             return f"objective {optimal:.5g} {unit}".rstrip()
         text, initial_text = (f"{value:.5g} {unit}".rstrip() for value in (optimal, initial))
         change = percent(optimal / initial - 1.0, signed=True) if initial else ""
@@ -176,13 +176,7 @@ class CycleResult(SingleResult):
         return {} if self.built is None else stroke_document(self.built, self.task.drive.speed.value)
 
 
-def task_of(problem: ProblemFile) -> CycleProblem:
-    """Return the model of a problem that optimises cycle quantities."""
-    assert isinstance(problem.model, CycleProblem)
-    return problem.model
-
-
-def analysis_of(task: CycleProblem, values: Mapping[str, float]) -> Cycle | None:
+def analysis_of(task: DesignProblem, values: Mapping[str, float]) -> Cycle | None:
     """Return a design [SI] in motion, with the values of the file where it has none; None if it cannot be built."""
     try:
         return Cycle(task, values)
