@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import fsolve, least_squares, minimize, minimize_scalar
+from scipy.optimize import fsolve, least_squares, minimize, minimize_scalar, nnls
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -328,6 +328,8 @@ MASSES = (0.5, 1.0, 0.8)  # kg: crank, coupler and rocker, uniform bars
 LEAST_TRANSMISSION = math.radians(30.0)
 PATH_OPTIMUM = np.array([20.074908, 41.677021, 190.672811, 200.0, 121.60453, -18.352097, 0.87658, 115.067758, -207.742823])
 """Where the searches of the bean begin: crank, coupler, rocker, frame, along, across, A.x, A.y [mm], direction [rad / 1000]."""
+PATH_SQUARES = 6.87692799e-7
+"""Its sum of squares [m^2]."""
 LOW = np.array([5.0] * 4 + [-200.0] * 4 + [-1000.0 * math.pi]) * 1e-3
 HIGH = np.array([200.0] * 8 + [1000.0 * math.pi]) * 1e-3
 SIZE = np.array([0.1] * 8 + [1.0])
@@ -559,3 +561,119 @@ def least_torque(distance: float, measure: str = "max", starts: int = 12) -> Ans
     """Least peak torque [N m] of a crank whose coupler point follows the bean within a distance [mm]: its rms, or the largest."""
     x = _best(None, 1e-3 * distance, measure, starts)
     return Answer(peak_torque(x), _figures(x))
+
+
+# --- a path between an obstacle and walls ------------------------------------------------------------------------------------
+
+
+def clearances(x: Array, phi: Array, *, trough: bool = True) -> Array:
+    """Rows (sides, n) [m] of what is left of the distances: 3 mm from a shaft of 10 mm at (0, 24), 2 mm from walls and bottom."""
+    px, py = _point(x, phi)
+    return np.array([np.sqrt(px * px + (py - 0.024) ** 2) - 0.013, *[px + 0.041, 0.041 - px, py + 0.027][: 3 * trough]])
+
+
+def least_clearances(x: Array) -> Array:
+    """The least of every row of `clearances` over a revolution [m], at 40,000 crank angles."""
+    return np.min(clearances(x, np.linspace(0.0, TURN, 40_000)), axis=1)
+
+
+def path_in_trough(starts: int = 12, *, trough: bool = True) -> Answer:
+    """Least sum of squares [m^2] of the bean by a point that keeps clear of the shaft, and of the trough.
+
+    Gauss-Newton steps within a trust region from the optimum of the path and from random changes of it, with the clearances at
+    their local minima, which move; then the conditions of Karush, Kuhn and Tucker of the rows that are active are solved by
+    Powell's method. Bean, shaft and trough are symmetric about the vertical, so one assembly mode stands for both. Dimensions are
+    scaled by `SIZE`; lengths, and the two quantities of the conditions, in mm.
+    """
+    kept = functools.partial(clearances, trough=trough)
+    wanted, low, high = bean(), LOW / SIZE, HIGH / SIZE
+
+    def places(u: Array, near: list[Array] | None = None) -> list[Array]:
+        """Local minima of each row: all of them, or those near other ones."""
+        rows = kept(u * SIZE, GRID)
+        near = near or [GRID[(row <= np.roll(row, 1)) & (row <= np.roll(row, -1))] for row in rows]
+        return [_refined(lambda f, j=j: kept(u * SIZE, f)[j], at) for j, at in enumerate(near)]
+
+    def limits(u: Array, near: list[Array]) -> tuple[Array, Array]:
+        """What is left of the clearances, of the bars and of the bounds, and its derivatives."""
+        x, at = u * SIZE, places(u, near)
+        rows = [kept(x, each)[j] for j, each in enumerate(at)]
+        slopes = [_slopes(lambda z, j=j: kept(z, at[j][:, None])[j], x) for j in range(len(at))]
+        bars = 100.0 * _bars(x), 100.0 * _slopes(lambda z: _bars(z)[:, 0], x)
+        ends = 100.0 * (u - low), 100.0 * (high - u)
+        return np.concatenate([*(1e3 * row for row in rows), bars[0], *ends]), np.concatenate(
+            [*(1e3 * slope for slope in slopes), bars[1], 100.0 * np.eye(9), -100.0 * np.eye(9)]
+        )
+
+    def errors(u: Array) -> tuple[Array, Array]:
+        """Distances along the normals of the curve at the nearest points, and their derivatives."""
+        x = u * SIZE
+        at = nearest_angles(x)
+        (p, q), (r, s) = (_point(x, at + h) for h in (1e-5, -1e-5))
+        normal = np.array([s - q, p - r]) / np.hypot(p - r, q - s)
+        away = np.array(_point(x, at)) - np.array([wanted.real, wanted.imag])
+        slopes = [_slopes(lambda z, k=k: _point(z, at[:, None])[k], x) for k in range(2)]
+        return 1e3 * np.sum(normal * away, axis=0), 1e3 * (normal[0][:, None] * slopes[0] + normal[1][:, None] * slopes[1])
+
+    def merit(u: Array) -> float:
+        worst = float(np.max(-limits(u, places(u))[0], initial=0.0))
+        return float(np.sum(errors(u)[0] ** 2)) + 50.0 * worst if math.isfinite(worst) else math.inf
+
+    def step(u: Array, reach: float) -> Array:
+        near = places(u)
+        (error, slope), (now, rows), moved = errors(u), limits(u, near), np.zeros(9)
+        for _ in range(2):  # again with the limits where the first step leads
+            if not np.all(np.isfinite(now)):
+                break
+            found = minimize(
+                lambda d: 0.5 * float(np.sum((error + slope @ d) ** 2)),
+                moved,
+                jac=lambda d: slope.T @ (error + slope @ d),
+                method="SLSQP",
+                bounds=[(-reach, reach)] * 9,
+                constraints={"type": "ineq", "fun": lambda d, now=now: now + rows @ d, "jac": lambda _: rows},
+                options={"maxiter": 100, "ftol": 1e-13},
+            )
+            moved = np.asarray(found.x)
+            now = limits(u + moved, near)[0] - rows @ moved
+        return moved
+
+    def stationary(u: Array) -> Array:
+        """The design that fulfils the conditions with the rows that are active here."""
+        near = places(u)
+        error, slope = errors(u)
+        now, rows = limits(u, near)
+        active = np.flatnonzero(now < 0.05)
+        prices = nnls(rows[active].T, 2.0 * slope.T @ error)[0]
+        active, prices = active[prices > 0.0], prices[prices > 0.0]
+
+        def conditions(y: Array) -> Array:
+            error, slope = errors(y[:9])
+            now, rows = limits(y[:9], near)
+            return np.concatenate([2.0 * slope.T @ error - y[9:] @ rows[active], now[active]])
+
+        y, _, ended, _ = fsolve(conditions, np.concatenate([u, prices]), full_output=True, xtol=1e-12)
+        return np.asarray(y[:9] if ended == 1 and np.min(y[9:], initial=0.0) >= 0.0 else u)
+
+    rng, designs = np.random.default_rng(0), list[Array]()
+    for number in range(starts):
+        u = np.clip(PATH_OPTIMUM * 1e-3 * (np.exp(0.25 * rng.normal(size=9)) if number else 1.0) / SIZE, low, high)
+        with np.errstate(all="ignore"):
+            if np.min(_bars(u * SIZE)) < 0.0 or not math.isfinite(best := merit(u)):
+                continue
+            reach = 0.1
+            for _ in range(60):
+                moved = np.clip(u + step(u, reach), low, high)
+                if (value := merit(moved)) < best:
+                    u, best, reach = moved, value, min(2.0 * reach, 0.3)
+                else:
+                    reach *= 0.25
+                if reach < 1e-6:
+                    break
+            u = stationary(u)
+            if np.min(limits(u, places(u))[0]) > -1e-6:
+                designs.append(u * SIZE)
+    found = min(designs, key=lambda x: float(np.sum(distances(x) ** 2)))
+    names = ("crank", "coupler", "rocker", "frame", "along", "across", "A.x", "A.y")
+    figures = {name: 1e3 * float(value) for name, value in zip(names, found, strict=False)}
+    return Answer(float(np.sum(distances(found) ** 2)), figures | {"designs": float(len(designs))})

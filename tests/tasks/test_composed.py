@@ -66,6 +66,33 @@ def test_the_least_torque_within_half_a_millimetre_of_the_path():
     assert contradictions(result.to_dict(), again.to_dict()) == ()
 
 
+@pytest.mark.slow
+def test_the_best_path_clear_of_a_shaft_and_a_trough():
+    result, own = solution("path-in-trough"), composed.path_in_trough(2)
+    assert result.valid
+    assert result.objective == pytest.approx(own.optimum, rel=1e-9)
+    x = dimensions(result)
+    assert float(np.sum(composed.distances(x) ** 2)) == pytest.approx(result.objective, rel=1e-9)
+    for name, value in zip(("crank", "coupler", "rocker", "frame", "along", "across", "A.x", "A.y"), 1e3 * x, strict=False):
+        assert value == pytest.approx(own.figures[name], abs=1e-4)
+    assert composed.least_clearances(x)[[0, 3]] == pytest.approx(0.0, abs=1e-8)  # the shaft, and the bottom of the trough
+    assert np.min(composed.least_clearances(x)[1:3]) > 5e-4  # the walls
+    assert result.objective > 1.6 * composed.path_in_trough(1, trough=False).optimum > 16.0 * composed.PATH_SQUARES
+
+
+@pytest.mark.slow
+def test_a_finger_that_touches_the_shaft_between_positions_is_refused():
+    """Planted: a clearance that is 0.3 micrometres larger is kept at every point of the path, but not between them."""
+    best = solution("path-in-trough").best
+    nearer = best.problem.override({"limits.shaft.clearance": "3.0003 mm"})
+    x = dimensions(solution("path-in-trough"))
+    assert np.min(composed.clearances(x, composed.nearest_angles(x))[0]) > 3e-7 > composed.least_clearances(x)[0]
+    assert optlink.validate(best.problem, best.design).valid
+    tested = optlink.validate(nearer, best.design)
+    assert not tested.valid
+    assert [check.name for check in tested.validation.checks if not check.passed] == ["P outside shaft"]
+
+
 def test_poses_and_a_law_are_met_together():
     result, own = solution("poses-and-law"), composed.poses_and_law().figures
     best = result.best
