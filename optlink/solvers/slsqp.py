@@ -6,7 +6,7 @@ import numpy as np
 from scipy.optimize import fmin_slsqp
 
 from optlink.linkage.vector2d import Array
-from optlink.optimization.nlp import NLP, NLPValues
+from optlink.optimization.nlp import NLP, SMALLEST_SCALE, NLPValues
 from optlink.problem.design import EPIGRAPH
 from optlink.solvers.solution import Attempt
 
@@ -19,9 +19,9 @@ class _View:
 
     def __init__(self, nlp: NLP, x: Array, p: Array) -> None:
         self.nlp, self.p = nlp, p
-        self.size = np.ones(len(x))  # the largest error of a minimax NLP is small compared with all other variables
-        if nlp.variables[-1].name == EPIGRAPH:
-            self.size[-1] = p[0]
+        self.size = np.ones(len(x))  # the largest errors of a minimax NLP are small compared with all other variables
+        levels = [i for i, variable in enumerate(nlp.variables) if variable.name.startswith(EPIGRAPH)]
+        self.size[levels] = np.maximum(np.abs(x[levels]), SMALLEST_SCALE)
         low, high = nlp.low, nlp.high
         below = np.flatnonzero(np.isfinite(low) & (low != high))
         above = np.flatnonzero(np.isfinite(high) & (low != high))

@@ -131,10 +131,17 @@ def test_an_optimum_without_active_limits(dimension):
 
 @pytest.mark.slow
 def test_the_check_of_a_largest_error_has_all_digits():
-    """IPOPT ends 1e-8 above the optimum where many values are nearly the largest: the gap was 4e-4, and the exit code 1."""
+    """IPOPT ends 1e-8 above the optimum where many values are nearly the largest: the gap was 4e-4, and the exit code 1.
+
+    The objective has 13 digits. The direction of the guide is 0, has no effect, and is changed by only 3e-5 deg either way: in
+    its difference quotient one unit of the 13th digit is 1.7e-7 of the reference, 1 % of the objective per degree.
+    """
     result = sensitivities(optlink.load("law-slider-crank", {"requirement.measure": "max"}), check=True)
-    assert [row.parameter.key for row in result.moving][1] == "mechanism.guides.G.offset.max"
-    assert result.gap < 1e-7
+    *effective, direction = result.moving
+    assert [row.parameter.key for row in effective] == ["limits.alignment", "mechanism.guides.G.offset.max"]
+    assert max(row.check.gap for row in effective) < 1e-8
+    assert direction.objective == 0.0
+    assert direction.check.gap < 1e-6
 
 
 def test_rounding_errors_end_no_range():
