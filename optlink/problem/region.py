@@ -84,7 +84,7 @@ class RegionLimit(Section):
             raise Unusable(message, "Give a smaller one, or a larger region", "clearance", str(self.clearance))
 
     @property
-    def _box(self) -> tuple[tuple[float, float], ...]:
+    def box(self) -> tuple[tuple[float, float], ...]:
         """Ranges [m] of x and y of a box, infinite where they are open."""
         return tuple((-math.inf, math.inf) if one is None else one.bounds for one in (self.x, self.y))
 
@@ -93,15 +93,19 @@ class RegionLimit(Section):
         """Least half width [m] of a box, or the radius of a circle."""
         if self.region == "half-plane":
             return math.inf
-        return self.radius.value if self.radius is not None else min(0.5 * (high - low) for low, high in self._box)
+        return self.radius.value if self.radius is not None else min(0.5 * (high - low) for low, high in self.box)
 
     @property
     def margin(self) -> float:
         """Least distance [m] from the edge of the region."""
         if self.clearance is not None:
             return self.clearance.value
-        halves = [0.5 * (high - low) for low, high in self._box if math.isfinite(high - low)]
+        halves = [0.5 * (high - low) for low, high in self.box if math.isfinite(high - low)]
         return SHARE * max(halves, default=0.0) if (self.region, self.side) == ("box", "outside") else 0.0
+
+    def label(self, name: str) -> str:
+        """Return the name of the limit in tables and checks."""
+        return f"{self.of} {self.side} {name}"
 
     def distances(self, point: Vector, size: float) -> list[Value]:
         """Return distances [m] of a point from the edge, all of them positive on its side; elementwise, smooth beyond the edge.
@@ -120,7 +124,7 @@ class RegionLimit(Section):
             c, s = math.cos(self.direction.value), math.sin(self.direction.value)
             left = c * (y - self.through[1].value) - s * (x - self.through[0].value)
             return [-left if self.side == "outside" else left]
-        bounded = [(value, ends) for value, ends in zip(point, self._box, strict=True) if any(map(math.isfinite, ends))]
+        bounded = [(value, ends) for value, ends in zip(point, self.box, strict=True) if any(map(math.isfinite, ends))]
         if self.side == "inside":
             sides = [(value - low, high - value, low, high) for value, (low, high) in bounded]
             return [each for one in sides for each, end in zip(one[:2], one[2:], strict=True) if math.isfinite(end)]
@@ -150,7 +154,7 @@ class RegionLimit(Section):
             normal = self.direction.value + 0.5 * math.pi
             away = -((x - self.through[0].value) * math.cos(normal) + (y - self.through[1].value) * math.sin(normal))
         else:
-            (left, right), (bottom, top) = self._box
+            (left, right), (bottom, top) = self.box
             ends = {left: x - left, right: right - x}, {bottom: y - bottom, top: top - y}
             sides = np.stack([away for pair in ends for end, away in pair.items() if math.isfinite(end)])
             if self.side == "inside":

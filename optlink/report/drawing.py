@@ -23,8 +23,9 @@ from optlink.linkage.mechanism import FRAME, Guide
 from optlink.linkage.motion import Motion
 from optlink.linkage.vector2d import TURN, Array, Vector
 from optlink.report.labels import Label
+from optlink.report.regions import Outline, Region
 from optlink.report.shapes import Part, finite, hatching, hull, in_line, rectangle, spread, stem, zigzag
-from optlink.report.style import BODIES, CRANK, GROUND, MUTED, Scale, figure, scale, short_name
+from optlink.report.style import BODIES, CRANK, GROUND, HALO, LIMIT, MUTED, Scale, figure, scale, short_name
 
 FAR_RATIO = 8.0  # positions beyond this multiple of the median distance from the crank pivot do not set the scale
 SYMBOL_SHARE = 0.035  # height of a ground pivot
@@ -35,11 +36,17 @@ FACES = {"plate": (0.22, 2.2, 2.8, "round"), "slot": (0.13, 1.1, 2.6, "miter"), 
 class Sketch:
     """Drawing of a mechanism with one scale, symbol size and set of colours for all its positions.
 
-    Extent, traces and slider strokes are those of the whole motion; centroids and springs those of the machine; `share` is the
-    height of a ground pivot as a share of the extent.
+    Extent, traces and slider strokes are those of the whole motion; centroids and springs those of the machine; `regions`
+    those of the limits; `share` is the height of a ground pivot as a share of the extent.
     """
 
-    def __init__(self, motion: Motion, machine: Machine | None = None, share: float = SYMBOL_SHARE) -> None:
+    def __init__(
+        self,
+        motion: Motion,
+        machine: Machine | None = None,
+        share: float = SYMBOL_SHARE,
+        regions: Sequence[Region] = (),
+    ) -> None:
         self.motion, self.mechanism = motion, motion.mechanism
         self.names = list(self.mechanism.owners)
         self.points = np.array([motion.position(name) for name in self.names])  # m, (points, positions, 2)
@@ -59,6 +66,11 @@ class Sketch:
         }
         self.ground = self._ground_lines()
         self.low, self.high = self._extent()
+        self.regions = tuple(regions)
+        factor = self.scale.factor
+        ends = self.low / factor, self.high / factor, self.size / factor
+        for region in self.regions:
+            self.widen(region.features(*ends) * factor)
 
     # --- positions ---------------------------------------------------------------------------------------------------
 
@@ -199,6 +211,13 @@ class Sketch:
         return (float(x0), float(x1)), (float(y0), float(y1))
 
     @property
+    def outlines(self) -> list[Outline]:
+        """The regions, as far as they are in the drawing."""
+        factor = self.scale.factor
+        low, high = np.array(self.limits).T / factor
+        return [region.outline(low, high, self.size / factor).scaled(np.full(2, factor)) for region in self.regions]
+
+    @property
     def ratio(self) -> float:
         """Height divided by width."""
         (x0, x1), (y0, y1) = self.limits
@@ -222,6 +241,23 @@ class Sketch:
                 axes.add_patch(Polygon(line, closed=True, facecolor="white", edgecolor=GROUND, linewidth=width, zorder=2))
             else:
                 axes.plot(line[:, 0], line[:, 1], color=GROUND, linewidth=width, zorder=2)
+        for region in self.outlines:
+            colour = LIMIT if region.violated else GROUND
+            for line, width, dashed in region.lines:
+                style = (0, (4, 3)) if dashed else "-"
+                axes.plot(line[:, 0], line[:, 1], color=colour, linewidth=width, linestyle=style, zorder=0.9, gid=region.name)
+            if np.all(np.isfinite(region.label)):
+                text = axes.text(
+                    float(region.label[0]),
+                    float(region.label[1]),
+                    region.name,
+                    color=colour,
+                    fontsize=8.5,
+                    ha="center",
+                    va="center",
+                    zorder=0.9,
+                )
+                text.set(path_effects=HALO, clip_on=True)
         if traces:
             for name, bodies in self.mechanism.owners.items():
                 if FRAME not in bodies:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, TypeAlias, cast
 from optlink.errors import InputError, Status
 from optlink.problem.file import ProblemFile
 from optlink.report.causes import causes, why_invalid
+from optlink.report.regions import Region, regions_of
 from optlink.tasks.analyze import Analysis, analyze
 from optlink.tasks.run import solve, validate
 
@@ -49,6 +50,12 @@ class ReportModel:
     def objective(self) -> float:
         """Value of the objective [SI]; NaN for an analysis."""
         return math.nan if isinstance(self.result, Analysis) else self.result.objective
+
+    @property
+    def regions(self) -> tuple[Region, ...]:
+        """Regions that points must stay in or out of; those that the design violates are marked."""
+        validation = getattr(getattr(self.result, "best", None), "validation", None)
+        return regions_of(self.problem, getattr(validation, "checks", ()))
 
     @property
     def forces(self) -> bool:

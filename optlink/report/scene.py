@@ -16,6 +16,7 @@ from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.vector2d import TURN, Array
 from optlink.report.drawing import Sketch
 from optlink.report.names import NamePlaces, place_names
+from optlink.report.regions import Outline, Region
 from optlink.report.shapes import Part
 from optlink.tasks.analyze import Analysis
 
@@ -51,7 +52,8 @@ class Scene:
     `angles` (positions,) [deg] follow the motion; `closed` says whether the last position equals the first; `points` are
     coordinates (positions, 2) by name; `moving`, `free` and `pins` are names of points, `owner` the body whose colour the trace
     of each takes; `ground` contains lines, widths and whether they are filled; `springs` are the two end points
-    (positions, 2, 2) by name; `size` is the height of a ground pivot; `box` is x, y, width and height of the drawing.
+    (positions, 2, 2) by name; `regions` are those that points must stay in or out of; `size` is the height of a ground pivot;
+    `box` is x, y, width and height of the drawing.
     """
 
     angles: Array
@@ -64,6 +66,7 @@ class Scene:
     owner: Mapping[str, str]
     ground: Sequence[tuple[Array, float, bool]]
     springs: Mapping[str, Array]
+    regions: Sequence[Outline]
     size: float
     box: tuple[float, float, float, float]
 
@@ -76,7 +79,7 @@ class Scene:
     def names(self) -> dict[str, NamePlaces]:
         """Places of the names of the points."""
         links = [placed for body in self.bodies for placed in body.placed()]
-        ground = [line for line, _, _ in self.ground]
+        ground = [*(line for line, _, _ in self.ground), *(region.edge for region in self.regions)]
         return place_names(self.points, self.still, links, ground, self.moving, self.box, self.size)
 
     @property
@@ -104,8 +107,8 @@ class Scene:
         }
 
 
-def scene(cycle: Analysis, steps: int = STEPS, at: float | None = None) -> Scene:
-    """Return the scene of an analysed machine over its motion, or at one crank angle [rad].
+def scene(cycle: Analysis, steps: int = STEPS, at: float | None = None, regions: Sequence[Region] = ()) -> Scene:
+    """Return the scene of an analysed machine over its motion, or at one crank angle [rad], with regions of its limits.
 
     Extent and outlines are those of the whole motion in either case.
     """
@@ -116,7 +119,7 @@ def scene(cycle: Analysis, steps: int = STEPS, at: float | None = None) -> Scene
     count = steps * round(cycle.cycle / TURN) if cycle.full else max(1, math.ceil(abs(last - first) / TURN * steps))
     angles = np.linspace(first, last, count + 1)
     full_motion = sweep(machine.mechanism, machine.sizes, angles, cycle.speed)
-    sketch = Sketch(full_motion, machine)
+    sketch = Sketch(full_motion, machine, regions=regions)
     if at is not None:
         return scene_of(sketch, sweep(machine.mechanism, machine.sizes, [at], cycle.speed), closed=False)
     known = np.all([np.isfinite(full_motion.position(name)).all(axis=-1) for name in machine.mechanism.owners], axis=0)
@@ -164,6 +167,7 @@ def scene_of(sketch: Sketch, motion: Motion, *, closed: bool, up: bool = False) 
             spring.name: np.stack([motion.position(point) * 1e3 * signs for _, point in spring.ends], axis=1)
             for spring in sketch.springs
         },
+        regions=[outline.scaled(flip) for outline in sketch.outlines],
         size=sketch.size * k,
         box=(k * x0, k * (y0 if up else -y1), k * (x1 - x0), k * (y1 - y0)),
     )

@@ -1,5 +1,6 @@
 """Shapes of bodies and ground as plain points."""
 
+import itertools
 import math
 from dataclasses import dataclass
 from typing import Literal
@@ -42,6 +43,39 @@ def hatching(begin: Array, direction: Array, length: float, depth: float, spacin
     count = max(2, math.floor((length - slant) / spacing) + 1)
     starts = np.linspace(slant, length, count)
     return np.array([p for t in starts for p in (begin + t * direction, begin + (t - slant) * direction + depth * left, gap)])
+
+
+def strokes(line: Array, depth: float, spacing: float) -> Array:
+    """Return slanted strokes to the left of a line (n, 2) with gaps at NaN, evenly spaced, as one line with gaps."""
+    along = np.diff(line, axis=0)
+    lengths = np.nan_to_num(np.linalg.norm(along, axis=1))
+    ends = np.cumsum(lengths)
+    shown: list[Array] = [np.empty((0, 2))]
+    for at in np.arange(0.5 * spacing, ends[-1] if len(ends) else 0.0, spacing):
+        k = int(np.searchsorted(ends, at))
+        way = along[k] / lengths[k]
+        begin = line[k] + (at - ends[k] + lengths[k]) * way
+        shown.append(np.array([begin, begin + depth * (np.array([-way[1], way[0]]) - 0.75 * way), [np.nan, np.nan]]))
+    return np.concatenate(shown)
+
+
+def clipped(line: Array, low: Array, high: Array) -> Array:
+    """Return the parts of a line (n, 2) with gaps at NaN that lie in a rectangle, as one line with gaps."""
+    shown: list[Array] = []
+    for begin, end in itertools.pairwise(line):
+        along = end - begin
+        with np.errstate(divide="ignore", invalid="ignore"):
+            shares = np.array([(low - begin) / along, (high - begin) / along])
+        level = (along == 0.0) & (begin >= low) & (begin <= high)
+        first, last = np.where(level, 0.0, np.min(shares, axis=0)), np.where(level, 1.0, np.max(shares, axis=0))
+        a, b = max(0.0, float(np.max(first))), min(1.0, float(np.min(last)))
+        if a < b and np.all(np.isfinite(along)):
+            piece = [begin + a * along, end if b == 1.0 else begin + b * along]
+            if shown and np.array_equal(shown[-1], piece[0]):
+                shown.append(piece[1])
+            else:
+                shown += [np.full(2, np.nan)] * bool(shown) + piece
+    return np.array(shown).reshape(-1, 2)
 
 
 def stem(points: Array, ends: Array) -> Array:

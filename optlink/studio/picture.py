@@ -1,6 +1,7 @@
 """Geometry of a design in motion [mm, deg], as the page draws it: the y axis points up."""
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from optlink.io import finite
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.vector2d import TURN, Array
 from optlink.report.drawing import Sketch
+from optlink.report.regions import Outline, Region
 from optlink.report.scene import scene_of
 
 POSITIONS = 72  # positions per revolution
@@ -21,10 +23,10 @@ class Picture:
     """A design in motion: its positions, and the data that the page draws.
 
     `start` [rad] is the first crank angle, in the reachable range if the crank cannot turn fully; `speed` gives the sense of
-    rotation.
+    rotation; `regions` are those of the limits.
     """
 
-    def __init__(self, machine: Machine, start: float, speed: float = 1.0) -> None:
+    def __init__(self, machine: Machine, start: float, speed: float = 1.0, regions: Sequence[Region] = ()) -> None:
         self.machine, self.mechanism = machine, machine.mechanism
         direction = math.copysign(1.0, speed)
         count = POSITIONS * max(1, round(self.mechanism.cycle / TURN))
@@ -38,7 +40,7 @@ class Picture:
             motion = sweep(self.mechanism, machine.sizes, angles)
         self.motion: Motion = motion
         self.angles: Array = np.asarray(motion.crank_angle, dtype=float)
-        self.sketch = Sketch(motion, machine)
+        self.sketch = Sketch(motion, machine, regions=regions)
         extent = 1e3 * max(np.ptp(self.sketch.limits, axis=1)) / self.sketch.scale.factor
         self._decimals = max(0, DIGITS - 1 - math.floor(math.log10(max(extent, 1e-9))))
 
@@ -78,10 +80,15 @@ class Picture:
             "free": list(scene.free),
             "owner": {name: scene.owner[name] for name in scene.free},
             "ground": [{"line": self._gaps(line), "width": width, "filled": filled} for line, width, filled in scene.ground],
+            "regions": [self._region(outline) for outline in scene.regions],
             "springs": {name: self._places(ends.reshape(len(ends), 4)) for name, ends in scene.springs.items()},
             "size": round(scene.size, self._decimals),
             "traces": {name: points[name] for name in scene.free},
         }
+
+    def _region(self, outline: Outline) -> dict[str, Any]:
+        lines = [{"line": self._gaps(line), "width": width, "dashed": dashed} for line, width, dashed in outline.lines]
+        return {"name": outline.name, "violated": outline.violated, "lines": lines, "at": self._places(outline.label)}
 
     def _places(self, values: Array) -> Any:
         return _plain(np.round(values, self._decimals))

@@ -10,6 +10,7 @@ from optlink.problem.assignment import parse_assignment
 from optlink.problem.enclosed import references
 from optlink.problem.file import ProblemFile, load
 from optlink.report.format import pretty
+from optlink.report.regions import regions_of
 from optlink.studio import state
 from optlink.studio.design import (
     Design,
@@ -359,7 +360,8 @@ class Session:
         assert self._history is not None
         problem, done = in_modes(problem, design), time.perf_counter()
         try:
-            picture: Picture | None = Picture(design.machine, design.start, design.speed)
+            regions = regions_of(problem, design.checks or ())
+            picture: Picture | None = Picture(design.machine, design.start, design.speed, regions)
         except (ArithmeticError, InputError, ValueError):
             picture = None
         if not problem.model.free:

@@ -749,8 +749,7 @@ def _regions(tested: _Tested) -> Iterator[Checks]:
         least = extremes_of_rows(rows_of(distances, sides, tested.count), grid, periodic=whole, signs=(1.0,))
         nearest = np.min(least.reshape(sides, -1), axis=0) * 1e3
         near = PLACED * tested.problem.size * 1e3
-        label = f"{region.of} {region.side} {name}"
-        yield Checks(label, nearest >= region.margin * 1e3 - near, nearest, f">= {region.margin * 1e3:.6g}", "mm")
+        yield Checks(region.label(name), nearest >= region.margin * 1e3 - near, nearest, f">= {region.margin * 1e3:.6g}", "mm")
 
 
 # --- the machine over its cycle -----------------------------------------------------------------------------------------

@@ -563,13 +563,13 @@ def least_torque(distance: float, measure: str = "max", starts: int = 12) -> Ans
     return Answer(peak_torque(x), _figures(x))
 
 
-# --- a path between an obstacle and walls ------------------------------------------------------------------------------------
+# --- a path between two obstacles --------------------------------------------------------------------------------------------
 
 
-def clearances(x: Array, phi: Array, *, trough: bool = True) -> Array:
-    """Rows (sides, n) [m] of what is left of the distances: 3 mm from a shaft of 10 mm at (0, 24), 2 mm from walls and bottom."""
+def clearances(x: Array, phi: Array, *, bottom: bool = True) -> Array:
+    """Rows (2, n) [m] of what is left of the distances: 3 mm from a shaft of 10 mm at (0, 24), and 2 mm from y = -29."""
     px, py = _point(x, phi)
-    return np.array([np.sqrt(px * px + (py - 0.024) ** 2) - 0.013, *[px + 0.041, 0.041 - px, py + 0.027][: 3 * trough]])
+    return np.array([np.sqrt(px * px + (py - 0.024) ** 2) - 0.013, *[py + 0.027][: 1 * bottom]])
 
 
 def least_clearances(x: Array) -> Array:
@@ -577,15 +577,15 @@ def least_clearances(x: Array) -> Array:
     return np.min(clearances(x, np.linspace(0.0, TURN, 40_000)), axis=1)
 
 
-def path_in_trough(starts: int = 12, *, trough: bool = True) -> Answer:
-    """Least sum of squares [m^2] of the bean by a point that keeps clear of the shaft, and of the trough.
+def path_in_trough(starts: int = 12, *, bottom: bool = True) -> Answer:
+    """Least sum of squares [m^2] of the bean by a point that keeps clear of the shaft, and of the bottom.
 
     Gauss-Newton steps within a trust region from the optimum of the path and from random changes of it, with the clearances at
     their local minima, which move; then the conditions of Karush, Kuhn and Tucker of the rows that are active are solved by
-    Powell's method. Bean, shaft and trough are symmetric about the vertical, so one assembly mode stands for both. Dimensions are
+    Powell's method. Bean, shaft and bottom are symmetric about the vertical, so one assembly mode stands for both. Dimensions are
     scaled by `SIZE`; lengths, and the two quantities of the conditions, in mm.
     """
-    kept = functools.partial(clearances, trough=trough)
+    kept = functools.partial(clearances, bottom=bottom)
     wanted, low, high = bean(), LOW / SIZE, HIGH / SIZE
 
     def places(u: Array, near: list[Array] | None = None) -> list[Array]:
@@ -623,7 +623,7 @@ def path_in_trough(starts: int = 12, *, trough: bool = True) -> Answer:
         near = places(u)
         (error, slope), (now, rows), moved = errors(u), limits(u, near), np.zeros(9)
         for _ in range(2):  # again with the limits where the first step leads
-            if not np.all(np.isfinite(now)):
+            if not all(np.all(np.isfinite(each)) for each in (now, rows, error, slope)):
                 break
             found = minimize(
                 lambda d: 0.5 * float(np.sum((error + slope @ d) ** 2)),

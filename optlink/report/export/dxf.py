@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -20,6 +20,7 @@ from optlink.linkage.mechanism import FRAME, Guide, Mechanism
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.vector2d import TURN, Array
 from optlink.report.format import round_below
+from optlink.report.regions import Outline, Region
 from optlink.report.scene import scene
 from optlink.report.shapes import hull, in_line
 from optlink.tasks.analyze import Analysis
@@ -33,6 +34,7 @@ Vertex = tuple[float, float, float]
 """x and y [mm] of a corner, and the bulge of the edge that begins there: the tangent of a quarter of its arc."""
 
 ASSEMBLY, PARTS, NAMES, TRACES, MARKS = "ASSEMBLY", "PARTS", "NAMES", "TRACES", "MARKS"
+REGIONS = "REGIONS"
 HOLE = 0.03  # default hole diameter, as a share of the extent, before rounding
 MAX_HOLE_SHARE = 0.5  # default hole diameter, at most this share of the least distance of two holes of a link
 WIDTH = 2.5  # default link width in hole diameters
@@ -57,8 +59,17 @@ class Plate:
         return f"LINK {self.body}" if self.body != FRAME else "FRAME"
 
 
-def document(cycle: Analysis, at: float, title: str, hole: float | None = None, width: float | None = None) -> Drawing:
+def document(
+    cycle: Analysis,
+    at: float,
+    title: str,
+    hole: float | None = None,
+    width: float | None = None,
+    regions: Sequence[Region] = (),
+) -> Drawing:
     """Return the DXF document of the assembly at a reachable crank angle [rad], with hole diameter and link width [m].
+
+    Regions of the limits have a layer of their own, with their clearances as dashed lines.
 
     Raises
     ------
@@ -70,7 +81,7 @@ def document(cycle: Analysis, at: float, title: str, hole: float | None = None, 
 
     machine = cycle.machine
     motion = sweep(machine.mechanism, machine.sizes, [at])
-    drawn = scene(cycle)
+    drawn = scene(cycle, regions=regions)
     body, least = _nearest_holes(machine.mechanism, motion)
     diameter = usual_hole(min(max(drawn.box[2:]), MAX_HOLE_SHARE * least / HOLE)) if hole is None else 1e3 * hole
     if diameter >= least:
@@ -91,6 +102,7 @@ def document(cycle: Analysis, at: float, title: str, hole: float | None = None, 
     for name in drawn.free:
         line = drawn.points[name] * np.array([1.0, -1.0])
         space.add_lwpolyline(line[np.all(np.isfinite(line), axis=1)].tolist(), dxfattribs={"layer": TRACES})
+    _mark_out(drawing, drawn.regions, radius)
     x, y, wide, _ = drawn.box
     _lay_out(space, [plate for plate in parts if plate.body != FRAME], (x, -y - drawn.box[3]), radius, wide)
     return drawing
@@ -200,6 +212,28 @@ def _cut(block: BlockLayout, plate: Plate, diameter: float, radius: float) -> No
             block.add_lwpolyline(outline, format="xyb", close=True, dxfattribs=layer)
     if plate.outline:
         block.add_lwpolyline(plate.outline, format="xyb", close=True, dxfattribs=layer)
+
+
+def _mark_out(drawing: Drawing, regions: Sequence[Outline], radius: float) -> None:
+    """Draw the edges, clearances and names of regions on their layer."""
+    from ezdxf.enums import TextEntityAlignment
+
+    if not regions:
+        return
+    drawing.layers.add(REGIONS, color=8)
+    drawing.linetypes.add("DASHED", [1.0, 0.6, -0.4])
+    space, flip = drawing.modelspace(), np.array([1.0, -1.0])
+    for region in regions:
+        look = {"layer": REGIONS, **({"color": 1} if region.violated else {})}
+        for line, way in ((region.edge, "Continuous"), (region.clearance, "DASHED")):
+            gaps = np.flatnonzero(~np.isfinite(line[:, 0]))
+            for piece in np.split(line * flip, gaps):
+                known = piece[np.isfinite(piece[:, 0])]
+                if len(known) > 1:
+                    space.add_lwpolyline(known.tolist(), dxfattribs={**look, "linetype": way, "ltscale": radius})
+        if np.all(np.isfinite(region.label)):
+            text = space.add_text(region.name, height=0.6 * radius, dxfattribs=look)
+            text.set_placement(tuple(region.label * flip), align=TextEntityAlignment.MIDDLE_CENTER)
 
 
 def _assemble(space: Modelspace, parts: list[Plate], motion: Motion) -> None:

@@ -100,7 +100,7 @@ def _dxf(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> N
     from optlink.report.export.dxf import document
 
     at = place_of(model, cycle, options.at)
-    drawing = document(cycle, at, model.problem.model.title, options.hole, options.width)
+    drawing = document(cycle, at, model.problem.model.title, options.hole, options.width, model.regions)
     with whole(path) as temporary:
         drawing.saveas(temporary)
 
@@ -110,7 +110,7 @@ def _svg(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> N
     from optlink.report.scene import scene
 
     at = place_of(model, cycle, options.at)
-    whole_motion, position = scene(cycle), scene(cycle, at=at)
+    whole_motion, position = scene(cycle), scene(cycle, at=at, regions=model.regions)
     text = svg(position, f"{model.problem.model.title}: crank angle {math.degrees(at):.6g} deg", motion=whole_motion)
     with whole(path) as temporary:
         temporary.write_text(text, encoding="utf-8")

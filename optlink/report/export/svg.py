@@ -10,7 +10,7 @@ from optlink.linkage.vector2d import Array
 from optlink.report.names import LETTER
 from optlink.report.scene import Body, Scene
 from optlink.report.shapes import Part, zigzag
-from optlink.report.style import GROUND, MUTED, short_name
+from optlink.report.style import GROUND, LIMIT, MUTED, short_name
 
 POINT = 1.0 / 8.0  # size of a typographic point, as a share of the size of a ground pivot, as in the other figures
 LAYERS = ("slot", "plate", "bar", "block", "crank")
@@ -30,6 +30,12 @@ def svg(scene: Scene, title: str, motion: Scene | None = None, k: int = 0, *, tr
     lines.append('<g data-layer="ground" stroke-linecap="round" stroke-linejoin="round">')
     lines += _ground(scene)
     lines.append("</g>")
+    if scene.regions:
+        lines.append(
+            f'<g data-layer="regions" fill="none" font-family="sans-serif" font-size="{_number(LETTER * scene.size, scene)}">'
+        )
+        lines += _regions(scene)
+        lines.append("</g>")
     if traces:
         lines.append('<g data-layer="traces" fill="none" stroke-linejoin="round">')
         lines += _traces(motion or scene)
@@ -77,6 +83,20 @@ def _ground(scene: Scene) -> Iterator[str]:
     for line, width, filled in scene.ground:
         fill = "#ffffff" if filled else "none"
         yield f'<path d="{_path(line, scene)}" fill="{fill}" stroke="{GROUND}" stroke-width="{_wide(width, scene)}"/>'
+
+
+def _regions(scene: Scene) -> Iterator[str]:
+    """Yield the lines and the name of every region; red if the design violates it."""
+    for region in scene.regions:
+        colour = LIMIT if region.violated else GROUND
+        for line, width, dashed in region.lines:
+            dashes = f' stroke-dasharray="{_wide(4.0, scene)} {_wide(3.0, scene)}"' * dashed
+            look = f'stroke="{colour}" stroke-width="{_wide(width, scene)}"{dashes}'
+            yield f'<path data-region="{escape(region.name)}" d="{_path(line, scene)}" {look}/>'
+        x, y = region.label
+        if math.isfinite(x) and math.isfinite(y):
+            place = f'x="{_number(x, scene)}" y="{_number(y + 0.35 * LETTER * scene.size, scene)}"'
+            yield rimmed(place, region.name, colour, _wide(2.2, scene))
 
 
 def _traces(scene: Scene) -> Iterator[str]:

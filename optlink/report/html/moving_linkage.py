@@ -14,6 +14,7 @@ from optlink.linkage.vector2d import Array
 from optlink.report.chart_spec import max_abs
 from optlink.report.export.svg import svg
 from optlink.report.format import pretty
+from optlink.report.regions import Region
 from optlink.report.scene import Scene, scene
 from optlink.report.shapes import zigzag
 from optlink.report.style import Scale, scale
@@ -105,9 +106,9 @@ def decimals_of(values: Array) -> int:
     return min(6, max(0, math.ceil(-math.log10(step)))) if 0.0 < step < math.inf else 3
 
 
-def turning(cycle: Analysis, steps: int) -> Moving:
-    """Return the animation of a machine over its crank angle, with `steps` positions per revolution."""
-    drawn = scene(cycle, steps)
+def turning(cycle: Analysis, steps: int, regions: Sequence[Region] = ()) -> Moving:
+    """Return the animation of a machine over its crank angle, with `steps` positions per revolution and regions of its limits."""
+    drawn = scene(cycle, steps, regions=regions)
     return Moving(cycle, drawn, Stops("crank angle", "°", drawn.angles, 1, 360.0), readouts(cycle, drawn.angles))
 
 

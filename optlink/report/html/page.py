@@ -79,7 +79,7 @@ def animation_of(model: ReportModel, steps: int) -> Moving | None:
     steps : int
         Number of positions per revolution.
     """
-    return None if model.cycle is None else turning(model.cycle, steps)
+    return None if model.cycle is None else turning(model.cycle, steps, model.regions)
 
 
 # --- layout ------------------------------------------------------------------------------------------------------------------

@@ -17,6 +17,7 @@ from optlink.report.causes import marked, why_invalid
 from optlink.report.drawing import Sketch
 from optlink.report.files import verdict
 from optlink.report.format import round_below
+from optlink.report.regions import regions_of
 from optlink.report.shapes import finite, spread
 from optlink.report.style import Scale, degrees, heading, scale
 from optlink.report.views.design_words import captions
@@ -119,7 +120,8 @@ class DesignView:
     @cached_property
     def sketch(self) -> Sketch:
         """Sketch of the mechanism, with room for the points."""
-        sketch = Sketch(self.motion)
+        regions = regions_of(self.design.problem, self.design.validation.checks)
+        sketch = Sketch(self.motion, regions=regions)
         sketch.widen(self.targets * sketch.scale.factor)
         return sketch
 

@@ -35,14 +35,15 @@ export class Linkage {
     this.canvas = canvas;
     this.world = svg("g", { id: "world" });
     this.layers = {};
-    for (const name of ["below", "ground", "traces", "curve", ...LAYERS, "springs"]) {
+    for (const name of ["below", "regions", "ground", "traces", "curve", ...LAYERS, "springs"]) {
       this.world.append((this.layers[name] = svg("g", { class: `layer ${name}` })));
     }
     this.world.insertBefore(this.layers.springs, this.layers.bar);
     this.marks = svg("g", { class: "targets", "aria-hidden": "true" });
+    this.regions = svg("g", { class: "names", "aria-hidden": "true" });
     this.joints = svg("g", { class: "joints", "aria-hidden": "true" });
     this.names = svg("g", { class: "names", "aria-hidden": "true" });
-    canvas.append(this.world, this.joints, this.marks, this.names);
+    canvas.append(this.world, this.regions, this.joints, this.marks, this.names);
     this.scene = null;
     this.at = 0; // position, fraction of the positions allowed
     this.bodies = new Map();
@@ -64,7 +65,7 @@ export class Linkage {
   clear() {
     this.scene = null;
     this.bodies.clear();
-    for (const layer of [...Object.values(this.layers).slice(1), this.joints, this.names, this.marks]) {
+    for (const layer of [...Object.values(this.layers).slice(1), this.regions, this.joints, this.names, this.marks]) {
       keyed(layer, [], () => "", null, null);
     }
   }
@@ -89,6 +90,25 @@ export class Linkage {
         put(node, "class", filled ? "filled" : "open");
         node.style.setProperty("--w", width);
       }
+    );
+    const regions = scene.regions || [];
+    keyed(
+      this.layers.regions,
+      regions.flatMap((region) => region.lines.map((line) => ({ ...line, violated: region.violated }))),
+      (_, k) => k,
+      () => svg("path", {}),
+      (node, { line, width, dashed, violated }) => {
+        put(node, "d", pathOf(line));
+        put(node, "class", `${dashed ? "dashed" : ""} ${violated ? "violated" : ""}`.trim());
+        node.style.setProperty("--w", width);
+      }
+    );
+    keyed(
+      this.regions,
+      regions.filter((region) => region.at[0] !== null),
+      (region) => region.name,
+      (region) => svg("text", { text: region.name, "text-anchor": "middle" }),
+      (node, region) => put(node, "class", region.violated ? "violated" : "")
     );
     const free = new Set(scene.free || []);
     const colours = new Map(scene.bodies.map((body) => [body.name, body.colour]));
@@ -217,6 +237,12 @@ export class Linkage {
       this.unit = wide;
       this.world.style.setProperty("--u", `${wide}px`);
     }
+    (scene.regions || [])
+      .filter((region) => region.at[0] !== null)
+      .forEach((region, k) => {
+        const [x, y] = view.px(...region.at);
+        put(this.regions.children[k], "transform", `translate(${x.toFixed(2)} ${(y + 4).toFixed(2)})`);
+      });
     const { points = [], poses = [] } = this.targets;
     [...points, ...poses].forEach((one, k) => {
       const [x, y] = view.px(...one.at);
