@@ -254,7 +254,7 @@ def with_places(nlp: NLP, slots: int, heights: Mapping[int, Any], terms: tuple[M
     expressions = [nlp.f_expression, nlp.g_expression, nlp.residual_expression, casadi.vertcat(*slopes)]
     moved: tuple[list[Any], list[Any]] = ([nlp.x_symbol, nlp.p_symbol], [x[:n], casadi.vertcat(*p)])
     mapped, rates = terms or (nlp.mapped, expressions[-1])
-    f, g, residual, slope, rates = casadi.substitute([*expressions, rates], *moved)
+    f, g, residual, slope, rates = map(casadi.densify, casadi.substitute([*expressions, rates], *moved))  # a slope may be zero
     at = np.array([nlp.p[first + slot] for slot in heights])
     names = [f"{PEAK} {k + 1}" for k in range(count)]
     return NLP(

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from optlink.errors import InputError
 from optlink.linkage.dyad_types import RRR
 from optlink.linkage.inner_four_bar import InnerFourBar, inner_four_bars
 from optlink.linkage.mechanism import FRAME, Link, Mechanism, Pose
@@ -71,10 +72,12 @@ def contained_four_bar(problem: ProblemFile) -> ContainedFourBar | None:
         chain = _chain(mechanism, task.body, point, loop)
         if chain is not None:
             traced = chain[-1][2] if chain else point
-            return ContainedFourBar(_part(problem, loop, traced, None), loop, chain)
+            part = _part(problem, loop, traced, None)
+            return None if part is None else ContainedFourBar(part, loop, chain)
         arms = _pantograph(task, loop)
         if arms is not None:
-            return ContainedFourBar(_part(problem, loop, point, _reach(task, arms[1])), loop, (), arms)
+            part = _part(problem, loop, point, _reach(task, arms[1]))
+            return None if part is None else ContainedFourBar(part, loop, (), arms)
     return None
 
 
@@ -123,16 +126,18 @@ def _reach(task: DesignProblem, leg: Link) -> float:
     return min(math.hypot(*extents) + 2.0 * task.size, 1e3 * task.size)
 
 
-def _part(problem: ProblemFile, loop: InnerFourBar, point: str, reach: float | None) -> ProblemFile:
-    """Return the problem of the four-bar alone; `reach` bounds the coordinates [m] of a point that is new on the coupler."""
+def _part(problem: ProblemFile, loop: InnerFourBar, point: str, reach: float | None) -> ProblemFile | None:
+    """Return the problem of the four-bar alone, None if its dimensions follow from those of other links.
+
+    `reach` bounds the coordinates [m] of a point that is new on the coupler.
+    """
     kept = {loop.pin, loop.joint, loop.crank.start, loop.ground_pin, point}
-    raw: dict[str, Any] = copy.deepcopy(
-        {
-            key: value
-            for key, value in problem.raw.items()
-            if key in ("title", "source", "about", "requirement", "limits", "drive")
-        }
-    )
+    kinds = ("title", "source", "about", "requirement", "requirements", "limits", "drive")
+    raw: dict[str, Any] = copy.deepcopy({key: value for key, value in problem.raw.items() if key in kinds})
+    listed = raw.pop("requirements", ())
+    path = next((each for each in listed if each.get("kind") == "path"), None) or raw["requirement"]
+    raw["requirement"] = {key: value for key, value in path.items() if key not in ("name", "tolerance", "weight", "scale")}
+    raw["limits"] = _own_limits(raw.get("limits", {}), loop, kept)
     whole = problem.raw["mechanism"]
     links = {link.body: copy.deepcopy(whole["links"][link.body]) for link in (loop.crank, loop.coupler, loop.rocker)}
     for link in links.values():
@@ -146,7 +151,23 @@ def _part(problem: ProblemFile, loop: InnerFourBar, point: str, reach: float | N
         "links": links,
         "assembly": {loop.joint: whole["assembly"][loop.joint]},
     }
-    return problem.with_tables(raw)
+    try:
+        return problem.with_tables(raw)
+    except InputError:
+        return None
+
+
+def _own_limits(limits: dict[str, Any], loop: InnerFourBar, kept: set[str]) -> dict[str, Any]:
+    """Return the limits of the four-bar alone: not those of points and joints that it lacks, nor of quantities of the machine."""
+    own: dict[str, Any] = {}
+    for key, limit in limits.items():
+        if not isinstance(limit, dict):
+            own[key] = limit
+        elif key in ("transmission_angle", "pressure_angle"):
+            own[key] = {name: value for name, value in limit.items() if name in ("min", "max", "exactly", loop.joint)}
+        elif "quantity" not in limit and limit.get("of", loop.joint) in kept:
+            own[key] = limit
+    return {key: limit for key, limit in own.items() if limit != {}}
 
 
 def grow_from_four_bar(

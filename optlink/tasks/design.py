@@ -181,7 +181,8 @@ def _notes(task: DesignProblem, rounds: SearchRounds) -> Iterator[str]:
         yield from cannot_turn(task.mechanism, task.linkage, task.limits.crank, task.limits.alignment.value)
         return
     yield from margin_notes(best.problem, best.values, best.limits, best.objective, collection.polisher.relaxed(best))
-    if task.unit != "m" and set(LENGTHS) <= set(task.free) and best.solution and best.solution.curvature <= MIN_CURVATURE:
+    sized = task.objective or task.limits.named or task.limits.regions or any(part.unit == "m" for part in task.parts)
+    if not sized and set(LENGTHS) <= set(task.free) and best.solution and best.solution.curvature <= MIN_CURVATURE:
         yield ONLY_RATIOS
     if rounds.exploration.rounds and coverage.missed > MISSED_CHANCE:
         count = rounds.starts
@@ -399,7 +400,7 @@ class SearchRounds:
         four_bars = completed(result).designs
         for design in designs_from_four_bar(part, four_bars, polisher, options.seed):
             self.collection.insert(design)
-        if four_bars and not self.collection.no_worse(four_bars[0]):
+        if four_bars and not self.task.composed and not self.collection.no_worse(four_bars[0]):
             self.better = four_bars[0]
 
     @property

@@ -95,3 +95,37 @@ def test_several_requirements_have_their_charts_figures_and_files(tmp_path) -> N
     assert f"within {largest:.4g}°" in conclusions.design(result, ())
     files = {path.name for path in view_of("design").write(result, tmp_path)}
     assert {"points-function.csv", "points-transmission.csv", "law.png", "mechanism.png", "transmission.png"} <= files
+
+
+def test_positions_are_drawn_with_coordinates_first_and_with_a_swinging_guide() -> None:
+    """The angle of the rocker is shown beside a coordinate that comes first, and a guide is no joint of a dead centre."""
+    stations = [
+        {"kind": "position", "name": "hand", "output": "P.y", "at": "30 deg", "value": {"max": "900 mm"}},
+        {"kind": "position", "name": "lever", "at": "30 deg", "value": ["0 deg", "180 deg"]},
+    ]
+    raw = {"title": "Stations", "mechanism": {**FOUR_BAR, "points": {"P": ["100 mm", "50 mm"]}}, "requirements": stations}
+    view = shown(optlink.validate(optlink.read(raw), {}))
+    assert view.output == "rocker"
+    assert view.output_at(view.sweep(np.array([0.5])))[0].startswith("ψ ")
+    whitworth = {
+        "type": "dyads",
+        "ground": {"A": ["0 mm", "0 mm"], "D": ["0 mm", "-200 mm"]},
+        "links": {
+            "crank": {"joints": ["A", "B"], "length": "60 mm"},
+            "block": {"joints": ["B"]},
+            "lever": {"joints": ["D", "E"], "length": "150 mm"},
+        },
+        "guides": {"G": {"slider": "block", "on": "lever", "through": "D"}},
+        "assembly": {"G": "forward"},
+    }
+    law = {
+        "kind": "function",
+        "output": "lever",
+        "law": "psi0 + 0.2*(phi - phi0)",
+        "span": "60 deg",
+        "start": "40 deg",
+        "psi0": "90 deg",
+    }
+    named = positions(shown(optlink.validate(optlink.read({"title": "Law", "mechanism": whitworth, "requirement": law}), {})))
+    turned = -math.pi / 2.0 - math.acos(60.0 / 200.0)  # the lever is tangent to the circle of B
+    assert math.remainder(named["end of the forward stroke"] - turned, 2.0 * math.pi) == pytest.approx(0.0, abs=1e-6)

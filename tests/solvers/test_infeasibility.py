@@ -12,6 +12,7 @@ import optlink
 from optlink.optimization.programme import build
 from optlink.solvers.elastic_programme import limit_sides
 from optlink.solvers.infeasibility import Explanation, explain, tightest
+from optlink.solvers.solution import Relaxation
 from optlink.tasks.results.conflict import outward
 from optlink.tasks.run import solve
 
@@ -155,3 +156,10 @@ def test_the_tightest_limit_is_that_of_a_grid(name, sense, other):
     computed = tightest(nlp, f"mechanism.{name}", sense, nlp.x_of(point, bounded=False))
     best = np.min(grid[1 - other]) if sense == "<=" else np.max(grid[1 - other])
     assert 0.0 <= (best - computed) * (1.0 if sense == "<=" else -1.0) <= 2.0  # two steps of the grid
+
+
+def test_a_relaxed_value_within_rounding_of_zero_is_zero() -> None:
+    assert outward(Relaxation("output", "requirements", ">=", 60.0, -1.8e-13, 60.0, "mm"), 4) == 0.0
+    assert outward(Relaxation("output", "requirements", ">=", 60.0, -1.8e-3, 60.0018, "mm"), 4) == pytest.approx(
+        -1.8e-3, rel=1e-3
+    )

@@ -260,3 +260,24 @@ def test_a_requirement_is_changed_by_its_name():
         problem.override({"requirements.grip.weight": 1.0})
     with pytest.raises(InputError, match=r"requirements.1.wait: unknown key"):
         problem.override({"requirements.valve.wait": 1.0})
+
+
+def test_lengths_are_not_called_arbitrary_beside_a_path():
+    """A law alone has its ratios only; a path, a region or a quantity of the machine fixes the size."""
+    free = {
+        name: {"bounds": bounds}
+        for name, bounds in {
+            "crank": ["20 mm", "120 mm"],
+            "coupler": ["60 mm", "400 mm"],
+            "rocker": ["60 mm", "300 mm"],
+            "frame": ["100 mm", "300 mm"],
+        }.items()
+    }
+    law = {"kind": "function", "law": "psi0 + 0.3*(phi - phi0)", "from": "30 deg", "span": "100 deg", "tolerance": "3 deg"}
+    points = [["160 mm", "120 mm"], ["120 mm", "140 mm"], ["80 mm", "140 mm"], ["40 mm", "120 mm"]]
+    path = {"kind": "path", "points": points, "measure": "max"}
+    point = {"P": [{"bounds": ["-200 mm", "300 mm"]}, {"bounds": ["-200 mm", "200 mm"]}]}
+    raw = {"title": "t", "mechanism": {"type": "four-bar", **free, "points": point}, "requirements": [law, path]}
+    result = optlink.solve(read(raw | {"limits": {"transmission_angle": ["40 deg", "140 deg"]}}), starts=1)
+    assert result.valid
+    assert not any("only their ratios" in note for note in result.notes)

@@ -236,3 +236,15 @@ def test_unusable_regions_are_reported(name: str) -> None:
 def test_a_revolution_needs_a_crank_that_turns() -> None:
     with pytest.raises(InputError, match="no whole revolution"):
         optlink.read(four_bar(hood=HOOD | {"over": "revolution"}, crank="span"))
+
+
+def test_a_region_over_the_span_applies_at_a_position_without_a_motion() -> None:
+    """A position is a single crank angle: no peak of the distance moves along it."""
+    raw = four_bar(dyads=True, hood=HOOD | {"over": "span"})
+    position = {"kind": "position", "output": "P.x", "at": "240 deg", "value": {"max": "0 mm"}}
+    raw["requirements"] = [raw.pop("requirement") | {"name": "hand"}, position]
+    result = optlink.solve(optlink.read(raw), starts=1)
+    assert result.valid
+    point = traced(result.design["coupler.P.along"], result.design["coupler.P.across"], np.radians(np.linspace(0.0, 180.0, 2001)))
+    outside = np.maximum([-0.012 - point.real, point.real - 0.06], 0.0).max(axis=0), np.maximum(0.097 - point.imag, 0.0)
+    assert np.hypot(*outside).min() == pytest.approx(0.002, abs=1e-8)

@@ -152,3 +152,24 @@ def test_a_linkage_without_coupler_curves_is_noted() -> None:
     raw["requirement"] = raw["requirement"] | {"point": "G"}
     result = solve(read(raw), starts=1)
     assert any("no four-bar within this linkage carries" in note for note in result.notes)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_the_four_bar_within_a_six_bar_has_its_own_limits_alone(seed: int) -> None:
+    """Not those of points and joints that it lacks, nor of the machine; and not the tolerance of the path."""
+    raw = copy.deepcopy(dict(random_six_bar(seed, 4).file.raw))
+    own, other = ["20 deg", "160 deg"], ["10 deg", "170 deg"]
+    raw["limits"] = {
+        "transmission_angle": {"C": own, "G": other},
+        "lid": {"region": "half-plane", "of": "G", "through": ["0 mm", "900 mm"], "direction": "180 deg", "side": "inside"},
+        "size": {"quantity": "total length", "max": "9 m"},
+    }
+    lever = {"kind": "position", "output": "G.x", "at": "20 deg", "value": {"max": "9 m"}}
+    raw["requirements"] = [raw.pop("requirement") | {"tolerance": "5 mm"}, lever]
+    part = contained_four_bar(read(raw))
+    assert part is not None
+    assert part.file.raw["limits"] == {"transmission_angle": {"C": own}}
+    assert "tolerance" not in part.file.raw["requirement"]
+    links = raw["mechanism"]["links"]
+    links["crank"]["length"] = {"equals": "0.4*one.length"}
+    assert contained_four_bar(read(raw)) is None

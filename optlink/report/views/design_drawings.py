@@ -130,7 +130,7 @@ def positions(view: DesignView) -> dict[str, float]:
     if not view.turns:
         return merged_positions(named)
     if view.output is not None:
-        travel = travels(view.task.linkage, view.design.values, 0.0, TURN, True)[view.task.slides].get(view.output)
+        travel = travels(view.task.linkage, view.design.values, 0.0, TURN, True)[view.slides].get(view.output)
         ends = [] if travel is None else [("forward", travel.high_at), ("backward", travel.low_at)]
         named += [(_dead_centre(view, at) or f"end of the {way} stroke", at) for way, at in ends]
     places, values = view.transmission_extremes
@@ -146,9 +146,9 @@ def positions(view: DesignView) -> dict[str, float]:
 
 def _dead_centre(view: DesignView, at: float) -> str:
     """Return the name of a dead centre in which the crank and the link that it drives are in line; empty if they are not."""
-    motion, crank = view.sweep(np.array([at])), view.task.linkage.crank
-    joint = next((group.joint for group in view.task.linkage.groups if crank.end in getattr(group, "outer", ())), None)
-    if joint is None:
+    motion, linkage, crank = view.sweep(np.array([at])), view.task.linkage, view.task.linkage.crank
+    joint = next((group.joint for group in linkage.groups if crank.end in getattr(group, "outer", ())), None)
+    if joint not in linkage.owners:  # that of a swinging guide is the guide
         return ""
     a, b, c = (motion.position(name)[0] for name in (crank.start, crank.end, joint))
     (x, y), (u, v) = b - a, c - b

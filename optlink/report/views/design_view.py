@@ -84,11 +84,16 @@ class DesignView:
         last = next((body for body in pivoted[::-1] if body != mechanism.crank.body), None)
         return self.task.output if self.design.follows_law else last
 
+    @property
+    def slides(self) -> bool:
+        """Whether the output is a slide or a coordinate, not the angle of a body."""
+        return self.output is not None and self.output not in self.task.linkage.bodies
+
     def output_at(self, motion: Motion) -> list[str]:
         """Return the output at the first position of a motion, as text; nothing without an output."""
         if self.output is None:
             return []
-        if self.task.slides:
+        if self.slides:
             symbol = self.output if "." in self.output else "s"
             return [f"{symbol} {self.sketch.scale.text(float(motion.coordinate(self.output).value[0]))}"]
         return [f"ψ {degrees(float(motion.body_angle(self.output).value[0]))}"]

@@ -13,6 +13,7 @@ from decimal import ROUND_CEILING, ROUND_FLOOR, Context
 from optlink.solvers.solution import Relaxation
 
 MARGIN = 1e-6  # relative margin of a printed value: relaxations are found to about this accuracy
+ROUNDING = 1e-12  # share of the limit value below which a relaxed value is zero
 DIGITS = 4
 SENSES = {">=": "at least ", "<=": "at most ", "=": ""}
 OPPOSITE = 180.0  # deg, sum of two transmission angles at the same distance from 90 deg
@@ -156,8 +157,10 @@ def opposed_limits(items: Sequence[Relaxation]) -> list[OpposedLimit]:
 
 def outward(side: Relaxation, digits: int) -> float:
     """Round a relaxed value to significant digits, away from its limit value."""
-    if not math.isfinite(side.relaxed) or side.relaxed == 0.0:
+    if not math.isfinite(side.relaxed):
         return side.relaxed
+    if abs(side.relaxed) <= ROUNDING * abs(side.bound):
+        return 0.0
     up = side.relaxed > side.bound
     return rounded(side.relaxed + (MARGIN if up else -MARGIN) * abs(side.relaxed), digits, up)
 
