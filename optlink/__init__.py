@@ -32,8 +32,8 @@ if TYPE_CHECKING:
     from optlink.tasks.results.clearance import ClearanceSimulation
     from optlink.tasks.results.common import DesignResult
     from optlink.tasks.results.control_comparison import Comparison, Tuning
-    from optlink.tasks.results.cycle import CycleResult
     from optlink.tasks.results.design import (
+        CycleResult as CycleResult,
         FunctionResult as FunctionResult,
         LinkageDesign,
         PathDesign as PathDesign,
@@ -62,8 +62,14 @@ _NAMES = {
     "optlink.tasks.results.clearance": ("ClearanceSimulation",),
     "optlink.tasks.results.common": ("DesignResult",),
     "optlink.tasks.results.control_comparison": ("Comparison", "Tuning"),
-    "optlink.tasks.results.cycle": ("CycleResult",),
-    "optlink.tasks.results.design": ("LinkageDesign", "FunctionResult", "PathDesign", "PathResult", "SynthesisResult"),
+    "optlink.tasks.results.design": (
+        "LinkageDesign",
+        "CycleResult",
+        "FunctionResult",
+        "PathDesign",
+        "PathResult",
+        "SynthesisResult",
+    ),
     "optlink.tasks.run": ("solve", "validate"),
     "optlink.tasks.simulate": ("Simulation", "simulate"),
 }
@@ -74,7 +80,6 @@ __all__ = [
     "Balance",
     "ClearanceSimulation",
     "Comparison",
-    "CycleResult",
     "DesignResult",
     "InputError",
     "InverseMotion",

@@ -11,7 +11,6 @@ from optlink.report.format import number
 from optlink.validation.check import Check
 
 if TYPE_CHECKING:
-    from optlink.tasks.results.cycle import CycleResult
     from optlink.tasks.results.design import LinkageDesign
 
 KEY = r"(?:[\w.]+: )?"
@@ -67,7 +66,7 @@ def why_invalid(checks: Sequence[Check], otherwise: str) -> str:
     return f"{first}{more}"
 
 
-def marked(title: str, design: LinkageDesign | CycleResult, refuted: str) -> list[str]:
+def marked(title: str, design: LinkageDesign, refuted: str) -> list[str]:
     """Return the lines of a picture's title; the second one says why a design is not valid.
 
     That is which limits exclude each other (`refuted`), or the first cause.

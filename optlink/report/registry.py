@@ -13,7 +13,7 @@ from optlink.report.view import View
 REGISTERED: dict[str, View] = {}
 """Views of further kinds of results by the name of the kind."""
 KINDS = {
-    **dict.fromkeys(("design", "cycle"), "solve"),
+    "design": "solve",
     "analysis": "analyze",
     **dict.fromkeys(("simulation", "clearance"), "simulate"),
     "control comparison": "simulate --control compare",
@@ -39,10 +39,6 @@ def table_of(kind: str) -> Callable[[Any], Summary]:
             from optlink.report.views.design_tables import design_result as design_table
 
             return design_table
-        case "cycle":
-            from optlink.report.views.cycle_tables import cycle_result as cycle_table
-
-            return cycle_table
         case "balance":
             from optlink.report.views.balance_tables import balance as balance_table
 
@@ -81,10 +77,6 @@ def view_of(kind: str) -> View:
             from optlink.report.views import design
 
             return design.VIEW
-        case "cycle":
-            from optlink.report.views import cycle
-
-            return cycle.VIEW
         case "balance":
             from optlink.report.views import balance
 

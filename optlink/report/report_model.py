@@ -18,10 +18,9 @@ if TYPE_CHECKING:
     from optlink.report.html.shell import StoredStudy
     from optlink.studies.sensitivity import Sensitivities
     from optlink.tasks.results.common import DesignResult
-    from optlink.tasks.results.cycle import CycleResult
     from optlink.tasks.results.design import SynthesisResult
 
-Outcome: TypeAlias = "SynthesisResult | CycleResult | Analysis"
+Outcome: TypeAlias = "SynthesisResult | Analysis"
 """What is stored, and shown in motion; an extension has results of its own."""
 
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from optlink.report.report_model import ReportModel
 
 RESULT = "result.json"
-FORMER = ("function", "path")
+FORMER = ("function", "path", "cycle")
 """Kinds of results of earlier versions, which are now those of a design."""
 
 
@@ -39,7 +39,7 @@ def read_result(path: str | Path) -> Document:
     Returns
     -------
     Document
-        `SynthesisResult`, `CycleResult`, `Analysis`, `Simulation`, ..., by the kind of result.
+        `SynthesisResult`, `Analysis`, `Simulation`, ..., by the kind of result.
 
     Raises
     ------

@@ -31,12 +31,10 @@ from optlink.studies.continuation import FOLLOWED
 from optlink.studies.grid import Grid
 from optlink.studies.reoptimise_task import FOLLOWED_CHUNK, SEARCHED, SLOW_CHUNK, ReoptimiseTask, active
 from optlink.studies.sweep_task import FoundOptimum, OptimumTask
-from optlink.tasks.cycle import solve as solve_cycle
+from optlink.tasks.cycle import solve as solve_cycle, validated_design
 from optlink.tasks.modes import possible_modes
 from optlink.tasks.protocol import completed
-from optlink.tasks.results.common import with_optimality
-from optlink.tasks.results.cycle import CycleResult
-from optlink.validation import validate
+from optlink.tasks.results.design import SynthesisResult, of_designs
 
 N = TypeVar("N", bound=NLP)
 
@@ -66,7 +64,7 @@ class CycleTask(OptimumTask):
 
     def lines(self, index: int) -> list[list[str]]:
         """Return the rows of a chunk."""
-        results: dict[int, CycleResult] = {}
+        results: dict[int, SynthesisResult] = {}
         rows = []
         for point in self.span(index):
             task = self.problem.override(self.grid.changes(point))
@@ -85,7 +83,7 @@ class CycleTask(OptimumTask):
             rows.append(self._row(point, result, how))
         return rows
 
-    def searched_from(self, point: int, task: ProblemFile, sizes: Mapping[str, float]) -> CycleResult:
+    def searched_from(self, point: int, task: ProblemFile, sizes: Mapping[str, float]) -> SynthesisResult:
         """Return the machine of a point, searched from given dimensions."""
         result = None
         if self.programme is not None:
@@ -93,7 +91,7 @@ class CycleTask(OptimumTask):
             result = self.programme.design(task, bounds, sizes)
         return completed(solve_cycle(with_starting_values(task, sizes), self.backend, starts=1)) if result is None else result
 
-    def searched(self, task: ProblemFile) -> CycleResult:
+    def searched(self, task: ProblemFile) -> SynthesisResult:
         """Return the machine of a separate search, repeated once from its result if the peak exchange did not converge."""
         result = completed(solve_cycle(task, self.backend))
         if result.valid or result.status is not Status.OPTIMAL:
@@ -101,7 +99,7 @@ class CycleTask(OptimumTask):
         repeated = completed(solve_cycle(with_starting_values(task, result.design), self.backend, starts=1))
         return repeated if repeated.valid else result
 
-    def _row(self, point: int, result: CycleResult, how: str) -> list[str]:
+    def _row(self, point: int, result: SynthesisResult, how: str) -> list[str]:
         usable = result.solution is not None and result.status in (Status.OPTIMAL, Status.STALLED)
         failed = [item.name for item in result.conflict] or result.validation.failed
         limits = active(result.solution) if usable and result.solution is not None else ()
@@ -140,7 +138,9 @@ class CycleProgramme:
         programme.lifted(programme.x_start)
         return programme
 
-    def design(self, problem: ProblemFile, bounds: Mapping[str, float], start_values: Mapping[str, float]) -> CycleResult | None:
+    def design(
+        self, problem: ProblemFile, bounds: Mapping[str, float], start_values: Mapping[str, float]
+    ) -> SynthesisResult | None:
         """Return the machine of a problem with other bounds; None if another order of its events may allow a better one.
 
         `bounds` by key with its side, in the units of the problem; `start_values` [SI].
@@ -158,19 +158,9 @@ class CycleProgramme:
         if at_edge(solution):
             return None
         solved = time.perf_counter()
-        checked = validate(problem.spec, solution.design, objective=solution.objective)
-        return CycleResult(
-            problem=problem,
-            status=solution.status,
-            backend=self.backend,
-            design=dict(solution.design),
-            objective=solution.objective,
-            validation=with_optimality(checked, solution),
-            seconds={"build": built - begin, "solve": solved - built, "validate": time.perf_counter() - solved},
-            seed=0,
-            starts=1,
-            solution=solution,
-        )
+        design = validated_design(problem, solution)
+        seconds = {"build": built - begin, "solve": solved - built, "validate": time.perf_counter() - solved}
+        return replace(of_designs(problem, [design], 1, self.backend, seconds), seed=0, starts=1)
 
 
 def with_bounds(nlp: CycleNLP, bounds: Mapping[str, float], **changes: Any) -> CycleNLP:

@@ -19,12 +19,13 @@ from optlink.solvers.solution import Solution
 from optlink.tasks.analyze import quick_stroke_notes
 from optlink.tasks.modes import each_mode, mode_of, possible_modes
 from optlink.tasks.protocol import DesignTask, Search, agreement
-from optlink.tasks.results.common import Optimum, better, with_optimality
-from optlink.tasks.results.cycle import CycleResult, analysis_of
+from optlink.tasks.results.common import Optimum, with_optimality
+from optlink.tasks.results.design import LinkageDesign, SynthesisResult, of_designs
 from optlink.tasks.results.evidence import tally
 from optlink.tasks.results.rotation import cannot_turn
 from optlink.units import factor
 from optlink.validation import Check, validate as validate_design
+from optlink.validation.cycle import cycle_of
 
 if TYPE_CHECKING:
     from optlink.optimization.cycle_nlp import CycleNLP
@@ -41,7 +42,7 @@ SHARED_STARTS = 200
 MAX_NODES, INTEGRAL_TOLERANCE = 400, 1e-7  # positions per revolution, and relative accuracy of integrals against the fine sweep
 
 
-class CycleTask(DesignTask[CycleResult]):
+class CycleTask(DesignTask[SynthesisResult]):
     """Optimisation of cycle quantities of a machine.
 
     Starting points: the given dimensions, and random ones with the same order of reversals. Default: 8.
@@ -52,13 +53,22 @@ class CycleTask(DesignTask[CycleResult]):
     free_example = 'length = { start = "120 mm", bounds = ["60 mm", "200 mm"] }'
     without_free = "`optlink analyze` the machine"
 
-    def search(self, problem: ProblemFile, search: Search) -> CycleResult:
+    def search(self, problem: ProblemFile, search: Search) -> SynthesisResult:
         """Return the dimensions that minimise the objective within the limits; see `DesignTask.search`."""
         results = each_mode(problem, search, _search)
-        result = min(results, key=better).merged(results) if len(results) > 1 else results[0]
+        result = min(results, key=_better)
         if result.problem is problem:
             return result
-        return replace(result, notes=(f"assembly mode: {mode_of(result.problem)}, the best of those left open", *result.notes))
+        optima = sorted((optimum for one in results for optimum in one.optima), key=lambda optimum: optimum.objective)
+        return replace(
+            result,
+            problem=problem,
+            starts=sum(one.starts for one in results),
+            interrupted=any(one.interrupted for one in results),
+            seconds={key: sum(one.seconds[key] for one in results) for key in result.seconds},
+            optima=tuple(optima),
+            notes=(f"assembly mode: {mode_of(result.problem)}, the best of those left open", *result.notes),
+        )
 
     def programme(self, problem: ProblemFile) -> NLP:
         """Return the programme of the order of events at the start; see `DesignTask.programme`.
@@ -88,29 +98,30 @@ class CycleTask(DesignTask[CycleResult]):
         assert isinstance(nlp, CycleNLP)
         nlp.set_exchange_points(peaks(nlp, nlp.lifted(x)).shares)
 
-    def validate(self, problem: ProblemFile, design: Mapping[str, float]) -> CycleResult:
+    def validate(self, problem: ProblemFile, design: Mapping[str, float]) -> SynthesisResult:
         """Validate given dimensions; those not named have their value in the file.
 
         Another value of a fixed dimension is a failed check.
         """
-        return min((_validated(variant, design) for variant in possible_modes(problem)), key=better)
+        begin, designs = time.perf_counter(), []
+        for file in possible_modes(problem):
+            values = file.spec.design(design)
+            checked = validate_design(file.spec, values)
+            designs.append(LinkageDesign(file, values, np.zeros(0), checked.objective, Status.NOT_SEARCHED, checked))
+        seconds = {"build": 0.0, "solve": 0.0, "validate": time.perf_counter() - begin}
+        return of_designs(problem, designs, 1, seconds=seconds)
 
 
 TASK = CycleTask()
 solve, validate = TASK.solve, TASK.validate
 
 
-def _validated(problem: ProblemFile, design: Mapping[str, float]) -> CycleResult:
-    """Return given dimensions with their validation in one assembly mode."""
-    task, begin = problem.spec, time.perf_counter()
-    names = (*task.free, *(name for name in task.quantities if name in design and name not in task.free))
-    values = {name: design.get(name, task.quantities[name].value) for name in names}
-    verification = validate_design(task, values)
-    seconds = {"build": 0.0, "solve": 0.0, "validate": time.perf_counter() - begin}
-    return CycleResult(problem, Status.NOT_SEARCHED, "none", values, verification.objective, verification, seconds, 0, 0)
+def _better(result: SynthesisResult) -> tuple[bool, bool, float]:
+    """Return a sort key: valid before invalid before infeasible, then by objective."""
+    return not result.valid, result.status in (Status.INFEASIBLE, Status.NON_FINITE), result.objective
 
 
-def _search(problem: ProblemFile, search: Search) -> CycleResult:
+def _search(problem: ProblemFile, search: Search) -> SynthesisResult:
     """Return the best design in one assembly mode."""
     from optlink.optimization.cycle_signals import TracedCycle
     from optlink.solvers.continuum import continuum
@@ -146,31 +157,30 @@ def _search(problem: ProblemFile, search: Search) -> CycleResult:
     chosen = next(name for name, solution in solutions.items() if solution is winner)
     equal = continuum(nlp, winner, chosen) if result.usable else None
     timer.lap("solve")
-    measured = analysis_of(task, winner.design)
-    verification = with_optimality(validate_design(task, winner.design, objective=winner.objective, cycle=measured), winner)
-    if len(solutions) > 1:
-        verification = verification.with_checks(_agreement(solutions))
+    best = validated_design(problem, winner, _agreement(solutions) if len(solutions) > 1 else ())
     timer.lap("validate")
-    cycle_result = CycleResult(
-        problem=problem,
-        status=winner.status,
-        backend=chosen,
-        design=dict(winner.design),
-        objective=winner.objective,
-        validation=verification,
-        seconds=timer.seconds,
+    return replace(
+        of_designs(problem, [best], 1, chosen, timer.seconds),
         seed=seed,
         starts=result.starts,
-        solution=winner,
         backends=solutions,
         optima=_optima(task, winner, result.solutions, equal) if result.usable else (),
         conflict=result.conflict,
         together=result.together,
-        notes=tuple(_notes(problem, result, winner, count, equal)),
+        notes=tuple(_notes(problem, result, best, count, equal)),
         interrupted=result.interrupted,
     )
-    vars(cycle_result)["measured"] = measured  # cached, as its figures are shown too
-    return cycle_result
+
+
+def validated_design(problem: ProblemFile, solution: Solution, checks: Sequence[Check] = ()) -> LinkageDesign:
+    """Return a solution as a design with its validation, and further checks."""
+    values, task = problem.spec.design(solution.design), problem.spec
+    cycle = cycle_of(task, values)
+    checked = with_optimality(validate_design(task, values, objective=solution.objective, cycle=cycle), solution)
+    proof = checked.with_checks(checks)
+    design = LinkageDesign(problem, values, np.zeros(0), solution.objective, solution.status, proof, solution)
+    vars(design)["cycle"] = cycle  # cached, as its figures are shown too
+    return design
 
 
 def _explained(result: CycleSearchResult, names: Sequence[str]) -> CycleSearchResult:
@@ -220,12 +230,11 @@ def _first_starts(problem: ProblemFile, samples: StartSequence, count: int) -> l
 
 
 def _notes(
-    problem: ProblemFile, result: CycleSearchResult, winner: Solution, count: int, equal: Continuum | None
+    problem: ProblemFile, result: CycleSearchResult, best: LinkageDesign, count: int, equal: Continuum | None
 ) -> Iterator[str]:
     """Yield notes on the search and the design."""
     from optlink.solvers.cycle_starts import SAMPLES
 
-    task = problem.spec
     most = max(len(order.begin.starts) for order in result.orders)
     if most < count:
         why = f"no others of {SAMPLES * count} random designs turn fully with the same order of events"
@@ -237,9 +246,8 @@ def _notes(
             yield f"its motions {what} in another order than those of the initial machine"
         if equal is not None:
             yield _continuum_note(equal)
-        analysis = analysis_of(task, winner.design)
-        if analysis is not None and analysis.full:
-            yield from quick_stroke_notes(problem, analysis.machine, task.drive.speed.value)
+        if best.cycle is not None and best.cycle.full:
+            yield from quick_stroke_notes(problem, best.cycle.machine, best.cycle.speed)
 
 
 def _continuum_note(equal: Continuum) -> str:
@@ -267,7 +275,7 @@ def _optima(task: DesignProblem, winner: Solution, solutions: list[Solution], eq
     return tuple(Optimum(solution.design, solution.objective, max(hits, 1)) for solution, hits in kept)
 
 
-def _no_rotatable_design(problem: ProblemFile, seed: int, starts: int, seconds: dict[str, float]) -> CycleResult:
+def _no_rotatable_design(problem: ProblemFile, seed: int, starts: int, seconds: dict[str, float]) -> SynthesisResult:
     """Return the result for a problem without dimensions within the bounds for which the crank turns fully."""
     from optlink.solvers.cycle_starts import SAMPLES
 
@@ -277,9 +285,8 @@ def _no_rotatable_design(problem: ProblemFile, seed: int, starts: int, seconds: 
     )
     task = problem.spec
     notes = cannot_turn(task.mechanism, task.linkage, "", task.limits.alignment.value) or (note,)
-    result = TASK.validate(problem, {})
-    times = result.seconds | seconds
-    return replace(result, status=Status.INFEASIBLE, seconds=times, seed=seed, starts=starts, notes=notes)
+    result = TASK.validate(problem, {}).with_best(status=Status.INFEASIBLE)
+    return replace(result, seconds=result.seconds | seconds, seed=seed, starts=starts, notes=notes)
 
 
 def _refined(task: DesignProblem, nlp: CycleNLP, solutions: dict[str, Solution]) -> tuple[CycleNLP, dict[str, Solution]]:
@@ -292,7 +299,7 @@ def _refined(task: DesignProblem, nlp: CycleNLP, solutions: dict[str, Solution])
     nodes = NODES
     while any(term.integral for term in trace.terms) and nodes < MAX_NODES:
         winner = multistart.best(list(solutions.values()))
-        cycle = analysis_of(task, winner.design) if winner.usable else None
+        cycle = cycle_of(task, winner.design) if winner.usable else None
         if cycle is None:
             break
         gaps = [abs(cycle.objective() - winner.objective) / max(abs(winner.objective), cycle.natural(), 1e-300)]

@@ -4,20 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 from optlink.errors import InputError
 from optlink.problem.file import ProblemFile
 from optlink.tasks.protocol import Search, Timer, part
 
 if TYPE_CHECKING:
-    from optlink.tasks.results.cycle import CycleResult
     from optlink.tasks.results.design import SynthesisResult
 
-R = TypeVar("R", "SynthesisResult", "CycleResult")
 
-
-def each_mode(problem: ProblemFile, search: Search, one: Callable[[ProblemFile, Search], R]) -> list[R]:
+def each_mode(
+    problem: ProblemFile, search: Search, one: Callable[[ProblemFile, Search], SynthesisResult]
+) -> list[SynthesisResult]:
     """Return the results of `one`, the search of an assembly mode, in each mode until one is interrupted, or exact by default.
 
     Raises
@@ -28,7 +27,7 @@ def each_mode(problem: ProblemFile, search: Search, one: Callable[[ProblemFile, 
     variants = possible_modes(problem)
     if variants == [problem]:
         return [one(problem, search)]
-    results, refused = list[R](), list[InputError]()
+    results, refused = list["SynthesisResult"](), list[InputError]()
     for k, variant in enumerate(variants):
         try:
             result = one(variant, replace(search, timer=Timer(), progress=part(search.progress, k, len(variants))))

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from optlink.optimization.nlp import NLP
     from optlink.tasks.results.balance import Balance
     from optlink.tasks.results.common import DesignResult
-    from optlink.tasks.results.cycle import CycleResult
     from optlink.tasks.results.design import SynthesisResult
 
 INCOMPLETE_BOXES, MAX_UNKNOWNS = 10_000, 3  # boxes, and most design variables, of a certificate after an incomplete search
@@ -104,7 +103,7 @@ def solve(
     Returns
     -------
     DesignResult or Balance
-        `SynthesisResult`, `CycleResult` or `Balance`, by the kind of problem. All have `valid`, `status`, `design`,
+        `SynthesisResult` or `Balance`, by the kind of problem. All have `valid`, `status`, `design`,
         `objective`, `limits`, `machine` and `to_dict()`.
 
     Raises
@@ -176,7 +175,7 @@ def validate(problem: ProblemFile, design: Mapping[str, float]) -> DesignResult:
     Returns
     -------
     DesignResult
-        `SynthesisResult` or `CycleResult`, by the kind of problem; `valid` if all checks pass.
+        `SynthesisResult`; `valid` if all checks pass.
 
     Raises
     ------
@@ -209,7 +208,7 @@ def _synthesis() -> DesignTask[SynthesisResult]:
     return TASK
 
 
-def _cycle() -> DesignTask[CycleResult]:
+def _cycle() -> DesignTask[SynthesisResult]:
     from optlink.tasks.cycle import TASK
 
     return TASK

@@ -19,6 +19,7 @@ from optlink.problem.cycle.model import MachineTerms
 from optlink.problem.cycle.quantities import guide_of
 from optlink.problem.cycle.terms import Term, output_of
 from optlink.problem.limits import stroke_ratio
+from optlink.problem.quantity import Unusable
 from optlink.validation.check import POSITIONS
 from optlink.validation.four_bar_motion import FourBarMotion
 from optlink.validation.linkage_motion import LinkageMotion, motion_of
@@ -226,3 +227,11 @@ class Cycle:
         fed = math.fsum(abs(whole(np.abs(power))) for power in powers)
         stored = float(np.max(np.abs(moving.kinetic), initial=0.0))
         return abs(math.fsum(whole(power) for power in powers)) / max(fed + stored, 1e-300)
+
+
+def cycle_of(problem: MachineTerms, values: Mapping[str, float]) -> Cycle | None:
+    """Return a design [SI] in motion; None if it cannot be built."""
+    try:
+        return Cycle(problem, {name: value for name, value in values.items() if name in problem.mechanism.quantities})
+    except Unusable:
+        return None

@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from optlink.dynamics.columns import MotionColumns
 from optlink.linkage.dyad_types import RRR, transmitting
 from optlink.linkage.extrema import extremes_of_rows
 from optlink.linkage.fourbar import LENGTHS
@@ -776,6 +775,8 @@ def _machine_motion(tested: Cycle) -> Iterator[Check]:
     for group, least in zip(groups, tested.revolution.least_squared_sines, strict=True):
         yield alignment_check(group, len(groups) == 1, least, tested.problem.limits, "the revolution").of()
     yield from (checks.of() for checks in _circuit(tested.mechanism, tested.revolution))
+    from optlink.dynamics.columns import MotionColumns
+
     record = MotionColumns(tested.machine.moving(tested.positions, tested.speed))
     good = not np.any(record.singular | record.jammed | record.undefined) and not tested.work.poles
     yield Check("finite forces over the revolution", bool(good), float(good), "= 1", "")

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 import optlink
 from optlink.cli.app import app
 from optlink.report.view import View
-from optlink.report.views import balance, cycle, design as design_view
+from optlink.report.views import balance, design as design_view
 
 FREE = {"bounds": ["5 mm", "150 mm"]}
 PLACE = {"bounds": ["-150 mm", "150 mm"]}
@@ -222,7 +222,7 @@ KINDS = ["law", "function", "path", "timed path", "motion", "transmission", "six
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_design_file_of_every_kind_of_result_is_a_machine(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in (design_view, cycle, balance):
+    for module in (design_view, balance):
         plain = View(tables=module.VIEW.tables, design=module.VIEW.design)
         monkeypatch.setattr(module, "VIEW", plain)
     source, elsewhere, moved = tmp_path / "source", tmp_path / "elsewhere", tmp_path / "elsewhere" / "kept"

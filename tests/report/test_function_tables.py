@@ -65,7 +65,7 @@ def test_the_table_of_a_small_linkage_is_its_design() -> None:
 def test_distinct_optima_have_the_units_of_the_objective_and_of_the_design_variables() -> None:
     """Their objective is that of the head: a pressure angle in deg, not in rad."""
     result = optlink.solve(optlink.load("stroke-slider-crank"), starts=3)
-    optima = next(part for part in table_of("cycle")(result).parts if getattr(part, "title", "").startswith("Distinct optima"))
+    optima = next(part for part in table_of("design")(result).parts if getattr(part, "title", "").startswith("Distinct optima"))
     assert [column.name for column in optima.columns[:3]] == ["objective [deg]", "crank.length [mm]", "rod.length [mm]"]
     assert number(np.degrees(result.objective), 8) in words(optima)
 

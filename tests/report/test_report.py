@@ -18,7 +18,7 @@ from optlink.io import whole, write_json
 from optlink.report.chart_mpl import draw
 from optlink.report.registry import view_of
 from optlink.report.report_model import report_model_of, solve_or_validate
-from optlink.report.views import cycle
+from optlink.report.views import design_cycle
 from optlink.report.views.design import charts, frames
 from optlink.report.views.design_drawings import at_positions
 from optlink.report.views.objective_map import objective_map
@@ -195,5 +195,5 @@ def test_the_page_of_a_balancing_problem_says_that_it_shows_the_machine_before()
 def test_the_picture_of_an_optimised_machine_names_its_points() -> None:
     """Its tables speak of the guide force in F, the pressure angle at C or A.x."""
     design = {"crank.length": 0.047, "rod.length": 0.128, "G.offset": 0.04}  # [m]
-    picture = cycle.mechanisms(optlink.validate(optlink.load("stroke-slider-crank"), design))
+    picture = design_cycle.beside_initial(optlink.validate(optlink.load("stroke-slider-crank"), design))
     assert {"A", "B", "C"} <= {text.get_text() for text in picture.findobj(Text)}

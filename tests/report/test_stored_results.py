@@ -55,7 +55,10 @@ MADE: dict[str, Callable[[], Any]] = {
     "design, points, conflict": lambda: optlink.solve(
         optlink.load("path-arc5", {"limits.transmission_angle": ["88 deg", "92 deg"]}), starts=64
     ),
-    "cycle": lambda: optlink.solve(optlink.load("stroke-crank-rocker"), starts=2),
+    "design, cycle": lambda: optlink.solve(optlink.load("stroke-crank-rocker"), starts=2),
+    "design, cycle, either mode": lambda: optlink.solve(
+        optlink.load("stroke-crank-rocker", {"mechanism.assembly": "either"}), starts=2
+    ),
     "analysis": lambda: optlink.analyze(optlink.load("shaper"), 60, speed=6.7),
     "simulation": lambda: optlink.simulate(optlink.load("six-bar"), 0.05, 40),
     "clearance": lambda: optlink.simulate_clearance(optlink.load("crank-rocker-clearance"), 1, **PLAY),

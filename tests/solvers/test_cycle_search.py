@@ -19,7 +19,7 @@ from optlink.solvers import multistart
 from optlink.solvers.cycle_search import OrderSearch, build_programme
 from optlink.solvers.cycle_starts import StartSequence, start_groups
 from optlink.tasks.cycle import solve, validate
-from optlink.tasks.results.cycle import CycleResult
+from optlink.tasks.results.design import SynthesisResult
 
 PUMP = """
 title = "Offset pump"
@@ -76,17 +76,17 @@ def problem(text: str, **changes: object) -> ProblemFile:
 
 
 @cache
-def pump(**changes: object) -> CycleResult:
+def pump(**changes: object) -> SynthesisResult:
     return solve(problem(PUMP, **changes), starts=2)
 
 
 # --- the slow stroke in a search -----------------------------------------------------------------------------------------
 
 
-def rotations(result: CycleResult) -> dict[str, float]:
+def rotations(result: SynthesisResult) -> dict[str, float]:
     """Crank rotation of each stroke, from the signs of the ordinary analysis alone [deg]."""
-    assert result.analysis is not None
-    velocity = result.analysis["piston.v_m_s"][:-1]
+    assert result.best.analysis is not None
+    velocity = result.best.analysis["piston.v_m_s"][:-1]
     share = float(np.mean(velocity > 0.0))
     return {"forward": 360.0 * share, "backward": 360.0 * (1.0 - share)}
 
@@ -101,7 +101,7 @@ def test_a_time_ratio_with_a_direction_makes_that_stroke_the_slow_one(stroke, sp
     computed = rotations(result)
     other = next(name for name in computed if name != stroke)
     assert computed[stroke] / computed[other] == pytest.approx(1.2, abs=0.03)
-    assert result.built is not None
+    assert result.best.cycle.full
     assert result.to_dict()["strokes"]["piston slides"]["slow_stroke"] == stroke
 
 
@@ -117,7 +117,7 @@ def test_both_slow_strokes_are_searched_from_a_start_that_has_none():
     assert other.valid
     assert pump().valid
     assert pump().objective <= min(one.objective, other.objective) * (1.0 + 1e-7)
-    assert pump().built is not None
+    assert pump().best.cycle.full
     (record,) = (r for name, r in pump().to_dict()["strokes"].items() if name == "piston slides")
     assert record["slow_stroke"] == record["working_stroke"]
 
@@ -271,7 +271,7 @@ def test_a_scale_continuum_is_noted_and_listed_once():
     assert not any("scaled" in note or "continuum" in note for note in fixed.notes)
     assert fixed.objective == pytest.approx(result.objective, rel=1e-6)
     for factor in (0.97, 1.02):  # the independent route: the scaled machine measured
-        scaled = {name: factor * value for name, value in result.values.items()}
+        scaled = {name: factor * value for name, value in result.best.values.items()}
         cycle = validate(problem(LINKS), scaled)
         assert cycle.objective == pytest.approx(result.objective, rel=1e-9)
         assert math.isfinite(cycle.objective)
@@ -309,7 +309,7 @@ def test_a_row_of_a_load_table_that_the_slider_no_longer_reaches_ends_no_search(
     """The acceleration of the yoke is the crank times the square of the speed, whether it touches the spring at 60 mm or not."""
     result = solve(problem(YOKE), starts=1)
     assert result.valid
-    assert result.values["crank.length"] == pytest.approx(0.05, rel=1e-6)
+    assert result.design["crank.length"] == pytest.approx(0.05, rel=1e-6)
     assert result.objective == pytest.approx(0.05 * 10.0**2, rel=1e-6)
 
 
@@ -363,8 +363,8 @@ def test_a_peak_at_a_row_of_a_load_table_is_measured_there():
     """
     checked = validate(problem(RAMP), {"crank.length": 48.7870e-3, "rod.length": 83.1383e-3, "G.offset": 14.5462e-3})
     assert checked.objective == pytest.approx(7.97573, rel=2e-5)
-    assert checked.analysis is not None
-    largest = checked.analysis.figures["input.torque_Nm.max"], checked.analysis.figures["input.torque_Nm.min"]
+    assert checked.best.analysis is not None
+    largest = checked.best.analysis.figures["input.torque_Nm.max"], checked.best.analysis.figures["input.torque_Nm.min"]
     assert max(map(abs, largest)) == pytest.approx(checked.objective, rel=1e-9)
 
 

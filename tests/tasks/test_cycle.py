@@ -12,7 +12,8 @@ from scipy.optimize import brentq
 import optlink
 from optlink.dynamics.columns import MotionColumns
 from optlink.problem.cycle.terms import Limit
-from optlink.tasks.cycle import CycleResult, solve, validate
+from optlink.tasks.cycle import solve, validate
+from optlink.tasks.results.design import SynthesisResult
 from optlink.validation import validate as validate_design
 from optlink.validation.cycle import Cycle
 from tests.cli.test_cli import run
@@ -23,7 +24,7 @@ SCALED = 500.0 / 545.454545454545
 
 
 @cache
-def shaper() -> CycleResult:
+def shaper() -> SynthesisResult:
     return once("shaper by both back ends", lambda: solve(optlink.load("shaper-design"), "both", starts=3))
 
 
@@ -43,17 +44,17 @@ def peak(analysis: optlink.Analysis, column: str) -> float:
 def test_both_back_ends_design_the_same_shaper():
     result = shaper()
     assert result.valid
-    expected = result.task.expected
+    expected = result.problem.spec.expected
     assert expected is not None
     assert result.objective == pytest.approx(expected.objective, abs=expected.objective_tolerance)
     one, other = result.backends["slsqp"], result.backends["ipopt"]
     assert one.objective == pytest.approx(other.objective, rel=1e-8)
-    for name in result.values:
+    for name in result.problem.model.free:
         assert one.design[name] == pytest.approx(other.design[name], rel=1e-5)
 
 
 def test_optimal_shaper_beats_the_initial_one_of_equal_stroke():
-    given, result = given_shaper(), shaper().analysis
+    given, result = given_shaper(), shaper().best.analysis
     assert result is not None
     assert given.figures["ram.stroke_m"] == pytest.approx(0.5, rel=1e-12)
     assert result.figures["ram.stroke_m"] == pytest.approx(0.5, rel=1e-8)
@@ -66,7 +67,7 @@ def test_optimal_shaper_beats_the_initial_one_of_equal_stroke():
 
 @pytest.mark.slow
 def test_starting_values_are_the_published_shaper():
-    given, start = given_shaper(), shaper().initial_analysis
+    given, start = given_shaper(), shaper().best.initial_analysis
     assert start is not None
     for name in ("input.torque_Nm.max", "F.normal_N.max", "B.f_N.max", "ram.time_ratio"):
         assert start.figures[name] == pytest.approx(given.figures[name], rel=1e-8)
@@ -79,9 +80,9 @@ ENOUGH = 5  # neighbours within the bounds
 def test_no_neighbour_that_meets_the_limits_is_better():
     """By the ordinary analysis alone: random steps, mended until stroke and time ratio hold, never improve."""
     result = shaper()
-    task = result.task
+    task = result.problem.spec
     names = list(task.free)
-    at = np.array([result.values[name] for name in names])
+    at = np.array([result.design[name] for name in names])
     low, high = np.array([task.quantities[name].bounds for name in names]).T
 
     def measured(x: np.ndarray) -> np.ndarray:
@@ -112,21 +113,21 @@ def test_no_neighbour_that_meets_the_limits_is_better():
 
 def test_validation_fails_on_planted_defects():
     result = shaper()
-    good = result.values
-    assert validate_design(result.task, good, objective=result.objective).valid
+    good = result.best.values
+    assert validate_design(result.problem.spec, good, objective=result.objective).valid
     for change, words in (
         ({"crank.length": good["crank.length"] * 1.001}, "stroke"),
         ({"F.y": 0.46}, "within its bounds"),
         ({"crank.length": 0.5}, "turns fully"),
     ):
-        proof = validate_design(result.task, {**good, **change}, objective=result.objective)
+        proof = validate_design(result.problem.spec, {**good, **change}, objective=result.objective)
         assert any(words in check.name for check in proof.checks if not check.passed), words
-    wrong = validate_design(result.task, good, objective=result.objective * (1.0 + 1e-5))
+    wrong = validate_design(result.problem.spec, good, objective=result.objective * (1.0 + 1e-5))
     assert [check.name for check in wrong.checks if not check.passed] == ["objective measured in motion"]
 
 
 def test_the_extremes_of_a_design_share_the_positions_at_which_they_are_measured(monkeypatch):
-    task = shaper().task
+    task = shaper().problem.spec
     terms = [*task.goals, *(item.term for item in task.bounds)]
     cycle, records = Cycle(task, {}), []
     fine = np.concatenate([np.linspace(0.0, 2.0 * np.pi, 20_001), cycle.work.jumps])
@@ -142,7 +143,7 @@ def test_the_extremes_of_a_design_share_the_positions_at_which_they_are_measured
 def test_largest_values_between_the_positions_are_met():
     """The level of the programme is the peak over the cycle to 1e-8, although it has only a few dozen positions."""
     result = shaper()
-    cycle = Cycle(result.task, result.values)
+    cycle = Cycle(result.problem.spec, result.best.values)
     assert cycle.objective() == pytest.approx(result.objective, rel=2e-8)
 
 
@@ -164,15 +165,15 @@ def test_toggle_press_with_corners_in_its_load():
     """The table of the force has corners: the crank angles at which they are met cut the strokes, so derivatives stay exact."""
     result = solve(optlink.load("press-toggle"), "slsqp")
     assert result.valid
-    expected = result.task.expected
+    expected = result.problem.spec.expected
     assert expected is not None
     assert result.objective == pytest.approx(expected.objective, abs=expected.objective_tolerance)
-    assert result.initial_analysis is not None
-    assert result.analysis is not None
-    given, computed = (peak(analysis, "input.torque_Nm") for analysis in (result.initial_analysis, result.analysis))
+    assert result.best.initial_analysis is not None
+    assert result.best.analysis is not None
+    given, computed = (peak(analysis, "input.torque_Nm") for analysis in (result.best.initial_analysis, result.best.analysis))
     assert computed <= 0.95 * given
-    assert result.analysis.figures["ram.s_m.max"] == pytest.approx(0.5989, rel=1e-8)
-    assert result.analysis.figures["F.normal_N.max"] <= 3500.0 * (1.0 + 1e-6)
+    assert result.best.analysis.figures["ram.s_m.max"] == pytest.approx(0.5989, rel=1e-8)
+    assert result.best.analysis.figures["F.normal_N.max"] <= 3500.0 * (1.0 + 1e-6)
 
 
 @pytest.mark.slow
@@ -186,19 +187,19 @@ def test_epsilon_constraint_bounds_the_loss_of_the_weighted_sum():
     traded = solve(other, "slsqp", starts=1)
     assert traded.valid
     guide = Limit(quantity="guide force", of="F", max="1 N")
-    assert traded.objective < 0.9 * Cycle(least.task, least.values).figure(guide)
+    assert traded.objective < 0.9 * Cycle(least.problem.spec, least.best.values).figure(guide)
 
 
 def test_terms_can_be_maximised():
     changes = {"objective": {"quantity": "slide", "of": "G", "measure": "least", "sense": "maximise"}, "limits.guide": None}
     result = solve(optlink.load("shaper-design").override(changes), "ipopt", starts=1)
     assert result.valid
-    assert -result.objective > 1.2 * Cycle(result.task, {}).figure(result.task.goals[0])
+    assert -result.objective > 1.2 * Cycle(result.problem.spec, {}).figure(result.problem.spec.goals[0])
 
 
 def test_given_sizes_are_checked():
     file = optlink.load("shaper-design")
-    assert validate(file, shaper().values).valid
+    assert validate(file, shaper().best.values).valid
     assert not validate(file, {}).valid  # the given shaper returns too fast
 
 
@@ -206,15 +207,15 @@ def test_given_sizes_are_checked():
 def test_result_is_json_and_the_design_a_machine(tmp_path):
     from optlink.report.registry import view_of
 
-    files = view_of("cycle").write(shaper(), tmp_path)
+    files = view_of("design").write(shaper(), tmp_path)
     assert {path.name for path in files} == {"result.json", "design.toml", "cycle.csv", "courses.png", "mechanisms.png"}
     document = json.loads((tmp_path / "result.json").read_text())
-    assert document["schema"] == "optlink/cycle/4"
+    assert document["schema"] == "optlink/design/4"
     assert document["valid"] is True
     machine = optlink.load(tmp_path / "design.toml")
     assert machine.model.free == ()
     assert peak(optlink.analyze(machine), "input.torque_Nm") == pytest.approx(
-        peak(shaper().analysis, "input.torque_Nm"), rel=1e-12
+        peak(shaper().best.analysis, "input.torque_Nm"), rel=1e-12
     )
 
 

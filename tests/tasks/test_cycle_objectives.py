@@ -221,7 +221,7 @@ def test_press_against_a_simplex_search_over_its_free_sizes():
     """Offset and rod are searched by Nelder and Mead, the crank follows from the stroke; the cycle is measured as a machine's."""
     file = machine("press", objective=term("guide force", of="F"), limits__guide=None)
     result = solve(file, "slsqp", starts=2)
-    task = result.task
+    task = result.problem.spec
 
     def measured(x: np.ndarray) -> float:
         offset, rod = 1e-3 * np.clip(x, [-60.0, 150.0], [60.0, 500.0])
@@ -345,7 +345,7 @@ def test_a_sum_of_one_term_has_the_optimum_of_that_term(term):
 def test_a_machine_without_loads_passes_validation():
     result = solve(idle(), "slsqp", starts=1)
     assert result.valid, [check for check in result.validation.checks if not check.passed]
-    assert Cycle(result.task, result.values).imbalance() < 0.1 * BALANCE
+    assert Cycle(result.problem.spec, result.best.values).imbalance() < 0.1 * BALANCE
 
 
 def test_quadrature_near_alignment_passes_validation(monkeypatch):

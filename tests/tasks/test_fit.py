@@ -16,7 +16,7 @@ from optlink.problem.file import dump
 from optlink.report import terminal
 from optlink.report.html.page import page
 from optlink.report.report_model import ReportModel, verdict
-from optlink.report.views import cycle_tables, design_tables
+from optlink.report.views import design_tables
 from optlink.solvers.solution import LimitState
 from optlink.tasks.cycle import solve as solve_cycle
 from optlink.tasks.design import solve, validate
@@ -235,13 +235,13 @@ def test_an_objective_without_a_target_is_compared_with_the_initial_design(least
     result = solve_cycle(drag_link(**{"limits.stroke.min": least}), starts=1)
     assert result.valid
     assert result.fit is None
-    crank, rod = result.values["crank.length"], result.values["rod.length"]
+    crank, rod = result.design["crank.length"], result.design["rod.length"]
     initial = result.to_dict()["initial"]
     assert initial == {"objective": pytest.approx(torque(0.05, 0.13), rel=1e-6), "feasible": feasible}
     assert 2000.0 * crank < result.objective == pytest.approx(torque(crank, rod), rel=1e-6)
     console = terminal.console()
     with console.capture() as text:
-        console.print(terminal.rendered(cycle_tables.cycle_result(result)))
+        console.print(terminal.rendered(design_tables.design_result(result)))
     shown = " ".join(text.get().split())
     change = torque(crank, rod) / torque(0.05, 0.13) - 1.0
     assert f"initial design{' ' if feasible else ', '}{torque(0.05, 0.13):.5g} N·m" in shown
@@ -262,7 +262,7 @@ def test_a_machine_with_the_best_transmission_angle_is_graded() -> None:
     }
     result = solve_cycle(drag_link(**changes, **{"limits.stroke.min": "100 mm"}), starts=1)
     assert result.valid
-    angle = math.degrees(math.acos(result.values["crank.length"] / result.values["rod.length"]))
+    angle = math.degrees(math.acos(result.design["crank.length"] / result.design["rod.length"]))
     fit = result.to_dict()["fit"]
     assert 90.0 - math.degrees(fit["error"]) == pytest.approx(angle, abs=1e-4)
     assert fit["grade"] == "poor"

@@ -70,7 +70,7 @@ def test_slider_crank_is_the_best_of_its_family(backend: str) -> None:
     assert result.valid
     assert result.objective == pytest.approx(math.asin(sine_of_pressure(sizes)), abs=1e-10)
     assert result.objective == pytest.approx(SLIDER.model.expected.objective, abs=SLIDER.model.expected.objective_tolerance)
-    assert [1e3 * value for value in result.values.values()] == pytest.approx(sizes, abs=1e-3)
+    assert [1e3 * result.design[name] for name in result.problem.model.free] == pytest.approx(sizes, abs=1e-3)
     assert result.fit is not None
     assert result.fit.grade == "good"
 
@@ -85,8 +85,8 @@ def test_crank_rocker_is_the_best_of_its_family(backend: str) -> None:
     assert result.objective == pytest.approx(math.asin(worst_cosine(*sizes)), abs=1e-10)
     assert result.objective == pytest.approx(expected.objective, abs=expected.objective_tolerance)
     for name, size in zip(("crank", "coupler", "rocker"), sizes, strict=True):
-        assert 1e3 * result.values[name] == pytest.approx(100.0 * size, abs=1e-4)
-        assert result.values[name] == pytest.approx(getattr(expected, name).value, abs=expected.length_tolerance.value)
+        assert 1e3 * result.design[name] == pytest.approx(100.0 * size, abs=1e-4)
+        assert result.design[name] == pytest.approx(getattr(expected, name).value, abs=expected.length_tolerance.value)
 
 
 @pytest.mark.slow
@@ -99,8 +99,8 @@ def test_crank_rocker_without_quick_return() -> None:
     changes = {"mechanism.rocker": f"{100.0 * rocker!r} mm", "requirement.stroke": "60 deg", "requirement.time_ratio": 1.0}
     result = optlink.solve(ROCKER.override(changes))
     assert result.valid
-    assert 100.0 * crank == pytest.approx(1e3 * result.values["crank"], abs=1e-5)
-    assert 100.0 * coupler == pytest.approx(1e3 * result.values["coupler"], abs=1e-5)
+    assert 100.0 * crank == pytest.approx(1e3 * result.design["crank"], abs=1e-5)
+    assert 100.0 * coupler == pytest.approx(1e3 * result.design["coupler"], abs=1e-5)
     assert result.objective == pytest.approx(0.5 * math.pi - angle, abs=1e-7)
 
 
@@ -336,7 +336,7 @@ def test_dependent_limits_never_stop_a_search(block: int) -> None:
             result = optlink.solve(drag_link(drag, rod, bounds, ratio))
             least_angle = best_drag_link(drag, rod, bounds, ratio)
             assert result.valid or least_angle == math.inf
-            lengths = [1e3 * result.values[name] for name in ("D.x", "crank.length", "coupler.length")]
+            lengths = [1e3 * result.design[name] for name in ("D.x", "crank.length", "coupler.length")]
             own = float(drag_link_angles(drag, rod, *map(np.array, lengths)))
             assert own == math.inf or result.objective == pytest.approx(own, abs=1e-7)
             assert result.objective <= least_angle + 1e-6

@@ -194,8 +194,8 @@ def test_span_limits_do_not_apply_beyond_the_span() -> None:
     begin, end = result.crank_angles[[0, -1]]
     pressure = {}
     for name, angles in {"span": np.linspace(begin, end, 2001), "turn": np.linspace(0.0, TURN, 2001)}.items():
-        height = result.values["crank.length"] * np.sin(angles) - result.values["G.offset"]
-        pressure[name] = math.degrees(math.asin(np.max(np.abs(height)) / result.values["rod.length"]))
+        height = result.design["crank.length"] * np.sin(angles) - result.design["G.offset"]
+        pressure[name] = math.degrees(math.asin(np.max(np.abs(height)) / result.design["rod.length"]))
     assert pressure["span"] == pytest.approx(20.0, abs=1e-5)
     assert pressure["turn"] > 21.0
 

@@ -271,6 +271,11 @@ class Problem(Section):
         """The limits of quantities of the machine with their bounds."""
         return ()
 
+    @property
+    def of_cycle(self) -> bool:
+        """Whether only quantities of the machine over its cycle are demanded, without targets."""
+        return bool(self.goals) and not self.parts
+
     def shares_programme(self, keys: Sequence[str]) -> bool:
         """Return whether one programme serves all values of keys of the file, including the side of a limit."""
         return False

@@ -26,7 +26,6 @@ from optlink.report.views import (
 from optlink.report.views.analysis_curves import CycleCurves
 from optlink.studies.sensitivity import Sensitivities, of_solution
 from optlink.tasks.analyze import Analysis
-from optlink.tasks.results.cycle import CycleResult
 
 
 def write_page(model: ReportModel | StoredStudy, path: Path) -> None:
@@ -122,7 +121,7 @@ def _conclusion(model: ReportModel, shown: Summary) -> str:
     outcome: Any = model.result
     if isinstance(outcome, Analysis):
         return conclusions.analysis(outcome)
-    if outcome.kind in conclusions.ACHIEVED:
+    if outcome.kind == "design":
         solution = None if outcome.best is None else outcome.best.solution
         text = conclusions.design(outcome, () if solution is None else solution.displayed_limits)
         return f"{conclusions.sensitivities(model.effects)} {text}" if model.effects is not None else text
@@ -134,9 +133,10 @@ def _status(model: ReportModel, shown: Summary) -> Sequence[Sequence[Span]]:
     outcome = model.result
     if getattr(outcome, "refuted", ""):
         return shown.status.lines[1:]
-    if not isinstance(outcome, CycleResult) or not outcome.task.single or not outcome.comparison.startswith("objective"):
+    comparison = getattr(getattr(outcome, "best", None), "comparison", "")
+    if not comparison.startswith("objective") or not outcome.problem.spec.single:
         return shown.status.lines
-    return [[span for span in line if span.text != f"; {outcome.comparison}"] for line in shown.status.lines]
+    return [[span for span in line if span.text != f"; {comparison}"] for line in shown.status.lines]
 
 
 def charts(model: ReportModel) -> list[ChartSpec]:
@@ -146,8 +146,8 @@ def charts(model: ReportModel) -> list[ChartSpec]:
     view = view_of(kind)
     result = [*view.charts(view.model(outcome))]
     if model.cycle is not None and kind != "analysis":
-        curves, cycle = CycleCurves(model.cycle), isinstance(outcome, CycleResult)
-        initial_analysis = outcome.initial_analysis if isinstance(outcome, CycleResult) else None
+        curves, cycle = CycleCurves(model.cycle), outcome.problem.model.of_cycle
+        initial_analysis = outcome.best.initial_analysis if cycle else None
         initial = None if initial_analysis is None else CycleCurves(initial_analysis)
         if cycle or model.forces:
             result += analysis_charts.motion(curves, initial)

@@ -2,8 +2,7 @@
 
 import math
 import re
-from collections.abc import Callable, Iterable
-from typing import Any
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -22,8 +21,7 @@ from optlink.tasks.analyze import Analysis
 from optlink.tasks.results.balance import Balance
 from optlink.tasks.results.clearance import ClearanceSimulation
 from optlink.tasks.results.control_comparison import Comparison
-from optlink.tasks.results.cycle import CycleResult
-from optlink.tasks.results.design import SynthesisResult
+from optlink.tasks.results.design import LinkageDesign, SynthesisResult
 from optlink.tasks.simulate import Simulation
 from optlink.units import percent
 
@@ -34,12 +32,12 @@ ROUNDING = 1e-9  # share of the initial value below which the remainder is round
 # --- designs -----------------------------------------------------------------------------------------------------------------
 
 
-def design(outcome: SynthesisResult | CycleResult, limits: Iterable[LimitState]) -> str:
+def design(outcome: SynthesisResult, limits: Iterable[LimitState]) -> str:
     """Return the conclusion of a synthesis or of the validation of a given design; `limits` have the shadow prices."""
     best, certified = outcome.best, clause(outcome.certificate)
     if best is None or outcome.conflict:
         return _sentences(shown(outcome.refuted) or "No design was found.", certified)
-    achieved = ACHIEVED[outcome.kind](best)
+    achieved = _compared(best) if best.whole.of_cycle else sentence(best)
     if outcome.valid:
         return _sentences(achieved, _limiting(limits), certified)
     return f"Not valid: {why_invalid(best.validation.checks, best.status.text)}. {achieved}"
@@ -54,23 +52,20 @@ def _sentences(*sentences: str) -> str:
     return " ".join(filter(None, sentences))
 
 
-def _cycle(outcome: CycleResult) -> str:
-    stroke = [bound.name for bound in outcome.task.required]
+def _compared(outcome: LinkageDesign) -> str:
+    """Return the objective of a machine, compared with that of the initial one, and what is required of it."""
+    stroke, initial = [bound.name for bound in outcome.whole.required], outcome.initial
     goals = [goal for goal in outcome.figures if goal.limit in ("minimised", "maximised")] or outcome.figures[:1]
-    words = []
+    words, feasible = [], initial is not None and initial.valid
     for goal in goals:
-        compared = goal.initial and math.isfinite(goal.initial) and (not stroke or outcome.initial.valid)
+        compared = goal.initial and math.isfinite(goal.initial) and (not stroke or feasible)
         change = goal.result / goal.initial - 1.0 if compared else math.nan
         before = f" instead of {figure(goal.initial, goal.unit)} ({100.0 * change:+z.1f} %)" if math.isfinite(change) else ""
         words.append(f"{goal.words} {figure(goal.result, goal.unit)}{before.replace('-', '−')}")
     words += [f"{goal.words} {figure(goal.result, goal.unit)}" for goal in outcome.figures if goal.name in stroke]
     text = joined(words)
-    unfair = "" if stroke or outcome.initial.valid else "; the initial design does not meet the limits"
+    unfair = "" if stroke or feasible else "; the initial design does not meet the limits"
     return f"{text[:1].upper()}{text[1:]}{unfair}."
-
-
-ACHIEVED: dict[str, Callable[[Any], str]] = {"design": sentence, "cycle": _cycle}
-"""What the best design achieves, by kind of result."""
 
 
 def _limiting(limits: Iterable[LimitState]) -> str:

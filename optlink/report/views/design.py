@@ -1,6 +1,6 @@
 """View of a synthesised design of any linkage: pictures by kind of requirement, tables, animation."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +19,7 @@ from optlink.report.style import CRANK, TARGET, styled
 from optlink.report.view import View
 from optlink.report.views.certificate_view import certificate_charts
 from optlink.report.views.design_charts import CloseUp, dots, errors, points_on, small_frames
+from optlink.report.views.design_cycle import beside_initial, courses
 from optlink.report.views.design_drawings import at_positions, beside_curve, designs
 from optlink.report.views.design_outputs import law, output_film, transmission
 from optlink.report.views.design_view import DesignView, best, views, with_verdict
@@ -97,10 +98,11 @@ PICTURES = {
 
 
 def charts(result: SynthesisResult) -> list[ChartSpec]:
-    """Return the charts of the requirement, the transmission angle over the motion, and the charts of the global search."""
+    """Return the charts of requirements, transmission angle, quantities of the machine, and of the global search."""
     shown, model, best_design = views(result), result.problem.model, result.best
     specs = [chart for view in shown for chart in PICTURES[view.task.requirement.family].charts(view)]
     specs += [chart for view in shown[:1] for chart in transmission(view)]
+    specs += [] if best_design is None else courses(best_design)
     values, mode = ({}, "") if best_design is None else (best_design.values if best_design.valid else {}, best_design.assembly)
     return specs + certificate_charts(result.certificate, model.title, model.shown_objective, values, mode, model.display)
 
@@ -119,17 +121,22 @@ def frames(result: SynthesisResult, count: int = FRAMES) -> list[Image.Image]:
     return PICTURES[view.task.requirement.family].film(view, steps, titles)
 
 
-def positions(result: SynthesisResult) -> dict[str, dict[str, Array]]:
-    """Return the columns of points.csv; of several requirements those of each, with its name."""
+def tables(result: SynthesisResult) -> dict[str, Mapping[str, Array]]:
+    """Return the columns of points.csv, of several requirements one for each with its name; without targets of cycle.csv."""
     parts = () if result.best is None else result.best.parts
+    if result.best is not None and result.best.whole.of_cycle:
+        return {} if result.best.analysis is None else {"cycle": result.best.analysis.columns}
     return {f"points{part.task.prefix and f'-{part.task.prefix[:-1]}'}": words_of(part).columns(part) for part in parts}
 
 
 VIEW = View(
     charts=charts,
-    drawings={"path": beside_curve, "mechanism": at_positions, "map": objective_map, "designs": designs},
-    tables=positions,
-    design=lambda result: with_verdict(result.machine, result.best, result.refuted),
+    drawings={
+        **{"path": beside_curve, "mechanism": at_positions, "mechanisms": beside_initial},
+        **{"map": objective_map, "designs": designs},
+    },
+    tables=tables,
+    design=lambda result: with_verdict(result.best, result.refuted),
     frames=frames,
     result=SynthesisResult,
 )

@@ -2,12 +2,11 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 from optlink.errors import Status
 from optlink.linkage.cognates import Cognate, CouplerLinkage
 from optlink.linkage.vector2d import TURN
-from optlink.report.format import fixed, number, precise, significant
+from optlink.report.format import change, dimension, fixed, number, precise, significant
 from optlink.report.table_spec import Line, Row, Summary, TableSpec, bad, noted, quiet, strong, summary, table
 from optlink.report.views.certificate_view import certificate_lines, certificate_table, certified
 from optlink.report.views.design_words import measure, modes, words_of
@@ -22,7 +21,6 @@ from optlink.report.views.search_tables import (
 )
 from optlink.tasks.machine import turning_machine
 from optlink.tasks.results.design import LinkageDesign, SynthesisResult
-from optlink.units import display_unit
 
 LINKAGE_TOLERANCE = 1e-3  # relative tolerance for equal four-bars
 
@@ -40,20 +38,21 @@ def design_result(outcome: SynthesisResult) -> Summary:
         status: list[Line] = [*refuted_first(outcome), bad("no linkage found"), *reason, *certificate_lines(proof)]
         opposed = conflict(outcome.conflict, outcome.together) if outcome.conflict else None
         return summary(model.title, status, opposed, certificate, effort(outcome))
-    machine = turning_machine(best.problem, best.values)
+    machine, alone = turning_machine(best.problem, best.values), best.whole.of_cycle
     strokes = None if machine is None else machine_strokes(machine, best.rotation[1])
+    distinct = f"{count} distinct designs verified" if count > 1 else ""
     return search_summary(
         outcome,
-        _sizes(outcome, best),
-        _figures(outcome, best) if math.isfinite(best.objective) else None,
-        (strokes, *(words_of(part).targets(part) for part in best.parts)),
+        _compared_sizes(outcome, best) if alone else _sizes(outcome, best),
+        None if alone or not math.isfinite(best.objective) else _figures(outcome, best),
+        (_compared_figures(best) if alone else None, strokes, *(words_of(part).targets(part) for part in best.parts)),
         (
             optima(outcome),
             _alternatives(outcome.designs) if count > 1 else None,
             _cognates(outcome, best) if best.cognates else None,
         ),
         evidence=outcome.evidence,
-        tail=f"; {count} distinct designs verified" if count > 1 else "",
+        tail="".join(f"; {text}" for text in (best.comparison, distinct) if text),
     )
 
 
@@ -88,16 +87,36 @@ def _figures(outcome: SynthesisResult, design: LinkageDesign) -> TableSpec:
     if math.isfinite(least) and not any(part.task.requirement.by_angle for part in design.parts):
         remark = f"least distance from 0 or 180 deg over the {where}"
         rows.append(("transmission angle", fixed(least, 2), "deg", quiet(remark)))
-    terms: list[tuple[Any, str]] = [(goal, f"{goal.sense}d") for goal in goals]
-    terms += [(bound.term, str(bound.interval)) for bound in whole.bounds]
-    if terms:
-        from optlink.validation.cycle import Cycle
-
-        cycle = Cycle(whole, {name: design.values[name] for name in whole.mechanism.quantities})
-        for term, remark in terms:
-            size, unit = display_unit(kind) if (kind := whole.kind(term)) else (1.0, "")
-            rows.append((term.words, number(size * cycle.figure(term), 6), unit, quiet(remark)))
+    figures = design.figures[len(whole.goals) - len(goals) :]
+    rows += [(figure.words, number(figure.result, 6), figure.unit, quiet(figure.limit)) for figure in figures]
     return table("Objective", "<><<", rows)
+
+
+def _compared_sizes(outcome: SynthesisResult, design: LinkageDesign) -> TableSpec:
+    """Tabulate the design variables beside their initial values."""
+    rows: list[Row] = []
+    for name in (*design.whole.free, *design.whole.links):
+        quantity = design.whole.quantities[name]
+        size, unit = quantity.display
+        low, high = (bound * size for bound in quantity.bounds)
+        within = f"{low:g} ... {high:g}" if quantity.low is not None else ""
+        bounds = quiet(within if quantity.free else ", ".join(filter(None, [quantity.status, within])))
+        value, initial = (dimension(one * size) for one in (design.values[name], quantity.value))
+        rows.append((name, strong(value), unit, initial, bounds))
+    title = NEAREST_DESIGN if outcome.status is Status.INFEASIBLE else "Design"
+    return table(title, ["", ">result", "", ">initial", ""], rows)
+
+
+def _compared_figures(design: LinkageDesign) -> TableSpec:
+    """Tabulate the quantities of the machine beside those of the initial one."""
+    rows: list[Row] = []
+    for figure in design.figures:
+        shown = change(figure.result / figure.initial - 1.0 if figure.initial and math.isfinite(figure.initial) else math.nan)
+        values = number(figure.initial), strong(number(figure.result))
+        rows.append((figure.words, *values, figure.unit, shown, quiet(figure.limit)))
+    if not design.whole.single:
+        rows.append(("weighted sum", "", strong(number(design.objective, 8)), "", "", quiet("minimised")))
+    return table("Objective and limits, measured over the cycle", ["", ">initial", ">result", "", ">change", "limit"], rows)
 
 
 def _alternatives(designs: Sequence[LinkageDesign]) -> TableSpec:

@@ -21,7 +21,6 @@ from optlink.report.regions import regions_of
 from optlink.report.shapes import finite, spread
 from optlink.report.style import Scale, degrees, heading, scale
 from optlink.report.views.design_words import captions
-from optlink.tasks.results.cycle import CycleResult
 from optlink.tasks.results.design import LinkageDesign, SynthesisResult
 from optlink.validation.linkage_motion import transmission_angles
 
@@ -198,14 +197,12 @@ def fitting(value: float, unit: Scale) -> Scale:
     return unit if value == 0.0 or not math.isfinite(value) or value * unit.factor >= 0.01 else scale(value, "m")
 
 
-def with_verdict(
-    machine: ProblemFile | None, design: LinkageDesign | CycleResult | None, refuted: str = ""
-) -> tuple[ProblemFile, str] | None:
-    """Return the machine of a design with its verdict; None if there is none."""
-    if machine is None or design is None:
+def with_verdict(design: LinkageDesign | None, refuted: str = "") -> tuple[ProblemFile, str] | None:
+    """Return the machine of a design with its verdict; None if there is none, or if it has no cycle although only that counts."""
+    if design is None or (design.whole.of_cycle and design.analysis is None):
         return None
     why = refuted or why_invalid(design.validation.checks, design.status.text)
-    return machine, verdict(design.status.value, design.valid, why)
+    return design.machine, verdict(design.status.value, design.valid, why)
 
 
 def sizes(view: DesignView) -> list[str]:

@@ -39,10 +39,7 @@ from optlink.validation import Check
 
 if TYPE_CHECKING:
     from optlink.problem.machine.model import Problem
-    from optlink.tasks.results.cycle import CycleResult
     from optlink.tasks.results.design import SynthesisResult
-
-    SearchedResult = CycleResult | SynthesisResult
 
 MAX_OPTIMA, MAX_VARIABLES = 12, 6  # largest number of optima listed, and of their design variables
 NEAREST_DESIGN = "Nearest design found (it does not meet the limits)"
@@ -51,7 +48,7 @@ RELAXED_NOTE = "; <=, >=: its improvement if the bound is relaxed by that much"
 
 
 def search_summary(
-    outcome: SearchedResult,
+    outcome: SynthesisResult,
     design: TableSpec,
     figures: TableSpec | None,
     tables: Iterable[Part | None],
@@ -93,7 +90,7 @@ def search_summary(
     return replace(full, short=short_text(model.title, status, dimensions(design), priced, checked, opposed))
 
 
-def reached(outcome: SearchedResult, evidence: Evidence) -> str:
+def reached(outcome: SynthesisResult, evidence: Evidence) -> str:
     """Return how many starts reached the best value; nothing if its optimality is proven, or without a search."""
     if outcome.starts < 2 or not outcome.valid or certified(outcome.certificate):
         return ""
@@ -101,7 +98,7 @@ def reached(outcome: SearchedResult, evidence: Evidence) -> str:
     return f"{evidence.hits} of {outcome.starts} starts reached the best value{distinct}; {evidence.chance}"
 
 
-def effort(outcome: SearchedResult, hits: str = "") -> Paragraph:
+def effort(outcome: SynthesisResult, hits: str = "") -> Paragraph:
     """Return what the search consisted of, and how long it took."""
     solution, words = outcome.solution, ["" if outcome.backend == "none" else outcome.backend]
     words.append(f"{outcome.starts} start{'s' * (outcome.starts != 1)}" if outcome.starts else "")
@@ -110,13 +107,13 @@ def effort(outcome: SearchedResult, hits: str = "") -> Paragraph:
     return Paragraph(quiet("; ".join(filter(None, texts))), appendix=True)
 
 
-def refuted_first(outcome: SearchedResult) -> Iterator[Line]:
+def refuted_first(outcome: SynthesisResult) -> Iterator[Line]:
     """Yield which limits exclude each other, the first line of the status of an infeasible problem."""
     if outcome.refuted:
         yield [bad(outcome.refuted)]
 
 
-def _message(outcome: SearchedResult, *, exact: bool) -> str:
+def _message(outcome: SynthesisResult, *, exact: bool) -> str:
     text = outcome.message
     single = text == Status.OPTIMAL.text and outcome.starts == 1 and not exact
     return text + " (use --starts N for a multistart search)" * single
@@ -215,7 +212,7 @@ def checks(selected: Sequence[Check]) -> TableSpec:
     return table(title, ["", "check", ">value", "", "limit"], rows, appendix=True)
 
 
-def optima(outcome: SearchedResult) -> TableSpec | None:
+def optima(outcome: SynthesisResult) -> TableSpec | None:
     """Tabulate the distinct optima of a multistart search, if it found any."""
     if not outcome.optima or max(len(outcome.optima), outcome.starts) < 2:
         return None
@@ -239,7 +236,7 @@ def optima(outcome: SearchedResult) -> TableSpec | None:
     return table("Distinct optima", columns, rows, appendix=True, notes=notes)
 
 
-def backends(outcome: SearchedResult) -> TableSpec:
+def backends(outcome: SynthesisResult) -> TableSpec:
     """Tabulate the solutions of the back ends side by side."""
     model, solutions = outcome.problem.model, outcome.backends.values()
     shown = [model.shown_objective(solution.objective) for solution in solutions]

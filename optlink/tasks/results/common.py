@@ -1,16 +1,14 @@
 """Common interface of search results: validity, optimality checks, JSON document."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol, Self
 
 from optlink.errors import Status
-from optlink.problem.document import Document, Number, Source
+from optlink.problem.document import Number, Source
 from optlink.problem.file import ProblemFile
 from optlink.solvers.solution import FEASIBLE, STATIONARY, LimitState, Relaxation, Solution
-from optlink.tasks.results.certificate import Certificate, message
-from optlink.tasks.results.conflict import refutation
+from optlink.tasks.results.certificate import Certificate
 from optlink.validation.check import MEASURED, MEASURED_ROBUST, Check, Validation
 
 ROUNDED = 2e-7
@@ -244,123 +242,3 @@ FOUND: Mapping[str, Source] = {
     ),
 }
 """Computed entries of designs that are not the best one."""
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class SingleResult(Document):
-    """Result of a search for one design, which is its own best design.
-
-    `design` [SI]; `objective` [SI]; `counts` and `conflict` as they apply: a search without a design has the reason instead.
-    """
-
-    incomplete: ClassVar[bool] = False
-    """Whether a note states that the search may have missed the best design."""
-    shown: ClassVar[Mapping[str, Source]] = {
-        **SEARCHED,
-        "design": lambda result: result.displayed(result.complete(result.design)),
-        "fit": "fit",
-        "strokes": "strokes",
-        "limits": lambda result: result.solution.displayed_limits if result.solution else (),
-        "validation": "validation.checks",
-        "iterations": lambda result: result.solution.iterations if result.solution else 0,
-        **{f"{name}?": of_solution(name) for name in ("kkt", "violation", "curvature")},
-        **FOUND,
-        "optima?": lambda result: (
-            [
-                {key: value for key, value in vars(one).items() if value != ""} | {"design": result.displayed(one.design)}
-                for one in result.optima
-            ]
-            or None
-        ),
-    }
-
-    problem: ProblemFile
-    status: Status
-    backend: str
-    design: dict[str, Number]
-    objective: Number
-    validation: Validation
-    seconds: dict[str, float]
-    seed: int | None = None
-    starts: int = 0
-    solution: Solution | None = None
-    backends: dict[str, Solution] = field(default_factory=dict)
-    optima: tuple[Optimum, ...] = ()
-    conflict: tuple[Relaxation, ...] = ()
-    together: tuple[Relaxation, ...] = ()
-    interrupted: bool = False  # whether the search ended before its last starting point
-    certificate: Certificate | None = None
-    rejected: RejectedDesign | None = None
-
-    @property
-    def valid(self) -> bool:
-        """Whether the design is validated, and optimal if it was searched."""
-        return verified(self.status, self.validation)
-
-    @property
-    def exact(self) -> bool:
-        """Whether no design can be better, because it is without errors."""
-        return False
-
-    @cached_property
-    def refuted(self) -> str:
-        """Which limits exclude each other, in a sentence; empty if no limits conflict."""
-        return refutation(self.conflict)
-
-    @property
-    def message(self) -> str:
-        """Description of how the search ended."""
-        return message(self.status, self.certificate, self.refuted)
-
-    @property
-    def limits(self) -> tuple[LimitState, ...]:
-        """All bounds and limits of the design, in SI; none without a search."""
-        return () if self.solution is None else self.solution.limits
-
-    @property
-    def definite(self) -> ProblemFile:
-        """The problem with the assembly modes of the design."""
-        return self.problem
-
-    def complete(self, design: Mapping[str, float]) -> dict[str, float]:
-        """Return every quantity [SI] for values of design variables."""
-        return self.problem.model.design(design)
-
-    def displayed(self, design: Mapping[str, float]) -> dict[str, float]:
-        """Return a design [SI] in display units, which end the keys."""
-        return self.problem.model.displayed(design)
-
-    @property
-    def best(self) -> Self:
-        """The result itself."""
-        return self
-
-    @property
-    def oriented(self) -> Self:
-        """The result itself: of several equally good designs it has one."""
-        return self
-
-    def with_best(self, **changes: Any) -> Self:
-        """Return the result with other fields of its best design."""
-        return replace(self, **changes)
-
-    def merged(self, results: Sequence[Self]) -> Self:
-        """Return the result with the starts and optima of the searches of all assembly modes, its own among them."""
-        optima = sorted((optimum for result in results for optimum in result.optima), key=lambda optimum: optimum.objective)
-        return replace(
-            self,
-            starts=sum(result.starts for result in results),
-            interrupted=any(result.interrupted for result in results),
-            seconds={key: sum(result.seconds[key] for result in results) for key in self.seconds},
-            optima=tuple(optima),
-            rejected=best_rejected((result.rejected for result in results), self.objective) if self.valid else None,
-        )
-
-    def with_checks(self, checks: Sequence[Check]) -> Self:
-        """Return the result with further checks."""
-        return self.with_best(validation=self.validation.with_checks(checks))
-
-
-def better(result: SingleResult) -> tuple[bool, bool, float]:
-    """Return a sort key: valid before invalid before infeasible, then by objective."""
-    return not result.valid, result.status in (Status.INFEASIBLE, Status.NON_FINITE), result.objective

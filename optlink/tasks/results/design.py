@@ -1,4 +1,4 @@
-"""Result of the synthesis of a linkage for any requirement: designs with their validation, as data and JSON."""
+"""Result of the search of a linkage for any requirement or objective: designs with their validation, as data and JSON."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from operator import attrgetter
-from typing import Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,6 +21,7 @@ from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import TURN, Array
 from optlink.optimization.output_derivatives import error_function
+from optlink.problem.cycle.terms import Term
 from optlink.problem.design import DesignProblem
 from optlink.problem.document import Column, Document, Number, Source, adapter, entries
 from optlink.problem.file import ProblemFile
@@ -36,11 +37,16 @@ from optlink.tasks.results.conflict import refutation
 from optlink.tasks.results.evidence import INCOMPLETE, Evidence
 from optlink.tasks.results.fit import Fit, fit, transmission_fit
 from optlink.tasks.results.strokes import stroke_document
-from optlink.units import DISPLAYED
+from optlink.units import DISPLAYED, KINDS, factor, percent
+from optlink.validation import validate
 from optlink.validation.between import excursions
 from optlink.validation.check import Check, Validation
 from optlink.validation.design import MeasuredDeviations, deviations
 from optlink.validation.linkage_motion import transmission_angles
+
+if TYPE_CHECKING:
+    from optlink.tasks.analyze import Analysis
+    from optlink.validation.cycle import Cycle
 
 ALONG = 2001  # positions along the span at which alternations are counted
 DISTINCT = 1e-2  # least relative difference of two distinct designs
@@ -52,12 +58,24 @@ FINE = 721  # positions of a law at which its error is measured over the whole r
 WIDER = 1.0 + 5e-4  # ratio of the largest errors over the range and at the positions up to which the two are equal to four digits
 
 
+@dataclass(frozen=True)
+class TermFigure:
+    """A quantity of the machine in its display unit, of the initial design and of the result; `limit` in words."""
+
+    name: str
+    words: str
+    initial: Number
+    result: Number
+    limit: str
+    unit: str
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class LinkageDesign(Summary):
     """One design with its validation.
 
     `problem` has definite assembly modes; `values` are all quantities [m, rad], `crank_angles` (points,) [rad] those of
-    the points; `objective` in the SI unit of the measure.
+    the points; `objective` the minimised value in its SI unit, negative for a maximised quantity.
     """
 
     shown: ClassVar[Mapping[str, Source]] = {
@@ -67,6 +85,7 @@ class LinkageDesign(Summary):
         "fit": "fit",
         "least_transmission_deg": lambda design: math.degrees(design.least_transmission),
         "strokes": "strokes",
+        "figures?": lambda design: design.figures or None,
         "points": "points",
         "limits": "displayed_limits",
         "validation": "validation.checks",
@@ -91,8 +110,8 @@ class LinkageDesign(Summary):
 
     @cached_property
     def task(self) -> DesignProblem:
-        """The model of the problem with its first requirement alone."""
-        return self.whole.parts[0]
+        """The model of the problem with its first requirement of targets alone, if it has any."""
+        return next(iter(self.whole.parts), self.whole)
 
     @cached_property
     def parts(self) -> tuple[LinkageDesign, ...]:
@@ -113,6 +132,7 @@ class LinkageDesign(Summary):
     @cached_property
     def own_angles(self) -> Array:
         """The crank angles [rad] of its positions."""
+        assert self.whole.parts
         return self.crank_angles[: len(self.task.data.columns)]
 
     @property
@@ -138,18 +158,111 @@ class LinkageDesign(Summary):
     @cached_property
     def fit(self) -> Fit | None:
         """Error relative to the size of the task, or least transmission angle; None if neither is defined."""
-        if self.task.requirement.kind == "transmission":
-            quantities, limits = self.task.mechanism.quantities, self.displayed_limits
-            return transmission_fit(self.least_transmission, quantities, self.values, limits, self.solution, self.task)
-        measured, limits = self.measured, self.displayed_limits
+        graded, limits = self.task.requirement.kind == "transmission", self.displayed_limits
+        if self.whole.of_cycle and self.whole.single:
+            graded = self.whole.goals[0].quantity in ("transmission angle", "pressure angle")
+        if graded:
+            quantities = self.task.mechanism.quantities
+            return transmission_fit(self._optimised_transmission, quantities, self.values, limits, self.solution, self.task)
         if self.whole.composed:
             return None
-        return fit(self.problem, self.values, self.crank_angles, measured, self.between, limits, self.solution)
+        return fit(self.problem, self.values, self.crank_angles, self.measured, self.between, limits, self.solution)
+
+    @property
+    def _optimised_transmission(self) -> float:
+        """Least distance [rad] of the transmission angle from 0 and 180 deg that was optimised, of one dyad or of all."""
+        if self.whole.parts:
+            return self.least_transmission
+        goal = self.whole.goals[0]
+        angle = math.nan if self.cycle is None else self.cycle.figure(goal)
+        angle = 0.5 * math.pi - angle if goal.quantity == "pressure angle" else angle
+        return min(angle, math.pi - angle)
+
+    # --- the machine over its cycle
+
+    @cached_property
+    def cycle(self) -> Cycle | None:
+        """The machine in motion, with the measured quantities; None if it cannot be built."""
+        return self._in_motion(self.values)
+
+    @cached_property
+    def first_cycle(self) -> Cycle | None:
+        """The machine of the initial design of the file, if only quantities of the machine count."""
+        return self._in_motion(self.whole.design({})) if self.whole.of_cycle else None
+
+    def _in_motion(self, values: Mapping[str, float]) -> Cycle | None:
+        from optlink.validation.cycle import cycle_of
+
+        return cycle_of(self.whole, values)
+
+    @cached_property
+    def initial(self) -> Validation | None:
+        """Checks and objective of the initial design of the file; None beside targets."""
+        return validate(self.whole, self.whole.design({}), cycle=self.first_cycle) if self.whole.of_cycle else None
+
+    @cached_property
+    def figures(self) -> tuple[TermFigure, ...]:
+        """Quantities of the machine in the objective, then those in the limits."""
+        rows, whole = [], self.whole
+        for k, goal in enumerate(whole.goals):
+            name = "objective" if whole.single else f"objective {k + 1}"
+            rows.append(self._figure(name, goal, f"{goal.sense}d"))
+        for item in whole.bounds:
+            rows.append(self._figure(item.name, item.term, str(item.interval), item.interval.unit))
+        return tuple(rows)
+
+    def _figure(self, name: str, term: Term, limit: str, unit: str = "") -> TermFigure:
+        kind = self.whole.kind(term)
+        unit = unit or (KINDS[kind].display if kind else "")
+        size = 1.0 / factor(unit, kind) if kind else 1.0
+        initial, result = (math.nan if cycle is None else size * cycle.figure(term) for cycle in (self.first_cycle, self.cycle))
+        return TermFigure(name, term.words, initial, result, limit, unit)
+
+    @property
+    def comparison(self) -> str:
+        """Comparison of the objective with that of the initial design, in words; empty without an optimum, and beside targets."""
+        first, required = self.initial, self.whole.required
+        if first is None or self.solution is None or self.status is not Status.OPTIMAL:
+            return ""
+        initial, optimal, unit = first.objective, self.objective, ""
+        if self.whole.single:
+            initial, optimal, unit = self.figures[0].initial, self.figures[0].result, self.figures[0].unit
+        if not math.isfinite(initial) and not required:
+            return "the crank of the initial design does not turn fully"
+        text, before = (f"{value:.5g} {unit}".rstrip() for value in (optimal, initial))
+        if required and not first.valid:  # the middle of the bounds is not an initial design
+            return f"objective {text}"
+        change = percent(optimal / initial - 1.0, signed=True) if initial else ""
+        if not first.valid:
+            changed = f"{change}; " if change else ""
+            return f"objective {text} ({changed}the initial design, {before}, does not meet the limits)"
+        return f"objective {text}, initial design {before}" + (f" ({change})" if change else "")
+
+    @cached_property
+    def analysis(self) -> Analysis | None:
+        """Cycle of the machine; None if its crank cannot turn fully."""
+        return self._analysed(self.values)
+
+    @cached_property
+    def initial_analysis(self) -> Analysis | None:
+        """Cycle of the machine of the initial design; None beside targets, or if its crank cannot turn fully."""
+        return self._analysed(self.whole.design({})) if self.whole.of_cycle else None
+
+    def _analysed(self, values: Mapping[str, float]) -> Analysis | None:
+        from optlink.tasks.analyze import analyze
+
+        try:
+            analysis = analyze(fixed_design(self.problem, values))
+        except InputError:
+            return None
+        return analysis if analysis.full else None
+
+    # --- the targets
 
     @cached_property
     def between(self) -> Array | None:
         """Excursion [m] of the traced curve between each point and the next; None for other tasks than paths."""
-        return excursions(self.task, self.own, self.own_angles)
+        return None if not self.whole.parts else excursions(self.task, self.own, self.own_angles)
 
     @property
     def follows_law(self) -> bool:
@@ -258,6 +371,8 @@ class LinkageDesign(Summary):
     @property
     def rotation(self) -> tuple[float, float]:
         """Crank angle [rad] at which the requirement begins, and the rotation from there to its end, negative clockwise."""
+        if not self.whole.parts:
+            return self.whole.start(self.values), math.copysign(TURN, self.whole.sense)
         if self.follows_law:
             return self.own[self.task.start_name], self.task.span
         begin, end = float(self.crank_angles[0]), float(self.crank_angles[-1])
@@ -310,7 +425,8 @@ class LinkageDesign(Summary):
     @property
     def machine(self) -> ProblemFile:
         """The linkage as a problem with every size fixed; its crank starts and turns as the requirement needs."""
-        return started(fixed_design(self.problem, self.values), *self.rotation)
+        fixed = fixed_design(self.problem, self.values)
+        return started(fixed, *self.rotation) if self.whole.parts else fixed
 
     @property
     def assembly(self) -> object:
@@ -330,6 +446,8 @@ class LinkageDesign(Summary):
     @property
     def points(self) -> dict[str, Array]:
         """Crank angles, generated points and their deviations, in the unit that ends the key."""
+        if not self.whole.parts:
+            return {}
         measured, task = self.measured, self.task
         size, unit = DISPLAYED[task.unit]
         points: dict[str, Array] = {"crank_deg": np.degrees(self.crank_angles)}
@@ -350,6 +468,8 @@ class LinkageDesign(Summary):
     @property
     def stated_objective(self) -> dict[str, Any]:
         """Objective [SI], the deviations in the unit that ends the key, and what tolerances add."""
+        if not self.whole.parts:
+            return {"value": self.objective, "unit": self.whole.objective_unit}
         measured, task = self.measured, self.task
         size, unit = DISPLAYED[task.unit]
         objective = {
@@ -397,7 +517,7 @@ def of_best(name: str) -> Source:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SynthesisResult(Document):
-    """Result of the synthesis of a linkage: validated designs, best first; or the nearest invalid one and the reason.
+    """Result of the search of a linkage: validated designs, best first; or the nearest invalid one and the reason.
 
     `evidence`: None without random starts. `first_step`: the best convex first design of a function. `optima`: the optima at
     which the local searches of a law ended, best first.
@@ -408,6 +528,8 @@ class SynthesisResult(Document):
         **{key: source for key, source in SEARCHED.items() if key != "notes"},
         "starts_that_reached_the_best": "hits",
         **{f"{key}?": of_best(key) for key in ("assembly", "strokes", "fit")},
+        "initial?": lambda result: result.initial and {"objective": result.initial.objective, "feasible": result.initial.valid},
+        "figures?": lambda result: result.figures or None,
         "design?": of_best("displayed"),
         "objective?": of_best("stated_objective"),
         "limits": lambda result: result.best.displayed_limits if result.best else (),
@@ -493,6 +615,16 @@ class SynthesisResult(Document):
     def fit(self) -> Fit | None:
         """Error of the best design relative to the size of the task; None if there is none to measure."""
         return None if self.best is None else self.best.fit
+
+    @property
+    def figures(self) -> tuple[TermFigure, ...]:
+        """Quantities of the machine of the best design in objective and limits; see `LinkageDesign.figures`."""
+        return () if self.best is None else self.best.figures
+
+    @property
+    def initial(self) -> Validation | None:
+        """Checks and objective of the initial design of the file; None beside targets."""
+        return None if self.best is None else self.best.initial
 
     @property
     def assembly(self) -> Any:
@@ -616,6 +748,6 @@ def of_designs(
     return SynthesisResult(problem, tuple(distinct[:count]), None if distinct else order[0], backend, seconds or {})
 
 
-FunctionResult = PathResult = SynthesisResult
+FunctionResult = PathResult = CycleResult = SynthesisResult
 PathDesign = LinkageDesign
 """Their names in earlier versions."""

@@ -1,4 +1,4 @@
-"""Pictures and files of a cycle optimisation: minimised and limited quantities over the revolution, both mechanisms."""
+"""Pictures of a machine over its cycle: minimised and limited quantities, and the initial mechanism beside the design."""
 
 import math
 from collections.abc import Iterable
@@ -13,16 +13,15 @@ from optlink.dynamics.columns import MotionColumns
 from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import TURN, Value
 from optlink.problem.cycle.terms import Term
+from optlink.problem.design import DesignProblem
 from optlink.report import chart_spec
 from optlink.report.causes import marked
 from optlink.report.chart_spec import Array, Axis, ChartSpec, Curve, Panel, crank_angle
 from optlink.report.drawing import Sketch
 from optlink.report.labels import place_labels
 from optlink.report.style import GROUND, LIMIT, MUTED, RESULT, Scale, figure, heading, scale, styled
-from optlink.report.view import View
-from optlink.report.views.design_view import with_verdict
 from optlink.tasks.analyze import Analysis
-from optlink.tasks.results.cycle import CycleResult
+from optlink.tasks.results.design import LinkageDesign, SynthesisResult
 from optlink.units import KINDS
 from optlink.validation.cycle import Cycle
 
@@ -54,11 +53,11 @@ def _line(cycle: Cycle, term: Term) -> Line:
     return Line(np.insert(x, gaps, np.nan), np.insert(y, gaps, np.nan), cycle.figure(term))
 
 
-def _distinct_terms(result: CycleResult) -> Iterable[tuple[Term, float | None, float | None]]:
+def _distinct_terms(problem: DesignProblem) -> Iterable[tuple[Term, float | None, float | None]]:
     """Yield every cyclic term once, with its limits [SI]."""
     terms: dict[tuple[object, ...], tuple[Term, float | None, float | None]] = {}
-    objectives = [(goal, None, None) for goal in result.task.goals]
-    for term, low, high in [*objectives, *((b.term, b.interval.low, b.interval.high) for b in result.task.bounds)]:
+    objectives = [(goal, None, None) for goal in problem.goals]
+    for term, low, high in [*objectives, *((b.term, b.interval.low, b.interval.high) for b in problem.bounds)]:
         if term.nature.cyclic:
             key = (term.quantity, term.of, term.on, term.static, term.about)
             first, *merged = terms.get(key, (term, None, None))
@@ -67,14 +66,13 @@ def _distinct_terms(result: CycleResult) -> Iterable[tuple[Term, float | None, f
     yield from terms.values()
 
 
-def charts(result: CycleResult) -> list[ChartSpec]:
+def courses(design: LinkageDesign) -> list[ChartSpec]:
     """Return the minimised and limited quantities over the revolution: initial machine grey, optimal in colour, limits red."""
-    shown = list(_distinct_terms(result))
-    initial, optimal = Cycle(result.task, {}), Cycle(result.task, result.design)
-    if not shown or not optimal.full:
+    shown, initial, optimal = list(_distinct_terms(design.whole)), design.first_cycle, design.cycle
+    if not shown or optimal is None or not optimal.full:
         return []
-    cycles = {"initial": initial, "result": optimal} if initial.full else {"result": optimal}
-    panels = [_panel(result, term, cycles, (low, high)) for term, low, high in shown]
+    cycles = {"result": optimal} if initial is None or not initial.full else {"initial": initial, "result": optimal}
+    panels = [_panel(design.whole, term, cycles, (low, high)) for term, low, high in shown]
     jumps = [
         chart_spec.Line(math.degrees(at % cycle.cycle), colour=RESULT if name == "result" else INITIAL, width=0.8)
         for name, cycle in cycles.items()
@@ -84,12 +82,12 @@ def charts(result: CycleResult) -> list[ChartSpec]:
     if optimal.speed < 0.0:
         x = Axis(f"{x.name}, turned clockwise: from right to left", x.limits, step=x.step)
     title = f"Objectives and limits over the {'revolution' if optimal.cycle == TURN else 'cycle'}"
-    return [ChartSpec("courses", title, panels, x, heading=result.task.title, lines=jumps)]
+    return [ChartSpec("courses", title, panels, x, heading=design.whole.title, lines=jumps)]
 
 
-def _panel(result: CycleResult, term: Term, cycles: dict[str, Cycle], limits: tuple[float | None, float | None]) -> Panel:
+def _panel(problem: DesignProblem, term: Term, cycles: dict[str, Cycle], limits: tuple[float | None, float | None]) -> Panel:
     lines = {name: _line(cycle, term) for name, cycle in cycles.items()}
-    shown = scale(max(np.nanmax(np.abs(line.values)) for line in lines.values()), _unit(result.task.kind(term)))
+    shown = scale(max(np.nanmax(np.abs(line.values)) for line in lines.values()), _unit(problem.kind(term)))
     styles = {"initial": (INITIAL, 1.3), "result": (RESULT, 1.8)}
     curves = [
         Curve(line.angles, line.values * shown.factor, f"{name}: {term.how} {shown.text(line.figure)}", *styles[name], gid=name)
@@ -115,11 +113,14 @@ def _limits(term: Term, limits: tuple[float | None, float | None], shown: Scale,
 
 
 @styled
-def mechanisms(result: CycleResult) -> Figure | None:
-    """Draw the initial machine grey and the optimal one in colour, with joint paths, at the crank angle of the largest torque."""
-    initial, optimal = result.initial_analysis, result.analysis
-    if optimal is None:
+def beside_initial(result: SynthesisResult) -> Figure | None:
+    """Draw the initial machine grey and the optimal one in colour, with joint paths, at the crank angle of the largest torque.
+
+    None beside targets, and if the crank cannot turn fully.
+    """
+    if (design := result.best) is None or not design.whole.of_cycle or design.analysis is None:
         return None
+    initial, optimal = design.initial_analysis, design.analysis
     at = np.array([_largest_torque_angle(optimal)])
     sketches = [(a, Sketch(_revolution(a), a.machine)) for a in (initial, optimal) if a is not None]
     main = sketches[-1][1]
@@ -134,9 +135,9 @@ def mechanisms(result: CycleResult) -> Figure | None:
     names = main.show(axes, sweep(optimal.machine.mechanism, optimal.machine.sizes, at))
     grey = {} if initial is None else {"initial_machine": Line2D([], [], color=INITIAL, linewidth=3.0)}
     main.add_legend(fig, 5, **grey)
-    title = f"{result.task.title}: at crank angle {math.degrees(float(at[0])):z.1f}°"
-    titles = marked(title, result, result.refuted)
-    fig.suptitle("\n".join(heading(line, width) for line in titles), color=None if result.valid else LIMIT)
+    title = f"{design.whole.title}: at crank angle {math.degrees(float(at[0])):z.1f}°"
+    titles = marked(title, design, result.refuted)
+    fig.suptitle("\n".join(heading(line, width) for line in titles), color=None if design.valid else LIMIT)
     place_labels(fig, names)
     return fig
 
@@ -167,12 +168,3 @@ def _draw_initial(axes: Axes, initial: Analysis, shown: Scale, at: Array) -> Non
             axes.plot(ends[:, 0], ends[:, 1], color=INITIAL, linewidth=3.0, alpha=0.55, zorder=1.2, solid_capstyle="round")
     pins = np.array([position.position(name)[0] for name in mechanism.pins]) * shown.factor
     axes.plot(pins[:, 0], pins[:, 1], linestyle="none", marker="o", markersize=5, mfc="white", mec=GROUND, alpha=0.6, zorder=1.4)
-
-
-VIEW = View(
-    charts=charts,
-    drawings={"mechanisms": mechanisms},
-    tables=lambda result: {} if result.analysis is None else {"cycle": result.analysis.columns},
-    design=lambda result: with_verdict(None if result.analysis is None else result.machine, result, result.refuted),
-    result=CycleResult,
-)
