@@ -23,7 +23,15 @@ from optlink.problem.linked import Link
 from optlink.problem.machine.model import ShownObjective
 from optlink.problem.mechanism import FourBarSection, check_one_mode
 from optlink.problem.quantity import Quantity, Unusable, below
-from optlink.problem.requirement import AnyRequirement, NoRequirement, StartPosition, TargetArrays, carrier, names_of
+from optlink.problem.requirement import (
+    AnyRequirement,
+    NoRequirement,
+    Requirement,
+    StartPosition,
+    TargetArrays,
+    carrier,
+    names_of,
+)
 from optlink.problem.robust import Robust, check_robust
 from optlink.problem.targets.expression import Expression
 from optlink.problem.targets.function import Function
@@ -58,7 +66,7 @@ class DesignProblem(MachineTerms):
         if self.requirements and self.requirement is not None:
             raise Unusable("there is one requirement and a list of them", "Move it into the list", "requirement")
         if self.requirements:
-            vars(self)["requirement"] = min(self.requirements, key=lambda one: one.secondary)
+            vars(self)["requirement"] = min(self.requirements, key=_order)
         if self.requirement is None:
             if self.objective is None:
                 raise Unusable("there is no requirement", "Add the section [requirement]", "requirement")
@@ -199,7 +207,7 @@ class DesignProblem(MachineTerms):
             part = type(self).model_construct(**(fields | changes))
             part._place = f"requirements.{k}", f"{name}."
             parts.append(part)
-        return tuple(sorted(parts, key=lambda part: part.requirement.secondary))
+        return tuple(sorted(parts, key=lambda part: _order(part.requirement)))
 
     @property
     def key(self) -> str:
@@ -637,6 +645,11 @@ class DesignProblem(MachineTerms):
         if self.task != "function" or self.everywhere or self.mechanism.assembly == EITHER or self.limits.regions:
             return False
         return all(map(is_parameter, keys))
+
+
+def _order(requirement: Requirement) -> tuple[bool, bool]:
+    """Return a sort key: the first requirement is one by which results are shown."""
+    return not requirement.targeted, requirement.secondary
 
 
 def is_parameter(key: str) -> bool:

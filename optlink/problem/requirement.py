@@ -1026,7 +1026,6 @@ class StrokeRequirement(Requirement):
 
     limited_by: ClassVar[tuple[str, str]] = "stroke", "stroke"
     targeted: ClassVar[bool] = False
-    secondary: ClassVar[bool] = True
 
     @property
     def limited(self) -> bool:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import optlink
-from optlink.studies.pareto.design_objectives import design_problem
+from optlink.studies.pareto.design_objectives import design_objective, design_problem
 from optlink.studies.pareto.epsilon_constraint import pareto
 from optlink.studies.pareto.objectives import read_objectives
 from tests.studies.test_robust_kinds import no_neighbour_is_better, slide_errors
@@ -147,3 +147,14 @@ def test_one_of_several_weighted_requirements_is_minimised_alone():
     assert [part.tolerance is None for part in only.parts] == [True, False]
     loose = design_problem(problem, (first, second), 0, {}).spec
     assert loose.parts[1].tolerance == pytest.approx(3.0)
+
+
+def test_the_bound_of_an_error_stands_at_its_requirement_in_any_order_of_the_file():
+    position = {"kind": "position", "at": "60 deg", "value": ["10 deg", "170 deg"]}
+    raw = {key: value for key, value in optlink.load("crank-rocker").raw.items() if key not in ("requirement", "expected")}
+    law = {**optlink.load("crank-rocker").raw["requirement"], "kind": "function"}
+    problem = optlink.read({**raw, "requirements": [position, law]})
+    objectives = [design_objective(problem, name, k) for k, name in enumerate(("function.error", "total length"))]
+    bounded = design_problem(problem, objectives, 1, {0: "2 deg"})
+    assert bounded.raw["requirements"][1]["tolerance"] == "2 deg"
+    assert bounded.raw["requirements"][0] == problem.raw["requirements"][0]

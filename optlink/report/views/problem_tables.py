@@ -13,6 +13,7 @@ from optlink.problem.limits import RegionSection
 from optlink.problem.mechanism import FourBarSection
 from optlink.problem.quantity import Quantity
 from optlink.problem.targets.target_points import TargetPoints
+from optlink.report.format import joined
 from optlink.report.table_spec import Part, Summary, TableSpec, quiet, summary, table
 
 MAX_POINTS = 8  # largest number of points listed
@@ -45,15 +46,20 @@ def problem(file: ProblemFile) -> Summary:
 
 
 def _demands(model: DesignProblem) -> Iterator[TableSpec]:
-    """List requirement, limits, and what is demanded of quantities of the machine."""
+    """List requirements, limits, and what is demanded of quantities of the machine."""
+    for part in model.parts:
+        title = f"requirements: {part.prefix[:-1]}" if part.prefix else "requirement"
+        yield _section(title, part.requirement, effective_values(part), leave_out=_inapplicable(part, "requirement"))
     if model.parts:
         over = {"transmission_over": model.limits.transmission_range}
-        task = effective_values(model)
-        for name, section, instead in (("requirement", model.requirement, task), ("limits", model.limits, over)):
-            hidden = {key for key in type(section).model_fields if f"{name}.{key}" in model.inapplicable}
-            yield _section(name, section, instead, leave_out=hidden)
+        yield _section("limits", model.limits, over, leave_out=_inapplicable(model, "limits"))
     if model.goals or model.bounds:
         yield _terms(model)
+
+
+def _inapplicable(model: DesignProblem, section: str) -> set[str]:
+    """Return the keys of a section that do not apply to the mechanism."""
+    return {key.partition(".")[2] for key in model.inapplicable if key.startswith(f"{section}.")}
 
 
 def _terms(model: DesignProblem) -> TableSpec:
@@ -66,8 +72,9 @@ def _terms(model: DesignProblem) -> TableSpec:
     if not model.parts:
         default = "" if "alignment" in model.limits.model_fields_set else ", default"
         rows.append(("alignment", "every joint off alignment", f"at least {model.limits.alignment}{default}"))
-    required = "[requirement], " if model.required else ""
-    return table(f"{required}[objective] and [limits]", "<<<", rows)
+    stated = ["[[requirements]]" if model.requirements else "[requirement]"] * bool(model.required)
+    stated += ["[objective]"] * bool(model.goals) + ["[limits]"] * bool(model.named_limits or not model.parts)
+    return table(joined(stated), "<<<", rows)
 
 
 def effective_values(model: DesignProblem) -> dict[str, str]:

@@ -157,9 +157,9 @@ def design_problem(
     if alone and not objectives[minimised].term and not any(objectives[k].term or objectives[k].part >= 0 for k in bounds):
         return problem.override({objectives[k].key: value for k, value in bounds.items()})
     raw = {key: copy.deepcopy(value) for key, value in problem.raw.items() if key != "expected"}
-    tables = raw["requirements"] if "requirements" in raw else [raw["requirement"]]
     stated = {objectives[k].part: value for k, value in bounds.items() if objectives[k].part >= 0}
-    for k, (part, table) in enumerate(zip(parts, tables, strict=True)):
+    for k, part in enumerate(parts):
+        table = raw["requirements"][int(part.key.rpartition(".")[2])] if part.prefix else raw["requirement"]
         summed = not (own >= 0 or objectives[minimised].term)  # the objective of the file remains
         for key in () if summed and k not in stated else ("weight", "scale"):
             table.pop(key, None)
