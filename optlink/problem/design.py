@@ -113,6 +113,9 @@ class DesignProblem(MachineTerms):
             if name in Limits.model_fields and f"limits.{name}" in self.inapplicable:
                 remedy = f'Leave it out, or limit a quantity of the machine: {name} = {{ quantity = "torque", max = "10 N*m" }}'
                 raise Unusable("not a limit of this kind of problem", remedy, f"limits.{name}")
+        for name in () if self.parts else self.limits.regions:
+            message = "a region is not supported in a problem without targets"
+            raise Unusable(message, 'Limit a quantity instead, for example "slide", "end" or "length"', f"limits.{name}")
         for part in self.each:
             with part.keyed():
                 part.requirement.check(part)

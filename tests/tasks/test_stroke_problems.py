@@ -173,6 +173,11 @@ FAULTS: dict[str, tuple[Raw, str, str]] = {
     "ratio": ({"requirement.time_ratio": 0.5}, "requirement.time_ratio", "Give 1 or more"),
     "a measure": ({"requirement.measure": "max"}, "requirement.measure", "a stroke has no measure"),
     "torque": ({"objective": {"quantity": "torque"}}, "objective", "no masses"),
+    "region": (
+        {"limits.hood": {"region": "circle", "of": "C", "centre": ["0 mm", "0 mm"], "radius": "9 m"}},
+        "limits.hood",
+        "not supported in a problem without targets",
+    ),
 }
 
 
