@@ -22,7 +22,7 @@ from optlink.linkage.fourbar import (
 from optlink.linkage.mechanism import Dyad, Pose
 from optlink.linkage.vector2d import Value, magnitude
 from optlink.problem.design import DesignProblem
-from optlink.problem.limits import COUPLER_JOINT, Alignment, Reach, limits_in_file
+from optlink.problem.limits import COUPLER_JOINT, Limits, Reach, limits_in_file
 from optlink.problem.machine.model import Problem
 from optlink.problem.mechanism import FourBarSection
 from optlink.problem.quantity_keys import quantity_key
@@ -359,7 +359,7 @@ def region_rows(problem: DesignProblem, pose: Pose, *, over_span: bool) -> list[
     return rows
 
 
-def alignment_row(limits: Alignment, group: Dyad, value: Value) -> ConstraintRow:
+def alignment_row(limits: Limits, group: Dyad, value: Value) -> ConstraintRow:
     """Return the row that keeps a group away from the position where its assembly modes meet, from the squared sine there."""
     low = math.sin(limits.alignment.value) ** 2
     return ConstraintRow("limits.alignment", f"{group.joint} not aligned", value, low, math.inf, SINE_SQUARED)

@@ -11,16 +11,16 @@ import numpy as np
 from pydantic import PrivateAttr, model_validator
 from pydantic.fields import FieldInfo
 
+from optlink.dynamics.inertia import Inertia
 from optlink.linkage.assur import EITHER
 from optlink.linkage.dyad_types import transmitting
 from optlink.linkage.mechanism import Pose
 from optlink.linkage.vector2d import Array, Value
-from optlink.problem.cycle.model import MachineTerms
-from optlink.problem.cycle.terms import Goal, Limit, Objective
+from optlink.problem.cycle.terms import Goal, Limit, Objective, Term, check_term, read_scale
 from optlink.problem.interval import read_figure
 from optlink.problem.limits import LIMITS, MARGIN_KEYS, Bound, Limits, LimitTerm, Reach, check_limits, four_bar_limits
 from optlink.problem.linked import Link
-from optlink.problem.machine.model import ShownObjective
+from optlink.problem.machine.model import Problem, ShownObjective
 from optlink.problem.mechanism import FourBarSection, check_one_mode
 from optlink.problem.quantity import Quantity, Unusable, below
 from optlink.problem.requirement import (
@@ -47,7 +47,7 @@ EPIGRAPH = "largest error"  # name of the extra variable of a minimax NLP, and o
 STEP = 1e-4  # rad, least crank rotation from a point to the next
 
 
-class DesignProblem(MachineTerms):
+class DesignProblem(Problem):
     """A linkage with requirements, limits, or an objective of quantities of its machine: input of `solve`. Immutable.
 
     Change it with `optlink.load(..., overrides)`.
@@ -57,6 +57,8 @@ class DesignProblem(MachineTerms):
     """Law or function, points, poses, stroke, or the best transmission; the first of several."""
     requirements: tuple[AnyRequirement, ...] = ()
     """Several requirements on one linkage, in place of one: those with a tolerance are limits, the others are minimised."""
+    objective: Objective | None = None
+    """Objective of quantities of the machine."""
     limits: Limits = Limits()
     """Limits of the design."""
     _place: tuple[str, str] = PrivateAttr(("requirement", ""))  # key of the requirement, and the beginning of its quantities
@@ -284,8 +286,12 @@ class DesignProblem(MachineTerms):
     @cached_property
     def bounds(self) -> tuple[Bound, ...]:
         """The limits of quantities of the machine with their bounds; without targets those of the transmission angle too."""
+        bounds = [*self.required]
+        for name, limit in self.named_limits.items():
+            with below(f"limits.{name}"):
+                bounds.append(Bound(name, limit, limit.interval(self.linkage, self.quantities), f"limits.{name}"))
         joints = [] if self.parts else [group.joint for group in transmitting(self.linkage)]
-        return (*self.required, *super().bounds, *self.limits.transmission_bounds(joints))
+        return (*bounds, *self.limits.transmission_bounds(joints))
 
     @cached_property
     def required(self) -> tuple[Bound, ...]:
@@ -297,6 +303,68 @@ class DesignProblem(MachineTerms):
                     key = part.key + bound.key.removeprefix("requirement")
                     bounds.append(replace(bound, name=f"{part.prefix}{bound.name}", key=key))
         return tuple(bounds)
+
+    # --- quantities of the machine
+
+    @cached_property
+    def lengths(self) -> tuple[str, ...]:
+        """Names of the lengths of the links; of a four-bar, the frame is one."""
+        return tuple(name for name, quantity in self.mechanism.quantities.items() if quantity.kind == "length")
+
+    @cached_property
+    def scales(self) -> tuple[float | None, ...]:
+        """Scale of each objective term [SI]; None if the file gives none."""
+        return tuple(read_scale(goal, self.kind(goal)) for goal in self.goals)
+
+    @property
+    def single(self) -> bool:
+        """Whether the objective is one quantity of the machine, in its own unit."""
+        return len(self.goals) == 1 and (self.objective is None or not self.objective.terms)
+
+    def kind(self, term: Term) -> str:
+        """Return the physical kind of a term."""
+        if term.quantity == "length":
+            return self.quantities[str(term.of)].kind
+        return term.kind(self.linkage)
+
+    def inertias(self, values: Mapping[str, Value]) -> dict[str, Inertia]:
+        """Return mass properties of all bodies for dimensions that may be symbols [SI]; centroids and bars follow the lengths."""
+        sizes = self.sizes(values)
+        return {name: body.inertia_of(name, self.linkage, sizes) for name, body in self.bodies.items()}
+
+    def _check_term(self, term: Term) -> None:
+        check_term(term, self.linkage, self.quantities)
+        if term.over is not None:
+            remedy = "Leave it out; only terms of [balance] count a range of crank angles"
+            raise Unusable("a design problem counts the whole revolution", remedy, "over", str(term.over))
+
+    def check_terms(self) -> None:
+        """Check the quantities of the machine and their elements.
+
+        Raises
+        ------
+        Unusable
+            with the full key of the cause.
+        """
+        terms = (*self.goals, *self.named_limits.values())
+        if any(term.nature.cyclic or term.ended or term.quantity == "work" for term in terms) and self.drive.speed.value == 0.0:
+            remedy = "Give the constant speed of the cycle"
+            raise Unusable("the crank speed is zero", remedy, "drive.speed", str(self.drive.speed))
+        for k, goal in enumerate(self.goals):
+            with below("objective" if self.single else f"objective.terms.{k}"):
+                self._check_term(goal)
+                if read_scale(goal, self.kind(goal)) is None and len(self.goals) > 1:
+                    raise Unusable("terms of different units are added", 'Give each term a scale: scale = "1000 N"', "scale")
+        for name, limit in self.named_limits.items():
+            with below(f"limits.{name}"):
+                self._check_term(limit)
+        if self.mechanism.friction and any(_forced(term) for term in terms):
+            guide = next(iter(self.mechanism.friction))
+            message = "guide friction is not differentiable where the normal force changes sign"
+            remedy = "Optimise without friction, then `optlink analyze` the result with friction"
+            raise Unusable(message, remedy, f"mechanism.guides.{guide}.friction", self.mechanism.friction[guide])
+        if not self.bodies and not self.loads and any(_forced(goal) for goal in self.goals):
+            raise Unusable("no masses and no loads are given, so there are no forces", "Add [bodies] or [loads]", "objective")
 
     @cached_property
     def _sole(self) -> tuple[float, str, str]:
@@ -648,6 +716,10 @@ class DesignProblem(MachineTerms):
         if self.task != "function" or self.everywhere or self.mechanism.assembly == EITHER or self.limits.regions:
             return False
         return all(map(is_parameter, keys))
+
+
+def _forced(term: Term) -> bool:
+    return term.nature.kind in ("torque", "force", "energy")
 
 
 def _order(requirement: Requirement) -> tuple[bool, bool]:

@@ -16,7 +16,7 @@ from optlink.io import Registry
 from optlink.problem.base_model import ALSO_WRITTEN, Ends, written
 from optlink.problem.cycle.terms import Limit
 from optlink.problem.design import DesignProblem
-from optlink.problem.limits import OF_QUANTITY, OF_REGION, Alignment, Limits, four_bar_limits
+from optlink.problem.limits import OF_QUANTITY, OF_REGION, Limits, four_bar_limits
 from optlink.problem.machine.model import Problem
 from optlink.problem.mechanism import DyadsSection, FourBarSection
 from optlink.problem.quantity import Unusable, nearest
@@ -67,7 +67,7 @@ def known_keys(path: tuple[str | int, ...], *kinds: type[Problem]) -> list[str]:
         fields = [field for model in models for name, field in model.model_fields.items() if step == name]
         if fields:  # otherwise the step is the name of a body, a point ...: the models stay the same
             models = [model for f in fields for model in _models(f.annotation)]
-        elif any(issubclass(model, Alignment) for model in models):  # a limit of a quantity of the machine
+        elif any(issubclass(model, Limits) for model in models):  # a limit of a quantity of the machine
             models = [Limit]
         if not models:
             return ["start", "bounds", "equals"]

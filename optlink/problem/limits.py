@@ -54,22 +54,6 @@ _LENGTH_MARGIN = where(
 )
 
 
-class Alignment(Section):
-    """Least distance of a mechanism from positions where it locks or its assembly modes meet (see `optlink.linkage.margins`)."""
-
-    alignment: Annotated[FixedAngle, _LEAST_ALIGNMENT] = Quantity(LEAST_ALIGNMENT, "angle", "deg")
-    """Least angle of the two links of a joint from alignment (0 and 180 deg) over the required motion; for a link and a slider,
-    from the normal of the slider's line. A tighter transmission limit takes precedence."""
-
-
-class Margins(Alignment):
-    """Least distance of a four-bar from such positions and from change points."""
-
-    length_margin: Annotated[Number, _LENGTH_MARGIN] = LEAST_LENGTH_MARGIN
-    """Least difference of lengths that must not be equal (Grashof's sums; crank and coupler at an inner dead centre), relative to
-    the longest link."""
-
-
 @dataclass(frozen=True)
 class Bound:
     """A limit with its name for display, its bounds [SI], and its key in the problem file."""
@@ -118,11 +102,20 @@ def _named_kind(raw: object) -> str:
 NamedLimit = Annotated[Annotated[Limit, Tag(OF_QUANTITY)] | Annotated[RegionLimit, Tag(OF_REGION)], Discriminator(_named_kind)]
 
 
-class Limits(Margins):
-    """Limits of a design problem; further ones, of quantities of the machine and of regions, have names of the user's choice."""
+class Limits(Section):
+    """Limits of a design problem; further ones, of quantities of the machine and of regions, have names of the user's choice.
+
+    Least distances from positions where a mechanism locks or its assembly modes meet: see `optlink.linkage.margins`.
+    """
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[Name, NamedLimit]
+    alignment: Annotated[FixedAngle, _LEAST_ALIGNMENT] = Quantity(LEAST_ALIGNMENT, "angle", "deg")
+    """Least angle of the two links of a joint from alignment (0 and 180 deg) over the required motion; for a link and a slider,
+    from the normal of the slider's line. A tighter transmission limit takes precedence."""
+    length_margin: Annotated[Number, _LENGTH_MARGIN] = LEAST_LENGTH_MARGIN
+    """Least difference of lengths of a four-bar that must not be equal (Grashof's sums; crank and coupler at an inner dead
+    centre), relative to the longest link."""
     crank: Literal["full rotation", "double-crank", "span"] = "full rotation"
     """Crank rotation: full (a four-bar is then a crank-rocker or a double-crank), or only over the span of the requirement."""
     transmission_angle: AnglesOfJoints | None = None

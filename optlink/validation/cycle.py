@@ -15,9 +15,9 @@ from optlink.linkage.extrema import distinct, extremes, maxima
 from optlink.linkage.motion import sweep
 from optlink.linkage.stroke import Travel, reachable, travels
 from optlink.linkage.vector2d import TURN, Array, turn
-from optlink.problem.cycle.model import MachineTerms
 from optlink.problem.cycle.quantities import guide_of
 from optlink.problem.cycle.terms import Term, output_of
+from optlink.problem.design import DesignProblem
 from optlink.problem.limits import stroke_ratio
 from optlink.problem.quantity import Unusable
 from optlink.validation.check import POSITIONS
@@ -44,7 +44,7 @@ class _Weight(Steady):
 class Cycle:
     """A design in motion, with the measured values of its terms; quantities [SI] not named have their value in the file."""
 
-    def __init__(self, problem: MachineTerms, design: Mapping[str, float]) -> None:
+    def __init__(self, problem: DesignProblem, design: Mapping[str, float]) -> None:
         self.problem = problem
         self.design: dict[str, float] = problem.complete(design)
         self.machine = problem.machine(self.design)
@@ -229,7 +229,7 @@ class Cycle:
         return abs(math.fsum(whole(power) for power in powers)) / max(fed + stored, 1e-300)
 
 
-def cycle_of(problem: MachineTerms, values: Mapping[str, float]) -> Cycle | None:
+def cycle_of(problem: DesignProblem, values: Mapping[str, float]) -> Cycle | None:
     """Return a design [SI] in motion; None if it cannot be built."""
     try:
         return Cycle(problem, {name: value for name, value in values.items() if name in problem.mechanism.quantities})

@@ -15,7 +15,7 @@ from optlink.linkage.fourbar import LENGTHS, classify
 from optlink.linkage.mechanism import Dyad
 from optlink.linkage.motion import Motion
 from optlink.linkage.vector2d import Array
-from optlink.problem.limits import Alignment, Limits
+from optlink.problem.limits import Limits
 from optlink.validation.check import Checks, Text, text
 
 SHORT = 5e-3
@@ -76,7 +76,7 @@ def _median(values: Array) -> Array:
     return np.asarray(0.5 * (low + high))
 
 
-def alignment_check(group: Dyad, single: bool, sine: ArrayLike, limits: Alignment, where: str) -> Checks:
+def alignment_check(group: Dyad, single: bool, sine: ArrayLike, limits: Limits, where: str) -> Checks:
     """Check that a group, the `single` one or one of several, keeps its least angle from alignment over the motion `where`.
 
     `sine`: least squared sine of that angle; negative or NaN if the group does not close.

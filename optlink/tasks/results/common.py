@@ -1,14 +1,14 @@
 """Common interface of search results: validity, optimality checks, JSON document."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Protocol, Self
 
 from optlink.errors import Status
-from optlink.problem.document import Number, Source
+from optlink.problem.document import Document, Number, Source
 from optlink.problem.file import ProblemFile
 from optlink.solvers.solution import FEASIBLE, STATIONARY, LimitState, Relaxation, Solution
-from optlink.tasks.results.certificate import Certificate
+from optlink.tasks.results.certificate import Certificate, message
 from optlink.validation.check import MEASURED, MEASURED_ROBUST, Check, Validation
 
 ROUNDED = 2e-7
@@ -242,3 +242,49 @@ FOUND: Mapping[str, Source] = {
     ),
 }
 """Computed entries of designs that are not the best one."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SingleResult(Document):
+    """Base class for the results of a kind of problem from outside the package that has one design [SI]; see `DesignResult`."""
+
+    shown: ClassVar[Mapping[str, Source]] = {**SEARCHED, "validation": "validation.checks"}
+
+    problem: ProblemFile
+    status: Status
+    backend: str
+    design: dict[str, Number]
+    objective: Number
+    validation: Validation
+    seconds: dict[str, float]
+    seed: int | None = None
+    starts: int = 0
+    solution: Solution | None = None
+    backends: dict[str, Solution] = field(default_factory=dict)
+    conflict: tuple[Relaxation, ...] = ()
+    interrupted: bool = False
+    certificate: Certificate | None = None
+
+    @property
+    def valid(self) -> bool:
+        """Whether the design is validated, and optimal if it was searched."""
+        return verified(self.status, self.validation)
+
+    @property
+    def message(self) -> str:
+        """Description of how the search ended."""
+        return message(self.status, self.certificate, "")
+
+    @property
+    def limits(self) -> tuple[LimitState, ...]:
+        """All bounds and limits of the design, in SI; none without a search."""
+        return () if self.solution is None else self.solution.limits
+
+    @property
+    def definite(self) -> ProblemFile:
+        """The problem with the assembly modes of the design."""
+        return self.problem
+
+    def with_checks(self, checks: Sequence[Check]) -> Self:
+        """Return the result with further checks."""
+        return replace(self, validation=self.validation.with_checks(checks))
