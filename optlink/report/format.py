@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 from optlink.units import percent
 
+FINEST_STEP = 1e-3  # share of a step to which it is refined for a steep price
 _PRODUCT = re.compile(r"\b([kMGmµnpfa]?N|kg)[ *]m\b")
 
 
@@ -26,9 +27,20 @@ def precise(value: float, digits: int) -> str:
     return number(value, digits) if value == 0.0 or abs(value) >= 1e-5 else f"{value:.{digits - 1}e}"
 
 
-def price_step(unit: str) -> tuple[float, str]:
-    """Return the step of a limit or parameter to which a price refers, with its text: 0.01 of a ratio, else one unit."""
-    return (1.0, unit) if unit else (0.01, "0.01")
+def price_step(unit: str, bound: float = 0.0, share: float = 0.0) -> tuple[float, str]:
+    """Return the step of a limit or parameter to which a price refers, with its text: one unit, or 0.01 of a ratio.
+
+    It is a smaller power of ten where that exceeds a tenth of the bound, or changes the objective by more than all of it, and
+    a larger one from a bound of 10,000 on. `share` is the relative change of the objective per unit.
+    """
+    step, size = (1.0 if unit else 0.01), abs(bound)
+    if 0.0 < size < math.inf:
+        place = math.floor(math.log10(size) + 1e-9)
+        step = 10.0 ** (place - 3) if size >= 1e4 else min(step, 10.0 ** (place - 1))
+    finest = FINEST_STEP * step
+    while 1.0 < share * step < math.inf and step > 1.5 * finest:
+        step *= 0.1
+    return (step, unit) if unit and step == 1.0 else (step, f"{step:g} {unit}".rstrip())
 
 
 def fixed(value: float, decimals: int = 3) -> str:

@@ -79,12 +79,12 @@ def objective(problem: ProblemFile, value: float) -> dict[str, Any] | None:
 
 def active(design: Design) -> list[dict[str, Any]]:
     """Return the active limits of a design with their shadow prices, in display units."""
-    _, factor, unit, _ = kind_of(design.problem).objective(design.problem.model, design.objective)
+    base, factor, unit, _ = kind_of(design.problem).objective(design.problem.model, design.objective)
     rows = []
     for limit in design.limits:
         if limit.active:
             row = {"limit": f"{limit.name} {limit.sense}", "value": limit.bound, "unit": limit.unit}
-            size, step = price_step(limit.unit)
+            size, step = price_step(limit.unit, limit.bound, abs(limit.multiplier * factor / base) if base else 0.0)
             price = {"price": limit.multiplier * factor * size, "price_unit": f"{unit or '1'} per {step}"}
             joint = {"joint_price": limit.joint_gain * factor * size} if limit.depends_on else {}
             rows.append(row | price | joint)

@@ -18,7 +18,7 @@ import optlink
 from optlink.problem.machine.model import ShownObjective
 from optlink.report import terminal
 from optlink.report.chart_spec import ChartSpec
-from optlink.report.format import change, dimension, figure, fixed, number, pretty, significant
+from optlink.report.format import change, dimension, figure, fixed, number, pretty, price_step, significant
 from optlink.report.registry import table_of
 from optlink.report.table_spec import Part, Summary
 from optlink.report.views import conclusions, design, problem_tables
@@ -113,6 +113,35 @@ def test_a_multistart_search_is_not_recommended_after_one(solved: optlink.Synthe
     assert "of all 20 starting points, random and given; 2 of them ended at worse optima that are not listed, or at none" in text
     complete = replace(many, optima=(*many.optima, Optimum(solved.design, 1.0, 2)))
     assert "not listed" not in shown(complete)
+
+
+@pytest.mark.parametrize(
+    ("bound", "unit", "share", "step"),
+    [
+        (135.0, "deg", 0.02, "deg"),
+        (0.02, "N m", 53.1687, "0.001 N m"),
+        (0.4, "N m", 0.5, "0.01 N m"),
+        (3.0, "mm", 0.0, "0.1 mm"),
+        (60.0, "N", 0.0, "N"),
+        (20_000.0, "N", 1e-5, "10 N"),
+        (1.2, "", 3.0, "0.01"),
+        (0.05, "", 3.0, "0.001"),
+        (45.0, "deg", 7.0, "0.1 deg"),
+        (0.0, "mm", 30.0, "0.01 mm"),
+        (0.0, "mm", 1e12, "0.001 mm"),  # of an objective of zero no share is told
+        (-0.5, "m", 0.0, "0.01 m"),
+    ],
+)
+def test_a_price_refers_to_a_step_that_suits_its_bound(bound: float, unit: str, share: float, step: str) -> None:
+    size, words_of_step = price_step(unit, bound, share)
+    assert words_of_step == step
+    assert f"{size:g}" == (step.split()[0] if step[0].isdigit() else "1")
+    assert share > 1e6 or share * size <= 1.0
+    limit = LimitState("key", "peak torque", bound, bound, "<=", unit, True, -share, 0.0)
+    model = SimpleNamespace(shown_objective=lambda objective: ShownObjective(objective, 1.0, "mm^2"))
+    text = words(active(model, 1.0, [limit]))
+    assert (f"per {pretty(step)} ({100.0 * share * size:.2f} %)" in text) is (0.0 < share < 1e6 and share * size >= 5e-5)
+    assert ("%" in text) is (0.0 < share < 1e6 and share * size >= 5e-5)
 
 
 def test_the_price_of_an_equality_has_its_sign() -> None:

@@ -15,6 +15,7 @@ import optlink
 from optlink.cli.app import app
 from optlink.errors import InputError
 from optlink.problem.file import read
+from optlink.report.views import conclusions
 from optlink.validation.consistency import contradictions
 from tests.oracles import composed_problems as composed
 from tests.solved import solution
@@ -156,10 +157,12 @@ def test_both_back_ends_agree():
 def test_the_terminal_states_every_demand(tmp_path):
     done = CliRunner().invoke(app, ["solve", "law-smallest-machine", "--out", str(tmp_path), "--quiet"])
     assert done.exit_code == 0
+    best = optlink.read_result(tmp_path)
+    assert conclusions.design(best, ()).startswith("Total length of the links 1243 mm. The output follows")
     text = CliRunner().invoke(app, ["validate", str(tmp_path)])
     assert text.exit_code == 0
     words = " ".join(text.stdout.split())
-    for part in ("total length of the links 1242.81 mm", "at most 2.5 deg", "given design, valid"):
+    for part in ("minimised: total length of the links 1242.81 mm; largest deviation", "at most 2.5 deg", "given design, valid"):
         assert part in words
     assert (tmp_path / "points.csv").exists()
 

@@ -246,6 +246,8 @@ def test_an_objective_without_a_target_is_compared_with_the_initial_design(least
     change = torque(crank, rod) / torque(0.05, 0.13) - 1.0
     assert f"initial design{' ' if feasible else ', '}{torque(0.05, 0.13):.5g} N·m" in shown
     assert ("does not meet the limits)" in shown) != feasible
+    assert f"peak torque {torque(crank, rod):.5g} N·m" in shown
+    assert (f"{100.0 * change:+.1f} %" in shown) == feasible  # not against a design that is none
     header = page(ReportModel(result.problem, result, None)).partition("<h1")[2].partition("<h2")[0]
     assert header.count(f"(−{-100.0 * change:.1f} %)" if change < 0.0 else f"(+{100.0 * change:.1f} %)") == 1
     assert header.count("%") == 1  # the change is stated once

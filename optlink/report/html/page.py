@@ -134,7 +134,7 @@ def _status(model: ReportModel, shown: Summary) -> Sequence[Sequence[Span]]:
     if getattr(outcome, "refuted", ""):
         return shown.status.lines[1:]
     comparison = getattr(getattr(outcome, "best", None), "comparison", "")
-    if not comparison.startswith("objective") or not outcome.problem.spec.single:
+    if not comparison or not (spec := outcome.problem.spec).single or not comparison.startswith(spec.goals[0].words):
         return shown.status.lines
     return [[span for span in line if span.text != f"; {comparison}"] for line in shown.status.lines]
 

@@ -21,7 +21,7 @@ from optlink.tasks.analyze import Analysis
 from optlink.tasks.results.balance import Balance
 from optlink.tasks.results.clearance import ClearanceSimulation
 from optlink.tasks.results.control_comparison import Comparison
-from optlink.tasks.results.design import LinkageDesign, SynthesisResult
+from optlink.tasks.results.design import LinkageDesign, SynthesisResult, TermFigure
 from optlink.tasks.simulate import Simulation
 from optlink.units import percent
 
@@ -37,7 +37,7 @@ def design(outcome: SynthesisResult, limits: Iterable[LimitState]) -> str:
     best, certified = outcome.best, clause(outcome.certificate)
     if best is None or outcome.conflict:
         return _sentences(shown(outcome.refuted) or "No design was found.", certified)
-    achieved = _compared(best) if best.whole.of_cycle else sentence(best)
+    achieved = _compared(best) if best.whole.of_cycle else _sentences(_optimised(best), sentence(best))
     if outcome.valid:
         return _sentences(achieved, _limiting(limits), certified)
     return f"Not valid: {why_invalid(best.validation.checks, best.status.text)}. {achieved}"
@@ -52,10 +52,21 @@ def _sentences(*sentences: str) -> str:
     return " ".join(filter(None, sentences))
 
 
+def _optimised(outcome: LinkageDesign) -> str:
+    """Return what is minimised or maximised beside targets; empty if only their deviations are."""
+    words = [f"{goal.words} {figure(goal.result, goal.unit)}" for goal in _goals(outcome)]
+    text = joined(words)
+    return f"{text[:1].upper()}{text[1:]}." if text else ""
+
+
+def _goals(outcome: LinkageDesign) -> list[TermFigure]:
+    return [goal for goal in outcome.figures if goal.limit in ("minimised", "maximised")]
+
+
 def _compared(outcome: LinkageDesign) -> str:
     """Return the objective of a machine, compared with that of the initial one, and what is required of it."""
     stroke, initial = [bound.name for bound in outcome.whole.required], outcome.initial
-    goals = [goal for goal in outcome.figures if goal.limit in ("minimised", "maximised")] or outcome.figures[:1]
+    goals = _goals(outcome) or outcome.figures[:1]
     words, feasible = [], initial is not None and initial.valid
     for goal in goals:
         compared = goal.initial and math.isfinite(goal.initial) and (not stroke or feasible)

@@ -162,17 +162,16 @@ def active(model: Problem, objective: float, limits: Iterable[LimitState]) -> Pa
     """Tabulate the active constraints with their shadow prices, in the unit in which the model shows its objective.
 
     The price of an inequality is the improvement of the objective per step by which its bound alone is relaxed; that of an
-    equality is the change of the objective, with its sign, per step by which its value is raised. A step is one unit, or 0.01 of
-    a ratio.
+    equality is the change of the objective, with its sign, per step by which its value is raised; see `price_step`.
     """
     (base, factor, unit, _), rows, raised = model.shown_objective(objective), [], False
     joint: dict[frozenset[str], tuple[float, set[str]]] = {}
 
     def share(gain: float) -> str:
-        return f" ({percent(gain / base, 2)})" if 5e-5 * base <= gain < 100.0 * base else ""  # otherwise not informative
+        return f" ({percent(gain / base, 2)})" if 5e-5 * base <= gain <= base else ""  # otherwise not informative
 
     for limit in (limit for limit in limits if limit.active):
-        size, step = price_step(limit.unit)
+        size, step = price_step(limit.unit, limit.bound, abs(limit.multiplier * factor / base) if base else 0.0)
         price = limit.multiplier * factor * size
         gain = abs(price)
         shown = f"{price:+.4g}" if limit.sense == "=" else f"{gain:.4g}"

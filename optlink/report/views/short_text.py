@@ -9,6 +9,7 @@ LINES = 25
 """Lines that the short text of a valid design has at most, 80 characters wide."""
 MAX_DIMENSIONS = 8  # rows of a design; a longer one is written as text
 MAX_LIMITS = 4  # rows of the active limits
+SENSES = ("minimised", "maximised")  # remarks on what is optimised beside other demands
 DETAILS = "--details shows the rest"
 
 
@@ -38,13 +39,14 @@ def verdict_lines(lines: Sequence[Line]) -> list[Line]:
 def objective_line(objective: TableSpec) -> Line:
     """Return a table of the objective as one line: name, value, unit and the remark on the first row.
 
-    Rows without a name are the same value in other units.
+    Of several demands the line begins with what is minimised or maximised. Rows without a name are the same value in other units.
     """
     first, *others = objective.rows
-    pieces = [Span(f"objective: {first[0].text} "), first[1], Span(f" {first[2].text}".rstrip())]
+    sense = first[3].text if first[3].text in SENSES else ""
+    pieces = [Span(f"{sense or 'objective'}: {first[0].text} "), first[1], Span(f" {first[2].text}".rstrip())]
     for _, value, unit, _ in (row for row in others if not row[0].text):
         pieces += [Span(" = "), value, Span(f" {unit.text}")]
-    if first[3].text:
+    if first[3].text and not sense:
         pieces.append(replace(first[3], text=f" ({first[3].text})"))
     for name, value, unit, _ in (row for row in others if row[0].text):
         pieces += [Span(f"; {name.text} "), value, Span(f" {unit.text}".rstrip())]

@@ -102,7 +102,7 @@ def _prices(result: Sensitivities) -> TableSpec:
     """Tabulate the derivatives of the objective."""
     (_, factor, unit, _), rows = result.problem.model.shown_objective(result.solution.objective), []
     for row in result.displayed.moving:
-        size, words = price_step(row.parameter.unit)
+        size, words = price_step(row.parameter.unit, row.parameter.value)
         per = quiet(f"{unit} per {words}".strip())
         rows.append((row.parameter.key, f"{factor * size * row.objective:+.6g}" if row.objective else "0", per))
     return table("Change of the objective if the value is raised", "<><", rows)

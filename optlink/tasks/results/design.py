@@ -224,19 +224,19 @@ class LinkageDesign(Summary):
         first, required = self.initial, self.whole.required
         if first is None or self.solution is None or self.status is not Status.OPTIMAL:
             return ""
-        initial, optimal, unit = first.objective, self.objective, ""
+        initial, optimal, unit, name = first.objective, self.objective, "", "objective"
         if self.whole.single:
+            name = self.whole.goals[0].words
             initial, optimal, unit = self.figures[0].initial, self.figures[0].result, self.figures[0].unit
         if not math.isfinite(initial) and not required:
             return "the crank of the initial design does not turn fully"
         text, before = (f"{value:.5g} {unit}".rstrip() for value in (optimal, initial))
         if required and not first.valid:  # the middle of the bounds is not an initial design
-            return f"objective {text}"
-        change = percent(optimal / initial - 1.0, signed=True) if initial else ""
+            return f"{name} {text}"
         if not first.valid:
-            changed = f"{change}; " if change else ""
-            return f"objective {text} ({changed}the initial design, {before}, does not meet the limits)"
-        return f"objective {text}, initial design {before}" + (f" ({change})" if change else "")
+            return f"{name} {text} (the initial design, {before}, does not meet the limits)"
+        change = percent(optimal / initial - 1.0, signed=True) if initial else ""
+        return f"{name} {text}, initial design {before}" + (f" ({change})" if change else "")
 
     @cached_property
     def analysis(self) -> Analysis | None:
