@@ -292,8 +292,8 @@ class DesignCollection:
 
     @property
     def grade(self) -> str:
-        """How well the best design fits at the points; exact without design and for linkages of several dyads."""
-        fit = self.designs[0].fit if self.designs and not self._compound else None
+        """How well the best design fits at the points; exact without design, for several dyads and for several demands."""
+        fit = self.designs[0].fit if self.designs and not (self._compound or self.task.composed) else None
         return "exact" if fit is None else fit.at_points
 
     @property

@@ -702,3 +702,11 @@ def test_other_problems_and_sizes_are_refused():
     run = CliRunner().invoke(app, ["study", "pareto", "crank-rocker", "--objectives", f"error, {ANGLE}", "--resume"])
     assert run.exit_code == 2
     assert "needs the folder of the run" in run.output
+
+
+@pytest.mark.parametrize("names", ["error, objective", "objective, error"])
+def test_the_objective_of_the_file_is_minimised_in_either_order(names):
+    """It has no limit that could constrain it."""
+    objectives = read_objectives(optlink.load("law-smallest-machine"), names)
+    first = min(range(2), key=lambda k: epsilon_constraint._rank(objectives[k], k))
+    assert objectives[first].text == "objective"

@@ -576,3 +576,27 @@ def test_the_other_assembly_mode_of_a_law_of_dyads_is_named() -> None:
     assert fit.grade == "poor"
     (named,) = [each for each in fit.reasons if each.remedy == 'write mechanism.assembly.C = "either"']
     assert named.reason.startswith("with C backward the same sizes have an rms error of")
+
+
+def test_the_worst_pressure_angle_as_the_only_objective_of_several_demands_is_graded():
+    """An in-line slider-crank: its worst pressure angle is asin(crank / rod)."""
+    mechanism = {
+        "type": "dyads",
+        "ground": {"A": ["0 mm", "0 mm"]},
+        "links": {
+            "crank": {"joints": ["A", "B"], "length": "70 mm"},
+            "rod": {"joints": ["B", "C"], "length": {"bounds": ["75 mm", "400 mm"]}},
+            "ram": {"joints": ["C"]},
+        },
+        "guides": {"G": {"slider": "ram", "through": "A"}},
+        "assembly": {"C": "forward"},
+    }
+    station = {"kind": "position", "output": "G", "at": "0 deg", "value": {"min": "100 mm"}}
+    raw = {"title": "t", "mechanism": mechanism, "requirement": station}
+    for rod, grade in ((0.075, "poor"), (0.095, "fair"), (0.2, "good")):
+        result = optlink.validate(optlink.read(raw), {"rod.length": rod})
+        assert result.valid
+        assert result.fit.grade == grade
+        assert result.fit.angle == pytest.approx(math.acos(0.07 / rod), abs=1e-9)
+    raw["objective"] = {"quantity": "total length"}
+    assert optlink.validate(optlink.read(raw), {"rod.length": 0.075}).fit is None

@@ -276,9 +276,9 @@ def pareto(
         )
 
 
-def _rank(objective: ParetoObjective, k: int) -> tuple[bool, bool, bool, int]:
-    """Return a sort key: the first objective is minimised, one that cannot be constrained, then a deviation without a range."""
-    return not objective.direct, bool(objective.span), bool(objective.key) and objective.part < 0, k
+def _rank(objective: ParetoObjective, k: int) -> tuple[bool, bool, bool, bool, int]:
+    """Return a sort key; the first is minimised: without a range the sum of the file, which has no limit, or a deviation."""
+    return not objective.direct, bool(objective.span), bool(objective.key) and objective.part < 0, bool(objective.key), k
 
 
 def _about(problem: ProblemFile, objectives: tuple[ParetoObjective, ...], count: int, backend: str) -> dict[str, Any]:

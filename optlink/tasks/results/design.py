@@ -161,6 +161,8 @@ class LinkageDesign(Summary):
         graded, limits = self.task.requirement.kind == "transmission", self.displayed_limits
         if self.whole.of_cycle and self.whole.single:
             graded = self.whole.goals[0].quantity in ("transmission angle", "pressure angle")
+        elif [goal.words for goal in self.whole.goals] == ["peak pressure angle"] and not self.alone:
+            graded = all(part.requirement.limited for part in self.whole.parts)
         if graded:
             quantities = self.task.mechanism.quantities
             return transmission_fit(self._optimised_transmission, quantities, self.values, limits, self.solution, self.task)
