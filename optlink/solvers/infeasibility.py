@@ -239,10 +239,10 @@ def feasible_point(nlp: NLP, seed: int = 0, *, exactly: bool = False) -> Array |
     return search.within_bounds(x) if total <= search.feasible_slack else None
 
 
-def tightest(nlp: NLP, key: str, sense: str, point: Array) -> float:
-    """Return the tightest value [display unit] of the limit with a key and sense that a design meets with all other limits.
+def tightest(nlp: NLP, key: str, sense: str, point: Array, follow: Follow | None = None) -> Array | None:
+    """Return the x of a design that meets the limit with a key and sense most nearly, and all others; None if none is found.
 
-    NaN if none is found. The NLP is infeasible by this limit; `point` is a design that meets all others.
+    `point` is a design that meets all others; for `follow` see `explain`.
     """
     sides = limit_sides(nlp)
     matching = [side for side in sides if (side.key, side.sense) == (key, sense)]
@@ -251,11 +251,13 @@ def tightest(nlp: NLP, key: str, sense: str, point: Array) -> float:
         Limit((side,))
         for side in (replace(matching[0], rows=rows, variables=variables), *(s for s in sides if s not in matching))
     ]
-    search = _Search(nlp, limits, [point, *_begin(nlp, 0)])
+    search = _Search(nlp, limits, [point, *_begin(nlp, 0)], follow=follow)
     _, x = search.least(np.ones(len(limits)))
     search.points += [x[: search.n]] if np.all(np.isfinite(x)) else []
     search.agreeing = len(search.points) * len(search.solvers)  # from each by every back end: these ends can be local ones
-    return limits[0].sides[0].relaxation(float(search.alone(0)[0][0])).relaxed
+    search.exact_amount = True
+    slacks, x = search.alone(0)
+    return x[: search.n] if np.all(np.isfinite(slacks)) else None
 
 
 def _begin(nlp: NLP, seed: int) -> list[Array]:

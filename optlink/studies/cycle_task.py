@@ -71,7 +71,7 @@ class CycleTask(OptimumTask):
             near = results.get(point - 1 if point % self.grid.row else point - self.grid.row)
             begin = [*([] if near is None else [near.design]), *map(dict, self.anchors)]
             result = min(
-                (self.searched_from(point, task, sizes) for sizes in begin),
+                (self.near(point, task, sizes) for sizes in begin),
                 key=lambda candidate: (not candidate.valid, candidate.objective),
                 default=None,
             )
@@ -80,16 +80,16 @@ class CycleTask(OptimumTask):
                 result, how = self.searched(task), SEARCHED
             if result.valid:
                 results[point] = result
-            rows.append(self._row(point, result, how))
+            rows.append(self.result_row(point, result, how))
         return rows
 
-    def searched_from(self, point: int, task: ProblemFile, sizes: Mapping[str, float]) -> SynthesisResult:
+    def near(self, point: int, file: ProblemFile, design: Mapping[str, float]) -> SynthesisResult:
         """Return the machine of a point, searched from given dimensions."""
         result = None
         if self.programme is not None:
             bounds = {axis.key: value for axis, value in zip(self.grid.axes, self.grid.values(point), strict=True)}
-            result = self.programme.design(task, bounds, sizes)
-        return completed(solve_cycle(with_starting_values(task, sizes), self.backend, starts=1)) if result is None else result
+            result = self.programme.design(file, bounds, design)
+        return completed(solve_cycle(with_starting_values(file, design), self.backend, starts=1)) if result is None else result
 
     def searched(self, task: ProblemFile) -> SynthesisResult:
         """Return the machine of a separate search, repeated once from its result if the peak exchange did not converge."""
@@ -99,7 +99,8 @@ class CycleTask(OptimumTask):
         repeated = completed(solve_cycle(with_starting_values(task, result.design), self.backend, starts=1))
         return repeated if repeated.valid else result
 
-    def _row(self, point: int, result: SynthesisResult, how: str) -> list[str]:
+    def result_row(self, point: int, result: SynthesisResult, how: str) -> list[str]:
+        """Return the row of a machine."""
         usable = result.solution is not None and result.status in (Status.OPTIMAL, Status.STALLED)
         failed = [item.name for item in result.conflict] or result.validation.failed
         limits = active(result.solution) if usable and result.solution is not None else ()

@@ -12,7 +12,7 @@ of every chunk; their designs are followed from point to point from both ends, a
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -41,6 +41,7 @@ from optlink.studies.fast_overrides import FastOverride
 from optlink.studies.grid import Grid
 from optlink.studies.sweep_task import FoundOptimum, OptimumTask
 from optlink.studies.target_programme import TargetProgramme, limit_key, variables_of
+from optlink.tasks import design as targets
 from optlink.tasks.certify import automatic
 from optlink.tasks.protocol import completed
 from optlink.tasks.results.design import LinkageDesign, SynthesisResult, of_designs
@@ -144,7 +145,7 @@ class ReoptimiseTask(OptimumTask):
             result, how = found.get(point), SEARCHED
             if result is None and followed[point]:
                 result, how = of_designs(files[point], followed[point], len(followed[point]), self.backend), FOLLOWED
-            rows.append(self.optimum(point, _row(result or _searched(files[point], self.backend), how)))
+            rows.append(self.result_row(point, result or _searched(files[point], self.backend), how))
         return rows
 
     def _beside(self, near: LinkageDesign, point: int) -> LinkageDesign | None:
@@ -169,6 +170,14 @@ class ReoptimiseTask(OptimumTask):
     def _programmes(self) -> dict[tuple[str, int], TargetProgramme]:
         """Programmes at the first point of the grid by assembly modes and sense of rotation."""
         return {}
+
+    def near(self, point: int, file: ProblemFile, design: Mapping[str, float]) -> SynthesisResult:
+        """Return the result of a search of a point from a design [SI]."""
+        return completed(targets.solve(file, self.backend, begin=design))
+
+    def result_row(self, point: int, result: SynthesisResult, how: str) -> list[str]:
+        """Return the row of a result."""
+        return self.optimum(point, _row(result, how))
 
     def model(self, point: int) -> DesignProblem:
         """Return the problem at a point of the grid."""

@@ -17,9 +17,11 @@ from optlink.errors import InputError, Status
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import Quantity
 from optlink.studies.grid import Grid, column
+from optlink.tasks.run import design_task
 from optlink.version import VERSION
 
 OPTIMISE = "optimise"  # mode of a sweep that optimises at every point
+FROM_KNOWN = "from a known design"
 OUTCOME = ("status", "valid", "failed", "active", "method")
 """Columns of the outcome of an optimum."""
 
@@ -193,9 +195,26 @@ class OptimumTask(SweepTask):
         """Return the value of the column for a minimised value [SI]."""
         return self.template.model.shown_objective(objective).value
 
+    @abstractmethod
+    def near(self, point: int, file: ProblemFile, design: Mapping[str, float]) -> Any:
+        """Return the result of a search of a point from a design [SI]."""
+
+    @abstractmethod
+    def result_row(self, point: int, result: Any, how: str) -> list[str]:
+        """Return the row of a result."""
+
+    def from_known(self, point: int, design: Mapping[str, float]) -> list[str] | None:
+        """Return the row of the optimum near a design [SI], or of the design itself; None if it is not valid at the point."""
+        file = self.problem.override(self.grid.changes(point))
+        known = design_task(file).validate(file, design)
+        if not known.valid:
+            return None
+        near = self.near(point, file, design)
+        return self.result_row(point, near if near.valid else known, FROM_KNOWN)
+
     def optimum(self, point: int, outcome: FoundOptimum) -> list[str]:
         """Return the row of an optimum; design and objective are empty unless the search is optimal or stalled."""
-        usable = outcome.status in (Status.OPTIMAL, Status.STALLED)
+        usable = outcome.valid or outcome.status in (Status.OPTIMAL, Status.STALLED)
         sizes = [outcome.design.get(name, math.nan) / q.si_per_unit for name, q in self.free.items()]
         figures = [value if usable else math.nan for value in (*sizes, self.shown(outcome.objective))]
         words = (

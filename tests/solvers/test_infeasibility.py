@@ -153,7 +153,9 @@ def test_the_tightest_limit_is_that_of_a_grid(name, sense, other):
     grid = crank_rockers(1.331, 38)
     point = dict(zip(("coupler", "rocker"), 1e-3 * grid[:, np.argsort(grid[other])[grid.shape[1] // 2]], strict=True))
     nlp = build(problem.spec)
-    computed = tightest(nlp, f"mechanism.{name}", sense, nlp.x_of(point, bounded=False))
+    end = tightest(nlp, f"mechanism.{name}", sense, nlp.x_of(point, bounded=False))
+    assert end is not None
+    computed = 1e3 * nlp.design(end)[name]
     best = np.min(grid[1 - other]) if sense == "<=" else np.max(grid[1 - other])
     assert 0.0 <= (best - computed) * (1.0 if sense == "<=" else -1.0) <= 2.0  # two steps of the grid
 

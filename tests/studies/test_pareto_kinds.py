@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 
 import optlink
+from optlink.studies.cycle_task import optimum_task
 from optlink.studies.pareto.design_objectives import design_objective, design_problem
-from optlink.studies.pareto.epsilon_constraint import pareto
+from optlink.studies.pareto.epsilon_constraint import _with_known_designs, pareto
+from optlink.studies.pareto.epsilon_ranges import RANGES
 from optlink.studies.pareto.objectives import read_objectives
+from optlink.studies.sweep_task import FROM_KNOWN
 from tests.studies.test_robust_kinds import no_neighbour_is_better, slide_errors
 
 LAW = "law-slider-crank"
@@ -158,3 +161,46 @@ def test_the_bound_of_an_error_stands_at_its_requirement_in_any_order_of_the_fil
     bounded = design_problem(problem, objectives, 1, {0: "2 deg"})
     assert bounded.raw["requirements"][1]["tolerance"] == "2 deg"
     assert bounded.raw["requirements"][0] == problem.raw["requirements"][0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["path-watt-leg", "function-sin", "least-torque", "motion-3-poses"])
+def test_the_ends_of_a_front_are_feasible(name):
+    """The front of an exact path of a fixed four-bar was "2 without a feasible design", and the tight end of a function too."""
+    front = pareto(optlink.load(name), "error, limits.transmission_angle.max", points=3, workers=1)
+    assert (front.valid, front.infeasible) == (front.solved, 0)
+
+
+def test_a_point_without_a_design_gets_the_one_of_a_tighter_limit():
+    """A row whose search failed is that of a search from a neighbour; at the tightest limit no design is known."""
+    problem = optlink.load("crank-rocker", {"mechanism.coupler": {"bounds": ["100 mm", "900 mm"]}})
+    front = pareto(problem, "error, coupler=330..410 mm", points=3, workers=1)
+    task = optimum_task(problem, front.grid, "ipopt", 3)
+    rows = task.lines(0)
+
+    def with_known(failed):
+        damaged = [list(row) for row in rows]
+        at = {name: k for k, name in enumerate(task.columns)}
+        damaged[failed][at["valid"]], damaged[failed][at["status"]] = "false", "infeasible"
+        for name in task.free:
+            damaged[failed][at[f"{name}_{task.free[name].display[1]}"]] = ""
+        ranges = RANGES["function"](problem, front.objectives, front.minimised, 3, "ipopt")
+        mended = _with_known_designs(task, ranges, damaged, ())
+        return [dict(zip(task.columns, row, strict=True)) for row in mended]
+
+    objective = task.objective_column
+    for failed in (0, 1):
+        row = with_known(failed)[failed]
+        assert (row["valid"], row["status"], row["method"]) == ("true", "optimal", FROM_KNOWN)
+        assert float(row[objective]) == pytest.approx(
+            float(dict(zip(task.columns, rows[failed], strict=True))[objective]), rel=1e-6
+        )
+    assert [row["valid"] for row in with_known(2)] == ["true", "true", "false"]
+
+
+def test_an_error_that_the_file_limits_is_minimised_alone():
+    """The front of `error` minimised the torque of the file within its tolerance, and called it the error."""
+    problem = optlink.load("least-torque")
+    error, angle = read_objectives(problem, "error, limits.transmission_angle.max")
+    only = design_problem(problem, (error, angle), 0, {1: "120 deg"}).spec
+    assert (only.parts[0].tolerance, only.objective, only.composed) == (None, None, False)

@@ -153,7 +153,9 @@ def design_problem(
     The deviation of a requirement that is minimised in the file, but here neither minimised nor bounded, is hardly limited.
     """
     own, parts = objectives[minimised].part, problem.spec.parts
-    alone = own < 0 or all(k == own or part.tolerance is not None for k, part in enumerate(parts))
+    alone = own < 0 or (
+        "objective" not in problem.raw and all((k == own) == (part.tolerance is None) for k, part in enumerate(parts))
+    )
     if alone and not objectives[minimised].term and not any(objectives[k].term or objectives[k].part >= 0 for k in bounds):
         return problem.override({objectives[k].key: value for k, value in bounds.items()})
     raw = {key: copy.deepcopy(value) for key, value in problem.raw.items() if key != "expected"}
@@ -163,6 +165,8 @@ def design_problem(
         summed = not (own >= 0 or objectives[minimised].term)  # the objective of the file remains
         for key in () if summed and k not in stated else ("weight", "scale"):
             table.pop(key, None)
+        if k == own:  # minimised, though the file may limit it
+            table.pop(part.requirement.limited_by[0], None)
         if k not in stated and (k == own or part.tolerance is not None or summed):
             continue
         shown, name = DISPLAYED[part.unit]
@@ -177,6 +181,8 @@ def design_problem(
             limits[name] = {**limits.get(name, {}), **dict(objectives[k].term), objectives[k].side: value}
     if limits:
         raw["limits"] = limits
+    if own >= 0:
+        raw.pop("objective", None)
     if objectives[minimised].term:
         raw["objective"] = {**dict(objectives[minimised].term), "sense": objectives[minimised].way}
     file = problem.with_tables(raw)

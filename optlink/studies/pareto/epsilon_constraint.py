@@ -42,6 +42,7 @@ POINTS = {1: 15, 2: 7}  # per constrained objective, by their number
 ENDS = "ends.json"  # results of the searches for the ends, kept in the folder
 RANGE_MARGIN = 1e-3
 """Share of an objective by which a design is better than the tightest limit of a range that does not restrict it."""
+SAME_LIMIT = 1e-6  # relative excess over a limit up to which a validation decides whether a known design meets it
 MAX_POINTS = 100_000  # largest number of points of a grid
 STARTS = 8  # starting points of each search of a law
 SEARCHES = 100  # approximate number of searches of a law's front: one per point of most fronts
@@ -242,7 +243,7 @@ def pareto(
             None if progress is None else lambda completed, total: progress(ahead + completed, ahead + total),
         )
         if not store.finished:
-            store.finish(task.columns, store.rows())
+            store.finish(task.columns, iter(_with_known_designs(task, ranges, list(store.rows()), anchors)))
         store.drop()
         rows = [dict(zip(task.columns, row, strict=True)) for row in store.finished_rows(task.columns)]
         designs = [point for row in rows if row["valid"] == "true" for point in [_point(task, ranges, row)] if point is not None]
@@ -316,12 +317,45 @@ class _Once:
 # --- from rows to the front ----------------------------------------------------------------------------------------------
 
 
+def _with_known_designs(
+    task: OptimumTask, ranges: EpsilonRanges, rows: list[list[str]], anchors: Sequence[Mapping[str, float]]
+) -> list[list[str]]:
+    """Return the rows, where a search found no valid design with those from designs that are valid at tighter limits or the ends.
+
+    No point is infeasible at which one of these designs meets all limits.
+    """
+    senses = np.array([ranges.objectives[k].sense for k in ranges.constrained])
+    limits = np.array([task.grid.values(point) for point in range(len(rows))]) * senses  # to be minimised
+    room, valid = SAME_LIMIT * np.abs(limits), np.zeros(len(rows), dtype=bool)
+    figures = [ranges.figures(task.template, design, math.nan) for design in anchors]
+    met = [np.all(senses * np.array(figure)[list(ranges.constrained)] <= limits + room, axis=1) for figure in figures]
+    at = task.columns.index(task.objective_column)
+    for point in reversed(range(len(rows))):  # from the tightest limits
+        if not _is_valid(task, rows[point]):
+            nearest = np.flatnonzero(valid & np.all(limits <= limits[point], axis=1))[:1]
+            designs: list[Mapping[str, float]] = [_design(task, rows[other]) for other in nearest]
+            designs += [design for design, meets in zip(anchors, met, strict=True) if meets[point]]
+            found = [row for design in designs if (row := task.from_known(point, design)) is not None]
+            rows[point] = min(found, key=lambda row: float(row[at]), default=rows[point])
+        valid[point] = _is_valid(task, rows[point])
+    return rows
+
+
+def _is_valid(task: OptimumTask, row: Sequence[str]) -> bool:
+    return row[task.columns.index("valid")] == "true"
+
+
+def _design(task: OptimumTask, row: Sequence[str]) -> dict[str, float]:
+    """Return the design variables [SI] of a row."""
+    first = len(task.grid.axes)
+    return {name: float(row[first + k]) * quantity.si_per_unit for k, (name, quantity) in enumerate(task.free.items())}
+
+
 def _point(task: OptimumTask, ranges: EpsilonRanges, row: Mapping[str, str]) -> ParetoPoint | None:
     """Return a row with its objectives evaluated; None if they are not finite."""
-    columns = {name: f"{name}_{quantity.display[1]}" for name, quantity in task.free.items()}
-    design = {column: float(row[column]) for column in columns.values()}
-    values = {name: design[columns[name]] * quantity.si_per_unit for name, quantity in task.free.items()}
-    measured = ranges.figures(task.template, values, float(row[task.objective_column]) / task.template.model.objective_display[0])
+    objective = float(row[task.objective_column]) / task.template.model.objective_display[0]
+    measured = ranges.figures(task.template, _design(task, list(row.values())), objective)
+    design = {column: float(row[column]) for column in (f"{name}_{q.display[1]}" for name, q in task.free.items())}
     return ParetoPoint(measured, design, row["active"], "") if np.all(np.isfinite(measured)) else None
 
 

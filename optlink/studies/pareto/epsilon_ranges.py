@@ -11,8 +11,10 @@ from typing import Any
 import numpy as np
 
 from optlink.errors import InputError, Status
+from optlink.linkage.vector2d import Array
 from optlink.optimization.programme import angle_name, build
 from optlink.problem.file import ProblemFile
+from optlink.solvers.exchange import place_at_peaks
 from optlink.solvers.infeasibility import tightest
 from optlink.studies.cycle_task import with_starting_values
 from optlink.studies.grid import Axis, Grid
@@ -29,6 +31,8 @@ from optlink.studies.pareto.design_objectives import (
 )
 from optlink.studies.pareto.objective import OPTION, ParetoObjective, range_values
 from optlink.studies.toml_keys import Raw, exact_text
+from optlink.tasks import design as targets
+from optlink.tasks.certify import automatic
 from optlink.tasks.cycle import solve as solve_cycle
 from optlink.tasks.protocol import completed
 from optlink.tasks.run import solve
@@ -38,6 +42,9 @@ Once = Callable[[str, Callable[[], Mapping[str, Any]]], Mapping[str, Any]]
 
 END_RELAXATION = 1e-4  # relative relaxation of an objective at its own end, where the others could not change otherwise
 MIN_RANGE = 1e-6  # relative; an objective that varies less has no trade-off
+RELAXATIONS = (END_RELAXATION, 1e-3, 1e-2, 0.1)
+"""Shares of the extent of a front: a tight end is relaxed by the first with which a design is valid."""
+ROUNDING = 1e-6  # share of the last digit of a limit that is rounding
 
 
 class NoExtreme(InputError):
@@ -101,7 +108,7 @@ class EpsilonRanges(ABC):
     def search(self, once: Once) -> tuple[ProblemFile, Grid, tuple[Mapping[str, float], ...]]:
         """Return the problem with one minimised objective, the grid of the limits of the others, and the machines at the ends.
 
-        The machines (dimensions [SI]) are empty if no ends were searched, and for a law.
+        The machines (dimensions [SI]) are empty if no ends were searched.
         """
         ranges, anchors = self._ends(once) if self.open else ({}, ())
         axes = {**self.fixed, **ranges}
@@ -175,7 +182,7 @@ class _DesignRanges(EpsilonRanges):
             return words, None
 
         def searched() -> dict[str, Any]:
-            result = self._optimum(self.problem)
+            result = self._optimum(self._bounded(self.problem, {}))
             return {"design": dict(result.design), "error": result.objective} if result.valid else {}
 
         best = once(words, searched)
@@ -209,7 +216,8 @@ class _DesignRanges(EpsilonRanges):
 
         minimised = objectives[self.first]
         best = once(minimised.best, lambda: optimum(self._bounded(self.bare, loose), minimised))
-        tight = {k: once(objectives[k].best, partial(self._tight, loose, k, best))["limit"] for k in unbound}
+        ends = {k: once(objectives[k].best, partial(self._tight, loose, k, best)) for k in unbound}
+        tight = {k: end["limit"] for k, end in ends.items()}
         corners = {
             k: exact_text(objectives[k].worsened(tight[k], END_RELAXATION * abs(tight[k])), objectives[k].unit) for k in unbound
         }
@@ -226,7 +234,8 @@ class _DesignRanges(EpsilonRanges):
             designs = [best["design"], *(other["design"] for j, other in others.items() if j != k and other["design"])]
             worst = sense * max(sense * design_figures(limited, (objectives[k],), design)[0] for design in designs)
             ranges[k] = _axis(objectives[k], tight[k], worst, self.count)
-        return ranges, ()
+        known = [best["design"], *(other["design"] for other in others.values()), *(end["design"] for end in ends.values())]
+        return ranges, tuple(design for design in known if design)
 
     def _limit_of(self, k: int, value: float) -> Raw:
         """Return a limit of an objective with which its figure is that of the front: the tightest one, or a value."""
@@ -234,10 +243,11 @@ class _DesignRanges(EpsilonRanges):
             return exact_text(value, self.objectives[k].unit)
         return tightest_bound(self.bare, self.objectives[k])
 
-    def _tight(self, loose: Mapping[int, Raw], k: int, best: Mapping[str, Any]) -> dict[str, float]:
+    def _tight(self, loose: Mapping[int, Raw], k: int, best: Mapping[str, Any]) -> dict[str, Any]:
         """Return the tightest feasible value of a limit: the best of its objective, or the least relaxation of an infeasible one.
 
-        `best` meets the others.
+        `best` meets the others. A search of the tightest bound that can be stated is only made where it can prove that no design
+        meets it, or if no relaxation is found.
         """
         objective = self.objectives[k]
         if objective.direct:
@@ -245,19 +255,53 @@ class _DesignRanges(EpsilonRanges):
             if not result.valid:
                 raise self._no_end(objective, result.status.text)
             file = self._bounded(self.bare, {**loose, k: exact_text(1.0, objective.unit)})
-            return {"limit": design_figures(file, (objective,), result.design)[0]}
+            return {"limit": design_figures(file, (objective,), result.design)[0], "design": dict(result.design)}
         tight = self._bounded(self.bare, {**loose, k: tightest_bound(self.bare, objective)})
-        result = self._optimum(tight)
-        if result.solution is not None and result.solution.usable:  # feasible at the tightest bound that can be stated
-            return {"limit": design_figures(tight, (objective,), result.design)[0]}
-        definite, direction = tight.override({"mechanism.assembly": best["assembly"]}).spec, best["direction"]
-        nlp, side = build(definite, direction), "<=" if objective.sense > 0 else ">="
-        limit = tightest(
-            nlp, objective.key.rpartition(".")[0], side, nlp.x_of({**best["design"], **best["angles"]}, bounded=False)
-        )
-        if not math.isfinite(limit):
-            raise self._no_end(objective, result.status.text)
-        return {"limit": limit}
+        result = self._optimum(tight) if automatic(tight) else None
+        near = self._relaxed(tight, objective, best) if result is None or not _usable(result) else None
+        if near is None:
+            result = result or self._optimum(tight)
+            if not _usable(result):
+                raise self._no_end(objective, result.status.text)
+            near = dict(result.design)
+        return self._reached(loose, k, tight, near, best["design"])
+
+    def _relaxed(self, tight: ProblemFile, objective: ParetoObjective, best: Mapping[str, Any]) -> dict[str, float] | None:
+        """Return the design [SI] that meets a limit most nearly, also between the programme's positions; None without one."""
+        definite = tight.override({"mechanism.assembly": best["assembly"]}).spec
+        nlp, side = build(definite, best["direction"]), "<=" if objective.sense > 0 else ">="
+
+        def follow(x: Array) -> Array:
+            place_at_peaks(definite, nlp, nlp.lifted(x))
+            return nlp.p
+
+        start = nlp.x_of({**best["design"], **best["angles"]}, bounded=False)
+        x = tightest(nlp, objective.key.rpartition(".")[0], side, start, follow if nlp.exchange_count else None)
+        if x is None:
+            return None
+        design = nlp.design(x)
+        return {name: design[name] for name in definite.free}
+
+    def _reached(
+        self, loose: Mapping[int, Raw], k: int, tight: ProblemFile, near: Mapping[str, float], best: Mapping[str, float]
+    ) -> dict[str, Any]:
+        """Return the tightest limit that a valid design meets, and this design: the optimum near one that nearly meets it."""
+        objective = self.objectives[k]
+        limit, worst = (design_figures(tight, (objective,), design)[0] for design in (near, best))
+        if not objective.sense * (worst - limit) > MIN_RANGE * max(abs(limit), abs(worst)):
+            return {"limit": worst, "design": best}
+        for share in RELAXATIONS:
+            bound = objective.worsened(limit, share * abs(worst - limit))
+            file = self._bounded(self.bare, {**loose, k: exact_text(bound, objective.unit)})
+            result = completed(targets.solve(file, self.backend, begin=near))
+            if result.valid:
+                return {"limit": limit if share == RELAXATIONS[0] else bound, "design": dict(result.design)}
+        return {"limit": limit, "design": None}
+
+
+def _usable(result: Any) -> bool:
+    """Return whether a search found a design that meets all limits."""
+    return result.solution is not None and bool(result.solution.usable)
 
 
 def _found(result: Any) -> dict[str, Any]:
@@ -346,13 +390,13 @@ RANGES: dict[str, type[EpsilonRanges]] = {"function": _DesignRanges, "path": _De
 
 
 def _axis(objective: ParetoObjective, tight: float, relaxed_end: float, count: int) -> Axis:
-    """Return the values of a limit from the relaxed end of the front to the tight one, both rounded inwards."""
+    """Return the values of a limit from the relaxed end of the front to the tight one, each rounded to meet its design."""
     width = abs(relaxed_end - tight)
     if not width > MIN_RANGE * max(abs(tight), abs(relaxed_end)):
         return Axis(objective.key, objective.unit, (objective.worsened(tight, END_RELAXATION * abs(tight)),))
     step = 10.0 ** math.floor(math.log10(END_RELAXATION * width))
     tight = objective.sense * math.ceil(objective.sense * objective.worsened(tight, END_RELAXATION * width) / step) * step
-    relaxed_end = objective.sense * math.floor(objective.sense * relaxed_end / step) * step
+    relaxed_end = objective.sense * math.ceil(objective.sense * relaxed_end / step - ROUNDING) * step
     return Axis(objective.key, objective.unit, tuple(float(f"{value:.12g}") for value in np.linspace(relaxed_end, tight, count)))
 
 
