@@ -13,7 +13,6 @@ import numpy as np
 
 from optlink.errors import InputError, Status
 from optlink.execution import interrupts
-from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.vector2d import Array
 from optlink.optimization.nlp import NLP
 from optlink.optimization.programme import angle_name, build
@@ -182,7 +181,9 @@ def _notes(task: DesignProblem, rounds: SearchRounds) -> Iterator[str]:
         return
     yield from margin_notes(best.problem, best.values, best.limits, best.objective, collection.polisher.relaxed(best))
     sized = task.objective or task.limits.named or task.limits.regions or any(part.unit == "m" for part in task.parts)
-    if not sized and set(LENGTHS) <= set(task.free) and best.solution and best.solution.curvature <= MIN_CURVATURE:
+    free, loop = set(task.free), task.four_bar
+    scaled = loop is not None and free.issuperset(loop.names) and bool(free & {loop.frame_length, *loop.ground})
+    if not sized and scaled and best.solution and best.solution.curvature <= MIN_CURVATURE:
         yield ONLY_RATIOS
     if rounds.exploration.rounds and coverage.missed > MISSED_CHANCE:
         count = rounds.starts

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 from optlink.linkage.dyad_types import RRP, RRR
 from optlink.linkage.fourbar import LENGTHS
+from optlink.linkage.inner_four_bar import whole_four_bar
 from optlink.linkage.mechanism import FRAME, Link, Mechanism
 from optlink.problem.mechanism import DyadsSection, FourBarSection
 from optlink.problem.quantity import Quantity
@@ -48,7 +49,7 @@ def cannot_turn(section: FourBarSection | DyadsSection, mechanism: Mechanism, cr
     quantities = section.quantities
     if crank not in SHORTEST:
         return ()
-    inversion = crank if isinstance(section, FourBarSection) else ""
+    inversion = "" if whole_four_bar(mechanism) is None else crank
     for group in mechanism.groups:
         reason = ""
         if isinstance(group, RRR) and (loop := _four_bar(group, mechanism, quantities)) is not None:
