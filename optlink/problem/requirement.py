@@ -1045,7 +1045,7 @@ class StrokeRequirement(Requirement):
 
     def output_of(self, problem: Designed) -> str:
         """Return the name of the output."""
-        return self.output or (OF_FOUR_BAR.output if problem.four_bar else None) or ""
+        return self.output or (OF_FOUR_BAR.output if problem.mechanism.by_lengths else None) or ""
 
     def bounds(self, problem: Designed) -> Iterator[Bound]:
         """Yield the limits of the stroke and of the time ratio."""

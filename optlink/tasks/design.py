@@ -177,7 +177,7 @@ def _notes(task: DesignProblem, rounds: SearchRounds) -> Iterator[str]:
     if collection.rejected is not None:
         yield collection.rejected.note
     if best is None:
-        yield from cannot_turn(task.mechanism, task.linkage, task.limits.crank, task.limits.alignment.value)
+        yield from cannot_turn(task.mechanism.quantities, task.linkage, task.limits.crank, task.limits.alignment.value)
         return
     yield from margin_notes(best.problem, best.values, best.limits, best.objective, collection.polisher.relaxed(best))
     sized = task.objective or task.limits.named or task.limits.regions or any(part.unit == "m" for part in task.parts)
