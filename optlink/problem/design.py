@@ -92,10 +92,12 @@ class DesignProblem(MachineTerms):
         if loop is None or loop.frame_length:
             return None if loop is None else 0.0
         ax, ay, dx, dy = places = [self.mechanism.quantities[name] for name in loop.ground]
-        (left, right), (low, high) = ax.bounds, dx.bounds
-        if ay.fixed and dy.fixed and ay.value == dy.value and ax.equals is dx.equals is None and (low > right or high < left):
-            return 0.0 if low > right else math.pi
-        return math.atan2(dy.value - ay.value, dx.value - ax.value) if all(place.fixed for place in places) else None
+        if ay.fixed and dy.fixed and np.all(ay.value == dy.value) and ax.equals is dx.equals is None:
+            (left, right), (low, high) = ax.bounds, dx.bounds
+            if np.all(low > right) or np.all(high < left):
+                return 0.0 if np.all(low > right) else math.pi
+        angle: float = np.arctan2(dy.value - ay.value, dx.value - ax.value)
+        return angle if all(place.fixed for place in places) else None
 
     @property
     def frame_bounds(self) -> tuple[float, float]:

@@ -247,4 +247,5 @@ class Batch:
         with np.errstate(invalid="ignore"):
             miss = np.minimum(g - bounds[:, 0], 0.0) + np.maximum(g - bounds[:, 1], 0.0)
         off = ~np.isfinite(miss) | (miss == 0.0)
-        return np.where(off, 0.0, WEIGHT * miss), np.where(off[..., None], 0.0, WEIGHT * slopes)
+        off_slopes = off[..., None] | ~np.isfinite(slopes)  # where pivots coincide, the length of the frame has none
+        return np.where(off, 0.0, WEIGHT * miss), np.where(off_slopes, 0.0, WEIGHT * slopes)

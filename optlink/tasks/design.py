@@ -397,8 +397,11 @@ class SearchRounds:
             return
         options, polisher = self.options, self.collection.polisher
         shared = polisher.runs is not None
-        result = solve(part.file, options.backend, PART_STARTS, options.seed, runs=options.runs, shared=shared)
-        four_bars = completed(result).designs
+        files = [part.file]
+        if part.file.spec.limits.crank == "full rotation":  # of the linkage: either inversion of the four-bar turns fully
+            files.append(part.file.override({"limits.crank": "double-crank"}))
+        results = [solve(file, options.backend, PART_STARTS, options.seed, runs=options.runs, shared=shared) for file in files]
+        four_bars = sorted((one for result in results for one in completed(result).designs), key=lambda one: one.objective)
         for design in designs_from_four_bar(part, four_bars, polisher, options.seed):
             self.collection.insert(design)
         if four_bars and not self.task.composed and not self.collection.no_worse(four_bars[0]):

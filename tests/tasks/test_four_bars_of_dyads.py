@@ -11,7 +11,10 @@ import pytest
 import optlink
 from optlink.errors import InputError
 from optlink.optimization.constraints import rows
+from optlink.studies.fast_overrides import FastOverride
+from optlink.studies.grid import read_grid
 from optlink.studies.sweep import sweep
+from optlink.synthesis.batch import Batch
 from optlink.validation import validate
 from tests.as_dyads import FAR, as_dyads
 
@@ -93,6 +96,27 @@ def test_a_sweep_of_dyads_runs_in_one_programme() -> None:
     assert set(one["status"]) == set(other["status"]) == {"optimal"}
     assert other["objective_rad2"] == pytest.approx(one["objective_rad2"], rel=1e-10)
     assert other["coupler.length_mm"] == pytest.approx(one["coupler_mm"], rel=1e-8)
+
+
+def test_a_sweep_that_turns_the_frame_agrees_with_single_optima() -> None:
+    """The programme is that of a frame along x, whose rows hold for any direction."""
+    file, key = as_dyads(optlink.load("crank-rocker")), "mechanism.ground.D.y"
+    assert FastOverride(file.spec, read_grid(file, [f"{key}=0..40 mm:3"]).axes).possible
+    found = sweep(file, [f"{key}=0..40 mm:3"], workers=1).columns["objective_rad2"]
+    single = [optlink.solve(file.override({key: f"{y} mm"})).objective for y in (0, 20, 40)]
+    assert found == pytest.approx(single, rel=1e-9)
+    assert len({round(value, 9) for value in single}) == 3
+
+
+def test_coincident_pivots_of_a_random_design_give_finite_slopes() -> None:
+    """Both may be clipped to one corner of their bounds, where the length of the frame has no derivative."""
+    batch = Batch(as_dyads(optlink.load("path-closed18", {"mechanism.assembly": "left"})).spec)
+    x = np.clip(np.full((2, len(batch.names)), 0.3), batch.low, batch.high)
+    x[1, batch.names.index("D.x")] += 0.4
+    excess, slopes = batch.violations(x, batch.crank_angles(x, np.zeros((2, 18))))
+    assert np.isfinite(excess).all()
+    assert np.isfinite(slopes).all()
+    assert np.any(slopes[1])
 
 
 # --- closed forms in any place ------------------------------------------------------------------------------------------------
