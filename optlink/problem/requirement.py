@@ -217,7 +217,7 @@ class Requirement(Section):
         yield from ()
 
     def task(self, problem: Designed) -> str:
-        """Return the name of the search: "function" for laws of the rocker of a four-bar, "cycle" without targets, else "path"."""
+        """Return the name of the search: "function" for laws of the rocker of a four-bar, "cycle" without targets, or "path"."""
         return "path" if self.targeted else "cycle"
 
     def names(self, problem: Designed) -> tuple[str, str]:
