@@ -38,7 +38,7 @@ def four_bar_of(design: LinkageDesign) -> dict[str, float]:
     x, y = (1e3 * values.get(name, 0.0) for name in ("A.x", "A.y"))
     along, across = 1e3 * values["P.along"], 1e3 * values["P.across"]
     place = {"x": x, "y": y, "direction": values.get("direction", 0.0)}
-    return oracle.four_bar(*lengths, **place, along=along, across=across, mode=design.task.side)
+    return oracle.four_bar(*lengths, **place, along=along, across=across, mode=design.task.four_bar.side)
 
 
 def judged(design: LinkageDesign, expected: Array, *, closed: bool = False, timed: Array | None = None) -> oracle.Report:

@@ -13,16 +13,15 @@ from typing import Any
 import numpy as np
 
 from optlink.errors import Fault, InputError
-from optlink.linkage.fourbar import lengths_of, transmission_cosine
+from optlink.linkage.fourbar import transmission_cosine
 from optlink.linkage.margins import FIXED_LIMIT_TOLERANCE
 from optlink.linkage.vector2d import TURN, Array, unit
-from optlink.optimization.constraints import FOUR_BAR, GENERAL, ConstraintRow, position_rows
+from optlink.optimization.constraints import TERMS, ConstraintRow, position_rows
 from optlink.optimization.objectives import output_error
 from optlink.optimization.taylor_model import TaylorModel, pairs
 from optlink.problem.design import DesignProblem
 from optlink.problem.file import ProblemFile
 from optlink.problem.limits import Reach
-from optlink.problem.mechanism import FourBarSection
 from optlink.problem.requirement import START, StartPosition, at_positions
 from optlink.problem.targets.law import Law
 
@@ -120,8 +119,8 @@ def box_problem(problem: ProblemFile, further: Array | None = None) -> DesignBox
         reason = "with limits of regions there is none"
     elif model.slides and "." in model.output:
         reason = "among laws, those of a coordinate of a point have none"
-    elif model.requirement.kind == "transmission" and not model.four_bar:
-        reason = "among transmission problems, only those of four-bars have one"
+    elif model.requirement.kind == "transmission" and model.frame_angle is None:
+        reason = "among transmission problems, only those of four-bars with a fixed direction of the frame have one"
     else:
         return DesignBoxes(model, np.zeros(0) if further is None else further)
     raise InputError(Fault(f"no certificate of the global optimum: {reason}", "Leave --certify out", problem.file, "--certify"))
@@ -174,7 +173,9 @@ def _timed(problem: DesignProblem, law: Law | None, values: dict[str, Any], coun
     start = values[START] if problem.timing == "from start" else TaylorModel.constant(0.0, count)
     pose = problem.linkage.pose(values, unit(start + TaylorModel.constant(data.offsets, count)))
     if problem.requirement.kind == "transmission":  # rational in the lengths, so known where the linkage cannot be assembled too
-        cosines = [transmission_cosine(*lengths_of(values), TaylorModel.constant(np.cos(data.offsets), count))]
+        assert problem.four_bar is not None
+        ends = np.cos(data.offsets - data.offsets[0])
+        cosines = [transmission_cosine(*problem.four_bar.lengths(values), TaylorModel.constant(ends, count))]
     else:
         cosines = problem.deviation(pose, values, tuple(TaylorModel.constant(column, count) for column in data.columns.T))
         if problem.requirement.kind == "motion":  # the models of angles are continuous, and may pass half a turn
@@ -205,7 +206,7 @@ def _timed(problem: DesignProblem, law: Law | None, values: dict[str, Any], coun
 def _limits(problem: DesignProblem, values: dict[str, Any], reach: Reach) -> list[ConstraintRow]:
     """Return the limits that can be evaluated with Taylor models."""
     rows: list[ConstraintRow] = []
-    for term in (*FOUR_BAR, *GENERAL) if isinstance(problem.mechanism, FourBarSection) else GENERAL:
+    for term in TERMS:
         with contextlib.suppress(TypeError):  # an operation without a rule: the remaining limits of this term are left out
             rows.extend(term(problem, values, reach, 1.0))
     return rows

@@ -13,9 +13,9 @@ import numpy as np
 
 from optlink.linkage.dyad_types import RRR, Transmitting
 from optlink.linkage.fourbar import (
+    LENGTHS,
     crank_rocker_conditions,
     double_crank_conditions,
-    lengths_of,
     transmission_cosine,
     turning_points,
 )
@@ -24,7 +24,6 @@ from optlink.linkage.vector2d import Value, magnitude
 from optlink.problem.design import DesignProblem
 from optlink.problem.limits import COUPLER_JOINT, Limits, Reach, limits_in_file
 from optlink.problem.machine.model import Problem
-from optlink.problem.mechanism import FourBarSection
 from optlink.problem.quantity_keys import quantity_key
 from optlink.problem.requirement import DEAD_CENTRES
 from optlink.units import in_si
@@ -169,18 +168,20 @@ ALIGNED = "coupler and rocker not in line"
 
 def full_rotation_rows(problem: DesignProblem, values: Mapping[str, Value], reach: Reach, size: float) -> Iterator[ConstraintRow]:
     """Yield the conditions for full rotation of the crank (linear, including the length margin)."""
-    if problem.limits.crank == "span":
+    if problem.four_bar is None or problem.limits.crank == "span":
         return
+    lengths = problem.four_bar.lengths(values)
+    named = dict(zip(LENGTHS, lengths, strict=True))
     full = problem.limits.crank == "full rotation"
     conditions = crank_rocker_conditions if full else double_crank_conditions
     millimetres = Scale("mm", 1e3 * size)
-    for label, slack in conditions(*lengths_of(values)).items():
+    for label, slack in conditions(*lengths).items():
         words = label.split()
         if "+" not in words:
             yield ConstraintRow("limits.crank", label, slack / size, 0.0, math.inf, millimetres)
             continue
         # margin as a share of the second link of the longer side: if another link is longest its own sum implies this row
-        least = problem.limits.length_margin * values[words[2]]
+        least = problem.limits.length_margin * named[words[2]]
         yield ConstraintRow("limits.length_margin", label, (slack - least) / size, 0.0, math.inf, millimetres)
 
 
@@ -191,9 +192,9 @@ def dead_centres(problem: DesignProblem, values: Mapping[str, Value], reach: Rea
     rotation, Grashof's conditions imply both.
     """
     begin = problem.dead_centre
-    if problem.limits.crank != "span" or begin is None:
+    if problem.four_bar is None or problem.limits.crank != "span" or begin is None:
         return
-    r, a, b, f = lengths_of(values)
+    r, a, b, f = problem.four_bar.lengths(values)
     key, millimetres, margin = "limits.length_margin", Scale("mm", 1e3 * size), problem.limits.length_margin
     line = a + r if begin == DEAD_CENTRES[0] else magnitude(a - r)
     for longest in (r, a, b, f):  # one row each, as their maximum is not smooth
@@ -258,13 +259,15 @@ def transmission(problem: DesignProblem, values: Mapping[str, Value], reach: Rea
 
     The cosines are rational in the lengths and finite even where the linkage cannot be assembled.
     """
-    lengths = lengths_of(values)
-    for limit in transmission_sides(problem):
+    if problem.four_bar is None:
+        return
+    lengths = problem.four_bar.lengths(values)
+    for limit in transmission_sides(problem, problem.four_bar.joint):
         aligned = limit.key == "limits.alignment"
         if limit.over == "span":
-            for phi in turning_points(reach.start, reach.span):
+            for phi in turning_points(reach.start - problem.four_bar.turned(values), reach.span):
                 row = limit.row(" over the span", transmission_cosine(*lengths, np.cos(phi)))
-                yield replace(row, label=ALIGNED) if aligned else row
+                yield replace(row, label=ALIGNED if aligned else row.label, over_span=True)
         elif limit.pressure:
             for cosine in (1.0, -1.0):
                 yield limit.row("", transmission_cosine(*lengths, cosine))
@@ -319,14 +322,13 @@ def linked(problem: DesignProblem, values: Mapping[str, Value], reach: Reach, si
     return link_rows(problem, values, size)
 
 
-FOUR_BAR: tuple[Term, ...] = (full_rotation_rows, dead_centres, transmission)
-GENERAL: tuple[Term, ...] = (registered, pivot_region_rows, linked)
+TERMS: tuple[Term, ...] = (full_rotation_rows, dead_centres, transmission, registered, pivot_region_rows, linked)
+"""Limits of the dimensions; the first three are those of four-bars."""
 
 
 def rows(problem: DesignProblem, values: Mapping[str, Value], reach: Reach, size: float) -> list[ConstraintRow]:
     """Return every row of the problem's limits, except those at single crank angles (`position_rows`); arguments: see `Term`."""
-    terms = (*FOUR_BAR, *GENERAL) if isinstance(problem.mechanism, FourBarSection) else GENERAL
-    return [row for term in terms for row in term(problem, values, reach, size)]
+    return [row for term in TERMS for row in term(problem, values, reach, size)]
 
 
 def position_rows(problem: DesignProblem, pose: Pose) -> list[ConstraintRow]:

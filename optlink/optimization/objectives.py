@@ -79,4 +79,4 @@ def output_error(
     """
     pose = problem.linkage.pose(values, turn(start.crank, unit(offset)))
     target = problem.law.target(offset, tabulated, start.phi0, start.psi0)
-    return angle_from(pose.direction("rocker"), unit(target))
+    return angle_from(pose.direction(problem.output), unit(target))

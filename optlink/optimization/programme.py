@@ -16,7 +16,15 @@ import casadi
 import numpy as np
 
 from optlink.linkage.vector2d import TURN, Array, unit
-from optlink.optimization.constraints import DEGREES, PLAIN, ConstraintRow, Scale, SquareRootScale, rows as limit_rows
+from optlink.optimization.constraints import (
+    DEGREES,
+    PLAIN,
+    ConstraintRow,
+    Scale,
+    SquareRootScale,
+    rows as limit_rows,
+    transmission,
+)
 from optlink.optimization.courses import (
     ErrorCourse,
     LimitCourse,
@@ -134,8 +142,10 @@ class _Builder:
     def _limit(self) -> None:
         """Add the rows of all limits: of the dimensions, at fixed positions, at exchange points, of the order of the points."""
         problem = self.problem
-        begin, span = self.blocks[0].reach
-        self.rows += limit_rows(problem, self.values, Reach(begin, span, self.blocks[0].direction), problem.size)
+        first, *others = (Reach(*block.reach, block.direction) for block in self.blocks)
+        self.rows += limit_rows(problem, self.values, first, problem.size)
+        for reach in others:
+            self.rows += [row for row in transmission(problem, self.values, reach, problem.size) if row.over_span]
         courses: list[tuple[tuple[Any, Any], RowsAt]] = []  # begin and rotation of the motion
         for course in limit_courses(problem):
             angles = next((block.angles for block in self.blocks if block.part is course.part), None)

@@ -12,8 +12,8 @@ from pydantic import PrivateAttr, model_validator
 from pydantic.fields import FieldInfo
 
 from optlink.dynamics.inertia import Inertia
-from optlink.linkage.assur import EITHER
 from optlink.linkage.dyad_types import transmitting
+from optlink.linkage.inner_four_bar import InnerFourBar, whole_four_bar
 from optlink.linkage.mechanism import Pose
 from optlink.linkage.vector2d import Array, Value
 from optlink.problem.cycle.terms import Goal, Limit, Objective, Term, check_term, read_scale
@@ -21,7 +21,7 @@ from optlink.problem.interval import read_figure
 from optlink.problem.limits import LIMITS, MARGIN_KEYS, Bound, Limits, LimitTerm, Reach, check_limits, four_bar_limits
 from optlink.problem.linked import Link
 from optlink.problem.machine.model import Problem, ShownObjective
-from optlink.problem.mechanism import FourBarSection, check_one_mode
+from optlink.problem.mechanism import check_one_mode
 from optlink.problem.quantity import Quantity, Unusable, below
 from optlink.problem.requirement import (
     AnyRequirement,
@@ -82,7 +82,7 @@ class DesignProblem(Problem):
 
     @property
     def task(self) -> str:
-        """Kind of task: "function" for laws of a four-bar section, "cycle" without targets, else "path"."""
+        """Kind of task: "function" for laws of the rocker of a four-bar, "cycle" without targets, else "path"."""
         return ("path" if self.parts else "cycle") if self.composed else str(self.requirement.task(self))
 
     @property
@@ -90,16 +90,30 @@ class DesignProblem(Problem):
         """Whether a design has an error over the span of a motion law."""
         return self.task == "function"
 
-    @property
-    def four_bar(self) -> bool:
-        """Whether the linkage is a four-bar by its lengths."""
-        return isinstance(self.mechanism, FourBarSection)
+    @cached_property
+    def four_bar(self) -> InnerFourBar | None:
+        """The four-bar that the linkage is, however the file writes it; None for any other linkage."""
+        return whole_four_bar(self.linkage)
+
+    @cached_property
+    def frame_angle(self) -> float | None:
+        """Angle [rad] of the frame of a four-bar where crank angles count from; None if it differs between designs."""
+        loop = self.four_bar
+        if loop is None or loop.frame_length:
+            return None if loop is None else 0.0
+        ax, ay, dx, dy = places = [self.mechanism.quantities[name] for name in loop.ground]
+        if ay.fixed and dy.fixed and np.all(ay.value == dy.value) and ax.equals is dx.equals is None:
+            (left, right), (low, high) = ax.bounds, dx.bounds
+            if np.all(low > right) or np.all(high < left):
+                return 0.0 if np.all(low > right) else math.pi
+        angle: float = np.arctan2(dy.value - ay.value, dx.value - ax.value)
+        return angle if all(place.fixed for place in places) else None
 
     @property
-    def side(self) -> int:
-        """Assembly mode of a four-bar: +1 left, -1 right of B -> D."""
-        assert isinstance(self.mechanism, FourBarSection)
-        return self.mechanism.side
+    def frame_bounds(self) -> tuple[float, float]:
+        """Least and largest length [m] of the frame of a four-bar within the bounds."""
+        assert self.four_bar is not None
+        return self.four_bar.frame_bounds({name: quantity.bounds for name, quantity in self.mechanism.quantities.items()})
 
     def check(self) -> None:
         """Check that the sections are consistent.
@@ -110,7 +124,7 @@ class DesignProblem(Problem):
             with the full key of the cause.
         """
         check_one_mode(self.mechanism)
-        check_limits(self.limits, self.linkage, four_bar=self.four_bar)
+        check_limits(self.limits, self.linkage, four_bar=self.four_bar is not None)
         for name in () if self.parts else self.limits.model_fields_set:
             if name in Limits.model_fields and f"limits.{name}" in self.inapplicable:
                 remedy = f'Leave it out, or limit a quantity of the machine: {name} = {{ quantity = "torque", max = "10 N*m" }}'
@@ -535,9 +549,14 @@ class DesignProblem(Problem):
         """
         if (size := self.requirement.size(self)) is not None:
             return float(size)
-        quantities = [q for q in self.mechanism.quantities.values() if q.kind == "length"]
-        fixed = [q.value for q in quantities if q.fixed]
-        return max(fixed or [q.value for q in quantities])
+        dimensions = self.mechanism.quantities
+        quantities = [q for q in dimensions.values() if q.kind == "length"]
+        fixed, lengths = [q.value for q in quantities if q.fixed], [q.value for q in quantities]
+        if self.four_bar is not None and not self.four_bar.frame_length:
+            frame = float(self.four_bar.lengths({name: q.value for name, q in dimensions.items()})[3])
+            lengths.append(frame)
+            fixed += [frame] if all(dimensions[name].fixed for name in self.four_bar.ground) else []
+        return max(fixed or lengths)
 
     @cached_property
     def radian(self) -> float:
@@ -713,7 +732,7 @@ class DesignProblem(Problem):
 
     def shares_programme(self, keys: Sequence[str]) -> bool:
         """Return whether one programme serves all values of keys of the file, including the side of a limit."""
-        if self.task != "function" or self.everywhere or self.mechanism.assembly == EITHER or self.limits.regions:
+        if self.task != "function" or self.everywhere or self.limits.regions or len(self.mechanism.variants(self.linkage)) > 1:
             return False
         return all(map(is_parameter, keys))
 

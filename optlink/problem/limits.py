@@ -14,7 +14,8 @@ from pydantic import ConfigDict, Discriminator, ModelWrapValidatorHandler, Tag, 
 
 from optlink.io import Registry
 from optlink.linkage.dyad_types import transmitting
-from optlink.linkage.fourbar import LENGTHS, lengths_of, swing, time_ratio
+from optlink.linkage.fourbar import LENGTHS, swing, time_ratio
+from optlink.linkage.inner_four_bar import InnerFourBar
 from optlink.linkage.margins import LEAST_ALIGNMENT, LEAST_LENGTH_MARGIN, SMALLEST_ALIGNMENT, SMALLEST_LENGTH_MARGIN
 from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.motion import Motion
@@ -333,6 +334,8 @@ class Moved(Protocol):
 
     mechanism: Mechanism
     design: dict[str, float]
+    lengths: tuple[float, float, float, float]
+    """Lengths [m] of crank, coupler, rocker and frame of a four-bar."""
 
     @property
     def required(self) -> Motion:
@@ -411,6 +414,19 @@ def stroke_ratio(forward: float, backward: float, stroke: str | None) -> float:
     return quick / slow if stroke == "quick" else slow / quick
 
 
+def _swing(loop: InnerFourBar, sizes: Mapping[str, Value]) -> Value:
+    return swing(*loop.lengths(sizes), loop.side)
+
+
+def _time_ratio(loop: InnerFourBar, sizes: Mapping[str, Value], stroke: str | None, sense: Value) -> Value:
+    return time_ratio(*loop.lengths(sizes), loop.side, stroke, sense)
+
+
+def _ratios(lengths: Sequence[Value]) -> list[Value]:
+    """Return the lengths of crank, coupler and rocker over that of the frame."""
+    return [length / lengths[3] for length in lengths[:3]]
+
+
 def _ratio_label(limit: Any) -> str:
     return f"time ratio, {limit.strokes}" if limit.stroke else "time ratio"
 
@@ -419,7 +435,7 @@ for built_in in (
     LimitTerm(
         "swing_angle",
         AngleInterval,
-        lambda problem, sizes, reach, _: [("swing angle of the rocker", swing(*lengths_of(sizes), problem.side))],
+        lambda problem, sizes, reach, _: [("swing angle of the rocker", _swing(problem.four_bar, sizes))],
         lambda moved, _: [("swing angle", moved.strokes()[0])],
         possible=(0.0, math.pi),
         example='["30 deg", "60 deg"]',
@@ -429,7 +445,7 @@ for built_in in (
         "time_ratio",
         RatioOfStrokes,
         lambda problem, sizes, reach, limit: [
-            (_ratio_label(limit), time_ratio(*lengths_of(sizes), problem.side, limit.stroke, reach.sense))
+            (_ratio_label(limit), _time_ratio(problem.four_bar, sizes, limit.stroke, reach.sense))
         ],
         lambda moved, limit: [(_ratio_label(limit), stroke_ratio(*moved.strokes()[1:], limit.stroke))],
         crank_rocker=True,
@@ -437,14 +453,14 @@ for built_in in (
     LimitTerm(
         "frame_length",
         LengthInterval,
-        lambda problem, sizes, reach, _: [("frame length", sizes["frame"])],
-        lambda moved, _: [("frame length", moved.design["frame"])],
+        lambda problem, sizes, reach, _: [("frame length", problem.four_bar.lengths(sizes)[3])],
+        lambda moved, _: [("frame length", moved.lengths[3])],
     ),
     LimitTerm(
         "link_ratio",
         NumberInterval,
-        lambda problem, sizes, reach, _: (("moving link / frame", sizes[name] / sizes["frame"]) for name in LENGTHS[:3]),
-        lambda moved, _: ((f"{name} / frame", moved.design[name] / moved.design["frame"]) for name in LENGTHS[:3]),
+        lambda problem, sizes, reach, _: (("moving link / frame", ratio) for ratio in _ratios(problem.four_bar.lengths(sizes))),
+        lambda moved, _: zip((f"{name} / frame" for name in LENGTHS[:3]), _ratios(moved.lengths), strict=True),
         possible=(0.0, math.inf),
         example="[0.2, 5.0]",
     ),

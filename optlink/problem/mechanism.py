@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, WrapValidator
 
@@ -62,6 +62,9 @@ class FourBarSection(Section):
 
     Without `pivot` (of the crank, A) and `direction` (of the frame A -> D), A lies in the origin and D on the x axis.
     """
+
+    by_lengths: ClassVar[bool] = True
+    """Whether the file states the lengths of a four-bar, so that its parts have the names of a textbook."""
 
     type: Literal["four-bar"] = "four-bar"
     """Optional: the default for a mechanism without links."""
@@ -227,6 +230,9 @@ class GuideSection(Section):
 
 class DyadsSection(Section):
     """Any linkage of a driving crank and dyads: points on the ground, links, guides, assembly modes."""
+
+    by_lengths: ClassVar[bool] = False
+    """Whether the file states the lengths of a four-bar, so that its parts have the names of a textbook."""
 
     type: Literal["dyads"] = "dyads"
     """Optional: the default for a mechanism with links."""

@@ -14,7 +14,7 @@ from pydantic import AliasChoices, BeforeValidator, Discriminator, Field, Tag, m
 
 from optlink.io import Registry
 from optlink.linkage.dyad_types import RRR, Transmitting, transmitting
-from optlink.linkage.fourbar import DeadCentre, dead_centre, lengths_of
+from optlink.linkage.fourbar import DeadCentre
 from optlink.linkage.inner_four_bar import InnerFourBar, inner_four_bars
 from optlink.linkage.mechanism import FRAME, Mechanism, Pose
 from optlink.linkage.vector2d import TURN, Array, Value, Vector, angle, angle_from, dot, minus, turn, unit
@@ -102,7 +102,8 @@ class Designed(Protocol):
     linkage: Mechanism
     limits: Limits
     tolerances: Mapping[str, Any]
-    four_bar: bool
+    four_bar: InnerFourBar | None
+    frame_angle: float | None
     quantities: dict[str, Quantity]
     law: Law
     size: float
@@ -216,7 +217,7 @@ class Requirement(Section):
         yield from ()
 
     def task(self, problem: Designed) -> str:
-        """Return the name of the search: "function" for laws of a four-bar section, "cycle" without targets, else "path"."""
+        """Return the name of the search: "function" for laws of the rocker of a four-bar, "cycle" without targets, or "path"."""
         return "path" if self.targeted else "cycle"
 
     def names(self, problem: Designed) -> tuple[str, str]:
@@ -290,7 +291,7 @@ class Requirement(Section):
 
     def loaded(self, problem: Designed) -> str:
         """Return the output that shows to which side a joint clearance lies: a body (its angle), or "P.x" of a point."""
-        return "rocker" if problem.four_bar else ""
+        return "rocker" if problem.mechanism.by_lengths else ""
 
 
 class NoRequirement(Requirement):
@@ -409,12 +410,15 @@ class LawRequirement(Requirement):
         return rotation(self.law, self.span)
 
     def by_rocker(self, problem: Designed) -> bool:
-        """Return whether the output is the rocker of a four-bar by its lengths, whose place does not matter."""
-        return self.of(problem) is OF_FOUR_BAR
+        """Return whether the output is the angle of the rocker of a four-bar, whose place does not matter."""
+        loop = problem.four_bar
+        if loop is None or self.slides(problem) or problem.frame_angle is None:
+            return False
+        return self.output_of(problem) == loop.rocker.body and loop.rocker.start == loop.ground_pin
 
     def of(self, problem: Designed) -> LawOf:
         """Return names and defaults for the way in which the linkage is written."""
-        return OF_FOUR_BAR if problem.four_bar and not self.slides(problem) else OF_DYADS
+        return OF_FOUR_BAR if problem.mechanism.by_lengths and not self.slides(problem) else OF_DYADS
 
     def task(self, problem: Designed) -> str:
         """Return the name of the search."""
@@ -446,14 +450,12 @@ class LawRequirement(Requirement):
         return self.of(problem).tied or (self.based and self.dead_centre(problem) is not None)
 
     def loop(self, problem: Designed) -> InnerFourBar | None:
-        """Return the four-bar of dyads whose rocker is the output; None if there is none."""
+        """Return the four-bar whose rocker is the output; None if there is none."""
         loops = (loop for loop in inner_four_bars(problem.linkage) if loop.plain)
         return next((loop for loop in loops if loop.rocker.body == self.output_of(problem)), None)
 
     def _limit(self, problem: Designed, values: Mapping[str, Value], *, outer: bool) -> DeadCentre:
         """Return the limit position of the output at which the law starts."""
-        if problem.four_bar:
-            return dead_centre(*lengths_of(values), problem.mechanism.side, outer)
         loop = self.loop(problem)
         assert loop is not None
         return loop.dead_centre(values, outer=outer)
@@ -485,7 +487,7 @@ class LawRequirement(Requirement):
 
     def start_position(self, problem: Designed, values: Mapping[str, Value]) -> StartPosition:
         """Return the start of the law for given quantities; elementwise, NaN where it does not exist."""
-        of = self.of(problem)
+        of, loop = self.of(problem), self.loop(problem)
         if of.start in problem.quantities:
             crank, phi0, rocker = unit(values[of.start]), values[of.start], None
         elif isinstance(self.start, Quantity):  # stated otherwise than by its value
@@ -495,7 +497,7 @@ class LawRequirement(Requirement):
             crank, phi0, rocker = limit.crank, limit.phi, limit.rocker
         if not self.tied(problem):
             return StartPosition(crank, phi0, values.get(of.base, 0.0))
-        if rocker is not None and problem.four_bar:  # of dyads the rocker may be directed from C to D
+        if rocker is not None and loop is not None and loop.rocker.start == loop.ground_pin:  # not directed from C to D
             return StartPosition(crank, phi0, angle(rocker))
         return StartPosition(crank, phi0, self.actual(problem, problem.linkage.pose(values, crank)))
 
@@ -549,7 +551,10 @@ class LawRequirement(Requirement):
         """Return the travel [m] of a slider or a point, else the frame of a four-bar."""
         if self.slides(problem) and (travel := self.travel(problem)) > 0.0:
             return travel
-        return float(problem.mechanism.frame.value) if problem.four_bar else None
+        if problem.four_bar is None:
+            return None
+        dimensions = {name: quantity.value for name, quantity in problem.mechanism.quantities.items()}
+        return float(problem.four_bar.lengths(dimensions)[3]) or None
 
     def unit(self, problem: Designed) -> str:
         """Return the SI unit of a deviation."""
@@ -620,7 +625,8 @@ class FunctionRequirement(LawRequirement):
         Unusable
             with the full key of the cause.
         """
-        law, of, by_rocker = self.law, self.of(problem), self.by_rocker(problem)
+        law, of = self.law, self.of(problem)
+        by_rocker = of is OF_FOUR_BAR
         if by_rocker and problem.mechanism.placed:
             message = "a motion law does not depend on the position of the linkage"
             raise Unusable(message, "Leave pivot and direction out", "mechanism.pivot")
@@ -715,7 +721,7 @@ class FunctionRequirement(LawRequirement):
             span, begin = (f"{np.degrees(turned):.6g} deg" for turned in (self.rotation, starts[0][0]))
             message = f"the law {defects[0]} on the span, {span} from {begin} on"
             raise Unusable(message, "Change the law, the span or the start", "requirement.law", law.text)
-        if not self.by_rocker(problem) and not self.travel(problem) > 1e-9:
+        if self.of(problem) is not OF_FOUR_BAR and not self.travel(problem) > 1e-9:
             raise Unusable("the law does not move the output", "Change the law", "requirement.law", law.text)
 
     def _defect(self, problem: Designed, law: Expression | SlideExpression | Function, phi0: float, psi0: float) -> str | None:
@@ -736,7 +742,7 @@ class FunctionRequirement(LawRequirement):
     def inapplicable(self, problem: Designed) -> set[str]:
         """Return the keys of the other kind of output, and those of the other way to write a linkage."""
         other = "requirement.psi0" if self.slides(problem) else "requirement.zero"
-        return {other, "requirement.output", "limits.pivots"} if self.by_rocker(problem) else {other}
+        return {other, "requirement.output", "limits.pivots"} if self.of(problem) is OF_FOUR_BAR else {other}
 
     def effective(self, problem: Designed) -> dict[str, str]:
         """Return the effective values of optional keys, for display."""
@@ -884,13 +890,17 @@ class DwellRequirement(LawRequirement):
         """Return names and defaults, however the linkage is written."""
         return OF_DYADS
 
+    def by_rocker(self, problem: Designed) -> bool:
+        """Return that a dwell is searched like a path."""
+        return False
+
     def key_of(self, problem: Designed, name: str) -> str:
         """Return the key of the start angle, or of the middle of the band."""
         return "start" if name == START else "value"
 
     def output_of(self, problem: Designed) -> str:
         """Return the name of the output."""
-        return self.output or (OF_FOUR_BAR.output if problem.four_bar else None) or ""
+        return self.output or (OF_FOUR_BAR.output if problem.mechanism.by_lengths else None) or ""
 
     def slides(self, problem: Designed) -> bool:
         """Return whether the output is a coordinate, not the angle of a body."""
@@ -947,7 +957,7 @@ class PositionRequirement(Requirement):
 
     def output_of(self, problem: Designed) -> str:
         """Return the name of the output."""
-        return self.output or (OF_FOUR_BAR.output if problem.four_bar else None) or ""
+        return self.output or (OF_FOUR_BAR.output if problem.mechanism.by_lengths else None) or ""
 
     def slides(self, problem: Designed) -> bool:
         """Return whether the output is a coordinate, not the angle of a body."""
@@ -1034,7 +1044,7 @@ class StrokeRequirement(Requirement):
 
     def output_of(self, problem: Designed) -> str:
         """Return the name of the output."""
-        return self.output or (OF_FOUR_BAR.output if problem.four_bar else None) or ""
+        return self.output or (OF_FOUR_BAR.output if problem.mechanism.by_lengths else None) or ""
 
     def bounds(self, problem: Designed) -> Iterator[Bound]:
         """Yield the limits of the stroke and of the time ratio."""
@@ -1196,7 +1206,7 @@ class PathRequirement(Requirement):
         points, moving = self.targets, moving_points(problem.linkage)
         if self.point not in moving:
             remedy = nearest(self.point, moving)
-            if problem.four_bar and not problem.mechanism.points:
+            if problem.mechanism.by_lengths and not problem.mechanism.points:
                 remedy = f'Give the coupler a point: mechanism.points = {{ {self.point} = ["60 mm", "20 mm"] }}. {remedy}'
             raise Unusable("no moving body has such a point", remedy, "requirement.point", self.point)
         self._check_angles(points)
@@ -1341,7 +1351,7 @@ class TransmissionRequirement(Requirement):
 
     def ranged(self, problem: Designed) -> bool:
         """Return whether the largest cosine counts over the revolution: for a four-bar its extremes, as drawn, are known."""
-        return not problem.four_bar or self.robust is not None
+        return problem.frame_angle is None or self.robust is not None
 
     def unit(self, problem: Designed) -> str:
         """Return the SI unit of a deviation: none."""
@@ -1353,8 +1363,8 @@ class TransmissionRequirement(Requirement):
 
     def data(self, problem: Designed) -> TargetArrays:
         """Return the crank angles: of a four-bar those of the extreme transmission angles, as drawn."""
-        known = problem.four_bar and (self.robust is None or self.measure != "max")
-        offsets = np.array([0.0, math.pi]) if known else np.linspace(0.0, TURN, GRID, endpoint=False)
+        along = problem.frame_angle if self.robust is None or self.measure != "max" else None
+        offsets = np.linspace(0.0, TURN, GRID, endpoint=False) if along is None else along + np.array([0.0, math.pi])
         return at_positions(np.zeros((len(offsets), 1)), offsets)
 
     def deviation(self, problem: Designed, pose: Pose, values: Mapping[str, Value], target: tuple[Value, ...]) -> list[Value]:

@@ -16,7 +16,7 @@ import numpy as np
 
 from optlink.errors import Status
 from optlink.linkage.extrema import Function, maxima
-from optlink.linkage.fourbar import lengths_of, time_ratio
+from optlink.linkage.fourbar import time_ratio
 from optlink.linkage.vector2d import Array
 from optlink.optimization.courses import EXCEEDED, LEAST_LEVEL, LEVELLED, LimitCourse, TermCourse, error_courses, limit_courses
 from optlink.optimization.nlp import NLP
@@ -148,7 +148,8 @@ def best_slow_stroke(task: DesignProblem, solution: Solution, backend: str) -> S
         return solution
     values, angles = solved_values(task, solution.design, solution.x)
     sense = 1 if angles[-1] >= angles[0] else -1
-    forward = time_ratio(*lengths_of(values), task.side, "forward", sense)
+    assert task.four_bar is not None
+    forward = time_ratio(*task.four_bar.lengths(values), task.four_bar.side, "forward", sense)
     stroke = "backward" if forward >= 1.0 else "forward"
     if stroke not in nlp.cache:
         limits = task.limits.model_copy(update={"time_ratio": replace(ratio, stroke=stroke)})

@@ -59,17 +59,44 @@ def _place(template: DesignProblem, axis: Axis) -> tuple[str, str, Setter, float
     """Return section, field, setter, and SI units per unit of the axis."""
     section, *rest = axis.key.split(".")
     side = rest.pop() if rest and rest[-1] in SIDES else ""
-    if section not in ("mechanism", "limits", "requirement") or len(rest) != 1:
+    if section not in ("mechanism", "limits", "requirement") or not rest:
         return None
-    name = _FIELDS.get(rest[0], rest[0])
+    name, *path = _FIELDS.get(rest[0], rest[0]), *rest[1:]
     value = getattr(getattr(template, section), name, None)
+    for key in path:
+        value = _inside(value, key)
     if isinstance(value, Quantity) and value.free == bool(side):
         setter = _bound(side) if side else (lambda q, v: replace(q, value=v))
-        return section, name, setter, factor(axis.unit, value.kind)
-    if isinstance(value, Interval):
+        return section, name, _nested(path, setter), factor(axis.unit, value.kind)
+    if isinstance(value, Interval) and not path:
         side = "max" if name == "pressure_angle" else side
         return section, name, _limit(side), factor(axis.unit, value.kind) if value.kind else 1.0
     return None
+
+
+_PLACES = {"x": 0, "y": 1, "along": 0, "across": 1}  # coordinates in a place
+
+
+def _inside(value: Any, key: str) -> Any:
+    """Return an entry of a table, a section or a place; None if there is none."""
+    if isinstance(value, tuple):
+        return value[_PLACES[key]] if key in _PLACES else None
+    return value.get(key) if isinstance(value, dict) else getattr(value, key, None)
+
+
+def _nested(path: Sequence[str], setter: Setter) -> Setter:
+    """Return a function that sets an entry of a nested table, and copies what contains it."""
+    if not path:
+        return setter
+    key, inner = path[0], _nested(path[1:], setter)
+
+    def outer(value: Any, number: float) -> Any:
+        entry = inner(_inside(value, key), number)
+        if isinstance(value, tuple):
+            return tuple(entry if k == _PLACES[key] else part for k, part in enumerate(value))
+        return {**value, key: entry} if isinstance(value, dict) else copy_model(value, **{key: entry})
+
+    return outer
 
 
 def _bound(side: str) -> Setter:

@@ -270,7 +270,7 @@ class ReoptimiseTask(OptimumTask):
                 end = multistart.solve_from(programme.nlp, programme.within(neighbour.x), self.backend)
             if end is not None and multistart.best([solution, end]) is end and not multistart.compare(solution, end).same:
                 solution, how = end, SEARCHED
-        if not solution.usable and not 1.0 / MAX_SIZE_RATIO <= task.quantities["frame"].value / programme.size <= MAX_SIZE_RATIO:
+        if not solution.usable and not 1.0 / MAX_SIZE_RATIO <= task.size / programme.size <= MAX_SIZE_RATIO:
             nlp = build(task)
             solution = multistart.best([solution, multistart.solve_from(nlp, nlp.x_start, self.backend)])
         if solution.status is not Status.OPTIMAL and (self.starts > 1 or solution.status is not Status.INFEASIBLE):
@@ -292,7 +292,7 @@ class ParametricProgramme:
 
     def __init__(self, problem: ProblemFile) -> None:
         self.nlp: NLP = build(problem.spec)
-        self.size = problem.spec.quantities["frame"].value
+        self.size = problem.spec.size
 
     def parameters(self, task: DesignProblem, count: int | None = None) -> BatchProblem:
         """Return parameters and bounds of the programme for problems of the same structure.

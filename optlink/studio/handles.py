@@ -9,7 +9,6 @@ from optlink.errors import InputError
 from optlink.io import finite
 from optlink.linkage.mechanism import Arm
 from optlink.problem.file import ProblemFile
-from optlink.problem.mechanism import FourBarSection
 from optlink.problem.quantity_keys import file_key
 from optlink.studies.toml_keys import Knob, exact_text, knobs, read_figure
 from optlink.studio.picture import Picture
@@ -317,9 +316,10 @@ class _Handles:
         """Return a limit of the transmission angle of a four-bar as an angle at its joint; None for anything else."""
         if knob.key not in TRANSMISSION or knob.unit != "deg":
             return None
-        if self.picture is None or not isinstance(self.problem.model.mechanism, FourBarSection):
+        loop = getattr(self.problem.model, "four_bar", None)
+        if self.picture is None or loop is None:
             return None
-        joint, coupler_end, rocker_end = (self.picture.at(name) for name in "CBD")
+        joint, coupler_end, rocker_end = (self.picture.at(name) for name in (loop.joint, loop.pin, loop.ground_pin))
         first, second = (math.atan2(end[1] - joint[1], end[0] - joint[0]) for end in (coupler_end, rocker_end))
         begin = first if math.remainder(second - first, 2.0 * math.pi) >= 0.0 else second
         if not math.isfinite(begin):

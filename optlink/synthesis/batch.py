@@ -19,7 +19,6 @@ from optlink.optimization.constraints import ConstraintRow, position_rows, regio
 from optlink.optimization.programme import path_variable
 from optlink.problem.design import DesignProblem
 from optlink.problem.limits import MARGIN_KEYS, Reach
-from optlink.problem.mechanism import FourBarSection
 from optlink.symbolic import NumpyEvaluator, symbols_in_numpy
 
 Variant = int | NDArray[np.int_]
@@ -51,7 +50,6 @@ class Batch:
         self.origin = np.array([v.origin for v in self.variables])
         self.scale = np.array([v.size for v in self.variables])
         self.low, self.high = ((side - self.origin) / self.scale for side in bounds.T)
-        self.four_bar = isinstance(problem.mechanism, FourBarSection)
         self.crank_turns = problem.limits.crank != "span"
         per_group: Iterable[tuple[Any, ...]] = zip(*(each.linkage.groups for each in self.problems), strict=True)
         modal = [groups for groups in per_group if isinstance(groups[0], ModalDyad) and len({g.side for g in groups}) > 1]
@@ -136,7 +134,7 @@ class Batch:
         if self.derived:
             begin = casadi.SX(values[problem.start_name])
             self._begin.append(NumpyEvaluator(inputs, [begin, casadi.jacobian(begin, x)]))
-        required = [] if self.four_bar else [row for row in position_rows(problem, pose) if not row.over_span]
+        required = [] if problem.four_bar else [row for row in position_rows(problem, pose) if not row.over_span]
         required += region_rows(problem, pose, over_span=False)
         if self.crank_turns and required:
             self.grid_bounds = np.array([(row.low + INSIDE, row.high) for row in required])
@@ -147,7 +145,7 @@ class Batch:
         """Trace the limits of a problem and return them."""
         t, span = casadi.SX.sym("t"), casadi.SX.sym("span")
         reach = Reach(t, span, casadi.sign(span))
-        rows = limit_rows(problem, values, reach, problem.size) if self.crank_turns or not self.four_bar else []
+        rows = limit_rows(problem, values, reach, problem.size) if self.crank_turns or not problem.four_bar else []
         g = casadi.vertcat(*[row.value for row in rows])
         if rows:
             self._limits.append(NumpyEvaluator([*casadi.vertsplit(x), t, span], [g, casadi.jacobian(g, x)]))
@@ -249,4 +247,5 @@ class Batch:
         with np.errstate(invalid="ignore"):
             miss = np.minimum(g - bounds[:, 0], 0.0) + np.maximum(g - bounds[:, 1], 0.0)
         off = ~np.isfinite(miss) | (miss == 0.0)
-        return np.where(off, 0.0, WEIGHT * miss), np.where(off[..., None], 0.0, WEIGHT * slopes)
+        off_slopes = off[..., None] | ~np.isfinite(slopes)  # where pivots coincide, the length of the frame has none
+        return np.where(off, 0.0, WEIGHT * miss), np.where(off_slopes, 0.0, WEIGHT * slopes)

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.linkage.fourbar import LENGTHS, transmission_cosine
+from optlink.linkage.fourbar import transmission_cosine
 from optlink.linkage.vector2d import TURN, Array, unit
 from optlink.problem.design import DesignProblem
 from optlink.problem.quantity import Quantity
@@ -23,9 +23,8 @@ WIDER = 2.0 * math.pi / 180.0  # relaxation of the transmission-angle limits: th
 
 def fittable(problem: DesignProblem) -> bool:
     """Return whether a function has convex first designs: free lengths, a range of ratios, and three positions at least."""
-    if not isinstance(problem.requirement.law, Function) or not all(problem.quantities[name].free for name in LENGTHS[:3]):
-        return False
-    if problem.links:
+    loop, law = problem.four_bar, problem.requirement.law
+    if loop is None or problem.links or not isinstance(law, Function) or not set(loop.names) <= set(problem.free):
         return False
     low, high = _ratios(problem)
     return low < high and len(problem.law.offsets) > 2
@@ -73,16 +72,21 @@ def _fit_problem(problem: DesignProblem, free: bool) -> FitProblem:
 
 def _ranges(problem: DesignProblem) -> tuple[bool, list[tuple[float, float]]]:
     """Return whether both start angles are free over at least half a turn, and their bounds [rad]."""
-    starts = [problem.quantities[name] for name in ("phi0", "psi0")]
-    return all(start.free and start.bounds[1] - start.bounds[0] >= math.pi for start in starts), [s.bounds for s in starts]
+    starts = [problem.quantities[name] for name in (problem.start_name, problem.base_name)]
+    turned = problem.frame_angle or 0.0
+    ranges = [(start.bounds[0] - turned, start.bounds[1] - turned) for start in starts]
+    return all(start.free and start.bounds[1] - start.bounds[0] >= math.pi for start in starts), ranges
 
 
 def values(problem: DesignProblem, step: FirstStep) -> dict[str, float]:
     """Return a first design as quantities [m, rad] of the problem."""
-    frame = problem.quantities["frame"].value
-    lengths = {name: getattr(step, name) * frame for name in LENGTHS[:3]}
-    angles = {name: _into(problem.quantities[name], getattr(step, name)) for name in ("phi0", "psi0")}
-    return {**lengths, "frame": frame, **angles}
+    loop, turned, quantities = problem.four_bar, problem.frame_angle or 0.0, problem.quantities
+    assert loop is not None
+    pivots = {name: quantities[name].value for name in loop.ground}
+    frame = loop.frame(pivots)[0]
+    lengths = dict(zip(loop.names, (step.crank * frame, step.coupler * frame, step.rocker * frame), strict=True))
+    starts = (problem.start_name, step.phi0), (problem.base_name, step.psi0)
+    return {**lengths, **pivots, **{name: _into(quantities[name], angle + turned) for name, angle in starts}}
 
 
 def _grid(low: float, high: float, whole: bool) -> Array:
@@ -102,7 +106,8 @@ def _into(start: Quantity, angle: float) -> float:
 
 def _keep(problem: DesignProblem, offsets: Array) -> Keep:
     """Return a filter for linkages with the assembly mode of the problem that nearly satisfy its transmission-angle limits."""
-    interval = problem.limits.transmission_at()
+    assert problem.four_bar is not None
+    interval, mode = problem.limits.transmission_at(problem.four_bar.joint), problem.four_bar.side
     low = 0.0 if interval is None or interval.low is None else interval.low - WIDER
     high = math.pi if interval is None or interval.high is None else interval.high + WIDER
 
@@ -110,6 +115,6 @@ def _keep(problem: DesignProblem, offsets: Array) -> Keep:
         cos_phi = unit(phi0[:, None] + offsets)[0]
         cosine = transmission_cosine(crank[:, None], coupler[:, None], rocker[:, None], 1.0, cos_phi)
         inside = np.all((cosine <= math.cos(max(low, 0.0))) & (cosine >= math.cos(min(high, math.pi))), axis=1)
-        return np.asarray(inside & (side == problem.side))
+        return np.asarray(inside & (side == mode))
 
     return keep

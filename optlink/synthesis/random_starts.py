@@ -7,9 +7,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.linkage.fourbar import LENGTHS
-from optlink.linkage.inner_four_bar import inner_four_bars
+from optlink.linkage.inner_four_bar import InnerFourBar, inner_four_bars
 from optlink.linkage.vector2d import TURN, Array, unit
+from optlink.optimization.programme import path_variable
 from optlink.problem.design import STEP
 from optlink.synthesis.batch import Batch
 
@@ -27,7 +27,7 @@ def random_designs(batch: Batch, count: int, rng: np.random.Generator) -> Array:
         if quantity.kind == "angle":
             most = min(high, low + TURN) if problem.is_periodic(name) else high
             x[:, i] = rng.uniform(low, most, count) if low < most else low
-        elif batch.four_bar:
+        elif problem.four_bar is not None:
             x[:, i] = rng.standard_normal(count) * 1.5
         else:
             fixed = (quantity.value - batch.origin[i]) / batch.scale[i]
@@ -35,11 +35,8 @@ def random_designs(batch: Batch, count: int, rng: np.random.Generator) -> Array:
             near = fixed + size * SPREAD * rng.standard_normal(count)
             wide = rng.uniform(np.maximum(low, fixed - 3.0 * size), np.minimum(high, fixed + 3.0 * size), count)
             x[:, i] = np.where(rng.random(count) < 0.6, near, wide)
-    if batch.four_bar:
-        shape = _random_lengths(batch, count, rng)
-        for k, name in enumerate(LENGTHS):
-            if name in batch.names:
-                x[:, batch.names.index(name)] = shape[:, k]
+    if problem.four_bar is not None:
+        _proportioned(batch, problem.four_bar, x, rng)
     else:
         _turning(batch, x, rng)
     return np.clip(x, batch.low, batch.high)
@@ -48,19 +45,45 @@ def random_designs(batch: Batch, count: int, rng: np.random.Generator) -> Array:
 def _turning(batch: Batch, x: Array, rng: np.random.Generator) -> None:
     """Give half of the designs (count, n) a four-bar whose crank can turn, if all dimensions of the first one are free."""
     loop = next(inner_four_bars(batch.problem.linkage), None)
-    if loop is None or not loop.plain or not batch.crank_turns:
+    if loop is None or not loop.plain or not batch.crank_turns or not {*loop.names, *loop.ground} <= set(batch.names):
         return
-    names = [str(link.length) for link in (loop.crank, loop.coupler, loop.rocker)] + list(loop.ground)
-    if not set(names) <= set(batch.names):
-        return
-    crank, coupler, rocker, ax, ay, dx, dy = (batch.names.index(name) for name in names)
-    half = len(x) // 2
-    shape = _random_lengths(batch, half, rng)
-    x[:half, [crank, coupler, rocker]] = shape[:, :3]
-    direction = rng.uniform(0.0, TURN, half)
-    x[:half, ax], x[:half, ay] = rng.standard_normal((2, half)) * 1.5
-    x[:half, dx] = x[:half, ax] + shape[:, 3] * np.cos(direction)
-    x[:half, dy] = x[:half, ay] + shape[:, 3] * np.sin(direction)
+    half = x[: len(x) // 2]
+    frame = _sized(batch, loop, half, rng)
+    direction = rng.uniform(0.0, TURN, len(half))
+    half[:, [batch.names.index(name) for name in loop.ground[:2]]] = rng.standard_normal((2, len(half))).T * 1.5
+    _spaced(batch, loop, half, frame, direction)
+
+
+def _proportioned(batch: Batch, loop: InnerFourBar, x: Array, rng: np.random.Generator) -> None:
+    """Give the designs (count, n) random lengths of the four-bar that they are; the frame has any direction, or lies along x."""
+    frame = _sized(batch, loop, x, rng)
+    if not loop.frame_length:
+        tilts = {loop.ground[1], loop.ground[3]} & set(batch.names)
+        _spaced(batch, loop, x, frame, rng.uniform(0.0, TURN, len(x)) if tilts else np.zeros(len(x)))
+
+
+def _sized(batch: Batch, loop: InnerFourBar, x: Array, rng: np.random.Generator) -> Array:
+    """Give the designs (count, n) random lengths of a four-bar, where they are free; return that of the frame (count,)."""
+    shape = _random_lengths(batch, len(x), rng)
+    for k, name in enumerate((*loop.names, loop.frame_length)):
+        if name in batch.names:
+            x[:, batch.names.index(name)] = shape[:, k]
+    return shape[:, 3]
+
+
+def _spaced(batch: Batch, loop: InnerFourBar, x: Array, frame: Array, direction: Array) -> None:
+    """Move the rocker pivots of the designs (count, n), or the crank pivots if they are fixed, to the lengths of the frame."""
+    names, quantities = batch.names, batch.problem.quantities
+    for axis, way in enumerate((np.cos(direction), np.sin(direction))):
+        pair = [loop.ground[axis], loop.ground[axis + 2]]
+        one, other = (
+            x[:, names.index(name)] if name in names else path_variable(batch.problem, name).scaled(quantities[name].value)
+            for name in pair
+        )
+        if pair[1] in names:
+            x[:, names.index(pair[1])] = one + frame * way
+        elif pair[0] in names:
+            x[:, names.index(pair[0])] = other - frame * way
 
 
 def _random_lengths(batch: Batch, count: int, rng: np.random.Generator) -> Array:
@@ -115,10 +138,12 @@ def random_crank_angles(batch: Batch, count: int, rng: np.random.Generator) -> A
 
 def within_reach(batch: Batch, x: Array, t: Array, rng: np.random.Generator) -> Array:
     """Shift and shorten crank angles of four-bars without full rotation to the range where they can be assembled."""
-    if batch.crank_turns or not batch.four_bar or not batch.free_timing:
+    loop = batch.problem.four_bar
+    if batch.crank_turns or loop is None or not batch.free_timing:
         return t
     values = batch.values(x)
-    crank, coupler, rocker, frame = (values[name][:, 0] for name in LENGTHS)
+    crank, coupler, rocker, frame = (length[:, 0] for length in loop.lengths(values))
+    turned = loop.turned(values)
     square, twice = crank**2 + frame**2, 2.0 * crank * frame
     near = np.arccos(np.clip((square - (coupler - rocker) ** 2) / twice, -1.0, 1.0))  # at smaller angles B is too near to D
     far = np.arccos(np.clip((square - (coupler + rocker) ** 2) / twice, -1.0, 1.0))  # at larger angles B is too far from D
@@ -131,7 +156,7 @@ def within_reach(batch: Batch, x: Array, t: Array, rng: np.random.Generator) -> 
     begin = low + 0.01 * (high - low) + rng.random(len(x)) * np.maximum(room - share * span, 0.0)
     least = np.minimum(t[:, 0], t[:, -1])
     limited = (near > 0.0) | (far < math.pi)
-    moved = begin[:, None] + (t - least[:, None]) * share[:, None]
+    moved = turned + begin[:, None] + (t - least[:, None]) * share[:, None]
     return np.where(limited[:, None], moved, t)
 
 
@@ -141,7 +166,7 @@ def assembles_everywhere(batch: Batch, x: Array, t: Array) -> NDArray[np.bool_]:
     angles = batch.crank_angles(x, t)
     with np.errstate(all="ignore"):
         angle_sets = [angles]
-        if batch.crank_turns and not batch.four_bar:
+        if batch.crank_turns and batch.problem.four_bar is None:
             angle_sets.append(np.broadcast_to(batch.angles, (len(x), len(batch.angles))))
         assembled = np.ones(len(x), dtype=bool)
         for at in angle_sets:

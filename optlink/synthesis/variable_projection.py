@@ -40,9 +40,9 @@ class SimilarityFit:
             return [names.index(name) for name in wanted if name in names]
 
         quantities = problem.mechanism.quantities
-        point = problem.point if batch.four_bar else f"{problem.body}.{problem.point}"
-        marks = (f"{point}.along", f"{point}.across")
-        self.point = indices(marks) if set(marks) <= set(names) else []
+        mark = problem.linkage.marks.get((problem.body, problem.point))
+        marks = () if mark is None else (str(mark.along), str(mark.across))
+        self.point = indices(marks) if mark is not None and set(marks) <= set(names) else []
         ground = {name: q for name, q in quantities.items() if q.kind == "coordinate" and name.rpartition(".")[2] in ("x", "y")}
         angles = [name for name, q in quantities.items() if q.kind == "angle"]
         sizes = [
@@ -56,7 +56,7 @@ class SimilarityFit:
         placed = getattr(problem.mechanism, "placed", True)
         free = [name for name in (*sizes, *ground, *turning) if name not in names and quantities[name].value != 0.0]
         bound = [name for name in (*ground, *turning) if name not in names]
-        self.counted_from_x = not batch.four_bar
+        self.counted_from_x = problem.linkage.datum == 0.0
         timed = not batch.free_timing and batch.start < 0 and self.counted_from_x
         similar = placed and not free and not bound and not problem.links  # a link need not hold for a similar linkage
         self.applies = problem.requirement.kind == "path" and similar and not timed

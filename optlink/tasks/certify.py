@@ -313,7 +313,7 @@ class _ErrorSearch(_Search):
 
     def _from_candidate(self, design: dict[str, float], side: int) -> float:
         """Search from a candidate [m, rad] of an assembly mode; return the objective of the best known design."""
-        variant = next(file for file in self.original.variants() if file.spec.side == side)
+        variant = next(file for file in self.original.variants() if file.spec.four_bar and file.spec.four_bar.side == side)
         self._search_locally(variant, {name: design[name] for name in self.original.model.free})
         return self._known
 
@@ -346,7 +346,7 @@ class _PathSearch(_Search):
         inside = all(quantities[name].bounds[0] <= values[name] <= quantities[name].bounds[1] for name in free)
         if inside and self.failed < MAX_FAILURES:
             variants, left = self.original.variants(), bounds.left(x)
-            sides = [getattr(file.model, "side", 0) > 0 for file in variants]
+            sides = [file.spec.four_bar is not None and file.spec.four_bar.side > 0 for file in variants]
             variant = variants[sides.index(left) if left in sides else 0]
             self.failed += not self._search_locally(variant, {name: values[name] for name in free})
         return self._squared

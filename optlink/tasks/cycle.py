@@ -284,7 +284,7 @@ def _no_rotatable_design(problem: ProblemFile, seed: int, starts: int, seconds: 
         "widen the bounds, or start from a design that does"
     )
     task = problem.spec
-    notes = cannot_turn(task.mechanism, task.linkage, "", task.limits.alignment.value) or (note,)
+    notes = cannot_turn(task.mechanism.quantities, task.linkage, "", task.limits.alignment.value) or (note,)
     result = TASK.validate(problem, {}).with_best(status=Status.INFEASIBLE)
     return replace(result, seconds=result.seconds | seconds, seed=seed, starts=starts, notes=notes)
 

@@ -13,7 +13,6 @@ import numpy as np
 
 from optlink.errors import InputError, Status
 from optlink.execution import interrupts
-from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.vector2d import Array
 from optlink.optimization.nlp import NLP
 from optlink.optimization.programme import angle_name, build
@@ -178,11 +177,13 @@ def _notes(task: DesignProblem, rounds: SearchRounds) -> Iterator[str]:
     if collection.rejected is not None:
         yield collection.rejected.note
     if best is None:
-        yield from cannot_turn(task.mechanism, task.linkage, task.limits.crank, task.limits.alignment.value)
+        yield from cannot_turn(task.mechanism.quantities, task.linkage, task.limits.crank, task.limits.alignment.value)
         return
     yield from margin_notes(best.problem, best.values, best.limits, best.objective, collection.polisher.relaxed(best))
     sized = task.objective or task.limits.named or task.limits.regions or any(part.unit == "m" for part in task.parts)
-    if not sized and set(LENGTHS) <= set(task.free) and best.solution and best.solution.curvature <= MIN_CURVATURE:
+    free, loop = set(task.free), task.four_bar
+    scaled = loop is not None and free.issuperset(loop.names) and bool(free & {loop.frame_length, *loop.ground})
+    if not sized and scaled and best.solution and best.solution.curvature <= MIN_CURVATURE:
         yield ONLY_RATIOS
     if rounds.exploration.rounds and coverage.missed > MISSED_CHANCE:
         count = rounds.starts
@@ -396,8 +397,11 @@ class SearchRounds:
             return
         options, polisher = self.options, self.collection.polisher
         shared = polisher.runs is not None
-        result = solve(part.file, options.backend, PART_STARTS, options.seed, runs=options.runs, shared=shared)
-        four_bars = completed(result).designs
+        files = [part.file]
+        if part.file.spec.limits.crank == "full rotation":  # of the linkage: either inversion of the four-bar turns fully
+            files.append(part.file.override({"limits.crank": "double-crank"}))
+        results = [solve(file, options.backend, PART_STARTS, options.seed, runs=options.runs, shared=shared) for file in files]
+        four_bars = sorted((one for result in results for one in completed(result).designs), key=lambda one: one.objective)
         for design in designs_from_four_bar(part, four_bars, polisher, options.seed):
             self.collection.insert(design)
         if four_bars and not self.task.composed and not self.collection.no_worse(four_bars[0]):

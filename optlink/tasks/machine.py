@@ -44,14 +44,21 @@ def turning_machine(problem: ProblemFile, design: Mapping[str, float]) -> Machin
 def check_design(problem: ProblemFile, design: Mapping[str, float] | None) -> None:
     """Refuse a design with names that the problem does not know, or with a value that is not finite.
 
-    The angles phi0 and psi0 of a motion law may be in it although they follow from the lengths, as in `result.design`.
+    The start angles of a motion law of a four-bar may be in it although they follow from the lengths, as in `result.design`.
 
     Raises
     ------
     InputError
         If there is one.
     """
-    follow = () if problem.task in ("path", "cycle") else ("phi0", "psi0")
+    follow = (
+        ()
+        if problem.task in ("path", "cycle")
+        else (
+            getattr(problem.model, "start_name", "phi0"),
+            getattr(problem.model, "base_name", "psi0"),
+        )
+    )
     for name in design or {}:
         check_choice("--design", name, (*problem.model.quantities, *follow), UNKNOWN_QUANTITY, problem.file)
     for name, value in (design or {}).items():

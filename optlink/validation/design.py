@@ -19,7 +19,6 @@ from numpy.typing import ArrayLike
 
 from optlink.linkage.dyad_types import RRR, transmitting
 from optlink.linkage.extrema import extremes_of_rows
-from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.inner_four_bar import inner_four_bars
 from optlink.linkage.mechanism import FRAME, Mechanism
 from optlink.linkage.motion import Motion, sweep
@@ -212,11 +211,20 @@ class _Tested:
         self.sizes = {name: self._column(self.design.get(name, quantity.value)) for name, quantity in quantities.items()}
         angles = problem.crank_angles(self.values, None) if angles is None else angles
         self.angles = np.array(np.broadcast_to(np.asarray(angles, dtype=float), (self.count, np.shape(angles)[-1])))
-        self.size = self.design["frame"] if problem.unit != "m" and "frame" in self.design else problem.size
+        self.size = problem.size if problem.unit == "m" or self.lengths is None else self.lengths[3]
         self.targets = TARGETS[problem.requirement.family](self)
 
     def _column(self, value: ArrayLike) -> Array:
         return np.array(np.broadcast_to(np.asarray(value, dtype=float), self.count))[:, None]
+
+    @cached_property
+    def lengths(self) -> tuple[Array, ...] | None:
+        """Lengths (designs,) [m] of crank, coupler, rocker and frame, between its pivots; None if the linkage is no four-bar."""
+        loop = self.problem.four_bar
+        if loop is None:
+            return None
+        frame = self.placed(np.zeros(1)).distance(loop.crank.start, loop.ground_pin)
+        return (*(self.sizes[name][:, 0] for name in loop.names), np.broadcast_to(frame, (self.count, 1))[:, 0])
 
     @cached_property
     def revolution(self) -> FourBarMotion | LinkageMotion:
@@ -280,6 +288,8 @@ class _OneDesign:
     def __init__(self, tested: _Tested, design: int) -> None:
         self.mechanism, self._tested, self._number = tested.mechanism, tested, design
         self.design = {name: float(values[design]) for name, values in tested.design.items()}
+        crank, coupler, rocker, frame = (float(length[design]) for length in tested.lengths or [np.full(design + 1, np.nan)] * 4)
+        self.lengths = crank, coupler, rocker, frame
 
     @cached_property
     def required(self) -> Motion:
@@ -667,8 +677,8 @@ def _sizes(tested: _Tested) -> Iterator[Checks]:
 def _crank(tested: _Tested) -> Iterator[Checks]:
     """Check the crank condition from the lengths, and the closure of every loop at every position."""
     limits, groups = tested.problem.limits, tested.problem.linkage.groups
-    if tested.turns and set(LENGTHS) <= tested.sizes.keys():
-        yield grashof_check(tested.design, limits)
+    if tested.turns and tested.lengths is not None:
+        yield grashof_check(tested.lengths, limits)
     where = "the whole revolution" if tested.turns else "the span"
     for group, least in zip(groups, tested.required.least_squared_sines, strict=True):
         yield alignment_check(group, len(groups) == 1, least, limits, where)
@@ -711,7 +721,7 @@ def _registered(tested: _Tested) -> Iterator[Checks]:
         applies = counts == 2
         yield Checks("the rocker has two dead centres", applies, counts.astype(float), "= 2", "")
     if any(limits_in_file(limits)):
-        size = np.broadcast_to(tested.design.get("frame", tested.size), tested.count)
+        size = np.broadcast_to(tested.size if tested.lengths is None else tested.lengths[3], tested.count)
         of_design = {
             k: list(registered_checks(_OneDesign(tested, k), limits, float(size[k]), k)) for k in np.flatnonzero(applies).tolist()
         }

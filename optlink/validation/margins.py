@@ -4,7 +4,7 @@ The optimiser's formulas are not used: the angle between two links follows from 
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -28,12 +28,12 @@ def at_least(name: Text, value: ArrayLike, limit: ArrayLike, unit: str) -> Check
     return Checks(name, value >= limit * (1.0 - SHORT), value, text(">= {:.6g}", limit), unit)
 
 
-def grashof_check(design: Mapping[str, ArrayLike], limits: Limits) -> Checks:
-    """Check whether the crank of a four-bar turns fully.
+def grashof_check(each: Sequence[ArrayLike], limits: Limits) -> Checks:
+    """Check whether the crank of a four-bar turns fully; `each`: lengths [m] of crank, coupler, rocker and frame.
 
     The sum of shortest and longest link must be below that of the other two by the length margin.
     """
-    lengths = np.array(np.broadcast_arrays(*(np.atleast_1d(design[name]) for name in LENGTHS)), dtype=float)
+    lengths = np.array(np.broadcast_arrays(*map(np.atleast_1d, each)), dtype=float)
     shortest, second, third, longest = np.sort(lengths, axis=0)
     turning = "frame" if limits.crank == "double-crank" else "crank"  # the shortest link of the required inversion
     slack, margin = second + third - shortest - longest, limits.length_margin * longest

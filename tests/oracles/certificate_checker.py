@@ -206,8 +206,9 @@ def identity(document: Mapping[str, Any]) -> str:
 
 def check_document(document: Document) -> None:
     """Refuse a certificate whose parts do not fit each other."""
-    linked = isinstance(document.get("numbers"), dict) and "links" in document["numbers"]
-    check_form(document, CERTIFICATE | {"numbers": NUMBERS | ({"links": [LINK]} if linked else {})}, "")
+    stated = document["numbers"] if isinstance(document.get("numbers"), dict) else {}
+    further = {key: form for key, form in {"links": [LINK], "names": [TEXT]}.items() if key in stated}
+    check_form(document, CERTIFICATE | {"numbers": NUMBERS | further}, "")
     if document["identity"] != identity(document):
         raise Refused("identity", "this is not the hash of the problem: a name, a hash or a number in it was changed")
     numbers, infeasible = document["numbers"], document["status"] == "infeasible"
@@ -350,7 +351,7 @@ class Prover:
         start = problem.starts(values)[0] if problem.starts(values) else None
         if start is None:
             raise Refused("design", "the linkage has no start position")
-        for name, angle in (("phi0", start[1]), ("psi0", start[2])) if problem.of_law else ():
+        for name, angle in zip(problem.start_names, start[1:], strict=True) if problem.of_law else ():
             away = abs(math.remainder(float(angle.value) - design.get(name, math.nan), math.tau))
             if not away <= AGREES:
                 raise Refused(f"design.{name}", f"this is not the angle of the design, {float(angle.value):.12g} rad")

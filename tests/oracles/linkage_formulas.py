@@ -443,11 +443,36 @@ class Problem:
         self.measure, self.offsets = numbers["measure"], numbers["offsets"]
         self.four_bar = self.linkage["four_bar"]
         self.of_law = self.kind == "law"
+        self.start_names: tuple[str, str] = tuple(numbers.get("names", ("phi0", "psi0")))
 
     @property
     def side(self) -> int:
-        """Assembly mode of a four-bar."""
-        return int(next(iter(self.sides.values())))
+        """Assembly mode of a four-bar: +1 if C lies to the left of B -> D."""
+        (dyad,), side = self.linkage["dyads"], int(next(iter(self.sides.values())))
+        return side if dyad["outer"][0] == self.linkage["crank"]["end"] else -side
+
+    def _lengths(self, values: Values) -> dict[str, Ball]:
+        """Return the lengths of a four-bar, that of the frame between its pivots if they are given by coordinates."""
+        (dyad,), pin = self.linkage["dyads"], self.linkage["crank"]["end"]
+        coupler, rocker = sorted(dyad["bodies"], key=lambda body: pin not in (body["start"], body["end"]))
+        named = {"crank": self.linkage["crank"], "coupler": coupler, "rocker": rocker}
+        return {**{name: values[body["length"]] for name, body in named.items()}, "frame": self._frame(values)[0]}
+
+    def _frame(self, values: Values) -> tuple[Ball, Vector | None]:
+        """Return the length of the frame, and its direction where crank angles count from; None if it is the same."""
+        crank, (dyad,) = self.linkage["crank"], self.linkage["dyads"]
+        pin = next(joint for joint in dyad["outer"] if joint != crank["end"])
+        one, other = self.linkage["ground"][crank["start"]], self.linkage["ground"][pin]
+        if isinstance(other, dict):
+            return values[other["length"]], None
+        (ax, ay), (dx, dy) = (
+            [values[size] if isinstance(size, str) else constant(size) for size in place] for place in (one, other)
+        )
+        across, along = dy - ay, dx - ax
+        if across.slope is None and across.value == 0 and along.range > 0:
+            return along, None
+        length = sqrt(along * along + across * across)
+        return length, (along / length, across / length)
 
     def values(self, centre: Sequence[float], scale: Sequence[Any] | None, *, over: bool = True) -> dict[str, Ball]:
         """Return every quantity over a box with half widths `scale`, or those of a single design without derivatives."""
@@ -469,13 +494,14 @@ class Problem:
         if not self.of_law:
             start = values.get("start", constant(0.0))
             return [(unit(start), start, values.get("zero", constant(0.0)))]
-        if "phi0" in values:
-            crank, phis = unit(values["phi0"]), [values["phi0"]]
-            rocker = None if "psi0" in values else self._pose(values, crank).axes["rocker"]
+        begin, base = self.start_names
+        if begin in values:
+            crank, phis = unit(values[begin]), [values[begin]]
+            rocker = None if base in values else self._pose(values, crank).axes[self.numbers["output"]]
         else:
             crank, rocker = self._dead_centre(values, outer=self.numbers["start"] == OUTER)
             phis = _principal(angle_of(crank))
-        psis = [values["psi0"]] if "psi0" in values else _principal(angle_of(rocker)) if rocker else []
+        psis = [values[base]] if base in values else _principal(angle_of(rocker)) if rocker else []
         return [(crank, phi, psi) for phi in phis for psi in psis]
 
     def _pose(self, values: Values, crank: Vector) -> Pose:
@@ -483,19 +509,21 @@ class Problem:
 
     def _dead_centre(self, values: Values, *, outer: bool) -> tuple[Vector, Vector]:
         """Return the directions of crank and rocker in a dead centre: law of cosines in the triangle A-C-D."""
-        crank, coupler, rocker, frame = (values[name] for name in LENGTHS)
+        crank, coupler, rocker, frame = (self._lengths(values)[name] for name in LENGTHS)
         reach = coupler + crank if outer else coupler - crank
         cosine = (reach * reach - rocker * rocker + frame * frame) / (2.0 * (reach * frame))
         sine = self.side * sqrt(1.0 - cosine * cosine)
         direction = ((reach * cosine - frame) / rocker, reach * sine / rocker)
-        return ((cosine, sine) if outer else (-cosine, -sine)), direction
+        axes = ((cosine, sine) if outer else (-cosine, -sine)), direction
+        along = self._frame(values)[1]
+        return axes if along is None else (turned(axes[0], along), turned(axes[1], along))
 
     def deviation(self, position: int, values: Values, start: tuple[Vector, Ball, Ball]) -> list[Deviation]:
         """Return the components of the weighted deviation at a position, from one of `starts`."""
         numbers, (crank, phi0, psi0) = self.numbers, start
         offset = constant(self.offsets[position])
         if self.kind == "transmission":
-            return [_plain(self._cosine(values, constant(math.cos(self.offsets[position]))))]
+            return [_plain(self._cosine(values, constant(math.cos(self.offsets[position] - self.offsets[0]))))]
         pose = self._pose(values, turned(crank, unit(offset)) if self.of_law else unit(phi0 + offset))
         if self.kind in ("law", "function"):
             wanted = target(numbers["law"], position, offset, phi0, psi0)
@@ -548,7 +576,7 @@ class Problem:
         if self.limits["crank"] == "span":
             return
         shortest, fourth = ("crank", "frame") if self.limits["crank"] == "full rotation" else ("frame", "crank")
-        others, margin = ("coupler", "rocker", fourth), self.limits["length_margin"]
+        others, margin, values = ("coupler", "rocker", fourth), self.limits["length_margin"], self._lengths(values)
         for name in others:
             yield "limits.crank", values[name] - values[shortest], 0.0, math.inf
         for longest in (fourth, "coupler", "rocker"):
@@ -558,9 +586,9 @@ class Problem:
 
     def _start_at_dead_centre(self, values: Values) -> Iterator[Limit]:
         """Yield the conditions for the dead centre at which a law starts, if the crank need not turn fully."""
-        if self.limits["crank"] != "span" or not self.of_law or "phi0" in values:
+        if self.limits["crank"] != "span" or not self.of_law or self.start_names[0] in values:
             return
-        crank, coupler, rocker, frame = (values[name] for name in LENGTHS)
+        crank, coupler, rocker, frame = (self._lengths(values)[name] for name in LENGTHS)
         line = coupler + crank if self.numbers["start"] == OUTER else absolute(coupler - crank)  # A-C
         for longest in (crank, coupler, rocker, frame):
             for slack in (rocker + frame - line, line - rocker + frame, line - frame + rocker):  # triangle A-C-D
@@ -568,7 +596,7 @@ class Problem:
 
     def _cosine(self, values: Values, cosine: Ball) -> Ball:
         """Return the cosine of the angle B-C-D for that of the crank angle: law of cosines in A-B-D and B-C-D."""
-        crank, coupler, rocker, frame = (values[name] for name in LENGTHS)
+        crank, coupler, rocker, frame = (self._lengths(values)[name] for name in LENGTHS)
         diagonal = crank * crank + frame * frame - 2.0 * crank * frame * cosine
         return (coupler * coupler + rocker * rocker - diagonal) / (2.0 * coupler * rocker)
 
@@ -594,7 +622,9 @@ class Problem:
 
     def _transmission(self, values: Values, begin: Ball) -> Iterator[Limit]:
         """Yield the limits of the transmission angle at its extremes, with the crank in line with the frame or at an end."""
-        for key, low, high, over in self._cosine_limits("C"):
+        along = self._frame(values)[1]
+        begin = begin if along is None else begin - angle_of(along)
+        for key, low, high, over in self._cosine_limits(joint_of(self.linkage["dyads"][0])):
             if over == "revolution" and not key.startswith("limits.pressure_angle"):
                 yield key, self._cosine(values, constant(1.0)), -math.inf, high
                 yield key, self._cosine(values, constant(-1.0)), low, math.inf
@@ -619,9 +649,10 @@ class Problem:
     def _limited(self, limit: Numbers, values: Values) -> Iterator[Ball]:
         name = limit["name"]
         if name == "frame_length":
-            yield values["frame"]
+            yield self._lengths(values)["frame"]
         elif name == "link_ratio":
-            yield from (values[link] / values["frame"] for link in LENGTHS[:3])
+            lengths = self._lengths(values)
+            yield from (lengths[link] / lengths["frame"] for link in LENGTHS[:3])
         elif name in ("swing_angle", "time_ratio"):
             (outer, first), (inner, second) = (self._dead_centre(values, outer=outer) for outer in (True, False))
             if name == "swing_angle":

@@ -22,6 +22,7 @@ from optlink.problem.design import DesignProblem
 from optlink.tasks.results.certificate import certificate_document, sides_of
 from optlink.tasks.results.certificate_numbers import numbers_of
 from optlink.validation import validate
+from tests.as_dyads import as_dyads
 from tests.cli.test_cli import run
 from tests.oracles import ball, certificate_checker as checker
 from tests.oracles.ball import Ball, box_minimum, constant, floats, lower_bound, positive_definite, square_floats, tangent_bound
@@ -132,6 +133,23 @@ def test_a_sound_certificate_is_proven(kind: str) -> None:
     assert verdict.boxes == sum(len(cover["test"]) for cover in document["covers"])
     assert verdict.pieces >= verdict.boxes > 0
     assert str(verdict).startswith(f"proven: {name} ({document['problem_hash']};")
+
+
+@pytest.mark.parametrize("swapped", [False, True])
+@pytest.mark.parametrize(
+    "kind", ["law", "law with both assembly modes", "law over a span", "law with limits of the rocker", "transmission"]
+)
+def test_a_four_bar_of_dyads_has_the_certificate_of_its_lengths(kind: str, swapped: bool) -> None:
+    name, changes, gap = KINDS[kind]
+    problem = optlink.load(name, changes)
+    section, dyads = (certificate(file, gap) for file in (problem, as_dyads(problem, swapped=swapped)))
+    assert dyads["numbers"]["linkage"]["four_bar"]
+    verdicts = [check(document) for document in (section, dyads)]
+    assert verdicts[0].boxes == verdicts[1].boxes > 0
+    assert dyads["status"] == section["status"]
+    if section["objective"] is not None:
+        assert dyads["objective"] == pytest.approx(section["objective"], rel=1e-12)
+        assert dyads["lower_bound"] == pytest.approx(section["lower_bound"], rel=1e-9)
 
 
 @pytest.mark.slow

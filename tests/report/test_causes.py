@@ -163,8 +163,8 @@ def test_the_inequality_is_stated_with_its_numbers_and_its_remedy_works(
     )
     value, side = remedy.split()[-2], "min" if "at most" in remedy else "max"
     wider = file.override({f"{key}.{side}": f"{value} mm"}).model
-    assert cannot_turn(wider.mechanism, wider.linkage, "", math.radians(1.0)) == ()
-    assert cannot_turn(file.model.mechanism, file.model.linkage, "span", 0.0) == ()
+    assert cannot_turn(wider.mechanism.quantities, wider.linkage, "", math.radians(1.0)) == ()
+    assert cannot_turn(file.model.mechanism.quantities, file.model.linkage, "span", 0.0) == ()
 
 
 def test_pictures_and_pages_name_the_cause() -> None:

@@ -64,7 +64,7 @@ def oracle_of(design: LinkageDesign) -> dict[str, float]:
     lengths = [v[name] / MM for name in ("frame", "crank", "coupler", "rocker")]
     names = {"x": "A.x", "y": "A.y", "along": "P.along", "across": "P.across"}
     more = {key: v[name] / MM for key, name in names.items()}
-    return oracle.four_bar(*lengths, **more, direction=v["direction"], mode=design.task.side)
+    return oracle.four_bar(*lengths, **more, direction=v["direction"], mode=design.task.four_bar.side)
 
 
 def made(raw: dict, values: dict[str, float], angles: np.ndarray) -> LinkageDesign:

@@ -49,7 +49,7 @@ def largest_error(file: optlink.ProblemFile, design: dict[str, float]) -> float:
     x, y = design["frame"] - design["crank"] * np.cos(crank), -design["crank"] * np.sin(crank)  # from B to D
     diagonal = np.hypot(x, y)
     cosine = (diagonal**2 + design["rocker"] ** 2 - design["coupler"] ** 2) / (2.0 * diagonal * design["rocker"])
-    side = 1.0 if file.spec.side > 0 else -1.0
+    side = 1.0 if file.spec.four_bar.side > 0 else -1.0
     rocker = np.arctan2(-y, -x) - side * np.arccos(cosine)  # C lies to the left of B -> D
     target = file.spec.law.curve(offsets, design["phi0"], design["psi0"])
     return float(np.max(np.abs(np.remainder(target - rocker + math.pi, 2.0 * math.pi) - math.pi)))

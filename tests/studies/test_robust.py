@@ -211,7 +211,7 @@ def test_a_function_is_robust_anywhere_in_its_range():
     x = np.linspace(0.0, math.pi / 2.0, 4001)
     largest = []
     for design in (result.design, plain.design):
-        side = 1.0 if (result if design is result.design else plain).definite.spec.side > 0 else -1.0
+        side = 1.0 if (result if design is result.design else plain).definite.spec.four_bar.side > 0 else -1.0
         sizes = [design[name] for name in ("crank", "coupler", "rocker", "frame")]
 
         def psi(by=(0.0, 0.0), sizes=sizes, side=side, phi=design["phi0"] + x):

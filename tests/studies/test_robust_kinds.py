@@ -126,7 +126,7 @@ def test_the_expected_square_of_a_slide_is_that_of_samples():
 def distances(problem, design, by=None):
     """Deviations (2, points) of a path whose four-bar stands on the x axis."""
     phi, columns = problem.data.offsets, problem.data.columns
-    point = four_bar(design, problem.side, phi, by)[1]
+    point = four_bar(design, problem.four_bar.side, phi, by)[1]
     return np.array([point.real - columns[:, 0], point.imag - columns[:, 1]])
 
 

@@ -20,7 +20,7 @@ def near_optimum(name: str, off: float, **changes: object) -> tuple[optlink.Synt
     bounds = TimedPathBounds(problem.model)
     point = np.array(OPTIMUM[name])
     worse = point + off
-    variant = next(one for one in problem.variants() if (one.model.side > 0) == bounds.left(worse))
+    variant = next(one for one in problem.variants() if (one.model.four_bar.side > 0) == bounds.left(worse))
     values = bounds.design(worse)
     return design.validate(variant, {name: values[name] for name in variant.model.free}), bounds, point
 

@@ -47,7 +47,7 @@ def verdict(
         ground = {"A": ["0 mm", "0 mm"], "D": [sizes["frame"], "0 mm"]}
         raw["mechanism"] = {"ground": ground, "links": links, "assembly": {"C": "left of B-D"}}
         requirement = {"output": "rocker", "start": f"{BEGIN} deg", "psi0": f"{math.remainder(float(psi[0]), 360.0)!r} deg"}
-        raw |= {"requirement": {"kind": "function", "law": law, **requirement}, "limits": {}}
+        raw |= {"requirement": {"kind": "function", "law": law, **requirement}}
     result = validate(optlink.read(raw), {"coupler.length" if dyads else "coupler": lengths["coupler"]})
     wrong = {check.name for check in result.best.validation.checks if not check.passed}  # type: ignore[union-attr]
     assert result.objective < 1e-18  # the angles are those of the law

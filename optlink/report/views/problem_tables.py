@@ -10,7 +10,6 @@ from optlink.problem.design import DesignProblem
 from optlink.problem.file import ProblemFile
 from optlink.problem.interval import Interval
 from optlink.problem.limits import RegionSection
-from optlink.problem.mechanism import FourBarSection
 from optlink.problem.quantity import Quantity
 from optlink.problem.targets.target_points import TargetPoints
 from optlink.report.format import joined
@@ -24,7 +23,7 @@ def problem(file: ProblemFile) -> Summary:
     model = file.model
     about = [" ".join(model.about.split())] if model.about else []
     parts: list[Part] = []
-    if isinstance(model.mechanism, FourBarSection):
+    if model.mechanism.by_lengths:
         parts.append(_section("mechanism", model.mechanism, {"assembly": file.mode()}))
     if model.parts or model.goals:
         parts += _demands(file.spec)

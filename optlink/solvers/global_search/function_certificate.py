@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from optlink.execution import interrupts
-from optlink.linkage.fourbar import LENGTHS
+from optlink.linkage.inner_four_bar import InnerFourBar
 from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.design import DesignProblem
 from optlink.problem.targets.function import Function
@@ -57,11 +57,14 @@ def certify_function(
 
 def linkage_sets(problem: DesignProblem, error: float) -> list[LinkageSet]:
     """Return the linkages that a problem admits, those that come nearer to a dead position than an error [rad] apart."""
-    ratios = [_ratio(problem, name) for name in LENGTHS[:3]]
+    loop, turned = problem.four_bar, problem.frame_angle
+    assert loop is not None
+    assert turned is not None
+    ratios = [_ratio(problem, name) for name in loop.names]
     low, high = (np.zeros(4) for _ in range(2))
-    for k, name in enumerate(("phi0", "psi0")):
+    for k, name in enumerate((problem.start_name, problem.base_name)):
         start, end = problem.quantities[name].bounds
-        low[k], high[k] = start - WIDEN, min(end, start + TURN) + WIDEN
+        low[k], high[k] = start - turned - WIDEN, min(end, start + TURN) - turned + WIDEN
     for k, (least, most) in ((2, ratios[0]), (3, ratios[2])):
         low[k], high[k] = (1.0 - WIDEN) / most, (1.0 + WIDEN) / least
     if problem.limits.crank == "full rotation":  # the crank is the shortest link
@@ -70,19 +73,19 @@ def linkage_sets(problem: DesignProblem, error: float) -> list[LinkageSet]:
         high[2:] = np.minimum(high[2:], 1.0)
     shortest = {"full rotation": (1.0 - WIDEN) / high[2], "double-crank": 1.0 - WIDEN}.get(problem.limits.crank, 0.0)
     high[2:] = np.maximum(high[2:], low[2:] * (1.0 + WIDEN))
-    limit, least = problem.limits.transmission_at(), problem.limits.alignment.value
+    limit, least = problem.limits.transmission_at(loop.joint), problem.limits.alignment.value
     ends = (None, None) if limit is None else (limit.low, limit.high)
     angles = max(ends[0] or 0.0, least) - WIDEN, min(math.pi if ends[1] is None else ends[1], math.pi - least) + WIDEN
     ratios[1] = max(ratios[1][0], shortest), ratios[1][1]
     coupler = ratios[1][0] * (1.0 - WIDEN), ratios[1][1] * (1.0 + WIDEN)
-    sides = (1, -1) if problem.mechanism.assembly == "either" else (problem.side,)
+    sides = (1, -1) if len(problem.mechanism.variants(problem.linkage)) > 1 else (loop.side,)
     every = [LinkageSet(side, low, high, coupler, angles, problem.limits.crank) for side in sides]
     return every + [part for linkages in every if (part := linkages.dead_part(error)) is not None]
 
 
 def _ratio(problem: DesignProblem, name: str) -> tuple[float, float]:
     """Return the least and largest length over that of the frame."""
-    (low, high), (frame_low, frame_high) = problem.quantities[name].bounds, problem.quantities["frame"].bounds
+    (low, high), (frame_low, frame_high) = problem.quantities[name].bounds, problem.frame_bounds
     limit = problem.limits.link_ratio
     least, most = (0.0, math.inf) if limit is None else limit.bounds
     return max(low / frame_high, least), min(high / frame_low, most)
@@ -109,6 +112,12 @@ class FunctionSearch:
     history: list[tuple[int, float, float]] = field(default_factory=list)
     tried: list[Array] = field(default_factory=list)
     searches: list[BranchAndBound] = field(default_factory=list)
+
+    @property
+    def loop(self) -> InnerFourBar:
+        """The four-bar."""
+        assert self.problem.four_bar is not None
+        return self.problem.four_bar
 
     @property
     def lower(self) -> float:
@@ -182,9 +191,12 @@ class FunctionSearch:
     def _errors(self, design: Mapping[str, float]) -> tuple[Array, Array]:
         """Return fine positions and the absolute errors [rad] of a design there, in its better assembly mode."""
         x = self.problem.span * np.linspace(0.0, 1.0, FINE)
-        a, b, c = (design[name] / design["frame"] for name in LENGTHS[:3])
+        problem, loop = self.problem, self.loop
+        turned, lengths = problem.frame_angle or 0.0, loop.lengths(design)
+        a, b, c = (length / lengths[3] for length in lengths[:3])
         k3 = (a * a - b * b + c * c + 1.0) / (2.0 * a * c)
-        point = np.array([[design["phi0"], design["psi0"], 1.0 / a, 1.0 / c, k3]])
+        phi0, psi0 = design[problem.start_name] - turned, design[problem.base_name] - turned
+        point = np.array([[phi0, psi0, 1.0 / a, 1.0 / c, k3]])
         errors = [np.abs(followed(point, side, x, self._rise(x))[0][0]) for side in (1, -1)]
         return x, min(errors, key=lambda error: float(np.max(np.where(np.isfinite(error), error, np.inf))))
 
@@ -197,10 +209,12 @@ class FunctionSearch:
         if self.improve is not None and any(np.max(np.abs(place - other)) < CANDIDATE_SEPARATION for other in self.tried):
             return self.best
         self.tried.append(place)
-        frame = self.problem.quantities["frame"].value
+        problem, loop, turned = self.problem, self.loop, self.problem.frame_angle or 0.0
+        pivots = {name: problem.quantities[name].value for name in loop.ground}
+        frame = loop.frame(pivots)[0]
         coupler = math.sqrt(1.0 / (k1 * k1) + 1.0 / (k2 * k2) + 1.0 - 2.0 * k3 / (k1 * k2))
-        lengths = frame / k1, frame * coupler, frame / k2, frame
-        design = dict(zip(LENGTHS, lengths, strict=True)) | {"phi0": phi0, "psi0": psi0}
+        lengths = dict(zip(loop.names, (frame / k1, frame * coupler, frame / k2), strict=True))
+        design = {**lengths, **pivots, problem.start_name: phi0 + turned, problem.base_name: psi0 + turned}
         error = float(np.max(self._errors(design)[1]))
         if error < self.best:
             value = error if self._within(design) else math.inf
@@ -213,5 +227,5 @@ class FunctionSearch:
 
     def _within(self, design: Mapping[str, float]) -> bool:
         """Return whether a candidate is within the bounds of its lengths, and has no limits that a candidate may violate."""
-        bounds = ((design[name], *self.problem.quantities[name].bounds) for name in LENGTHS)
+        bounds = ((design[name], *self.problem.quantities[name].bounds) for name in self.loop.names)
         return self.problem.limits.crank == "span" and all(low <= value <= high for value, low, high in bounds)

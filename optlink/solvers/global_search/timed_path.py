@@ -21,16 +21,18 @@ J. M. McCarthy and G. S. Soh, Geometric Design of Linkages, 2nd ed., Springer 20
 """
 
 import math
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.linkage.vector2d import Array
+from optlink.linkage.inner_four_bar import InnerFourBar
+from optlink.linkage.vector2d import TURN, Array
 from optlink.optimization.constraints import transmission_sides
 from optlink.optimization.taylor_model import TINY, UNIT, UPWARD, TaylorModel, pairs
 from optlink.problem.design import DesignProblem
-from optlink.problem.mechanism import FourBarSection
 from optlink.problem.requirement import START
 from optlink.solvers.global_search.column_fit import SLACK, ColumnFit, Complex, as_real, changes
 from optlink.solvers.global_search.lagrangian import OPEN, TESTS, BoxRecord
@@ -41,9 +43,80 @@ WIDE = 0.126  # share of the bounds beyond which a box is halved along its wides
 OMEGA = 1  # index of omega
 
 
+@dataclass(frozen=True)
+class FourBarUnknowns:
+    """The quantities of a timed path of a four-bar, however it is written.
+
+    `pivots`: names of the coordinates of the crank pivot, none in the origin; `direction`: name of the direction of the frame;
+    `mark`: names of those of the coupler point. `frame`: bounds of the length of the frame [m]; `relative`: range of the crank
+    angle from the frame [rad] at the start; `absolute`: that angle in the plane, None if a design variable changes it.
+    """
+
+    loop: InnerFourBar
+    pivots: tuple[str, ...]
+    direction: str
+    mark: tuple[str, str]
+    frame: tuple[float, float]
+    relative: tuple[float, float]
+    absolute: float | None
+
+    @classmethod
+    def of(cls, problem: DesignProblem) -> Self:
+        """Return those of a problem.
+
+        Raises
+        ------
+        ValueError
+            if it has none.
+        """
+        loop, quantities, linkage = problem.four_bar, problem.quantities, problem.linkage
+        mark = None if loop is None else linkage.marks.get((loop.coupler.body, problem.point))
+        if loop is None:
+            raise ValueError("the mechanism is not a four-bar")
+        if mark is None or loop.coupler.start != loop.pin:
+            raise ValueError(f"{problem.point} is not a point of the coupler that is measured from the crank")
+        names = (*loop.names, *((loop.frame_length,) if loop.frame_length else ()), str(mark.along), str(mark.across))
+        fixed = [name for name in names if name not in problem.free]
+        if not loop.frame_length and not set(loop.ground) & set(problem.free):
+            fixed.append("the frame")
+        if fixed:
+            raise ValueError(f"{fixed[0]} is fixed")
+        frame, limit = problem.frame_bounds, problem.limits.frame_length
+        if limit is not None:
+            frame = max(frame[0], limit.bounds[0]), min(frame[1], limit.bounds[1])
+        start = quantities[START].bounds if START in quantities else (0.0, 0.0)
+        by_length, angle = bool(loop.frame_length), problem.frame_angle
+        direction = linkage.datum if isinstance(linkage.datum, str) else ""
+        turning = START in problem.free or direction in problem.free
+        relative = start if by_length else (-math.pi, math.pi) if angle is None else (start[0] - angle, start[1] - angle)
+        return cls(
+            loop=loop,
+            pivots=loop.ground[:2] if len(loop.ground) == 4 else (),
+            direction=direction,
+            mark=(str(mark.along), str(mark.across)),
+            frame=frame,
+            relative=relative,
+            absolute=None if turning else start[0] + (quantities[direction].value if direction else 0.0),
+        )
+
+    def values(self, lengths: Sequence[float], pivot: Sequence[float], direction: float, arm: complex) -> dict[str, float]:
+        """Return the quantities of a four-bar with a pivot [m], frame at an angle [rad] and coupler point [m]."""
+        x, y = pivot
+        values = dict(zip((*self.loop.names, self.loop.frame_length), lengths, strict=True))
+        values |= dict(zip(self.mark, (float(arm.real), float(arm.imag)), strict=True)) | dict(
+            zip(self.pivots, pivot, strict=False)
+        )
+        if self.direction:
+            values[self.direction] = direction
+        if not self.loop.frame_length:
+            values[self.loop.ground[2]] = x + lengths[3] * math.cos(direction)
+            values[self.loop.ground[3]] = y + lengths[3] * math.sin(direction)
+        return {name: value for name, value in values.items() if name}
+
+
 def unsuitable(problem: DesignProblem) -> str:
     """Return why a problem is not one that `TimedPathBounds` can bound; empty if it is."""
-    if not isinstance(problem.mechanism, FourBarSection):
+    if problem.four_bar is None:
         return "the mechanism is not a four-bar"
     if problem.requirement.kind != "path" or problem.data.offsets is None:
         return "the crank angles of the points are not prescribed"
@@ -55,12 +128,10 @@ def unsuitable(problem: DesignProblem) -> str:
         return "the crank need not turn fully"
     if problem.mechanism.follows:
         return "the assembly mode continues through change points"
-    point = problem.point
-    fixed = [
-        name for name in ("crank", "coupler", "rocker", "frame", f"{point}.along", f"{point}.across") if name not in problem.free
-    ]
-    if fixed:
-        return f"{fixed[0]} is fixed"
+    try:
+        FourBarUnknowns.of(problem)
+    except ValueError as error:
+        return str(error)
     return ""
 
 
@@ -81,75 +152,71 @@ class TimedPathBounds:
         if reason:
             raise ValueError(reason)
         self.problem, data, free = problem, problem.data, set(problem.free)
-        quantities = problem.quantities
+        self.unknowns, quantities = FourBarUnknowns.of(problem), problem.quantities
+        low, high = self.unknowns.relative
+        self.start, self.started = low, low < high  # crank angle from the frame, and whether it is an unknown
         assert data.offsets is not None
         self.t, self.roots = data.offsets, data.roots
-        start = quantities.get(START)
-        self.start = 0.0 if start is None or START in free else start.value
-        direction = quantities["direction"].value if "direction" in quantities else 0.0
-        self.turned = "direction" in free or START in free  # the crank column has a complex factor
-        unknown_pivots = [name in free for name in ("A.x", "A.y")]
+        self.turned = self.unknowns.absolute is None  # the crank column has a complex factor
+        self.open = len(problem.mechanism.variants(problem.linkage)) > 1  # both assembly modes
+        unknown_pivots = [name in free for name in self.unknowns.pivots] or [False, False]
         self.reduced = self.turned and all(unknown_pivots)  # f replaces u
         whole = self.turned and unknown_pivots[0] == unknown_pivots[1]
         self.unit = problem.size
         self.area = self.unit**2 / (len(self.t) if problem.measure == "rms" else 1)  # objective (rms: squared) of the sum 1
-        names = ("A.x", "A.y")
-        base = complex(
-            *(
-                c if name in free else quantities[name].value if name in quantities else 0.0
-                for name, c in zip(names, problem.centre, strict=True)
-            )
-        )
+        pivots = zip(self.unknowns.pivots, problem.centre, strict=False)
+        base = complex(*(c if name in free else quantities[name].value for name, c in pivots))
         targets = data.columns[:, 0] + 1j * data.columns[:, 1]
         self.points = (targets - base) / self.unit
         ones = np.ones(len(self.t), dtype=complex)
-        crank = np.exp(1j * self.t) if self.turned else np.exp(1j * (self.t + self.start + direction))
+        crank = np.exp(1j * self.t) if self.turned else np.exp(1j * (self.t + (self.unknowns.absolute or 0.0)))
         columns = [factor * ones for factor, use in zip((1.0, 1j), unknown_pivots, strict=True) if use]
         self.columns: Complex = np.array([*columns, crank, 1j * crank] if self.turned else [*columns, crank], dtype=complex)
-        self.low, self.high = self._ranges(free)
+        self.low, self.high = self._ranges()
         rounding = 16.0 * len(self.t) * UNIT * float(np.max(self.roots) * np.max(np.abs(targets) + abs(base))) / self.unit
         weighted: Complex = self.columns * self.roots
         self.fit = ColumnFit(self.points * self.roots, weighted, whole=whole, size=self._largest(free), rounding=rounding)
 
     def _largest(self, free: set[str]) -> float:
         """Return a bound of the pivot and the crank, as parts of the column f too, in terms of the size of the curve."""
-        quantities, point, ratio = self.problem.quantities, self.problem.point, self.problem.limits.link_ratio
-        arm = math.hypot(*(max(abs(b) for b in quantities[f"{point}.{n}"].bounds) for n in ("along", "across")))
-        longest = max(quantities[name].bounds[1] for name in ("crank", "frame"))
-        stretch = longest / quantities["coupler"].bounds[0]  # of crank and frame over the coupler
+        quantities, known, ratio = self.problem.quantities, self.unknowns, self.problem.limits.link_ratio
+        crank, coupler, _ = known.loop.names
+        arm = math.hypot(*(max(abs(b) for b in quantities[name].bounds) for name in known.mark))
+        longest = max(quantities[crank].bounds[1], known.frame[1])
+        stretch = longest / quantities[coupler].bounds[0]  # of crank and frame over the coupler
         if ratio is not None and ratio.low is not None and ratio.low > 0.0 and ratio.high is not None:
             stretch = min(stretch, max(1.0, ratio.high) / ratio.low)
-        base = sum(max(abs(b) for b in quantities[name].bounds) for name in ("A.x", "A.y") if name in free)
+        base = sum(max(abs(b) for b in quantities[name].bounds) for name in known.pivots if name in free)
         return 1.001 * (base + math.hypot(*self.problem.centre) + longest + arm * (1.0 + stretch)) / self.unit
 
     # --- the fixed parts ------------------------------------------------------------------------------------------
 
-    def _ranges(self, free: set[str]) -> tuple[Array, Array]:
+    def _ranges(self) -> tuple[Array, Array]:
         """Return the bounds of the unknowns."""
-        quantities, ratio = self.problem.quantities, self.problem.limits.link_ratio
-        (a_low, a_high), (d_low, d_high) = quantities["crank"].bounds, quantities["frame"].bounds
-        least, most = a_low / d_high, a_high / d_low  # crank to frame
+        known, ratio = self.unknowns, self.problem.limits.link_ratio
+        (a_low, a_high), (d_low, d_high) = self.problem.quantities[known.loop.names[0]].bounds, known.frame
+        least, most = a_low / d_high, a_high / d_low if d_low > 0.0 else math.inf  # crank to frame
         if ratio is not None:
             least = max(least, -math.inf if ratio.low is None else ratio.low)
             most = min(most, math.inf if ratio.high is None else ratio.high)
         eta = math.atan(1.0 / most) * (1.0 - SLACK), min(math.atan(1.0 / least) * (1.0 + SLACK), 0.5 * math.pi)
-        assembly = self.problem.mechanism.assembly
+        left = known.loop.side > 0
         omega = [-0.5 * math.pi * (1.0 + SLACK), 0.5 * math.pi * (1.0 + SLACK)]
-        if not self.reduced and assembly != "right":
+        if not self.reduced and (self.open or left):
             omega[1] = 1.5 * math.pi * (1.0 + SLACK)
-        if not self.reduced and assembly == "left":
+        if not self.reduced and left and not self.open:
             omega[0] = 0.5 * math.pi * (1.0 - SLACK)
         chi = (0.0, 0.5 * math.pi * (1.0 + SLACK))
         ranges = [eta, (omega[0], omega[1]), chi]
-        if START in free:
-            low, high = quantities[START].bounds
+        if self.started:
+            low, high = known.relative
             ranges.append((low, min(high, low + 2.0 * math.pi * (1.0 + SLACK))))
         low, high = np.array(ranges).T
         return low.copy(), high.copy()
 
     def left(self, point: Array) -> bool:
         """Return whether the four-bar at a point has the left assembly mode."""
-        return self.problem.mechanism.assembly == "left" if self.reduced else math.cos(point[OMEGA]) < 0.0
+        return self.unknowns.loop.side > 0 and not self.open if self.reduced else math.cos(point[OMEGA]) < 0.0
 
     def design(self, point: Array) -> dict[str, float]:
         """Return the four-bar at a point with the best linear variables: every quantity [m, rad], not within its bounds.
@@ -169,19 +236,23 @@ class TimedPathBounds:
         columns = as_real(np.array([*self.columns, u, 1j * u]) * self.roots)
         linear = np.linalg.lstsq(columns.T, as_real((self.points * self.roots)[None])[0], rcond=None)[0]
         crank = complex(linear[-4], linear[-3]) if self.turned else complex(linear[-3], 0.0)
-        quantities, size = self.problem.quantities, (abs(crank) if self.turned else crank.real) / a * self.unit
-        values = {name: quantity.value for name, quantity in quantities.items()}
-        values |= {"crank": size * a, "coupler": size * b, "rocker": size * c, "frame": size * d}
-        places = [name for name in ("A.x", "A.y") if name in self.problem.free]
-        for name, x in zip(places, linear, strict=False):
-            values[name] = self.problem.centre[name == "A.y"] + self.unit * x
-        if "direction" in self.problem.free:
-            values["direction"] = math.remainder(float(np.angle(crank)) - start, 2.0 * math.pi)
-        if START in self.problem.free:
-            values[START] = start
-        arm = complex(linear[-2], linear[-1]) * np.exp(-1j * values.get("direction", 0.0)) * self.unit
-        point_name = self.problem.point
-        return values | {f"{point_name}.along": float(arm.real), f"{point_name}.across": float(arm.imag)}
+        problem, known, size = self.problem, self.unknowns, (abs(crank) if self.turned else crank.real) / a * self.unit
+        values = {name: quantity.value for name, quantity in problem.quantities.items()}
+        pivot = [values[name] for name in known.pivots] or [0.0, 0.0]
+        places = [k for k, name in enumerate(known.pivots) if name in problem.free]
+        for k, x in zip(places, linear, strict=False):
+            pivot[k] = float(problem.centre[k] + self.unit * x)
+        absolute = known.absolute if known.absolute is not None else float(np.angle(crank))
+        if known.absolute is None and START in problem.free and known.direction and known.direction not in problem.free:
+            direction = values[known.direction]
+        elif known.absolute is None and problem.frame_angle is not None and not known.direction:
+            direction = problem.frame_angle
+        else:
+            direction = math.remainder(absolute - start, TURN)
+        if START in problem.free:
+            values[START] = start if known.loop.frame_length else math.remainder(start + direction, TURN)
+        arm = complex(linear[-2], linear[-1]) * np.exp(-1j * direction) * self.unit
+        return values | known.values((size * a, size * b, size * c, size * d), pivot, direction, arm)
 
     # --- boxes ----------------------------------------------------------------------------------------------------
 
@@ -247,7 +318,7 @@ class TimedPathBounds:
         far, near, square = (a + d) * (a + d), (a - d) * (a - d), cos_chi * cos_chi
         fold = near * (sin_omega * sin_omega) * square
         violated = np.zeros(a.remainder.shape, dtype=bool)
-        for limit in transmission_sides(self.problem):
+        for limit in transmission_sides(self.problem, self.unknowns.loop.joint):
             if limit.over != "revolution":
                 continue
             if math.isfinite(limit.high):

@@ -14,7 +14,6 @@ from optlink.problem.design import DesignProblem
 from optlink.problem.file import ProblemFile
 from optlink.problem.interval import Interval
 from optlink.problem.limits import limits_in_file
-from optlink.problem.mechanism import FourBarSection
 from optlink.problem.quantity_keys import quantity_key
 from optlink.problem.targets.function import Function
 from optlink.problem.targets.law import Law, SlideExpression, Table
@@ -40,7 +39,7 @@ def numbers_of(problem: ProblemFile, peaks: Array) -> Numbers:
         "measure": model.measure,
         "quantities": quantities,
         **({"links": [_link(model, name) for name in model.links]} if model.links else {}),
-        "linkage": {"four_bar": isinstance(model.mechanism, FourBarSection), **_linkage(model.linkage)},
+        "linkage": {"four_bar": model.four_bar is not None, **_linkage(model.linkage)},
         "limits": _limits(model),
     }
     numbers |= _of_law(model) if model.task == "function" else _of_positions(model)
@@ -98,7 +97,8 @@ def _guide(linkage: Mechanism, guide: Guide) -> Numbers:
 
 
 def _of_law(model: DesignProblem) -> Numbers:
-    """Return the requirement of a motion law of a four-bar."""
+    """Return the requirement of a motion law of a four-bar; `names`, if they are others, are those of the angles at the start."""
+    names = [model.start_name, model.base_name]
     return {
         "kind": "law",
         "offsets": model.law.offsets.tolist(),
@@ -106,7 +106,8 @@ def _of_law(model: DesignProblem) -> Numbers:
         **_EMPTY,
         "start": model.dead_centre,
         "law": _law(model.law),
-        "output": "rocker",
+        "output": model.output,
+        **({} if names == ["phi0", "psi0"] else {"names": names}),
     }
 
 

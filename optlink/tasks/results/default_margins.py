@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 
-from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.margins import LEAST_LENGTH_MARGIN, SMALLEST_LENGTH_MARGIN
 from optlink.problem.file import ProblemFile
 from optlink.solvers.solution import LimitState
@@ -31,11 +30,13 @@ def margin_notes(
         return ()
     if not any(limit.key == f"limits.{KEY}" and limit.active and limit.multiplier for limit in limits):
         return ()
+    loop = problem.spec.four_bar
+    assert loop is not None
     gain = objective - relaxed(problem.override({f"limits.{KEY}": SMALLEST_LENGTH_MARGIN}))
     if not gain > LEAST_GAIN * abs(objective):
         return ()
     shown = problem.model.shown_objective(objective)
-    length = 1e3 * LEAST_LENGTH_MARGIN * max(design[name] for name in LENGTHS)
+    length = 1e3 * LEAST_LENGTH_MARGIN * max(loop.lengths(design))
     return (
         f"{MARGIN_NOTE}of {LEAST_LENGTH_MARGIN:g} ({length:.3g} mm), which keeps it from change points, excludes a better "
         f"optimum: limits.{KEY} = {SMALLEST_LENGTH_MARGIN:g} gains {shown.factor * gain:.3g} {shown.unit} "

@@ -18,6 +18,7 @@ from optlink.linkage.cognates import Cognate, CouplerLinkage, cognates
 from optlink.linkage.dyad_types import transmitting
 from optlink.linkage.extrema import extremes
 from optlink.linkage.fourbar import LENGTHS
+from optlink.linkage.mechanism import Pose
 from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import TURN, Array
 from optlink.optimization.output_derivatives import error_function
@@ -26,7 +27,6 @@ from optlink.problem.design import DesignProblem
 from optlink.problem.document import Column, Document, Number, Source, adapter, entries
 from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import fixed_design, started
-from optlink.problem.mechanism import FourBarSection
 from optlink.problem.targets.expression import Expression
 from optlink.solvers.solution import LimitState, Relaxation, Solution
 from optlink.synthesis.freudenstein import FirstStep
@@ -404,11 +404,12 @@ class LinkageDesign(Summary):
     @cached_property
     def cognates(self) -> tuple[Cognate, ...]:
         """The other four-bars with the same coupler curve, fully turning cranks first; none for other mechanisms."""
-        linkage = self.coupler_linkage
-        if linkage is None or self.whole.composed:  # they keep the curve alone
+        linkage, loop = self.coupler_linkage, self.task.four_bar
+        if linkage is None or loop is None or self.whole.composed:  # they keep the curve alone
             return ()
+        first = float(self.crank_angles[0] - loop.turned(self.values))  # from the frame
         try:
-            others = [c for c in cognates(linkage, at=float(self.crank_angles[0])) if c is not None]
+            others = [c for c in cognates(linkage, at=first) if c is not None]
         except InputError:  # a miss that cannot be assembled at its first point
             return ()
         return tuple(sorted(others, key=lambda c: not (c.crank_turns and c.keeps_side)))
@@ -416,13 +417,17 @@ class LinkageDesign(Summary):
     @property
     def coupler_linkage(self) -> CouplerLinkage | None:
         """The four-bar with its coupler point as plain numbers."""
-        point, values = self.task.point, self.values
-        if not isinstance(self.task.mechanism, FourBarSection) or point not in self.task.mechanism.points:
+        linkage, loop, values = self.task.linkage, self.task.four_bar, self.values
+        mark = None if loop is None else linkage.marks.get((loop.coupler.body, self.task.point))
+        if loop is None or mark is None:
             return None
-        x, y, direction = (values.get(name, 0.0) for name in ("A.x", "A.y", "direction"))
-        sizes = {name: values[name] for name in LENGTHS}
-        along, across = values[f"{point}.along"], values[f"{point}.across"]
-        return CouplerLinkage(**sizes, along=along, across=across, x=x, y=y, direction=direction, side=self.task.side)
+        sizes = dict(zip(LENGTHS, map(float, loop.lengths(values)), strict=True))
+        along, across = values[str(mark.along)], values[str(mark.across)]
+        if loop.coupler.start != loop.pin:
+            along, across = sizes["coupler"] - along, -across
+        x, y = map(float, Pose(linkage, values).fixed(loop.pivots[0]))
+        direction = float(loop.turned(values)) + (values[linkage.datum] if isinstance(linkage.datum, str) else linkage.datum)
+        return CouplerLinkage(**sizes, along=along, across=across, x=x, y=y, direction=direction, side=loop.side)
 
     @property
     def machine(self) -> ProblemFile:

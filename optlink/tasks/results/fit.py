@@ -21,12 +21,11 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from optlink.linkage.fourbar import LENGTHS, classify
+from optlink.linkage.fourbar import classify
 from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.design import STEP, DesignProblem
 from optlink.problem.document import Source
-from optlink.problem.mechanism import FourBarSection
 from optlink.problem.quantity import Quantity
 from optlink.problem.targets.law import begins_at_psi0
 from optlink.solvers.solution import LimitState, Solution
@@ -262,7 +261,7 @@ def _rotation(task: DesignProblem) -> float:
 
 def _four_bar(task: DesignProblem, values: Mapping[str, float]) -> str:
     """Return the Grashof type of a four-bar; an empty text for other mechanisms."""
-    return classify(*(values[n] for n in LENGTHS)).inversion.value if isinstance(task.mechanism, FourBarSection) else ""
+    return "" if task.four_bar is None else classify(*task.four_bar.lengths(values)).inversion.value
 
 
 def _rotating(task: DesignProblem, values: Mapping[str, float]) -> Iterator[PoorFitReason]:
@@ -309,7 +308,7 @@ def _crowded(task: DesignProblem, angles: Array) -> Iterator[PoorFitReason]:
 
 def _placed(task: DesignProblem, values: Mapping[str, float], measured: MeasuredDeviations) -> Iterator[PoorFitReason]:
     """Detect a fixed frame where a rigid displacement of the linkage would reduce the error."""
-    if not isinstance(task.mechanism, FourBarSection) or not task.pointed:
+    if not task.mechanism.by_lengths or not task.pointed:
         return
     free = set(task.free)
     pivot, turn = not {"A.x", "A.y"} <= free, "direction" not in free
@@ -356,7 +355,7 @@ def _quantities(task: DesignProblem) -> dict[str, Quantity]:
         return task.quantities
     nowhere = {f"A.{axis}": Quantity(0.0, "coordinate", "mm") for axis in "xy"} | {"direction": Quantity(0.0, "angle", "deg")}
     dimensions = task.mechanism.quantities
-    return nowhere | dimensions if isinstance(task.mechanism, FourBarSection) else dimensions
+    return nowhere | dimensions if task.mechanism.by_lengths else dimensions
 
 
 def _kind(task: DesignProblem, values: Mapping[str, float]) -> Iterator[PoorFitReason]:

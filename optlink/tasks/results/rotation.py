@@ -7,10 +7,10 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
-from optlink.linkage.dyad_types import RRP, RRR
+from optlink.linkage.dyad_types import RRP
 from optlink.linkage.fourbar import LENGTHS
+from optlink.linkage.inner_four_bar import InnerFourBar, inner_four_bars, whole_four_bar
 from optlink.linkage.mechanism import FRAME, Link, Mechanism
-from optlink.problem.mechanism import DyadsSection, FourBarSection
 from optlink.problem.quantity import Quantity
 from optlink.tasks.results.conflict import DIGITS, rounded
 
@@ -39,19 +39,20 @@ class Violation(NamedTuple):
 Loop = Mapping[str, Length]  # by the names of `LENGTHS`
 
 
-def cannot_turn(section: FourBarSection | DyadsSection, mechanism: Mechanism, crank: str, least_angle: float) -> tuple[str, ...]:
+def cannot_turn(quantities: Mapping[str, Quantity], mechanism: Mechanism, crank: str, least_angle: float) -> tuple[str, ...]:
     """Return a sentence that no sizes within the bounds let the crank turn, with the change that does; else nothing.
 
-    The first loop of the mechanism decides: crank, a link, and a link or slider on the frame. `crank` is `limits.crank` of the
-    problem, empty if it has none; `least_angle` [rad] the least angle of the two links of a joint off alignment.
+    The first loop of the mechanism decides: crank, a link, and a link or slider on the frame. `quantities` are the dimensions,
+    `crank` is `limits.crank` of the problem, empty if it has none; `least_angle` [rad] is the least angle of the two links of a
+    joint off alignment.
     """
-    quantities = section.quantities
     if crank not in SHORTEST:
         return ()
-    inversion = crank if isinstance(section, FourBarSection) else ""
+    inversion = "" if whole_four_bar(mechanism) is None else crank
+    loops = {four_bar.joint: four_bar for four_bar in inner_four_bars(mechanism)}
     for group in mechanism.groups:
         reason = ""
-        if isinstance(group, RRR) and (loop := _four_bar(group, mechanism, quantities)) is not None:
+        if group.joint in loops and (loop := _four_bar(loops[group.joint], quantities)) is not None:
             reason = four_bar_conflict(loop, inversion, least_angle)
         elif isinstance(group, RRP):
             reason = _slider_conflict(group, mechanism, quantities, least_angle)
@@ -67,36 +68,17 @@ def _length(link: Link, ends: set[str], quantities: Mapping[str, Quantity]) -> L
     return None if quantity is None else Length(link.body, *quantity.bounds, quantity.free)
 
 
-def _four_bar(group: RRR, mechanism: Mechanism, quantities: Mapping[str, Quantity]) -> Loop | None:
-    """Return the lengths of the four-bar of crank, group and frame; None if there is none."""
-    crank, links = mechanism.crank, dict(zip(group.outer, group.links, strict=True))
-    ground = next((pin for pin in group.outer if pin in mechanism.ground), "")
-    if crank.end not in links or not ground:
+def _four_bar(four_bar: InnerFourBar, quantities: Mapping[str, Quantity]) -> Loop | None:
+    """Return the lengths of a four-bar; None if they are not those of its links."""
+    places = (four_bar.frame_length,) if four_bar.frame_length else four_bar.ground
+    if not four_bar.plain or not {*four_bar.names, *places} <= quantities.keys():
         return None
-    lengths = [
-        _length(crank, {crank.start, crank.end}, quantities),
-        _length(links[crank.end], {crank.end, group.inner}, quantities),
-        _length(links[ground], {ground, group.inner}, quantities),
-        _distance(mechanism, crank.start, ground, quantities),
-    ]
-    return {role: length for role, length in zip(LENGTHS, lengths, strict=True) if length is not None} if all(lengths) else None
-
-
-def _distance(mechanism: Mechanism, one: str, other: str, quantities: Mapping[str, Quantity]) -> Length | None:
-    """Return the distance of two points of the frame; None if their coordinates are not given."""
-    places = mechanism.ground[one], mechanism.ground[other]
-    if not all(isinstance(place, tuple) for place in places):
-        return None
-    least, most, free = [], [], False
-    for ends in zip(*places, strict=True):  # type: ignore[arg-type]
-        known = [quantities[size] for size in ends if isinstance(size, str) and size in quantities]
-        sides = [quantities[size].bounds if isinstance(size, str) else (size, size) for size in ends]
-        (low, high), (first, last) = sides
-        least.append(max(0.0, first - high, low - last))
-        most.append(max(abs(first - high), abs(last - low)))
-        free |= any(quantity.free for quantity in known)
-    name = "frame" if "frame" in quantities else f"distance {one}-{other}"
-    return Length(name, math.hypot(*least), math.hypot(*most), free)
+    bodies = (link.body for link in (four_bar.crank, four_bar.coupler, four_bar.rocker))
+    each = ((body, quantities[name]) for body, name in zip(bodies, four_bar.names, strict=True))
+    low, high = four_bar.frame_bounds({name: quantity.bounds for name, quantity in quantities.items()})
+    frame = four_bar.frame_length or f"distance {four_bar.crank.start}-{four_bar.ground_pin}"
+    lengths = [Length(body, *quantity.bounds, quantity.free) for body, quantity in each]
+    return dict(zip(LENGTHS, [*lengths, Length(frame, low, high, any(quantities[name].free for name in places))], strict=True))
 
 
 def _slider_conflict(group: RRP, mechanism: Mechanism, quantities: Mapping[str, Quantity], least_angle: float) -> str:
