@@ -13,6 +13,7 @@ import numpy as np
 from optlink.linkage.stroke import LEAST_DIFFERENCE
 from optlink.linkage.vector2d import TURN, Array
 from optlink.optimization.constraints import DEGREES, PLAIN, ConstraintRow, Scale, alignment_row, link_rows
+from optlink.optimization.courses import EVENT, FEWEST
 from optlink.optimization.cycle_signals import EventOrder, TracedCycle
 from optlink.optimization.mapped_terms import MappedTerms
 from optlink.optimization.nlp import Variable, scaled_variable
@@ -22,9 +23,6 @@ from optlink.problem.limits import Bound
 from optlink.symbolic import symbols_in_numpy
 from optlink.units import KINDS
 
-EVENT = "end of a stroke"
-"""Name of the rows that define the crank angles at which motions reverse."""
-FEWEST = 4  # positions per stroke
 ROOM = 1.01  # factor on the least difference of slow and quick stroke that an NLP enforces
 EVENT_SEPARATION = 1e-3  # rad, least crank rotation between two events
 
@@ -163,10 +161,9 @@ class CycleTerms:
         self.there = [self.trace.at_event(casadi.vertcat(self.known, phi)) for phi in self.events]
         speed = abs(self.trace.speed)
         for k, (which, there) in enumerate(zip(self.structure.which, self.there, strict=True)):
-            key = self.trace.events[which].key
-            size = 1.0 if key[0] == "body" else self.size
-            size *= 1.0 if key[0] == "corner" else speed
-            self.rows.append(ConstraintRow(EVENT, f"{EVENT} {k + 1}: {' '.join(key)}", there[which] / size, 0.0, 0.0, PLAIN))
+            event = self.trace.events[which]
+            label = f"{EVENT} {k + 1}: {' '.join(event.key)}"
+            self.rows.append(ConstraintRow(EVENT, label, there[which] / event.unit(self.size, speed), 0.0, 0.0, PLAIN))
         angles = [*self.structure.angles[: self.cuts], self.structure.angles[0] + TURN] if self.cuts > 1 else []
         for k, (span, (begin, end)) in enumerate(zip(self.spans, itertools.pairwise(angles), strict=False)):
             if end - begin > EVENT_SEPARATION:  # otherwise both always coincide in this machine

@@ -13,7 +13,8 @@ import casadi
 import numpy as np
 
 from optlink.linkage.vector2d import TURN, Array
-from optlink.optimization.cycle_constraints import EVENT, CycleTerms, WatchedTerm
+from optlink.optimization.courses import EVENT
+from optlink.optimization.cycle_constraints import CycleTerms, WatchedTerm
 from optlink.optimization.cycle_signals import EventOrder, TracedCycle
 from optlink.optimization.nlp import NLP, boxed
 from optlink.optimization.objectives import Figure

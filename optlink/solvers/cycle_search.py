@@ -6,7 +6,6 @@ A larger number of starting points never worsens the result: the starting points
 sequence, no search depends on the others, and the best design is returned.
 """
 
-import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -19,44 +18,21 @@ from optlink.execution import interrupts
 from optlink.execution.runner import ordered
 from optlink.execution.worker import Runs
 from optlink.linkage.vector2d import Array
-from optlink.optimization.cycle_constraints import EVENT
 from optlink.optimization.cycle_nlp import CycleNLP, build_cycle
 from optlink.optimization.cycle_signals import EventOrder, TracedCycle
-from optlink.optimization.multipliers import ACTIVE, LEAST_PRICE
 from optlink.solvers import multistart
 from optlink.solvers.contract import backend
 from optlink.solvers.cycle_starts import StartGroup
+from optlink.solvers.event_orders import CROSSINGS, FURTHER, NEIGHBOURS, at_edge, misfit, orders_beside
 from optlink.solvers.feasibility import repair
 from optlink.solvers.semi_infinite import exchange, peaks, rank, reconcile_backends
 from optlink.solvers.solution import Relaxation, Solution
 
-STEPS = (1e-3, 1e-2)  # of the range of a design variable: from a design at the edge of its order of events to the next order
-NEIGHBOURS, CROSSINGS = 4, 12  # other orders searched from one such design; designs from which orders beside are searched
-
-
-def at_edge(solution: Solution) -> bool:
-    """Return whether the order of events, which no limit prescribes, keeps a solution of a `CycleNLP` from a better one."""
-    rows = solution.nlp.rows
-    prices = np.abs(solution.conditions.multipliers[len(solution.x) :])
-    return solution.usable and any(
-        row.limit == EVENT and row.low < row.high and value - row.low <= ACTIVE and price > LEAST_PRICE
-        for row, value, price in zip(rows, solution.g, prices, strict=True)
-    )
-
 
 def neighbours(nlp: CycleNLP, solution: Solution) -> list[StartGroup]:
     """Return starting points beside a solution, one for each other order of events, the nearest first."""
-    trace, here, designs = nlp.traced, solution.design, []
-    for step, (name, way) in itertools.product(STEPS, itertools.product(trace.problem.free, (-1.0, 1.0))):
-        low, high = trace.problem.quantities[name].bounds
-        designs.append({**here, name: min(max(here[name] + way * step * (high - low), low), high)})
-    groups: dict[tuple[object, ...], StartGroup] = {}
-    for sample in trace.samples(designs):
-        structure = sample.structure
-        if structure is not None and not structure.like(nlp.structure):
-            structure = replace(structure, slow=nlp.structure.slow)
-            groups.setdefault((structure.which, structure.rising), StartGroup(structure, (sample.values,)))
-    return list(groups.values())[:NEIGHBOURS]
+    beside = orders_beside(nlp.traced, nlp.structure, solution.design)
+    return [StartGroup(structure, (values,)) for structure, values in beside]
 
 
 def build_programme(trace: TracedCycle, begin: StartGroup) -> CycleNLP:
@@ -108,25 +84,12 @@ class OrderSearch:
             self.runs[name].append(self._kept(self._exchanged(solution, name) if solution.usable and not worse else solution))
 
     def _kept(self, solution: Solution) -> Solution:
-        """Return the end of a search, infeasible where the NLP does not describe its design.
-
-        The NLP knows the dead centres of its own order of events only: a design may have further ones, so that an output does not
-        reciprocate as its stroke or time ratio requires, or a load acts in other strokes. The angle of a load may count from
-        another turn than in the trace.
-        """
-        trace = self.nlp.traced
-        structure = trace.structure(solution.design) if solution.usable else None
-        if structure is None:
+        """Return the end of a search, infeasible where the NLP does not describe its design; see `misfit`."""
+        message = misfit(self.nlp.traced, self.nlp.structure, solution.design) if solution.usable else ""
+        if not message:
             return solution
-        if trace.strokeless(structure) is not None:
-            return replace(solution, status=Status.INFEASIBLE, message="an output has further dead centres")
-        if trace.reversals(structure) != trace.reversals(self.nlp.structure):
-            message = "a motion has further reversals"
-        elif not trace.serves(solution.design):
-            message = "the angle of a load counts from another turn"
-        else:
-            return solution
-        self.strayed.append(solution)
+        if message != FURTHER:
+            self.strayed.append(solution)
         return replace(solution, status=Status.INFEASIBLE, message=message)
 
     def _exchanged(self, solution: Solution, name: str) -> Solution:

@@ -8,8 +8,10 @@ R. Hettich, K. O. Kortanek, Semi-infinite programming: theory, methods, and appl
 """
 
 import functools
+import itertools
 import math
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,6 +30,7 @@ from optlink.solvers.semi_infinite import with_moving_rows
 from optlink.solvers.solution import Solution
 
 POSITIONS = 1441  # positions along the required motion at which limits are sampled
+PER_STROKE = 241  # least number of them along a stroke
 EXCHANGES = 40  # rounds
 RADIUS, SMALLEST, LARGEST = 0.3, 1e-6, 10.0  # scaled units: trust-region radius of the first round, and its range
 GROWTH, ALL_BUT = 2.5, 0.9  # of the radius after a step of at least that share of it
@@ -152,7 +155,8 @@ def best_slow_stroke(task: DesignProblem, solution: Solution, backend: str) -> S
     stroke = "backward" if forward >= 1.0 else "forward"
     if stroke not in nlp.cache:
         limits = task.limits.model_copy(update={"time_ratio": replace(ratio, stroke=stroke)})
-        nlp.cache[stroke] = build(task.model_copy(update={"limits": limits}), sense)
+        one_way = task.model_copy(update={"limits": limits})
+        nlp.cache[stroke] = build(one_way, sense, terms=None if nlp.terms is None else nlp.terms.of(one_way))
     start = local.solution_at(nlp.cache[stroke], solution.x, solution.message)
     other = local.solution_at(nlp, local.solve_from(start.nlp, start.x, backend).x, solution.message)
     return local.best([solution, other]) if other.status is Status.OPTIMAL else solution
@@ -166,22 +170,22 @@ def _followed(
     `tops` are the peaks at the start, `violated` those of a rejected step. The positions of active peaks are unknowns; those that
     no peak needs are fixed, so that one programme serves many sets of peaks.
     """
-    each = nlp.exchange_rows[1]
-    chosen = [top for top in tops if top.moving]
-    positions = [[top.at for top in chosen if top.row == row] for row in range(each)]
-    per_row = PER_ROW
-    while per_row < max(map(len, positions), default=0) and 2 * per_row * each <= nlp.exchange_count:
-        per_row *= 2
-    many = min(per_row * each, nlp.exchange_count)
-    placed = ((i * each + row, at) for row, places in enumerate(positions) for i, at in enumerate(places[:per_row]))
-    used = {slot: at for slot, at in placed if slot < many}
+    each, places, chosen = nlp.exchange_rows[1], np.zeros(0), [top for top in tops if top.moving]
+    rows = _moved_rows(nlp, chosen)
+    many, used, left = len(rows), dict[int, float](), list(chosen)
+    for slot, row in enumerate(rows):
+        top = next((top for top in left if top.row == row), None)
+        if top is not None:
+            left.remove(top)
+            used[slot] = top.at
     others = iter(at for at in _places([*tops, *violated], nlp.exchange_count) if at not in used.values())
     places = np.array([used[slot] if slot in used else next(others, 0.0) for slot in range(nlp.exchange_count)])
     nlp.set_exchange_points(places)
     whole = len([top for top in tops if top.level >= 0 and top.tracked]) > nlp.exchange_count  # too many peaks
-    key = f"following {many} peaks" + (" and all positions" if whole else "")
+    regular = rows == [slot % each for slot in range(many)]
+    key = f"following {many if regular else rows} peaks" + (" and all positions" if whole else "")
     if key not in nlp.cache:
-        nlp.cache[key] = _with_moving_peaks(nlp, many, whole=whole)
+        nlp.cache[key] = _with_moving_peaks(nlp, rows, whole=whole)
     moving: NLP = nlp.cache[key]
     moving.p[:] = nlp.p
     for k, j in enumerate(_moving_rows(nlp, whole=whole)):
@@ -205,10 +209,24 @@ def _followed(
     return local.solution_at(nlp, nlp.wrapped(end.x[:n]), end.message), limited
 
 
-def _with_moving_peaks(nlp: NLP, many: int, *, whole: bool = False) -> NLP:
-    """Return the NLP with the positions of peaks as unknowns, one row after the other, and without its fixed positions."""
+def _moved_rows(nlp: NLP, chosen: Sequence[RowPeak]) -> list[int]:
+    """Return for each exchange point that is an unknown the row at whose peak it is.
+
+    One row follows the other, so that one programme serves many sets of peaks; where there are more rows than exchange points,
+    they are the rows of the peaks.
+    """
+    each, per_row = nlp.exchange_rows[1], PER_ROW
+    if each > nlp.exchange_count:
+        return sorted(top.row for top in chosen[: nlp.exchange_count])
+    while per_row < max(Counter(top.row for top in chosen).values(), default=0) and 2 * per_row * each <= nlp.exchange_count:
+        per_row *= 2
+    return [slot % each for slot in range(min(per_row * each, nlp.exchange_count))]
+
+
+def _with_moving_peaks(nlp: NLP, rows: Sequence[int], *, whole: bool = False) -> NLP:
+    """Return the NLP with the positions of peaks of some rows as unknowns, and without its fixed positions."""
     first, each = nlp.exchange_rows
-    slots = [first + slot * each + slot % each for slot in range(many)]
+    slots = [first + slot * each + row for slot, row in enumerate(rows)]
     return with_moving_rows(nlp, _moving_rows(nlp, whole=whole), slots)
 
 
@@ -296,29 +314,35 @@ class _Courses:
 
     def __init__(self, task: DesignProblem, nlp: NLP) -> None:
         self.task, self.limits, self.errors = task, limit_courses(task), error_courses(task)
-        self.terms = TermCourse(task, nlp.recipe.get("near")) if task.goals or task.bounds else None
+        self.terms: TermCourse | None = None if nlp.terms is None else nlp.terms.of(task)
 
     def tops(self, solution: Solution) -> list[RowPeak]:
         """Return the peaks where limits or largest values are exceeded or nearly so, largest first."""
         values, angles = solved_values(self.task, solution.design, solution.x)
-        levels = solution.x[solution.nlp.first_level :]
+        nlp = solution.nlp
+        levels = solution.x[nlp.first_level :]
         grid, found, rows = np.linspace(0.0, 1.0, POSITIONS), list[RowPeak](), 0
 
-        def search(heights: Function, level: int) -> None:
+        def search(heights: Function, numbers: int | list[int], grid: Array = grid) -> None:
             nonlocal rows
-            near = TRACKED_LEVEL if level >= 0 else TRACKED_PEAK
-            found.extend(replace(top, row=rows + top.row, level=level) for top in peaks(heights, grid, near))
-            rows += len(heights(grid[:1]))
+            values = heights(grid)
+            each = [numbers] * len(values) if isinstance(numbers, int) else numbers
+            for level, group in itertools.groupby(range(len(each)), key=lambda row: each[row]):
+                near = TRACKED_LEVEL if level >= 0 else TRACKED_PEAK
+                tops = peaks(heights, grid, near, values, list(group))
+                found.extend(replace(top, row=rows + top.row, level=level) for top in tops)
+            rows += len(values)
 
         for course in self.limits:
             own = next((own for part, own in self.task.of_parts(angles) if part is course.part), angles)
             assert own is not None
             search(functools.partial(_beyond_limits, course, values, own), -1)
         if self.terms is not None:
-            first = len(levels) - len(self.terms.levels)
-            for k, level in enumerate(self.terms.order):
-                heights = functools.partial(self.terms.heights_of, k, values, levels[first:])
-                search(heights, first + level if level >= 0 else -1)
+            first, events = len(levels) - len(self.terms.levels), solution.x[nlp.first_event : nlp.first_level]
+            numbers = [first + level if level >= 0 else -1 for level in self.terms.level_numbers]
+            along = np.linspace(0.0, 1.0, max(PER_STROKE, 1 + math.ceil((POSITIONS - 1) / self.terms.strokes)))
+            for motion in self.terms.motions(values, events):
+                search(functools.partial(self.terms.heights, motion, levels[first:]), numbers, along)
         for error in self.errors:
             number = error.level(self.task)
             largest = float(levels[number]) if number >= 0 else None
@@ -326,13 +350,20 @@ class _Courses:
         return sorted(found, key=lambda top: -top.height) or [RowPeak(0.0, -math.inf, 0)]
 
 
-def peaks(heights: Function, grid: Array, near: float = 0.0) -> list[RowPeak]:
-    """Return the local maxima above -near of all rows of a function of positions (n,), largest first; `grid` brackets them."""
-    values = heights(grid)
+def peaks(
+    heights: Function, grid: Array, near: float = 0.0, values: Array | None = None, rows: Sequence[int] | None = None
+) -> list[RowPeak]:
+    """Return the local maxima above -near of all `rows` of a function of positions (n,), largest first; `grid` brackets them.
+
+    `values` are those of the function on the grid, if known.
+    """
+    values = heights(grid) if values is None else values
     padded = np.pad(values, ((0, 0), (1, 1)), constant_values=-np.inf)
     top = (values >= padded[:, :-2]) & (values > padded[:, 2:]) & (values > -2.0 * near)
     tops: list[RowPeak] = []
     for row, k in np.argwhere(top).tolist():
+        if rows is not None and row not in rows:
+            continue
         bracket = np.linspace(grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)], 9)
         at, value = maxima(lambda u: heights(u)[row : row + 1], bracket)  # noqa: B023
         tops.append(RowPeak(float(at[0]), float(value[0]), row))

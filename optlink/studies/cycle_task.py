@@ -25,7 +25,7 @@ from optlink.optimization.nlp import NLP
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity_keys import place_of
 from optlink.solvers import multistart
-from optlink.solvers.cycle_search import at_edge
+from optlink.solvers.event_orders import at_edge
 from optlink.solvers.semi_infinite import exchange, peaks
 from optlink.studies.continuation import FOLLOWED
 from optlink.studies.grid import Grid

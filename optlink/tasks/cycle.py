@@ -219,13 +219,11 @@ def _first_starts(problem: ProblemFile, samples: StartSequence, count: int) -> l
     An output that reciprocates in none of the dimensions that turn fully is refused.
     """
     from optlink.solvers.cycle_starts import start_groups
+    from optlink.tasks.search import no_stroke
 
     groups = start_groups(samples, count)
     if not groups and samples.fault is not None:
-        key, term, reversals = samples.fault
-        message = f"{term.of} reverses {reversals} times in a revolution" if reversals else f"{term.of} never reverses"
-        remedy = "Name an output with two reversals, or change the starting point"
-        raise InputError(message, remedy, problem.file, f"{key}.of", term.of)
+        raise InputError(*no_stroke(samples.fault, problem))
     return groups
 
 

@@ -111,7 +111,7 @@ def test_a_path_by_vectors_is_that_by_scalars(kind: str) -> None:
     same_derivatives(pickle.loads(pickle.dumps(nlp)))
     same_derivatives(build(task, -1, movable=True))
     if nlp.exchange_count:
-        moving = _with_moving_peaks(nlp, PER_ROW * nlp.exchange_rows[1])
+        moving = _with_moving_peaks(nlp, list(range(nlp.exchange_rows[1])) * PER_ROW)
         moving.x_start[len(nlp.x_start) :] += 0.013
         assert moving.mapped is not None
         same_derivatives(moving)
