@@ -14,7 +14,7 @@ import numpy as np
 
 from optlink.linkage.mechanism import Pose
 from optlink.linkage.vector2d import TURN, Array, Value, unit
-from optlink.optimization.constraints import DEGREES, ConstraintRow, Scale, position_rows, region_rows
+from optlink.optimization.constraints import DEGREES, ConstraintRow, Scale, alignment_row, position_rows, region_rows
 from optlink.optimization.nlp import Variable
 from optlink.optimization.output_derivatives import ErrorResiduals
 from optlink.optimization.term_rows import SIGNS, scaled_limit
@@ -145,7 +145,7 @@ class TermCourse:
     Forces jump where a motion reverses, so that the revolution is divided at such events: their crank angles are unknowns of the
     programme, and each stroke from one event to the next is a course of its own. It describes designs with the events of
     `structure` in that order; by default those of a design `near`, at which the largest values of the terms are their units.
-    `count`: positions per revolution of integrals.
+    `count`: positions per revolution of integrals; `sizes`: other units [SI].
     """
 
     def __init__(
@@ -155,6 +155,7 @@ class TermCourse:
         trace: "TracedCycle | None" = None,
         structure: "EventOrder | None" = None,
         count: int = NODES,
+        sizes: Sequence[float] = (),
     ) -> None:
         from optlink.optimization.cycle_signals import TracedCycle
 
@@ -168,7 +169,7 @@ class TermCourse:
         self.limits = [limit for limit in scaled if limit.bound.term.extreme]
         self.fixed_limits = [limit for limit in scaled if not limit.bound.term.extreme]
         self.integral = any(term.integral for term in self.trace.terms)
-        self.sizes = self._sizes()
+        self.sizes = list(sizes) or self._sizes()
         self.worths = [goal.weight / (scale or 1.0) for goal, scale in zip(self.goals, problem.scales, strict=True)]
         self.levels = []
         for goal, size in zip(self.extremes, self.sizes, strict=True):
@@ -178,7 +179,7 @@ class TermCourse:
         self.events = [Variable(f"{EVENT} {k + 1}", 1.0, DEGREES) for k in range(len(structure.which))]
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return TermCourse, (self.problem, self.near, self.trace, self.structure, self.count)
+        return TermCourse, (self.problem, self.near, self.trace, self.structure, self.count, self.sizes)
 
     def of(self, problem: DesignProblem) -> "TermCourse":
         """Return the course of another problem with the same terms, whose limits may differ."""
@@ -187,13 +188,13 @@ class TermCourse:
         from optlink.optimization.cycle_signals import TracedCycle
 
         trace = TracedCycle(problem, self.trace.values, self.trace.slow)
-        return TermCourse(problem, self.near, trace, self.structure, self.count)
+        return TermCourse(problem, self.near, trace, self.structure, self.count, self.sizes)
 
     @property
     def recipe(self) -> dict[str, Any]:
         """From what `course_again` makes the same course of a problem."""
         events = {"events": vars(self.structure), "loads": self.trace.slow, "values": self.trace.values}
-        return {"near": self.near, "count": self.count} | (events if self.events else {})
+        return {"near": self.near, "count": self.count, "sizes": list(self.sizes)} | (events if self.events else {})
 
     # --- positions
 
@@ -263,6 +264,12 @@ class TermCourse:
         first = sum(self.trace.widths[:index])
         return [signals[first + k] for k in range(self.trace.widths[index])]
 
+    def alignment_rows(self, signals: Any) -> Iterator[ConstraintRow]:
+        """Yield the rows that keep every group away from where its assembly modes meet; beside targets others do."""
+        first = sum(self.trace.widths)
+        for k, group in enumerate(self.trace.mechanism.groups if not self.problem.parts else ()):
+            yield alignment_row(self.problem.limits, group, signals[first + k])
+
     # --- heights of peaks
 
     @cached_property
@@ -270,6 +277,7 @@ class TermCourse:
         """For each row at one position, the number of the largest value that it concerns; -1 for a limit."""
         widths = [(self._rows_of(limit.bound.term), -1) for limit in self.limits]
         widths += [(self._rows_of(goal), k) for k, goal in enumerate(self.extremes)]
+        widths += [(len(self.trace.mechanism.groups), -1)] if not self.problem.parts else []
         return [level for count, level in widths for _ in range(count)]
 
     def _rows_of(self, term: Term) -> int:
@@ -297,6 +305,7 @@ class TermCourse:
                 else:
                     values = [sign * part / size for part in parts for sign in SIGNS[goal.how]]
                 rows += [above_level(value, float(level)) for value in values]
+            rows += [_beyond(row.value, row.low, row.high) - EXCEEDED for row in self.alignment_rows(signals)]
             heights = np.array(rows).reshape(-1, len(shares))
         return np.where(np.isfinite(heights), heights, -np.inf)
 
@@ -321,11 +330,12 @@ def course_again(problem: DesignProblem, recipe: Mapping[str, Any]) -> TermCours
     if not problem.goals and not problem.bounds:
         return None
     if "events" not in recipe:
-        return TermCourse(problem, recipe.get("near"), count=recipe["count"])
+        return TermCourse(problem, recipe["near"], count=recipe["count"], sizes=recipe["sizes"])
     from optlink.optimization.cycle_signals import EventOrder, TracedCycle
 
     order = EventOrder(**{name: tuple(items) for name, items in recipe["events"].items()})
-    return TermCourse(problem, recipe["near"], TracedCycle(problem, recipe["values"], recipe["loads"]), order, recipe["count"])
+    trace = TracedCycle(problem, recipe["values"], recipe["loads"])
+    return TermCourse(problem, recipe["near"], trace, order, recipe["count"], recipe["sizes"])
 
 
 def _beyond(value: Array, low: float, high: float) -> Array:
@@ -335,7 +345,7 @@ def _beyond(value: Array, low: float, high: float) -> Array:
 
 def above_level(values: Array, level: float) -> Array:
     """Return by how much values (scaled) exceed a level beyond rounding, as shares of it."""
-    return np.asarray((values - level * (1.0 + LEVELLED) - NO_ERROR) / max(abs(level), LEAST_LEVEL))
+    return np.asarray((values - level - LEVELLED * abs(level) - NO_ERROR) / max(abs(level), LEAST_LEVEL))
 
 
 def limit_courses(problem: DesignProblem) -> list[LimitCourse]:
@@ -359,10 +369,13 @@ def error_courses(problem: DesignProblem) -> list[ErrorCourse]:
 
 def exchange_count(problem: DesignProblem, strokes: int = 1) -> int:
     """Return the number of exchange points of a programme, each of which counts in every one of its strokes."""
-    terms = [*problem.goals, *(bound.term for bound in problem.bounds)]
-    if strokes > 1 and not (has_position_limits(problem) or problem.limits.regions or error_courses(problem)):
-        return min(max(EXCHANGE_POINTS // strokes, SLOTS[0]), SLOTS[1]) * any(term.extreme for term in terms)
-    if has_position_limits(problem) or problem.limits.regions or any(term.extreme for term in terms):
+    extreme = any(term.extreme for term in (*problem.goals, *(bound.term for bound in problem.bounds)))
+    per_stroke = min(max(EXCHANGE_POINTS // strokes, SLOTS[0]), SLOTS[1])
+    if not problem.parts:
+        return per_stroke
+    if has_position_limits(problem) or problem.limits.regions:
         return EXCHANGE_POINTS
+    if extreme:
+        return per_stroke if strokes > 1 and not error_courses(problem) else EXCHANGE_POINTS
     errors = error_courses(problem)
     return (EXCHANGE_POINTS if problem.robust is not None else LEVEL_POINTS) if errors else 0

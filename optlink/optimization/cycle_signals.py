@@ -25,9 +25,9 @@ from optlink.linkage.motion import Motion
 from optlink.linkage.stroke import Direction, slow_stroke
 from optlink.linkage.vector2d import TURN, Array, Value, dot, sign, unit
 from optlink.linkage.zeros import sign_changes, zeros
-from optlink.problem.cycle.model import MachineTerms
 from optlink.problem.cycle.quantities import guide_of
 from optlink.problem.cycle.terms import Term, output_of
+from optlink.problem.design import DesignProblem
 from optlink.problem.machine.load_curves import LoadTable
 from optlink.symbolic import CompiledFunction, NumpyEvaluator, symbols_in_numpy
 
@@ -140,7 +140,7 @@ class TracedCycle:
 
     def __init__(
         self,
-        problem: MachineTerms,
+        problem: DesignProblem,
         values: Mapping[str, float] | None = None,
         slow: Mapping[str, Direction] | None = None,
     ) -> None:

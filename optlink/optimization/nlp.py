@@ -240,7 +240,8 @@ class NLP:
 
     def design(self, x: Array) -> dict[str, float]:
         """Return the design variables of the problem [SI] at x."""
-        return {v.name: v.value(float(y)) for v, y in zip(self.variables, x, strict=True) if not v.name.startswith(EPIGRAPH)}
+        own = ((v, y) for v, y in zip(self.variables, x, strict=True) if v.name not in self.states)
+        return {v.name: v.value(float(y)) for v, y in own if not v.name.startswith(EPIGRAPH)}
 
     def x_of(self, values: Mapping[str, float], *, bounded: bool = True) -> Array:
         """Return x for values of the design variables [SI], with the ends of strokes and the least of largest values.

@@ -18,7 +18,7 @@ import numpy as np
 
 from optlink.linkage.stroke import LEAST_DIFFERENCE
 from optlink.linkage.vector2d import TURN, Array, unit
-from optlink.optimization.constraints import DEGREES, PLAIN, ConstraintRow, Scale, SquareRootScale, rows as limit_rows
+from optlink.optimization.constraints import DEGREES, PLAIN, ConstraintRow, Scale, SquareRootScale, link_rows, rows as limit_rows
 from optlink.optimization.courses import (
     EVENT,
     ErrorCourse,
@@ -59,6 +59,9 @@ def angle_name(index: int, suffix: str = "") -> str:
 
 def path_variable(problem: DesignProblem, name: str) -> Variable:
     """Return the scaling of a quantity: lengths by the size of the problem, coordinates on the frame from the curve's centre."""
+    if not problem.parts:
+        periodic = problem.quantities[name].kind == "angle"
+        return scaled_variable(problem, name, problem.longest, periodic=periodic)
     axis = name.rpartition(".")[2] if problem.quantities[name].kind == "coordinate" else ""
     origin = problem.centre["xy".index(axis)] if axis in ("x", "y") else 0.0
     return scaled_variable(problem, name, problem.size, periodic=problem.is_periodic(name), origin=origin)
@@ -87,8 +90,9 @@ class _Builder:
 
     def __init__(self, problem: DesignProblem, direction: int, movable: bool, terms: TermCourse | None) -> None:
         self.problem, self.direction, self.movable, self.terms = problem, direction, movable, terms
-        self.recipe = {"builder": "path", "direction": direction} | ({} if terms is None else terms.recipe)
-        free, first, robust = problem.free, problem.parts[0], problem.robust
+        self.recipe = {"direction": direction} | ({} if terms is None else terms.recipe)
+        free, first, robust = problem.free, next(iter(problem.parts), None), problem.robust
+        self.size = problem.size if problem.parts else problem.longest
         fixed = [path_variable(problem, name) for name in problem.fixed]
         self.fixed = tuple(v.name for v in fixed)
         self.variables = [path_variable(problem, name) for name in free]
@@ -105,9 +109,9 @@ class _Builder:
         events = {v.name for v in self.variables[self.first_event : self.first_level]}
         self.states = frozenset({EVENT, *events} if events else ())
         self.helpers = frozenset({EPIGRAPH, *angles, *self.states, *(v.name for v in self.variables[self.first_level :])})
-        self.moving = target_constants(first) if movable and first.pointed and robust is None else []
-        self.spanned = movable and first.movable_span
-        counted = [Variable(name, problem.size, Scale("mm", 1e3 * problem.size)) for name in problem.counted]
+        self.moving = target_constants(first) if first and movable and first.pointed and robust is None else []
+        self.spanned = first is not None and movable and first.movable_span
+        counted = [Variable(name, self.size, Scale("mm", 1e3 * self.size)) for name in problem.counted]
         self.constants = [*fixed, *counted, *([Variable(SPAN, 1.0, DEGREES)] if self.spanned else []), *self.moving]
         self.smoothing = 1 + len(self.constants) if robust is not None and robust.text != EXPECTED else 0
         self.many = exchange_count(problem, 1 if terms is None else terms.strokes)
@@ -152,10 +156,13 @@ class _Builder:
     def _limit(self) -> None:
         """Add the rows of all limits: of the dimensions, at fixed positions, at exchange points, of the order of the points."""
         problem = self.problem
-        begin, span = self.blocks[0].reach
-        self.rows += limit_rows(problem, self.values, Reach(begin, span, self.blocks[0].direction), problem.size)
+        if self.blocks:
+            begin, span = self.blocks[0].reach
+            self.rows += limit_rows(problem, self.values, Reach(begin, span, self.blocks[0].direction), self.size)
+        else:
+            self.rows += link_rows(problem, self.values, self.size)
         courses: list[tuple[tuple[Any, Any], RowsAt]] = []  # begin and rotation of the motion
-        for course in limit_courses(problem):
+        for course in limit_courses(problem) if self.blocks else ():
             angles = next((block.angles for block in self.blocks if block.part is course.part), None)
             rows_at = self._limit_course(course, angles)
             self.rows += [row for angle in course.fixed_positions(angles) for row in rows_at(angle)]
@@ -193,11 +200,11 @@ class _Builder:
 
     def _objective(self) -> None:
         """Define the objective: the measure of one requirement, or the weighted sum of several terms [SI]."""
-        problem, block = self.problem, self.blocks[0]
+        problem, block = self.problem, next(iter(self.blocks), None)
         for one in self.blocks:
             one.reduce()
         heights = [(casadi.vertcat(*one.heights), one.part.whole * one.part.worth) for one in self.blocks if _levelled(one.part)]
-        if self.terms is None and len(self.blocks) == 1 and block.part.tolerance is None:
+        if block is not None and self.terms is None and len(self.blocks) == 1 and block.part.tolerance is None:
             whole, levelled = block.part.whole, _levelled(block.part)
             self.measure, self.residual, self.exact = block.measure, block.residual, EXACT * whole
             self.factor = whole if levelled else whole**2
@@ -229,6 +236,9 @@ class _Builder:
         levels = [height for height, _ in self.heights]
         f, g, residual, *levels = mapped.expanded([mapped.f, g, self.residual, *levels])
         box = [boxed(problem.quantities[v.name], v) for v in self.variables[: len(free)]]
+        if self.terms is not None and (self.terms.events or not self.blocks):  # the design that has these events
+            given = {k: v.scaled(self.terms.near[v.name]) for k, v in enumerate(self.variables) if v.name in self.terms.near}
+            box = [(low, high, given.get(k, start)) for k, (low, high, start) in enumerate(box)]
         for block in self.blocks:
             step = block.direction * TURN / block.count
             box += [(-4.0 * math.pi, 4.0 * math.pi, step * i) for i in range(block.count if block.free_timing else 0)]
@@ -268,7 +278,8 @@ class _Builder:
             level_slopes=tuple(slope for _, slope in self.heights),
             mapped=mapped,
             recipe=self.recipe,
-            **self.blocks[0].one_position(),
+            cycle=not self.blocks,
+            **(self.blocks[0].one_position() if self.blocks else {}),
         )
 
 
@@ -511,6 +522,7 @@ class _Machine:
             parts = self.terms.parts(goal, signals)
             yield from rows_below_level(goal, size, self.levels[k], parts)
             self.heights[k] += heights_at(goal, size, parts)
+        yield from self.terms.alignment_rows(signals)
 
     @property
     def levelled(self) -> Iterator[tuple[Any, float, list[Any]]]:
@@ -519,7 +531,7 @@ class _Machine:
 
     def _at_events(self) -> Iterator[ConstraintRow]:
         """Yield the equations of the events, whose functions vanish there, and their order."""
-        speed, size = abs(self.trace.speed), self.of.problem.size
+        speed, size = abs(self.trace.speed), self.of.size
         for k, (which, there) in enumerate(zip(self.structure.which, self.there, strict=True)):
             event = self.trace.events[which]
             label = f"{EVENT} {k + 1}: {' '.join(event.key)}"
@@ -699,5 +711,7 @@ def solved_values(task: DesignProblem, design: Mapping[str, float], x: Array) ->
     """Return all quantities [m, rad] of a solved programme, and its crank angles (points,) [rad]; `design` has the free ones."""
     values = {name: float(value) for name, value in task.complete({name: design[name] for name in task.free}).items()}
     free = len(task.free)
+    if not task.parts:
+        return values, np.zeros(0)
     count = sum(len(part.data.columns) for part in task.parts if part.data.offsets is None)
     return values, task.crank_angles(values, x[free : free + count] if count else None)

@@ -18,30 +18,30 @@ from optlink.execution import interrupts
 from optlink.execution.runner import ordered
 from optlink.execution.worker import Runs
 from optlink.linkage.vector2d import Array
-from optlink.optimization.cycle_nlp import CycleNLP, build_cycle
+from optlink.optimization.courses import TermCourse
 from optlink.optimization.cycle_signals import EventOrder, TracedCycle
+from optlink.optimization.nlp import NLP
+from optlink.optimization.programme import build
 from optlink.solvers import multistart
-from optlink.solvers.contract import backend
+from optlink.solvers.contract import CLOSE, backend
 from optlink.solvers.cycle_starts import StartGroup
 from optlink.solvers.event_orders import CROSSINGS, FURTHER, NEIGHBOURS, at_edge, misfit, orders_beside
+from optlink.solvers.exchange import place_at_peaks, rank, reconcile_backends, solve_semi_infinite
 from optlink.solvers.feasibility import repair
-from optlink.solvers.semi_infinite import exchange, peaks, rank, reconcile_backends
 from optlink.solvers.solution import Relaxation, Solution
 
 
-def neighbours(nlp: CycleNLP, solution: Solution) -> list[StartGroup]:
+def neighbours(nlp: NLP, solution: Solution) -> list[StartGroup]:
     """Return starting points beside a solution, one for each other order of events, the nearest first."""
-    beside = orders_beside(nlp.traced, nlp.structure, solution.design)
+    beside = orders_beside(nlp.terms.trace, nlp.terms.structure, solution.design)
     return [StartGroup(structure, (values,)) for structure, values in beside]
 
 
-def build_programme(trace: TracedCycle, begin: StartGroup) -> CycleNLP:
+def build_programme(trace: TracedCycle, begin: StartGroup) -> NLP:
     """Return the NLP of one order of events, with its exchange points at the peaks of the first starting point."""
-    slow = trace.slow_loads(begin.structure.slow) if begin.structure.slow else None
-    if slow and slow != trace.slow:
-        trace = TracedCycle(trace.problem, trace.values, slow)
-    nlp = build_cycle(trace, begin.structure, begin.starts[0])
-    nlp.set_exchange_points(peaks(nlp, nlp.lifted(nlp.x_start)).shares)
+    task = trace.problem
+    nlp = build(task, terms=TermCourse(task, begin.starts[0], trace, begin.structure))
+    place_at_peaks(task, nlp, nlp.lifted(nlp.x_start))
     return nlp
 
 
@@ -53,7 +53,7 @@ class OrderSearch:
     the same exchange points; searches that end at the same design are refined once.
     """
 
-    nlp: CycleNLP
+    nlp: NLP
     begin: StartGroup
     names: tuple[str, ...]
     insists: bool = True  # whether the first search runs even without a feasible point near the start
@@ -85,7 +85,7 @@ class OrderSearch:
 
     def _kept(self, solution: Solution) -> Solution:
         """Return the end of a search, infeasible where the NLP does not describe its design; see `misfit`."""
-        message = misfit(self.nlp.traced, self.nlp.structure, solution.design) if solution.usable else ""
+        message = misfit(self.nlp.terms.trace, self.nlp.terms.structure, solution.design) if solution.usable else ""
         if not message:
             return solution
         if message != FURTHER:
@@ -94,11 +94,11 @@ class OrderSearch:
 
     def _exchanged(self, solution: Solution, name: str) -> Solution:
         """Return the end of a search refined by the exchange method; an optimum that is known is not refined again."""
-        free = len(self.nlp.free)
+        free = self.nlp.first_event
         for x, previous in self._refined[name]:
             if solution.status is Status.OPTIMAL and np.max(np.abs(x - solution.x)[:free]) <= multistart.SAME_DESIGN:
                 return previous
-        refined = exchange(self.nlp, solution)
+        refined = solve_semi_infinite(self.nlp.terms.problem, solution, CLOSE)
         if solution.status is Status.OPTIMAL:
             self._refined[name].append((solution.x, refined))
         return refined
@@ -162,7 +162,7 @@ class CycleSearchResult:
     If no design is feasible, the conflicting limits. `starts`: number of starting points.
     """
 
-    nlp: CycleNLP
+    nlp: NLP
     best: dict[str, Solution]
     orders: tuple[OrderSearch, ...]
     starts: int
@@ -231,7 +231,7 @@ def search_all(
     winner = min(every, key=OrderSearch.rank)
     best_by_backend = {name: best for name in backends if (best := winner.best(name)) is not None}
     if winner.usable:
-        best_by_backend = reconcile_backends(winner.nlp, best_by_backend)
+        best_by_backend = reconcile_backends(best_by_backend)
     return CycleSearchResult(winner.nlp, best_by_backend, tuple(every), count, interrupted=interrupted)
 
 
@@ -260,7 +260,7 @@ def _cross(orders: Sequence[OrderSearch], beside: list[OrderSearch]) -> None:
             return
         winner.left.append(best)
         for begin in neighbours(winner.nlp, best):
-            _search_beside(beside, winner.nlp.traced, begin, winner.names)
+            _search_beside(beside, winner.nlp.terms.trace, begin, winner.names)
 
 
 def _explore(
@@ -268,12 +268,12 @@ def _explore(
 ) -> None:
     """Search the order of events of the best design from its own starting points, for all slow strokes, unless that was done."""
     winner = min((*orders, *beside), key=OrderSearch.rank)
-    structure = winner.nlp.structure
-    if not winner.usable or any(structure.like(search.nlp.structure) for search in (*orders, *beside) if search.explored):
+    structure = winner.nlp.terms.structure
+    if not winner.usable or any(structure.like(search.nlp.terms.structure) for search in (*orders, *beside) if search.explored):
         return
     winner.explored = True
     for begin in alike(structure):
-        _search_beside(beside, winner.nlp.traced, begin, winner.names, explored=True)
+        _search_beside(beside, winner.nlp.terms.trace, begin, winner.names, explored=True)
 
 
 def _return(orders: Sequence[OrderSearch], beside: list[OrderSearch]) -> None:
@@ -282,9 +282,9 @@ def _return(orders: Sequence[OrderSearch], beside: list[OrderSearch]) -> None:
         order = next((order for order in (*orders, *beside) if order.strayed), None)
         if order is None:
             return
-        design, trace = order.strayed.pop().design, order.nlp.traced
+        design, trace = order.strayed.pop().design, order.nlp.terms.trace
         traced = TracedCycle(trace.problem, design, trace.slow)
         structure = traced.structure(design)
         if structure is not None:
-            begin = StartGroup(replace(structure, slow=order.nlp.structure.slow), (design,))
+            begin = StartGroup(replace(structure, slow=order.nlp.terms.structure.slow), (design,))
             _search_beside(beside, traced, begin, order.names)

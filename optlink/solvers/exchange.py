@@ -13,20 +13,23 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
+import casadi
 import numpy as np
 
 from optlink.errors import Status
 from optlink.linkage.extrema import Function, maxima
 from optlink.linkage.fourbar import lengths_of, time_ratio
 from optlink.linkage.vector2d import Array
+from optlink.optimization.constraints import PLAIN, ConstraintRow
 from optlink.optimization.courses import EXCEEDED, LEAST_LEVEL, LEVELLED, LimitCourse, TermCourse, error_courses, limit_courses
-from optlink.optimization.nlp import NLP
+from optlink.optimization.mapped_terms import MappedTerms
+from optlink.optimization.nlp import NLP, Variable
 from optlink.optimization.programme import build, solved_values
 from optlink.problem.design import EPIGRAPH, DesignProblem
 from optlink.solvers import contract, multistart as local
 from optlink.solvers.newton import polish
-from optlink.solvers.semi_infinite import with_moving_rows
 from optlink.solvers.solution import Solution
 
 POSITIONS = 1441  # positions along the required motion at which limits are sampled
@@ -40,6 +43,7 @@ TRACKED_LEVEL, MOVING_LEVEL = 0.3, 0.05  # the same for peaks of the error, as s
 REACH, FARTHEST = 0.02, 0.1  # share of the motion by which such a position may move in a round of the first radius, and at most
 PER_ROW = 2  # such positions of a row that the programme has at least
 EDGE = 1e-3  # share of the motion: this close to its ends the derivative at a peak need not vanish
+PEAK = "place of a peak"
 ROUNDING = 1e-9  # scaled units: a shorter step is none
 PEAK_SEPARATION = 1e-4  # share of the motion; closer positions count as one
 VIOLATION_PENALTY = 1e3  # penalty of exceeding a limit by one, in multiples of the objective
@@ -114,6 +118,27 @@ def solve_semi_infinite(task: DesignProblem, start: Solution, backend: str, *, n
         return solution
     what = "the largest values did not become level" if tops[0].level >= 0 else "limits are exceeded between the positions"
     return replace(solution, status=Status.STALLED, message=what)
+
+
+def largest_excess(task: DesignProblem, nlp: NLP, x: Array) -> float:
+    """Return the largest excess over a limit or a largest value of a design; see `RowPeak`."""
+    return _courses(task, nlp).tops(local.solution_at(nlp, x, ""))[0].height
+
+
+def rank(solution: Solution) -> tuple[bool, bool, float]:
+    """Return a sort key, best first: feasible, optimal, low objective."""
+    return not solution.usable, solution.status is not Status.OPTIMAL, solution.objective
+
+
+def reconcile_backends(solutions: dict[str, Solution]) -> dict[str, Solution]:
+    """Restart every back end from the best design if it ended at another optimum; a true optimum does not move."""
+    winner = min(solutions.values(), key=rank)
+    return {
+        name: solution
+        if local.compare(solution, winner).same
+        else min((solution, solve_semi_infinite(winner.nlp.terms.problem, winner, name, near=True)), key=rank)
+        for name, solution in solutions.items()
+    }
 
 
 def sharpened(task: DesignProblem, solution: Solution, backend: str) -> Solution:
@@ -281,7 +306,7 @@ def _levelled(tops: list[RowPeak], before: Array, now: Array) -> list[RowPeak]:
     for top in tops:
         if top.level >= 0:
             was, level = float(before[top.level]), float(now[top.level])
-            height = top.height * max(abs(was), LEAST_LEVEL) + (was - level) * (1.0 + LEVELLED)
+            height = top.height * max(abs(was), LEAST_LEVEL) + was - level + LEVELLED * (abs(was) - abs(level))
             top = replace(top, height=height / max(abs(level), LEAST_LEVEL))
         moved.append(top)
     return sorted(moved, key=lambda top: -top.height)
@@ -313,7 +338,7 @@ class _Courses:
     """Limits and largest values of a problem along the motions over which they apply, in the order of the exchange rows."""
 
     def __init__(self, task: DesignProblem, nlp: NLP) -> None:
-        self.task, self.limits, self.errors = task, limit_courses(task), error_courses(task)
+        self.task, self.limits, self.errors = task, limit_courses(task) if task.parts else [], error_courses(task)
         self.terms: TermCourse | None = None if nlp.terms is None else nlp.terms.of(task)
 
     def tops(self, solution: Solution) -> list[RowPeak]:
@@ -369,3 +394,59 @@ def peaks(
         tops.append(RowPeak(float(at[0]), float(value[0]), row))
     tops.sort(key=lambda peak: -peak.height)
     return [peak for k, peak in enumerate(tops) if all(abs(peak.at - other.at) > PEAK_SEPARATION for other in tops[:k])]
+
+
+# --- places of peaks as unknowns ----------------------------------------------------------------------------------------------
+
+
+def with_moving_rows(nlp: NLP, keep: Sequence[int], slots: Sequence[int]) -> NLP:
+    """Return some rows of an NLP; the first exchange points are unknowns, each where a row of `slots` has a maximum."""
+    assert nlp.mapped is not None
+    count = nlp.exchange_count
+    reduced = replace(nlp, rows=tuple(nlp.rows[j] for j in keep), g_expression=nlp.g_expression[keep], cache={})
+    heights = dict(enumerate(casadi.vertsplit(nlp.g_expression[slots])))
+    places = casadi.vertsplit(nlp.p_symbol)[len(nlp.p) - count :][: len(slots)]
+    terms = nlp.mapped.of_rows(keep).with_slopes(casadi.vertsplit(nlp.mapped.g[slots]), places)
+    return with_places(reduced, count, heights, terms)
+
+
+def with_places(nlp: NLP, slots: int, heights: Mapping[int, Any], terms: tuple[MappedTerms, Any] | None = None) -> NLP:
+    """Return an NLP with some exchange points as additional unknowns: each where the derivative of a height vanishes.
+
+    The last `slots` parameters of the NLP are the exchange points; `heights` has expressions of its x and p by the number of an
+    exchange point. `terms`: the NLP by vectors of positions, and the derivatives of the heights by the exchange points in its
+    terms; by default those of the NLP, and derivatives in terms of x and p.
+    """
+    n, first, count = len(nlp.variables), len(nlp.p) - slots, len(heights)
+    x = casadi.SX.sym("x", n + count)
+    slopes, p = [], casadi.vertsplit(nlp.p_symbol)
+    for k, (slot, height) in enumerate(heights.items()):
+        slopes.append(casadi.gradient(height, nlp.p_symbol[first + slot]))
+        p[first + slot] = x[n + k]
+    expressions = [nlp.f_expression, nlp.g_expression, nlp.residual_expression, casadi.vertcat(*slopes)]
+    moved: tuple[list[Any], list[Any]] = ([nlp.x_symbol, nlp.p_symbol], [x[:n], casadi.vertcat(*p)])
+    mapped, rates = terms or (nlp.mapped, expressions[-1])
+    f, g, residual, slope, rates = map(casadi.densify, casadi.substitute([*expressions, rates], *moved))  # a slope may be zero
+    at = np.array([nlp.p[first + slot] for slot in heights])
+    names = [f"{PEAK} {k + 1}" for k in range(count)]
+    return NLP(
+        variables=(*nlp.variables, *(Variable(label, 1.0, PLAIN) for label in names)),
+        fixed=nlp.fixed,
+        rows=(*nlp.rows, *(ConstraintRow(PEAK, label, slope[k], 0.0, 0.0, PLAIN) for k, label in enumerate(names))),
+        measure=nlp.measure,
+        x_start=np.concatenate([nlp.x_start, at]),
+        x_low=np.concatenate([nlp.x_low, np.zeros(count)]),
+        x_high=np.concatenate([nlp.x_high, np.ones(count)]),
+        p=nlp.p,
+        x_symbol=x,
+        p_symbol=nlp.p_symbol,
+        f_expression=f,
+        g_expression=casadi.vertcat(g, slope),
+        residual_expression=residual,
+        cycle=nlp.cycle,
+        mapped=None if mapped is None else mapped.substituted(x, moved, rates),
+        exact=nlp.exact,
+        factor=nlp.factor,
+        helpers=nlp.helpers | {PEAK, *names},
+        states=nlp.states | {PEAK, *names},
+    )

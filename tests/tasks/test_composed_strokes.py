@@ -93,7 +93,7 @@ def test_least_torque_within_a_distance_of_the_path_with_a_load_in_one_stroke() 
     assert result.valid
     x, opposing = dimensions(result), 1.0 if result.best.assembly == "right" else -1.0
     assert composed.peak_torque(x, opposing) == pytest.approx(result.objective, rel=1e-9)
-    assert composed.peak_torque(x) < 0.999 * result.objective
+    assert composed.peak_torque(x) != pytest.approx(result.objective, rel=0.01)  # without the load
     own = min(composed.least_torque(0.5, starts=2, opposing=way).optimum for way in (1.0, -1.0))
     assert result.objective == pytest.approx(own, rel=1e-8)
 

@@ -375,10 +375,6 @@ def test_faults_of_a_stroke_in_a_list_name_its_place() -> None:
         with pytest.raises(InputError) as caught:
             listed(SLIDER, {"kind": "stroke", "name": "other", "output": "slider", "stroke": "9 mm", **changes})
         assert caught.value.faults[0].key == f"requirements.1.{key}"
-    beside = {"kind": "position", "at": "60 deg", "output": "rod", "value": ["-20 deg", "20 deg"]}
-    with pytest.raises(InputError, match="at the ends of strokes is not supported beside the targets") as caught:
-        listed(SLIDER, beside)
-    assert caught.value.faults[0].key == "requirements.0.kind"
 
 
 def test_a_limit_of_a_quantity_may_have_the_name_of_a_key() -> None:
