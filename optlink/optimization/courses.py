@@ -5,15 +5,16 @@ A course is traced by the programme at one crank angle, and evaluated by the exc
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from optlink.linkage.mechanism import Pose
 from optlink.linkage.vector2d import TURN, Array, Value, unit
-from optlink.optimization.constraints import ConstraintRow, Scale, position_rows, region_rows
+from optlink.optimization.constraints import DEGREES, ConstraintRow, Scale, alignment_row, position_rows, region_rows
 from optlink.optimization.nlp import Variable
 from optlink.optimization.output_derivatives import ErrorResiduals
 from optlink.optimization.term_rows import SIGNS, scaled_limit
@@ -21,10 +22,18 @@ from optlink.problem.cycle.terms import Term
 from optlink.problem.design import EPIGRAPH, DesignProblem
 from optlink.units import KINDS
 
+if TYPE_CHECKING:
+    from optlink.optimization.cycle_signals import EventOrder, TracedCycle
+
+EVENT = "end of a stroke"
+"""Name of the rows that define the crank angles at which motions reverse, and beginning of those of these unknowns."""
+FEWEST = 4  # positions per stroke
 GRID = 36  # crank angles at which the assembly of a mechanism other than a four-bar is checked
 BETWEEN = 3  # positions between two points if full crank rotation is not required
+SMALL_INTEGRAL = 1e-6  # of the integral of the largest value: share below which an integral counts as zero
 NODES = 48  # positions per revolution of quantities of the machine with an integral; half of it for extremes alone
 EXCHANGE_POINTS = 24  # further positions, moved by the exchange method to where a limit or the largest value is exceeded
+SLOTS = (4, 6)  # the same per stroke, least and most, where nothing else counts over a range
 LEVEL_POINTS = 12  # the same for the largest error of a law alone; with scatter it is flatter, and has as many as others
 SIZE_POSITIONS = 72  # crank angles at which the size of a quantity is estimated
 EXCEEDED = 2e-9  # permitted excess over a limit, in the unit of its row: less than the validator's tolerance
@@ -133,42 +142,119 @@ class ErrorCourse:
 class TermCourse:
     """Quantities of the machine over the revolution: terms of the objective and limits under names of the user's choice.
 
-    `near`: a design [SI] at which the largest values of the terms are their units.
+    Forces jump where a motion reverses, so that the revolution is divided at such events: their crank angles are unknowns of the
+    programme, and each stroke from one event to the next is a course of its own. It describes designs with the events of
+    `structure` in that order; by default those of a design `near`, at which the largest values of the terms are their units.
+    `count`: positions per revolution of integrals; `sizes`: other units [SI].
     """
 
-    def __init__(self, problem: DesignProblem, near: Mapping[str, float] | None) -> None:
+    def __init__(
+        self,
+        problem: DesignProblem,
+        near: Mapping[str, float] | None,
+        trace: "TracedCycle | None" = None,
+        structure: "EventOrder | None" = None,
+        count: int = NODES,
+        sizes: Sequence[float] = (),
+    ) -> None:
         from optlink.optimization.cycle_signals import TracedCycle
 
-        self.problem, self.goals = problem, problem.goals
-        self.trace = TracedCycle(problem)
+        self.problem, self.goals, self.near, self.count = problem, problem.goals, dict(near or {}), count
+        trace = TracedCycle(problem, slow=problem.slow_assumed) if trace is None else trace
+        structure = (trace.structure(self.near) or trace.assumed) if structure is None else structure
+        self.structure, self.trace = structure, trace.with_slow(structure)
+        self.cuts = self.trace.cuts(structure)
         self.extremes = [goal for goal in self.goals if goal.extreme]
         scaled = [scaled_limit(bound, problem.longest) for bound in problem.bounds]
         self.limits = [limit for limit in scaled if limit.bound.term.extreme]
         self.fixed_limits = [limit for limit in scaled if not limit.bound.term.extreme]
         self.integral = any(term.integral for term in self.trace.terms)
-        self.sizes = self._sizes({} if near is None else near)
+        self.sizes = list(sizes) or self._sizes()
         self.worths = [goal.weight / (scale or 1.0) for goal, scale in zip(self.goals, problem.scales, strict=True)]
         self.levels = []
         for goal, size in zip(self.extremes, self.sizes, strict=True):
             kind = problem.kind(goal)
             scale = Scale(KINDS[kind].si.replace("**", "^") if kind else "", size)
             self.levels.append(Variable(f"{EPIGRAPH}: {goal.words}", size, scale))
+        self.events = [Variable(f"{EVENT} {k + 1}", 1.0, DEGREES) for k in range(len(structure.which))]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return TermCourse, (self.problem, self.near, self.trace, self.structure, self.count, self.sizes)
+
+    def of(self, problem: DesignProblem) -> "TermCourse":
+        """Return the course of another problem with the same terms, whose limits may differ."""
+        if problem is self.problem:
+            return self
+        from optlink.optimization.cycle_signals import TracedCycle
+
+        trace = TracedCycle(problem, self.trace.values, self.trace.slow)
+        return TermCourse(problem, self.near, trace, self.structure, self.count, self.sizes)
 
     @property
-    def fixed(self) -> Array:
-        """Crank angles [rad] at which the terms always count; even steps integrate smooth periodic functions best."""
-        count = NODES if self.integral else NODES // 2
-        return TURN * np.arange(count) / count
+    def recipe(self) -> dict[str, Any]:
+        """From what `course_again` makes the same course of a problem."""
+        events = {"events": vars(self.structure), "loads": self.trace.slow, "values": self.trace.values}
+        return {"near": self.near, "count": self.count, "sizes": list(self.sizes)} | (events if self.events else {})
 
-    def _sizes(self, near: Mapping[str, float]) -> list[float]:
+    # --- positions
+
+    @property
+    def strokes(self) -> int:
+        """Number of parts into which events divide the cycle."""
+        return max(1, self.cuts) * self.trace.revolutions
+
+    @cached_property
+    def nodes(self) -> tuple[Array, Array]:
+        """Shares of a stroke at which the terms always count, and their weights in the mean over the stroke."""
+        return self._rule(self.count if self.integral else self.count // 2)
+
+    def _rule(self, count: int) -> tuple[Array, Array]:
+        """Return shares and weights of Gauss's rule; without events even steps integrate smooth periodic functions best."""
+        if not self.cuts:
+            return np.arange(count) / count, np.full(count, 1.0 / count)
+        least = FEWEST * (2 if self.integral else 1)
+        shares, weights = np.polynomial.legendre.leggauss(max(least, math.ceil(count / self.cuts)))
+        return 0.5 * (shares + 1.0), 0.5 * weights
+
+    def integral_error(self, values: Mapping[str, float], events: Array) -> float:
+        """Return the largest change of an integral of a design by twice as many positions, as a share of it."""
+        motions, last = list(self.motions(values, events)), sum(self.trace.widths) - 1
+        figures: list[list[tuple[float, float]]] = []
+        for shares, weights in (self.nodes, self._rule(2 * self.count)):
+            each = [(motion.span * weights, motion.signals(shares)) for motion in motions]
+            figures.append([])
+            for term in (term for term in self.trace.terms if term.integral):
+                work = term.quantity == "work"
+                rows = [(weight, [signals[last]] if work else self.parts(term, signals)) for weight, signals in each]
+                square = term.how == "rms"
+                sums = [np.sum(weight * (np.square(part) if square else part)) for weight, parts in rows for part in parts]
+                size = max(float(np.max(np.abs(part))) for _, parts in rows for part in parts) ** (2 if square else 1)
+                figures[-1].append((math.fsum(sums), TURN * size))
+        pairs = zip(*figures, strict=True)
+        return max((abs(a - b) / max(abs(b), SMALL_INTEGRAL * size, 1e-300) for (a, _), (b, size) in pairs), default=0.0)
+
+    def event_angles(self, values: Mapping[str, float]) -> tuple[float, ...] | None:
+        """Return the crank angles [rad] of the events of a design [SI]; None if they are others, or in another order."""
+        structure = self.trace.structure(values)
+        return structure.angles if structure is not None and structure.like(self.structure) else None
+
+    def motions(self, values: Mapping[str, float], events: Array) -> Iterator["Motion"]:
+        """Yield the strokes of a design, with the crank angles [rad] of its events."""
+        inputs = self.trace.inputs(values)
+        for begin, end in itertools.pairwise(self.trace.edges(events[: self.cuts].tolist())):
+            senses = np.asarray(self.trace.sensed([*inputs, begin + 0.5 * (end - begin)]), dtype=float).ravel()
+            yield Motion(self.trace, inputs, begin, end - begin, senses)
+
+    def _sizes(self) -> list[float]:
         """Return the largest values [SI] of the terms of the objective at a design; their scale or 1 where they have none."""
-        angles = np.linspace(0.0, TURN, SIZE_POSITIONS, endpoint=False)
+        shares = np.linspace(0.0, 1.0, math.ceil(SIZE_POSITIONS / max(1, self.cuts)), endpoint=bool(self.cuts))
+        events = np.array(self.structure.angles)
         with np.errstate(all="ignore"):
-            signals = self.trace.signals(*self.trace.inputs(self.problem.complete(near)), angles)
+            each = [motion.signals(shares) for motion in self.motions(self.problem.complete(self.near), events)]
         sizes = []
         for goal in self.extremes:
-            scale = self.problem.scales[self.goals.index(goal)]
-            size = float(np.max(np.sqrt(np.sum(np.square(self.parts(goal, signals)), axis=0))))
+            scale, squares = self.problem.scales[self.goals.index(goal)], [self.parts(goal, signals) for signals in each]
+            size = max(float(np.max(np.sqrt(np.sum(np.square(parts), axis=0)))) for parts in squares)
             sizes.append(size if math.isfinite(size) and size > 0.0 else scale or 1.0)
         return sizes
 
@@ -178,46 +264,78 @@ class TermCourse:
         first = sum(self.trace.widths[:index])
         return [signals[first + k] for k in range(self.trace.widths[index])]
 
-    def figure(self, term: Term, values: Mapping[str, Any], nodes: Sequence[Any]) -> Any:
-        """Return a term with a single value [SI] from the quantities, and the signals at even steps of the revolution."""
-        if term.quantity == "length":
-            return values[str(term.of)]
-        if term.quantity == "total length":
-            return sum(values[name] for name in self.problem.lengths)
-        if term.quantity == "work":
-            return sum(signals[sum(self.trace.widths) - 1] for signals in nodes) * self.trace.direction * TURN / len(nodes)
-        each = [self.parts(term, signals) for signals in nodes]
-        if term.how == "mean":
-            return sum(parts[0] for parts in each) / len(nodes)
-        return np.sqrt(sum(part * part for parts in each for part in parts) / len(nodes))
+    def alignment_rows(self, signals: Any) -> Iterator[ConstraintRow]:
+        """Yield the rows that keep every group away from where its assembly modes meet; beside targets others do."""
+        first = sum(self.trace.widths)
+        for k, group in enumerate(self.trace.mechanism.groups if not self.problem.parts else ()):
+            yield alignment_row(self.problem.limits, group, signals[first + k])
 
-    @property
-    def order(self) -> list[int]:
-        """For each limit and each largest value, its number among the largest values; -1 for a limit."""
-        return [-1] * len(self.limits) + list(range(len(self.extremes)))
+    # --- heights of peaks
 
-    def heights_of(self, k: int, values: Mapping[str, float], levels: Array, shares: Array) -> Array:
-        """Return the excess (rows, n) of a term over its limit or largest value over the revolution; `k`: see `order`."""
+    @cached_property
+    def level_numbers(self) -> list[int]:
+        """For each row at one position, the number of the largest value that it concerns; -1 for a limit."""
+        widths = [(self._rows_of(limit.bound.term), -1) for limit in self.limits]
+        widths += [(self._rows_of(goal), k) for k, goal in enumerate(self.extremes)]
+        widths += [(len(self.trace.mechanism.groups), -1)] if not self.problem.parts else []
+        return [level for count, level in widths for _ in range(count)]
+
+    def _rows_of(self, term: Term) -> int:
+        """Return the number of rows of a term at one position."""
+        width = self.trace.widths[next(k for k, other in enumerate(self.trace.cyclic) if other is term)]
+        return 1 if width > 1 and not term.nature.general else width * len(SIGNS[term.how] if term.how == "peak" else (1.0,))
+
+    def heights(self, motion: "Motion", levels: Array, shares: Array) -> Array:
+        """Return the excess (rows, n) of all terms over their limits or largest values along a stroke."""
         with np.errstate(all="ignore"):
-            signals = self.trace.signals(*self.trace.inputs(values), TURN * shares)
-        if k < len(self.limits):
-            limit = self.limits[k]
-            parts, term = self.parts(limit.bound.term, signals), limit.bound.term
-            signs = SIGNS["peak"] if term.how == "peak" else (1.0,)
-            if len(parts) > 1 and not term.nature.general:
-                rows = [np.hypot(*parts) / limit.size - limit.above]
-            else:
-                rows = [_beyond(sign * part / limit.size, limit.below, limit.above) for part in parts for sign in signs]
-            heights = np.array(rows) - EXCEEDED
-        else:
-            goal, size = self.extremes[k - len(self.limits)], self.sizes[k - len(self.limits)]
-            parts = self.parts(goal, signals)
-            if len(parts) > 1 and not goal.nature.general:
-                rows = [np.hypot(*parts) / size]
-            else:
-                rows = [sign * part / size for part in parts for sign in SIGNS[goal.how]]
-            heights = above_level(np.array(rows), levels[k - len(self.limits)])
+            signals = motion.signals(shares)
+            rows: list[Array] = []
+            for limit in self.limits:
+                parts, term = self.parts(limit.bound.term, signals), limit.bound.term
+                if len(parts) > 1 and not term.nature.general:
+                    excesses = [np.hypot(*parts) / limit.size - limit.above]
+                else:
+                    signs = SIGNS["peak"] if term.how == "peak" else (1.0,)
+                    excesses = [_beyond(sign * part / limit.size, limit.below, limit.above) for part in parts for sign in signs]
+                rows += [excess - EXCEEDED for excess in excesses]
+            for goal, size, level in zip(self.extremes, self.sizes, levels, strict=True):
+                parts = self.parts(goal, signals)
+                if len(parts) > 1 and not goal.nature.general:
+                    values = [np.hypot(*parts) / size]
+                else:
+                    values = [sign * part / size for part in parts for sign in SIGNS[goal.how]]
+                rows += [above_level(value, float(level)) for value in values]
+            rows += [_beyond(row.value, row.low, row.high) - EXCEEDED for row in self.alignment_rows(signals)]
+            heights = np.array(rows).reshape(-1, len(shares))
         return np.where(np.isfinite(heights), heights, -np.inf)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A stroke of a design: inputs of the trace, crank angle at its begin and rotation [rad], senses of motion."""
+
+    trace: "TracedCycle"
+    inputs: Sequence[float]
+    begin: float
+    span: float
+    senses: Array
+
+    def signals(self, shares: Array) -> Array:
+        """Return the signals at shares of the stroke, one-sided at its ends."""
+        return np.asarray(self.trace.signals(*self.inputs, self.begin + self.span * shares, *self.senses))
+
+
+def course_again(problem: DesignProblem, recipe: Mapping[str, Any]) -> TermCourse | None:
+    """Return the course of the quantities of the machine that a programme with this `recipe` has; None if it has none."""
+    if not problem.goals and not problem.bounds:
+        return None
+    if "events" not in recipe:
+        return TermCourse(problem, recipe["near"], count=recipe["count"], sizes=recipe["sizes"])
+    from optlink.optimization.cycle_signals import EventOrder, TracedCycle
+
+    order = EventOrder(**{name: tuple(items) for name, items in recipe["events"].items()})
+    trace = TracedCycle(problem, recipe["values"], recipe["loads"])
+    return TermCourse(problem, recipe["near"], trace, order, recipe["count"], recipe["sizes"])
 
 
 def _beyond(value: Array, low: float, high: float) -> Array:
@@ -227,7 +345,7 @@ def _beyond(value: Array, low: float, high: float) -> Array:
 
 def above_level(values: Array, level: float) -> Array:
     """Return by how much values (scaled) exceed a level beyond rounding, as shares of it."""
-    return np.asarray((values - level * (1.0 + LEVELLED) - NO_ERROR) / max(abs(level), LEAST_LEVEL))
+    return np.asarray((values - level - LEVELLED * abs(level) - NO_ERROR) / max(abs(level), LEAST_LEVEL))
 
 
 def limit_courses(problem: DesignProblem) -> list[LimitCourse]:
@@ -249,10 +367,15 @@ def error_courses(problem: DesignProblem) -> list[ErrorCourse]:
     return [ErrorCourse(part) for part in problem.parts if part.everywhere]
 
 
-def exchange_count(problem: DesignProblem) -> int:
-    """Return the number of exchange points of a programme."""
-    terms = [*problem.goals, *(bound.term for bound in problem.bounds)]
-    if has_position_limits(problem) or problem.limits.regions or any(term.extreme for term in terms):
+def exchange_count(problem: DesignProblem, strokes: int = 1) -> int:
+    """Return the number of exchange points of a programme, each of which counts in every one of its strokes."""
+    extreme = any(term.extreme for term in (*problem.goals, *(bound.term for bound in problem.bounds)))
+    per_stroke = min(max(EXCHANGE_POINTS // strokes, SLOTS[0]), SLOTS[1])
+    if not problem.parts:
+        return per_stroke
+    if has_position_limits(problem) or problem.limits.regions:
         return EXCHANGE_POINTS
+    if extreme:
+        return per_stroke if strokes > 1 and not error_courses(problem) else EXCHANGE_POINTS
     errors = error_courses(problem)
     return (EXCHANGE_POINTS if problem.robust is not None else LEVEL_POINTS) if errors else 0

@@ -65,6 +65,10 @@ class StrokeEnd:
     value: Callable[[Moving], Value]
     cuts: bool
 
+    def unit(self, length: float, speed: float) -> float:
+        """Return the unit of the function [SI] from those of lengths and of the crank speed: a velocity, unless of a corner."""
+        return (1.0 if self.key[0] == "body" else length) * (1.0 if self.key[0] == CORNER else speed)
+
 
 @dataclass(frozen=True)
 class EventOrder:
@@ -82,6 +86,16 @@ class EventOrder:
     def like(self, other: EventOrder) -> bool:
         """Return whether the same events occur in the same order."""
         return (self.which, self.rising) == (other.which, other.rising)
+
+    @property
+    def definite(self) -> EventOrder:
+        """The same order; of strokes that take equally long the forward one counts as the slow one."""
+        return replace(self, slow=tuple(slow is not False for slow in self.slow))
+
+    @property
+    def key(self) -> tuple[tuple[Any, ...], ...]:
+        """What distinguishes programmes: order and slow strokes."""
+        return self.which, self.rising, self.slow
 
 
 @dataclass(frozen=True)
@@ -149,6 +163,23 @@ class TracedCycle:
             event_values = [event.value(moving) for event in self.events]
         self.at_event = casadi.Function("event", [inputs], [casadi.vertcat(*event_values, *ends)])
         self._inputs, self._machine, self._found, self._margins = inputs, moving, event_values, margins
+
+    def with_slow(self, structure: EventOrder) -> TracedCycle:
+        """Return the trace in which loads of the slow or quick stroke act as the slow strokes of an order of events require."""
+        slow = self.slow_loads(structure.slow) if structure.slow else None
+        return self if not slow or slow == self.slow else TracedCycle(self.problem, self.values, slow)
+
+    @property
+    def assumed(self) -> EventOrder:
+        """An order of events for designs of which none is known: every motion goes to and fro once, one after the other."""
+        cutting = sorted(range(len(self.events)), key=lambda k: not self.events[k].cuts)
+        angles = [0.5 * TURN * k / max(1, len(cutting)) for k in range(len(cutting))]
+        every = [
+            (k, at + half, up) for half, up in ((0.0, True), (0.5 * TURN, False)) for k, at in zip(cutting, angles, strict=True)
+        ]
+        every.sort(key=lambda event: (not self.events[event[0]].cuts, event[1] if self.events[event[0]].cuts else event[0]))
+        which, places, rising = zip(*every, strict=True) if every else ((), (), ())
+        return EventOrder(which, rising, places, (True,) * len(self.paced))
 
     def _relevant(self, machine: Machine) -> Machine:
         """Return the machine, without its loads if no term depends on forces: their switches would only divide the search."""

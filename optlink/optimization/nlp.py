@@ -116,6 +116,8 @@ class NLP:
     first_level: int = 0  # index of the first of these unknowns
     level_slopes: tuple[float, ...] = ()  # change of the objective [SI] with each
     mapped: MappedTerms | None = field(default=None, compare=False)  # the same programme by vectors of positions
+    terms: Any = field(default=None, compare=False)  # the quantities of the machine: an `optlink.optimization.courses.TermCourse`
+    first_event: int = 0  # index of the first crank angle at which a stroke ends, if these are unknowns
     cache: dict[str, Any] = field(default_factory=dict, compare=False)  # functions compiled for this NLP by back ends
 
     def __getstate__(self) -> dict[str, Any]:
@@ -238,14 +240,16 @@ class NLP:
 
     def design(self, x: Array) -> dict[str, float]:
         """Return the design variables of the problem [SI] at x."""
-        return {v.name: v.value(float(y)) for v, y in zip(self.variables, x, strict=True) if not v.name.startswith(EPIGRAPH)}
+        own = ((v, y) for v, y in zip(self.variables, x, strict=True) if v.name not in self.states)
+        return {v.name: v.value(float(y)) for v, y in own if not v.name.startswith(EPIGRAPH)}
 
     def x_of(self, values: Mapping[str, float], *, bounded: bool = True) -> Array:
-        """Return x for values of the design variables [SI]; the epigraph variable takes its least value.
+        """Return x for values of the design variables [SI], with the ends of strokes and the least of largest values.
 
         `bounded`: values beyond a bound are moved to it.
         """
         x = np.array([v.scaled(values.get(v.name, 0.0)) for v in self.variables])
+        x[self.first_event : self.first_level] = self.x_start[self.first_event : self.first_level]
         return self.lifted(np.clip(x, self.x_low, self.x_high) if bounded else x)
 
     @property
@@ -293,10 +297,16 @@ class NLP:
         return self._compiled(*self.level_symbols)
 
     def lifted(self, x: Array) -> Array:
-        """Return the same design with every largest value that is an unknown at its least."""
-        if not self.level_symbols:
+        """Return the same design with its own events, if they match, and every largest value that is an unknown at its least."""
+        events = self.terms is not None and bool(self.terms.events)
+        if not self.level_symbols and not events:
             return x
         x = x.copy()
+        angles = self.terms.event_angles(self.design(x)) if events else None
+        if angles is not None:
+            x[self.first_event : self.first_level] = angles
+        if not self.level_symbols:
+            return x
         for k, values in enumerate(self._levels(x, self.p)):
             largest = float(np.max(values))
             x[self.first_level + k] = largest if math.isfinite(largest) else 1.0

@@ -6,6 +6,7 @@ apply at the positions of the requirement, at fixed crank angles and at exchange
 value is exceeded.
 """
 
+import functools
 import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -15,6 +16,7 @@ from typing import Any
 import casadi
 import numpy as np
 
+from optlink.linkage.stroke import LEAST_DIFFERENCE
 from optlink.linkage.vector2d import TURN, Array, unit
 from optlink.optimization.constraints import (
     DEGREES,
@@ -22,13 +24,16 @@ from optlink.optimization.constraints import (
     ConstraintRow,
     Scale,
     SquareRootScale,
+    link_rows,
     rows as limit_rows,
     transmission,
 )
 from optlink.optimization.courses import (
+    EVENT,
     ErrorCourse,
     LimitCourse,
     TermCourse,
+    course_again,
     exchange_count,
     limit_courses,
 )
@@ -37,8 +42,9 @@ from optlink.optimization.nlp import NLP, Variable, boxed, scaled_variable
 from optlink.optimization.objectives import Figure, error_measures
 from optlink.optimization.output_derivatives import traced_residuals
 from optlink.optimization.term_rows import heights_at, rows_below_level
+from optlink.problem.cycle.terms import Term
 from optlink.problem.design import EPIGRAPH, STEP, DesignProblem
-from optlink.problem.limits import Reach
+from optlink.problem.limits import Bound, Reach
 from optlink.problem.robust import EXPECTED, SMOOTHED
 from optlink.symbolic import symbols_in_numpy
 from optlink.units import DISPLAYED
@@ -49,6 +55,8 @@ SPAN = "requirement.span"
 TARGET = "target "
 """Beginning of the names of the parameters that are components of the targets."""
 SMOOTHED_BY = "smoothing"
+ROOM = 1.01  # factor on the least difference of slow and quick stroke that a programme enforces
+EVENT_SEPARATION = 1e-3  # rad, least crank rotation between two events
 RowsAt = Callable[[Any], list[ConstraintRow]]
 """Makes the rows of a course at a crank angle."""
 
@@ -60,48 +68,62 @@ def angle_name(index: int, suffix: str = "") -> str:
 
 def path_variable(problem: DesignProblem, name: str) -> Variable:
     """Return the scaling of a quantity: lengths by the size of the problem, coordinates on the frame from the curve's centre."""
+    if not problem.parts:
+        periodic = problem.quantities[name].kind == "angle"
+        return scaled_variable(problem, name, problem.longest, periodic=periodic)
     axis = name.rpartition(".")[2] if problem.quantities[name].kind == "coordinate" else ""
     origin = problem.centre["xy".index(axis)] if axis in ("x", "y") else 0.0
     return scaled_variable(problem, name, problem.size, periodic=problem.is_periodic(name), origin=origin)
 
 
-def build(problem: DesignProblem, direction: int = 1, *, movable: bool = False, near: Mapping[str, float] | None = None) -> NLP:
+def build(problem: DesignProblem, direction: int = 1, *, movable: bool = False, terms: TermCourse | None = None) -> NLP:
     """Build the nonlinear programme of a problem with definite assembly modes.
 
     `direction` is the sense of crank rotation from point to point without prescribed timing: +1 counter-clockwise, -1 clockwise.
     `movable`: points and poses, and the crank rotation of an expression, are parameters. The exchange points of the NLP are
-    shares of the motion over which limits and largest values apply, see `courses`. `near`: a design [SI] whose extreme values of
-    machine quantities are their units; by default that of the file.
+    shares of the motion over which limits and largest values apply, see `courses`. `terms`: the quantities of the machine, with
+    the order of the ends of strokes for which the programme is valid; by default that of the design in the file.
     """
-    return _Builder(problem, direction, movable, near).nlp()
+    if terms is None and (problem.goals or problem.bounds):
+        terms = TermCourse(problem, None)
+    return _Builder(problem, direction, movable, terms).nlp()
+
+
+def build_again(problem: DesignProblem, recipe: Mapping[str, Any]) -> NLP:
+    """Return the programme of a problem that `build` has built from the parts in its `recipe`."""
+    return build(problem, recipe["direction"], terms=course_again(problem, recipe))
 
 
 class _Builder:
     """The expressions of a programme, in the order in which they are made."""
 
-    def __init__(self, problem: DesignProblem, direction: int, movable: bool, near: Mapping[str, float] | None) -> None:
-        self.problem, self.direction, self.movable = problem, direction, movable
-        self.recipe = {"builder": "path", "direction": direction} | ({"near": dict(near)} if near else {})
-        self.terms = TermCourse(problem, near) if problem.goals or problem.bounds else None
-        free, first, robust = problem.free, problem.parts[0], problem.robust
+    def __init__(self, problem: DesignProblem, direction: int, movable: bool, terms: TermCourse | None) -> None:
+        self.problem, self.direction, self.movable, self.terms = problem, direction, movable, terms
+        self.recipe = {"direction": direction} | ({} if terms is None else terms.recipe)
+        free, first, robust = problem.free, next(iter(problem.parts), None), problem.robust
+        self.size = problem.size if problem.parts else problem.longest
         fixed = [path_variable(problem, name) for name in problem.fixed]
         self.fixed = tuple(v.name for v in fixed)
         self.variables = [path_variable(problem, name) for name in free]
         timed = [part for part in problem.parts if part.data.offsets is None]
         angles = [angle_name(i, part.suffix) for part in timed for i in range(len(part.data.columns))]
         self.variables += [Variable(name, 1.0, DEGREES) for name in angles]
+        self.first_event = len(self.variables)
+        self.variables += () if terms is None else terms.events
         self.first_level = len(self.variables)
         for part in filter(_levelled, problem.parts):
             scale = DEGREES if part.unit == "rad" else Scale(part.unit, part.whole)
             self.variables.append(Variable(f"{EPIGRAPH}{part.suffix}", part.whole, scale))
         self.variables += () if self.terms is None else self.terms.levels
-        self.helpers = frozenset({EPIGRAPH, *angles, *(v.name for v in self.variables[self.first_level :])})
-        self.moving = target_constants(first) if movable and first.pointed and robust is None else []
-        self.spanned = movable and first.movable_span
-        counted = [Variable(name, problem.size, Scale("mm", 1e3 * problem.size)) for name in problem.counted]
+        events = {v.name for v in self.variables[self.first_event : self.first_level]}
+        self.states = frozenset({EVENT, *events} if events else ())
+        self.helpers = frozenset({EPIGRAPH, *angles, *self.states, *(v.name for v in self.variables[self.first_level :])})
+        self.moving = target_constants(first) if first and movable and first.pointed and robust is None else []
+        self.spanned = first is not None and movable and first.movable_span
+        counted = [Variable(name, self.size, Scale("mm", 1e3 * self.size)) for name in problem.counted]
         self.constants = [*fixed, *counted, *([Variable(SPAN, 1.0, DEGREES)] if self.spanned else []), *self.moving]
         self.smoothing = 1 + len(self.constants) if robust is not None and robust.text != EXPECTED else 0
-        self.many = exchange_count(problem)
+        self.many = exchange_count(problem, 1 if terms is None else terms.strokes)
         self.exchanged_from = 1 + len(self.constants) + (self.smoothing > 0)
         self.x = casadi.SX.sym("x", len(self.variables))
         self.p = casadi.SX.sym("p", self.exchanged_from + self.many)
@@ -123,6 +145,7 @@ class _Builder:
                 largest = self.x[level] if _levelled(part) else None
                 self.blocks.append(_Targets(self, part, [self.x[at + i] for i in range(count)], largest))
                 at, level = at + count, level + _levelled(part)
+            self.machine = None if terms is None else _Machine(self, terms)
             self._limit()
             self._objective()
 
@@ -142,18 +165,22 @@ class _Builder:
     def _limit(self) -> None:
         """Add the rows of all limits: of the dimensions, at fixed positions, at exchange points, of the order of the points."""
         problem = self.problem
-        first, *others = (Reach(*block.reach, block.direction) for block in self.blocks)
-        self.rows += limit_rows(problem, self.values, first, problem.size)
-        for reach in others:
-            self.rows += [row for row in transmission(problem, self.values, reach, problem.size) if row.over_span]
+        if self.blocks:
+            first, *others = (Reach(*block.reach, block.direction) for block in self.blocks)
+            self.rows += limit_rows(problem, self.values, first, self.size)
+            for reach in others:
+                self.rows += [row for row in transmission(problem, self.values, reach, self.size) if row.over_span]
+        else:
+            self.rows += link_rows(problem, self.values, self.size)
         courses: list[tuple[tuple[Any, Any], RowsAt]] = []  # begin and rotation of the motion
-        for course in limit_courses(problem):
+        for course in limit_courses(problem) if self.blocks else ():
             angles = next((block.angles for block in self.blocks if block.part is course.part), None)
             rows_at = self._limit_course(course, angles)
             self.rows += [row for angle in course.fixed_positions(angles) for row in rows_at(angle)]
             courses.append((course.motion(angles), rows_at))
-        if self.terms is not None:
-            courses.append(((0.0, TURN), self._term_course(self.terms)))
+        if self.machine is not None:
+            self.rows += self.machine.rows()
+            courses += self.machine.courses()
         for block in self.blocks:
             if block.course is not None:
                 courses.append((block.course.motion(self.span), block.rows_at))
@@ -180,38 +207,15 @@ class _Builder:
 
         return rows_at
 
-    def _term_course(self, terms: TermCourse) -> RowsAt:
-        """Add the rows and figures of quantities of the machine; return a function that makes their rows at other angles."""
-        trace, levels = terms.trace, self.x[len(self.variables) - len(terms.levels) :]
-        inputs, place, known = self.inputs()
-        none = casadi.SX.sym("none", 0)
-        signals = trace.at(casadi.vertcat(*[known[name] for name in trace.names], place), none)
-        at = self.positions(casadi.Function("terms", [inputs, none], [signals]))
-        self.term_heights: list[list[Any]] = [[] for _ in terms.levels]
-
-        def rows_of(z: Any) -> list[ConstraintRow]:
-            rows = [row for limit in terms.limits for row in limit.rows_at(terms.parts(limit.bound.term, z))]
-            for k, (goal, size) in enumerate(zip(terms.extremes, terms.sizes, strict=True)):
-                parts = terms.parts(goal, z)
-                rows += rows_below_level(goal, size, levels[k], parts)
-                self.term_heights[k] += heights_at(goal, size, parts)
-            return rows
-
-        nodes = [at.at(angle) for angle in terms.fixed]
-        self.nodes = nodes
-        self.rows += [limit.row(terms.figure(limit.bound.term, self.values, nodes)) for limit in terms.fixed_limits]
-        self.rows += [row for z in nodes for row in rows_of(z)]
-        return lambda angle: rows_of(at.at(angle))
-
     # --- objective ---------------------------------------------------------------------------------------------------------
 
     def _objective(self) -> None:
         """Define the objective: the measure of one requirement, or the weighted sum of several terms [SI]."""
-        problem, block = self.problem, self.blocks[0]
+        problem, block = self.problem, next(iter(self.blocks), None)
         for one in self.blocks:
             one.reduce()
         heights = [(casadi.vertcat(*one.heights), one.part.whole * one.part.worth) for one in self.blocks if _levelled(one.part)]
-        if self.terms is None and len(self.blocks) == 1 and block.part.tolerance is None:
+        if block is not None and self.terms is None and len(self.blocks) == 1 and block.part.tolerance is None:
             whole, levelled = block.part.whole, _levelled(block.part)
             self.measure, self.residual, self.exact = block.measure, block.residual, EXACT * whole
             self.factor = whole if levelled else whole**2
@@ -222,18 +226,15 @@ class _Builder:
         for one in self.blocks:
             if one.part.tolerance is None:
                 total += one.part.worth * one.value
-        if self.terms is not None:
-            levels = iter(casadi.vertsplit(self.x[len(self.variables) - len(self.terms.levels) :]))
-            sizes = iter(self.terms.sizes)
-            for goal, worth in zip(self.terms.goals, self.terms.worths, strict=True):
+        levels = iter(() if self.machine is None else self.machine.levelled)
+        if self.machine is not None:
+            for goal, worth in zip(self.machine.terms.goals, self.machine.terms.worths, strict=True):
                 if goal.extreme:
-                    slope = worth * next(sizes)
-                    heights.append((casadi.vertcat(*self.term_heights[len(heights) - sum(map(_levelled, problem.parts))]), slope))
-                    total += slope * next(levels)
+                    level, size, values = next(levels)
+                    heights.append((casadi.vertcat(*values), worth * size))
+                    total += worth * size * level
                 else:
-                    total += (
-                        worth * (-1.0 if goal.sense == "maximise" else 1.0) * self.terms.figure(goal, self.values, self.nodes)
-                    )
+                    total += worth * (-1.0 if goal.sense == "maximise" else 1.0) * self.machine.figure(goal)
         self.f = self.residual = total
         self.measure, self.factor, self.exact, self.heights = Figure("figure", problem.objective_unit), 1.0, 0.0, heights
 
@@ -246,9 +247,13 @@ class _Builder:
         levels = [height for height, _ in self.heights]
         f, g, residual, *levels = mapped.expanded([mapped.f, g, self.residual, *levels])
         box = [boxed(problem.quantities[v.name], v) for v in self.variables[: len(free)]]
+        if self.terms is not None and (self.terms.events or not self.blocks):  # the design that has these events
+            given = {k: v.scaled(self.terms.near[v.name]) for k, v in enumerate(self.variables) if v.name in self.terms.near}
+            box = [(low, high, given.get(k, start)) for k, (low, high, start) in enumerate(box)]
         for block in self.blocks:
             step = block.direction * TURN / block.count
             box += [(-4.0 * math.pi, 4.0 * math.pi, step * i) for i in range(block.count if block.free_timing else 0)]
+        box += [] if self.terms is None else [(-2.0 * TURN, 2.0 * TURN, angle) for angle in self.terms.structure.angles]
         signed = [] if self.terms is None else [goal.how != "peak" for goal in self.terms.extremes]
         box += [(0.0, math.inf, 1.0)] * (len(self.variables) - len(box) - len(signed))
         box += [(-math.inf if free_sign else 0.0, math.inf, 1.0) for free_sign in signed]
@@ -272,6 +277,9 @@ class _Builder:
             exact=self.exact,
             factor=self.factor,
             helpers=self.helpers,
+            states=self.states,
+            terms=self.terms,
+            first_event=self.first_event,
             place_expression=casadi.vertcat(*(0.0 if row.place is None else row.place for row in self.rows)),
             exchange_rows=(self.first, self.each),
             constants=tuple(self.constants),
@@ -281,7 +289,8 @@ class _Builder:
             level_slopes=tuple(slope for _, slope in self.heights),
             mapped=mapped,
             recipe=self.recipe,
-            **self.blocks[0].one_position(),
+            cycle=not self.blocks,
+            **(self.blocks[0].one_position() if self.blocks else {}),
         )
 
 
@@ -465,6 +474,198 @@ class _Targets:
             self.value = casadi.sqrt(self.value)
 
 
+class _Machine:
+    """The quantities of the machine: ends of strokes, positions along each stroke, and the rows and figures of the terms."""
+
+    def __init__(self, of: _Builder, terms: TermCourse) -> None:
+        self.of, self.terms, self.trace, self.structure = of, terms, terms.trace, terms.structure
+        self.events = [of.x[of.first_event + k] for k in range(len(terms.events))]
+        self.levels = [of.x[len(of.variables) - len(terms.levels) + k] for k in range(len(terms.levels))]
+        self.heights: list[list[Any]] = [[] for _ in self.levels]
+        self.known = casadi.vertcat(*[of.values[name] for name in self.trace.names])
+        edges = self.trace.edges(self.events[: terms.cuts])
+        self.strokes = [(begin, end - begin, self._senses(begin, end)) for begin, end in itertools.pairwise(edges)]
+        self.at = self._traced()
+        self.nodes = [
+            (j, weight * span, self.at.at(begin + share * span, senses))
+            for j, (begin, span, senses) in enumerate(self.strokes)
+            for share, weight in zip(*terms.nodes, strict=True)
+        ]
+        self.there = [self.trace.at_event(casadi.vertcat(self.known, phi)) for phi in self.events]
+
+    def _traced(self) -> "_Positions":
+        """Trace the signals at one crank angle, with the senses of motion as further inputs."""
+        inputs, place, known = self.of.inputs()
+        senses = casadi.SX.sym("senses", self.trace.at.size1_in(1))
+        signals = self.trace.at(casadi.vertcat(*[known[name] for name in self.trace.names], place), senses)
+        return self.of.positions(casadi.Function("terms", [inputs, senses], [signals]))
+
+    def _senses(self, begin: Any, end: Any) -> Any:
+        return self.trace.sensed(casadi.vertcat(self.known, begin + 0.5 * (end - begin)))
+
+    # --- rows
+
+    def rows(self) -> Iterator[ConstraintRow]:
+        """Yield the rows of the events, of the figures, and of the terms at the fixed positions of every stroke."""
+        yield from self._at_events()
+        yield from self._slow()
+        for limit in self.terms.fixed_limits:
+            yield limit.row(self.figure(limit.bound.term))
+        for *_, signals in self.nodes:
+            yield from self._rows_of(signals)
+        for begin, span, senses in self.strokes if self.terms.cuts else ():  # forces are often largest where they jump
+            for share in (0.0, 1.0):
+                yield from self._rows_of(self.at.at(begin + share * span, senses))
+
+    def courses(self) -> Iterator[tuple[tuple[Any, Any], RowsAt]]:
+        """Yield begin and rotation of every stroke, and a function that makes the rows of the terms there."""
+        for begin, span, senses in self.strokes:
+            yield (begin, span), functools.partial(self._rows_at, senses)
+
+    def _rows_at(self, senses: Any, angle: Any) -> list[ConstraintRow]:
+        return list(self._rows_of(self.at.at(angle, senses)))
+
+    def _rows_of(self, signals: Any) -> Iterator[ConstraintRow]:
+        """Yield the rows of limits and largest values at one position."""
+        for limit in self.terms.limits:
+            yield from limit.rows_at(self.terms.parts(limit.bound.term, signals))
+        for k, (goal, size) in enumerate(zip(self.terms.extremes, self.terms.sizes, strict=True)):
+            parts = self.terms.parts(goal, signals)
+            yield from rows_below_level(goal, size, self.levels[k], parts)
+            self.heights[k] += heights_at(goal, size, parts)
+        yield from self.terms.alignment_rows(signals)
+
+    @property
+    def levelled(self) -> Iterator[tuple[Any, float, list[Any]]]:
+        """Largest value of every term that is minimised at its peak, its unit [SI], and the values whose largest it is."""
+        return zip(self.levels, self.terms.sizes, self.heights, strict=True)
+
+    def _at_events(self) -> Iterator[ConstraintRow]:
+        """Yield the equations of the events, whose functions vanish there, and their order."""
+        speed, size = abs(self.trace.speed), self.of.size
+        for k, (which, there) in enumerate(zip(self.structure.which, self.there, strict=True)):
+            event = self.trace.events[which]
+            label = f"{EVENT} {k + 1}: {' '.join(event.key)}"
+            yield ConstraintRow(EVENT, label, there[which] / event.unit(size, speed), 0.0, 0.0, PLAIN)
+        cuts = self.terms.cuts
+        angles = [*self.structure.angles[:cuts], self.structure.angles[0] + TURN] if cuts > 1 else []
+        for k, ((_, span, _), (begin, end)) in enumerate(zip(self.strokes, itertools.pairwise(angles), strict=False)):
+            if end - begin > EVENT_SEPARATION:  # otherwise both always coincide in this machine
+                yield ConstraintRow(EVENT, f"order of {EVENT} {k + 1}", span, EVENT_SEPARATION, math.inf, DEGREES)
+
+    def _slow(self) -> Iterator[ConstraintRow]:
+        """Yield rows that keep the slow stroke slower: of loads by a least difference, of time ratios that are not limited so."""
+        for name, which in self.trace.paced_loads.items() if self.events else ():
+            label = f"slow minus quick stroke of {name}"
+            least = ROOM * LEAST_DIFFERENCE
+            yield ConstraintRow(f"loads.{name}.stroke", label, self._slower(which), least, math.inf, DEGREES)
+        implied = {id(bound.term) for bound in self.of.problem.bounds if _keeps_slow(bound)}
+        for term in self.trace.terms:
+            if term.by_pace and id(term) not in implied:
+                label = f"slow minus quick stroke of {term.of}"
+                yield ConstraintRow(EVENT, label, self._slower(self.trace.event_of(term)), 0.0, math.inf, DEGREES)
+
+    # --- strokes
+
+    def _forward_slow(self, which: int) -> bool:
+        """Return whether the forward stroke of a motion counts as the slow one."""
+        return self.structure.slow[self.trace.paced.index(which)] is not False
+
+    def _slower(self, which: int) -> Any:
+        """Return the crank rotation [rad] by which the slow stroke is longer than the quick one."""
+        slow = self._forward_slow(which)
+        return self._duration(which, slow) - self._duration(which, not slow)
+
+    def _reversals(self, which: int) -> list[int]:
+        """Return the indices of the events at which an output reverses."""
+        return [k for k, event in enumerate(self.structure.which) if event == which]
+
+    def _forward(self, which: int) -> list[bool]:
+        """Return for every stroke whether an output, whose reversals separate strokes, moves forward."""
+        indices = [k for k in self._reversals(which) if k < self.terms.cuts]
+        if not indices:
+            return [True] * len(self.strokes)
+        state, intervals = not self.structure.rising[indices[0]], []
+        for k in range(self.terms.cuts):
+            state = self.structure.rising[k] if k in indices else state
+            intervals.append(state)
+        return intervals * self.trace.revolutions
+
+    def _duration(self, which: int, forward: bool) -> Any:
+        """Return the crank rotation [rad] during which an output, which reverses at an event, moves forward or backward."""
+        indices = self._reversals(which)
+        total, angles = casadi.SX(0.0), [*(self.events[k] for k in indices), self.events[indices[0]] + TURN]
+        for k, (begin, end) in zip(indices, itertools.pairwise(angles), strict=True):
+            if self.structure.rising[k] is forward:
+                total += end - begin
+        return total
+
+    # --- figures
+
+    def figure(self, term: Term) -> Any:
+        """Return the expression of a term with a single value [SI]."""
+        if term.how in ("rms", "mean"):
+            total = casadi.SX(0.0)
+            for _, weight, signals in self.nodes:
+                parts = self.terms.parts(term, signals)
+                total += weight * (sum(part * part for part in parts) if term.how == "rms" else parts[0])
+            mean = total / (TURN * self.trace.revolutions)
+            return casadi.sqrt(mean) if term.how == "rms" else mean
+        if term.quantity == "length":
+            return self.of.values[str(term.of)]
+        if term.quantity == "total length":
+            return sum(self.of.values[name] for name in self.of.problem.lengths)
+        if term.quantity == "work":
+            return self._work(term)
+        return self._ratio(term) if term.quantity == "time ratio" else self._stroke(term)
+
+    def _work(self, term: Term) -> Any:
+        """Return the work of the drive per revolution, or in the strokes in which a slider moves one way, mean over a cycle."""
+        last = sum(self.trace.widths) - 1
+        way = [True] * len(self.strokes)
+        if term.stroke is not None:
+            way = [forward is (term.stroke == "forward") for forward in self._forward(self.trace.event_of(term))]
+        total = casadi.SX(0.0)
+        for stroke, weight, signals in self.nodes:
+            if way[stroke]:
+                total += weight * self.trace.direction * signals[last]
+        return total / self.trace.revolutions
+
+    def _stroke(self, term: Term) -> Any:
+        """Return the distance between the outermost dead centres of an output, or for the term "end" one of these positions.
+
+        Which dead centres are outermost is decided by their positions at the design that determines the order of events.
+        """
+        before = itertools.takewhile(lambda other: other is not term, self.trace.ended)
+        width, *widths = (2 if self.of.problem.kind(each) == "angle" else 1 for each in (term, *before))
+        place = len(self.trace.events) + sum(widths)
+        ends, inputs = self._reversals(self.trace.event_of(term)), self.trace.inputs(self.terms.near)
+        numbers = np.array([np.ravel(self.trace.at_event([*inputs, self.structure.angles[k]])) for k in ends])
+        positions = numbers[:, place]
+        if width == 2:  # the direction of a body
+            positions = np.unwrap([math.atan2(y, x) for x, y in numbers[:, place : place + 2]])
+        low, high = ends[int(np.argmin(positions))], ends[int(np.argmax(positions))]
+        if width == 1:
+            if term.quantity == "end":
+                return self.there[high if term.stroke == "forward" else low][place]
+            return self.there[high][place] - self.there[low][place]
+        (a, b), (c, d) = ((self.there[k][place], self.there[k][place + 1]) for k in (low, high))
+        return casadi.atan2(a * d - b * c, a * c + b * d)
+
+    def _ratio(self, term: Term) -> Any:
+        """Return the ratio of the durations of two strokes; which one is slow is fixed in a programme."""
+        which = self.trace.event_of(term)
+        forward = self._forward_slow(which) is (term.stroke != "quick") if term.by_pace else term.stroke == "forward"
+        return self._duration(which, forward) / self._duration(which, not forward)
+
+
+def _keeps_slow(bound: Bound) -> bool:
+    """Return whether a limit of a time ratio by itself keeps the slow stroke slower."""
+    if bound.term.stroke == "quick":
+        return bound.interval.high is not None
+    return bound.interval.low is not None
+
+
 class _Positions:
     """Positions of a traced function, and symbols for its values there."""
 
@@ -521,5 +722,7 @@ def solved_values(task: DesignProblem, design: Mapping[str, float], x: Array) ->
     """Return all quantities [m, rad] of a solved programme, and its crank angles (points,) [rad]; `design` has the free ones."""
     values = {name: float(value) for name, value in task.complete({name: design[name] for name in task.free}).items()}
     free = len(task.free)
+    if not task.parts:
+        return values, np.zeros(0)
     count = sum(len(part.data.columns) for part in task.parts if part.data.offsets is None)
     return values, task.crank_angles(values, x[free : free + count] if count else None)

@@ -186,22 +186,13 @@ class DesignProblem(Problem):
             remedy = "Write it as a term with weight and scale: [[objective.terms]]"
             raise Unusable("several terms are minimised", remedy, "objective.quantity", self.goals[0].quantity)
         self.check_terms()
-        terms = [("objective", goal) for goal in self.goals] + [(bound.key, bound.term) for bound in self.bounds]
+        terms = [*self.goals, *(bound.term for bound in self.bounds)]
         if terms:
             self.check_repeats(self.machine(slow=self.slow_assumed))
-        for key, term in terms if self.parts else ():
-            if term.ended:
-                message = "a quantity at the ends of strokes is not supported beside the targets of a requirement"
-                key = f"{key}.quantity" * (not key.startswith("requirement")) or f"{key.rpartition('.')[0]}.kind"
-                raise Unusable(message, "State it in a problem without targets", key, term.quantity)
-            if (term.nature.cyclic or term.quantity == "work") and self.limits.crank == "span":
+        for term in terms:
+            if (term.nature.cyclic or term.ended or term.quantity == "work") and self.limits.crank == "span":
                 message = "a quantity of the machine belongs to a whole revolution of the crank"
                 raise Unusable(message, 'Write crank = "full rotation"', "limits.crank", "span")
-        if self.parts and any(term.nature.forces or term.quantity == "work" for _, term in terms):
-            for load in self.machine(slow=self.slow_assumed).loads:
-                if load.switching:
-                    message = "a load that switches within the revolution is not supported beside the targets of a requirement"
-                    raise Unusable(message, "Use a load that is smooth over the revolution", f"loads.{load.name}")
 
     # --- several requirements
 

@@ -6,9 +6,10 @@ import numpy as np
 
 from optlink.errors import Status
 from optlink.linkage.vector2d import Array
-from optlink.optimization.cycle_nlp import CycleNLP
+from optlink.optimization.nlp import NLP
 from optlink.solvers import multistart
-from optlink.solvers.semi_infinite import exchange
+from optlink.solvers.contract import CLOSE
+from optlink.solvers.exchange import solve_semi_infinite
 from optlink.solvers.solution import Solution, tangent_space
 
 STRONG = 1e-9  # share of the largest multiplier above which a limit counts as determining the design
@@ -31,14 +32,14 @@ class Continuum:
     scale: bool
 
 
-def continuum(nlp: CycleNLP, solution: Solution, name: str) -> Continuum | None:
+def continuum(nlp: NLP, solution: Solution, name: str) -> Continuum | None:
     """Return the continuum of equally good designs through a refined optimum; None if there is none.
 
     `name`: the back end that searches from a shifted design.
     """
     if solution.status is not Status.OPTIMAL:
         return None
-    count = len(nlp.free)
+    count = nlp.first_event
     for direction in _flat(nlp, solution):
         lead = int(np.argmax(np.abs(direction[:count])))
         if abs(direction[lead]) < MOVES:
@@ -49,7 +50,7 @@ def continuum(nlp: CycleNLP, solution: Solution, name: str) -> Continuum | None:
     return None
 
 
-def _flat(nlp: CycleNLP, solution: Solution) -> list[Array]:
+def _flat(nlp: NLP, solution: Solution) -> list[Array]:
     """Return directions with neither a curvature of the Lagrangian nor a priced limit, flattest first."""
     n, point = len(solution.x), nlp.at(solution.x, solution.p)
     multipliers = solution.conditions.multipliers
@@ -68,20 +69,20 @@ def _flat(nlp: CycleNLP, solution: Solution) -> list[Array]:
     return [basis @ vectors[:, k] for k in np.argsort(np.abs(values)) if abs(values[k]) <= FLAT * stiff]
 
 
-def _shifted(nlp: CycleNLP, solution: Solution, lead: int, name: str) -> Solution | None:
+def _shifted(nlp: NLP, solution: Solution, lead: int, name: str) -> Solution | None:
     """Return an equally good design with a different value of one design variable; None if there is none."""
     low, high = float(nlp.x_low[lead]), float(nlp.x_high[lead])
     at = float(solution.x[lead])
     step = SHIFT * (high - low)
     target = at + step if high - at >= at - low else at - step
     places = nlp.exchange_points
-    nlp.set_exchange_points(solution.p[len(nlp.p) - nlp.slots :])
+    nlp.set_exchange_points(solution.p[len(nlp.p) - nlp.exchange_count :])
     try:
         nlp.limit(lead, target, target)
         x = solution.x.copy()
         x[lead] = target
         other = multistart.solve_from(nlp, nlp.lifted(x), name)
-        other = exchange(nlp, other) if other.usable else other
+        other = solve_semi_infinite(nlp.terms.problem, other, CLOSE) if other.usable else other
     finally:
         nlp.limit(lead, low, high)
         nlp.set_exchange_points(places)
@@ -89,20 +90,20 @@ def _shifted(nlp: CycleNLP, solution: Solution, lead: int, name: str) -> Solutio
     return other if other.usable and same else None
 
 
-def _continuum(nlp: CycleNLP, solution: Solution, other: Solution, lead: int) -> Continuum:
-    count = len(nlp.free)
+def _continuum(nlp: NLP, solution: Solution, other: Solution, lead: int) -> Continuum:
+    task, count = nlp.terms.problem, nlp.first_event
     moved = other.x[:count] - solution.x[:count]
     changed = {
         v.name: (other.design[v.name] - solution.design[v.name])
-        / (other.design[nlp.free[lead]] - solution.design[nlp.free[lead]])
+        / (other.design[task.free[lead]] - solution.design[task.free[lead]])
         for v, by in zip(nlp.variables[:count], moved, strict=True)
         if abs(by) > MOVES
     }
     ratios = {name: other.design[name] / value for name, value in solution.design.items() if abs(value) > 0.0}
-    quantities = nlp.traced.problem.quantities
-    lengths = [name for name in nlp.free if quantities[name].kind in ("length", "coordinate")]
+    quantities = task.quantities
+    lengths = [name for name in task.free if quantities[name].kind in ("length", "coordinate")]
     sized = {name for name, quantity in quantities.items() if quantity.kind in ("length", "coordinate") and quantity.value != 0.0}
     whole = sized <= set(lengths)  # a length fixed at zero scales too
-    factors = [ratios.get(name, 1.0) for name in lengths if abs(solution.design[name]) > 1e-6 * nlp.scales[0]]
+    factors = [ratios.get(name, 1.0) for name in lengths if abs(solution.design[name]) > 1e-6 * task.longest]
     scale = whole and set(changed) <= set(lengths) and bool(np.ptp(factors) <= 1e-3 * abs(np.mean(factors) - 1.0))
-    return Continuum(nlp.free[lead], changed, scale)
+    return Continuum(task.free[lead], changed, scale)

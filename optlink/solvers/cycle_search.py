@@ -6,7 +6,6 @@ A larger number of starting points never worsens the result: the starting points
 sequence, no search depends on the others, and the best design is returned.
 """
 
-import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -19,53 +18,30 @@ from optlink.execution import interrupts
 from optlink.execution.runner import ordered
 from optlink.execution.worker import Runs
 from optlink.linkage.vector2d import Array
-from optlink.optimization.cycle_constraints import EVENT
-from optlink.optimization.cycle_nlp import CycleNLP, build_cycle
+from optlink.optimization.courses import TermCourse
 from optlink.optimization.cycle_signals import EventOrder, TracedCycle
-from optlink.optimization.multipliers import ACTIVE, LEAST_PRICE
+from optlink.optimization.nlp import NLP
+from optlink.optimization.programme import build
 from optlink.solvers import multistart
-from optlink.solvers.contract import backend
+from optlink.solvers.contract import CLOSE, backend
 from optlink.solvers.cycle_starts import StartGroup
+from optlink.solvers.event_orders import CROSSINGS, FURTHER, NEIGHBOURS, at_edge, misfit, orders_beside
+from optlink.solvers.exchange import place_at_peaks, rank, reconcile_backends, solve_semi_infinite
 from optlink.solvers.feasibility import repair
-from optlink.solvers.semi_infinite import exchange, peaks, rank, reconcile_backends
 from optlink.solvers.solution import Relaxation, Solution
 
-STEPS = (1e-3, 1e-2)  # of the range of a design variable: from a design at the edge of its order of events to the next order
-NEIGHBOURS, CROSSINGS = 4, 12  # other orders searched from one such design; designs from which orders beside are searched
 
-
-def at_edge(solution: Solution) -> bool:
-    """Return whether the order of events, which no limit prescribes, keeps a solution of a `CycleNLP` from a better one."""
-    rows = solution.nlp.rows
-    prices = np.abs(solution.conditions.multipliers[len(solution.x) :])
-    return solution.usable and any(
-        row.limit == EVENT and row.low < row.high and value - row.low <= ACTIVE and price > LEAST_PRICE
-        for row, value, price in zip(rows, solution.g, prices, strict=True)
-    )
-
-
-def neighbours(nlp: CycleNLP, solution: Solution) -> list[StartGroup]:
+def neighbours(nlp: NLP, solution: Solution) -> list[StartGroup]:
     """Return starting points beside a solution, one for each other order of events, the nearest first."""
-    trace, here, designs = nlp.traced, solution.design, []
-    for step, (name, way) in itertools.product(STEPS, itertools.product(trace.problem.free, (-1.0, 1.0))):
-        low, high = trace.problem.quantities[name].bounds
-        designs.append({**here, name: min(max(here[name] + way * step * (high - low), low), high)})
-    groups: dict[tuple[object, ...], StartGroup] = {}
-    for sample in trace.samples(designs):
-        structure = sample.structure
-        if structure is not None and not structure.like(nlp.structure):
-            structure = replace(structure, slow=nlp.structure.slow)
-            groups.setdefault((structure.which, structure.rising), StartGroup(structure, (sample.values,)))
-    return list(groups.values())[:NEIGHBOURS]
+    beside = orders_beside(nlp.terms.trace, nlp.terms.structure, solution.design)
+    return [StartGroup(structure, (values,)) for structure, values in beside]
 
 
-def build_programme(trace: TracedCycle, begin: StartGroup) -> CycleNLP:
+def build_programme(trace: TracedCycle, begin: StartGroup) -> NLP:
     """Return the NLP of one order of events, with its exchange points at the peaks of the first starting point."""
-    slow = trace.slow_loads(begin.structure.slow) if begin.structure.slow else None
-    if slow and slow != trace.slow:
-        trace = TracedCycle(trace.problem, trace.values, slow)
-    nlp = build_cycle(trace, begin.structure, begin.starts[0])
-    nlp.set_exchange_points(peaks(nlp, nlp.lifted(nlp.x_start)).shares)
+    task = trace.problem
+    nlp = build(task, terms=TermCourse(task, begin.starts[0], trace, begin.structure))
+    place_at_peaks(task, nlp, nlp.lifted(nlp.x_start))
     return nlp
 
 
@@ -77,7 +53,7 @@ class OrderSearch:
     the same exchange points; searches that end at the same design are refined once.
     """
 
-    nlp: CycleNLP
+    nlp: NLP
     begin: StartGroup
     names: tuple[str, ...]
     insists: bool = True  # whether the first search runs even without a feasible point near the start
@@ -108,34 +84,21 @@ class OrderSearch:
             self.runs[name].append(self._kept(self._exchanged(solution, name) if solution.usable and not worse else solution))
 
     def _kept(self, solution: Solution) -> Solution:
-        """Return the end of a search, infeasible where the NLP does not describe its design.
-
-        The NLP knows the dead centres of its own order of events only: a design may have further ones, so that an output does not
-        reciprocate as its stroke or time ratio requires, or a load acts in other strokes. The angle of a load may count from
-        another turn than in the trace.
-        """
-        trace = self.nlp.traced
-        structure = trace.structure(solution.design) if solution.usable else None
-        if structure is None:
+        """Return the end of a search, infeasible where the NLP does not describe its design; see `misfit`."""
+        message = misfit(self.nlp.terms.trace, self.nlp.terms.structure, solution.design) if solution.usable else ""
+        if not message:
             return solution
-        if trace.strokeless(structure) is not None:
-            return replace(solution, status=Status.INFEASIBLE, message="an output has further dead centres")
-        if trace.reversals(structure) != trace.reversals(self.nlp.structure):
-            message = "a motion has further reversals"
-        elif not trace.serves(solution.design):
-            message = "the angle of a load counts from another turn"
-        else:
-            return solution
-        self.strayed.append(solution)
+        if message != FURTHER:
+            self.strayed.append(solution)
         return replace(solution, status=Status.INFEASIBLE, message=message)
 
     def _exchanged(self, solution: Solution, name: str) -> Solution:
         """Return the end of a search refined by the exchange method; an optimum that is known is not refined again."""
-        free = len(self.nlp.free)
+        free = self.nlp.first_event
         for x, previous in self._refined[name]:
             if solution.status is Status.OPTIMAL and np.max(np.abs(x - solution.x)[:free]) <= multistart.SAME_DESIGN:
                 return previous
-        refined = exchange(self.nlp, solution)
+        refined = solve_semi_infinite(self.nlp.terms.problem, solution, CLOSE)
         if solution.status is Status.OPTIMAL:
             self._refined[name].append((solution.x, refined))
         return refined
@@ -199,7 +162,7 @@ class CycleSearchResult:
     If no design is feasible, the conflicting limits. `starts`: number of starting points.
     """
 
-    nlp: CycleNLP
+    nlp: NLP
     best: dict[str, Solution]
     orders: tuple[OrderSearch, ...]
     starts: int
@@ -268,7 +231,7 @@ def search_all(
     winner = min(every, key=OrderSearch.rank)
     best_by_backend = {name: best for name in backends if (best := winner.best(name)) is not None}
     if winner.usable:
-        best_by_backend = reconcile_backends(winner.nlp, best_by_backend)
+        best_by_backend = reconcile_backends(best_by_backend)
     return CycleSearchResult(winner.nlp, best_by_backend, tuple(every), count, interrupted=interrupted)
 
 
@@ -297,7 +260,7 @@ def _cross(orders: Sequence[OrderSearch], beside: list[OrderSearch]) -> None:
             return
         winner.left.append(best)
         for begin in neighbours(winner.nlp, best):
-            _search_beside(beside, winner.nlp.traced, begin, winner.names)
+            _search_beside(beside, winner.nlp.terms.trace, begin, winner.names)
 
 
 def _explore(
@@ -305,12 +268,12 @@ def _explore(
 ) -> None:
     """Search the order of events of the best design from its own starting points, for all slow strokes, unless that was done."""
     winner = min((*orders, *beside), key=OrderSearch.rank)
-    structure = winner.nlp.structure
-    if not winner.usable or any(structure.like(search.nlp.structure) for search in (*orders, *beside) if search.explored):
+    structure = winner.nlp.terms.structure
+    if not winner.usable or any(structure.like(search.nlp.terms.structure) for search in (*orders, *beside) if search.explored):
         return
     winner.explored = True
     for begin in alike(structure):
-        _search_beside(beside, winner.nlp.traced, begin, winner.names, explored=True)
+        _search_beside(beside, winner.nlp.terms.trace, begin, winner.names, explored=True)
 
 
 def _return(orders: Sequence[OrderSearch], beside: list[OrderSearch]) -> None:
@@ -319,9 +282,9 @@ def _return(orders: Sequence[OrderSearch], beside: list[OrderSearch]) -> None:
         order = next((order for order in (*orders, *beside) if order.strayed), None)
         if order is None:
             return
-        design, trace = order.strayed.pop().design, order.nlp.traced
+        design, trace = order.strayed.pop().design, order.nlp.terms.trace
         traced = TracedCycle(trace.problem, design, trace.slow)
         structure = traced.structure(design)
         if structure is not None:
-            begin = StartGroup(replace(structure, slow=order.nlp.structure.slow), (design,))
+            begin = StartGroup(replace(structure, slow=order.nlp.terms.structure.slow), (design,))
             _search_beside(beside, traced, begin, order.names)

@@ -8,26 +8,32 @@ R. Hettich, K. O. Kortanek, Semi-infinite programming: theory, methods, and appl
 """
 
 import functools
+import itertools
 import math
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
+import casadi
 import numpy as np
 
 from optlink.errors import Status
 from optlink.linkage.extrema import Function, maxima
 from optlink.linkage.fourbar import time_ratio
 from optlink.linkage.vector2d import Array
+from optlink.optimization.constraints import PLAIN, ConstraintRow
 from optlink.optimization.courses import EXCEEDED, LEAST_LEVEL, LEVELLED, LimitCourse, TermCourse, error_courses, limit_courses
-from optlink.optimization.nlp import NLP
+from optlink.optimization.mapped_terms import MappedTerms
+from optlink.optimization.nlp import NLP, Variable
 from optlink.optimization.programme import build, solved_values
 from optlink.problem.design import EPIGRAPH, DesignProblem
 from optlink.solvers import contract, multistart as local
 from optlink.solvers.newton import polish
-from optlink.solvers.semi_infinite import with_moving_rows
 from optlink.solvers.solution import Solution
 
 POSITIONS = 1441  # positions along the required motion at which limits are sampled
+PER_STROKE = 241  # least number of them along a stroke
 EXCHANGES = 40  # rounds
 RADIUS, SMALLEST, LARGEST = 0.3, 1e-6, 10.0  # scaled units: trust-region radius of the first round, and its range
 GROWTH, ALL_BUT = 2.5, 0.9  # of the radius after a step of at least that share of it
@@ -37,6 +43,7 @@ TRACKED_LEVEL, MOVING_LEVEL = 0.3, 0.05  # the same for peaks of the error, as s
 REACH, FARTHEST = 0.02, 0.1  # share of the motion by which such a position may move in a round of the first radius, and at most
 PER_ROW = 2  # such positions of a row that the programme has at least
 EDGE = 1e-3  # share of the motion: this close to its ends the derivative at a peak need not vanish
+PEAK = "place of a peak"
 ROUNDING = 1e-9  # scaled units: a shorter step is none
 PEAK_SEPARATION = 1e-4  # share of the motion; closer positions count as one
 VIOLATION_PENALTY = 1e3  # penalty of exceeding a limit by one, in multiples of the objective
@@ -113,6 +120,27 @@ def solve_semi_infinite(task: DesignProblem, start: Solution, backend: str, *, n
     return replace(solution, status=Status.STALLED, message=what)
 
 
+def largest_excess(task: DesignProblem, nlp: NLP, x: Array) -> float:
+    """Return the largest excess over a limit or a largest value of a design; see `RowPeak`."""
+    return _courses(task, nlp).tops(local.solution_at(nlp, x, ""))[0].height
+
+
+def rank(solution: Solution) -> tuple[bool, bool, float]:
+    """Return a sort key, best first: feasible, optimal, low objective."""
+    return not solution.usable, solution.status is not Status.OPTIMAL, solution.objective
+
+
+def reconcile_backends(solutions: dict[str, Solution]) -> dict[str, Solution]:
+    """Restart every back end from the best design if it ended at another optimum; a true optimum does not move."""
+    winner = min(solutions.values(), key=rank)
+    return {
+        name: solution
+        if local.compare(solution, winner).same
+        else min((solution, solve_semi_infinite(winner.nlp.terms.problem, winner, name, near=True)), key=rank)
+        for name, solution in solutions.items()
+    }
+
+
 def sharpened(task: DesignProblem, solution: Solution, backend: str) -> Solution:
     """Return an optimum with all digits, for differences between optima that are close to each other.
 
@@ -153,7 +181,8 @@ def best_slow_stroke(task: DesignProblem, solution: Solution, backend: str) -> S
     stroke = "backward" if forward >= 1.0 else "forward"
     if stroke not in nlp.cache:
         limits = task.limits.model_copy(update={"time_ratio": replace(ratio, stroke=stroke)})
-        nlp.cache[stroke] = build(task.model_copy(update={"limits": limits}), sense)
+        one_way = task.model_copy(update={"limits": limits})
+        nlp.cache[stroke] = build(one_way, sense, terms=None if nlp.terms is None else nlp.terms.of(one_way))
     start = local.solution_at(nlp.cache[stroke], solution.x, solution.message)
     other = local.solution_at(nlp, local.solve_from(start.nlp, start.x, backend).x, solution.message)
     return local.best([solution, other]) if other.status is Status.OPTIMAL else solution
@@ -167,22 +196,22 @@ def _followed(
     `tops` are the peaks at the start, `violated` those of a rejected step. The positions of active peaks are unknowns; those that
     no peak needs are fixed, so that one programme serves many sets of peaks.
     """
-    each = nlp.exchange_rows[1]
-    chosen = [top for top in tops if top.moving]
-    positions = [[top.at for top in chosen if top.row == row] for row in range(each)]
-    per_row = PER_ROW
-    while per_row < max(map(len, positions), default=0) and 2 * per_row * each <= nlp.exchange_count:
-        per_row *= 2
-    many = min(per_row * each, nlp.exchange_count)
-    placed = ((i * each + row, at) for row, places in enumerate(positions) for i, at in enumerate(places[:per_row]))
-    used = {slot: at for slot, at in placed if slot < many}
+    each, places, chosen = nlp.exchange_rows[1], np.zeros(0), [top for top in tops if top.moving]
+    rows = _moved_rows(nlp, chosen)
+    many, used, left = len(rows), dict[int, float](), list(chosen)
+    for slot, row in enumerate(rows):
+        top = next((top for top in left if top.row == row), None)
+        if top is not None:
+            left.remove(top)
+            used[slot] = top.at
     others = iter(at for at in _places([*tops, *violated], nlp.exchange_count) if at not in used.values())
     places = np.array([used[slot] if slot in used else next(others, 0.0) for slot in range(nlp.exchange_count)])
     nlp.set_exchange_points(places)
     whole = len([top for top in tops if top.level >= 0 and top.tracked]) > nlp.exchange_count  # too many peaks
-    key = f"following {many} peaks" + (" and all positions" if whole else "")
+    regular = rows == [slot % each for slot in range(many)]
+    key = f"following {many if regular else rows} peaks" + (" and all positions" if whole else "")
     if key not in nlp.cache:
-        nlp.cache[key] = _with_moving_peaks(nlp, many, whole=whole)
+        nlp.cache[key] = _with_moving_peaks(nlp, rows, whole=whole)
     moving: NLP = nlp.cache[key]
     moving.p[:] = nlp.p
     for k, j in enumerate(_moving_rows(nlp, whole=whole)):
@@ -206,10 +235,24 @@ def _followed(
     return local.solution_at(nlp, nlp.wrapped(end.x[:n]), end.message), limited
 
 
-def _with_moving_peaks(nlp: NLP, many: int, *, whole: bool = False) -> NLP:
-    """Return the NLP with the positions of peaks as unknowns, one row after the other, and without its fixed positions."""
+def _moved_rows(nlp: NLP, chosen: Sequence[RowPeak]) -> list[int]:
+    """Return for each exchange point that is an unknown the row at whose peak it is.
+
+    One row follows the other, so that one programme serves many sets of peaks; where there are more rows than exchange points,
+    they are the rows of the peaks.
+    """
+    each, per_row = nlp.exchange_rows[1], PER_ROW
+    if each > nlp.exchange_count:
+        return sorted(top.row for top in chosen[: nlp.exchange_count])
+    while per_row < max(Counter(top.row for top in chosen).values(), default=0) and 2 * per_row * each <= nlp.exchange_count:
+        per_row *= 2
+    return [slot % each for slot in range(min(per_row * each, nlp.exchange_count))]
+
+
+def _with_moving_peaks(nlp: NLP, rows: Sequence[int], *, whole: bool = False) -> NLP:
+    """Return the NLP with the positions of peaks of some rows as unknowns, and without its fixed positions."""
     first, each = nlp.exchange_rows
-    slots = [first + slot * each + slot % each for slot in range(many)]
+    slots = [first + slot * each + row for slot, row in enumerate(rows)]
     return with_moving_rows(nlp, _moving_rows(nlp, whole=whole), slots)
 
 
@@ -264,7 +307,7 @@ def _levelled(tops: list[RowPeak], before: Array, now: Array) -> list[RowPeak]:
     for top in tops:
         if top.level >= 0:
             was, level = float(before[top.level]), float(now[top.level])
-            height = top.height * max(abs(was), LEAST_LEVEL) + (was - level) * (1.0 + LEVELLED)
+            height = top.height * max(abs(was), LEAST_LEVEL) + was - level + LEVELLED * (abs(was) - abs(level))
             top = replace(top, height=height / max(abs(level), LEAST_LEVEL))
         moved.append(top)
     return sorted(moved, key=lambda top: -top.height)
@@ -296,30 +339,36 @@ class _Courses:
     """Limits and largest values of a problem along the motions over which they apply, in the order of the exchange rows."""
 
     def __init__(self, task: DesignProblem, nlp: NLP) -> None:
-        self.task, self.limits, self.errors = task, limit_courses(task), error_courses(task)
-        self.terms = TermCourse(task, nlp.recipe.get("near")) if task.goals or task.bounds else None
+        self.task, self.limits, self.errors = task, limit_courses(task) if task.parts else [], error_courses(task)
+        self.terms: TermCourse | None = None if nlp.terms is None else nlp.terms.of(task)
 
     def tops(self, solution: Solution) -> list[RowPeak]:
         """Return the peaks where limits or largest values are exceeded or nearly so, largest first."""
         values, angles = solved_values(self.task, solution.design, solution.x)
-        levels = solution.x[solution.nlp.first_level :]
+        nlp = solution.nlp
+        levels = solution.x[nlp.first_level :]
         grid, found, rows = np.linspace(0.0, 1.0, POSITIONS), list[RowPeak](), 0
 
-        def search(heights: Function, level: int) -> None:
+        def search(heights: Function, numbers: int | list[int], grid: Array = grid) -> None:
             nonlocal rows
-            near = TRACKED_LEVEL if level >= 0 else TRACKED_PEAK
-            found.extend(replace(top, row=rows + top.row, level=level) for top in peaks(heights, grid, near))
-            rows += len(heights(grid[:1]))
+            values = heights(grid)
+            each = [numbers] * len(values) if isinstance(numbers, int) else numbers
+            for level, group in itertools.groupby(range(len(each)), key=lambda row: each[row]):
+                near = TRACKED_LEVEL if level >= 0 else TRACKED_PEAK
+                tops = peaks(heights, grid, near, values, list(group))
+                found.extend(replace(top, row=rows + top.row, level=level) for top in tops)
+            rows += len(values)
 
         for course in self.limits:
             own = next((own for part, own in self.task.of_parts(angles) if part is course.part), angles)
             assert own is not None
             search(functools.partial(_beyond_limits, course, values, own), -1)
         if self.terms is not None:
-            first = len(levels) - len(self.terms.levels)
-            for k, level in enumerate(self.terms.order):
-                heights = functools.partial(self.terms.heights_of, k, values, levels[first:])
-                search(heights, first + level if level >= 0 else -1)
+            first, events = len(levels) - len(self.terms.levels), solution.x[nlp.first_event : nlp.first_level]
+            numbers = [first + level if level >= 0 else -1 for level in self.terms.level_numbers]
+            along = np.linspace(0.0, 1.0, max(PER_STROKE, 1 + math.ceil((POSITIONS - 1) / self.terms.strokes)))
+            for motion in self.terms.motions(values, events):
+                search(functools.partial(self.terms.heights, motion, levels[first:]), numbers, along)
         for error in self.errors:
             number = error.level(self.task)
             largest = float(levels[number]) if number >= 0 else None
@@ -327,15 +376,78 @@ class _Courses:
         return sorted(found, key=lambda top: -top.height) or [RowPeak(0.0, -math.inf, 0)]
 
 
-def peaks(heights: Function, grid: Array, near: float = 0.0) -> list[RowPeak]:
-    """Return the local maxima above -near of all rows of a function of positions (n,), largest first; `grid` brackets them."""
-    values = heights(grid)
+def peaks(
+    heights: Function, grid: Array, near: float = 0.0, values: Array | None = None, rows: Sequence[int] | None = None
+) -> list[RowPeak]:
+    """Return the local maxima above -near of all `rows` of a function of positions (n,), largest first; `grid` brackets them.
+
+    `values` are those of the function on the grid, if known.
+    """
+    values = heights(grid) if values is None else values
     padded = np.pad(values, ((0, 0), (1, 1)), constant_values=-np.inf)
     top = (values >= padded[:, :-2]) & (values > padded[:, 2:]) & (values > -2.0 * near)
     tops: list[RowPeak] = []
     for row, k in np.argwhere(top).tolist():
+        if rows is not None and row not in rows:
+            continue
         bracket = np.linspace(grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)], 9)
         at, value = maxima(lambda u: heights(u)[row : row + 1], bracket)  # noqa: B023
         tops.append(RowPeak(float(at[0]), float(value[0]), row))
     tops.sort(key=lambda peak: -peak.height)
     return [peak for k, peak in enumerate(tops) if all(abs(peak.at - other.at) > PEAK_SEPARATION for other in tops[:k])]
+
+
+# --- places of peaks as unknowns ----------------------------------------------------------------------------------------------
+
+
+def with_moving_rows(nlp: NLP, keep: Sequence[int], slots: Sequence[int]) -> NLP:
+    """Return some rows of an NLP; the first exchange points are unknowns, each where a row of `slots` has a maximum."""
+    assert nlp.mapped is not None
+    count = nlp.exchange_count
+    reduced = replace(nlp, rows=tuple(nlp.rows[j] for j in keep), g_expression=nlp.g_expression[keep], cache={})
+    heights = dict(enumerate(casadi.vertsplit(nlp.g_expression[slots])))
+    places = casadi.vertsplit(nlp.p_symbol)[len(nlp.p) - count :][: len(slots)]
+    terms = nlp.mapped.of_rows(keep).with_slopes(casadi.vertsplit(nlp.mapped.g[slots]), places)
+    return with_places(reduced, count, heights, terms)
+
+
+def with_places(nlp: NLP, slots: int, heights: Mapping[int, Any], terms: tuple[MappedTerms, Any] | None = None) -> NLP:
+    """Return an NLP with some exchange points as additional unknowns: each where the derivative of a height vanishes.
+
+    The last `slots` parameters of the NLP are the exchange points; `heights` has expressions of its x and p by the number of an
+    exchange point. `terms`: the NLP by vectors of positions, and the derivatives of the heights by the exchange points in its
+    terms; by default those of the NLP, and derivatives in terms of x and p.
+    """
+    n, first, count = len(nlp.variables), len(nlp.p) - slots, len(heights)
+    x = casadi.SX.sym("x", n + count)
+    slopes, p = [], casadi.vertsplit(nlp.p_symbol)
+    for k, (slot, height) in enumerate(heights.items()):
+        slopes.append(casadi.gradient(height, nlp.p_symbol[first + slot]))
+        p[first + slot] = x[n + k]
+    expressions = [nlp.f_expression, nlp.g_expression, nlp.residual_expression, casadi.vertcat(*slopes)]
+    moved: tuple[list[Any], list[Any]] = ([nlp.x_symbol, nlp.p_symbol], [x[:n], casadi.vertcat(*p)])
+    mapped, rates = terms or (nlp.mapped, expressions[-1])
+    f, g, residual, slope, rates = map(casadi.densify, casadi.substitute([*expressions, rates], *moved))  # a slope may be zero
+    at = np.array([nlp.p[first + slot] for slot in heights])
+    names = [f"{PEAK} {k + 1}" for k in range(count)]
+    return NLP(
+        variables=(*nlp.variables, *(Variable(label, 1.0, PLAIN) for label in names)),
+        fixed=nlp.fixed,
+        rows=(*nlp.rows, *(ConstraintRow(PEAK, label, slope[k], 0.0, 0.0, PLAIN) for k, label in enumerate(names))),
+        measure=nlp.measure,
+        x_start=np.concatenate([nlp.x_start, at]),
+        x_low=np.concatenate([nlp.x_low, np.zeros(count)]),
+        x_high=np.concatenate([nlp.x_high, np.ones(count)]),
+        p=nlp.p,
+        x_symbol=x,
+        p_symbol=nlp.p_symbol,
+        f_expression=f,
+        g_expression=casadi.vertcat(g, slope),
+        residual_expression=residual,
+        cycle=nlp.cycle,
+        mapped=None if mapped is None else mapped.substituted(x, moved, rates),
+        exact=nlp.exact,
+        factor=nlp.factor,
+        helpers=nlp.helpers | {PEAK, *names},
+        states=nlp.states | {PEAK, *names},
+    )

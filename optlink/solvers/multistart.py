@@ -211,7 +211,8 @@ def compare(a: Solution, b: Solution) -> Agreement:
     root = math.sqrt if a.nlp.measure.name == "sum of squares" else float
     first, second = root(a.objective), root(b.objective)
     gap = max(0.0, abs(first - second) - SAME_ERROR)
-    return Agreement(gap / max(abs(first), abs(second), SAME_ERROR), float(np.max(np.abs(a.x - b.x), initial=0.0)))
+    one, other = (s.x if a.x.shape == b.x.shape else s.x[: s.nlp.first_event] for s in (a, b))  # events may be others
+    return Agreement(gap / max(abs(first), abs(second), SAME_ERROR), float(np.max(np.abs(one - other), initial=0.0)))
 
 
 def reconcile(nlp: NLP, found: dict[str, Solution]) -> dict[str, Solution]:

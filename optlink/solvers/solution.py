@@ -122,15 +122,9 @@ def _read_recipe(recipe: Any, info: ValidationInfo) -> Callable[[], NLP]:
 
 
 def _built_again(problem: ProblemFile, recipe: Mapping[str, Any]) -> NLP:
-    model: Any = problem.model
-    match recipe:
-        case {"builder": "path", "direction": direction}:
-            from optlink.optimization.programme import build
+    from optlink.optimization.programme import build_again
 
-            return build(model, direction)
-    from optlink.optimization.cycle_nlp import build_cycle_again
-
-    return build_cycle_again(model, recipe)
+    return build_again(problem.spec, recipe)
 
 
 Source = Annotated[

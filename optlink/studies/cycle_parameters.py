@@ -15,12 +15,14 @@ import numpy as np
 from optlink.errors import InputError, Status
 from optlink.linkage.vector2d import Array
 from optlink.optimization.constraints import Scale
-from optlink.optimization.cycle_nlp import CycleNLP, build_cycle
+from optlink.optimization.courses import TermCourse
 from optlink.optimization.cycle_signals import TracedCycle
+from optlink.optimization.programme import build
 from optlink.problem.file import ProblemFile
 from optlink.problem.limits import MARGIN_KEYS
 from optlink.problem.quantity_keys import file_key
-from optlink.solvers.semi_infinite import refine_peaks
+from optlink.solvers.contract import CLOSE
+from optlink.solvers.exchange import sharpened
 from optlink.solvers.solution import Solution
 from optlink.studies.cycle_task import with_starting_values
 from optlink.studies.kkt_derivatives import KKTPerturbation
@@ -48,18 +50,16 @@ class CycleParameters(OptimumParameters):
     """
 
     share, most = 3e-4, 0.02
-    nlp: CycleNLP
 
     @staticmethod
     def refined(solution: Solution) -> Solution:
         """Return an optimum at the exact positions of its peaks."""
-        assert isinstance(solution.nlp, CycleNLP)
-        return refine_peaks(solution.nlp, solution)
+        return sharpened(solution.nlp.terms.problem, solution, CLOSE)
 
     @property
     def notes(self) -> tuple[str, ...]:
         """Note on the sign of a maximised quantity."""
-        maximised = any(goal.sense == "maximise" for goal in self.nlp.traced.problem.goals)
+        maximised = any(goal.sense == "maximise" for goal in self.nlp.terms.problem.goals)
         return ("a maximised quantity is listed with the opposite sign: its negative is minimised",) * maximised
 
     @cached_property
@@ -94,9 +94,8 @@ class CycleParameters(OptimumParameters):
             return None
         if optimum is None or optimum.status is not Status.OPTIMAL:
             return None
-        distance = (
-            max(abs(optimum.design[name] - start_value) for name, start_value in solution.design.items()) / self.nlp.scales[0]
-        )
+        gaps = (abs(optimum.design[name] - start_value) for name, start_value in solution.design.items())
+        distance = max(gaps) / self.nlp.terms.problem.longest
         start_at = design_variables(self.nlp, self.nlp.x_start)
         predicted = max(abs(change[v.name] / v.scale.slope(x)) for v, x in start_at)
         if distance > 10.0 * predicted and distance > SAME_OPTIMUM:
@@ -123,9 +122,10 @@ class CycleParameters(OptimumParameters):
     def _perturbed(self, parameter: Parameter, value: float) -> tuple[float, Array, Array]:
         """Return the Lagrangian, its gradient by (x, p) and the rows at the optimum, with another value in the file."""
         system, nlp = self.system, self.nlp
-        trace = TracedCycle(with_parameter(self.problem, parameter, value).spec, slow=self.nlp.traced.slow)
-        slots = nlp.slots // nlp.strokes
-        perturbed = build_cycle(trace, nlp.structure, nlp.design(system.x), nlp.nodes, slots, nlp.scales)
+        task, terms = with_parameter(self.problem, parameter, value).spec, nlp.terms
+        trace = TracedCycle(task, slow=terms.trace.slow)
+        course = TermCourse(task, nlp.design(system.x), trace, terms.structure, terms.count, terms.sizes)
+        perturbed = build(task, terms=course)
         if [row.label for row in perturbed.rows] != [row.label for row in nlp.rows]:
             message = "at a neighbouring value the motions reverse in another order"
             raise InputError(message, "Change it with --set", self.problem.file, parameter.key)

@@ -9,37 +9,28 @@ starting point of the problem and from random dimensions. So no chunk depends on
 from __future__ import annotations
 
 import copy
-import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, TypeVar
 
 from optlink.errors import Status
-from optlink.linkage.vector2d import Array
-from optlink.optimization.constraints import ConstraintRow
-from optlink.optimization.cycle_nlp import CycleNLP, build_cycle
+from optlink.optimization.courses import TermCourse
 from optlink.optimization.cycle_signals import TracedCycle
-from optlink.optimization.nlp import NLP
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity_keys import place_of
-from optlink.solvers import multistart
-from optlink.solvers.cycle_search import at_edge
-from optlink.solvers.semi_infinite import exchange, peaks
+from optlink.solvers.event_orders import at_edge, misfit
 from optlink.studies.continuation import FOLLOWED
 from optlink.studies.grid import Grid
 from optlink.studies.reoptimise_task import FOLLOWED_CHUNK, SEARCHED, SLOW_CHUNK, ReoptimiseTask, active
 from optlink.studies.sweep_task import FoundOptimum, OptimumTask
+from optlink.studies.target_programme import TargetProgramme
 from optlink.tasks.cycle import solve as solve_cycle, validated_design
 from optlink.tasks.modes import possible_modes
 from optlink.tasks.protocol import completed
 from optlink.tasks.results.design import SynthesisResult, of_designs
 
-N = TypeVar("N", bound=NLP)
-
 BOUNDS = ("min", "max", "exactly")
-COMPILED = ("_values", "_all", "_residuals", "_hessian", "_levels")  # compiled parts of a programme independent of bounds
 
 
 @dataclass(frozen=True)
@@ -85,10 +76,7 @@ class CycleTask(OptimumTask):
 
     def near(self, point: int, file: ProblemFile, design: Mapping[str, float]) -> SynthesisResult:
         """Return the machine of a point, searched from given dimensions."""
-        result = None
-        if self.programme is not None:
-            bounds = {axis.key: value for axis, value in zip(self.grid.axes, self.grid.values(point), strict=True)}
-            result = self.programme.design(file, bounds, design)
+        result = None if self.programme is None else self.programme.design(file, design)
         return completed(solve_cycle(with_starting_values(file, design), self.backend, starts=1)) if result is None else result
 
     def searched(self, task: ProblemFile) -> SynthesisResult:
@@ -123,84 +111,39 @@ class CycleProgramme:
     """One programme for many bounds of its limits, traced and compiled once."""
 
     def __init__(self, problem: ProblemFile, backend: str) -> None:
-        task = problem.spec
-        self.backend, self.trace = backend, TracedCycle(task)
-        self.structure = self.trace.structure({name: task.quantities[name].value for name in task.free})
+        self.task, self.backend = problem.spec, backend
+        self.trace = TracedCycle(self.task, slow=self.task.slow_assumed)
+        self.start = {name: self.task.quantities[name].value for name in self.task.free}
+        self.structure = self.trace.structure(self.start)
         self.possible = self.structure is not None and not any(term.integral for term in self.trace.terms)
 
     @cached_property
-    def nlp(self) -> CycleNLP:
+    def programme(self) -> TargetProgramme:
         """Programme with the limits of the problem."""
         assert self.structure is not None
-        task = self.trace.problem
-        start = {name: task.quantities[name].value for name in task.free}
-        programme = build_cycle(self.trace, self.structure, start)
-        multistart.prepare(programme, self.backend)
-        programme.lifted(programme.x_start)
-        return programme
+        terms = TermCourse(self.task, self.start, self.trace, self.structure.definite)
+        return TargetProgramme(self.task, 1, self.backend, terms=terms)
 
-    def design(
-        self, problem: ProblemFile, bounds: Mapping[str, float], start_values: Mapping[str, float]
-    ) -> SynthesisResult | None:
+    def design(self, problem: ProblemFile, start_values: Mapping[str, float]) -> SynthesisResult | None:
         """Return the machine of a problem with other bounds; None if another order of its events may allow a better one.
 
-        `bounds` by key with its side, in the units of the problem; `start_values` [SI].
+        `start_values` [SI].
         """
         begin = time.perf_counter()
         structure = self.trace.structure(start_values)
         if structure is None or self.structure is None or not structure.like(self.structure):
             return None
-        nlp = with_bounds(self.nlp, bounds)
-        x = nlp.x_of(start_values)
-        nlp.set_exchange_points(peaks(nlp, x).shares)
+        if not self.programme.bind(problem.spec):
+            return None
         built = time.perf_counter()
-        solution = exchange(nlp, multistart.solve_from(nlp, x, self.backend))
-        self.nlp.cache.update(nlp.cache)
-        if at_edge(solution):
+        solution = self.programme.optimum(problem.spec, start_values)
+        terms = solution.nlp.terms
+        if at_edge(solution) or (solution.usable and misfit(terms.trace, terms.structure, solution.design)):
             return None
         solved = time.perf_counter()
         design = validated_design(problem, solution)
         seconds = {"build": built - begin, "solve": solved - built, "validate": time.perf_counter() - solved}
         return replace(of_designs(problem, [design], 1, self.backend, seconds), seed=0, starts=1)
-
-
-def with_bounds(nlp: CycleNLP, bounds: Mapping[str, float], **changes: Any) -> CycleNLP:
-    """Return the programme with other bounds of limits; compiled parts are shared.
-
-    `bounds` by key with its side, in the units of the file; `changes`: other attributes.
-    """
-    rows, watched, task = list(nlp.rows), list(nlp.watched), nlp.traced.problem
-    followed = [""] * sum(goal.extreme for goal in task.goals)  # in the order of `watched`
-    followed += [bound.key for bound in task.bounds if bound.term.extreme]
-    for key, bound in bounds.items():
-        limit, _, side = key.rpartition(".")
-        rows_of_limit = [j for j, row in enumerate(rows) if row.limit == limit]
-        for j in rows_of_limit:
-            row, value = rows[j], rows[j].scale.to_internal(bound)
-            low = value if side != "max" and math.isfinite(row.low) else row.low
-            high = value if side != "min" and math.isfinite(row.high) else row.high
-            rows[j] = replace(row, low=low, high=high)
-        if limit in followed:
-            k = followed.index(limit)
-            if side != ("min" if watched[k].sign > 0.0 else "max"):
-                watched[k] = replace(watched[k], bound=watched[k].sign * bound / rows[rows_of_limit[0]].scale.factor)
-    p = nlp.p.copy()
-    derived = {  # derived programmes have the rows of this one, then their own
-        key: _rebound(rows_of_limit, (*rows, *rows_of_limit.rows[len(rows) :]), p)
-        if isinstance(rows_of_limit, NLP)
-        else rows_of_limit
-        for key, rows_of_limit in nlp.cache.items()
-    }
-    return _rebound(nlp, tuple(rows), p, watched=tuple(watched), cache=derived, **changes)
-
-
-def _rebound(nlp: N, rows: tuple[ConstraintRow, ...], p: Array, **changes: Any) -> N:
-    """Return a programme with other bounds and parameters, and all compiled parts."""
-    changed = replace(nlp, rows=rows, p=p, **changes)
-    for name in COMPILED:
-        if name in vars(nlp):
-            vars(changed)[name] = vars(nlp)[name]
-    return changed
 
 
 def with_starting_values(problem: ProblemFile, values: Mapping[str, float]) -> ProblemFile:

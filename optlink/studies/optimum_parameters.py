@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from functools import cached_property
 
+from optlink.optimization.courses import course_again
 from optlink.problem.file import ProblemFile
 from optlink.solvers import multistart
 from optlink.solvers.exchange import sharpened
@@ -76,8 +77,11 @@ class TargetParameters(OptimumParameters):
         """Return the optimum with another value; see `OptimumParameters.optimum_at`."""
         if not parameter.in_file:
             return super().optimum_at(solution, parameter, value, change, backend)
-        changed = self.problem.override({parameter.key: exact_text(value, parameter.unit)}).spec
-        programme = TargetProgramme(changed, solution.nlp.recipe["direction"], backend)
+        stated, written = self.problem.at(parameter.key), exact_text(value, parameter.unit)
+        sides = [""] if not isinstance(stated, Mapping) else [".exactly"] if "exactly" in stated else [".min", ".max"]
+        changed = self.problem.override({f"{parameter.key}{side}": written for side in sides}).spec
+        recipe = solution.nlp.recipe
+        programme = TargetProgramme(changed, recipe["direction"], backend, terms=course_again(changed, recipe))
         optimum = programme.optimum(changed, variables_of(solution))
         optimum = sharpened(changed, optimum, backend) if optimum.usable else optimum
         return (optimum.objective, displayed(programme.nlp, optimum.x)) if optimum.usable else None

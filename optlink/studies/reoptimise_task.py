@@ -24,6 +24,7 @@ from optlink.errors import InputError, Status
 from optlink.linkage.vector2d import Array
 from optlink.optimization.batch_nlp import BatchNLP
 from optlink.optimization.constraints import rows as limit_rows
+from optlink.optimization.courses import course_again
 from optlink.optimization.multipliers import ACTIVE
 from optlink.optimization.nlp import NLP
 from optlink.optimization.programme import build
@@ -155,20 +156,22 @@ class ReoptimiseTask(OptimumTask):
         key = (repr(file.at("mechanism.assembly")), -1 if near.task.data.offsets is None and angles[-1] < angles[0] else 1)
         limited = [limit_key(part) for part in file.spec.parts]
         kept = all(is_parameter(axis.key) or axis.key in limited for axis in self.grid.axes)
+        like = solution.nlp
+        key = (*key, *(() if like.terms is None else like.terms.structure.key))
         if key not in self._programmes:
             template = near.problem.override(self.grid.changes(0)).spec
-            self._programmes[key] = TargetProgramme(template, key[1], self.backend)
+            self._programmes[key] = TargetProgramme(template, key[1], self.backend, terms=course_again(template, like.recipe))
         programme = self._programmes[key]
         if not (kept and programme.bind(file.spec)):
-            programme = TargetProgramme(file.spec, key[1], self.backend)
+            programme = TargetProgramme(file.spec, key[1], self.backend, terms=course_again(file.spec, like.recipe))
         values = variables_of(solution)
         if {v.name for v in programme.nlp.variables} != values.keys():
             return None
         return validated_design(file, programme.optimum(file.spec, values))
 
     @cached_property
-    def _programmes(self) -> dict[tuple[str, int], TargetProgramme]:
-        """Programmes at the first point of the grid by assembly modes and sense of rotation."""
+    def _programmes(self) -> dict[tuple[Any, ...], TargetProgramme]:
+        """Programmes at the first point of the grid by assembly modes, sense of rotation and order of ends of strokes."""
         return {}
 
     def near(self, point: int, file: ProblemFile, design: Mapping[str, float]) -> SynthesisResult:

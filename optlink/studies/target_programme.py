@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from optlink.linkage.vector2d import unit
-from optlink.optimization.constraints import position_rows, rows as limit_rows
-from optlink.optimization.courses import has_position_limits
+from optlink.optimization.constraints import alignment_row, link_rows, position_rows, rows as limit_rows
+from optlink.optimization.courses import TermCourse, has_position_limits
 from optlink.optimization.nlp import NLP
 from optlink.optimization.programme import build, constant_values
 from optlink.problem.design import DesignProblem
@@ -17,7 +17,7 @@ from optlink.solvers import multistart
 from optlink.solvers.contract import MINIMAX
 from optlink.solvers.exchange import solve_semi_infinite
 from optlink.solvers.solution import Solution
-from optlink.units import DISPLAYED
+from optlink.units import DISPLAYED, KINDS, factor
 
 OF_PROBLEM = ("courses", "forward", "backward")
 """Keys of what the exchange keeps of a problem in the cache of its programme."""
@@ -27,12 +27,14 @@ class TargetProgramme:
     """The programme of a problem, traced once, for all problems of the same structure.
 
     `direction`: sense of crank rotation from point to point, +1 or -1; `movable`: whether targets and the rotation of a law are
-    parameters too.
+    parameters too; `terms`: the quantities of the machine, with an order of the ends of strokes.
     """
 
-    def __init__(self, task: DesignProblem, direction: int, backend: str, *, movable: bool = False) -> None:
+    def __init__(
+        self, task: DesignProblem, direction: int, backend: str, *, movable: bool = False, terms: TermCourse | None = None
+    ) -> None:
         self.task, self.direction, self.backend = task, direction, backend
-        self.nlp: NLP = build(task, direction, movable=movable)
+        self.nlp: NLP = build(task, direction, movable=movable, terms=terms)
         multistart.prepare(self.nlp, backend)
 
     def bind(self, task: DesignProblem) -> bool:
@@ -40,12 +42,18 @@ class TargetProgramme:
         nlp, n = self.nlp, len(self.nlp.variables)
         values = {name: quantity.value for name, quantity in task.quantities.items()}
         with np.errstate(all="ignore"):
-            rows = limit_rows(task, values, Reach(0.0, 1.0, self.direction), self.task.size)
-            placed = position_rows(task, task.linkage.pose(values, unit(0.0))) if has_position_limits(task) else []
+            pose = task.linkage.pose(values, unit(0.0))
+            if task.parts:
+                rows = limit_rows(task, values, Reach(0.0, 1.0, self.direction), self.task.size)
+                placed = position_rows(task, pose) if has_position_limits(task) else []
+            else:
+                rows = list(link_rows(task, values, self.task.longest))
+                placed = [alignment_row(task.limits, group, group.alignment(pose)) for group in task.linkage.groups]
         anywhere = {(row.limit, row.label): row for row in placed}
         first, each = nlp.exchange_rows
         limited = {limit_key(part): part for part in task.parts}
-        others = nlp.helpers | limited.keys() | {bound.key for bound in task.bounds}
+        bounds = {bound.key: bound.interval for bound in task.bounds}
+        others = nlp.helpers | limited.keys() | bounds.keys()
         labels = [(row.limit, row.label) for row in nlp.rows[first : first + each] if row.limit not in others]
         if [row.limit for row in rows] != [row.limit for row in nlp.rows[: len(rows)]] or set(anywhere) != set(labels):
             return False
@@ -57,6 +65,11 @@ class TargetProgramme:
             row = rows[j] if j < len(rows) else anywhere.get((programme_row.limit, programme_row.label))
             if row is not None:
                 nlp.limit(n + j, row.low, row.high)
+            elif programme_row.limit in bounds:
+                interval, scale = bounds[programme_row.limit], programme_row.scale
+                size = factor(interval.unit or KINDS[interval.kind].display, interval.kind) if interval.kind else 1.0
+                ends = interval.low, interval.high
+                nlp.limit(n + j, *(None if end is None else scale.to_internal(end / size) for end in ends))
             elif programme_row.limit in limited:
                 part = limited[programme_row.limit]
                 stated, offset = part.requirement.stated(part)
@@ -73,7 +86,7 @@ class TargetProgramme:
         """
         nlp = self.nlp
         start = multistart.solution_at(nlp, nlp.x_of(values), "the last optimum")
-        minimax = task.measure == "max" and not (task.law_given or task.composed or task.robust is not None)
+        minimax = not task.composed and task.measure == "max" and not (task.law_given or task.robust is not None)
         for method in (MINIMAX, self.backend) if minimax else (self.backend,):
             solution = solve_semi_infinite(task, start, method, near=start.usable)
             if solution.usable:

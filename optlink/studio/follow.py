@@ -11,22 +11,19 @@ from typing import Protocol
 import numpy as np
 
 from optlink.linkage.vector2d import Array
-from optlink.optimization.cycle_nlp import CycleNLP
-from optlink.optimization.cycle_signals import TracedCycle
 from optlink.optimization.nlp import NLP
 from optlink.problem.design import DesignProblem
 from optlink.problem.file import ProblemFile
 from optlink.solvers import multistart
-from optlink.solvers.contract import MINIMAX
-from optlink.solvers.exchange import solve_semi_infinite
-from optlink.solvers.semi_infinite import EXACTLY, exchange, peaks
+from optlink.solvers.contract import CLOSE, MINIMAX
+from optlink.solvers.exchange import largest_excess, place_at_peaks, solve_semi_infinite
 from optlink.solvers.solution import Solution, stationarity
 from optlink.studies.continuation import follow_optimum
-from optlink.studies.cycle_task import CycleProgramme, with_bounds, with_starting_values
-from optlink.studies.target_programme import TargetProgramme, set_bounds
-from optlink.units import factor
+from optlink.studies.cycle_task import CycleProgramme, with_starting_values
+from optlink.studies.target_programme import TargetProgramme
 
 BACKEND = "ipopt"
+EXACTLY = 1e-9  # scaled units: distance at which a row counts as active in the optimality conditions
 PEAK_TOLERANCE = 1e-4  # share of its level by which a peak may exceed the values at the fixed positions while a hand moves
 
 
@@ -99,9 +96,9 @@ class CycleFollower:
         self.follow(problem, None)  # the first search takes longer: it compiles
 
     def _first(self, values: Mapping[str, float]) -> Solution:
-        nlp = self.programme.nlp
+        nlp = self.programme.programme.nlp
         x = nlp.x_of({name: values[name] for name in self.task.free})
-        nlp.set_exchange_points(peaks(nlp, x).shares)
+        place_at_peaks(self.task, nlp, x)
         solution = multistart.solution_at(nlp, nlp.lifted(x), "the last optimum")
         return _with_active_rows(
             solution if solution.usable and solution.kkt <= PEAK_TOLERANCE else multistart.solve_from(nlp, x, BACKEND)
@@ -109,55 +106,30 @@ class CycleFollower:
 
     def follow(self, problem: ProblemFile, near: Solution | None) -> Solution | None:
         """Return the optimum of a problem near the last one, which the follower keeps; None if its events have another order."""
-        last = self._near
-        if last is None:
+        last, task = self._near, problem.spec
+        if last is None or not self.programme.programme.bind(task):
             return None
-        nlp = self._bound(problem.spec, last)
+        nlp = self.programme.programme.nlp
+        nlp.set_exchange_points(last.p[len(last.p) - nlp.exchange_count :])
         solution = follow_optimum(nlp, last) if last.usable else None
-        if solution is None or peaks(nlp, solution.x).excess > PEAK_TOLERANCE:
+        if solution is None or largest_excess(task, nlp, solution.x) > PEAK_TOLERANCE:
             x = nlp.lifted(np.clip(last.x if solution is None else solution.x, nlp.x_low, nlp.x_high))
-            nlp.set_exchange_points(peaks(nlp, x).shares)
+            place_at_peaks(task, nlp, x)
             solution = multistart.solve_from(nlp, x, BACKEND)
-            self.programme.nlp.cache.update(nlp.cache)
         if solution.usable:
-            order = nlp.traced.structure(solution.design)
-            if order is None or not order.like(nlp.structure):
+            if nlp.terms.event_angles(solution.design) is None:
                 return None
             self._near = _with_active_rows(solution)
+        self.task = task
         return solution
 
     def refined(self, solution: Solution) -> Solution:
         """Return an optimum that satisfies its limits at every crank angle, from one at fixed positions of the peaks."""
-        nlp = solution.nlp
-        assert isinstance(nlp, CycleNLP)
-        nlp.p[:] = solution.p
-        exchanged = exchange(nlp, solution)
+        solution.nlp.p[:] = solution.p
+        exchanged = solve_semi_infinite(self.task, solution, CLOSE, near=True)
         if exchanged.usable:
             self._near = _with_active_rows(exchanged)
         return exchanged
-
-    def _bound(self, task: DesignProblem, last: Solution) -> CycleNLP:
-        """Return the programme with the fixed sizes, bounds and limits of a problem, and the last positions of the peaks."""
-        trace = object.__new__(TracedCycle)  # its copy would be traced again
-        vars(trace).update(vars(self.programme.trace) | {"problem": task})
-        programme_nlp = self.programme.nlp
-        movable = {"x_low": programme_nlp.x_low.copy(), "x_high": programme_nlp.x_high.copy()}
-        nlp = with_bounds(programme_nlp, _moved(self.task, task), trace=trace, **movable)
-        nlp.p[:] = last.p
-        nlp.p[1 : 1 + len(nlp.constants)] = [v.scaled(task.quantities[v.name].value) for v in nlp.constants]
-        set_bounds(nlp, task)
-        return nlp
-
-
-def _moved(old: DesignProblem, new: DesignProblem) -> dict[str, float]:
-    """Return the limits that differ, in the unit of the file, by key with side."""
-    moved: dict[str, float] = {}
-    for bound, now in zip(old.bounds, new.bounds, strict=True):
-        before, interval = bound.interval, now.interval
-        for side, was, value in (("min", before.low, interval.low), ("max", before.high, interval.high)):
-            if was != value and value is not None:
-                moved[f"{now.key}.{side}"] = value / (factor(interval.unit, interval.kind) if interval.kind else 1.0)
-    return moved
 
 
 def _with_active_rows(solution: Solution) -> Solution:

@@ -28,7 +28,6 @@ from optlink.validation import Check, validate as validate_design
 from optlink.validation.cycle import cycle_of
 
 if TYPE_CHECKING:
-    from optlink.optimization.cycle_nlp import CycleNLP
     from optlink.optimization.nlp import NLP
     from optlink.solvers.continuum import Continuum
     from optlink.solvers.cycle_search import CycleSearchResult
@@ -92,11 +91,9 @@ class CycleTask(DesignTask[SynthesisResult]):
 
     def place(self, problem: ProblemFile, nlp: NLP, x: Array) -> None:
         """Move the exchange points to the peaks of limits and of the objective; see `DesignTask.place`."""
-        from optlink.optimization.cycle_nlp import CycleNLP
-        from optlink.solvers.semi_infinite import peaks
+        from optlink.solvers.exchange import place_at_peaks
 
-        assert isinstance(nlp, CycleNLP)
-        nlp.set_exchange_points(peaks(nlp, nlp.lifted(x)).shares)
+        place_at_peaks(problem.spec, nlp, nlp.lifted(x))
 
     def validate(self, problem: ProblemFile, design: Mapping[str, float]) -> SynthesisResult:
         """Validate given dimensions; those not named have their value in the file.
@@ -127,7 +124,7 @@ def _search(problem: ProblemFile, search: Search) -> SynthesisResult:
     from optlink.solvers.continuum import continuum
     from optlink.solvers.cycle_search import search_all
     from optlink.solvers.cycle_starts import STARTS, StartSequence, further_start_groups, start_groups
-    from optlink.solvers.semi_infinite import rank
+    from optlink.solvers.exchange import rank
 
     names, seed, timer, progress = search.names, search.seed, search.timer, search.progress
     task, count = problem.spec, STARTS if search.starts is None else search.starts
@@ -188,20 +185,24 @@ def _explained(result: CycleSearchResult, names: Sequence[str]) -> CycleSearchRe
 
     The conflict among [limits] is analysed on an NLP with fewer positions; the bounds of the design variables are kept.
     """
-    from optlink.optimization.cycle_nlp import build_cycle
+    from optlink.optimization.courses import TermCourse
+    from optlink.optimization.programme import build
     from optlink.solvers import multistart
+    from optlink.solvers.contract import CLOSE
+    from optlink.solvers.exchange import place_at_peaks, reconcile_backends, solve_semi_infinite
     from optlink.solvers.infeasibility import Explanation, explain
-    from optlink.solvers.semi_infinite import exchange, peaks, reconcile_backends
 
     nlp, order = result.orders[0].nlp, result.orders[0]
-    coarse = build_cycle(nlp.traced, nlp.structure, nlp.design(nlp.x_start), nodes=COARSE_NODES)
-    required = {bound.key for bound in coarse.traced.problem.bounds}
-    kept = coarse.states.union(coarse.free, {row.limit for row in coarse.rows} - required - {EPIGRAPH})
+    task, terms = nlp.terms.problem, nlp.terms
+    start = nlp.design(nlp.x_start)
+    coarse = build(task, terms=TermCourse(task, start, terms.trace, terms.structure, COARSE_NODES))
+    required = {bound.key for bound in task.bounds}
+    kept = coarse.states.union(task.free, {row.limit for row in coarse.rows} - required - {EPIGRAPH})
     ends = [nlp.design(solution.x) for solution in next(iter(order.runs.values()))[:COARSE_STARTS]]
     points = [coarse.x_of(values) for values in (*order.begin.starts[:COARSE_STARTS], *ends)]
 
     def follow(x: Array) -> Array:
-        coarse.set_exchange_points(peaks(coarse, x).shares)
+        place_at_peaks(task, coarse, x)
         return coarse.p
 
     reason = explain(replace(coarse, states=kept), points=points, quick=True, follow=follow)
@@ -209,8 +210,8 @@ def _explained(result: CycleSearchResult, names: Sequence[str]) -> CycleSearchRe
         miss = multistart.infeasible_at(nlp, nlp.x_of(coarse.design(reason.x)), "nearest design")
         return replace(result, nlp=nlp, best=dict.fromkeys(names, miss), conflict=reason.conflict, together=reason.together)
     x = nlp.x_of(coarse.design(reason))
-    repeated = {name: exchange(nlp, multistart.solve_from(nlp, x, name)) for name in names}
-    return replace(result, nlp=nlp, best=reconcile_backends(nlp, repeated))
+    repeated = {name: solve_semi_infinite(task, multistart.solve_from(nlp, x, name), CLOSE) for name in names}
+    return replace(result, nlp=nlp, best=reconcile_backends(repeated))
 
 
 def _first_starts(problem: ProblemFile, samples: StartSequence, count: int) -> list[StartGroup]:
@@ -219,13 +220,11 @@ def _first_starts(problem: ProblemFile, samples: StartSequence, count: int) -> l
     An output that reciprocates in none of the dimensions that turn fully is refused.
     """
     from optlink.solvers.cycle_starts import start_groups
+    from optlink.tasks.search import no_stroke
 
     groups = start_groups(samples, count)
     if not groups and samples.fault is not None:
-        key, term, reversals = samples.fault
-        message = f"{term.of} reverses {reversals} times in a revolution" if reversals else f"{term.of} never reverses"
-        remedy = "Name an output with two reversals, or change the starting point"
-        raise InputError(message, remedy, problem.file, f"{key}.of", term.of)
+        raise InputError(*no_stroke(samples.fault, problem))
     return groups
 
 
@@ -240,8 +239,8 @@ def _notes(
         why = f"no others of {SAMPLES * count} random designs turn fully with the same order of events"
         yield f"only {most} of {count} starts: {why}"
     if result.usable:
-        if not result.nlp.structure.like(result.orders[0].begin.structure):
-            rows = any(event.key[0] == "corner" for event in result.nlp.traced.events)
+        if not result.nlp.terms.structure.like(result.orders[0].begin.structure):
+            rows = any(event.key[0] == "corner" for event in result.nlp.terms.trace.events)
             what = "reverse, or pass the rows of a load table," if rows else "reverse"
             yield f"its motions {what} in another order than those of the initial machine"
         if equal is not None:
@@ -289,13 +288,15 @@ def _no_rotatable_design(problem: ProblemFile, seed: int, starts: int, seconds: 
     return replace(result, seconds=result.seconds | seconds, seed=seed, starts=starts, notes=notes)
 
 
-def _refined(task: DesignProblem, nlp: CycleNLP, solutions: dict[str, Solution]) -> tuple[CycleNLP, dict[str, Solution]]:
+def _refined(task: DesignProblem, nlp: NLP, solutions: dict[str, Solution]) -> tuple[NLP, dict[str, Solution]]:
     """Double the positions until integrals agree with those of the validation, and continue the search."""
-    from optlink.optimization.cycle_nlp import NODES, build_cycle
+    from optlink.optimization.courses import NODES, TermCourse
+    from optlink.optimization.programme import build
     from optlink.solvers import multistart
-    from optlink.solvers.semi_infinite import exchange, peaks
+    from optlink.solvers.contract import CLOSE
+    from optlink.solvers.exchange import place_at_peaks, solve_semi_infinite
 
-    trace = nlp.traced
+    trace = nlp.terms.trace
     nodes = NODES
     while any(term.integral for term in trace.terms) and nodes < MAX_NODES:
         winner = multistart.best(list(solutions.values()))
@@ -313,10 +314,10 @@ def _refined(task: DesignProblem, nlp: CycleNLP, solutions: dict[str, Solution])
         if max(gaps) <= INTEGRAL_TOLERANCE:
             break
         nodes *= 2
-        nlp = build_cycle(trace, nlp.structure, winner.design, nodes)
-        nlp.set_exchange_points(peaks(nlp, nlp.x_start).shares)
+        nlp = build(task, terms=TermCourse(task, winner.design, trace, nlp.terms.structure, nodes))
+        place_at_peaks(task, nlp, nlp.x_start)
         solutions = {
-            name: exchange(nlp, multistart.solve_from(nlp, nlp.x_of(solution.design), name))
+            name: solve_semi_infinite(task, multistart.solve_from(nlp, nlp.x_of(solution.design), name), CLOSE)
             for name, solution in solutions.items()
         }
     return nlp, solutions

@@ -15,12 +15,12 @@ from optlink.errors import InputError, Status
 from optlink.execution import interrupts
 from optlink.linkage.vector2d import Array
 from optlink.optimization.nlp import NLP
-from optlink.optimization.programme import angle_name, build
+from optlink.optimization.programme import angle_name
 from optlink.problem.design import DesignProblem
 from optlink.problem.file import ProblemFile
 from optlink.problem.targets.function import Function
 from optlink.solvers import multistart
-from optlink.solvers.contract import FOUND, LEAST_SQUARES
+from optlink.solvers.contract import BACKENDS, FOUND, LEAST_SQUARES
 from optlink.solvers.exchange import place_at_peaks, solve_semi_infinite
 from optlink.solvers.infeasibility import Explanation, explain, feasible_point
 from optlink.synthesis.batch_search import PER_ROUND, PERFECT, Exploration, Searcher
@@ -130,7 +130,7 @@ class SynthesisTask(DesignTask[SynthesisResult]):
             message = "the crank may pass the points in either direction: each has its own programme"
             remedy = 'Choose one: problem.override({"requirement.rotation": "clockwise"})'
             raise InputError(message, remedy, problem.file, "requirement.rotation")
-        return build(task, -1 if task.rotation == "clockwise" else 1)
+        return Polisher([problem], BACKENDS[0]).programme(0, -1 if task.rotation == "clockwise" else 1)
 
     def place(self, problem: ProblemFile, nlp: NLP, x: Array) -> None:
         """Move the exchange points to the peaks of limits and of the transmission angle; see `DesignTask.place`."""
@@ -366,7 +366,7 @@ class SearchRounds:
         reason: Explanation | None = None
         possible = False
         for k, sense in keys:
-            nlp = polisher.programme(k, sense)
+            nlp = nearest.nlp.copy() if nearest is not None and (k, sense) == own else polisher.programme(k, sense)
             nlp.spread_exchange_points()
             kept = replace(nlp, states=nlp.states | {f"{part.key}.points" for part in self.task.parts})
             points = [nearest.x, nlp.x_start] if nearest is not None and (k, sense) == own else None

@@ -4,20 +4,27 @@ import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from optlink.errors import Status
+from optlink.errors import InputError, Status
 from optlink.execution.runner import ordered
 from optlink.execution.worker import Runs, built, packed
 from optlink.linkage.vector2d import TURN, Array
+from optlink.optimization.courses import NODES, TermCourse
+from optlink.optimization.cycle_signals import EventOrder, TracedCycle
 from optlink.optimization.nlp import NLP
-from optlink.optimization.programme import angle_name, build, path_variable, solved_values
+from optlink.optimization.programme import angle_name, build, build_again, path_variable, solved_values
+from optlink.problem.cycle.terms import Term
 from optlink.problem.design import DesignProblem
 from optlink.problem.file import ProblemFile
+from optlink.problem.quantity import input_of
 from optlink.solvers import multistart
 from optlink.solvers.contract import BACKENDS, CLOSE, FOUND, MINIMAX
+from optlink.solvers.cycle_starts import SAMPLES, StartSequence
+from optlink.solvers.event_orders import CROSSINGS, FURTHER, at_edge, misfit, orders_beside
 from optlink.solvers.exchange import best_slow_stroke, solve_semi_infinite
 from optlink.solvers.solution import Solution
 from optlink.synthesis.batch import Batch
@@ -54,6 +61,50 @@ MOST_IN_ORDER = 0.5  # share of starts that end in order from which the order do
 OBJECTIVE_TOLERANCE = 1e-6  # relative difference of equal objectives
 SAME_COST = 1e-4  # relative difference of equal costs of candidates
 ROUNDING = 1e-9  # relative difference of equal errors of one coupler curve
+MOST_NODES, INTEGRAL_TOLERANCE = 400, 1e-8  # positions of integrals per revolution, and their relative accuracy
+MOST_PROGRAMMES = 24  # programmes that are kept: assembly modes, directions of the crank, orders of ends of strokes
+
+
+class DesignOrders:
+    """The orders in which the ends of strokes occur in designs of a problem with definite assembly modes."""
+
+    def __init__(self, file: ProblemFile) -> None:
+        self.file, task = file, file.spec
+        with input_of(file.file):
+            self.trace = TracedCycle(task, slow=task.slow_assumed)
+
+    def of(self, design: Mapping[str, float] | None) -> tuple[TracedCycle, EventOrder, Mapping[str, float]]:
+        """Return the trace, the order in a design [SI] and the design; those of the first design that turns if it does not."""
+        if not self.trace.events:
+            return self.trace, self.trace.assumed, design or {}
+        structure = None if design is None else self.trace.structure(design)
+        if design is None or structure is None or self.trace.strokeless(structure) is not None:
+            return self.first
+        return self.trace, structure.definite, design
+
+    @cached_property
+    def first(self) -> tuple[TracedCycle, EventOrder, Mapping[str, float]]:
+        """The trace, the order in the design of the file or the first random one that turns, and this design.
+
+        Raises
+        ------
+        InputError
+            If an output reciprocates in none of the designs that turn.
+        """
+        samples = StartSequence(self.trace, 0)
+        for sample in samples.first(SAMPLES):
+            if sample.structure is not None and samples.fits(sample.structure):
+                return self.trace, sample.structure.definite, sample.values
+        if samples.fault is not None:
+            raise InputError(*no_stroke(samples.fault, self.file))
+        return self.trace, self.trace.assumed, {}
+
+
+def no_stroke(fault: tuple[str, Term, int], file: ProblemFile) -> tuple[str, str, str | None, str, str]:
+    """Return message, remedy, file, key and value of the error about an output that reciprocates in no design."""
+    key, term, reversals = fault
+    message = f"{term.of} reverses {reversals} times in a revolution" if reversals else f"{term.of} never reverses"
+    return message, "Name an output with two reversals, or change the starting point", file.file, f"{key}.of", str(term.of)
 
 
 def has_several_dyads(task: DesignProblem) -> bool:
@@ -73,7 +124,8 @@ class PolishTask:
         """Return the fields of a refined and validated design, without problem and programme."""
         design = built(Polisher, self.polisher).polish(self.candidates[index], near=self.near)
         parts = {field.name: getattr(design, field.name) for field in fields(design) if field.name != "problem"}
-        return parts | {"solution": None if design.solution is None else design.solution.parts}
+        solution = design.solution
+        return parts | {"solution": None if solution is None else {**solution.parts, "recipe": solution.nlp.recipe}}
 
 
 class Polisher:
@@ -89,21 +141,56 @@ class Polisher:
         self.method = (
             MINIMAX if self.task.measure == "max" and not (alone or self.task.composed or self.task.law_given) else backend
         )
-        self.programmes: dict[tuple[int, int], NLP] = {}
+        self.programmes: dict[tuple[Any, ...], NLP] = {}
         self.runs: Runs | None = None
 
     def programme(self, variant: int, direction: int, near: Mapping[str, float] | None = None) -> NLP:
         """Return the NLP of a file with definite assembly modes; the crank direction, +1 or -1, matters with free timing only.
 
-        `near`: see `optlink.optimization.programme.build`.
+        With ends of strokes it is that of the order in which they occur in the design `near` [SI], else in the first design that
+        turns; the extreme values of quantities of the machine at the first design are their units.
         """
-        key = (variant, direction if self.task.data.offsets is None else 1)
-        if key not in self.programmes:
-            self.programmes[key] = build(self.files[variant].spec, key[1], near=near)
+        direction, task = direction if self.task.data.offsets is None else 1, self.files[variant].spec
+        if not (task.goals or task.bounds):
+            return self._kept((variant, direction), lambda: build(task, direction))
+        orders = self.orders[variant]
+        trace, structure, at = orders.of(near)
+        return self._of_order(variant, direction, trace, structure, at)
+
+    def _of_order(
+        self,
+        variant: int,
+        direction: int,
+        trace: TracedCycle,
+        structure: EventOrder,
+        near: Mapping[str, float],
+        count: int = NODES,
+    ) -> NLP:
+        """Return the NLP of an order of ends of strokes, that of a design `near` [SI]; `count`: positions of integrals."""
+        task, traced = self.files[variant].spec, trace.values and tuple(trace.values.items())
+        key = (variant, direction, *structure.key, traced, count)
+        return self._kept(key, lambda: build(task, direction, terms=TermCourse(task, near, trace, structure, count)))
+
+    def _again(self, variant: int, recipe: Mapping[str, Any]) -> NLP:
+        """Return the NLP that another process has built."""
+        if "near" not in recipe:
+            return self.programme(variant, recipe["direction"])
+        return self._kept((variant, repr(recipe)), lambda: build_again(self.files[variant].spec, recipe))
+
+    def _kept(self, key: tuple[Any, ...], make: Callable[[], NLP]) -> NLP:
+        """Return a programme that is made once, and kept unless many others were needed since."""
+        self.programmes[key] = self.programmes.pop(key) if key in self.programmes else make()
+        if len(self.programmes) > MOST_PROGRAMMES:
+            del self.programmes[next(iter(self.programmes))]
         return self.programmes[key]
 
+    @cached_property
+    def orders(self) -> list[DesignOrders]:
+        """For each file, the orders in which the ends of strokes occur."""
+        return [DesignOrders(file) for file in self.files]
+
     def key_of(self, design: LinkageDesign) -> tuple[int, int]:
-        """Return the key of the programme of a design."""
+        """Return the number of the file of a design, and the crank direction."""
         angles = design.crank_angles
         free = self.task.data.offsets is None
         variant = next(k for k, file in enumerate(self.files) if file is design.problem)
@@ -164,7 +251,65 @@ class Polisher:
             begun = multistart.solution_at(start.nlp, start.x, start.message)  # with the exchange points of the solution
             if solution.objective > begun.objective * (1.0 + 1e-9):
                 solution = replace(solution, status=Status.STALLED)  # an optimum, but not that near the start
+        if start.nlp.terms is not None and start.nlp.terms.events:
+            solution = self._over_orders(variant, start, solution)
+        if solution.nlp.terms is not None and solution.nlp.terms.integral:
+            solution = self._with_integrals(variant, solution)
         return validated_design(file, best_slow_stroke(task, solution, self.method))
+
+    def _over_orders(self, variant: int, start: Solution, solution: Solution) -> Solution:
+        """Return the best optimum among the orders of ends of strokes to which the search from a start leads.
+
+        The start is searched with every choice of slow strokes. A design with other ends of strokes than its programme is
+        searched again with its own ones. Where a design ends at the edge of its order, so that a better one would have another,
+        the orders beside it are searched too.
+        """
+        best, ahead, beside = solution, [solution], set[tuple[Any, ...]]()
+        first = start.nlp.terms
+        for slow in itertools.product((True, False), repeat=len(first.trace.paced)):
+            order = replace(first.structure, slow=slow)
+            if order.key != first.structure.key:
+                nlp = self._of_order(variant, start.nlp.recipe["direction"], first.trace, order, start.design)
+                ahead.append(solve_semi_infinite(first.problem, self._moved(start, nlp, start.design), self.method))
+        for _ in range(CROSSINGS):
+            if not ahead:
+                break
+            end = ahead.pop(0)
+            terms, begins = end.nlp.terms, list[tuple[TracedCycle, EventOrder, Mapping[str, float]]]()
+            message = misfit(terms.trace, terms.structure, end.design) if end.usable else ""
+            kept = replace(end, status=Status.INFEASIBLE, message=message) if message else end
+            best = kept if best is end else multistart.best([best, kept])
+            if message and message != FURTHER:
+                trace = TracedCycle(terms.problem, end.design, terms.trace.slow)
+                own = trace.structure(end.design)
+                begins = [] if own is None else [(trace, replace(own, slow=terms.structure.slow), end.design)]
+            elif best is kept and at_edge(kept):
+                begins = [(terms.trace, *each) for each in orders_beside(terms.trace, terms.structure, kept.design)]
+            for trace, order, values in begins:
+                if (order.key, bool(message)) not in beside:
+                    beside.add((order.key, bool(message)))
+                    nlp = self._of_order(variant, end.nlp.recipe["direction"], trace, order, values)
+                    ahead.append(solve_semi_infinite(terms.problem, self._moved(end, nlp, values), self.method))
+        return best
+
+    def _with_integrals(self, variant: int, solution: Solution) -> Solution:
+        """Return an optimum with so many positions that its integrals are accurate."""
+        while solution.usable:
+            nlp, terms = solution.nlp, solution.nlp.terms
+            error = terms.integral_error(solution.design, solution.x[nlp.first_event : nlp.first_level])
+            if error <= INTEGRAL_TOLERANCE or terms.count >= MOST_NODES:
+                break
+            more = self._of_order(
+                variant, nlp.recipe["direction"], terms.trace, terms.structure, solution.design, 2 * terms.count
+            )
+            solution = solve_semi_infinite(terms.problem, self._moved(solution, more, {}), self.method, near=True)
+        return solution
+
+    @staticmethod
+    def _moved(solution: Solution, nlp: NLP, values: Mapping[str, float]) -> Solution:
+        """Return a solution as a point of another programme of the problem, with other dimensions [SI]."""
+        other = {v.name: v.value(float(y)) for v, y in zip(solution.nlp.variables, solution.x, strict=True)}
+        return multistart.solution_at(nlp, nlp.x_of(other | dict(values)), "in another order of the ends of strokes")
 
     def refined(self, design: LinkageDesign) -> LinkageDesign:
         """Return a design that fails only by inexact figures, refined by another back end and validated again."""
@@ -178,9 +323,9 @@ class Polisher:
         """Return a function of a problem with other margins: the objective of its local optimum near a design."""
 
         def objective(other: ProblemFile) -> float:
-            solution, angles = design.solution, design.crank_angles
+            solution = design.solution
             assert solution is not None
-            nlp = build(other.spec, 1 if angles[-1] >= angles[0] else -1)
+            nlp = build_again(other.spec, solution.nlp.recipe)
             start = multistart.solution_at(nlp, solution.x, solution.message)
             return solve_semi_infinite(other.spec, start, self.method, near=True).objective
 
@@ -194,7 +339,8 @@ class Polisher:
         task = PolishTask(packed((self.files, self.backend, self.alone)), tuple(candidates), near)
         for candidate, parts in zip(candidates, ordered(task, len(candidates), self.runs), strict=True):
             if parts["solution"] is not None:
-                parts["solution"] = Solution(source=self.programme(candidate.variant, candidate.direction), **parts["solution"])
+                recipe = parts["solution"].pop("recipe")
+                parts["solution"] = Solution(source=self._again(candidate.variant, recipe), **parts["solution"])
             yield LinkageDesign(problem=self.files[candidate.variant], **parts)
 
     def unpolished(self, candidate: Candidate) -> LinkageDesign:

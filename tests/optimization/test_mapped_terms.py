@@ -9,13 +9,11 @@ import numpy as np
 import pytest
 
 import optlink
-from optlink.optimization.cycle_nlp import build_cycle
-from optlink.optimization.cycle_signals import TracedCycle
+from optlink.optimization.courses import TermCourse
 from optlink.optimization.nlp import NLP
 from optlink.optimization.programme import build
 from optlink.problem.design import DesignProblem
 from optlink.solvers.exchange import PER_ROW, _with_moving_peaks
-from optlink.solvers.semi_infinite import with_following_peaks
 from tests.tiers import mostly_slow
 
 MACHINES = {
@@ -39,18 +37,14 @@ def same_derivatives(nlp: NLP) -> None:
 @pytest.mark.parametrize("machine", mostly_slow(MACHINES, "peaks"))
 def test_derivatives_are_those_of_the_whole_expression(machine: str) -> None:
     task = optlink.load("shaper-design").override(MACHINES[machine]).spec
-    trace = TracedCycle(task, slow=task.slow_assumed)
-    start = {name: task.quantities[name].value for name in task.free}
-    structure = trace.structure(start)
-    assert structure is not None
-    nlp = build_cycle(trace, structure, start, nodes=16, slots=3)
-    assert (machine == "no reversals") == (not structure.which)
+    nlp = build(task, terms=TermCourse(task, None, count=16))
+    assert (machine == "no reversals") == (not nlp.terms.events)
     same_derivatives(nlp)
     copy = pickle.loads(pickle.dumps(nlp))
     assert copy.mapped is not None
     same_derivatives(copy)
     if machine == "peaks":
-        same_derivatives(with_following_peaks(copy, ((1, 0), (4, 2))))
+        same_derivatives(_with_moving_peaks(copy, [4, 2]))
 
 
 @pytest.mark.parametrize("name", ["crank-rocker", "function-exp", "crank-rocker-robust"])
@@ -111,7 +105,7 @@ def test_a_path_by_vectors_is_that_by_scalars(kind: str) -> None:
     same_derivatives(pickle.loads(pickle.dumps(nlp)))
     same_derivatives(build(task, -1, movable=True))
     if nlp.exchange_count:
-        moving = _with_moving_peaks(nlp, PER_ROW * nlp.exchange_rows[1])
+        moving = _with_moving_peaks(nlp, list(range(nlp.exchange_rows[1])) * PER_ROW)
         moving.x_start[len(nlp.x_start) :] += 0.013
         assert moving.mapped is not None
         same_derivatives(moving)

@@ -11,8 +11,10 @@ import pytest
 import optlink
 from optlink.dynamics.columns import MotionColumns
 from optlink.errors import InputError
-from optlink.optimization.cycle_nlp import CycleNLP, build_cycle
+from optlink.optimization.courses import TermCourse
 from optlink.optimization.cycle_signals import TracedCycle
+from optlink.optimization.nlp import NLP
+from optlink.optimization.programme import build
 from optlink.problem.cycle.terms import Term, read_words
 from optlink.validation.cycle import Cycle
 
@@ -57,19 +59,17 @@ def changed(**changes: object) -> optlink.ProblemFile:
 
 
 @cache
-def programme(speed: str = "64 rpm") -> CycleNLP:
+def programme(speed: str = "64 rpm") -> NLP:
     file = changed(**{"limits": EVERY, "drive.speed": speed})
-    trace = TracedCycle(file.model)
-    start = {name: quantity.value for name, quantity in file.model.quantities.items() if quantity.free}
+    task = file.spec
+    start = {name: quantity.value for name, quantity in task.quantities.items() if quantity.free}
     start["C.x"], start["coupler.length"] = 0.013, 0.21  # no symmetry, which would hide a wrong derivative
-    structure = trace.structure(start)
-    assert structure is not None
-    nlp = build_cycle(trace, structure, start)
+    nlp = build(task, terms=TermCourse(task, start))
     nlp.x_start[:] = nlp.lifted(nlp.x_start)
     return nlp
 
 
-def differences(nlp: CycleNLP, x: np.ndarray, h: float = 1e-4) -> np.ndarray:
+def differences(nlp: NLP, x: np.ndarray, h: float = 1e-4) -> np.ndarray:
     columns = []
     for e in h * np.eye(len(x)):
         rows = [np.append(nlp.values(x + k * e, nlp.p)[1], nlp.values(x + k * e, nlp.p)[0]) for k in (-2, -1, 1, 2)]
@@ -93,7 +93,7 @@ def test_derivatives_of_every_term_are_those_of_differences(speed):
 def test_values_of_every_term_are_those_of_the_analysis(speed):
     """Figures are met; of what a single position decides no position exceeds the analysis, and the densest comes near."""
     nlp = programme(speed)
-    problem = nlp.traced.problem
+    problem = nlp.terms.problem
     cycle = Cycle(problem, nlp.design(nlp.x_start))
     _, g = nlp.values(nlp.x_start, nlp.p)
     for bound in problem.bounds:
@@ -113,7 +113,7 @@ def test_values_of_every_term_are_those_of_the_analysis(speed):
 def test_work_of_the_stroke_and_mean_torque_are_those_of_the_cutting_force():
     """Independent of the dynamics: 5880 N along the stroke, which is what the drive gives in a revolution."""
     nlp = programme()
-    stroke = 5880.0 * Cycle(nlp.traced.problem, nlp.design(nlp.x_start)).figure(nlp.traced.problem.limits.named["stroke"])
+    stroke = 5880.0 * Cycle(nlp.terms.problem, nlp.design(nlp.x_start)).figure(nlp.terms.problem.limits.named["stroke"])
     _, g = nlp.values(nlp.x_start, nlp.p)
     computed = {row.limit: row.scale.to_display(value) for row, value in zip(nlp.rows, g, strict=True)}
     assert computed["limits.work"] == pytest.approx(stroke, rel=1e-8)
@@ -123,7 +123,7 @@ def test_work_of_the_stroke_and_mean_torque_are_those_of_the_cutting_force():
 def test_static_torque_by_virtual_work():
     """Without inertia the torque is the cutting force and the weights times their velocities over that of the crank."""
     nlp = programme()
-    trace, x = nlp.traced, nlp.x_start
+    trace, x = nlp.terms.trace, nlp.x_start
     machine = trace.problem.machine(nlp.design(x))
     at = np.linspace(0.3, 2.5, 7)  # in the cutting stroke
     moving = machine.moving(at, trace.speed)
@@ -141,7 +141,7 @@ def _term(trace: TracedCycle) -> object:
 
 def test_a_wrong_direction_of_the_cutting_force_is_detected():
     nlp = programme()
-    trace = nlp.traced
+    trace = nlp.terms.trace
     known, at = trace.inputs(nlp.design(nlp.x_start)), 1.4
     senses = np.asarray(trace.sensed([*known, at])).ravel()
     good, bad = (trace.signals(*known, np.array([at]), *(sign * senses))[0, 0] for sign in (1.0, -1.0))

@@ -258,6 +258,99 @@ def smallest_machine(largest: float = 2.5, positions: int = 30) -> Answer:
     )
 
 
+def smallest_machine_of_swing(swing: float, ratio: float = 1.0, largest: float = 2.5, positions: int = 1000) -> Answer:
+    """Least crank + coupler + rocker of the law of `smallest_machine` with a free crank, a largest swing and a time ratio.
+
+    The rocker swings by at most `swing` [deg]; its slow stroke takes at least `ratio` times as long as the quick one. Both follow
+    from the triangles of the dead centres. Crank 50 ... 200, rocker at least 100. SLSQP from random admissible linkages.
+    """
+    frame, offsets = 500.0, np.linspace(0.0, 0.5 * math.pi, positions)
+
+    def rows(x: Array) -> Array:
+        crank, coupler, rocker = x
+        at_d, at_a = [], []
+        for reach in (coupler + crank, coupler - crank):
+            at_d.append(np.arccos((frame**2 + rocker**2 - reach**2) / (2.0 * frame * rocker)))
+            at_a.append(np.arccos((frame**2 + reach**2 - rocker**2) / (2.0 * frame * reach)))
+        turned = math.pi + at_a[1] - at_a[0]  # of the crank from the outer dead centre to the inner one
+        b = crank * np.exp(1j * (at_a[0] + offsets))
+        psi = np.angle(third(b, frame, coupler, rocker, 1.0) - frame)
+        error = np.degrees(psi - (math.pi - at_d[0]) - 2.0 / (3.0 * math.pi) * offsets**2)
+        double = 2.0 * coupler * rocker
+        cosines = [(coupler**2 + rocker**2 - (frame + sign * crank) ** 2) / double for sign in (1.0, -1.0)]
+        angles = math.sqrt(0.5)
+        bars = (coupler + rocker - frame - crank, rocker + frame - crank - coupler, coupler + frame - crank - rocker)
+        slow = max(turned, TURN - turned)
+        strokes = (swing - math.degrees(at_d[0] - at_d[1])) / 10.0, slow / (TURN - slow) - ratio
+        admissible = [angles + cosines[0], angles - cosines[1], *strokes, *np.array(bars) / 100.0]
+        return np.concatenate([largest - error, largest + error, admissible])
+
+    bounds, rng, best = [(50.0, 200.0), (100.0, 900.0), (100.0, 900.0)], np.random.default_rng(0), np.full(3, math.inf)
+    limits = {"type": "ineq", "fun": lambda u: rows(u * 100.0)}
+    with np.errstate(all="ignore"):
+        for start in rng.uniform(*np.transpose(bounds), (4000, 3)):
+            if np.min(np.nan_to_num(rows(start)[2 * positions :], nan=-1.0)) < 0.0:
+                continue
+            scaled = [(low / 100.0, high / 100.0) for low, high in bounds]
+            found = minimize(np.sum, start / 100.0, method="SLSQP", bounds=scaled, constraints=limits, options={"ftol": 1e-13})
+            x = 100.0 * found.x
+            if np.sum(x) < np.sum(best) and np.min(np.nan_to_num(rows(x), nan=-1.0)) > -1e-7:
+                best = x
+    return Answer(float(np.sum(best)), dict(zip(("crank", "coupler", "rocker"), map(float, best), strict=True)))
+
+
+# --- a law, a stroke and a force that acts in one stroke -------------------------------------------------------------------
+
+
+def slider_crank_against_a_force(stroke: float = 60.0, ratio: float = 1.1, tolerance: float = 3.0) -> Answer:
+    """Least peak torque [N m] of an offset slider-crank whose slider moves against 1 kN while it moves away from the crank.
+
+    The torque is the force times the derivative of the slide by the crank angle, in that stroke only. Over a quarter turn the
+    slider returns by 40 mm at constant speed within `tolerance` [mm]; its stroke is `stroke`, its way back takes at least `ratio`
+    times as long. Rod and guide stay 30 deg from the position where the assembly modes meet. SLSQP from random starts.
+    """
+    offsets, phi = np.linspace(0.0, 0.5 * math.pi, 2001), np.linspace(0.0, TURN, 7201)
+
+    def sine(x: Array, at: Array) -> Array:
+        return np.asarray(x[0] * np.sin(at) - x[2])
+
+    def slide(x: Array, at: Array) -> Array:
+        return np.asarray(x[0] * np.cos(at) + np.sqrt(x[1] ** 2 - sine(x, at) ** 2))
+
+    def strokes(x: Array) -> tuple[float, float]:
+        """Stroke, and crank rotation of the way back over that of the way out."""
+        crank, rod, offset, _ = x
+        out, back = rod + crank, rod - crank
+        turned = math.pi + np.arcsin(offset / back) - np.arcsin(offset / out)
+        return float(np.sqrt(out**2 - offset**2) - np.sqrt(back**2 - offset**2)), float(turned / (TURN - turned))
+
+    def rows(x: Array) -> Array:
+        gap = slide(x, x[3] + offsets) + 80.0 * offsets / math.pi
+        away = math.cos(math.radians(30.0)) * x[1] - x[0] - x[2]
+        return np.array([2.0 - np.ptp(gap) / tolerance, strokes(x)[1] - ratio, away / x[1]])
+
+    def peak(x: Array) -> float:
+        """Largest derivative of the slide: the vertex of the parabola through the largest of the grid and its neighbours."""
+        u = sine(x, phi)
+        rate = -x[0] * np.sin(phi) - u * x[0] * np.cos(phi) / np.sqrt(x[1] ** 2 - u**2)
+        k = int(np.argmax(rate[1:-1])) + 1
+        a, b, c = rate[k - 1 : k + 2]
+        return float(b + (a - c) ** 2 / (8.0 * (2.0 * b - a - c)))
+
+    rng, best = np.random.default_rng(0), (math.inf, np.zeros(4))
+    limits = [{"type": "ineq", "fun": rows}, {"type": "eq", "fun": lambda x: 0.1 * (strokes(x)[0] - stroke)}]
+    bounds = [(5.0, 100.0), (20.0, 300.0), (0.0, 40.0), (-3.0, 3.0)]
+    with np.errstate(all="ignore"):
+        for start in rng.uniform([20.0, 60.0, 0.0, 0.0], [40.0, 300.0, 40.0, 1.5], (30, 4)):
+            if not np.all(np.isfinite(rows(start))):
+                continue
+            options = {"ftol": 1e-14, "maxiter": 500}
+            x = minimize(lambda x: peak(x) / 30.0, start, method="SLSQP", bounds=bounds, constraints=limits, options=options).x
+            met = np.min(np.nan_to_num(rows(x), nan=-1.0)) > -1e-8 and abs(strokes(x)[0] - stroke) < 1e-6
+            best = min(best, (peak(x) if met else math.inf, x), key=lambda one: one[0])
+    return Answer(best[0], dict(zip(("crank", "rod", "offset"), map(float, best[1]), strict=False)))
+
+
 FIVE_POSES = np.array(
     [
         (-5.025718345067, -2.774688418545, -34.571665970772),
@@ -362,8 +455,11 @@ def _point(x: Array, phi: Array) -> tuple[Array, Array]:
     return x[6] + c * along - s * across, x[7] + s * along + c * across
 
 
-def driving_torque(x: Array, phi: Array) -> Array:
-    """Torque of the crank [N m]: derivative of the kinetic and potential energy by the crank angle, at constant speed."""
+def driving_torque(x: Array, phi: Array, opposing: float = 0.0) -> Array:
+    """Torque of the crank [N m]: derivative of the kinetic and potential energy by the crank angle, at constant speed.
+
+    `opposing`: torque [N m] against the rocker while it turns as the crank does; negative for a crank that turns clockwise.
+    """
     cf, sf, ct, st, cp, sp = _motion(x, phi)
     crank, coupler, rocker, _ = x[:4]
     s_tp, c_tp, s_fp, c_fp = st * cp - ct * sp, ct * cp + st * sp, sf * cp - cf * sp, cf * cp + sf * sp
@@ -381,7 +477,7 @@ def driving_torque(x: Array, phi: Array) -> Array:
     c, s = np.cos(x[8]), np.sin(x[8])
     lift = of_crank * 0.5 * crank * (c * cf - s * sf) + of_coupler * (s * v[0] + c * v[1])
     lift = lift + of_rocker * 0.5 * rocker * p1 * (c * cp - s * sp)
-    return np.asarray(SPEED**2 * kinetic + GRAVITY * lift)
+    return np.asarray(SPEED**2 * kinetic + GRAVITY * lift + opposing * np.where(p1.real > 0.0, p1, 0.0))
 
 
 def _refined(function: Callable[[Array], Array], phi: Array) -> Array:
@@ -416,16 +512,16 @@ def distances(x: Array) -> Array:
     return np.sqrt(_squares(x, nearest_angles(x), bean()))
 
 
-def peaks(x: Array) -> Array:
+def peaks(x: Array, opposing: float = 0.0) -> Array:
     """Crank angles of the local maxima of the magnitude of the torque."""
-    size = np.abs(driving_torque(x, GRID))
+    size = np.abs(driving_torque(x, GRID, opposing))
     at = GRID[(size >= np.roll(size, 1)) & (size >= np.roll(size, -1))]
-    return _refined(lambda f: driving_torque(x, f), at)
+    return _refined(lambda f: driving_torque(x, f, opposing), at)
 
 
-def peak_torque(x: Array) -> float:
+def peak_torque(x: Array, opposing: float = 0.0) -> float:
     """Largest magnitude of the torque over the revolution [N m]."""
-    return float(np.max(np.abs(driving_torque(x, np.concatenate([GRID, peaks(x)])))))
+    return float(np.max(np.abs(driving_torque(x, np.concatenate([GRID, peaks(x, opposing)]), opposing))))
 
 
 def _slopes(function: Callable[[Array], Array], x: Array) -> Array:
@@ -443,7 +539,7 @@ def _bars(x: Array) -> Array:
     return np.array([*(each / 0.1 for each in spare), most + cosines[0], most - cosines[0], most + cosines[1], most - cosines[1]])
 
 
-def _optimum(start: Array, torque: float | None, distance: float | None, measure: str) -> Array:
+def _optimum(start: Array, torque: float | None, distance: float | None, measure: str, opposing: float = 0.0) -> Array:
     """The design near a start with the least sum of squares within a torque, or the least peak torque within a distance.
 
     The bean and gravity are symmetric about the vertical, so one assembly mode stands for both; the sense of the crank does not
@@ -451,23 +547,23 @@ def _optimum(start: Array, torque: float | None, distance: float | None, measure
     one, so its derivative does not count; the torque is kept below its level at 120 crank angles and at its maxima, which move.
     """
     wanted, nodes, x = bean(), np.linspace(0.0, TURN, 120, endpoint=False), start
-    whole = peak_torque(start)
+    whole = peak_torque(start, opposing)
     level = whole if torque is None else torque
     for _ in range(12):
-        before, scale = peaks(x), max(float(np.sum(distances(x) ** 2)), 1e-7)
+        before, scale = peaks(x, opposing), max(float(np.sum(distances(x) ** 2)), 1e-7)
 
         def places(x: Array, before: Array = before) -> Array:
-            return np.concatenate([nodes, _refined(lambda f: driving_torque(x, f), before)])
+            return np.concatenate([nodes, _refined(lambda f: driving_torque(x, f, opposing), before)])
 
         def rows(u: Array) -> Array:
             x = u[:9] * SIZE
-            turning = driving_torque(x, places(x)) / whole
+            turning = driving_torque(x, places(x), opposing) / whole
             return np.concatenate([u[9] - turning, u[9] + turning, _bars(x), _near(distances(x) ** 2, distance, measure)])
 
         def row_slopes(u: Array) -> Array:
             x = u[:9] * SIZE
             at = places(x)
-            turning = _slopes(lambda z: driving_torque(z, at[:, None]), x) / whole
+            turning = _slopes(lambda z: driving_torque(z, at[:, None], opposing), x) / whole
             squares = _slopes(lambda z: _squares(z, nearest_angles(x)[:, None], wanted[:, None]), x)
             bars = _slopes(lambda z: _bars(z)[:, 0], x)
             by_x = np.concatenate([-turning, turning, bars, _near(squares, distance, measure, slope=True)])
@@ -513,7 +609,7 @@ def _near(squares: Array, distance: float | None, measure: str, *, slope: bool =
     return np.asarray(-within if slope else 1.0 - within)
 
 
-def _best(torque: float | None, distance: float | None, measure: str, starts: int) -> Array:
+def _best(torque: float | None, distance: float | None, measure: str, starts: int, opposing: float = 0.0) -> Array:
     """The best feasible design from the path's optimum and from random changes of it."""
     first = PATH_OPTIMUM * np.array([1e-3] * 9)
     rng, designs = np.random.default_rng(0), list[Array]()
@@ -523,15 +619,15 @@ def _best(torque: float | None, distance: float | None, measure: str, starts: in
         with np.errstate(all="ignore"):
             if np.min(_bars(x)) < 0.0 or not np.all(np.isfinite(distances(x))):
                 continue
-            x = _optimum(x, torque, distance, measure)
+            x = _optimum(x, torque, distance, measure, opposing)
             fine = np.all(np.isfinite(x)) and np.min(_bars(x)) > -1e-8
-            if not fine or not math.isfinite(peak_torque(x)):
+            if not fine or not math.isfinite(peak_torque(x, opposing)):
                 continue
-            met = torque is None or peak_torque(x) <= torque * (1.0 + 1e-7)
+            met = torque is None or peak_torque(x, opposing) <= torque * (1.0 + 1e-7)
             near = distance is None or np.min(_near(distances(x) ** 2, distance, measure)) >= -1e-7
         if met and near:
             designs.append(x)
-    return min(designs, key=lambda x: float(np.sum(distances(x) ** 2)) if torque is not None else peak_torque(x))
+    return min(designs, key=lambda x: float(np.sum(distances(x) ** 2)) if torque is not None else peak_torque(x, opposing))
 
 
 def _figures(x: Array) -> dict[str, float]:
@@ -557,10 +653,13 @@ def path_within_torque(torque: float, starts: int = 12) -> Answer:
     return Answer(float(np.sum(distances(x) ** 2)), _figures(x))
 
 
-def least_torque(distance: float, measure: str = "max", starts: int = 12) -> Answer:
-    """Least peak torque [N m] of a crank whose coupler point follows the bean within a distance [mm]: its rms, or the largest."""
-    x = _best(None, 1e-3 * distance, measure, starts)
-    return Answer(peak_torque(x), _figures(x))
+def least_torque(distance: float, measure: str = "max", starts: int = 12, opposing: float = 0.0) -> Answer:
+    """Least peak torque [N m] of a crank whose coupler point follows the bean within a distance [mm]: its rms, or the largest.
+
+    `opposing`: see `driving_torque`.
+    """
+    x = _best(None, 1e-3 * distance, measure, starts, opposing)
+    return Answer(peak_torque(x, opposing), _figures(x))
 
 
 # --- a path between two obstacles --------------------------------------------------------------------------------------------

@@ -410,7 +410,7 @@ def test_a_design_whose_ram_reverses_more_often_is_searched_with_its_reversals()
 
 def test_a_motion_that_only_comes_to_rest_does_not_reverse():
     trace, order = toggle_search()
-    structure = order.nlp.structure
+    structure = order.nlp.terms.structure
     reversal = next(k for k, event in enumerate(trace.events) if event.key[0] == "guide")
     assert structure.which.count(reversal) == 2
     for apart, more in ((1e-3, 0), (0.1, 2)):

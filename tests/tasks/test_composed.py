@@ -202,8 +202,8 @@ def stated(**changes: Any) -> Callable[[Any], Any]:
     return lambda raw: raw["requirement"].update(changes)
 
 
-LOAD = {"push": {"on": "rocker", "torque": "1 N*m", "acts": "opposing"}}
-TWO, TORQUE, LEAST = "poses-and-law", "path-within-torque", "least-torque"
+TWO, TORQUE, LEAST, SMALLEST = "poses-and-law", "path-within-torque", "least-torque", "law-smallest-machine"
+SWING = {"quantity": "stroke", "of": "rocker", "max": "50 deg"}
 
 
 @pytest.mark.parametrize(
@@ -227,7 +227,6 @@ TWO, TORQUE, LEAST = "poses-and-law", "path-within-torque", "least-torque"
         (LEAST, stated(tolerance="0.5 deg"), "requirement.tolerance", "not a unit of length"),
         (LEAST, stated(tolerance="0 mm"), "requirement.tolerance", "positive"),
         (LEAST, stated(weight=2.0), "requirement.weight", "Leave it out"),
-        (LEAST, lambda raw: raw.update(loads=LOAD), "loads.push", "switches"),
         (LEAST, limits(crank="span"), "limits.crank", 'Write crank = "full rotation"'),
         (TORQUE, limits(crank="span"), "limits.crank", 'Write crank = "full rotation"'),
         (
@@ -242,7 +241,8 @@ TWO, TORQUE, LEAST = "poses-and-law", "path-within-torque", "least-torque"
         (TORQUE, torque(quantity="torqe"), "limits.driving_torque.quantity", 'Did you mean "torque"?'),
         (TORQUE, torque(max="0.4 N"), "limits.driving_torque.max", "not a unit of torque"),
         (TORQUE, lambda raw: raw["limits"]["driving_torque"].pop("max"), "limits.driving_torque.max", "no value"),
-        (TORQUE, torque(quantity="stroke", of="rocker", max="60 deg"), "limits.driving_torque.quantity", "ends of strokes"),
+        (TORQUE, torque(quantity="stroke", of="crank", max="60 deg"), "limits.driving_torque.of", "turns fully"),
+        (SMALLEST, lambda raw: raw["limits"].update(crank="span", swing=SWING), "limits.crank", 'Write crank = "full rotation"'),
     ],
 )
 def test_one_error_names_key_and_remedy(name, change, key, text):
