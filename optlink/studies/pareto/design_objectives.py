@@ -154,7 +154,13 @@ def design_problem(
     """
     own, parts = objectives[minimised].part, problem.spec.parts
     alone = own < 0 or all(k == own or part.tolerance is not None for k, part in enumerate(parts))
-    if alone and not objectives[minimised].term and not any(objectives[k].term or objectives[k].part >= 0 for k in bounds):
+    other = own >= 0 and (parts[own].requirement.limited or "objective" in problem.raw)  # what the file minimises
+    if (
+        alone
+        and not other
+        and not objectives[minimised].term
+        and not any(objectives[k].term or objectives[k].part >= 0 for k in bounds)
+    ):
         return problem.override({objectives[k].key: value for k, value in bounds.items()})
     raw = {key: copy.deepcopy(value) for key, value in problem.raw.items() if key != "expected"}
     tables = raw["requirements"] if "requirements" in raw else [raw["requirement"]]
@@ -163,6 +169,9 @@ def design_problem(
         summed = not (own >= 0 or objectives[minimised].term)  # the objective of the file remains
         for key in () if summed and k not in stated else ("weight", "scale"):
             table.pop(key, None)
+        if k == own and part.requirement.limited:
+            table.pop(part.requirement.limited_by[0])
+            table |= {"measure": part.measure} if "measure" in type(part.requirement).model_fields else {}
         if k not in stated and (k == own or part.tolerance is not None or summed):
             continue
         shown, name = DISPLAYED[part.unit]
@@ -177,6 +186,8 @@ def design_problem(
             limits[name] = {**limits.get(name, {}), **dict(objectives[k].term), objectives[k].side: value}
     if limits:
         raw["limits"] = limits
+    if other:
+        raw.pop("objective", None)
     if objectives[minimised].term:
         raw["objective"] = {**dict(objectives[minimised].term), "sense": objectives[minimised].way}
     file = problem.with_tables(raw)
