@@ -706,3 +706,15 @@ def test_the_objective_of_the_file_is_minimised_in_either_order(names):
     objectives = read_objectives(optlink.load("law-smallest-machine"), names)
     first = min(range(2), key=lambda k: epsilon_constraint._rank(objectives[k], k))
     assert objectives[first].text == "objective"
+
+
+def test_the_least_error_of_a_file_that_limits_it_is_that_of_its_law_alone():
+    """Not its tolerance: the deviation replaces the objective of the file."""
+    file = optlink.load("law-smallest-machine")
+    objectives = read_objectives(file, "error, objective")
+    read = epsilon_ranges.design_problem(file, objectives, 0, {}).spec
+    assert read.objective is None
+    assert not read.requirement.limited
+    assert read.measure == "max"
+    law = optlink.load("law-smallest-machine", {"requirement.tolerance": "0.5 deg"}).spec  # a value of the front
+    assert epsilon_ranges.design_problem(file, objectives, 1, {0: "0.5 deg"}).spec.tolerance == pytest.approx(law.tolerance)

@@ -165,8 +165,9 @@ def design_problem(
         summed = not (own >= 0 or objectives[minimised].term)  # the objective of the file remains
         for key in () if summed and k not in stated else ("weight", "scale"):
             table.pop(key, None)
-        if k == own:  # minimised, though the file may limit it
-            table.pop(part.requirement.limited_by[0], None)
+        if k == own and part.requirement.limited:  # minimised, though the file limits it
+            table.pop(part.requirement.limited_by[0])
+            table |= {"measure": part.measure} if "measure" in type(part.requirement).model_fields else {}
         if k not in stated and (k == own or part.tolerance is not None or summed):
             continue
         shown, name = DISPLAYED[part.unit]
