@@ -162,7 +162,7 @@ def test_the_terminal_states_every_demand(tmp_path):
     text = CliRunner().invoke(app, ["validate", str(tmp_path)])
     assert text.exit_code == 0
     words = " ".join(text.stdout.split())
-    for part in ("minimised: total length of the links 1242.81 mm; largest deviation", "at most 2.5 deg", "given design, valid"):
+    for part in ("total length of the links 1242.81 mm", "at most 2.5 deg", "given design, valid"):
         assert part in words
     assert (tmp_path / "points.csv").exists()
 
@@ -172,7 +172,7 @@ def test_each_requirement_has_its_pictures_and_points(tmp_path):
         app, ["solve", "poses-and-law", "--set", "mechanism.frame=123 mm", "--starts", "60", "--out", str(tmp_path)]
     )
     assert done.exit_code == 0
-    for part in ("weighted sum", "sum of squares of gripper", "sum of squares of valve"):
+    for part in ("minimised: weighted sum", "sum of squares of gripper", "sum of squares of valve"):
         assert part in " ".join(done.stdout.split())
     assert {"points-gripper", "points-valve", "errors", "law"} <= {file.stem for file in tmp_path.iterdir()}
     again = CliRunner().invoke(app, ["validate", str(tmp_path)])
