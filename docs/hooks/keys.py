@@ -31,7 +31,8 @@ from optlink.problem.cycle.quantities import QUANTITIES
 from optlink.problem.design import DesignProblem
 from optlink.problem.machine.model import Problem
 from optlink.problem.mechanism import DyadsSection, FourBarSection
-from optlink.problem.requirement import DEAD_CENTRES, DEFAULT_KIND, Requirement
+from optlink.problem.requirements.base import DEFAULT_KIND, Requirement
+from optlink.problem.requirements.laws import DEAD_CENTRES
 from optlink.units import DEFINITIONS, KINDS, UnitProblem, factor
 
 DOCS = Path(__file__).resolve().parent.parent

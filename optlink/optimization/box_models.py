@@ -22,7 +22,7 @@ from optlink.optimization.taylor_model import TaylorModel, pairs
 from optlink.problem.design import DesignProblem
 from optlink.problem.file import ProblemFile
 from optlink.problem.limits import Reach
-from optlink.problem.requirement import START, StartPosition, at_positions
+from optlink.problem.requirements.base import START, StartPosition, at_positions
 from optlink.problem.targets.law import Law
 
 GRID = 36  # crank angles at which limits of single positions apply

@@ -25,7 +25,7 @@ from optlink.problem.design import DesignProblem
 from optlink.problem.limits import COUPLER_JOINT, Limits, Reach, limits_in_file
 from optlink.problem.machine.model import Problem
 from optlink.problem.quantity_keys import quantity_key
-from optlink.problem.requirement import DEAD_CENTRES
+from optlink.problem.requirements.laws import DEAD_CENTRES
 from optlink.units import in_si
 
 

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from optlink.linkage.vector2d import Value, angle_from, turn, unit
 from optlink.problem.design import DesignProblem
-from optlink.problem.requirement import StartPosition
+from optlink.problem.requirements.base import StartPosition
 
 
 @dataclass(frozen=True)

@@ -23,15 +23,9 @@ from optlink.problem.linked import Link
 from optlink.problem.machine.model import Problem, ShownObjective
 from optlink.problem.mechanism import check_one_mode
 from optlink.problem.quantity import Quantity, Unusable, below
-from optlink.problem.requirement import (
-    AnyRequirement,
-    NoRequirement,
-    Requirement,
-    StartPosition,
-    TargetArrays,
-    carrier,
-    names_of,
-)
+from optlink.problem.requirements.base import NoRequirement, Requirement, StartPosition, TargetArrays, names_of
+from optlink.problem.requirements.kinds import AnyRequirement
+from optlink.problem.requirements.points import carrier
 from optlink.problem.robust import Robust, check_robust
 from optlink.problem.targets.expression import Expression
 from optlink.problem.targets.function import Function

@@ -41,7 +41,8 @@ from optlink.problem.machine.model import Problem
 from optlink.problem.nearby import read_near
 from optlink.problem.overview import linkage_type
 from optlink.problem.quantity import input_of, nearest
-from optlink.problem.requirement import DEFAULT_KIND, REQUIREMENTS, names_of
+from optlink.problem.requirements.base import DEFAULT_KIND, names_of
+from optlink.problem.requirements.kinds import REQUIREMENTS
 from optlink.problem.targets.target_points import split_enclosed
 from optlink.problem.tolerances import with_tolerance
 from optlink.units import in_si, is_unit, split

@@ -21,7 +21,8 @@ from optlink.problem.machine.model import Problem
 from optlink.problem.mechanism import DyadsSection, FourBarSection
 from optlink.problem.quantity import Unusable, nearest
 from optlink.problem.region import RegionLimit
-from optlink.problem.requirement import DEFAULT_KIND, REQUIREMENTS, lacks
+from optlink.problem.requirements.base import DEFAULT_KIND
+from optlink.problem.requirements.kinds import REQUIREMENTS, lacks
 from optlink.problem.targets.law import SLIDE
 from optlink.problem.targets.target_points import file_kind
 from optlink.units import split

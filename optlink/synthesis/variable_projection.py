@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.vector2d import TURN, Array, minus, unit
-from optlink.problem.requirement import START
+from optlink.problem.requirements.base import START
 from optlink.symbolic import NumpyEvaluator, symbols_in_numpy
 from optlink.synthesis.batch import Batch, Variant
 

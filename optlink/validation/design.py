@@ -27,7 +27,8 @@ from optlink.problem.design import STEP, DesignProblem
 from optlink.problem.limits import Bound, limits_in_file
 from optlink.problem.quantity import Unusable
 from optlink.problem.region import RegionLimit
-from optlink.problem.requirement import DEAD_CENTRES, MARK
+from optlink.problem.requirements.base import MARK
+from optlink.problem.requirements.laws import DEAD_CENTRES
 from optlink.problem.robust import EXPECTED, WORST
 from optlink.problem.targets.law import Table
 from optlink.units import DISPLAYED, KINDS, factor

@@ -26,7 +26,7 @@ from optlink.optimization.nlp import NLP
 from optlink.optimization.objectives import MEASURES
 from optlink.optimization.programme import build
 from optlink.problem.design import DesignProblem
-from optlink.problem.requirement import StartPosition
+from optlink.problem.requirements.base import StartPosition
 from optlink.problem.targets.expression import FUNCTIONS, parse
 from optlink.symbolic import symbols_in_numpy
 

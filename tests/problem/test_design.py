@@ -10,7 +10,8 @@ import pytest
 import optlink
 from optlink.linkage.motion import sweep
 from optlink.problem.design import DesignProblem
-from optlink.problem.requirement import DEAD_CENTRES, REQUIREMENTS, TIED
+from optlink.problem.requirements.kinds import REQUIREMENTS
+from optlink.problem.requirements.laws import DEAD_CENTRES, TIED
 
 LAW = {"law": "psi0 + 0.4*(phi - phi0)", "span": "100 deg"}
 FOUR_BAR = {"crank": "20 mm", "coupler": "80 mm", "rocker": "60 mm", "frame": "90 mm"}

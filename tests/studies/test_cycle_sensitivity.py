@@ -104,7 +104,7 @@ def test_derivatives_agree_with_reoptimised_machines(pump, key, value, unit):
     row = pump[key]
     assert row.objective == pytest.approx((high.objective - low.objective) / (2.0 * step), rel=2e-5)
     for name in ("crank.length", "G.y"):
-        moved = 1e3 * (high.values[name] - low.values[name]) / (2.0 * step)
+        moved = 1e3 * (high.design[name] - low.design[name]) / (2.0 * step)
         assert row.design[name] == pytest.approx(moved, rel=2e-3, abs=2e-4 / step)
 
 

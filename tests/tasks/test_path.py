@@ -259,7 +259,7 @@ def test_every_example_of_the_reference_page_is_solved(example):
 
 def test_the_reference_page_lists_every_key():
     from optlink.problem.limits import Limits
-    from optlink.problem.requirement import PathRequirement
+    from optlink.problem.requirements.points import PathRequirement
 
     assert len(EXAMPLES) >= 6
     for section in (PathRequirement, Limits):

@@ -12,7 +12,7 @@ from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.stroke import reachable
 from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.file import ProblemFile
-from optlink.problem.requirement import MARK
+from optlink.problem.requirements.base import MARK
 from optlink.report.causes import marked, why_invalid
 from optlink.report.drawing import Sketch
 from optlink.report.files import verdict

@@ -33,7 +33,7 @@ from optlink.linkage.vector2d import TURN, Array
 from optlink.optimization.constraints import transmission_sides
 from optlink.optimization.taylor_model import TINY, UNIT, UPWARD, TaylorModel, pairs
 from optlink.problem.design import DesignProblem
-from optlink.problem.requirement import START
+from optlink.problem.requirements.base import START
 from optlink.solvers.global_search.column_fit import SLACK, ColumnFit, Complex, as_real, changes
 from optlink.solvers.global_search.lagrangian import OPEN, TESTS, BoxRecord
 

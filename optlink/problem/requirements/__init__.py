@@ -1,0 +1,1 @@
+"""Requirements of design problems, a class per kind."""
