@@ -71,14 +71,17 @@ class RowPeak:
         return self.height > -near and EDGE < self.at < 1.0 - EDGE
 
 
-def solve_semi_infinite(task: DesignProblem, start: Solution, backend: str, *, near: bool = False) -> Solution:
+def solve_semi_infinite(
+    task: DesignProblem, start: Solution, backend: str, *, near: bool = False, radius: float = RADIUS
+) -> Solution:
     """Return an optimum near a start at which limits and the largest error hold also between the positions of the NLP.
 
     In every round the exchange points move to where limits or the largest error are exceeded or nearly so, and the NLP is solved
     within a radius, in which these positions hardly move; a step is accepted only if the merit over all positions decreases. The
     penalty of the merit is raised where it would reject a step that restores feasibility: near an exact design the objective
     alone is a poor measure. `near`: the start satisfies its limits everywhere, so that the first search stays within the radius
-    too, as from an optimum at the positions of the NLP.
+    too, as from an optimum at the positions of the NLP. `radius`: that of the first round (scaled); a larger one may lead to
+    another optimum.
     """
     nlp, near = start.nlp, near or start.status is Status.OPTIMAL
     if not nlp.exchange_count:
@@ -89,8 +92,8 @@ def solve_semi_infinite(task: DesignProblem, start: Solution, backend: str, *, n
     if not near and solution.status is not Status.OPTIMAL:
         solution = local.solve_from(nlp, start.x, backend, persistent=False, continuations=0)
     course = _courses(task, nlp)
-    radius, tops, violated = RADIUS, course.tops(solution), list[RowPeak]()
-    if solution.status is Status.INFEASIBLE and all(top.height <= 0.0 for top in tops if top.level < 0):
+    tops, violated = course.tops(solution), list[RowPeak]()
+    if not near and solution.status is Status.INFEASIBLE and all(top.height <= 0.0 for top in tops if top.level < 0):
         return solution  # what is violated does not lie between the positions of the NLP
     worst, penalty = math.inf, 0.0
     for _ in range(EXCHANGES):

@@ -14,6 +14,7 @@ from optlink.studies.parameters import Parameter, displayed, parameters
 from optlink.studies.target_programme import TargetProgramme, variables_of
 from optlink.studies.toml_keys import exact_text
 
+CLOSE_BY = 1e-2  # scaled units: how far an optimum may move by a step of a difference in the first round
 Optimum = tuple[float, dict[str, float]]
 """Objective [SI] and design variables in display units."""
 
@@ -78,10 +79,12 @@ class TargetParameters(OptimumParameters):
         if not parameter.in_file:
             return super().optimum_at(solution, parameter, value, change, backend)
         stated, written = self.problem.at(parameter.key), exact_text(value, parameter.unit)
-        sides = [""] if not isinstance(stated, Mapping) else [".exactly"] if "exactly" in stated else [".min", ".max"]
+        ends = stated if isinstance(stated, Mapping) else {}
+        sides = [f".{end}" for end in ("exactly", "min", "max") if end in ends and parameter.equal] or [""]
         changed = self.problem.override({f"{parameter.key}{side}": written for side in sides}).spec
         recipe = solution.nlp.recipe
         programme = TargetProgramme(changed, recipe["direction"], backend, terms=course_again(changed, recipe))
-        optimum = programme.optimum(changed, variables_of(solution))
+        optimum = programme.optimum(changed, variables_of(solution), CLOSE_BY)
+        optimum = optimum if optimum.usable else programme.optimum(changed, variables_of(solution))
         optimum = sharpened(changed, optimum, backend) if optimum.usable else optimum
         return (optimum.objective, displayed(programme.nlp, optimum.x)) if optimum.usable else None

@@ -15,7 +15,7 @@ from optlink.problem.limits import Reach
 from optlink.problem.machine.model import Problem
 from optlink.solvers import multistart
 from optlink.solvers.contract import MINIMAX
-from optlink.solvers.exchange import solve_semi_infinite
+from optlink.solvers.exchange import RADIUS, solve_semi_infinite
 from optlink.solvers.solution import Solution
 from optlink.units import DISPLAYED, KINDS, factor
 
@@ -79,16 +79,18 @@ class TargetProgramme:
                     nlp.limit(n + j, None, programme_row.scale.to_internal(part.tolerance * stated * DISPLAYED[part.unit][0]))
         return True
 
-    def optimum(self, task: DesignProblem, values: Mapping[str, float]) -> Solution:
+    def optimum(self, task: DesignProblem, values: Mapping[str, float], radius: float = RADIUS) -> Solution:
         """Return the local optimum of a problem to which the programme is bound, near values of its variables [SI].
 
-        Limits and the largest error hold also between the positions of the programme.
+        Limits and the largest error hold also between the positions of the programme. `radius` (scaled): how far it may lie in
+        the first round, for a change after which it is that near.
         """
         nlp = self.nlp
         start = multistart.solution_at(nlp, nlp.x_of(values), "the last optimum")
         minimax = not task.composed and task.measure == "max" and not (task.law_given or task.robust is not None)
         for method in (MINIMAX, self.backend) if minimax else (self.backend,):
-            solution = solve_semi_infinite(task, start, method, near=start.usable)
+            near = start.usable or radius < RADIUS
+            solution = solve_semi_infinite(task, start, method, near=near, radius=radius)
             if solution.usable:
                 break
         return solution

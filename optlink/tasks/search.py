@@ -13,7 +13,7 @@ from optlink.errors import InputError, Status
 from optlink.execution.runner import ordered
 from optlink.execution.worker import Runs, built, packed
 from optlink.linkage.vector2d import TURN, Array
-from optlink.optimization.courses import NODES, TermCourse
+from optlink.optimization.courses import NODES, ErrorCourse, TermCourse
 from optlink.optimization.cycle_signals import EventOrder, TracedCycle
 from optlink.optimization.nlp import NLP
 from optlink.optimization.programme import angle_name, build, build_again, path_variable, solved_values
@@ -62,6 +62,7 @@ OBJECTIVE_TOLERANCE = 1e-6  # relative difference of equal objectives
 SAME_COST = 1e-4  # relative difference of equal costs of candidates
 ROUNDING = 1e-9  # relative difference of equal errors of one coupler curve
 MOST_NODES, INTEGRAL_TOLERANCE = 400, 1e-8  # positions of integrals per revolution, and their relative accuracy
+BAND_POSITIONS, SLACK = 721, 1e-3  # positions at which the breadth of an output is measured, and its share that counts as unused
 MOST_PROGRAMMES = 24  # programmes that are kept: assembly modes, directions of the crank, orders of ends of strokes
 
 
@@ -381,8 +382,29 @@ def feasible(design: LinkageDesign) -> LinkageDesign:
     return replace(design, status=Status.FEASIBLE, validation=checked, solution=None)  # no shadow prices without an optimum
 
 
+def centred(task: DesignProblem, solution: Solution) -> Solution:
+    """Return a solution in which outputs that stay in a band broader than they need lie evenly about its free middle.
+
+    Nothing else determines such a middle: a search leaves it anywhere, also where the deviation from it reaches its limit.
+    """
+    x, nlp = solution.x.copy(), solution.nlp
+    for part in task.parts:
+        name = part.prefix + part.base_name
+        tolerance, loose = part.tolerance, part.law_given and part.everywhere and not task.links and part.robust is None
+        if tolerance is None or not loose or name not in task.free or not part.requirement.centred:
+            continue
+        above = ErrorCourse(part).sizes(part.own(task.complete(solution.design)), np.linspace(0.0, 1.0, BAND_POSITIONS))
+        below, beyond = (float(side) * part.whole for side in np.max(above, axis=1))
+        if beyond + below < 2.0 * tolerance * (1.0 - SLACK):
+            k = task.free.index(name)
+            x[k] = nlp.variables[k].scaled(solution.design[name] - 0.5 * (beyond - below))
+    moved = np.clip(x, nlp.x_low, nlp.x_high)
+    return solution if np.array_equal(moved, solution.x) else multistart.solution_at(nlp, moved, solution.message)
+
+
 def validated_design(file: ProblemFile, solution: Solution) -> LinkageDesign:
     """Return a solution of the NLP as a validated design."""
+    solution = centred(file.spec, solution) if solution.status is Status.OPTIMAL else solution
     values, angles = solved_values(file.spec, solution.design, solution.x)
     checked = with_optimality(validate(file.spec, values, angles, solution.objective), solution)
     if solution.nlp.exchange_count:  # a programme with the positions of this solution

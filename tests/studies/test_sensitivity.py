@@ -144,6 +144,45 @@ def test_the_check_of_a_largest_error_has_all_digits():
     assert direction.check.gap < 1e-6
 
 
+@pytest.mark.slow
+def test_the_check_of_a_bound_stays_at_its_optimum():
+    """The search at a bound 4 um beside went to another local optimum, whose coupler is 11 mm shorter: the gap was 1."""
+    raw = {
+        "title": "Feeder lever",
+        "mechanism": {
+            "type": "four-bar",
+            "crank": {"bounds": ["30 mm", "120 mm"]},
+            "coupler": {"bounds": ["80 mm", "500 mm"]},
+            "rocker": {"bounds": ["60 mm", "400 mm"]},
+            "frame": {"bounds": ["120 mm", "400 mm"]},
+            "points": {"K": [{"equals": "0.5*coupler"}, "40 mm"]},
+            "assembly": "left",
+        },
+        "requirement": {
+            "kind": "function",
+            "law": "psi0 + 0.25*(phi - phi0) + 0.05*(phi-phi0)^2",
+            "from": {"bounds": ["0 deg", "360 deg"]},
+            "span": "100 deg",
+            "tolerance": "2 deg",
+        },
+        "objective": {"quantity": "total length"},
+        "limits": {
+            "transmission_angle": ["45 deg", "135 deg"],
+            "cover": {
+                "region": "half-plane",
+                "of": "K",
+                "through": ["0 mm", "110 mm"],
+                "direction": "180 deg",
+                "side": "inside",
+                "clearance": "3 mm",
+            },
+        },
+    }
+    result = sensitivities(optlink.read(raw), check=True)
+    assert result.solution.objective == pytest.approx(0.3121502, rel=1e-5)
+    assert result.gap < 1e-6
+
+
 def test_rounding_errors_end_no_range():
     row = sensitivities(optlink.load("law-slider-crank", {"mechanism.guides.G.offset": "0 mm"}))["mechanism.guides.G.direction"]
     assert (row.below.value, row.above.value) == (-math.inf, math.inf)  # was -8e10 deg

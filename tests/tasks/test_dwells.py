@@ -161,6 +161,42 @@ def test_a_dwell_beside_another_requirement() -> None:
     assert narrow.objective >= wide.objective
 
 
+@pytest.mark.slow
+def test_a_band_broader_than_needed_lies_evenly_about_its_free_middle() -> None:
+    """The middle was left at the edge of its room, so that a slack band read "breadth <= 4 mm, active"."""
+    raw = {
+        "title": "Slider with a rest and two stations",
+        "mechanism": {
+            "type": "dyads",
+            "ground": {"A": ["0 mm", "0 mm"]},
+            "links": {
+                "crank": {"joints": ["A", "B"], "length": {"bounds": ["10 mm", "100 mm"]}},
+                "rod": {"joints": ["B", "C"], "length": {"bounds": ["30 mm", "400 mm"]}},
+                "ram": {"joints": ["C"]},
+            },
+            "guides": {"G": {"slider": "ram", "through": "A", "direction": "0 deg", "offset": {"bounds": ["-60 mm", "60 mm"]}}},
+            "assembly": {"C": "forward"},
+        },
+        "requirements": [
+            {"kind": "dwell", "output": "G", "over": "60 deg", "band": "4 mm"},
+            {"kind": "position", "name": "far", "output": "G", "at": "20 deg", "value": {"min": "150 mm"}},
+            {"kind": "position", "name": "near", "output": "G", "at": "170 deg", "value": ["60 mm", "70 mm"]},
+        ],
+        "objective": {"quantity": "total length"},
+        "limits": {"pressure_angle": "35 deg"},
+    }
+    result = optlink.solve(optlink.read(raw))
+    sizes = result.design
+    phi = sizes["dwell.start"] + np.radians(np.linspace(0.0, 60.0, 6001))
+    across = sizes["G.offset"] - sizes["crank.length"] * np.sin(phi)
+    slide = 1e3 * (sizes["crank.length"] * np.cos(phi) + np.sqrt(sizes["rod.length"] ** 2 - across**2))
+    assert np.ptp(slide) < 3.7
+    assert 1e3 * sizes["dwell.zero"] == pytest.approx(0.5 * (np.max(slide) + np.min(slide)), abs=1e-3)
+    (breadth,) = (check.value for check in result.validation.checks if check.name == "largest breadth of dwell")
+    assert breadth == pytest.approx(np.ptp(slide), abs=1e-3)
+    assert not any(limit.active for limit in result.best.displayed_limits if limit.name.startswith("breadth"))
+
+
 def test_the_page_of_a_dwell() -> None:
     text = page(report_model_of(solution("straight-line")))
     assert "P.y [mm]" in text

@@ -85,6 +85,9 @@ class Requirement(Section):
     limited_by: ClassVar[tuple[str, str]] = "tolerance", "deviation"
     """Key whose value makes the requirement a limit, and what it limits."""
 
+    centred: ClassVar[bool] = False
+    """Whether a free base of the output is the middle of what it limits, so that a design shows it there."""
+
     targeted: ClassVar[bool] = True
     """Whether it has targets, from which designs deviate at positions; else it has `bounds` alone, or nothing."""
 

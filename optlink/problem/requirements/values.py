@@ -132,6 +132,7 @@ class DwellRequirement(LawRequirement):
     """Middle of the band, fixed or within bounds; default: any."""
 
     limited_by: ClassVar[tuple[str, str]] = "band", "breadth"
+    centred: ClassVar[bool] = True
 
     @property
     def law(self) -> Expression:
