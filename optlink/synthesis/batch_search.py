@@ -13,6 +13,7 @@ from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.design import STEP, DesignProblem
 from optlink.synthesis import random_starts as starts
 from optlink.synthesis.batch import Batch
+from optlink.synthesis.by_lengths import ByLengths
 from optlink.synthesis.levenberg_marquardt import ZERO, FinalDesigns, minimise
 from optlink.synthesis.variable_projection import SimilarityFit
 
@@ -92,7 +93,9 @@ class Searcher:
     """
 
     def __init__(self, variants: list[DesignProblem], seed: int) -> None:
-        self.batch = Batch(variants[0], variants[1:])
+        self.by_lengths = [ByLengths(variant) for variant in variants]
+        searched = [one.problem or one.stated for one in self.by_lengths]
+        self.batch = Batch(searched[0], searched[1:])
         self.fit = SimilarityFit(self.batch)
         self.batches = [self.batch.of_variant(k) for k in range(len(variants))]
         self.thin, self.lift = self.batch.thinned(COARSE_POINTS)
@@ -127,6 +130,7 @@ class Searcher:
         groups = []
         for variant, ends in enumerate(self._descended(samples)):
             good, way = acceptable(self.batch, ends)
+            ends = self._stated(variant, ends)
             groups += [Candidate(variant, ends.x[i], ends.t[i], float(ends.cost[i]), int(way[i])) for i in np.flatnonzero(good)]
         return sorted(groups, key=lambda candidate: candidate.cost)
 
@@ -235,11 +239,20 @@ class Searcher:
             h, _ = batch.violations(ends.x[i : i + 1], angles)
             cost = float(np.sum(r * r) + np.sum(h * h))
             if np.isfinite(cost):
-                yield Candidate(variant, ends.x[i], t, cost, direction)
+                end = self._stated(variant, replace(ends.take(np.array([i])), t=t[None]))
+                yield Candidate(variant, end.x[0], end.t[0], cost, direction)
+
+    def _stated(self, variant: int, ends: FinalDesigns) -> FinalDesigns:
+        """Return designs in the variables of the stated problem."""
+        how = self.by_lengths[variant]
+        if how.problem is None or not len(ends.x):
+            return ends
+        x, t = how.stated_design(ends.x, ends.t)
+        return replace(ends, x=x, t=t)
 
     def _keep(self, variant: int, ends: FinalDesigns) -> None:
         good, way = acceptable(self.batch, ends)
-        candidates = self.exploration.candidates
+        ends, candidates = self._stated(variant, ends), self.exploration.candidates
         for i in np.argsort(ends.cost):
             if not good[i]:
                 continue
