@@ -39,7 +39,7 @@ RESULTS = {
     "tolerance": lambda: tolerance(optlink.load("crank-rocker"), ["coupler=0.1 mm"], limit="2.3 deg", samples=256),
     "front": lambda: pareto(optlink.load("crank-rocker"), "error, limits.transmission_angle.max", points=3),
 }
-PAIRS = {"Check", "Relaxation", "CycleFigure", "ActiveLimit", "RelaxedLimit", "Axis", "ParetoObjective"}
+PAIRS = {"Check", "Relaxation", "TermFigure", "ActiveLimit", "RelaxedLimit", "Axis", "ParetoObjective"}
 """Classes that state a display value with its unit beside it, as the description of the Python interface says."""
 DISPLAYED = {"displayed", "displayed_limits", "shown"}
 """Attributes that are documents in display units, by name."""
@@ -131,7 +131,7 @@ def test_the_objective_of_a_stroke_is_in_the_unit_beside_it() -> None:
     stroke = result("stroke")
     goal = stroke.figures[0]
     size, unit = in_si(goal.unit)
-    assert unit == stroke.unit == stroke.to_dict()["objective"]["unit"] == "rad"
+    assert unit == stroke.problem.spec.objective_unit == stroke.to_dict()["objective"]["unit"] == "rad"
     assert stroke.objective == pytest.approx(size * goal.result, rel=1e-9)
     assert goal.unit == "deg"
 

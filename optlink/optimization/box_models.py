@@ -106,10 +106,9 @@ def box_problem(problem: ProblemFile, further: Array | None = None) -> DesignBox
     InputError
         If no lower bound is available for this kind of problem.
     """
-    model = problem.model
-    if not isinstance(model, DesignProblem):
+    if not problem.model.parts:
         reason = "only motion laws, functions, timed paths and transmission problems have one"
-    elif model.composed:
+    elif (model := problem.spec).composed:
         reason = "only the deviations of one requirement alone have one"
     elif model.robust is not None:
         reason = "the objective of a robust design has none"

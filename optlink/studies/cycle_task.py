@@ -46,9 +46,7 @@ class CycleTask(OptimumTask):
             return None
         limits = [axis.key.rpartition(".") for axis in self.grid.axes]
         limit_keys = [f"limits.{name}" for name in self.problem.spec.limits.named]
-        if not all(limit in limit_keys and side in BOUNDS for limit, _, side in limits) or possible_modes(self.problem) != [
-            self.problem
-        ]:
+        if not all(limit in limit_keys and side in BOUNDS for limit, _, side in limits):
             return None
         common = CycleProgramme(self.problem.override(self.grid.changes(0)), self.backend)
         return common if common.possible else None

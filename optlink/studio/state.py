@@ -10,7 +10,6 @@ from optlink.dynamics.columns import MotionColumns
 from optlink.io import finite
 from optlink.linkage.dyad_types import transmitting
 from optlink.linkage.vector2d import Array
-from optlink.problem.design import DesignProblem
 from optlink.problem.file import ProblemFile
 from optlink.problem.limits import Limits
 from optlink.problem.quantity_keys import quantity_key
@@ -29,8 +28,7 @@ DIGITS = 6
 
 def targets(problem: ProblemFile, design: Design) -> dict[str, Any]:
     """Return the target points, poses or curve [mm, deg], with the deviations of a design."""
-    model = problem.model
-    if not isinstance(model, DesignProblem) or not model.pointed:
+    if not problem.model.parts or not (model := problem.spec).pointed:
         return {"points": [], "poses": [], "curve": []}
     targets = model.target_points
     places = 1e3 * np.asarray(targets.points)

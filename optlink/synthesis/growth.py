@@ -62,8 +62,8 @@ class ContainedFourBar:
 
 def contained_four_bar(problem: ProblemFile) -> ContainedFourBar | None:
     """Return the four-bar whose coupler curve the point of a path problem of a linkage of dyads can trace, or None."""
-    task = problem.model
-    if not isinstance(task, DesignProblem) or task.requirement.kind != "path" or "links" not in problem.raw["mechanism"]:
+    task = problem.spec
+    if task.requirement.kind != "path" or "links" not in problem.raw["mechanism"]:
         return None
     mechanism, point = task.linkage, task.point
     for loop in inner_four_bars(mechanism):
@@ -225,8 +225,7 @@ def _farthest(x: Array, angles: Array, slack: Array, count: int) -> tuple[Array,
 
 def _apart(part: ProblemFile, values: Mapping[str, float], t: Array, batch: Batch, x: Array, angles: Array) -> Array:
     """Return the largest distance (designs,) of the traced points from those of the four-bar, relative to the curve size."""
-    small, task = part.model, batch.problem
-    assert isinstance(small, DesignProblem)
+    small, task = part.spec, batch.problem
     with np.errstate(all="ignore"):
         px, py = small.linkage.pose(values, unit(t)).point(small.point)
         qx, qy = task.linkage.pose(batch.values(x), unit(batch.crank_angles(x, angles))).point(task.point)

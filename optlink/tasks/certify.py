@@ -16,7 +16,6 @@ from optlink.execution import interrupts
 from optlink.execution.worker import Runs
 from optlink.linkage.vector2d import Array
 from optlink.optimization.box_models import DesignBoxes, box_problem
-from optlink.problem.design import DesignProblem
 from optlink.problem.file import ProblemFile
 from optlink.solvers.global_search.branch_and_bound import BATCH, FEW, Bounder, BranchAndBound, joint_history
 from optlink.solvers.global_search.function_certificate import CLOSED, INTERRUPTED, MOST, certify_function
@@ -59,8 +58,8 @@ def automatic(problem: ProblemFile) -> bool:
 
 def check_problem(problem: ProblemFile) -> None:
     """Raise if no lower bound is available for a problem, before it is searched."""
-    model = problem.model
-    if not (isinstance(model, DesignProblem) and model.error_bounded) and not _of_path(problem):
+    bounded = bool(problem.model.parts) and problem.spec.error_bounded
+    if not bounded and not _of_path(problem):
         box_problem(problem.variants()[0])
 
 
@@ -70,7 +69,7 @@ def _of_path(problem: ProblemFile) -> bool:
         return False
     from optlink.solvers.global_search.timed_path import unsuitable
 
-    return isinstance(problem.model, DesignProblem) and not unsuitable(problem.model)
+    return not unsuitable(problem.spec)
 
 
 def check_options(gap: float, time_limit: float) -> None:
@@ -106,8 +105,8 @@ def certify(
     A `gap` or `time_limit` out of range is refused, and a problem without a lower bound.
     """
     check_options(gap, time_limit)
-    model, problem = result.problem.model, original or result.problem
-    of_function = isinstance(model, DesignProblem) and model.error_bounded and result.valid and result.objective < MOST
+    model, problem = result.problem.spec, original or result.problem
+    of_function = model.error_bounded and result.valid and result.objective < MOST
     of_function = of_function and not exact(problem, result.objective)
     kind = _ErrorSearch if of_function else _PathSearch if _of_path(result.problem) else _Search
     found: SynthesisResult = kind(result, problem, gap, seed, runs).run(time_limit, boxes, progress)
@@ -305,8 +304,7 @@ class _ErrorSearch(_Search):
     def run(self, seconds: float, boxes: float, progress: Proving) -> Any:
         """Search all assembly modes."""
         begin = time.perf_counter()
-        model, share = self.original.model, GAP_SHARE * self.gap
-        assert isinstance(model, DesignProblem)
+        model, share = self.original.spec, GAP_SHARE * self.gap
         proof = certify_function(model, self._known, self.result.design, share, seconds, boxes, progress, self._from_candidate)
         certificate = self._proven(proof.status == CLOSED, proof.lower, proof.boxes, len(proof.open), proof.history)
         return self._with(certificate, begin, interrupted=proof.status == INTERRUPTED)
@@ -328,8 +326,7 @@ class _PathSearch(_Search):
         from optlink.solvers.global_search.timed_path import TimedPathBounds
 
         begin, interrupted = time.perf_counter(), False
-        assert isinstance(self.original.model, DesignProblem)
-        bounds = TimedPathBounds(self.original.model)
+        bounds = TimedPathBounds(self.original.spec)
         search = self._branches(bounds, self._squared, functools.partial(self._from_box, bounds), PATH_BOXES)
         try:
             if not self._exact:  # else nothing is smaller
