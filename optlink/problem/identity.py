@@ -71,4 +71,6 @@ def _fields(value: Any) -> list[str] | None:
 
 
 def _name(value: Any) -> str:
-    return f"{value.__module__}.{value.__qualname__}"
+    """Return the name of a class or function; those of optlink may move to another module."""
+    own = value.__module__.partition(".")[0] == __name__.partition(".")[0]
+    return str(value.__qualname__) if own else f"{value.__module__}.{value.__qualname__}"
