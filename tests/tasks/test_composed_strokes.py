@@ -72,6 +72,25 @@ def test_least_torque_of_a_law_with_a_force_in_one_stroke() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("measure", ["peak", "rms"])
+def test_least_torque_with_a_force_tabulated_over_the_slide(measure: str) -> None:
+    """The rows of the table that the slider passes divide the stroke; which it passes follows from the design."""
+    raw = copy.deepcopy(dict(pressing(objective={"quantity": "torque", "measure": measure}).raw))
+    at, values = [60.0, 120.0, 160.0], [500.0, 1000.0, 200.0]
+    table = {"over": "s", "at": [f"{place} mm" for place in at], "values": [f"{force} N" for force in values]}
+    raw["loads"]["cutting"]["force"] = table
+    raw["bodies"] = {"slider": {"mass": "20 kg"}}
+    result, own = (
+        optlink.solve(optlink.read(raw), "slsqp"),
+        composed.slider_crank_against_a_force(measure, at, values, 20.0, 2400),
+    )
+    assert result.valid
+    assert result.objective == pytest.approx(own.optimum, rel=2e-7)
+    for name, key in (("crank", "crank.length"), ("rod", "rod.length"), ("offset", "G.offset")):
+        assert 1e3 * result.design[key] == pytest.approx(own.figures[name], abs=1e-2)
+
+
+@pytest.mark.slow
 def test_work_in_the_forward_stroke_is_the_force_times_the_stroke() -> None:
     """Without masses the drive gives exactly that, so the least stroke is the optimum: the same as minimising the stroke."""
     work = {"quantity": "work", "of": "slider", "stroke": "forward"}
