@@ -33,7 +33,7 @@ from optlink.solvers.newton import polish
 from optlink.solvers.solution import Solution
 
 POSITIONS = 1441  # positions along the required motion at which limits are sampled
-PER_STROKE = 241  # least number of them along a stroke
+PER_STROKE = 241  # those along a stroke, or along the revolution where quantities of the machine are all that counts
 EXCHANGES = 40  # rounds
 RADIUS, SMALLEST, LARGEST = 0.3, 1e-6, 10.0  # scaled units: trust-region radius of the first round, and its range
 GROWTH, ALL_BUT = 2.5, 0.9  # of the radius after a step of at least that share of it
@@ -384,7 +384,7 @@ class _Courses:
         if self.terms is not None:
             first, events = len(levels) - len(self.terms.levels), solution.x[nlp.first_event : nlp.first_level]
             numbers = [first + level if level >= 0 else -1 for level in self.terms.level_numbers]
-            along = np.linspace(0.0, 1.0, max(PER_STROKE, 1 + math.ceil((POSITIONS - 1) / self.terms.strokes)))
+            along = np.linspace(0.0, 1.0, PER_STROKE) if self.terms.cuts or not self.task.parts else grid
             for motion in self.terms.motions(values, events):
                 search(functools.partial(self.terms.heights, motion, levels[first:]), numbers, along)
         for error in self.errors:
