@@ -11,7 +11,7 @@ import functools
 import itertools
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -33,7 +33,7 @@ from optlink.solvers.newton import polish
 from optlink.solvers.solution import Solution
 
 POSITIONS = 1441  # positions along the required motion at which limits are sampled
-PER_STROKE = 241  # least number of them along a stroke
+PER_STROKE = 241  # those along a stroke, or along the revolution where quantities of the machine are all that counts
 EXCHANGES = 40  # rounds
 RADIUS, SMALLEST, LARGEST = 0.3, 1e-6, 10.0  # scaled units: trust-region radius of the first round, and its range
 GROWTH, ALL_BUT = 2.5, 0.9  # of the radius after a step of at least that share of it
@@ -43,6 +43,7 @@ TRACKED_LEVEL, MOVING_LEVEL = 0.3, 0.05  # the same for peaks of the error, as s
 REACH, FARTHEST = 0.02, 0.1  # share of the motion by which such a position may move in a round of the first radius, and at most
 PER_ROW = 2  # such positions of a row that the programme has at least
 EDGE = 1e-3  # share of the motion: this close to its ends the derivative at a peak need not vanish
+MOST_NODES, INTEGRAL_TOLERANCE = 400, 1e-8  # positions of integrals per revolution, and their relative accuracy
 PEAK = "place of a peak"
 ROUNDING = 1e-9  # scaled units: a shorter step is none
 PEAK_SEPARATION = 1e-4  # share of the motion; closer positions count as one
@@ -142,6 +143,23 @@ def reconcile_backends(solutions: dict[str, Solution]) -> dict[str, Solution]:
         else min((solution, solve_semi_infinite(winner.nlp.terms.problem, winner, name, near=True)), key=rank)
         for name, solution in solutions.items()
     }
+
+
+def with_accurate_integrals(solution: Solution, method: str, programme: Callable[[TermCourse], NLP]) -> Solution:
+    """Return an optimum with so many positions that its integrals are accurate.
+
+    `programme` returns the one of a course with more positions, `method` searches from the optimum there.
+    """
+    while solution.usable and solution.nlp.terms is not None and solution.nlp.terms.integral:
+        nlp, terms = solution.nlp, solution.nlp.terms
+        error = terms.integral_error(solution.design, solution.x[nlp.first_event : nlp.first_level])
+        if error <= INTEGRAL_TOLERANCE or terms.count >= MOST_NODES:
+            break
+        more = programme(TermCourse(terms.problem, solution.design, terms.trace, terms.structure, 2 * terms.count))
+        values = {v.name: v.value(float(y)) for v, y in zip(nlp.variables, solution.x, strict=True)}
+        start = local.solution_at(more, more.x_of(values), solution.message)
+        solution = solve_semi_infinite(terms.problem, start, method, near=True)
+    return solution
 
 
 def sharpened(task: DesignProblem, solution: Solution, backend: str) -> Solution:
@@ -369,7 +387,7 @@ class _Courses:
         if self.terms is not None:
             first, events = len(levels) - len(self.terms.levels), solution.x[nlp.first_event : nlp.first_level]
             numbers = [first + level if level >= 0 else -1 for level in self.terms.level_numbers]
-            along = np.linspace(0.0, 1.0, max(PER_STROKE, 1 + math.ceil((POSITIONS - 1) / self.terms.strokes)))
+            along = np.linspace(0.0, 1.0, PER_STROKE) if self.terms.cuts or not self.task.parts else grid
             for motion in self.terms.motions(values, events):
                 search(functools.partial(self.terms.heights, motion, levels[first:]), numbers, along)
         for error in self.errors:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,11 +24,11 @@ from optlink.tasks.results.common import Optimum, with_optimality
 from optlink.tasks.results.design import LinkageDesign, SynthesisResult, of_designs
 from optlink.tasks.results.evidence import tally
 from optlink.tasks.results.rotation import cannot_turn
-from optlink.units import factor
 from optlink.validation import Check, validate as validate_design
 from optlink.validation.cycle import cycle_of
 
 if TYPE_CHECKING:
+    from optlink.optimization.courses import TermCourse
     from optlink.optimization.nlp import NLP
     from optlink.solvers.continuum import Continuum
     from optlink.solvers.cycle_search import CycleSearchResult
@@ -38,7 +39,6 @@ EQUAL_OBJECTIVE = 1e-6  # relative difference of the objectives of two designs o
 COARSE_NODES, COARSE_STARTS = 24, 2  # positions per revolution, and starts, of the infeasibility analysis
 SHARED_STARTS = 200
 """Starting points that several processes share by default; fewer take no longer than the start of the processes."""
-MAX_NODES, INTEGRAL_TOLERANCE = 400, 1e-7  # positions per revolution, and relative accuracy of integrals against the fine sweep
 
 
 class CycleTask(DesignTask[SynthesisResult]):
@@ -124,7 +124,7 @@ def _search(problem: ProblemFile, search: Search) -> SynthesisResult:
     from optlink.solvers.continuum import continuum
     from optlink.solvers.cycle_search import search_all
     from optlink.solvers.cycle_starts import STARTS, StartSequence, further_start_groups, start_groups
-    from optlink.solvers.exchange import rank
+    from optlink.solvers.exchange import rank, with_accurate_integrals
 
     names, seed, timer, progress = search.names, search.seed, search.timer, search.progress
     task, count = problem.spec, STARTS if search.starts is None else search.starts
@@ -149,10 +149,11 @@ def _search(problem: ProblemFile, search: Search) -> SynthesisResult:
     )
     if not result.usable:
         result = _explained(result, names)
-    nlp, solutions = _refined(task, result.nlp, result.best)
+    of_course = partial(_of_course, task)
+    solutions = {name: with_accurate_integrals(solution, name, of_course) for name, solution in result.best.items()}
     winner = min(solutions.values(), key=rank)
     chosen = next(name for name, solution in solutions.items() if solution is winner)
-    equal = continuum(nlp, winner, chosen) if result.usable else None
+    equal = continuum(winner.nlp, winner, chosen) if result.usable else None
     timer.lap("solve")
     best = validated_design(problem, winner, _agreement(solutions) if len(solutions) > 1 else ())
     timer.lap("validate")
@@ -178,6 +179,13 @@ def validated_design(problem: ProblemFile, solution: Solution, checks: Sequence[
     design = LinkageDesign(problem, values, np.zeros(0), solution.objective, solution.status, proof, solution)
     vars(design)["cycle"] = cycle  # cached, as its figures are shown too
     return design
+
+
+def _of_course(task: DesignProblem, terms: TermCourse) -> NLP:
+    """Return the programme with the positions of a course."""
+    from optlink.optimization.programme import build
+
+    return build(task, terms=terms)
 
 
 def _explained(result: CycleSearchResult, names: Sequence[str]) -> CycleSearchResult:
@@ -286,41 +294,6 @@ def _no_rotatable_design(problem: ProblemFile, seed: int, starts: int, seconds: 
     notes = cannot_turn(task.mechanism.quantities, task.linkage, "", task.limits.alignment.value) or (note,)
     result = TASK.validate(problem, {}).with_best(status=Status.INFEASIBLE)
     return replace(result, seconds=result.seconds | seconds, seed=seed, starts=starts, notes=notes)
-
-
-def _refined(task: DesignProblem, nlp: NLP, solutions: dict[str, Solution]) -> tuple[NLP, dict[str, Solution]]:
-    """Double the positions until integrals agree with those of the validation, and continue the search."""
-    from optlink.optimization.courses import NODES, TermCourse
-    from optlink.optimization.programme import build
-    from optlink.solvers import multistart
-    from optlink.solvers.contract import CLOSE
-    from optlink.solvers.exchange import place_at_peaks, solve_semi_infinite
-
-    trace = nlp.terms.trace
-    nodes = NODES
-    while any(term.integral for term in trace.terms) and nodes < MAX_NODES:
-        winner = multistart.best(list(solutions.values()))
-        cycle = cycle_of(task, winner.design) if winner.usable else None
-        if cycle is None:
-            break
-        gaps = [abs(cycle.objective() - winner.objective) / max(abs(winner.objective), cycle.natural(), 1e-300)]
-        values = {row.limit: row.scale.to_display(float(value)) for row, value in zip(nlp.rows, winner.g, strict=True)}
-        for bound in task.bounds:
-            if bound.term.integral:
-                size = factor(bound.interval.unit, bound.interval.kind or "")
-                validated = values[bound.key] * size
-                ends = [abs(end) for end in (bound.interval.low, bound.interval.high) if end]
-                gaps.append(abs(cycle.figure(bound.term) - validated) / max(abs(validated), *ends, 1e-300))
-        if max(gaps) <= INTEGRAL_TOLERANCE:
-            break
-        nodes *= 2
-        nlp = build(task, terms=TermCourse(task, winner.design, trace, nlp.terms.structure, nodes))
-        place_at_peaks(task, nlp, nlp.x_start)
-        solutions = {
-            name: solve_semi_infinite(task, multistart.solve_from(nlp, nlp.x_of(solution.design), name), CLOSE)
-            for name, solution in solutions.items()
-        }
-    return nlp, solutions
 
 
 def _agreement(solutions: Mapping[str, Solution]) -> tuple[Check, ...]:

@@ -4,7 +4,7 @@ import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -25,7 +25,7 @@ from optlink.solvers import multistart
 from optlink.solvers.contract import BACKENDS, CLOSE, FOUND, MINIMAX
 from optlink.solvers.cycle_starts import SAMPLES, StartSequence
 from optlink.solvers.event_orders import CROSSINGS, FURTHER, at_edge, misfit, orders_beside
-from optlink.solvers.exchange import best_slow_stroke, solve_semi_infinite
+from optlink.solvers.exchange import best_slow_stroke, solve_semi_infinite, with_accurate_integrals
 from optlink.solvers.solution import Solution
 from optlink.synthesis.batch import Batch
 from optlink.synthesis.batch_search import Candidate, Exploration, acceptable
@@ -61,7 +61,6 @@ MOST_IN_ORDER = 0.5  # share of starts that end in order from which the order do
 OBJECTIVE_TOLERANCE = 1e-6  # relative difference of equal objectives
 SAME_COST = 1e-4  # relative difference of equal costs of candidates
 ROUNDING = 1e-9  # relative difference of equal errors of one coupler curve
-MOST_NODES, INTEGRAL_TOLERANCE = 400, 1e-8  # positions of integrals per revolution, and their relative accuracy
 BAND_POSITIONS, SLACK = 721, 1e-3  # positions at which the breadth of an output is measured, and its share that counts as unused
 MOST_PROGRAMMES = 24  # programmes that are kept: assembly modes, directions of the crank, orders of ends of strokes
 
@@ -159,18 +158,18 @@ class Polisher:
         return self._of_order(variant, direction, trace, structure, at)
 
     def _of_order(
-        self,
-        variant: int,
-        direction: int,
-        trace: TracedCycle,
-        structure: EventOrder,
-        near: Mapping[str, float],
-        count: int = NODES,
+        self, variant: int, direction: int, trace: TracedCycle, structure: EventOrder, near: Mapping[str, float]
     ) -> NLP:
-        """Return the NLP of an order of ends of strokes, that of a design `near` [SI]; `count`: positions of integrals."""
-        task, traced = self.files[variant].spec, trace.values and tuple(trace.values.items())
-        key = (variant, direction, *structure.key, traced, count)
-        return self._kept(key, lambda: build(task, direction, terms=TermCourse(task, near, trace, structure, count)))
+        """Return the NLP of an order of ends of strokes, that of a design `near` [SI]."""
+        task = self.files[variant].spec
+        key = (variant, direction, *structure.key, trace.values and tuple(trace.values.items()), NODES)
+        return self._kept(key, lambda: build(task, direction, terms=TermCourse(task, near, trace, structure)))
+
+    def _of_course(self, variant: int, direction: int, terms: TermCourse) -> NLP:
+        """Return the NLP with the positions of a course, which are more than those of its order."""
+        values = terms.trace.values
+        key = (variant, direction, *terms.structure.key, values and tuple(values.items()), terms.count)
+        return self._kept(key, lambda: build(terms.problem, direction, terms=terms))
 
     def _again(self, variant: int, recipe: Mapping[str, Any]) -> NLP:
         """Return the NLP that another process has built."""
@@ -254,8 +253,8 @@ class Polisher:
                 solution = replace(solution, status=Status.STALLED)  # an optimum, but not that near the start
         if start.nlp.terms is not None and start.nlp.terms.events:
             solution = self._over_orders(variant, start, solution)
-        if solution.nlp.terms is not None and solution.nlp.terms.integral:
-            solution = self._with_integrals(variant, solution)
+        of_course = partial(self._of_course, variant, start.nlp.recipe["direction"])
+        solution = with_accurate_integrals(solution, self.method, of_course)
         return validated_design(file, best_slow_stroke(task, solution, self.method))
 
     def _over_orders(self, variant: int, start: Solution, solution: Solution) -> Solution:
@@ -292,19 +291,6 @@ class Polisher:
                     nlp = self._of_order(variant, end.nlp.recipe["direction"], trace, order, values)
                     ahead.append(solve_semi_infinite(terms.problem, self._moved(end, nlp, values), self.method))
         return best
-
-    def _with_integrals(self, variant: int, solution: Solution) -> Solution:
-        """Return an optimum with so many positions that its integrals are accurate."""
-        while solution.usable:
-            nlp, terms = solution.nlp, solution.nlp.terms
-            error = terms.integral_error(solution.design, solution.x[nlp.first_event : nlp.first_level])
-            if error <= INTEGRAL_TOLERANCE or terms.count >= MOST_NODES:
-                break
-            more = self._of_order(
-                variant, nlp.recipe["direction"], terms.trace, terms.structure, solution.design, 2 * terms.count
-            )
-            solution = solve_semi_infinite(terms.problem, self._moved(solution, more, {}), self.method, near=True)
-        return solution
 
     @staticmethod
     def _moved(solution: Solution, nlp: NLP, values: Mapping[str, float]) -> Solution:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import itertools
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -302,20 +302,33 @@ def smallest_machine_of_swing(swing: float, ratio: float = 1.0, largest: float =
 # --- a law, a stroke and a force that acts in one stroke -------------------------------------------------------------------
 
 
-def slider_crank_against_a_force(stroke: float = 60.0, ratio: float = 1.1, tolerance: float = 3.0) -> Answer:
-    """Least peak torque [N m] of an offset slider-crank whose slider moves against 1 kN while it moves away from the crank.
+def slider_crank_against_a_force(
+    measure: str = "peak",
+    places: Sequence[float] = (0.0, 1.0),
+    forces: Sequence[float] = (1000.0, 1000.0),
+    mass: float = 0.0,
+    positions: int = 7200,
+) -> Answer:
+    """Least torque [N m], peak or rms, of an offset slider-crank that moves its slider against a force on the way out only.
 
-    The torque is the force times the derivative of the slide by the crank angle, in that stroke only. Over a quarter turn the
-    slider returns by 40 mm at constant speed within `tolerance` [mm]; its stroke is `stroke`, its way back takes at least `ratio`
-    times as long. Rod and guide stay 30 deg from the position where the assembly modes meet. SLSQP from random starts.
+    The force [N] is linear between `places` [mm] of the slide and constant beyond them; with the force of inertia of the slider
+    [kg] at one revolution per second it is multiplied by the derivative of the slide by the crank angle. Over a quarter turn the
+    slider returns by 40 mm at constant speed within 3 mm; its stroke is 60 mm, its way back takes at least 1.1 times as long. Rod
+    and guide stay 30 deg from the position where the assembly modes meet. SLSQP from random starts.
     """
-    offsets, phi = np.linspace(0.0, 0.5 * math.pi, 2001), np.linspace(0.0, TURN, 7201)
-
-    def sine(x: Array, at: Array) -> Array:
-        return np.asarray(x[0] * np.sin(at) - x[2])
+    offsets, phi = np.linspace(0.0, 0.5 * math.pi, 1001), np.linspace(0.0, TURN, positions + 1)
 
     def slide(x: Array, at: Array) -> Array:
-        return np.asarray(x[0] * np.cos(at) + np.sqrt(x[1] ** 2 - sine(x, at) ** 2))
+        return np.asarray(x[0] * np.cos(at) + np.sqrt(x[1] ** 2 - (x[0] * np.sin(at) - x[2]) ** 2))
+
+    def rate(x: Array, at: Array) -> Array:
+        u = x[0] * np.sin(at) - x[2]
+        return np.asarray(-x[0] * np.sin(at) - u * x[0] * np.cos(at) / np.sqrt(x[1] ** 2 - u**2))
+
+    def torques(x: Array) -> Array:
+        moved, bent = rate(x, phi), (rate(x, phi + 1e-5) - rate(x, phi - 1e-5)) / 2e-5
+        against = np.interp(slide(x, phi), places, forces) * np.maximum(moved, 0.0)
+        return np.asarray(1e-3 * against + mass * TURN**2 * 1e-6 * moved * bent)
 
     def strokes(x: Array) -> tuple[float, float]:
         """Stroke, and crank rotation of the way back over that of the way out."""
@@ -327,27 +340,28 @@ def slider_crank_against_a_force(stroke: float = 60.0, ratio: float = 1.1, toler
     def rows(x: Array) -> Array:
         gap = slide(x, x[3] + offsets) + 80.0 * offsets / math.pi
         away = math.cos(math.radians(30.0)) * x[1] - x[0] - x[2]
-        return np.array([2.0 - np.ptp(gap) / tolerance, strokes(x)[1] - ratio, away / x[1]])
+        return np.array([2.0 - np.ptp(gap) / 3.0, strokes(x)[1] - 1.1, away / x[1]])
 
-    def peak(x: Array) -> float:
-        """Largest derivative of the slide: the vertex of the parabola through the largest of the grid and its neighbours."""
-        u = sine(x, phi)
-        rate = -x[0] * np.sin(phi) - u * x[0] * np.cos(phi) / np.sqrt(x[1] ** 2 - u**2)
-        k = int(np.argmax(rate[1:-1])) + 1
-        a, b, c = rate[k - 1 : k + 2]
-        return float(b + (a - c) ** 2 / (8.0 * (2.0 * b - a - c)))
+    def cost(x: Array) -> float:
+        """The largest torque is the vertex of the parabola through the largest of the grid and its neighbours."""
+        size = np.abs(torques(x))
+        if measure == "rms":
+            return float(np.sqrt(np.mean(size[:-1] ** 2)))
+        k = int(np.argmax(size[1:-1])) + 1
+        a, b, c = size[k - 1 : k + 2]
+        return float(b + (a - c) ** 2 / (8.0 * max(2.0 * b - a - c, 1e-12)))
 
     rng, best = np.random.default_rng(0), (math.inf, np.zeros(4))
-    limits = [{"type": "ineq", "fun": rows}, {"type": "eq", "fun": lambda x: 0.1 * (strokes(x)[0] - stroke)}]
+    limits = [{"type": "ineq", "fun": rows}, {"type": "eq", "fun": lambda x: 0.1 * (strokes(x)[0] - 60.0)}]
     bounds = [(5.0, 100.0), (20.0, 300.0), (0.0, 40.0), (-3.0, 3.0)]
     with np.errstate(all="ignore"):
-        for start in rng.uniform([20.0, 60.0, 0.0, 0.0], [40.0, 300.0, 40.0, 1.5], (30, 4)):
+        for start in rng.uniform([20.0, 45.0, 0.0, 0.0], [40.0, 300.0, 40.0, 1.5], (40, 4)):
             if not np.all(np.isfinite(rows(start))):
                 continue
             options = {"ftol": 1e-14, "maxiter": 500}
-            x = minimize(lambda x: peak(x) / 30.0, start, method="SLSQP", bounds=bounds, constraints=limits, options=options).x
-            met = np.min(np.nan_to_num(rows(x), nan=-1.0)) > -1e-8 and abs(strokes(x)[0] - stroke) < 1e-6
-            best = min(best, (peak(x) if met else math.inf, x), key=lambda one: one[0])
+            x = minimize(lambda x: cost(x) / 30.0, start, method="SLSQP", bounds=bounds, constraints=limits, options=options).x
+            met = np.min(np.nan_to_num(rows(x), nan=-1.0)) > -1e-8 and abs(strokes(x)[0] - 60.0) < 1e-6
+            best = min(best, (cost(x) if met else math.inf, x), key=lambda one: one[0])
     return Answer(best[0], dict(zip(("crank", "rod", "offset"), map(float, best[1]), strict=False)))
 
 

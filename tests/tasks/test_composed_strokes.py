@@ -11,6 +11,8 @@ import pytest
 import optlink
 from optlink.optimization.programme import build
 from optlink.solvers import event_orders
+from optlink.studies.sensitivity import sensitivities
+from optlink.studies.target_programme import TargetProgramme
 from optlink.tasks.search import DesignOrders
 from tests.oracles import composed_problems as composed
 from tests.tasks.test_composed import dimensions, measured
@@ -69,6 +71,25 @@ def test_least_torque_of_a_law_with_a_force_in_one_stroke() -> None:
     again = optlink.validate(result.best.problem, result.design)
     assert again.valid
     assert again.objective == pytest.approx(result.objective, rel=1e-9)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("measure", ["peak", "rms"])
+def test_least_torque_with_a_force_tabulated_over_the_slide(measure: str) -> None:
+    """The rows of the table that the slider passes divide the stroke; which it passes follows from the design."""
+    raw = copy.deepcopy(dict(pressing(objective={"quantity": "torque", "measure": measure}).raw))
+    at, values = [60.0, 120.0, 160.0], [500.0, 1000.0, 200.0]
+    table = {"over": "s", "at": [f"{place} mm" for place in at], "values": [f"{force} N" for force in values]}
+    raw["loads"]["cutting"]["force"] = table
+    raw["bodies"] = {"slider": {"mass": "20 kg"}}
+    result, own = (
+        optlink.solve(optlink.read(raw), "slsqp"),
+        composed.slider_crank_against_a_force(measure, at, values, 20.0, 2400),
+    )
+    assert result.valid
+    assert result.objective == pytest.approx(own.optimum, rel=2e-7)
+    for name, key in (("crank", "crank.length"), ("rod", "rod.length"), ("offset", "G.offset")):
+        assert 1e3 * result.design[key] == pytest.approx(own.figures[name], abs=1e-2)
 
 
 @pytest.mark.slow
@@ -137,3 +158,26 @@ def test_an_output_that_never_reverses_is_named() -> None:
     raw["requirement"]["from"] = "60 deg"
     with pytest.raises(optlink.errors.InputError, match="rocker never reverses"):
         optlink.solve(optlink.read(raw))
+
+
+# --- studies ---------------------------------------------------------------------------------------------------------------
+
+
+def test_a_programme_takes_the_limits_of_another_problem() -> None:
+    """Bounds of named limits too, which a sweep varies."""
+    programme, other = TargetProgramme(pressing().spec, 1, "slsqp"), pressing().override({"limits.ratio.min": 1.2})
+    assert programme.bind(other.override({"limits.travel.exactly": "63 mm"}).spec)
+    nlp = programme.nlp
+    bounds = {row.limit: (row.scale, low, high) for row, low, high in zip(nlp.rows, nlp.low, nlp.high, strict=True)}
+    scale, low, high = bounds["limits.travel"]
+    assert [scale.to_display(end) for end in (low, high)] == pytest.approx([63.0, 63.0], rel=1e-12)
+    scale, low, high = bounds["limits.ratio"]
+    assert scale.to_display(low) == pytest.approx(1.2, rel=1e-12)
+    assert high == np.inf
+
+
+@pytest.mark.slow
+def test_derivatives_by_strokes_are_those_of_new_searches() -> None:
+    result = sensitivities(pressing(), "slsqp", starts=60, check=True)
+    assert {row.parameter.key for row in result.moving} >= {"limits.travel", "limits.ratio.min"}
+    assert result.gap < 1e-6
