@@ -158,7 +158,7 @@ def with_accurate_integrals(solution: Solution, method: str, programme: Callable
         more = programme(TermCourse(terms.problem, solution.design, terms.trace, terms.structure, 2 * terms.count))
         values = {v.name: v.value(float(y)) for v, y in zip(nlp.variables, solution.x, strict=True)}
         start = local.solution_at(more, more.x_of(values), solution.message)
-        solution = solve_semi_infinite(terms.problem, start, method, near=True)
+        solution = solve_semi_infinite(terms.problem, start, method, near=start.usable)
     return solution
 
 

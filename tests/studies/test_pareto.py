@@ -376,7 +376,7 @@ def test_the_end_of_a_front_is_no_local_optimum(press):
 def test_three_objectives_of_a_machine_lie_on_their_surface(press):
     front = pareto(press, f"rod.length, maximise stroke of ram=60..120 mm, {LEAST}=60..75 deg", points=3, workers=1)
     assert front.complete
-    assert len(front.points) == 9
+    assert len(front.points) in (8, 9)  # with the shortest rod the crank may be any within limits, so two points may be one
     for length, stroke, angle in (point.values for point in front.points):
         assert length == pytest.approx(max(120.0, 0.5 * stroke / math.cos(math.radians(angle))), rel=1e-6)
 
