@@ -30,7 +30,7 @@ from optlink.optimization.programme import build, solved_values
 from optlink.problem.design import EPIGRAPH, DesignProblem
 from optlink.solvers import contract, multistart as local
 from optlink.solvers.newton import polish
-from optlink.solvers.solution import Solution
+from optlink.solvers.solution import Attempt, Solution
 
 POSITIONS = 1441  # positions along the required motion at which limits are sampled
 PER_STROKE = 241  # those along a stroke, or along the revolution where quantities of the machine are all that counts
@@ -119,9 +119,19 @@ def solve_semi_infinite(
         if math.isfinite(moved.objective) and np.max(np.abs(moved.x - begun)) < ROUNDING:
             break  # it stays where it is: further rounds would repeat this one
     if tops[0].height <= 0.0 or not solution.usable:
-        return solution
+        return _polished(solution)
     what = "the largest values did not become level" if tops[0].level >= 0 else "limits are exceeded between the positions"
     return replace(solution, status=Status.STALLED, message=what)
+
+
+def _polished(solution: Solution) -> Solution:
+    """Return an optimum whose limits hold to rounding, as Newton's method finds it beside the end of a search."""
+    if solution.status is not Status.OPTIMAL:
+        return solution
+    end = polish(solution.nlp, Attempt(solution.x, solution.iterations, solution.message), solution.p)
+    again = local.solution_at(solution.nlp, end.x, solution.message)
+    better = again.status is Status.OPTIMAL and again.violation <= solution.violation and again.kkt <= solution.kkt
+    return replace(again, iterations=solution.iterations, path=solution.path) if better else solution
 
 
 def largest_excess(task: DesignProblem, nlp: NLP, x: Array) -> float:

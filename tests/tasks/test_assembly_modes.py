@@ -75,7 +75,7 @@ def test_a_stroke_names_the_mode_that_it_takes() -> None:
     assert either.valid
     assert either.objective == pytest.approx(backward.objective, rel=1e-9)
     assert either.notes[0] == "assembly mode: C backward, the best of those left open"
-    assert either.problem.raw["mechanism"]["assembly"] == {"C": "backward"}
+    assert either.definite.raw["mechanism"]["assembly"] == {"C": "backward"}
     assert optlink.validate(files["either"], either.design).objective == pytest.approx(backward.objective, rel=1e-9)
 
 
