@@ -124,7 +124,10 @@ def _nearest_key(path: list[str | int], model: type[Problem], raw: Mapping[str, 
     if not deeper and len(path) < 3:
         sections = (name for name in ("mechanism", "requirement", "limits", "drive") if name in model.model_fields)
         deeper = [f"{name}.{key}" for name in sections if name != path[0] and key in known_keys((name,), model)]
-    return nearest(key, _known(tuple(path[:-1]), model, raw), deeper)
+    remedy = nearest(key, _known(tuple(path[:-1]), model, raw), deeper)
+    if path[0] == "limits" and len(path) == 2 and model is DesignProblem:
+        remedy += "; under a name of your own: a table with quantity or region"
+    return remedy
 
 
 def _needless(path: list[str | int], model: type[Problem], raw: Mapping[str, Any]) -> tuple[str, str]:
@@ -276,6 +279,11 @@ _EXAMPLES = {
     "requirement": "Add the section [requirement]",
     "balance.objective": 'Add objective = { quantity = "shaking force", measure = "rms" }',
     "requirement.law": f'Add law = "psi0 + 0.5*(phi - phi0)", or for a slider {SLIDE}',
+    "requirement.point": 'Add point = "P", a point of a moving body',
+    "requirement.at": 'Add at = "90 deg"',
+    "requirement.value": 'Add value = "55 deg", or a range: value = ["50 deg", "60 deg"]',
+    "requirement.over": 'Add over = ["100 deg", "160 deg"]',
+    "requirement.stroke": 'Add stroke = "60 deg", or "100 mm" for a slider',
     "requirement.points": "Give a whole number from 1 to 10000, for example points = 30",
     "expected.source": "State the source of the expected values",
 }
@@ -298,4 +306,6 @@ def _example(key: str) -> str:
     if key.startswith("mechanism."):
         return f'Add {key.split(".")[1]} = "100 mm", or {{ start = "400 mm", bounds = ["100 mm", "900 mm"] }}'
     examples = {"balance": "balance-four-bar", "objective": "shaper-design", "control": "slider-crank-three-gaps"}
-    return _EXAMPLES.get(key, f"See `optlink show {examples.get(section, 'crank-rocker')} --toml` for an example")
+    examples |= {"limits": "path-in-trough"}  # where a required key is missing in a region
+    stated = f"requirement.{last}" if section == "requirements" else key
+    return _EXAMPLES.get(stated, f"See `optlink show {examples.get(section, 'crank-rocker')} --toml` for an example")
