@@ -7,7 +7,7 @@ The transmission angle gamma is the angle B-C-D between coupler and rocker, 0 ..
 
 import enum
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,11 +19,6 @@ from optlink.linkage.mechanism import Arm, BodyPoint, Link, Mechanism
 from optlink.linkage.vector2d import Value, Vector, angle, angle_from, magnitude, root
 
 LENGTHS = ("crank", "coupler", "rocker", "frame")
-
-
-def lengths_of(values: Mapping[str, Value]) -> tuple[Value, Value, Value, Value]:
-    """Return crank, coupler, rocker and frame in the argument order of this module's functions."""
-    return values["crank"], values["coupler"], values["rocker"], values["frame"]
 
 
 def four_bar(

@@ -161,9 +161,9 @@ def test_a_better_design_becomes_the_result(crank_rocker, solved):
 
 def test_an_exact_fit_needs_no_search(crank_rocker):
     sizes = crank_rocker.spec.sizes({"coupler": 0.35, "rocker": 0.3})
-    from optlink.linkage.fourbar import dead_centre, lengths_of
+    from optlink.linkage.fourbar import LENGTHS, dead_centre
 
-    start = dead_centre(*lengths_of(sizes), 1, outer=True)
+    start = dead_centre(*(sizes[name] for name in LENGTHS), 1, outer=True)
     phi = np.linspace(0.0, 1.5, 31)
     pose = crank_rocker.spec.linkage.pose(sizes, (np.cos(start.phi + phi), np.sin(start.phi + phi)))
     psi = np.unwrap(np.arctan2(*reversed(pose.direction("rocker"))))

@@ -223,7 +223,6 @@ def _design(result: Balance) -> tuple[ProblemFile, str] | None:
     return machine, verdict(result.status, result.valid, result.status)
 
 
-MEASURE_TOLERANCE = 1e-6  # relative tolerance of stored measures, as a share of the value before balancing
 VERDICTS = {
     Status.OPTIMAL: "Globally optimal within the limits",
     Status.RELAXED: "Near the lower bound",
