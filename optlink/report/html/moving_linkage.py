@@ -13,6 +13,7 @@ from optlink.io import finite
 from optlink.linkage.vector2d import Array
 from optlink.report.chart_spec import max_abs
 from optlink.report.export.svg import svg
+from optlink.report.format import pretty
 from optlink.report.regions import Region
 from optlink.report.scene import Scene, scene
 from optlink.report.shapes import zigzag
@@ -29,6 +30,11 @@ class Readout:
     name: str
     unit: str
     values: list[float | None]
+
+    @property
+    def shown_unit(self) -> str:
+        """Unit as written in a page."""
+        return "°" if self.unit == "deg" else pretty(self.unit)
 
     @property
     def decimals(self) -> int:
