@@ -296,13 +296,19 @@ class NLP:
     def _levels(self) -> CompiledFunction:
         return self._compiled(*self.level_symbols)
 
+    @property
+    def given(self) -> dict[str, float]:
+        """Fixed quantities [SI], which are parameters."""
+        values = zip(self.constants, self.p[1:].tolist(), strict=False)
+        return {v.name: v.value(value) for v, value in values if v.name in self.fixed}
+
     def lifted(self, x: Array) -> Array:
         """Return the same design with its own events, if they match, and every largest value that is an unknown at its least."""
         events = self.terms is not None and bool(self.terms.events)
         if not self.level_symbols and not events:
             return x
         x = x.copy()
-        angles = self.terms.event_angles(self.design(x)) if events else None
+        angles = self.terms.event_angles(self.given | self.design(x)) if events else None
         if angles is not None:
             x[self.first_event : self.first_level] = angles
         if not self.level_symbols:

@@ -162,7 +162,7 @@ def with_accurate_integrals(solution: Solution, method: str, programme: Callable
     """
     while solution.usable and solution.nlp.terms is not None and solution.nlp.terms.integral:
         nlp, terms = solution.nlp, solution.nlp.terms
-        error = terms.integral_error(solution.design, solution.x[nlp.first_event : nlp.first_level])
+        error = terms.integral_error(nlp.given | solution.design, solution.x[nlp.first_event : nlp.first_level])
         if error <= INTEGRAL_TOLERANCE or terms.count >= MOST_NODES:
             break
         more = programme(TermCourse(terms.problem, solution.design, terms.trace, terms.structure, 2 * terms.count))

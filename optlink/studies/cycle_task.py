@@ -135,8 +135,8 @@ class CycleProgramme:
             return None
         built = time.perf_counter()
         solution = self.programme.optimum(problem.spec, start_values)
-        terms = solution.nlp.terms
-        if at_edge(solution) or (solution.usable and misfit(terms.trace, terms.structure, solution.design)):
+        nlp, terms = solution.nlp, solution.nlp.terms
+        if at_edge(solution) or (solution.usable and misfit(terms.trace, terms.structure, nlp.given | solution.design)):
             return None
         solved = time.perf_counter()
         design = validated_design(problem, solution)

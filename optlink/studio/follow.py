@@ -117,7 +117,7 @@ class CycleFollower:
             place_at_peaks(task, nlp, x)
             solution = multistart.solve_from(nlp, x, BACKEND)
         if solution.usable:
-            if nlp.terms.event_angles(solution.design) is None:
+            if nlp.terms.event_angles(nlp.given | solution.design) is None:
                 return None
             self._near = _with_active_rows(solution)
         self.task = task
