@@ -273,7 +273,7 @@ stroke = "100 mm"
     result = optlink.solve(problem)
     assert result.valid
     assert result.objective == pytest.approx(math.asin(1.0 / 3.0), rel=1e-8)
-    assert result.complete(result.design) == pytest.approx({"A.x": 0.0, "A.y": 0.0, "crank.length": 0.05, "rod.length": 0.15})
+    assert result.design == pytest.approx({"A.x": 0.0, "A.y": 0.0, "crank.length": 0.05, "rod.length": 0.15})
     short = optlink.solve(problem.override({"mechanism.links.rod.length.max": "140 mm"}))
     assert not short.valid  # a stroke of 100 mm needs a rod of 150 mm
     longest = {"quantity": "stroke", "of": "slide", "sense": "maximise"}
