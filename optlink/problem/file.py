@@ -338,7 +338,7 @@ def _model(raw: Mapping[str, Any], file: str) -> type[Problem]:
         others = {key for one in REQUIREMENTS.values() for key in one.model_fields}
         if (others - set(REQUIREMENTS[DEFAULT_KIND].model_fields)) & set(requirement):
             raise InputError("this key is missing", 'Add kind = "path", "motion" or "stroke"', file, "requirement.kind")
-    if kind is not None and kind not in REQUIREMENTS:
+    if kind is not None and str(kind) not in REQUIREMENTS:
         raise InputError("unknown kind", nearest(str(kind), REQUIREMENTS), file, "requirement.kind", kind)
     if registered:
         return registered[0]
@@ -352,7 +352,7 @@ def _check_requirements(stated: Any, file: str) -> None:
         raise InputError("not a list of requirements", remedy, file, "requirements")
     for k, one in enumerate(stated):
         kind = one.get("kind", DEFAULT_KIND)
-        if kind not in REQUIREMENTS:
+        if str(kind) not in REQUIREMENTS:
             raise InputError("unknown kind", nearest(str(kind), REQUIREMENTS), file, f"requirements.{k}.kind", kind)
 
 

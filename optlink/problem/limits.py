@@ -418,8 +418,14 @@ def _swing(loop: InnerFourBar, sizes: Mapping[str, Value]) -> Value:
     return swing(*loop.lengths(sizes), loop.side)
 
 
-def _time_ratio(loop: InnerFourBar, sizes: Mapping[str, Value], stroke: str | None, sense: Value) -> Value:
-    return time_ratio(*loop.lengths(sizes), loop.side, stroke, sense)
+def _time_ratio(loop: InnerFourBar, sizes: Mapping[str, Value], limit: RatioOfStrokes, sense: Value) -> Value:
+    """Return the time ratio; where both strokes are to be equal, that of the forward stroke, which has no kink there."""
+    return time_ratio(*loop.lengths(sizes), loop.side, "forward" if _equal_strokes(limit) else limit.stroke, sense)
+
+
+def _equal_strokes(limit: RatioOfStrokes) -> bool:
+    """Return whether a limit prescribes a time ratio of 1; its sides may be arrays (designs,)."""
+    return all(side is not None and bool(np.all(np.asarray(side) == 1.0)) for side in (limit.low, limit.high))
 
 
 def _ratios(lengths: Sequence[Value]) -> list[Value]:
@@ -428,7 +434,8 @@ def _ratios(lengths: Sequence[Value]) -> list[Value]:
 
 
 def _ratio_label(limit: Any) -> str:
-    return f"time ratio, {limit.strokes}" if limit.stroke else "time ratio"
+    strokes = limit.strokes if limit.stroke else "equal strokes" if _equal_strokes(limit) else ""
+    return f"time ratio, {strokes}".removesuffix(", ")
 
 
 for built_in in (
@@ -444,9 +451,7 @@ for built_in in (
     LimitTerm(
         "time_ratio",
         RatioOfStrokes,
-        lambda problem, sizes, reach, limit: [
-            (_ratio_label(limit), _time_ratio(problem.four_bar, sizes, limit.stroke, reach.sense))
-        ],
+        lambda problem, sizes, reach, limit: [(_ratio_label(limit), _time_ratio(problem.four_bar, sizes, limit, reach.sense))],
         lambda moved, limit: [(_ratio_label(limit), stroke_ratio(*moved.strokes()[1:], limit.stroke))],
         crank_rocker=True,
     ),

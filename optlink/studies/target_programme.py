@@ -55,7 +55,8 @@ class TargetProgramme:
         bounds = {bound.key: bound.interval for bound in task.bounds}
         others = nlp.helpers | limited.keys() | bounds.keys()
         labels = [(row.limit, row.label) for row in nlp.rows[first : first + each] if row.limit not in others]
-        if [row.limit for row in rows] != [row.limit for row in nlp.rows[: len(rows)]] or set(anywhere) != set(labels):
+        stated = [(row.limit, row.label) for row in rows]
+        if stated != [(row.limit, row.label) for row in nlp.rows[: len(rows)]] or set(anywhere) != set(labels):
             return False
         for key in OF_PROBLEM:
             nlp.cache.pop(key, None)

@@ -13,6 +13,7 @@ import optlink
 from optlink.errors import InputError
 from optlink.linkage.fourbar import LENGTHS, time_ratio
 from optlink.problem.file import ProblemFile
+from optlink.problem.templates import templates
 from optlink.tasks.run import solve, validate
 from tests.tiers import mostly_slow
 
@@ -233,3 +234,13 @@ def test_both_slow_strokes_are_searched_where_their_families_almost_meet() -> No
     result = optlink.solve(optlink.read(raw), starts=60)
     assert result.valid
     assert math.degrees(math.asin(result.objective)) == pytest.approx(9.5784, abs=1e-4)
+
+
+@pytest.mark.slow
+def test_the_price_of_equal_strokes_is_a_derivative():
+    """The ratio of the slow stroke to the quick one has a kink where they are equal: its price was infinite."""
+    wiper = optlink.load(templates()["wiper"])
+    result = solve(wiper)
+    (price,) = (limit.multiplier for limit in result.limits if limit.key == "limits.time_ratio")
+    beside = solve(wiper.override({"limits.time_ratio": 1.0 + 1e-5})).objective
+    assert price == pytest.approx((beside - result.objective) / 1e-5, rel=1e-3)
