@@ -126,7 +126,7 @@ def _nearest_key(path: list[str | int], model: type[Problem], raw: Mapping[str, 
         deeper = [f"{name}.{key}" for name in sections if name != path[0] and key in known_keys((name,), model)]
     remedy = nearest(key, _known(tuple(path[:-1]), model, raw), deeper)
     if path[0] == "limits" and len(path) == 2 and model is DesignProblem:
-        remedy += "; under a name of your own: a table with quantity or region"
+        remedy = f"A limit under a name of your own is a table with quantity or region. {remedy}"
     return remedy
 
 
