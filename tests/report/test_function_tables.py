@@ -128,7 +128,7 @@ def test_a_multistart_search_is_not_recommended_after_one(solved: optlink.Synthe
         (0.05, "", 3.0, "0.001"),
         (45.0, "deg", 7.0, "0.1 deg"),
         (0.0, "mm", 30.0, "0.01 mm"),
-        (0.0, "mm", 1e12, "0.001 mm"),  # of an objective of zero no share is told
+        (0.0, "mm", 1e12, "0.001 mm"),  # of an objective of zero no share is stated
         (-0.5, "m", 0.0, "0.01 m"),
     ],
 )
