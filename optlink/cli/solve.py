@@ -86,7 +86,7 @@ def solve(
     file = console.load(problem, changes)
     if not (_automatic(file) if certify is None else certify):
         task, searched = design_task(file), file.task != "analysis"
-        remedy = "Add --certify, or leave it out" if certify is None and searched and task.certified else "Leave it out"
+        remedy = "Add --certify, or leave it out" if certify is None and searched and task.certifies(file) else "Leave it out"
         if searched and not task.divisible:
             console.refuse(where, "only multistart searches and certificates use several processes", remedy, file.file)
         console.refuse(limits, "the option applies to a certificate of the global optimum only", remedy, file.file)
@@ -106,7 +106,7 @@ def _automatic(file: ProblemFile) -> bool:
     """Return whether the optimum of a problem is certified by default; see `optlink.tasks.certify.automatic`."""
     from optlink.tasks.run import design_task
 
-    if not design_task(file).certified:
+    if not design_task(file).certifies(file):
         return False
     from optlink.tasks.certify import automatic
 

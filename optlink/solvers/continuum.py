@@ -6,7 +6,7 @@ import numpy as np
 
 from optlink.errors import Status
 from optlink.linkage.vector2d import Array
-from optlink.optimization.nlp import NLP
+from optlink.problem.design import DesignProblem
 from optlink.solvers import multistart
 from optlink.solvers.contract import CLOSE
 from optlink.solvers.exchange import solve_semi_infinite
@@ -32,26 +32,26 @@ class Continuum:
     scale: bool
 
 
-def continuum(nlp: NLP, solution: Solution, name: str) -> Continuum | None:
+def continuum(task: DesignProblem, solution: Solution, name: str) -> Continuum | None:
     """Return the continuum of equally good designs through a refined optimum; None if there is none.
 
     `name`: the back end that searches from a shifted design.
     """
     if solution.status is not Status.OPTIMAL:
         return None
-    count = nlp.first_event
-    for direction in _flat(nlp, solution):
-        lead = int(np.argmax(np.abs(direction[:count])))
+    for direction in _flat(solution):
+        lead = int(np.argmax(np.abs(direction[: len(task.free)])))
         if abs(direction[lead]) < MOVES:
             continue
-        other = _shifted(nlp, solution, lead, name)
+        other = _shifted(task, solution, lead, name)
         if other is not None:
-            return _continuum(nlp, solution, other, lead)
+            return _continuum(task, solution, other, lead)
     return None
 
 
-def _flat(nlp: NLP, solution: Solution) -> list[Array]:
+def _flat(solution: Solution) -> list[Array]:
     """Return directions with neither a curvature of the Lagrangian nor a priced limit, flattest first."""
+    nlp = solution.nlp
     n, point = len(solution.x), nlp.at(solution.x, solution.p)
     multipliers = solution.conditions.multipliers
     size = float(np.max(np.abs(multipliers), initial=0.0))
@@ -69,8 +69,9 @@ def _flat(nlp: NLP, solution: Solution) -> list[Array]:
     return [basis @ vectors[:, k] for k in np.argsort(np.abs(values)) if abs(values[k]) <= FLAT * stiff]
 
 
-def _shifted(nlp: NLP, solution: Solution, lead: int, name: str) -> Solution | None:
+def _shifted(task: DesignProblem, solution: Solution, lead: int, name: str) -> Solution | None:
     """Return an equally good design with a different value of one design variable; None if there is none."""
+    nlp = solution.nlp
     low, high = float(nlp.x_low[lead]), float(nlp.x_high[lead])
     at = float(solution.x[lead])
     step = SHIFT * (high - low)
@@ -82,7 +83,7 @@ def _shifted(nlp: NLP, solution: Solution, lead: int, name: str) -> Solution | N
         x = solution.x.copy()
         x[lead] = target
         other = multistart.solve_from(nlp, nlp.lifted(x), name)
-        other = solve_semi_infinite(nlp.terms.problem, other, CLOSE) if other.usable else other
+        other = solve_semi_infinite(task, other, CLOSE) if other.usable else other
     finally:
         nlp.limit(lead, low, high)
         nlp.set_exchange_points(places)
@@ -90,13 +91,13 @@ def _shifted(nlp: NLP, solution: Solution, lead: int, name: str) -> Solution | N
     return other if other.usable and same else None
 
 
-def _continuum(nlp: NLP, solution: Solution, other: Solution, lead: int) -> Continuum:
-    task, count = nlp.terms.problem, nlp.first_event
+def _continuum(task: DesignProblem, solution: Solution, other: Solution, lead: int) -> Continuum:
+    count = len(task.free)
     moved = other.x[:count] - solution.x[:count]
     changed = {
         v.name: (other.design[v.name] - solution.design[v.name])
         / (other.design[task.free[lead]] - solution.design[task.free[lead]])
-        for v, by in zip(nlp.variables[:count], moved, strict=True)
+        for v, by in zip(solution.nlp.variables[:count], moved, strict=True)
         if abs(by) > MOVES
     }
     ratios = {name: other.design[name] / value for name, value in solution.design.items() if abs(value) > 0.0}

@@ -144,17 +144,6 @@ def rank(solution: Solution) -> tuple[bool, bool, float]:
     return not solution.usable, solution.status is not Status.OPTIMAL, solution.objective
 
 
-def reconcile_backends(solutions: dict[str, Solution]) -> dict[str, Solution]:
-    """Restart every back end from the best design if it ended at another optimum; a true optimum does not move."""
-    winner = min(solutions.values(), key=rank)
-    return {
-        name: solution
-        if local.compare(solution, winner).same
-        else min((solution, solve_semi_infinite(winner.nlp.terms.problem, winner, name, near=True)), key=rank)
-        for name, solution in solutions.items()
-    }
-
-
 def with_accurate_integrals(solution: Solution, method: str, programme: Callable[[TermCourse], NLP]) -> Solution:
     """Return an optimum with so many positions that its integrals are accurate.
 

@@ -101,6 +101,22 @@ def solve_from(
     return _continued_around(nlp, solution, run)
 
 
+def solve_beside(nlp: NLP, x: Array, name: str, *, insist: bool) -> Solution:
+    """Run one local search from a feasible point near x; with `insist`, if there is none, from x itself."""
+    start = repair(nlp, x, nlp.p)
+    if start is None and insist and math.isfinite(nlp.values(x, nlp.p)[0]):
+        p = scaled_parameters(nlp, x)
+        end = conclude(nlp, backend(name)(nlp, nlp.lifted(x), p), p)
+        x = end.x
+        if end.status is Status.OPTIMAL and scaled_parameters(nlp, x)[0] >= RESCALE * p[0]:
+            return end
+        start = repair(nlp, x, nlp.p, inside=0.0)
+    if start is not None:
+        return solve_from(nlp, start, name)
+    end = solution_at(nlp, x, "no feasible point was found beside the start")
+    return replace(end, status=Status.INFEASIBLE) if end.status is Status.NON_FINITE else end
+
+
 def _continued_around(nlp: NLP, solution: Solution, run: Backend) -> Solution:
     """Return the optimum to which the objective decreases where an angle that may be any ended at one of its bounds."""
     x, around = solution.x.copy(), nlp.around
@@ -211,17 +227,5 @@ def compare(a: Solution, b: Solution) -> Agreement:
     root = math.sqrt if a.nlp.measure.name == "sum of squares" else float
     first, second = root(a.objective), root(b.objective)
     gap = max(0.0, abs(first - second) - SAME_ERROR)
-    one, other = (s.x if a.x.shape == b.x.shape else s.x[: s.nlp.first_event] for s in (a, b))  # events may be others
+    one, other = (s.x[: s.nlp.first_event] for s in (a, b))  # events may be others
     return Agreement(gap / max(abs(first), abs(second), SAME_ERROR), float(np.max(np.abs(one - other), initial=0.0)))
-
-
-def reconcile(nlp: NLP, found: dict[str, Solution]) -> dict[str, Solution]:
-    """Restart the worse back end from the better one's design if they ended at different optima.
-
-    At a true local optimum it stays there; otherwise the two still disagree and the validation reports it.
-    """
-    winner = best(list(found.values()))
-    return {
-        name: solution if compare(solution, winner).same else best([solution, solve_from(nlp, winner.x, name)])
-        for name, solution in found.items()
-    }

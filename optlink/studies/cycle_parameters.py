@@ -30,7 +30,7 @@ from optlink.studies.optimum_parameters import Optimum, OptimumParameters
 from optlink.studies.parameters import Parameter, design_variables, displayed, parameters
 from optlink.studies.toml_keys import exact_text, read_figure
 from optlink.symbolic import CompiledFunction
-from optlink.tasks.cycle import solve as solve_cycle
+from optlink.tasks.design import solve as solve_cycle
 from optlink.tasks.protocol import completed
 from optlink.units import UnitProblem, factor
 

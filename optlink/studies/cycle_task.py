@@ -25,10 +25,11 @@ from optlink.studies.grid import Grid
 from optlink.studies.reoptimise_task import FOLLOWED_CHUNK, SEARCHED, SLOW_CHUNK, ReoptimiseTask, active
 from optlink.studies.sweep_task import FoundOptimum, OptimumTask
 from optlink.studies.target_programme import TargetProgramme
-from optlink.tasks.cycle import solve as solve_cycle, validated_design
+from optlink.tasks.design import solve as solve_cycle
 from optlink.tasks.modes import possible_modes
 from optlink.tasks.protocol import completed
 from optlink.tasks.results.design import SynthesisResult, of_designs
+from optlink.tasks.search import validated_design
 
 BOUNDS = ("min", "max", "exactly")
 

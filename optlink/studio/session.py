@@ -412,11 +412,11 @@ class Session:
 def warm() -> None:
     """Import what the first request would otherwise wait for."""
     from optlink.studio import curve, files
-    from optlink.tasks import certify, cycle, design
+    from optlink.tasks import certify, design
     from optlink.tasks.analyze import analyze
 
     solved_design(load("crank-rocker"))
-    _ = certify, cycle, design, analyze, curve, files
+    _ = certify, design, analyze, curve, files
 
 
 def warm_drawing() -> None:

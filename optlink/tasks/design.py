@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import islice, repeat, zip_longest
 
 import numpy as np
@@ -14,28 +14,35 @@ import numpy as np
 from optlink.errors import InputError, Status
 from optlink.execution import interrupts
 from optlink.linkage.vector2d import Array
+from optlink.optimization.courses import TermCourse
+from optlink.optimization.cycle_signals import CORNER
 from optlink.optimization.nlp import NLP
-from optlink.optimization.programme import angle_name
-from optlink.problem.design import DesignProblem
+from optlink.optimization.programme import angle_name, build
+from optlink.problem.design import EPIGRAPH, DesignProblem
 from optlink.problem.file import ProblemFile
 from optlink.problem.targets.function import Function
 from optlink.solvers import multistart
+from optlink.solvers.continuum import Continuum, continuum
 from optlink.solvers.contract import BACKENDS, FOUND, LEAST_SQUARES
+from optlink.solvers.event_orders import SAMPLES, STARTS, OrderedStarts, one_of_each
 from optlink.solvers.exchange import place_at_peaks, solve_semi_infinite
-from optlink.solvers.infeasibility import Explanation, explain, feasible_point
+from optlink.solvers.infeasibility import Explanation, Follow, explain, feasible_point
+from optlink.solvers.solution import Solution
 from optlink.synthesis.batch_search import PER_ROUND, PERFECT, Exploration, Searcher
 from optlink.synthesis.freudenstein import FirstStep
-from optlink.tasks.modes import possible_modes
+from optlink.tasks.modes import mode_of, possible_modes
 from optlink.tasks.protocol import DesignTask, Search, Timer, agreement, completed, part
 from optlink.tasks.results.default_margins import margin_notes
 from optlink.tasks.results.design import LinkageDesign, SynthesisResult, of_designs
 from optlink.tasks.results.evidence import INCOMPLETE
 from optlink.tasks.results.rotation import cannot_turn
 from optlink.tasks.search import (
+    BEGUN,
     DesignCollection,
     Polisher,
     designs_from_four_bar,
     has_several_dyads,
+    no_stroke,
     validated_design,
 )
 from optlink.validation import validate as validate_design
@@ -46,7 +53,9 @@ MAX_CERTIFIED_VARIABLES = 2
 """Design variables of a motion law up to which the global optimum is certified by default, without random starts."""
 NEAREST = "nearest design"
 MIN_CURVATURE = 1e-7  # least curvature, for an objective scaled to 1, of a unique optimum
-ONLY_RATIOS = "all four lengths are free and only their ratios matter here: any multiple within the bounds is as good; fix one"
+NONE_TURNS = (
+    "none of {} random designs within the bounds lets the crank turn fully: widen the bounds, or start from a design that does"
+)
 MISSED_CHANCE = 0.02  # estimated chance that a better design was missed at which a search ends
 FITS_PER_ROUND = 24  # random fits of a function per assembly mode
 MIN_ROUNDS, MAX_ROUNDS = 3, 20
@@ -64,23 +73,30 @@ FOUR_BAR_BETTER = (
     "coupler curve was found within all limits, and no other design is as good"
 )
 MAX_FAILED_ROUNDS = 12  # rounds without a valid design
+SHARED_STARTS = 200
+"""Random designs, each refined by itself, that several processes share by default; fewer take no longer than their start."""
+COARSE_NODES, COARSE_STARTS = 24, 2  # positions per revolution, and starts, of the analysis of limits of a machine
 SAME_DESIGN = 1e-5  # scaled difference of equal designs of two back ends
 STARTS_PER_EXACT = 3  # starts per exact design after which no other one is expected
 
 
 class SynthesisTask(DesignTask[SynthesisResult]):
-    """Synthesis of a linkage for a law, points, poses or the best transmission.
+    """Design of a linkage for a law, points, poses, the best transmission, or quantities of its machine.
 
     The start of the file and convex first designs of a function come first, then rounds of random ones, which batches of least
     squares lead to candidates; the back end refines them with all limits. `starts`: least number of starts, rounded up to whole
     rounds. Default: rounds until a better design is unlikely; none for a law of at most two design variables, which
-    `optlink.solve` certifies.
+    `optlink.solve` certifies. Without targets, from which no batch leads to candidates, the starts are the design of the file and
+    random ones with the same order of the ends of strokes, by default 16.
     """
 
     most_starts = 1_000_000
     designs = 3
-    certified = True
     divisible = True
+
+    def certifies(self, problem: ProblemFile) -> bool:
+        """Return whether there are targets, the deviations from which have a lower bound."""
+        return not problem.model.of_cycle
 
     def check(self, problem: ProblemFile) -> None:
         """Refuse a problem without a requirement."""
@@ -97,8 +113,9 @@ class SynthesisTask(DesignTask[SynthesisResult]):
         rounds.run()
         collection, task = rounds.collection, problem.spec
         reason = None if collection.designs or rounds.interrupted else rounds.explained()
+        near, notes = collection.nearest, tuple(_notes(task, rounds))
+        best = next(iter(collection.designs), near)
         timer.lap("search, polish and validate")
-        near = collection.nearest
         return SynthesisResult(
             problem=problem,
             designs=tuple(collection.designs),
@@ -109,31 +126,39 @@ class SynthesisTask(DesignTask[SynthesisResult]):
             evidence=collection.evidence() if rounds.exploration.rounds else None,
             seconds=timer.seconds,
             interrupted=rounds.interrupted,
-            notes=tuple(_notes(task, rounds)),
+            notes=notes,
             conflict=() if reason is None else reason.conflict,
             together=() if reason is None else reason.together,
             rejected=collection.rejected,
+            backends={search.backend: best.solution} if best is not None and best.solution and not task.parts else {},
             optima=collection.optima() if search.begin is None else (),
             first_step=rounds.first_step,
         )
 
     def programme(self, problem: ProblemFile) -> NLP:
-        """Return the programme of one sense of crank rotation; see `DesignTask.programme`.
+        """Return the programme of one sense of crank rotation, and of the first order of events; see `DesignTask.programme`.
 
         Raises
         ------
         InputError
-            If the crank may turn either way.
+            If the crank may turn either way, or if no dimensions within the bounds of a machine let it turn fully.
         """
         task = problem.spec
+        polisher = Polisher([problem], BACKENDS[0])
+        if not task.parts:
+            trace, order, near = polisher.orders[0].first
+            if not near:
+                message = "no dimensions were found within the bounds with which the crank turns fully"
+                raise InputError(message, "Widen the bounds, or start from a design that turns", problem.file, "mechanism")
+            return polisher.of_order(0, 1, trace, order, near)
         if task.data.offsets is None and task.rotation == "either":
             message = "the crank may pass the points in either direction: each has its own programme"
             remedy = 'Choose one: problem.override({"requirement.rotation": "clockwise"})'
             raise InputError(message, remedy, problem.file, "requirement.rotation")
-        return Polisher([problem], BACKENDS[0]).programme(0, -1 if task.rotation == "clockwise" else 1)
+        return polisher.programme(0, -1 if task.rotation == "clockwise" else 1)
 
     def place(self, problem: ProblemFile, nlp: NLP, x: Array) -> None:
-        """Move the exchange points to the peaks of limits and of the transmission angle; see `DesignTask.place`."""
+        """Move the exchange points to the peaks of limits and of largest values; see `DesignTask.place`."""
         place_at_peaks(problem.spec, nlp, x)
 
     def unknowns(self, problem: ProblemFile, nlp: NLP, design: Mapping[str, float]) -> Array:
@@ -151,7 +176,7 @@ class SynthesisTask(DesignTask[SynthesisResult]):
         """
         clock = time.perf_counter()
         designs = []
-        for file in problem.variants():
+        for file in possible_modes(problem):
             task = file.spec
             values = task.design(design)
             angles = passing(task, values)
@@ -176,18 +201,60 @@ def _notes(task: DesignProblem, rounds: SearchRounds) -> Iterator[str]:
         yield FOUR_BAR_BETTER.format(1e3 * error)
     if collection.rejected is not None:
         yield collection.rejected.note
+    shown = best or collection.nearest
+    if rounds.sampled and shown is not None:
+        yield from _notes_on_sampling(rounds, shown)
     if best is None:
-        yield from cannot_turn(task.mechanism.quantities, task.linkage, task.limits.crank, task.limits.alignment.value)
+        crank = task.limits.crank if task.parts else ""
+        reasons = cannot_turn(task.mechanism.quantities, task.linkage, crank, task.limits.alignment.value)
+        none = () if task.parts or rounds.sampled else (NONE_TURNS.format(SAMPLES * (rounds.options.starts or STARTS)),)
+        yield from reasons or none
         return
     yield from margin_notes(best.problem, best.values, best.limits, best.objective, collection.polisher.relaxed(best))
-    sized = task.objective or task.limits.named or task.limits.regions or any(part.unit == "m" for part in task.parts)
-    free, loop = set(task.free), task.four_bar
-    scaled = loop is not None and free.issuperset(loop.names) and bool(free & {loop.frame_length, *loop.ground})
-    if not sized and scaled and best.solution and best.solution.curvature <= MIN_CURVATURE:
-        yield ONLY_RATIOS
+    if best.solution and _movable(best):
+        equal = continuum(best.whole, best.solution, rounds.options.backend)
+        yield from () if equal is None else [_continuum_note(equal)]
+    if best.whole.of_cycle and best.cycle is not None and best.cycle.full:
+        from optlink.tasks.analyze import quick_stroke_notes
+
+        yield from quick_stroke_notes(best.problem, best.cycle.machine, best.cycle.speed)
     if rounds.exploration.rounds and coverage.missed > MISSED_CHANCE:
         count = rounds.starts
         yield f"{INCOMPLETE}: {count} starts, {coverage.chance}; use --starts {min(4 * count, SynthesisTask.most_starts)}"
+
+
+def _notes_on_sampling(rounds: SearchRounds, best: LinkageDesign) -> Iterator[str]:
+    """Yield notes on a search from random designs without targets: its assembly mode, its starts, the order of its events."""
+    samples, terms = rounds.sampled[rounds.collection.polisher.key_of(best)[0]], best.solution and best.solution.nlp.terms
+    if len(rounds.files) > 1:
+        yield f"assembly mode: {mode_of(best.problem)}, the best of those left open"
+    if samples.most < samples.count:
+        why = f"no others of {SAMPLES * samples.count} random designs turn fully with the same order of events"
+        yield f"only {samples.most} of {samples.count} starts: {why}"
+    if best.valid and terms and not terms.structure.like(samples.begun[0][0].order):
+        rows = any(event.key[0] == CORNER for event in terms.trace.events)
+        what = "reverse, or pass the rows of a load table," if rows else "reverse"
+        yield f"its motions {what} in another order than those of the initial machine"
+
+
+def _movable(best: LinkageDesign) -> bool:
+    """Return whether a continuum of designs may be equally good: of a machine, and of a four-bar of which only ratios count."""
+    task, loop = best.whole, best.whole.four_bar
+    if not task.parts:
+        return True
+    sized = task.objective or task.limits.named or task.limits.regions or any(part.unit == "m" for part in task.parts)
+    free = set(task.free)
+    scaled = loop is not None and free.issuperset(loop.names) and bool(free & {loop.frame_length, *loop.ground})
+    return not sized and scaled and best.solution is not None and best.solution.curvature <= MIN_CURVATURE
+
+
+def _continuum_note(equal: Continuum) -> str:
+    """Return a note that a continuum of designs is equally good, and how to select one."""
+    if equal.scale:
+        return f"all lengths may be scaled together: the objective and the limits stay the same; fix one, for example {equal.fix}"
+    changes = ", ".join(f"{name} {share:+.3g}" for name, share in equal.changes.items() if name != equal.fix)
+    together = f" ({changes} per {equal.fix} +1, in SI units)" if changes else ""
+    return f"a continuum of designs is equally good: {equal.fix} may change{together}; fix {equal.fix} to pick one of them"
 
 
 def _method(collection: DesignCollection) -> str:
@@ -216,7 +283,7 @@ def _compared(problem: ProblemFile, search: Search, one: Callable[[ProblemFile, 
             solution = again if solution is None else multistart.best([solution, again])
         solutions[name] = solution
     gaps = multistart.compare(*solutions.values())
-    checks = agreement("design", gaps, SAME_DESIGN, f"<= {SAME_DESIGN:.0e} of the size")
+    checks = agreement("design" if best.whole.parts else "sizes", gaps, SAME_DESIGN, f"<= {SAME_DESIGN:.0e} of the size")
     judged = replace(best, validation=best.validation.with_checks(checks))
     return replace(
         winner,
@@ -239,6 +306,7 @@ class SearchRounds:
         self.given = 0  # starts that are not random
         self.first_step: FirstStep | None = None
         self.notes: list[str] = []
+        self.sampled: dict[int, OrderedStarts] = {}  # random designs of each assembly mode, if there are no targets
         self.better: LinkageDesign | None = None  # the best four-bar, if no linkage that repeats its curve satisfies all limits
 
     @cached_property
@@ -265,7 +333,7 @@ class SearchRounds:
         exact, starts, progress = -1, self.options.starts, self.options.progress
         try:
             self._given()
-            while self.starts < starts if starts else not self._enough(exact):
+            while self.task.parts and (self.starts < starts if starts else not self._enough(exact)):
                 self._share()
                 exact = self.collection.exact
                 if not self._fitted():
@@ -288,9 +356,13 @@ class SearchRounds:
     def _given(self) -> None:
         """Refine the starts that are not random: `begin` alone, or convex first designs and the start of the file.
 
-        The middle of all bounds is no start for points and poses: batched random ones are better.
+        The middle of all bounds is no start for points and poses: batched random ones are better. Without targets, from which
+        batches lead to candidates, random designs are refined by themselves.
         """
         begin, polisher = self.options.begin, self.collection.polisher
+        if not self.task.parts:
+            self._sampled()
+            return
         for variant, file in enumerate(self.files):
             task = file.spec
             starts: list[tuple[Mapping[str, float], bool]] = [({} if begin is None else begin, False)]
@@ -311,6 +383,39 @@ class SearchRounds:
                     self.given += 1
                 if self._met:
                     return
+
+    def _sampled(self) -> None:
+        """Refine the design of the file and random ones with the same order of the ends of strokes, in each assembly mode.
+
+        An output that reciprocates in none of the designs that turn fully is refused, if it is in every assembly mode.
+        """
+        options, polisher, refused = self.options, self.collection.polisher, list[InputError]()
+        count = options.starts or STARTS
+        runs = options.runs if options.shared or count >= SHARED_STARTS else None
+        for k, file in enumerate(self.files):
+            progress = part(options.progress, k, len(self.files)) or (lambda _: None)
+            try:
+                samples = OrderedStarts(polisher.orders[k].trace, options.seed, count)
+                if not samples.begun and samples.fault is not None:
+                    raise InputError(*no_stroke(samples.fault, file))
+            except InputError as error:
+                refused.append(error)
+                continue
+            if not samples.begun:
+                self.given += count
+                continue
+            self.sampled[k] = samples
+            begun = [start for n in range(count) for start in one_of_each(samples.begun, n)]
+            ahead, done = polisher.at_starts(k, begun, runs), 0
+            for starts in samples.rounds(partial(self.collection.order_of, k)):
+                first = any(start.first for start in starts)
+                self.collection.refine_starts(k, islice(ahead, len(starts)) if first else polisher.at_starts(k, starts))
+                self.given, done = self.given + first, done + first
+                progress(min(done / count, 1.0))
+        if len(refused) == len(self.files):
+            raise refused[0]
+        if not self.sampled and (given := validate(self.problem, {}).best):
+            self.collection.nearest = replace(given, status=Status.INFEASIBLE)
 
     @cached_property
     def fits(self) -> Iterator[tuple[int, Mapping[str, float]]]:
@@ -359,25 +464,38 @@ class SearchRounds:
         solution, limits that are missed by less count as conflicting (`exactly`).
         """
         polisher, near, seed = self.collection.polisher, self.collection.nearest, self.options.seed
-        keys = [(k, direction) for direction in self.directions for k in range(len(self.files))]
+        some = range(len(self.files)) if self.task.parts else self.sampled
+        keys = [(k, direction) for direction in self.directions for k in some]
         nearest = None if near is None or near.solution is None else near.solution
-        own = None if near is None else polisher.key_of(near)
+        own = None if near is None or not keys else polisher.key_of(near)
         keys.sort(key=lambda key: key != own)
         reason: Explanation | None = None
         possible = False
         for k, sense in keys:
-            nlp = nearest.nlp.copy() if nearest is not None and (k, sense) == own else polisher.programme(k, sense)
-            nlp.spread_exchange_points()
-            kept = replace(nlp, states=nlp.states | {f"{part.key}.points" for part in self.task.parts})
-            points = [nearest.x, nlp.x_start] if nearest is not None and (k, sense) == own else None
-            known = reason is not None or possible
-            outcome = feasible_point(kept, seed, exactly=exactly) if known else explain(kept, seed, points, exactly=exactly)
+            end = nearest if (k, sense) == own else None
+            follow: Follow | None = None
+            if self.task.parts:
+                nlp = polisher.programme(k, sense) if end is None else end.nlp.copy()
+                nlp.spread_exchange_points()
+                kept = replace(nlp, states=nlp.states | {f"{part.key}.points" for part in self.task.parts})
+                points = None if end is None else [end.x, nlp.x_start]
+            else:
+                nlp, kept, points, follow = self._coarse(k, end)
+            outcome: Explanation | Array | None
+            if reason is not None or possible:
+                outcome = feasible_point(kept, seed, exactly=exactly)
+            else:
+                outcome = explain(kept, seed, points, quick=follow is not None, follow=follow, exactly=exactly)
+            if outcome is None:
+                continue
+            found = outcome.x if isinstance(outcome, Explanation) else outcome
+            x = nlp.x_of({v.name: v.value(float(y)) for v, y in zip(kept.variables, found, strict=True)})
             if isinstance(outcome, Explanation):
                 reason = outcome
-                self.collection.take(validated_design(self.files[k], multistart.infeasible_at(nlp, outcome.x, NEAREST)))
-            elif outcome is not None:
+                self.collection.take(validated_design(self.files[k], multistart.infeasible_at(nlp, x, NEAREST)))
+            else:
                 possible = True
-                near_it = polisher.from_feasible(k, nlp, outcome)
+                near_it = polisher.from_feasible(k, nlp, x)
                 valid = next((design for design in near_it if design.valid), None)
                 if valid is not None and (exactly or valid.status is Status.OPTIMAL):
                     self.collection.insert(valid)
@@ -385,6 +503,26 @@ class SearchRounds:
         if possible and not (exactly or self.collection.designs):
             return self.explained(exactly=True)
         return reason if reason is not None and reason.conflict and not possible else None
+
+    def _coarse(self, k: int, end: Solution | None) -> tuple[NLP, NLP, list[Array], Follow]:
+        """Return a programme of the machine, the same with few positions, some of its points, and a function that moves these to
+        the peaks of a point; bounds of the design variables and limits that no requirement states are kept.
+        """
+        starts = self.sampled[k].begun[0][:COARSE_STARTS]
+        nlp = self.collection.polisher.of_start(k, starts[0])
+        nlp.set_exchange_points(nlp.cache[BEGUN])
+        task, terms = nlp.terms.problem, nlp.terms
+        coarse = build(task, terms=TermCourse(task, nlp.design(nlp.x_start), terms.trace, terms.structure, COARSE_NODES))
+        required = {bound.key for bound in task.bounds}
+        kept = coarse.states.union(task.free, {row.limit for row in coarse.rows} - required - {EPIGRAPH})
+        points = [coarse.x_of(start.values) for start in starts]
+        points += [] if end is None else [coarse.x_of(end.design)]
+
+        def follow(x: Array) -> Array:
+            place_at_peaks(task, coarse, x)
+            return coarse.p
+
+        return nlp, replace(coarse, states=kept), points, follow
 
     def _grow(self) -> None:
         """Add designs derived from the best four-bars that the linkage contains."""

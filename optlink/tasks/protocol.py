@@ -114,14 +114,8 @@ class DesignTask(ABC, Generic[R]):
     """Error message where a number of starting points is given nevertheless."""
     designs: ClassVar[int | None] = None
     """Default number of distinct designs; None if only one is found."""
-    certified: ClassVar[bool] = False
-    """Whether the global optimum can be certified."""
     divisible: ClassVar[bool] = False
     """Whether several processes can share a search."""
-    free_example: ClassVar[str] = 'coupler = { bounds = ["100 mm", "900 mm"] }'
-    """Example of a design variable, for an error message."""
-    without_free: ClassVar[str] = "check the design: optlink validate"
-    """What to do with a problem without design variables, for an error message."""
 
     @abstractmethod
     def search(self, problem: ProblemFile, search: Search) -> R:
@@ -190,6 +184,15 @@ class DesignTask(ABC, Generic[R]):
             Scaled point.
         """
 
+    def certifies(self, problem: ProblemFile) -> bool:
+        """Return whether the global optimum of such a problem can be certified; not by default.
+
+        Parameters
+        ----------
+        problem : ProblemFile
+        """
+        return False
+
     def check(self, problem: ProblemFile) -> None:
         """Refuse a problem that has nothing to solve."""
 
@@ -238,12 +241,13 @@ class DesignTask(ABC, Generic[R]):
         """
         interrupts.check()
         self.check(problem)
-        if designs is not None and self.designs is None:
+        default = 1 if problem.model.of_cycle else self.designs
+        if designs is not None and (self.designs is None or problem.model.of_cycle):
             message = "only laws, points, poses and transmissions have several designs"
             raise InputError(message, "Leave it out", problem.file, "--designs", designs)
         check_range("designs", 1 if designs is None else designs, 1, MAX_DESIGNS)
         names = self._back_ends(problem, backend, starts, seed)
-        count = designs or self.designs or 1
+        count = designs or default or 1
         options = Search(names, backend, starts, seed, progress, count, track, begin, runs, shared, asked=designs is not None)
         return self.search(problem, options)
 
@@ -277,4 +281,8 @@ class DesignTask(ABC, Generic[R]):
         """
         if not problem.model.free:
             message = "no design variables: every dimension is fixed"
-            raise InputError(message, f"Free one: {self.free_example}, or {self.without_free}", problem.file, "mechanism")
+            example, instead = 'coupler = { bounds = ["100 mm", "900 mm"] }', "check the design: optlink validate"
+            if problem.model.of_cycle:
+                example = 'length = { start = "120 mm", bounds = ["60 mm", "200 mm"] }'
+                instead = "`optlink analyze` the machine"
+            raise InputError(message, f"Free one: {example}, or {instead}", problem.file, "mechanism")

@@ -123,10 +123,11 @@ def solve(
     from optlink.execution.runner import check, pool
 
     task = design_task(problem)
-    if certify and not task.certified:
+    certified = task.certifies(problem)
+    if certify and not certified:
         message, remedy = "no certificate of the global optimum for this kind of problem", "Leave it out"
         raise InputError(message, remedy, problem.file, "--certify")
-    if task.certified or (gap, time_limit) != (1e-6, math.inf):  # its import takes time
+    if certified or (gap, time_limit) != (1e-6, math.inf):  # its import takes time
         from optlink.tasks import certify as proof
 
         proof.check_options(gap, time_limit)
@@ -139,7 +140,7 @@ def solve(
         runs = ends.enter_context(pool(engine, workers, scheduler)) if task.divisible else None
         kept: dict[str, Any] = {"designs": designs, "track": track, "runs": runs, "shared": shared}
         result = task.solve(problem, backend, starts, seed, progress, **kept)
-        if not task.certified or certify is False or result.interrupted:
+        if not certified or certify is False or result.interrupted:
             return result
         boxes = math.inf if certify else _default_boxes(problem, result)
         if not boxes:
@@ -208,12 +209,6 @@ def _synthesis() -> DesignTask[SynthesisResult]:
     return TASK
 
 
-def _cycle() -> DesignTask[SynthesisResult]:
-    from optlink.tasks.cycle import TASK
-
-    return TASK
-
-
 class _BalanceTask(DesignTask["Balance"]):
     no_starts = "balancing is a convex programme with one optimum: it has no starting points"
 
@@ -231,5 +226,5 @@ class _BalanceTask(DesignTask["Balance"]):
         raise InputError("a balancing problem has no design to validate", remedy, problem.file, "balance")
 
 
-TASKS |= {"function": _synthesis, "path": _synthesis, "cycle": _cycle, "balance": _BalanceTask}
-TASKS["analysis"] = _synthesis  # refused: it has no requirement
+TASKS |= dict.fromkeys(("function", "path", "cycle", "analysis"), _synthesis)  # an analysis is refused: it has no requirement
+TASKS["balance"] = _BalanceTask

@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, partial
 from typing import Any
@@ -23,9 +23,17 @@ from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import input_of
 from optlink.solvers import multistart
 from optlink.solvers.contract import BACKENDS, CLOSE, FOUND, MINIMAX
-from optlink.solvers.cycle_starts import SAMPLES, StartSequence
-from optlink.solvers.event_orders import CROSSINGS, FURTHER, at_edge, misfit, orders_beside
-from optlink.solvers.exchange import best_slow_stroke, solve_semi_infinite, with_accurate_integrals
+from optlink.solvers.event_orders import (
+    CROSSINGS,
+    FURTHER,
+    SAMPLES,
+    OrderedStart,
+    OrderedStarts,
+    at_edge,
+    misfit,
+    orders_beside,
+)
+from optlink.solvers.exchange import best_slow_stroke, place_at_peaks, rank, solve_semi_infinite, with_accurate_integrals
 from optlink.solvers.solution import Solution
 from optlink.synthesis.batch import Batch
 from optlink.synthesis.batch_search import Candidate, Exploration, acceptable
@@ -62,6 +70,7 @@ OBJECTIVE_TOLERANCE = 1e-6  # relative difference of equal objectives
 SAME_COST = 1e-4  # relative difference of equal costs of candidates
 ROUNDING = 1e-9  # relative difference of equal errors of one coupler curve
 BAND_POSITIONS, SLACK = 721, 1e-3  # positions at which the breadth of an output is measured, and its share that counts as unused
+BEGUN = "exchange points of the first design"
 MOST_PROGRAMMES = 24  # programmes that are kept: assembly modes, directions of the crank, orders of ends of strokes
 
 
@@ -69,9 +78,13 @@ class DesignOrders:
     """The orders in which the ends of strokes occur in designs of a problem with definite assembly modes."""
 
     def __init__(self, file: ProblemFile) -> None:
-        self.file, task = file, file.spec
-        with input_of(file.file):
-            self.trace = TracedCycle(task, slow=task.slow_assumed)
+        self.file = file
+
+    @cached_property
+    def trace(self) -> TracedCycle:
+        """The functions of the machine at one crank angle."""
+        with input_of(self.file.file):
+            return TracedCycle(self.file.spec, slow=self.file.spec.slow_assumed)
 
     def of(self, design: Mapping[str, float] | None) -> tuple[TracedCycle, EventOrder, Mapping[str, float]]:
         """Return the trace, the order in a design [SI] and the design; those of the first design that turns if it does not."""
@@ -91,8 +104,8 @@ class DesignOrders:
         InputError
             If an output reciprocates in none of the designs that turn.
         """
-        samples = StartSequence(self.trace, 0)
-        for sample in samples.first(SAMPLES):
+        samples = OrderedStarts(self.trace, 0)
+        for sample in samples.samples(SAMPLES):
             if sample.structure is not None and samples.fits(sample.structure):
                 return self.trace, sample.structure.definite, sample.values
         if samples.fault is not None:
@@ -128,6 +141,19 @@ class PolishTask:
         return parts | {"solution": None if solution is None else {**solution.parts, "recipe": solution.nlp.recipe}}
 
 
+@dataclass(frozen=True)
+class StartTask:
+    """Starting points with an order of events, each one a chunk for the runner. `polisher`: the polisher, packed."""
+
+    polisher: bytes
+    variant: int
+    starts: tuple[OrderedStart, ...]
+
+    def __call__(self, index: int) -> dict[str, Any]:
+        """Return the fields of the local optimum at the positions of the programme, without the programme."""
+        return built(Polisher, self.polisher).at_start(self.variant, self.starts[index]).parts
+
+
 class Polisher:
     """Refines candidates to designs by the NLP with all limits, built once per assembly mode and crank direction.
 
@@ -155,11 +181,9 @@ class Polisher:
             return self._kept((variant, direction), lambda: build(task, direction))
         orders = self.orders[variant]
         trace, structure, at = orders.of(near)
-        return self._of_order(variant, direction, trace, structure, at)
+        return self.of_order(variant, direction, trace, structure, at)
 
-    def _of_order(
-        self, variant: int, direction: int, trace: TracedCycle, structure: EventOrder, near: Mapping[str, float]
-    ) -> NLP:
+    def of_order(self, variant: int, direction: int, trace: TracedCycle, structure: EventOrder, near: Mapping[str, float]) -> NLP:
         """Return the NLP of an order of ends of strokes, that of a design `near` [SI]."""
         task = self.files[variant].spec
         key = (variant, direction, *structure.key, trace.values and tuple(trace.values.items()), NODES)
@@ -242,8 +266,7 @@ class Polisher:
 
     def polished(self, variant: int, start: Solution, *, near: bool = False) -> LinkageDesign:
         """Return the local optimum from a point of the programme, validated; see `polish`."""
-        file = self.files[variant]
-        task, minimax = file.spec, self.method == MINIMAX
+        task, minimax = self.files[variant].spec, self.method == MINIMAX
         solution = solve_semi_infinite(task, start, self.method, near=near)
         if minimax and solution.status is not Status.OPTIMAL:
             solution = multistart.best([solution, solve_semi_infinite(task, start, self.backend, near=near)])
@@ -251,46 +274,87 @@ class Polisher:
             begun = multistart.solution_at(start.nlp, start.x, start.message)  # with the exchange points of the solution
             if solution.objective > begun.objective * (1.0 + 1e-9):
                 solution = replace(solution, status=Status.STALLED)  # an optimum, but not that near the start
-        if start.nlp.terms is not None and start.nlp.terms.events:
-            solution = self._over_orders(variant, start, solution)
-        of_course = partial(self._of_course, variant, start.nlp.recipe["direction"])
+        first = start.nlp.terms
+        if first is not None and first.events:
+            ends = [solution]
+            for slow in itertools.product((True, False), repeat=len(first.trace.paced)):
+                order = replace(first.structure, slow=slow)
+                if order.key != first.structure.key:
+                    ends.append(self._searched(variant, start, first.trace, order, start.design))
+            solution = min(self.over_orders(variant, ends), key=rank)
+        return self.finished(variant, solution)
+
+    def finished(self, variant: int, solution: Solution) -> LinkageDesign:
+        """Return the end of a search with accurate integrals and the better slow stroke, validated."""
+        of_course = partial(self._of_course, variant, solution.nlp.recipe["direction"])
         solution = with_accurate_integrals(solution, self.method, of_course)
-        return validated_design(file, best_slow_stroke(task, solution, self.method))
+        file = self.files[variant]
+        return validated_design(file, best_slow_stroke(file.spec, solution, self.method))
 
-    def _over_orders(self, variant: int, start: Solution, solution: Solution) -> Solution:
-        """Return the best optimum among the orders of ends of strokes to which the search from a start leads.
+    def over_orders(self, variant: int, ends: Sequence[Solution], best: Solution | None = None) -> list[Solution]:
+        """Return the ends of searches, and of those in other orders of ends of strokes to which they lead; some are infeasible.
 
-        The start is searched with every choice of slow strokes. A design with other ends of strokes than its programme is
-        searched again with its own ones. Where a design ends at the edge of its order, so that a better one would have another,
+        A design with other ends of strokes than its programme, which does not describe it, is searched again with its own ones.
+        Where the best design, of these or known before, ends at the edge of its order, so that a better one would have another,
         the orders beside it are searched too.
         """
-        best, ahead, beside = solution, [solution], set[tuple[Any, ...]]()
-        first = start.nlp.terms
-        for slow in itertools.product((True, False), repeat=len(first.trace.paced)):
-            order = replace(first.structure, slow=slow)
-            if order.key != first.structure.key:
-                nlp = self._of_order(variant, start.nlp.recipe["direction"], first.trace, order, start.design)
-                ahead.append(solve_semi_infinite(first.problem, self._moved(start, nlp, start.design), self.method))
-        for _ in range(CROSSINGS):
-            if not ahead:
-                break
-            end = ahead.pop(0)
+        ahead, judged, beside = list(ends), list[Solution](), set[tuple[Any, ...]]()
+        while ahead and len(judged) < CROSSINGS + len(ends):
+            end = min(ahead, key=rank)
+            ahead.remove(end)
             terms, begins = end.nlp.terms, list[tuple[TracedCycle, EventOrder, Mapping[str, float]]]()
             message = misfit(terms.trace, terms.structure, end.design) if end.usable else ""
-            kept = replace(end, status=Status.INFEASIBLE, message=message) if message else end
-            best = kept if best is end else multistart.best([best, kept])
+            judged.append(replace(end, status=Status.INFEASIBLE, message=message) if message else end)
             if message and message != FURTHER:
                 trace = TracedCycle(terms.problem, end.design, terms.trace.slow)
                 own = trace.structure(end.design)
                 begins = [] if own is None else [(trace, replace(own, slow=terms.structure.slow), end.design)]
-            elif best is kept and at_edge(kept):
-                begins = [(terms.trace, *each) for each in orders_beside(terms.trace, terms.structure, kept.design)]
+            elif min([*([best] if best else []), *judged], key=rank) is end and at_edge(end):
+                begins = [(terms.trace, *each) for each in orders_beside(terms.trace, terms.structure, end.design)]
             for trace, order, values in begins:
                 if (order.key, bool(message)) not in beside:
                     beside.add((order.key, bool(message)))
-                    nlp = self._of_order(variant, end.nlp.recipe["direction"], trace, order, values)
-                    ahead.append(solve_semi_infinite(terms.problem, self._moved(end, nlp, values), self.method))
-        return best
+                    ahead.append(self._searched(variant, end, trace, order, values))
+        return judged
+
+    def _searched(
+        self, variant: int, end: Solution, trace: TracedCycle, order: EventOrder, values: Mapping[str, float]
+    ) -> Solution:
+        """Return the optimum in another order of ends of strokes, from dimensions [SI] beside the end of a search."""
+        task = self.files[variant].spec
+        if not task.parts:
+            return self.exchanged(self.at_start(variant, OrderedStart(order, values, values, first=False), trace))
+        nlp = self.of_order(variant, end.nlp.recipe["direction"], trace, order, values)
+        return solve_semi_infinite(task, self._moved(end, nlp, values), self.method)
+
+    def at_start(self, variant: int, start: OrderedStart, trace: TracedCycle | None = None) -> Solution:
+        """Return the local optimum at the positions of the programme from a starting point with an order of events.
+
+        Every search in a programme begins with the same exchange points: the peaks of its first design.
+        """
+        nlp = self.of_start(variant, start, trace)
+        if BEGUN not in nlp.cache:
+            place_at_peaks(self.files[variant].spec, nlp, nlp.lifted(nlp.x_start))
+            nlp.cache[BEGUN] = nlp.exchange_points
+        nlp.set_exchange_points(nlp.cache[BEGUN])
+        return multistart.solve_beside(nlp, nlp.x_of(start.values), self.backend, insist=start.insists)
+
+    def at_starts(self, variant: int, starts: Sequence[OrderedStart], runs: Runs | None = None) -> Iterator[Solution]:
+        """Yield the local optima of `at_start` in order; `runs`: processes that find them, if any."""
+        if runs is None:
+            yield from (self.at_start(variant, start) for start in starts)
+            return
+        task = StartTask(packed((self.files, self.backend, self.alone)), variant, tuple(starts))
+        for start, parts in zip(starts, ordered(task, len(starts), runs), strict=True):
+            yield Solution(source=self.of_start(variant, start), **parts)
+
+    def of_start(self, variant: int, start: OrderedStart, trace: TracedCycle | None = None) -> NLP:
+        """Return the NLP of a starting point with an order of events."""
+        return self.of_order(variant, 1, trace or self.orders[variant].trace, start.order, start.near)
+
+    def exchanged(self, end: Solution) -> Solution:
+        """Return a local optimum at the positions of a programme without targets as one that holds between them too."""
+        return solve_semi_infinite(end.nlp.terms.problem, end, CLOSE) if end.usable else end
 
     @staticmethod
     def _moved(solution: Solution, nlp: NLP, values: Mapping[str, float]) -> Solution:
@@ -356,7 +420,11 @@ def same_end(one: Solution, other: Solution) -> bool:
     """Return whether two solutions of one programme are one design, up to whole turns of its angles."""
     if not (other.usable and multistart.compare(one, other).same):
         return False
-    gaps, periodic = np.abs(one.x - other.x), np.array([v.periodic for v in one.nlp.variables], dtype=bool)
+    count = one.nlp.first_event
+    gaps, periodic = (
+        np.abs(one.x[:count] - other.x[:count]),
+        np.array([v.periodic for v in one.nlp.variables[:count]], dtype=bool),
+    )
     gaps[periodic] = np.abs(np.remainder(gaps[periodic] + math.pi, TURN) - math.pi)
     return bool(np.max(gaps) <= multistart.SAME_DESIGN)
 
@@ -392,12 +460,20 @@ def validated_design(file: ProblemFile, solution: Solution) -> LinkageDesign:
     """Return a solution of the NLP as a validated design."""
     solution = centred(file.spec, solution) if solution.status is Status.OPTIMAL else solution
     values, angles = solved_values(file.spec, solution.design, solution.x)
-    checked = with_optimality(validate(file.spec, values, angles, solution.objective), solution)
+    cycle = None
+    if file.spec.of_cycle:
+        from optlink.validation.cycle import cycle_of
+
+        cycle = cycle_of(file.spec, values)
+    checked = with_optimality(validate(file.spec, values, angles, solution.objective, cycle=cycle), solution)
     if solution.nlp.exchange_count:  # a programme with the positions of this solution
         nlp = solution.nlp.copy()
         nlp.p[1:] = solution.p[1:]
         solution = replace(solution, source=nlp)
-    return LinkageDesign(file, values, angles, solution.objective, solution.status, checked, solution)
+    design = LinkageDesign(file, values, angles, solution.objective, solution.status, checked, solution)
+    if cycle is not None:
+        vars(design)["cycle"] = cycle  # cached, as its figures are shown too
+    return design
 
 
 class DesignCollection:
@@ -412,7 +488,8 @@ class DesignCollection:
         self.designs: list[LinkageDesign] = []
         self.nearest: LinkageDesign | None = None
         self._ends: dict[Candidate, LinkageDesign] = {}
-        self._fits: dict[Candidate, Solution] = {}
+        self._fits: list[tuple[Candidate, Solution]] = []  # with the optimum at the positions from which it was refined
+        self._best: dict[int, Solution] = {}
         self._given: list[LinkageDesign] = []  # ends of starts that are not random
         self._compound = has_several_dyads(self.task)
         self._tries = COMPOUND_TRIES if self._compound else PER_ROUND
@@ -498,16 +575,51 @@ class DesignCollection:
         Several optima of the largest error may belong to one of the least squares, so that each fit is refined by itself.
         """
         solution = self.polisher.at_positions(variant, values)
-        known = next((c for c, other in self._fits.items() if c.variant == variant and same_end(other, solution)), None)
-        if known is not None:
-            known.count += 1
+        if self._known(variant, solution):
             return
-        candidate = Candidate(variant, solution.x, np.zeros(0), solution.objective, 1)
+        candidate = self._fit(variant, solution)
         worth = not self.designs or solution.objective <= FIT_RATIO * self.designs[0].objective
-        if solution.status is Status.OPTIMAL:
-            self._fits[candidate] = solution
         if worth and solution.usable:
             self._ends[candidate] = self._taken(self.polisher.polished(variant, solution))
+
+    def refine_starts(self, variant: int, found: Iterable[Solution]) -> None:
+        """Refine the optima at the positions that a round of random designs has found, with the orders of events beside them."""
+        polisher, best = self.polisher, self._best.get(variant)
+        ends: list[tuple[Candidate, Solution]] = []
+        for end in found:
+            if not self._known(variant, end):
+                ends.append((self._fit(variant, end), end if self._worse(end, best) else polisher.exchanged(end)))
+        for end in polisher.over_orders(variant, [end for _, end in ends], best):
+            candidate = next((one for one, other in ends if other is end), None) or self._fit(variant, end)
+            if end.usable and not self._worse(end, best):
+                self._best[variant] = min(filter(None, (self._best.get(variant), end)), key=rank)
+                same = (d for c, d in self._ends.items() if c.variant == variant and d.solution and same_end(d.solution, end))
+                self._ends[candidate] = next(same, None) or self._taken(polisher.finished(variant, end))
+            elif not self.nearest and not self.designs:
+                self._taken(validated_design(polisher.files[variant], end))
+
+    def order_of(self, variant: int) -> EventOrder | None:
+        """Return the order of events of the best end of the starts of a file; None if none meets all limits."""
+        return self._best[variant].nlp.terms.structure if variant in self._best else None
+
+    @staticmethod
+    def _worse(end: Solution, best: Solution | None) -> bool:
+        """Return whether the end of a search is no optimum, and worse than the best one."""
+        return best is not None and end.status is not Status.OPTIMAL and rank(best) < rank(end)
+
+    def _known(self, variant: int, end: Solution) -> bool:
+        """Return whether an optimum at the positions is known, and count it."""
+        known = next((c for c, other in self._fits if c.variant == variant and same_end(other, end)), None)
+        if known is not None:
+            known.count += 1
+        return known is not None
+
+    def _fit(self, variant: int, end: Solution) -> Candidate:
+        """Return an optimum at the positions as a candidate, and remember it."""
+        candidate = Candidate(variant, end.x, np.zeros(0), end.objective, 1)
+        if end.status is Status.OPTIMAL:
+            self._fits.append((candidate, end))
+        return candidate
 
     def _taken(self, design: LinkageDesign) -> LinkageDesign:
         """Insert a design, or note it as the nearest one; return it, refined where only figures were inexact."""
@@ -631,9 +743,9 @@ def _allowed_cost(task: DesignProblem) -> float:
     """Return the largest batch cost near which a candidate can become a design within the tolerances of all points of a path, or
     within that of the first requirement.
     """
-    first = task.parts[0]
-    if has_several_dyads(task):  # their candidates have not converged
+    if has_several_dyads(task) or not task.parts:  # candidates have not converged, or there are none
         return math.inf
+    first = task.parts[0]
     if first.tolerance is not None:
         return COUNTED_RATIO**2 * len(first.data.columns) * (first.tolerance / first.whole) ** 2
     if task.composed or task.requirement.kind != "path":

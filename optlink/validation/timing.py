@@ -26,6 +26,8 @@ def passing(problem: DesignProblem, design: Mapping[str, float]) -> Array:
 
     The problem has definite assembly modes; the design [m, rad] has all quantities.
     """
+    if not problem.parts:
+        return np.zeros(0)
     if problem.requirements:
         return np.concatenate([passing(part, part.own(design)) for part in problem.parts])
     if problem.data.offsets is not None or not problem.pointed:

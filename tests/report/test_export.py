@@ -30,7 +30,6 @@ from optlink.report.export.svg import svg
 from optlink.report.report_model import ReportModel, report_model_of, solve_or_validate
 from optlink.report.scene import scene
 from optlink.tasks.analyze import analyze
-from optlink.tasks.cycle import CycleTask
 from optlink.tasks.design import SynthesisTask
 from tests.cli.test_cli import run
 from tests.tiers import mostly_slow
@@ -395,8 +394,7 @@ def test_a_stored_design_is_exported_without_a_search(command, name, tmp_path, m
     monkeypatch.chdir(tmp_path)
     assert run(*command, name, "--out", "out").exit_code == 0
     assert run("export", name, "-o", "design.dxf").exit_code == 0
-    for task in (SynthesisTask, CycleTask):
-        monkeypatch.setattr(task, "search", lambda *_: pytest.fail("it is searched again"))
+    monkeypatch.setattr(SynthesisTask, "search", lambda *_: pytest.fail("it is searched again"))
     assert run("export", "out", "-o", "stored.dxf").exit_code == 0
     blocks = [ezdxf.readfile(f"{name}.dxf").blocks for name in ("design", "stored")]
     links = [[block.name for block in part if block.name.startswith("LINK")] for part in blocks]

@@ -16,10 +16,10 @@ from optlink.errors import InputError, Status
 from optlink.optimization.cycle_signals import TracedCycle
 from optlink.problem.file import ProblemFile, read
 from optlink.solvers import multistart
-from optlink.solvers.cycle_search import OrderSearch, build_programme
-from optlink.solvers.cycle_starts import StartSequence, start_groups
-from optlink.tasks.cycle import solve, validate
+from optlink.solvers.event_orders import OrderedStarts
+from optlink.tasks.design import solve, validate
 from optlink.tasks.results.design import SynthesisResult
+from optlink.tasks.search import Polisher
 
 PUMP = """
 title = "Offset pump"
@@ -164,11 +164,11 @@ def test_ratios_that_no_stroke_has_are_refused(limit, key):
 
 def test_starting_points_of_a_smaller_number_come_first():
     trace = TracedCycle(problem(PUMP).spec, slow={"delivery": "forward"})
-    few, more = (start_groups(StartSequence(trace, 3), count) for count in (3, 9))
-    assert {own.structure.slow for own in few} == {own.structure.slow for own in more}
+    few, more = (OrderedStarts(trace, 3, count).begun for count in (3, 9))
+    assert {own[0].order.slow for own in few} == {own[0].order.slow for own in more}
     for own in few:
-        (same,) = (other for other in more if other.structure.slow == own.structure.slow)
-        assert same.starts[: len(own.starts)] == own.starts
+        (same,) = (other for other in more if other[0].order.slow == own[0].order.slow)
+        assert [start.values for start in same[: len(own)]] == [start.values for start in own]
 
 
 def test_random_starting_points_are_latin_hypercubes():
@@ -215,31 +215,29 @@ def test_without_a_feasible_point_no_objective_is_searched(monkeypatch):
     assert 140.0 < result.conflict[0].relaxed < 300.0  # twice the longest crank, and a little more by the offset
 
 
-def test_a_design_without_the_dead_centres_of_its_limits_is_refused(monkeypatch):
+def begun(file: ProblemFile):
+    """What refines the designs of a problem, its traced functions, its first starting point, and the end of a search there."""
+    polisher = Polisher([file], "ipopt")
+    trace = polisher.orders[0].trace
+    start = OrderedStarts(trace, 0).begun[0][0]
+    at = multistart.solution_at(polisher.of_start(0, start), polisher.of_start(0, start).x_of(start.values), "")
+    return polisher, trace, start, replace(at, status=Status.STALLED)
+
+
+def test_a_design_without_the_dead_centres_of_its_limits_is_refused():
     """A local search may end where the rocker turns fully: the NLP does not see it, the time ratio is not defined there."""
-    task = optlink.load("shaper-design").spec
-    trace = TracedCycle(task, slow=task.slow_assumed)
-    samples = StartSequence(trace, 0)
-    begin = start_groups(samples, 1)[0]
-    wrong = next(s.values for s in samples.first(200) if s.structure is not None and trace.strokeless(s.structure))
+    polisher, trace, start, end = begun(optlink.load("shaper-design"))
+    samples = OrderedStarts(trace, 0).samples(200)
+    wrong = next(s.values for s in samples if s.structure is not None and trace.strokeless(s.structure))
     assert math.isnan(
         next(check.value for check in validate(optlink.load("shaper-design"), wrong).validation.checks if "ratio" in check.name)
     )
-    order = OrderSearch(build_programme(trace, begin), begin, ("ipopt",))
-
-    def end_at(values):
-        result = multistart.solution_at(order.nlp, order.nlp.x_of(values), "")
-        end = replace(result, design=dict(values), status=Status.STALLED, objective=0.5 * result.objective)
-        monkeypatch.setattr(order, "_from", lambda *_, **__: end)
-        monkeypatch.setattr(order, "_exchanged", lambda computed, _: computed)
-        order.advance(0)
-        return order.runs["ipopt"][-1]
-
-    assert end_at(begin.starts[0]).usable
-    refused = end_at(wrong)
+    assert polisher.over_orders(0, [end])[0].usable
+    other = replace(end, design=dict(wrong), objective=0.5 * end.objective)
+    refused, kept = polisher.over_orders(0, [end, other])
     assert refused.status is Status.INFEASIBLE
     assert "dead centres" in refused.message
-    assert order.best("ipopt").design == begin.starts[0]
+    assert kept.design == start.values
 
 
 # --- distinct designs ------------------------------------------------------------------------------------------------------
@@ -389,28 +387,24 @@ TOGGLE = {
 }
 
 
-def toggle_search():
-    trace = TracedCycle(optlink.load("press-toggle").override(TOGGLE).spec)
-    begin = start_groups(StartSequence(trace, 0), 1)[0]
-    return trace, OrderSearch(build_programme(trace, begin), begin, ("ipopt",))
-
-
-def test_a_design_whose_ram_reverses_more_often_is_searched_with_its_reversals():
+def test_a_design_whose_ram_reverses_more_often_is_searched_with_its_reversals(monkeypatch):
     """The toggle passes through its straight position: the ram makes two forward strokes, but the programme has one."""
-    trace, order = toggle_search()
+    polisher, trace, start, end = begun(optlink.load("press-toggle").override(TOGGLE))
+    searched = []
+    monkeypatch.setattr(polisher, "_searched", lambda *given: searched.append(given) or end)
     straight = {"A.x": 0.4, "A.y": -0.1, "crank.length": 0.12, "rod.length": 0.402, "upper.length": 0.225, "lower.length": 0.38}
-    for design, reversals, usable in ((order.begin.starts[0], 2, True), (straight, 4, False)):
-        structure = trace.structure(design)
-        assert sum(trace.reversals(structure).values()) == reversals
-        end = multistart.solution_at(order.nlp, order.nlp.x_of(design), "")
-        kept = order._kept(replace(end, design=dict(design), status=Status.OPTIMAL))
+    for design, reversals, usable in ((start.values, 2, True), (straight, 4, False)):
+        assert sum(trace.reversals(trace.structure(design)).values()) == reversals
+        kept = polisher.over_orders(0, [replace(end, design=dict(design))])[0]
         assert kept.usable is usable
-    assert [solution.design for solution in order.strayed] == [straight]
+    ((_, _, own, order, design),) = searched
+    assert design == straight
+    assert sum(own.reversals(order).values()) == 4
 
 
 def test_a_motion_that_only_comes_to_rest_does_not_reverse():
-    trace, order = toggle_search()
-    structure = order.nlp.terms.structure
+    _, trace, start, _ = begun(optlink.load("press-toggle").override(TOGGLE))
+    structure = start.order
     reversal = next(k for k, event in enumerate(trace.events) if event.key[0] == "guide")
     assert structure.which.count(reversal) == 2
     for apart, more in ((1e-3, 0), (0.1, 2)):

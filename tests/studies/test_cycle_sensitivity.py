@@ -15,7 +15,7 @@ from optlink.cli.app import app
 from optlink.errors import InputError
 from optlink.studies import sensitivity as sensitivity_module
 from optlink.studies.sensitivity import of_solution, sensitivities as sensitivities_in_si
-from optlink.tasks.cycle import solve
+from optlink.tasks.design import solve
 from tests.solved import once
 
 

@@ -283,4 +283,4 @@ def test_lengths_are_not_called_arbitrary_beside_a_path():
     raw = {"title": "t", "mechanism": {"type": "four-bar", **free, "points": point}, "requirements": [law, path]}
     result = optlink.solve(read(raw | {"limits": {"transmission_angle": ["40 deg", "140 deg"]}}), starts=1)
     assert result.valid
-    assert not any("only their ratios" in note for note in result.notes)
+    assert not any("scaled together" in note for note in result.notes)

@@ -14,9 +14,9 @@ import optlink
 from optlink.errors import InputError, Status
 from optlink.optimization.cycle_signals import TracedCycle
 from optlink.problem.file import ProblemFile, read
-from optlink.solvers.cycle_search import search_all
-from optlink.solvers.cycle_starts import StartGroup
-from optlink.tasks.cycle import solve
+from optlink.solvers.event_orders import OrderedStart
+from optlink.tasks.design import solve
+from optlink.tasks.search import Polisher
 from optlink.validation import validate as validate_design
 from optlink.validation.cycle import Cycle
 from optlink.validation.design import BALANCE
@@ -250,11 +250,10 @@ BESIDE = {
 @pytest.mark.parametrize("name", ["slsqp", "ipopt"])
 def test_positions_near_a_peak_are_not_constrained(name):
     """A search that took those for a proof ended there; along the free direction the measured peak is lower."""
-    task = optlink.load("press-toggle", {"objective": term("guide force", of="F")}).spec
-    values = {key: 1e-3 * value for key, value in BESIDE.items()}
-    trace = TracedCycle(task)
-    begin = StartGroup(trace.structure(values), (values,))
-    result = search_all(trace, [begin], (name,)).best[name]
+    file = optlink.load("press-toggle", {"objective": term("guide force", of="F")})
+    task, values = file.spec, {key: 1e-3 * value for key, value in BESIDE.items()}
+    polisher, order = Polisher([file], name), TracedCycle(task).structure(values)
+    result = polisher.exchanged(polisher.at_start(0, OrderedStart(order, values, values, first=True)))
     assert result.status is Status.OPTIMAL
     lower = Cycle(task, result.design)
     assert result.objective == pytest.approx(lower.objective(), rel=1e-7)

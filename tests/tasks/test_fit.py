@@ -18,8 +18,7 @@ from optlink.report.html.page import page
 from optlink.report.report_model import ReportModel, verdict
 from optlink.report.views import design_tables
 from optlink.solvers.solution import LimitState
-from optlink.tasks.cycle import solve as solve_cycle
-from optlink.tasks.design import solve, validate
+from optlink.tasks.design import solve, solve as solve_cycle, validate
 from optlink.tasks.results.fit import Fit, PathFit, TransmissionFit, transmission_fit
 from optlink.tasks.results.remedies import fixed_effects
 from tests.stated import document, four_bar_section, free

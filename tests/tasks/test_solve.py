@@ -357,7 +357,7 @@ def test_scale_invariance_is_noted(solved):
     }
     result = optlink.solve(optlink.read(raw), "both")
     assert result.valid
-    assert "only their ratios matter" in result.notes[0]
+    assert "all lengths may be scaled together" in result.notes[0]
     scaled = optlink.validate(result.problem, {name: 0.7 * value for name, value in result.sizes.items()})
     assert scaled.valid
     assert scaled.objective == pytest.approx(result.objective, rel=1e-9)

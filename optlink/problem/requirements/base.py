@@ -228,8 +228,8 @@ class Requirement(Section):
         raise NotImplementedError
 
     def data(self, problem: Designed) -> TargetArrays:
-        """Return the targets as arrays."""
-        raise NotImplementedError
+        """Return the targets as arrays; none by default."""
+        return at_positions(np.zeros((0, 1)), np.zeros(0))
 
     def deviation(self, problem: Designed, pose: Pose, values: Mapping[str, Value], target: tuple[Value, ...]) -> list[Value]:
         """Return actual minus prescribed output at one position, elementwise; `target` is a row of `TargetArrays.columns`."""

@@ -33,7 +33,6 @@ from optlink.studies.pareto.objective import OPTION, ParetoObjective, range_valu
 from optlink.studies.toml_keys import Raw, exact_text
 from optlink.tasks import design as targets
 from optlink.tasks.certify import automatic
-from optlink.tasks.cycle import solve as solve_cycle
 from optlink.tasks.protocol import completed
 from optlink.tasks.run import solve
 
@@ -346,9 +345,9 @@ class _CycleRanges(EpsilonRanges):
         asked_for = [k for k in range(len(objectives)) if k not in bounds]
 
         def searched(k: int, task: ProblemFile, start: Mapping[str, float], starts: int | None = None) -> dict[str, Any]:
-            result = completed(solve_cycle(with_starting_values(task, start), self.backend, starts=starts))
+            result = completed(targets.solve(with_starting_values(task, start), self.backend, starts=starts))
             if start and result.status is not Status.OPTIMAL:
-                result = completed(solve_cycle(task, self.backend))
+                result = completed(targets.solve(task, self.backend))
             measured = cycle_figures(problem, objectives, result.design)
             if result.status not in (Status.OPTIMAL, Status.STALLED) or not np.all(np.isfinite(measured)):
                 raise self._no_end(objectives[k], result.status.text)
