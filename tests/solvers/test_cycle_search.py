@@ -17,9 +17,11 @@ from optlink.optimization.cycle_signals import TracedCycle
 from optlink.problem.file import ProblemFile, read
 from optlink.solvers import multistart
 from optlink.solvers.event_orders import OrderedStarts
+from optlink.tasks import search
 from optlink.tasks.design import solve, validate
 from optlink.tasks.results.design import SynthesisResult
 from optlink.tasks.search import Polisher
+from optlink.validation.check import Check
 
 PUMP = """
 title = "Offset pump"
@@ -254,6 +256,25 @@ def test_listed_optima_are_polished_and_none_is_below_the_result():
     free = np.array([list(optimum.design.values()) for optimum in result.optima])
     for one, other in itertools.combinations(free, 2):
         assert np.max(np.abs(one - other)) > 1e-6
+
+
+@pytest.mark.slow
+def test_the_best_valid_design_is_the_result_and_a_better_optimum_is_named(monkeypatch):
+    """A check that the best of two optima fails: the other one is the result."""
+    file, honest = optlink.load("stroke-crank-rocker"), search.validate
+    best, other = solve(file).optima
+
+    def doubting(*given, **options):
+        checked = honest(*given, **options)
+        return checked.with_checks([Check("planted", checked.objective > 1.01 * best.objective, 1.0, "none", "")])
+
+    monkeypatch.setattr(search, "validate", doubting)
+    result = solve(file)
+    assert result.valid
+    assert result.objective == pytest.approx(other.objective, rel=1e-9)
+    assert result.rejected is not None
+    assert result.rejected.objective == pytest.approx(best.objective, rel=1e-9)
+    assert any('fails the check "planted"' in note for note in result.notes)
 
 
 @pytest.mark.slow
