@@ -198,12 +198,13 @@ def _cluster(workers: int, scheduler: str | None, ends: contextlib.ExitStack) ->
 
     ends.enter_context(distributed.utils.silence_logging_cmgr("CRITICAL"))
     where: Any = scheduler
-    if scheduler is None:
+    processes = [Processes(1) for _ in range(0 if scheduler else workers)]
+    if processes:
         ends.enter_context(dask.config.set(QUIET))
-        where = ends.enter_context(_local_cluster(distributed, processes := [Processes(1) for _ in range(workers)]))
+        where = ends.enter_context(_local_cluster(distributed, processes))
     with _answering(scheduler):
         client = ends.enter_context(_client(distributed, where, scheduler))
-    for process in processes if scheduler is None else ():
+    for process in processes:
         ends.callback(process.shutdown)  # before the cluster waits for them
     executor = client.get_executor(pure=False)
 
