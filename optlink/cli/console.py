@@ -380,13 +380,11 @@ def study_place(out: Path, command: str, problem: str) -> None:
 
 def _no_study(out: Path) -> None:
     """Refuse a folder that holds a sweep or a Pareto front: its table would remain beside another result."""
-    from optlink.execution.store import ABOUT
-    from optlink.io import read_object
+    from optlink.execution.store import definition
 
-    place = out / ABOUT
-    if not os.path.lexists(place):
+    about = definition(out)
+    if about is None:
         return
-    about = read_object(place) or {}
     problem = about.get("problem")
     whose = f" of {problem}" if isinstance(problem, str) else ""
     what = "a front" if "objectives" in about else "a sweep"

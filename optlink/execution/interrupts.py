@@ -93,12 +93,7 @@ def handled() -> None:
 
 
 def leave() -> NoReturn:
-    """End an interrupted process at once after its messages are written: Python would wait for the threads of process pools."""
-    if "multiprocessing" in sys.modules:
-        for child in sys.modules["multiprocessing"].active_children():
-            child.kill()
-        with contextlib.suppress(Exception):  # semaphores of their queues, which would be reported as leaked
-            sys.modules["multiprocessing.util"]._run_finalizers(0)
+    """End an interrupted process at once after its messages are written: Python would wait for the threads of executors."""
     os._exit(EXIT_CODE)
 
 

@@ -1,27 +1,31 @@
 """Run independent chunks of work in local processes or on a Dask cluster, with identical results.
 
-A task (`optlink.execution.worker.ChunkTask`) maps the number of a chunk to its result, which depends on nothing else.
-Results arrive in any order.
+A task (`optlink.execution.worker.ChunkTask`) maps the number of a chunk to its result, which depends on nothing else. Results
+arrive in any order. Every engine is an executor as of `concurrent.futures`: `optlink.execution.worker.Processes`, or that of a
+Dask client (`pip install "optlink[dask]"`). A Dask cluster of this machine opens no network port: scheduler and workers are
+threads of this process (`inproc://`), each worker has a process of its own, and there is neither a dashboard nor another server.
 """
 
 import contextlib
+import itertools
 import os
-import queue
-import threading
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
 from typing import Any
 
-from optlink.errors import InputError
+from optlink.errors import InputError, SolverError
 from optlink.execution import interrupts
-from optlink.execution.process import Process
-from optlink.execution.worker import ChunkResult, ChunkTask, Runs, packed, run_chunk
+from optlink.execution.worker import ATTEMPTS, ChunkResult, ChunkTask, Processes, Runs, packed, run_chunk, run_packed
 from optlink.problem.quantity import check_choice
 
 ENGINES = ("local", "dask")
-WAIT = 0.2  # s, polling interval of waiting threads
+WAIT = 0.2  # s, turns of waiting: Windows passes no Ctrl-C to a thread that waits without end
 MAX_WORKERS = 1024
-
-Answer = tuple[int, ChunkResult | BaseException]
+PATIENCE = 10  # s, time limit for a scheduler and for its first worker
+AHEAD = 3  # chunks queued per worker
+LOCAL = "a cluster of this machine"
+QUIET = {"distributed.admin.tick.interval": "1s", "distributed.worker.profile.enabled": False}
+"""Settings of a cluster of this machine. By default Dask observes itself 20 to 100 times a second, which slows the chunks."""
 
 
 def cores() -> int:
@@ -43,9 +47,11 @@ def check(engine: str, workers: int | None, scheduler: str | None) -> None:
     if scheduler is not None and engine != "dask":
         raise InputError("only the engine dask has a scheduler", "Add --engine dask", key="--scheduler", value=scheduler)
     if engine == "dask":
-        from optlink.execution.cluster import import_dask
-
-        import_dask()
+        try:
+            import distributed  # noqa: F401
+        except ImportError:
+            remedy = 'Install it: pip install "optlink[dask]", or use --engine local'
+            raise InputError("Dask is not installed", remedy, key="--engine", value="dask") from None
 
 
 def run(
@@ -81,17 +87,14 @@ def pool(engine: str = "local", workers: int | None = None, scheduler: str | Non
     InputError
         As `check`; if a scheduler does not answer.
     SolverError
-        If a scheduler stops answering.
+        If a scheduler stops answering, or a chunk ends several workers.
     """
     check(engine, workers, scheduler)
-    if engine == "dask":
-        from optlink.execution.cluster import cluster
-
-        with cluster(workers or cores(), scheduler) as runs:
-            yield runs
-        return
     with contextlib.ExitStack() as ends:
-        yield _Processes(workers or cores(), ends)
+        if engine == "dask":
+            yield _cluster(workers or cores(), scheduler, ends)
+        else:
+            yield _Local(workers or cores(), ends)
 
 
 def ordered(task: ChunkTask, count: int, runs: Runs | None = None, done: Callable[[int], None] | None = None) -> Iterator[Any]:
@@ -123,102 +126,137 @@ def apart(todo: list[int], workers: int) -> list[int]:
     return [todo[at] for first in range(length) for at in range(first, len(todo), length)]
 
 
-class _Processes:
-    """Processes of this machine, started as they are needed and kept for the next task."""
+def _completed(
+    executor: Executor, ahead: int, task: ChunkTask, todo: Iterable[int], killed: tuple[type[Exception], ...] = ()
+) -> Iterator[tuple[int, ChunkResult]]:
+    """Run chunks by an executor, `ahead` of them at a time; `killed`: what it raises for a chunk that ends several workers."""
+    packed_task, waiting, asked = packed(task), iter(todo), dict[Future[ChunkResult], int]()
+    try:
+        while True:
+            for index in itertools.islice(waiting, ahead - len(asked)):
+                asked[executor.submit(run_packed, packed_task, index)] = index
+            if not asked:
+                return
+            for future in wait(asked, WAIT, FIRST_COMPLETED).done:
+                index = asked.pop(future)
+                try:
+                    answer = future.result()
+                except BrokenExecutor:
+                    how = f"{ATTEMPTS} processes; check the available memory"
+                    raise SolverError(f"chunk {index} of the study terminated {how}") from None
+                except killed:
+                    raise SolverError(f"chunk {index} of the study terminated several workers; check their memory") from None
+                yield index, answer
+    finally:
+        for future in asked:
+            future.cancel()
+
+
+class _Local:
+    """Runs chunks in processes of this machine, which are kept for the next task, or in the present one."""
 
     def __init__(self, workers: int, ends: contextlib.ExitStack) -> None:
         self.workers = workers
-        self.idle: list[Process] = []
-        self.feeders: list[_Feeder] = []  # of the latest task
+        self.executor: Processes | None = None
         ends.callback(self.end)
 
     def __call__(self, task: ChunkTask, todo: Iterable[int]) -> Iterator[tuple[int, ChunkResult]]:
         """Run chunks; see `Runs`."""
-        self._join()
         waiting = list(todo)
-        count = min(self.workers, len(waiting))
-        if self.workers <= 1 or (count <= 1 and not self.idle):
+        if self.workers <= 1 or (len(waiting) <= 1 and self.executor is None):
             before = interrupts.interrupted()  # and handled by the caller, who goes on
             for index in waiting:
-                result = run_chunk(task, index).checked(index)
+                result = run_chunk(task, index)
                 if not before:
                     interrupts.check()
                 yield index, result
             return
-        jobs: queue.SimpleQueue[int] = queue.SimpleQueue()
-        for index in waiting:
-            jobs.put(index)
-        answers: queue.Queue[Answer] = queue.Queue(2 * count)
-        packed_task = packed(task)
-        feeders = [_Feeder(packed_task, jobs, answers, self.idle.pop() if self.idle else Process()) for _ in range(count)]
-        self.feeders = feeders
+        self.executor = self.executor or Processes(self.workers)
         try:
-            for feeder in feeders:
-                feeder.start()
-            for _ in waiting:
-                index, answer = _first(answers)
-                if isinstance(answer, BaseException):
-                    raise answer
-                yield index, answer.checked(index)
+            yield from _completed(self.executor, 2 * self.workers, task, waiting)
         except GeneratorExit:  # the caller needs no further result: the processes end their present chunks meanwhile
-            for feeder in feeders:
-                feeder.stopped.set()
             raise
         except BaseException:
             interrupts.handled()
-            for feeder in feeders:
-                feeder.stop()
+            self.end()
             raise
-
-    def _join(self) -> None:
-        """Wait for the threads of the latest task."""
-        for feeder in self.feeders:
-            feeder.join()
-        self.idle += [feeder.process for feeder in self.feeders]
-        self.feeders = []
 
     def end(self) -> None:
         """End all processes."""
-        for feeder in self.feeders:
-            if feeder.is_alive():
-                feeder.stop()
-        self._join()
-        while self.idle:
-            self.idle.pop().end()
+        if self.executor is not None:
+            self.executor.shutdown()
+        self.executor = None
 
 
-def _first(answers: queue.Queue[Answer]) -> Answer:
-    """Wait for an answer, in short turns: Windows passes no Ctrl-C to a thread that waits without end."""
-    while True:
-        with contextlib.suppress(queue.Empty):
-            return answers.get(timeout=WAIT)
+# --- Dask ----------------------------------------------------------------------------------------------------------------
 
 
-class _Feeder(threading.Thread):
-    """Thread that passes chunks to one process."""
+def _cluster(workers: int, scheduler: str | None, ends: contextlib.ExitStack) -> Runs:
+    """Return what runs chunks on a cluster, which repeats a chunk on another worker if its worker dies."""
+    import dask
+    import distributed
 
-    def __init__(self, task: bytes, jobs: queue.SimpleQueue[int], answers: queue.Queue[Answer], process: Process) -> None:
-        super().__init__(daemon=True)
-        self.task, self.jobs, self.answers, self.process = task, jobs, answers, process
-        self.stopped = threading.Event()
+    ends.enter_context(distributed.utils.silence_logging_cmgr("CRITICAL"))
+    where: Any = scheduler
+    processes = [Processes(1) for _ in range(0 if scheduler else workers)]
+    if processes:
+        ends.enter_context(dask.config.set(QUIET))
+        where = ends.enter_context(_local_cluster(distributed, processes))
+    with _answering(scheduler):
+        client = ends.enter_context(_client(distributed, where, scheduler))
+    for process in processes:
+        ends.callback(process.shutdown)  # before the cluster waits for them
+    executor = client.get_executor(pure=False)
 
-    def run(self) -> None:
-        """Work until no chunk is left."""
-        while not self.stopped.is_set():
-            try:
-                index = self.jobs.get_nowait()
-            except queue.Empty:
-                return
-            try:
-                answer: ChunkResult | BaseException = self.process.result(self.task, index, self.stopped)
-            except Exception as error:  # noqa: BLE001 - raised where the chunks are run
-                answer = error
-            while not self.stopped.is_set():
-                with contextlib.suppress(queue.Full):
-                    self.answers.put((index, answer), timeout=WAIT)
-                    break
+    def answers(task: ChunkTask, todo: Iterable[int]) -> Iterator[tuple[int, ChunkResult]]:
+        with _answering(scheduler):
+            places = max(1, sum(client.nthreads().values()))
+            yield from _completed(executor, AHEAD * places, task, todo, (distributed.scheduler.KilledWorker,))
 
-    def stop(self) -> None:
-        """Start no further chunk, and abandon the current one."""
-        self.stopped.set()
-        self.process.kill()
+    return answers
+
+
+@contextlib.contextmanager
+def _answering(scheduler: str | None) -> Iterator[None]:
+    """Report a scheduler that stops answering."""
+    try:
+        yield
+    except (OSError, TimeoutError, CancelledError):
+        raise SolverError(
+            f"the Dask scheduler {scheduler or LOCAL} did not answer before all chunks were complete. Restart it and "
+            "repeat the command with --resume and the same --out DIR: completed chunks are kept there"
+        ) from None
+
+
+def _local_cluster(distributed: Any, processes: list[Processes]) -> Any:
+    """Return a scheduler and workers in this process without HTTP servers, which Dask starts even without a dashboard."""
+
+    class Scheduler(distributed.Scheduler):  # type: ignore[misc]
+        def start_http_server(self, *args: Any, **kwargs: Any) -> None:
+            """Open no port."""
+
+    class Worker(distributed.Worker):  # type: ignore[misc]
+        def start_http_server(self, *args: Any, **kwargs: Any) -> None:
+            """Open no port."""
+
+    common = {"protocol": "inproc://", "dashboard": False}
+    options = [{**common, "nthreads": 1, "memory_limit": 0, "executor": process} for process in processes]
+    specs = {number: {"cls": Worker, "options": option} for number, option in enumerate(options)}
+    return distributed.SpecCluster(specs, {"cls": Scheduler, "options": common})
+
+
+def _client(distributed: Any, where: Any, scheduler: str | None) -> Any:
+    place: Any = {"key": "--scheduler", "value": scheduler or LOCAL}
+    try:
+        client = distributed.Client(where, timeout=PATIENCE, set_as_default=False)
+    except (OSError, TimeoutError, ValueError) as error:
+        start = "Start one (dask scheduler; dask worker ADDRESS), check address and port, or leave --scheduler out"
+        why = "" if isinstance(error, OSError) else f": {error}"
+        message = f"no scheduler answers there within {PATIENCE:g} s{why}"
+        raise InputError(message, start, **place) from None
+    try:
+        client.wait_for_workers(1, timeout=PATIENCE)
+    except TimeoutError:
+        client.close()
+        raise InputError("the scheduler has no workers", "Start one: dask worker ADDRESS", **place) from None
+    return client

@@ -5,10 +5,7 @@ from __future__ import annotations
 import csv
 import itertools
 import math
-import shutil
-import tempfile
 import time
-import weakref
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -22,7 +19,7 @@ from pydantic import PlainSerializer, PlainValidator, WithJsonSchema
 
 from optlink.errors import InputError, Status
 from optlink.execution.runner import run
-from optlink.execution.store import TABLE, Progress, Store
+from optlink.execution.store import TABLE, Progress, Store, TemporaryFolder
 from optlink.problem.arguments import typed
 from optlink.problem.document import Document, Source
 from optlink.problem.file import ProblemFile
@@ -52,14 +49,6 @@ def _read_column(name: str, texts: Sequence[str]) -> NDArray[Any]:
 
 
 TableColumn = Annotated[NDArray[Any], PlainValidator(_column), WithJsonSchema({"type": "array"})]
-
-
-class TemporaryFolder:
-    """A temporary folder that is removed with its owner."""
-
-    def __init__(self) -> None:
-        self.path = Path(tempfile.mkdtemp(prefix="optlink-sweep-"))
-        weakref.finalize(self, shutil.rmtree, self.path, ignore_errors=True)
 
 
 @dataclass(frozen=True)
@@ -333,8 +322,7 @@ def sweep(
         task = _reoptimising(problem, grid, design, backend)
     evaluated = task.mode != OPTIMISE
     run(task, (), engine, workers, scheduler)  # raises if the options are invalid
-    holder = TemporaryFolder() if out is None else None
-    with Store(holder.path if holder is not None else Path(str(out)), _about(task), resume=resume) as store:
+    with Store(None if out is None else Path(str(out)), _about(task), resume=resume) as store:
         store.divide(task.size, task.chunks)
         mine, cpu = store.fill(task, engine, workers, scheduler, progress)
         names = [*task.columns, *(() if evaluated else (CHANGED,))]
@@ -350,7 +338,7 @@ def sweep(
             problem=problem,
             grid=grid,
             mode=task.mode,
-            table=TableFile(store.table, holder),
+            table=TableFile(store.table, store.temporary),
             **vars(summary),
             done=mine,
             seconds=time.perf_counter() - begin,

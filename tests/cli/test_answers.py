@@ -17,6 +17,7 @@ import pytest
 from typer.testing import CliRunner
 
 from optlink.cli.app import app
+from tests.chunks import complete
 
 SPAN = """
 title = "A law over a span, with no limit on the transmission"
@@ -200,7 +201,7 @@ def test_a_second_run_cannot_write_to_the_folder_of_the_first(tmp_path: Path) ->
     command = [sys.executable, "-m", "optlink", *sweep]
     with subprocess.Popen(command, stderr=subprocess.DEVNULL) as first:
         try:
-            while not list(out.glob("chunks/*/*.csv")):
+            while not complete(out):
                 assert first.poll() is None
                 time.sleep(0.05)
             done = subprocess.run([*command, "--resume"], capture_output=True, text=True, timeout=60, check=False)

@@ -16,8 +16,8 @@ from typer.testing import CliRunner
 import optlink
 from optlink.cli import console
 from optlink.cli.app import app
-from optlink.execution.process import Process
 from optlink.execution.store import Store
+from optlink.execution.worker import Processes
 from optlink.report.view import View
 from tests.tiers import mostly_slow
 
@@ -144,11 +144,8 @@ LONG = {
 @posix
 def test_child_processes_ignore_ctrl_c():
     """A terminal sends the signal to its session: a process that is just starting would answer with a traceback."""
-    sessions, process = [], Process()
-    for _ in range(2):  # at once after the start
-        sessions.append(os.getsid(process.begin().pid))
-        process.kill()
-        process.end()
+    with Processes(2) as executor:
+        sessions = {executor.submit(os.getsid, 0).result(60) for _ in range(2)}
     assert os.getsid(0) not in sessions
 
 

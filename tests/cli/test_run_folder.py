@@ -17,8 +17,10 @@ from typer.testing import CliRunner
 import optlink
 from optlink.cli.app import app
 from optlink.errors import InputError
+from optlink.execution.store import JOURNAL
 from optlink.io import LOCK, locked
 from optlink.studies.sweep import sweep
+from tests.chunks import complete
 from tests.tiers import mostly_slow
 
 ROOT = Path(__file__).parents[2]
@@ -188,7 +190,7 @@ def test_ctrl_c_releases_the_folder(tmp_path):
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     command = [sys.executable, "-m", "optlink", "study", "sweep", "crank-rocker", "--vary", "mechanism.frame=450..550 mm:30000"]
     with subprocess.Popen([*command, "--workers", "1", "--out", str(out)], env=environment, stderr=subprocess.PIPE) as process:
-        while not list(out.glob("chunks/*/*.csv")):
+        while not complete(out):
             assert process.poll() is None
             time.sleep(0.05)
         process.send_signal(signal.SIGINT)
@@ -202,7 +204,7 @@ LINKED = {
     "design.toml": ("validate", "crank-rocker", "--design", "coupler=412 mm", "--design", "rocker=232.5 mm", "--out", "out"),
     "mechanism.png": ("analyze", "slider-crank", "--points", "12", "--out", "out"),
     "checkpoint.json": ("simulate", "slider-crank-clearance", "--revolutions", "1", "--points", "12", "--out", "out"),
-    "study.json": SWEPT,
+    "study.sqlite": SWEPT,
     "sweep.csv": SWEPT,
     "motion.csv": ("analyze", "slider-crank", "--points", "12", "--csv", "out/motion.csv"),
     "page.html": ("report", "slider-crank", "-o", "out/page.html"),
@@ -223,7 +225,7 @@ def test_a_link_out_of_the_folder_is_refused(name, there, tmp_path, monkeypatch)
     Path("out", name).symlink_to("../precious")
     done = run(*LINKED[name])
     assert done.exit_code == 2, done.output
-    if not (there and name in ("study.json", "sweep.csv")):  # what these hold is not of optlink
+    if not (there and name == "sweep.csv"):  # what these hold is not of optlink
         sentence = rf"Error: out/{name}: this is a link out of its folder, to \S+/precious. Remove the link, .*\n"
         assert re.fullmatch(sentence, done.stderr), done.stderr
     assert Path("precious").exists() is there
@@ -232,15 +234,16 @@ def test_a_link_out_of_the_folder_is_refused(name, there, tmp_path, monkeypatch)
 
 
 @pytest.mark.skipif(os.name != "posix", reason="links need a privilege on Windows")
-def test_chunks_are_not_written_through_a_link_out_of_the_folder(tmp_path, monkeypatch):
+def test_no_journal_is_written_through_a_link_out_of_the_folder(tmp_path, monkeypatch):
+    """sqlite would follow the link at the first entry."""
     monkeypatch.chdir(tmp_path)
-    for name in ("out", "elsewhere"):
-        Path(name).mkdir()
-    Path("out", "chunks").symlink_to("../elsewhere")
+    Path("out").mkdir()
+    Path("precious").write_text("mine", encoding="utf-8")
+    Path("out", JOURNAL).symlink_to("../precious")
     done = run(*SWEPT)
     assert done.exit_code == 2
     assert "link out of its folder" in done.stderr
-    assert not list(Path("elsewhere").iterdir())
+    assert Path("precious").read_text(encoding="utf-8") == "mine"
 
 
 @pytest.mark.skipif(os.name != "posix", reason="links need a privilege on Windows")

@@ -10,6 +10,7 @@ import random
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
@@ -32,6 +33,7 @@ from optlink.studies.pareto.epsilon_constraint import ENDS, Pareto, pareto
 from optlink.studies.pareto.objectives import read_objectives
 from optlink.studies.sweep import sweep
 from optlink.validation import validate as prove
+from tests import chunks
 from tests.solvers.test_infeasibility import crank_rockers
 
 ANGLE = "limits.transmission_angle.max"
@@ -503,8 +505,8 @@ def test_ends_are_kept_and_not_searched_again(press, tmp_path, monkeypatch):
         patch.setattr(epsilon_ranges, "solve_cycle", fails_third)
         with pytest.raises(KeyboardInterrupt):
             pareto(press, words, tmp_path / "run", points=5, workers=1)
-    stored = json.loads((tmp_path / "run" / ENDS).read_text(encoding="utf-8"))
-    assert list(stored) == ["least rod.length", "best least transmission angle at E", "crc32"]
+    stored = json.loads(chunks.text(tmp_path / "run", ENDS))
+    assert list(stored) == ["least rod.length", "best least transmission angle at E"]
     calls[0] = 3
 
     def fails_never(*arguments, **options):
@@ -531,10 +533,10 @@ def test_ends_are_kept_and_not_searched_again(press, tmp_path, monkeypatch):
 def test_ends_that_cannot_be_read_or_were_changed_are_searched_again(press, tmp_path, damage):
     words = f"rod.length, {LEAST}"
     first = pareto(press, words, tmp_path, points=3, workers=1)
-    text = (tmp_path / ENDS).read_text(encoding="utf-8")
-    (tmp_path / ENDS).write_text(damage(text), encoding="utf-8")
+    text = chunks.text(tmp_path, ENDS)
+    chunks.change(tmp_path, ENDS, damage)
     assert pareto(press, words, tmp_path, points=3, workers=1, resume=True).points == first.points
-    assert (tmp_path / ENDS).read_text(encoding="utf-8") == text
+    assert chunks.text(tmp_path, ENDS) == text
 
 
 def test_a_front_without_an_end_leaves_no_files(press, tmp_path):
@@ -544,12 +546,12 @@ def test_a_front_without_an_end_leaves_no_files(press, tmp_path):
     assert not (tmp_path / "new").exists()
 
 
-def killed(arguments: list[str], out: Path, pattern: str, wait: float) -> None:
-    """Begin a study, and kill it a while after there are more files of a pattern than before."""
-    before = len(list(out.glob(pattern)))
+def killed(arguments: list[str], count: Callable[[], int], wait: float) -> None:
+    """Begin a study, and kill it a while after a count has risen."""
+    before = count()
     run = subprocess.Popen([sys.executable, "-m", "optlink", "study", *arguments], cwd=ROOT, stdout=subprocess.DEVNULL)
     begin = time.monotonic()
-    while len(list(out.glob(pattern))) <= before and time.monotonic() - begin < 120.0:
+    while count() <= before and time.monotonic() - begin < 120.0:
         assert run.poll() is None
         time.sleep(0.01)
     time.sleep(wait)
@@ -564,12 +566,12 @@ def test_killed_three_times_and_resumed(press, tmp_path):
     whole = pareto(press, words, tmp_path / "whole", points=14, workers=1)
     out = tmp_path / "run"
     asked = ["pareto", press.file, "--objectives", words, "--points", "14", "--workers", "1", "--out", str(out)]
-    killed(asked, out, ENDS, 0.3 * rng.random())
-    searched = list(json.loads((out / ENDS).read_text(encoding="utf-8")))
+    killed(asked, lambda: bool(chunks.text(out, ENDS)), 0.3 * rng.random())
+    searched = list(json.loads(chunks.text(out, ENDS)))
     assert 1 <= len(searched) <= 4
     for _ in range(2):
-        killed([*asked, "--resume"], out, "chunks/*/0*.csv", 0.1 * rng.random())
-    complete = len(list(out.glob("chunks/*/0*.csv")))
+        killed([*asked, "--resume"], lambda: chunks.complete(out), 0.1 * rng.random())
+    complete = chunks.complete(out)
     assert 2 <= complete < 4
     done = subprocess.run(
         [sys.executable, "-m", "optlink", "study", *asked, "--resume", "--json"],
@@ -577,9 +579,7 @@ def test_killed_three_times_and_resumed(press, tmp_path):
     )  # fmt: skip
     assert json.loads(done.stdout)["points_done_now"] == 14 - 4 * complete
     assert (out / "sweep.csv").read_bytes() == whole.path.read_bytes()
-    assert json.loads((out / ENDS).read_text(encoding="utf-8")) == json.loads(
-        (tmp_path / "whole" / ENDS).read_text(encoding="utf-8")
-    )
+    assert chunks.text(out, ENDS) == chunks.text(tmp_path / "whole", ENDS)
 
 
 @pytest.mark.slow

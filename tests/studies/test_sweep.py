@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-import errno
 import json
 import math
 import os
 import random
+import re
 import shutil
 import signal
 import socket
@@ -34,6 +34,7 @@ from optlink.studies.fast_overrides import FastOverride
 from optlink.studies.grid import read_axis, read_grid
 from optlink.studies.sweep import CHANGED, sweep
 from optlink.validation import validate_batch as prove
+from tests import chunks
 from tests.solved import folder_once, once
 
 ROOT = Path(__file__).parents[2]
@@ -366,7 +367,7 @@ def undisturbed(tmp_path_factory) -> bytes:
     def table() -> bytes:
         out = tmp_path_factory.mktemp("undisturbed")
         sweep(problem(), [f"{FRAME}:{POINTS}"], out, workers=1)
-        assert sorted(path.name for path in out.iterdir()) == ["study.json", "sweep.csv"]
+        assert sorted(path.name for path in out.iterdir()) == ["study.sqlite", "sweep.csv"]
         return (out / "sweep.csv").read_bytes()
 
     return once("undisturbed sweep", table)
@@ -394,19 +395,19 @@ def test_killed_twice_and_resumed(undisturbed, tmp_path):
         arguments = command(out, *(["--resume"] if kill else []), workers=1 + kill)
         run = subprocess.Popen(arguments, cwd=ROOT, stdout=subprocess.DEVNULL)
         begin = time.monotonic()
-        while len(list(out.glob("chunks/*/0*.csv"))) <= complete and time.monotonic() - begin < 60.0:
+        while chunks.complete(out) <= complete and time.monotonic() - begin < 60.0:
             assert run.poll() is None
             time.sleep(0.01)
         time.sleep(0.1 * rng.random())
         run.kill()
         run.wait()
-        now = len(list(out.glob("chunks/*/0*.csv")))
+        now = chunks.complete(out)
         assert complete < now <= 4
         complete = now
     done = subprocess.run([*command(out, "--resume"), "--json"], cwd=ROOT, capture_output=True, text=True, check=True)
     assert json.loads(done.stdout)["points_done_now"] == POINTS - 100 * complete
     assert (out / "sweep.csv").read_bytes() == undisturbed
-    assert not (out / "chunks").exists()
+    assert chunks.complete(out) == 0
 
 
 @pytest.mark.slow
@@ -463,18 +464,18 @@ def begun(tmp_path_factory) -> Path:
 @pytest.mark.parametrize(
     "damage",
     [
-        lambda chunk: chunk[:-30],
-        lambda chunk: chunk.replace(b"0.00", b"0.01", 1),
-        lambda chunk: b"\xff\xfe" + chunk[2:],
-        lambda chunk: bytes(len(chunk)),
-        lambda chunk: b"",
+        lambda text: text[:-30],
+        lambda text: text.replace("0.00", "0.01", 1),
+        lambda text: "\x00" * len(text),
+        lambda text: text.encode() + b"\xff\xfe",
+        lambda text: "",
+        lambda text: None,
     ],
 )
 def test_a_damaged_chunk_is_recomputed(begun, tmp_path, damage):
     out = tmp_path / "run"
     shutil.copytree(begun, out)
-    first = sorted(out.glob("chunks/*/0*.csv"))[0]
-    first.write_bytes(damage(first.read_bytes()))
+    chunks.change(out, 0, damage)
     resumed = sweep(problem(), [f"{FRAME}:150"], out, resume=True, workers=1)
     assert resumed.done == 150
     assert (out / "sweep.csv").read_bytes() == (begun / "whole.csv").read_bytes()
@@ -486,7 +487,7 @@ def test_ctrl_c_states_how_to_resume(undisturbed, tmp_path):
     out = tmp_path / "run"
     run = subprocess.Popen(command(out), cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
     begin = time.monotonic()
-    while not list(out.glob("chunks/*/0*.csv")) and time.monotonic() - begin < 60.0:
+    while not chunks.complete(out) and time.monotonic() - begin < 60.0:
         time.sleep(0.01)
     run.send_signal(signal.SIGINT)
     _, output = run.communicate(timeout=60)
@@ -509,16 +510,15 @@ main()
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has neither this signal nor this limit")
-@pytest.mark.parametrize(("bytes_left", "kept"), [(4_000, 0), (30_000, 4)])
-def test_a_full_disk_for_chunk_or_table_keeps_finished_chunks(undisturbed, tmp_path, bytes_left, kept):
+@pytest.mark.parametrize(("bytes_left", "kept"), [(4_000, 0), (26_000, 0), (60_000, 2)])
+def test_a_full_disk_for_definition_or_chunk_keeps_finished_chunks(undisturbed, tmp_path, bytes_left, kept):
     out = tmp_path / "run"
     done = subprocess.run(
         [sys.executable, "-c", LIMITED, str(bytes_left), "--out", str(out)], cwd=ROOT, capture_output=True, text=True, check=False
     )
     assert done.returncode == 2, done.stderr
-    assert "File too large" in done.stderr
-    assert "Free some space" in done.stderr
-    assert len(list(out.glob("chunks/*/0*.csv"))) == kept
+    assert re.fullmatch(r".*cannot write the file: [a-zIO/ ]+\. Free some space or choose another folder\n", done.stderr)
+    assert chunks.complete(out) == kept
     assert out.exists() == bool(kept)  # of a study of which nothing was done nothing stays
     sweep(problem(), [f"{FRAME}:{POINTS}"], out, resume=bool(kept), workers=1)
     assert (out / "sweep.csv").read_bytes() == undisturbed
@@ -529,8 +529,7 @@ def test_a_truncated_chunk_is_recomputed(undisturbed, tmp_path):
     stopped = interrupted_after(3)
     with pytest.raises(KeyboardInterrupt):
         sweep(problem(), [f"{FRAME}:{POINTS}"], tmp_path, workers=1, progress=stopped)
-    first = sorted(tmp_path.glob("chunks/*/0*.csv"))[0]
-    first.write_text(first.read_text()[:-30])
+    chunks.change(tmp_path, 0, lambda text: text[:-30])
     resumed = sweep(problem(), [f"{FRAME}:{POINTS}"], tmp_path, resume=True, workers=1)
     assert resumed.done == 200
     assert (tmp_path / "sweep.csv").read_bytes() == undisturbed
@@ -550,21 +549,19 @@ def interrupted_after(count: int):
 
 @pytest.mark.slow
 def test_a_full_disk_keeps_finished_chunks(undisturbed, tmp_path, monkeypatch):
-    real, written = Path.write_text, []
+    real, written = store.Store.write, []
 
-    def full(self, text, **kwargs):
-        if "chunks" in self.parts:
-            written.append(self)
-            if len(written) > 2:
-                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        return real(self, text, **kwargs)
+    def full(self, name, text):
+        written.append(name)
+        if len(written) > 3:  # the definition and two chunks
+            self._database.execute("PRAGMA max_page_count = 1")  # sqlite takes the present size of the file
+        real(self, name, text)
 
     with monkeypatch.context() as patch:
-        patch.setattr(Path, "write_text", full)
+        patch.setattr(store.Store, "write", full)
         with pytest.raises(InputError, match=r"No space left on device.*Free some space"):
             sweep(problem(), [f"{FRAME}:{POINTS}"], tmp_path, workers=2)
-    assert len(list(tmp_path.glob("chunks/*/*.csv"))) == 2
-    assert not list(tmp_path.glob("chunks/*/.*"))
+    assert chunks.complete(tmp_path) == 2
     assert sweep(problem(), [f"{FRAME}:{POINTS}"], tmp_path, resume=True, workers=2).done == 200
     assert (tmp_path / "sweep.csv").read_bytes() == undisturbed
 
@@ -588,10 +585,50 @@ def test_a_folder_of_another_study_is_refused_and_unchanged(tmp_path, other, var
 
 def test_a_study_of_another_version_is_refused(tmp_path):
     sweep(problem(), [f"{FRAME}:3"], tmp_path, workers=1)
-    about = tmp_path / store.ABOUT
-    about.write_text(about.read_text().replace(f'"optlink": "{optlink.__version__}"', '"optlink": "0.0.1"'))
+    chunks.change(tmp_path, store.ABOUT, lambda text: text.replace(optlink.__version__, "0.0.1"))
     with pytest.raises(InputError, match=r"optlink differs, there 0\.0\.1"):
         sweep(problem(), [f"{FRAME}:3"], tmp_path, resume=True)
+
+
+@pytest.mark.parametrize("resume", [True, False])
+def test_a_study_in_the_files_of_an_earlier_version_is_refused_and_unchanged(tmp_path, resume):
+    files = {tmp_path / "study.json": '{"mode": "optimise"}', tmp_path / "chunks" / "00000" / "00000000.csv": "1,2\n"}
+    for path, text in files.items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+    with pytest.raises(InputError, match=r"earlier version of optlink.*Choose another folder, or continue it with that version"):
+        sweep(problem(), [f"{FRAME}:3"], tmp_path, resume=resume)
+    assert {path: path.read_text() for path in tmp_path.rglob("*") if path.is_file()} == files
+
+
+@pytest.mark.parametrize("damage", [lambda data: b"mine", lambda data: data[:100], lambda data: data[:4096] + b"x" * 4096])
+def test_a_damaged_file_of_a_study_is_refused_and_unchanged(tmp_path, damage):
+    sweep(problem(), [f"{FRAME}:3"], tmp_path, workers=1)
+    place = tmp_path / store.STORE
+    place.write_bytes(damage(place.read_bytes()))
+    before = place.read_bytes()
+    with pytest.raises(InputError, match=r"description of the study in the folder cannot be read\. Choose another folder"):
+        sweep(problem(), [f"{FRAME}:3"], tmp_path, resume=True)
+    assert place.read_bytes() == before
+
+
+def test_a_run_killed_before_its_first_entry_is_begun_again(tmp_path):
+    (tmp_path / store.STORE).touch()
+    with pytest.raises(InputError, match="no study to resume"):
+        sweep(problem(), [f"{FRAME}:3"], tmp_path, resume=True)
+    assert sweep(problem(), [f"{FRAME}:3"], tmp_path, workers=1).complete
+
+
+@pytest.mark.slow
+def test_a_killed_run_without_a_folder_leaves_no_temporary_files(tmp_path):
+    code = "import optlink\nfrom optlink.studies.sweep import sweep\n"
+    code += f"sweep(optlink.load('crank-rocker'), ['{FRAME}:9000'], workers=1, progress=lambda *at: print(*at, flush=True))"
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "TMPDIR": str(tmp_path), "TEMP": str(tmp_path)}
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, env=environment) as run:
+        for _ in range(3):
+            assert run.stdout.readline().endswith(" 9000\n")
+        run.kill()
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_study_is_not_restarted_without_resume(tmp_path):
@@ -756,7 +793,7 @@ def test_a_dead_scheduler_gives_one_sentence_and_loses_no_chunk(undisturbed, tmp
             address = scheduler.stdout.readline().strip()
             arguments = command(out, "--engine", "dask", "--scheduler", address)
             with subprocess.Popen(arguments, cwd=ROOT, **pipes) as run:
-                while not list(out.glob("chunks/*/0*.csv")):
+                while not chunks.complete(out):
                     assert run.poll() is None
                     time.sleep(0.01)
                 scheduler.kill()
@@ -767,7 +804,7 @@ def test_a_dead_scheduler_gives_one_sentence_and_loses_no_chunk(undisturbed, tmp
     sentences = [line for line in output.splitlines() if line.strip()]
     assert len(sentences) == 1, output
     assert f"the Dask scheduler {address} did not answer" in sentences[0]
-    complete = len(list(out.glob("chunks/*/0*.csv")))
+    complete = chunks.complete(out)
     assert 1 <= complete < 4
     resumed = sweep(problem(), [f"{FRAME}:{POINTS}"], out, resume=True, workers=1)
     assert resumed.done == POINTS - 100 * complete
@@ -842,7 +879,7 @@ def test_the_command_prints_and_writes(tmp_path):
     assert document["schema"] == "optlink/sweep/4"
     assert document["valid_points"] == 11
     assert float(document["best"]["mechanism.frame_mm"]) == 550.0
-    assert {"result.json", "study.json", "sweep.csv", "sweep.png"} == {path.name for path in tmp_path.iterdir()}
+    assert {"result.json", "study.sqlite", "sweep.csv", "sweep.png"} == {path.name for path in tmp_path.iterdir()}
     text = run("crank-rocker", "--vary", f"{FRAME}:5", "--vary", f"{LIMIT}=130, 135 deg")
     assert text.exit_code == 0
     assert "every point a verified local optimum" in text.stdout
@@ -981,7 +1018,8 @@ def test_a_sweep_is_not_overwritten_by_another_result(tmp_path, other):
     assert "the folder contains a sweep of crank-rocker" in done.stderr
     assert "Choose another folder" in done.stderr
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
-    (tmp_path / store.ABOUT).write_text(json.dumps({"mode": "pareto", "problem": "shaper", "objectives": []}))
+    front = json.dumps({"mode": "pareto", "problem": "shaper", "objectives": []})
+    chunks.change(tmp_path, store.ABOUT, lambda _: front)
     assert "a front of shaper" in CliRunner().invoke(app, [*other, "crank-rocker", "--out", str(tmp_path)]).stderr
 
 

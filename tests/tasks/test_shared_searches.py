@@ -35,7 +35,7 @@ def shared(name: str, runs: Runs | None, **options: Any) -> Any:
 def backwards(task: ChunkTask, todo: Iterable[int]) -> Iterator[tuple[int, ChunkResult]]:
     """The chunks in the present process, the last one first."""
     for index in reversed(list(todo)):
-        yield index, run_chunk(task, index).checked(index)
+        yield index, run_chunk(task, index)
 
 
 def exchanged(task: ChunkTask, todo: Iterable[int]) -> Iterator[tuple[int, ChunkResult]]:
@@ -69,7 +69,7 @@ def pressed(after: int) -> Runs:
             if done == after and not type(task).__name__.startswith("Round"):
                 raise KeyboardInterrupt
             done += not type(task).__name__.startswith("Round")
-            yield index, run_chunk(task, index).checked(index)
+            yield index, run_chunk(task, index)
 
     return runs
 

@@ -32,14 +32,14 @@ from optlink.studies.pareto.epsilon_ranges import RANGES, EpsilonRanges, NoExtre
 from optlink.studies.pareto.objective import OPTION, ParetoObjective
 from optlink.studies.pareto.objectives import read_objectives
 from optlink.studies.reoptimise_task import CHUNK, ReoptimiseTask, check_backend
-from optlink.studies.sweep import GridStudy, TableFile, TemporaryFolder
+from optlink.studies.sweep import GridStudy, TableFile
 from optlink.studies.sweep_task import OptimumTask
 from optlink.version import VERSION
 
 T = TypeVar("T")
 
 POINTS = {1: 15, 2: 7}  # per constrained objective, by their number
-ENDS = "ends.json"  # results of the searches for the ends, kept in the folder
+ENDS = "ends"  # document of the study: results of the searches for the ends
 RANGE_MARGIN = 1e-3
 """Share of an objective by which a design is better than the tightest limit of a range that does not restrict it."""
 SAME_LIMIT = 1e-6  # relative excess over a limit up to which a validation decides whether a known design meets it
@@ -220,9 +220,7 @@ def pareto(
         size = " x ".join(f"{length:,}" for length in ranges.shape) + (f" = {total:,}" if len(ranges.shape) > 1 else "")
         raise InputError(f"{size} points exceed the limit of a front, {MAX_POINTS:,}", "Give fewer", key="--points")
     check(engine, workers, scheduler)
-    keep = TemporaryFolder() if out is None else None
-    place = keep.path if keep is not None else Path(str(out))
-    with Store(place, _about(problem, objective_list, count, backend), resume=resume) as store:
+    with Store(None if out is None else Path(str(out)), _about(problem, objective_list, count, backend), resume=resume) as store:
         ahead = ranges.searches
         once = _Once(store, None if progress is None else lambda completed: progress(completed, ahead + total))
         try:
@@ -268,7 +266,7 @@ def pareto(
             infeasible=sum(row["status"] == Status.INFEASIBLE.value for row in rows),
             dominated=len(designs) - len(front),
             grid=grid,
-            table=TableFile(store.table, keep),
+            table=TableFile(store.table, store.temporary),
             done=mine,
             seconds=time.perf_counter() - begin,
             cpu=cpu,
