@@ -131,6 +131,7 @@ def test_knee_of_a_sphere_lies_on_its_diagonal():
 # --- four-bars for a law -----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_points_are_single_optima_and_verified():
     front = crank_rocker()
     assert front.complete
@@ -591,6 +592,7 @@ def test_a_cluster_gives_the_same_front(press):
     assert cluster.path.read_bytes() == local.path.read_bytes()
 
 
+@pytest.mark.slow
 def test_command_writes_table_document_and_picture(tmp_path):
     out = tmp_path / "front"
     run = CliRunner().invoke(
