@@ -639,31 +639,6 @@ def test_picture_marks_ends_knee_and_reference():
 @pytest.mark.parametrize(
     ("objectives", "words"),
     [
-        ("error", "one objective has no trade-off"),
-        ("error,, coupler", "an objective is empty"),
-        ("error, coupler, rocker, limits.time_ratio.max", "4 objectives are too many for a front"),
-        ("error, error", "twice"),
-        ("coupler, rocker", 'write "error, coupler"'),
-        ("error, frame", "frame is fixed at 500 mm"),
-        ("error, limits.transmision_angle.max", 'Did you mean "limits.transmission_angle.max"'),
-        ("error=1..2, coupler", "it is minimised"),
-        ("error, coupler=", "the range is empty"),
-        ("error, coupler=400..300 mm", "ends are in the wrong order"),
-        ("error, coupler=300..400 kg", "not a unit of length"),
-        ("error, coupler=300..400", "needs a unit"),
-        (f"error, {ANGLE}=10..30 deg", "lower limit is above the upper"),
-    ],
-)
-def test_objectives_without_sense_are_refused(objectives, words):
-    with pytest.raises(InputError) as error:
-        pareto(optlink.load("crank-rocker"), objectives, points=3, workers=1)
-    assert words in str(error.value)
-    assert "objectives" in str(error.value)
-
-
-@pytest.mark.parametrize(
-    ("objectives", "words"),
-    [
         ("peak torqe, rod.length", 'Did you mean "torque"'),
         ("torque, guide force in G", "no such guide"),
         ("torque, guide force", "the guide is missing"),
