@@ -252,6 +252,7 @@ def documented() -> Iterator[Any]:
             todo += [member for member in members if member.is_function or member.is_class]
 
 
+@pytest.mark.slow
 def test_the_reference_shows_the_types_of_the_signatures() -> None:
     """Of every parameter of a group, and of every returned value."""
     shown = 0

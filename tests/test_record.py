@@ -98,6 +98,7 @@ def test_two_records_are_compared(entry: dict[str, Any], tmp_path: Path, capsys:
     assert "1 searches are missing: crank-rocker-robust" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_a_record_is_extended(tmp_path: Path) -> None:
     out = tmp_path / "record.json"
     for seeds in ([0], [0, 1]):

@@ -120,25 +120,6 @@ def test_an_existing_file_is_kept_unless_forced(tmp_path):
     assert optlink.load(path).task == "function"
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("wipper",), 'Did you mean "wiper"'),
-        (("press",), 'Did you mean "toggle-press" or "quick-return-press"?'),
-        (("law", "--out", "."), "this is a folder"),
-        (("law", "--out", "mine"), "Write one of .toml"),
-        (("law", "--out", "none/mine.toml"), "there is no folder"),
-        (("--list", "--out", "mine.toml"), "Name a template"),
-    ],
-)
-def test_bad_input_is_exit_two(arguments, words, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    done = run("new", *arguments)
-    assert done.exit_code == 2
-    assert words in done.stderr
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_list_names_every_template_with_its_command():
     for arguments in (("new",), ("new", "--list")):
         shown = run(*arguments).stdout

@@ -36,14 +36,14 @@ EXAMPLES = {page.stem: of_page(page) for page in PAGES} | {path.stem: of_noteboo
 
 @pytest.fixture(scope="module")
 def errors(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
-    """Lines of one run of `mypy --strict` over all examples, with the configuration of the project."""
+    """Lines of one run of `mypy --strict` over all examples, with the configuration of the project and what it knows already."""
     folder = tmp_path_factory.mktemp("types")
 
     def run() -> list[str]:
         for name, text in (EXAMPLES | {"planted": PLANTED}).items():
             (folder / f"{name}.py").write_text(text, encoding="utf-8")
         done = subprocess.run(
-            [sys.executable, "-m", "mypy", "--strict", "--hide-error-context", "--cache-dir", str(folder / "cache"), str(folder)],
+            [sys.executable, "-m", "mypy", "--strict", "--hide-error-context", str(folder)],
             capture_output=True,
             text=True,
             cwd=ROOT,

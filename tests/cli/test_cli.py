@@ -35,8 +35,8 @@ def process(*arguments: str, cwd: Path | None = None):
 
 @pytest.mark.slow
 def test_solve_json_has_the_documented_keys():
-    done = process("solve", "crank-rocker", "--backend", "both", "--json")
-    assert done.returncode == 0
+    done = run("solve", "crank-rocker", "--backend", "both", "--json")
+    assert done.exit_code == 0
     assert done.stderr == ""
     result = json.loads(done.stdout)
     promised = "schema problem status valid backend design objective limits validation seconds seed backends"
@@ -132,51 +132,6 @@ def test_infeasible_with_out_still_writes_the_result(tmp_path):
     assert json.loads((tmp_path / "result.json").read_text())["status"] == "infeasible"
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("solve", "crank-roker"), 'Did you mean "crank-rocker"'),
-        (("solve", "quick-return-press"), "optlink new quick-return-press --out quick-return-press.toml"),
-        (("solve", "nowhere.toml"), "no such file"),
-        (("solve", "crank-rocker", "--set", "mechanism.fram=480 mm"), 'Did you mean "frame"'),
-        (("solve", "crank-rocker", "--set", "mechanism.frame=480"), "needs a unit"),
-        (("solve", "crank-rocker", "--set", "mechanism.frame"), "KEY=VALUE"),
-        (("solve", "crank-rocker", "--set", "requirement.law=psi0 + __import__('os')"), "unknown"),
-        (("solve", "crank-rocker", "--backend", "fmincon"), "fmincon"),
-        (("solve", "crank-rocker", "--starts", "0"), "starts"),
-        (("solve", "crank-rocker", "--starts", "many"), "many"),
-        (("solve", "crank-rocker", "--seed", "-1"), "seed"),
-        (("validate", "crank-rocker"), "lacks coupler, rocker"),
-        (("validate", "crank-rocker", "--design", "couple=3 mm"), 'Did you mean "coupler"'),
-        (("validate", "crank-rocker", "--design", "coupler=3"), "needs a unit"),
-        (("validate", "crank-rocker", "--design", "nowhere.json"), "cannot read a design"),
-        (("show", "nothing"), "no such problem"),
-        (
-            ("show", "crank-rocker", "--set", "mechanism.crank=true"),
-            "mechanism.crank = true: expected a length, found a logical value",
-        ),
-        (("show", "crank-rocker", "--set", "mechanism.crank=1979-05-27"), 'mechanism.crank = "1979-05-27"'),
-        (("show", "crank-rocker", "--set", "mechanism.coupler.bounds=[9 mm, 1 mm]"), '= ["9 mm", "1 mm"]: the lower bound'),
-        (("solve", "crank-rocker", *["--set", "mechanism.frame=480 mm"] * 2), "--set mechanism.frame"),
-        (("validate", "crank-rocker", *["--design", "coupler=412 mm"] * 2), "--design coupler"),
-        (("validate", "crank-rocker", "--design", "out"), 'coupler="400 mm", or give a result.json'),
-        (("validate", "crank-rocker", "--design", "design.toml"), 'coupler="400 mm", or give a result.json'),
-        (("solve", "crank-rocker", "--format", "svg"), "Add --out DIR"),
-        (("analyze", "six-bar", "--format", "pdf"), "Add --out DIR"),
-        (("analyze", "six-bar", "--points", "90", "--step", "5 deg"), '--points = "90": --step sets the rows'),
-        (("study", "tolerance", "crank-rocker", "--samples", "1e12"), '"1e12" is not a whole number'),
-        (("simulate", "slider-crank-clearance", "--tune", "force"), '--tune = "force": no such parameter'),
-        (("fly",), "fly"),
-    ],
-)
-def test_bad_input_exits_with_2_and_one_sentence(arguments, words):
-    done = run(*arguments)
-    assert done.exit_code == 2
-    assert words in done.stderr
-    assert "Traceback" not in done.output
-    assert done.stdout == ""
-
-
 LINUX = pytest.mark.skipif(not Path("/proc").exists(), reason="a folder of Linux that nobody can write to")
 
 
@@ -239,47 +194,11 @@ def test_a_fault_ends_the_process_with_4():
     assert (done.returncode, done.stderr.count("\n")) == (4, 1), done.stderr
 
 
-@pytest.mark.slow
-def test_usage_error_with_json_is_one_document_too():
-    for arguments in (("solve", "crank-rocker", "--json", "--starts", "many"), ("solve", "--json"), ("fly", "--json")):
-        done = process(*arguments)
-        assert done.returncode == 2
-        assert json.loads(done.stdout)["status"] == "error"
-
-
-NASTY = [
-    ("--set", f"mechanism.frame={'9' * 400}"),
-    ("--set", f"requirement.points=0x{'F' * 4000}"),
-    ("--set", "requirement.points=3\nfoo=4"),
-    ("--set", "requirement.law=psi0 + 1e999"),
-    ("--set", "mechanism.frame=[/red]"),
-    ("--set", "mechanism.frame=\udcff mm"),
-    ("--set", "..=3"),
-    ("--set", "mechanism.=3"),
-    ("--set", "title=5"),
-    ("--set", 'limits={crank="span", transmission_over="revolution"}'),
-]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("arguments", NASTY)
-@pytest.mark.parametrize("as_json", [False, True])
-def test_malformed_values_give_one_sentence_and_no_traceback(arguments, as_json):
-    done = process("solve", "crank-rocker", *arguments, *(["--json"] if as_json else []))
-    assert done.returncode == 2
-    assert done.stderr.startswith("Error: ")
-    assert "Traceback" not in done.stderr
-    assert json.loads(done.stdout)["faults"] if as_json else done.stdout == ""
-
-
 @pytest.mark.parametrize(
     "content",
     [
         "[" * 100_000,
         '{"design": {"coupler_mm": 1' + "0" * 400 + "}}",
-        '{"design": {"coupler_mm": true, "rocker_mm": 232}}',
-        '{"design": [1]}',
-        "",
     ],
 )
 def test_broken_designs_are_refused(tmp_path, content):
@@ -413,35 +332,6 @@ def test_show_toml_writes_a_problem_file(tmp_path):
 
 GAPPED = ("simulate", "crank-rocker-clearance")
 COMPARED = (*GAPPED, "--control", "compare", "--revolutions", "1", "--starts", "1")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "option", "words"),
-    [
-        ((*COMPARED, "--csv", "a.csv"), "--csv", "no effect on a comparison"),
-        ((*COMPARED, "--flywheel", "0.1 kg*m^2"), "--flywheel", "no effect on a comparison"),
-        ((*COMPARED, "--tune", "integral"), "--tune", "Name the kind to tune"),
-        ((*GAPPED, "--evaluations", "8"), "--evaluations", "--tune NAME"),
-        ((*GAPPED, "--workers", "2"), "--workers", "--tune NAME"),
-        ((*GAPPED, "--engine", "dask"), "--engine", "--tune NAME"),
-        ((*GAPPED, "--starts", "3"), "--starts", "--control compare"),
-        ((*GAPPED, "--seed", "0"), "--seed", "--control compare"),
-        ((*GAPPED, "--ideal", "--tolerance", "1e-6"), "--tolerance", "joints count as ideal"),
-        ((*GAPPED, "--ideal", "--resume"), "--resume", "joints count as ideal"),
-        (("simulate", "six-bar", "--tolerance", "1e-6"), "--tolerance", "no joint has clearance"),
-        (("simulate", "six-bar", "--control", "compare"), "--control", "no joint has clearance"),
-        (("simulate", "six-bar", "--seed", "3"), "--seed", "Leave it out"),
-        (("report", "result.json", "-o", "a.html", "--starts", "3"), "--starts", "already contains its design"),
-        (("solve", "shaper-design", "--designs", "2"), "--designs", "several designs"),
-    ],
-)
-def test_options_without_effect_are_refused(tmp_path, monkeypatch, arguments, option, words):
-    monkeypatch.chdir(tmp_path)
-    done = run(*arguments)
-    assert done.exit_code == 2
-    assert option in done.stderr
-    assert words in " ".join(done.stderr.split())
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_comparison_accepts_tolerance_and_points(monkeypatch):

@@ -87,12 +87,14 @@ def processor_time(process):
 def at_work(process, seconds):
     """Wait until a process and its workers have used so many seconds of a processor, where the system says so; else twice."""
     begin = time.monotonic()
-    while time.monotonic() - begin < 60.0 and process.poll() is None:
+    while time.monotonic() - begin < 300.0 and process.poll() is None:
         used = processor_time(process.pid)
         if used > seconds if used is not None else time.monotonic() - begin > 2.0 * seconds:
             return
         time.sleep(0.05)
-    raise AssertionError(f"too quick: {process.communicate()}")
+    state = "too slow" if process.poll() is None else "too quick"
+    process.kill()  # else its outputs would be awaited until it ends by itself
+    raise AssertionError(f"{state}: {process.communicate()}")
 
 
 def press(arguments, after, folder):

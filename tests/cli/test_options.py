@@ -75,46 +75,6 @@ def test_other_spellings_are_the_same_option(old, new):
     assert "No such" not in first.stderr
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("solv", "crank-rocker"), "optlink: no such command 'solv'. Did you mean 'solve'?"),
-        (("study", "swep", "x"), "optlink study: no such command 'swep'. Did you mean 'sweep'?"),
-        (("solve", "x", "--seeds", "1"), "optlink solve: --seeds: no such option. Did you mean --seed or --set?"),
-        (("solve", "x", "--xyzzy"), "optlink solve: --xyzzy: no such option. `optlink solve --help` lists its options"),
-        (("solve", "x", "--starts=1_0"), 'optlink solve: --starts: "1_0" is not a whole number. Give for example 20'),
-        (("solve", "x", "--starts=\u0663"), 'optlink solve: --starts: "\u0663" is not a whole number. Give for example 20'),
-        (("solve", "x", "--starts=many"), 'optlink solve: --starts: "many" is not a whole number. Give for example 20'),
-        (
-            ("solve", "x", "--starts"),
-            "optlink solve: --starts: option requires an argument. `optlink solve --help` lists its options",
-        ),
-        (
-            ("solve", "x", "--json=3"),
-            "optlink solve: --json: option does not take a value. `optlink solve --help` lists its options",
-        ),
-        (("solve", "--quiet"), "optlink solve: PROBLEM: the argument is missing. `optlink solve --help` lists its options"),
-        (("sweep", "x"), "optlink: no such command 'sweep'. Did you mean 'study sweep'?"),
-        (("optimize", "x"), "optlink: no such command 'optimize'. `optlink --help` lists its options"),
-        (("mine.toml", "x"), "optlink: no such command 'mine.toml'. Did you mean 'solve mine.toml'?"),
-        (("solve", "x", "--resume"), "optlink solve: --resume: no such option. `optlink solve --help` lists its options"),
-        (("solve", "x", "--worker"), "optlink solve: --worker: no such option. Did you mean --workers?"),
-        (
-            ("solve", "x", "mechanism.frame=480 mm"),
-            'optlink solve: got unexpected extra argument(s) (mechanism.frame=480 mm). Write --set mechanism.frame="480 mm"',
-        ),
-        (("report", "x"), "optlink report: --out: this option is required. Add --out FILE.html"),
-        (("solve", "x", "y"), "optlink solve: got unexpected extra argument(s) (y). `optlink solve --help` lists its options"),
-    ],
-)
-def test_usage_errors_are_invalid_input(arguments, message):
-    """One sentence with the place and the remedy on standard error, exit code 2, and the same as JSON on request."""
-    done = run(*arguments)
-    assert (done.exit_code, done.stdout, done.stderr) == (2, "", f"Error: {message}\n")
-    document = json.loads(run(*arguments[:-1], "--json", arguments[-1]).stdout)
-    assert (document["schema"], document["message"]) == ("optlink/error/1", message)
-
-
 @pytest.mark.parametrize("words", [(), ("study",)])
 def test_a_group_alone_shows_its_help_and_no_error(words):
     done = run(*words)
@@ -122,28 +82,11 @@ def test_a_group_alone_shows_its_help_and_no_error(words):
     assert done.stdout == run(*words, "--help").stdout
 
 
-def test_a_result_folder_has_no_name_of_a_file(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    done = run("solve", "crank-rocker", "--out", "result.html")
-    assert done.exit_code == 2
-    assert '--out = "result.html": this is the name of a file' in " ".join(done.stderr.split())
-    assert not list(tmp_path.iterdir())
-
-
 def test_a_result_folder_as_design_suggests_the_file(tmp_path):
     (tmp_path / "result.json").write_text("{}", encoding="utf-8")
     done = run("validate", "crank-rocker", "--design", str(tmp_path))
     assert done.exit_code == 2
     assert f"Write --design {tmp_path / 'result.json'}" in done.stderr
-
-
-@pytest.mark.parametrize("words", [("--out=",), ("-o", ""), ("--out", " ")])
-def test_an_empty_name_is_not_the_working_folder(words, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    done = run("solve", "crank-rocker", *words)
-    assert done.exit_code == 2
-    assert "--out: the value is empty. Give one or leave the option out" in " ".join(done.stderr.split())
-    assert not list(tmp_path.iterdir())
 
 
 def test_values_after_two_dashes_are_not_options():
@@ -239,66 +182,6 @@ def test_completion_can_be_installed(monkeypatch):
 
 
 GAPPED = ("simulate", "slider-crank-clearance")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "written", "remedy"),
-    [
-        (("export", "crank-rocker", "-o", "a.dxf", "--hole", "-3 mm"), '--hole = "-3 mm"', "above zero"),
-        (("export", "crank-rocker", "-o", "a.dxf", "--width", "30000 km"), '--width = "30000 km"', "1000 km"),
-        (("export", "crank-rocker", "-o", "a.svg", "--at", "1e30 deg"), '--at = "1e30 deg"', 'for example "45 deg"'),
-        (("export", "crank-rocker", "-o", "a.dxf", "--points", "-3"), '--points = "-3"', "from 1"),
-        (("solve", "crank-rocker", "--starts", "-3"), '--starts = "-3"', "from 1"),
-        (("solve", "crank-rocker", "--certify", "--gap", "200%"), '--gap = "200%"', "less than 1"),
-        (("solve", "crank-rocker", "--certify", "--time-limit", "-3 min"), '--time-limit = "-3 min"', '"5 min"'),
-        (("analyze", "six-bar", "--speed", "9e9 rpm"), '--speed = "9e9 rpm"', "1e6 rad/s"),
-        (("simulate", "six-bar", "--speed", "-0 rpm"), '--speed = "-0 rpm"', "1e-9"),
-        (("simulate", "six-bar", "--duration", "-2 min"), '--duration = "-2 min"', "from 1e-9 s"),
-        ((*GAPPED, "--duration", "-2 min"), '--duration = "-2 min"', "from 1e-9 s"),
-        ((*GAPPED, "--tolerance", "1e-20"), '--tolerance = "1e-20"', "1e-13"),
-        ((*GAPPED, "--flywheel", "-1 kg*m^2"), '--flywheel = "-1 kg*m^2"', "from 0"),
-        ((*GAPPED, "--set", "drive.speed=1e-300 rpm"), 'toml: drive.speed = "1e-300 rpm"', "1e-9"),
-        ((*GAPPED, "--set", "drive.duration=1e20 s"), 'toml: drive.duration = "1e20 s"', "1e7 s"),
-        (("solve", "crank-rocker", "--set", "limits.swing_angle=200.000000001 deg"), ' = "200.000000001 deg"', "30 deg"),
-        (("solve", "crank-rocker", "--set", "limits.transmission_angle=140..40 deg"), ' = "140..40 deg"', "Exchange"),
-        (("solve", "crank-rocker", "--set", "limits.transmission_angle=-5..40 deg"), ' = "-5..40 deg"', "Give a range"),
-        (("solve", "crank-rocker", "--set", "limits.link_ratio=-5..-1"), ' = "-5..-1"', "[0.2, 5.0]"),
-        (("solve", "crank-rocker", "--set", "requirement.from=10..400 deg"), ' = "10..400 deg"', "within -360 deg"),
-        (("solve", "crank-rocker", "--set", "mechanism.coupler=900..100 mm"), ' = "900..100 mm"', "Exchange"),
-    ],
-    ids=lambda value: " ".join(value[2:]) if isinstance(value, tuple) else "",
-)
-def test_values_are_shown_as_written(arguments, written, remedy, tmp_path, monkeypatch):
-    """With its unit and all its digits, also where a function of the library refuses the number [SI] that it was converted to."""
-    monkeypatch.chdir(tmp_path)
-    done = run(*arguments)
-    assert done.exit_code == 2
-    assert written in done.stderr
-    assert remedy in done.stderr
-    assert list(tmp_path.iterdir()) == []
-    fault = json.loads(run(*arguments, "--json").stdout)["faults"][0]
-    assert json.dumps(fault["value"]) == written.partition(" = ")[2]
-    assert written.partition(" = ")[0].rpartition(": ")[2] in fault["key"]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "option"),
-    [
-        (("analyze", "six-bar", "--csv"), "--csv"),
-        (("simulate", "six-bar", "--csv"), "--csv"),
-        ((*GAPPED, "--revolutions", "1", "--csv"), "--csv"),
-        (("balance", "balance-six-bar", "--csv"), "--csv"),
-        (("export", "crank-rocker", "-o"), "--out"),
-    ],
-    ids=lambda value: " ".join(value) if isinstance(value, tuple) else "",
-)
-def test_the_folder_of_a_file_must_exist(arguments, option, tmp_path, monkeypatch):
-    """Only `--out DIR` makes folders, and a file of `--csv` may lie in such a one."""
-    monkeypatch.chdir(tmp_path)
-    done = run(*arguments, "nowhere/a.csv")
-    assert done.exit_code == 2
-    assert f'{option} = "nowhere/a.csv": there is no folder nowhere. Make it first' in done.stderr
-    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(

@@ -148,61 +148,6 @@ def test_a_wrong_direction_of_the_cutting_force_is_detected():
     assert abs(good - bad) > 100.0
 
 
-BAD = {
-    "limits.x": [
-        ({"quantity": "torqe", "max": "1 N*m"}, "limits.x.quantity", "torque"),
-        ({"quantity": "torque"}, "limits.x.max", "max"),
-        ({"quantity": "torque", "min": "5 N*m"}, "limits.x.min", "max"),
-        ({"quantity": "torque", "measure": "least", "max": "5 N*m"}, "limits.x.max", "min"),
-        ({"quantity": "torque", "max": "5 N"}, "limits.x.max", "N*m"),
-        ({"quantity": "torque", "of": "ram", "max": "5 N*m"}, "limits.x.of", "whole machine"),
-        ({"quantity": "reaction", "max": "5 N"}, "limits.x.of", "pin"),
-        ({"quantity": "reaction", "of": "Q", "max": "5 N"}, "limits.x.of", "Known"),
-        ({"quantity": "reaction", "of": "B", "on": "ram", "max": "5 N"}, "limits.x.on", "block"),
-        ({"quantity": "guide force", "of": "crank", "max": "5 N"}, "limits.x.of", "G, F"),
-        ({"quantity": "transmission angle", "of": "E", "min": "20 deg"}, "limits.x.measure", "least"),
-        ({"quantity": "transmission angle", "of": "B", "measure": "least", "min": "20 deg"}, "limits.x.of", "E"),
-        ({"quantity": "stroke", "of": "crank", "max": "20 deg"}, "limits.x.of", "fully"),
-        ({"quantity": "stroke", "of": "D", "max": "20 mm"}, "limits.x.direction", "direction"),
-        ({"quantity": "stroke", "of": "ram", "measure": "rms", "max": "20 mm"}, "limits.x.measure", "one figure"),
-        ({"quantity": "time ratio", "of": "ram", "exactly": 0.5}, "limits.x.exactly", "1 or more"),
-        ({"quantity": "time ratio", "of": "ram", "exactly": "2"}, "limits.x.exactly", "plain number"),
-        ({"quantity": "velocity", "of": "A", "max": "1 m/s"}, "limits.x.of", "moving"),
-        ({"quantity": "velocity", "of": "E", "static": True, "max": "1 m/s"}, "limits.x.static", "static"),
-        ({"quantity": "work", "of": "ram", "max": "1 J"}, "limits.x.stroke", "forward"),
-        ({"quantity": "length", "of": "coupler", "max": "1 m"}, "limits.x.of", "coupler.length"),
-        ({"quantity": "stroke", "of": "ram", "min": "3 mm", "max": "2 mm"}, "limits.x.min", "above"),
-        ({"quantity": "torque", "over": ["0 deg", "90 deg"], "max": "5 N*m"}, "limits.x.over", "only terms of [balance]"),
-        ({"quantity": "torque", "over": ["0 deg", "360 deg"], "max": "5 N*m"}, "limits.x.over", "less than a turn"),
-        ({"quantity": "work", "over": ["0 deg", "90 deg"], "max": "5 J"}, "limits.x.over", "whole cycle"),
-        ({"quantity": "torque", "about": "A", "max": "5 N*m"}, "limits.x.about", "shaking moment"),
-        ({"quantity": "shaking moment", "about": "E", "max": "5 N*m"}, "limits.x.about", "point of the frame"),
-        ({"quantity": "stroke", "of": "ram", "min": "3 mm", "exactly": "4 mm"}, "limits.x.exactly", "given together"),
-    ],
-    "objective": [
-        ({}, "objective.quantity", "torque"),
-        ({"quantity": "torque", "measure": "peak", "sense": "maximise"}, "objective.sense", "minimise"),
-        ({"quantity": "slide", "of": "G", "measure": "least"}, "objective.sense", "maximise"),
-        ({"terms": [{"quantity": "torque"}, {"quantity": "work"}]}, "objective.terms.0.scale", "scale"),
-        ({"quantity": "torque", "terms": [{"quantity": "torque"}]}, "objective.quantity", "terms"),
-        ({"terms": [{"quantity": "torque", "weight": -1.0}]}, "objective.terms.0.weight", "positive"),
-        ({"terms": [{"quantity": "torque", "scale": "2 m"}]}, "objective.terms.0.scale", "torque"),
-        ({"quantity": "reaction", "of": "Z"}, "objective.of", "Known"),
-        ({"quantity": "torque", "over": ["0 deg", "90 deg"]}, "objective.over", "only terms of [balance]"),
-    ],
-}
-
-
-@pytest.mark.parametrize(("where", "value", "key", "words"), [(w, *row) for w, rows in BAD.items() for row in rows])
-def test_unusable_terms_are_reported(where, value, key, words):
-    with pytest.raises(InputError) as caught:
-        changed(**({"limits": {"x": value}} if where == "limits.x" else {"objective": value}))
-    fault = caught.value.faults[0]
-    assert fault.key == key
-    assert words in f"{fault.message}. {fault.remedy}"
-    assert caught.value.exit_code == 2
-
-
 @pytest.mark.parametrize(
     "words",
     [

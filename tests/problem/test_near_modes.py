@@ -135,28 +135,6 @@ def test_a_place_near_neither_names_both_positions():
         assert f"[{x:.6g} mm, {y:.6g} mm]" in fault.message
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        ("near (1 mm, 2 mm)", "not the place of a joint"),
-        ("near [1 mm, 2 mm, 3 mm]", "not the place of a joint"),
-        ("near [1 mm, 2 mm], follow", "not the place of a joint"),
-        ("near [1, 2]", "needs a unit"),
-        ("near [1 deg, 2 mm]", "not a unit of"),
-        ("nearest", "not the place of a joint"),
-    ],
-)
-def test_places_that_cannot_be_read_are_refused(words, said):
-    raw, _, _ = drawn(1)
-    for problem in (
-        raw({"C": words, "E": "forward"}),
-        {"mechanism": {"crank": "30 mm", "coupler": "110 mm", "rocker": "80 mm", "frame": "100 mm", "assembly": words}},
-    ):
-        with pytest.raises(optlink.InputError, match=said) as error:
-            optlink.read(problem)
-        assert error.value.faults[0].key.startswith("mechanism.assembly")
-
-
 def test_a_place_where_the_group_cannot_be_assembled_or_of_a_guide_is_refused():
     with pytest.raises(optlink.InputError, match=r"C has no position where the drive starts \(crank angle 180 deg\)"):
         optlink.read(

@@ -11,30 +11,6 @@ import optlink
 from optlink.errors import InputError
 
 
-@pytest.mark.parametrize(
-    ("problem", "change", "remedy"),
-    [
-        ("shaper-design", {"objective.measure": "lagest"}, 'Did you mean "largest"'),
-        ("crank-rocker", {"crank": "90 mm"}, 'Did you mean "mechanism.crank"'),
-        ("shaper-design", {"coupler.length": "150 mm"}, 'Did you mean "mechanism.links.coupler.length"'),
-        ("six-bar", {"mechanism.type": "sliding"}, "(slider-crank, six-bar and others: `optlink new --list`)"),
-        ("crank-rocker", {"requirement.kind": "stance"}, "unknown kind. Known: function, path, "),
-        ("six-bar", {"bodies.link3.inertias": "0.1 kg*m^2"}, 'Did you mean "inertia"'),
-        ("six-bar", {"mechanism.guides.F.Direction": "3 deg"}, 'Did you mean "direction"'),
-        ("six-bar", {"constraints": {}}, "constraints: unknown key. Known: "),
-        ("six-bar", {"guides": {}}, 'Did you mean "mechanism.guides"'),
-        ("six-bar", {"mechanism.guides.F.direction": [1, 0]}, 'Write { bounds = "45..90 deg" }'),
-        ("crank-rocker", {"options": {}}, "options: unknown key. Known: "),
-        ("balance-four-bar", {"balance.objective": None}, 'Add objective = { quantity = "shaking force"'),
-        ("balance-four-bar", {"balance.counterweights": [{}]}, "optlink show balance-four-bar"),
-    ],
-)
-def test_the_remedy_suggests_the_intended_name(problem: str, change: dict[str, object], remedy: str) -> None:
-    with pytest.raises(InputError) as error:
-        optlink.load(problem).override(change)
-    assert remedy in str(error.value)
-
-
 def test_nested_tables_instead_of_a_name_suggest_read() -> None:
     with pytest.raises(InputError, match=r"nested tables to optlink\.read"):
         optlink.load({"mechanism": {"type": "four-bar"}})  # type: ignore[arg-type]
@@ -57,23 +33,6 @@ def test_results_with_columns_compare_without_an_error() -> None:
     assert first == first
     assert first != second
     assert first.to_dict() == second.to_dict()
-
-
-@pytest.mark.parametrize(
-    ("changes", "remedy"),
-    [
-        (
-            {"limits.crank": "full rotation"},
-            "not a limit of this kind of problem. Leave it out, or limit a quantity",
-        ),
-        ({"mechanism.guides.K": {"through": ["0 mm", "0 mm"]}}, 'Add slider = "NAME", with the name of the body that slides'),
-    ],
-    ids=["limit of another kind", "guide without its slider"],
-)
-def test_the_remedy_fits_the_fault(changes, remedy):
-    with pytest.raises(InputError) as refused:
-        optlink.load("stroke-slider-crank", changes)
-    assert remedy in str(refused.value)
 
 
 def test_numbers_and_lists_of_numpy_are_read_and_recorded_as_those_of_python() -> None:

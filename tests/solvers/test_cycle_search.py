@@ -147,20 +147,6 @@ def test_a_ratio_below_a_limit_is_that_of_the_slow_stroke_in_either_direction():
     assert max(outcome.values()) / min(outcome.values()) <= 1.03
 
 
-@pytest.mark.parametrize(
-    ("limit", "key"),
-    [
-        ({"quantity": "time ratio", "of": "piston", "stroke": "slow", "min": 0.9}, "limits.ratio.min"),
-        ({"quantity": "time ratio", "of": "piston", "stroke": "quick", "max": 1.1}, "limits.ratio.max"),
-        ({"quantity": "time ratio", "of": "piston", "stroke": "forward", "max": -1.0}, "limits.ratio.max"),
-        ({"quantity": "end", "of": "piston", "stroke": "slow", "max": "1 m"}, "limits.ratio.stroke"),
-    ],
-)
-def test_ratios_that_no_stroke_has_are_refused(limit, key):
-    with pytest.raises(InputError, match=key):
-        problem(PUMP, limits__ratio=limit)
-
-
 # --- more starting points ------------------------------------------------------------------------------------------------
 
 

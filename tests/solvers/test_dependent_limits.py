@@ -79,7 +79,9 @@ def rocker(transmission: float, alignment: float) -> Any:
     return with_limits(900.0, 100.0, 180.0 - transmission, alignment)
 
 
-@pytest.mark.parametrize(("design", "at", "joint"), [(slider, 30.0, 0.0372368e-6), (rocker, 45.0, 1.464696e-4)])
+@pytest.mark.parametrize(
+    ("design", "at", "joint"), [pytest.param(slider, 30.0, 0.0372368e-6, marks=pytest.mark.slow), (rocker, 45.0, 1.464696e-4)]
+)
 def test_relaxing_one_of_two_equal_limits_gains_nothing(design: Callable[[float, float], Any], at: float, joint: float) -> None:
     result = design(at, at)
     twins = [limit for limit in states(result).values() if limit.depends_on]
@@ -117,6 +119,7 @@ def test_sensitivities_of_dependent_limits_are_those_of_an_increase() -> None:
     assert less.y.tolist() == [0.0 if only else -effect for only, effect in zip(tightened_only, more.y, strict=True)]
 
 
+@pytest.mark.slow
 def test_an_exact_length_at_its_bound_cannot_be_raised_alone() -> None:
     """Relaxing the bound changes nothing; a longer frame, which would be better, exceeds the bound."""
 

@@ -122,7 +122,7 @@ def along_the_limit(robust):
 CASES = [("3 sigma", "max"), ("1.5 sigma", "max"), ("worst case", "max"), ("expected value", "sum of squares")]
 
 
-@pytest.mark.parametrize(("robust", "measure"), mostly_slow(CASES, CASES[0], CASES[3]))
+@pytest.mark.parametrize(("robust", "measure"), mostly_slow(CASES, CASES[3]))
 def test_a_robust_design_is_the_best_along_its_limit(problem, robust, measure):
     changed = problem.override({"requirement.robust": robust, "requirement.measure": measure})
     result = solve(changed, "both")
@@ -591,41 +591,6 @@ def test_the_command_solves_reports_and_validates(problem, tmp_path):
     shown = run("show", "crank-rocker-robust").output
     assert "[tolerances]" in shown
     assert "±0.8 mm uniform, cost 2" in shown
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        (["requirement.robust=3 sigmas"], ["requirement.robust", "this does not state how tolerances are taken into account"]),
-        (["requirement.robust=3"], ["this does not state how tolerances are taken into account"]),
-        (["requirement.robust=-1 sigma"], ["out of range"]),
-        (["requirement.robust=1e9 sigma"], ["out of range"]),
-        (["requirement.robust=expected value"], ['is not compatible with measure = "max"', 'measure = "sum of squares"']),
-        (["requirement.measure=rms"], ['"3 sigma" is not compatible with measure = "rms"', '"expected value"']),
-        (["tolerances={}"], ["a robust design needs tolerances", "[tolerances]"]),
-        (["tolerances=1"], ["tolerances", "expected a table"]),
-        (["tolerances.couplr=0.1 mm"], ["tolerances.couplr", "unknown dimension", 'Did you mean "coupler"']),
-        (["tolerances.coupler=-0.1 mm"], ["tolerances.coupler", "must be positive"]),
-        (["tolerances.coupler=0.1 deg"], ["tolerances.coupler", "not a unit of length"]),
-        (["tolerances.coupler=0.1"], ["tolerances.coupler"]),
-        (["tolerances.coupler=0.1 mm gaussian"], ["unknown distribution"]),
-        (["tolerances.coupler=2 m"], ["more than half of the dimension"]),
-        (["tolerances.coupler=nowhere.csv"], ["no such file", "problem file"]),
-        (["tolerances.frame=1 mm"], ["tolerances.frame", "given twice"]),
-        (["tolerances.C.clearence=1 mm"], ["unknown dimension", "C.clearance"]),
-        (["tolerances.coupler={ tolerance = '1 mm', distribution = 'flat' }"], ["tolerances.coupler.distribution", "unknown"]),
-        (["tolerances.coupler={ tolerance = '1 mm', costs = 3 }"], ["tolerances.coupler.costs", "unknown key", '"cost"']),
-        (["tolerances.coupler={ tolerance = '1 mm', cost = -3 }"], ["tolerances.coupler.cost", "above zero"]),
-        (["tolerances.coupler={ cost = 3 }"], ["tolerances.coupler.tolerance", "missing"]),
-        (["tolerances.coupler={ tolerance = 3 }"], ["tolerances.coupler.tolerance", "with its unit"]),
-    ],
-)
-def test_bad_input_is_reported(changes, words):
-    result = run("solve", "crank-rocker-robust", *(word for change in changes for word in ("--set", change)))
-    assert result.exit_code == 2, result.output
-    assert "Traceback" not in result.output
-    for word in words:
-        assert word in " ".join(result.output.split())
 
 
 @pytest.mark.slow

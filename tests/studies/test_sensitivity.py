@@ -473,24 +473,6 @@ def test_output_sensitivities_are_written(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--quantity", "rocker", "--check"], "the sensitivity of an output involves no optimisation"),
-        (["--angles", "0 deg"], "the option applies to --quantity only"),
-        (["--quantity", "rocker", "--angles", "1e400 deg"], "finite numbers"),
-        (["--quantity", "rocker", "--angles", ""], "--angles: the value is empty"),
-        (["--backend", "both"], "a study searches with one back end"),
-        (["--starts", "0"], "out of range"),
-    ],
-)
-def test_options_without_effect_are_refused_and_leave_no_folder(tmp_path, arguments, words):
-    done = run("crank-rocker", *arguments, "--out", str(tmp_path / "new" / "folder"))
-    assert done.exit_code == 2
-    assert words in done.stderr
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize(
     ("name", "measure"),
     [
         ("law-slider-crank", "max"),

@@ -47,7 +47,7 @@ STUDIES: dict[str, Callable[[], Document]] = {
     "sensitivity of a path": lambda: sensitivities(optlink.load("path-scott-russell")),
     "sensitivity of a stroke": lambda: sensitivities(optlink.load("stroke-crank-rocker")),
 }
-SLOW = ("sensitivity of a path", "allocation", "sweep of simulations")
+SLOW = ("sweep", "front", "sensitivity of a path", "allocation", "sweep of simulations")
 
 
 def written(study: Document, folder: Path) -> Path:

@@ -77,46 +77,6 @@ def test_ranges_lists_and_ratios(text, unit, values):
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("mechanism.frame", "expected KEY=VALUES"),
-        ("mechanism.frame=", "expected KEY=VALUES"),
-        ("mechanism.frame=450..550 mm", "number of points"),
-        ("mechanism.frame=550..450 mm:11", "empty"),
-        ("mechanism.frame=500..500 mm:11", "empty"),
-        ("mechanism.frame=450..550 mm:1", "1 points do not make a range"),
-        ("mechanism.frame=450..550 mm:0", "0 points do not make a range"),
-        ("mechanism.frame=450..550 mm:-3", "-3 points do not make a range"),
-        ("mechanism.frame=450..550 mm step 0", "step is zero"),
-        ("mechanism.frame=450..550 mm step -1", "step is zero or negative"),
-        ("mechanism.frame=0..550 mm:5 log", "above zero"),
-        ("mechanism.frame=45 cm..550 mm:5", "different units"),
-        ("mechanism.frame=450 mm, 450 mm", "listed twice"),
-        ("mechanism.frame=wide, narrow", "not a list"),
-        ("mechanism.frame=450..550:5", "needs a unit"),
-        ("mechanism.frame=450..550 kg:5", "not a unit of length"),
-        ("mechanism.frame=-5..550 mm:5", "positive"),
-        ("mechanism.fram=450..550 mm:5", 'Did you mean "frame"'),
-        ("limits.transmision_angle.max=120..130 deg:5", "Did you mean"),
-        ("mechanism.frame=450..550 mm:1000000000000", "1,000,000,000,000 points exceed the limit of a sweep"),
-        ("requirement.span=0..90 deg:3", "span must not be zero"),
-        ("mechanism.frame=nan..550 mm:3", "finite numbers"),
-        ("mechanism.frame=450..inf mm:3", "finite numbers"),
-        ("mechanism.frame=450 mm, -Infinity mm", "finite numbers"),
-        ("mechanism.frame=450..550 mm:2.5", "number of points"),
-        ("mechanism.frame=450..550 mm step 200", "longer than the range"),
-        ("mechanism.frame=450:550 mm", "not a list"),
-        ("requirement.measure=max, rms", "a sweep does not vary words"),
-        ("mechanism.frame.max=450..550 mm:3", "frame is fixed at 500 mm, it has no bounds"),
-        ("mechanism=450..550 mm:3", "--vary mechanism"),
-    ],
-)
-def test_bad_axes_are_reported_with_the_reason(text, words):
-    with pytest.raises(InputError, match=words.replace("(", r"\(")):
-        read_grid(problem(), [text])
-
-
-@pytest.mark.parametrize(
     ("text", "values"),
     [
         ("limits.transmission_angle.max=130..136 deg:4", (130.0, 132.0, 134.0, 136.0)),
@@ -142,12 +102,6 @@ def test_a_million_million_points_are_refused_with_their_size():
     assert "1,000,000 x 1,000,000 = 1,000,000,000,000 points" in text
     assert "days" in text
     assert "GB" in text
-
-
-@pytest.mark.parametrize("axis", ["about=1..2 mm:3", "title=1 mm, 2 mm", "report.author=1..2 s:2", "expected.objective=1, 2"])
-def test_texts_and_expected_results_are_not_varied(axis):
-    with pytest.raises(InputError, match=f"vary {axis.partition('=')[0]}: no result depends on this key"):
-        read_grid(problem(), [axis])
 
 
 def test_a_tolerance_is_varied_for_a_robust_design_alone():
@@ -234,6 +188,7 @@ def test_rows_do_not_depend_on_sweeps_before_in_the_same_process():
     assert again.path.read_bytes() == first.path.read_bytes()
 
 
+@pytest.mark.slow
 def test_points_without_a_design_are_rows_too():
     result = sweep(problem(), [f"{LIMIT}=70, 100 deg"], workers=1)
     table = result.columns
@@ -935,24 +890,6 @@ def test_pictures_over_one_two_and_three_parameters(name, arguments, panels, leg
         np.testing.assert_array_equal(np.ma.filled(shown, np.nan), table[[1, 2, 0]])
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        ([], "no parameter is varied"),
-        (["--vary", f"{FRAME}:3", "--resume"], "needs the folder of the run"),
-        (["--vary", f"{FRAME}:3", "--column", "input.torque_Nm"], "Add --analyze"),
-        (["--vary", f"{FRAME}:3", "--design", "coupler=412 mm", "--design", "rocker=232 mm"], "add --analyze"),
-        (["--vary", f"{FRAME}:3", "--engine", "slurm"], "unknown engine"),
-        (["--vary", "mechanism.fram=1..2 m:3"], 'Did you mean "frame"'),
-    ],
-)
-def test_bad_input_of_the_command(arguments, words):
-    done = run("crank-rocker", *arguments)
-    assert done.exit_code == 2
-    assert words in done.stderr
-    assert "Traceback" not in done.stderr
-
-
 def test_a_given_design_may_omit_varied_keys(tmp_path):
     arguments = ["--analyze", "--vary", "mechanism.coupler=400..420 mm:2", "--column", "rocker.angle_rad"]
     assert run("crank-rocker", *arguments, "--design", "rocker=232 mm", "--out", str(tmp_path)).exit_code == 0
@@ -978,21 +915,6 @@ def test_files_are_written_completely_or_not_at_all(tmp_path):
     with pytest.raises(ZeroDivisionError):
         half_written(tmp_path / "a.txt")
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize(
-    ("values", "words"),
-    [
-        ("50..70 mm step 1e-320", "the number of points exceeds the limit of a sweep"),  # their number is infinite
-        ("50..70 mm step 1e-9", "the number of points exceeds the limit of a sweep"),
-        ("1e400 mm, 60 mm", "finite numbers"),
-        ("-1e308..1e308 mm:3", "exceeds the largest number"),
-        ("1e-308..1e308 mm:3 log", "exceeds the largest number"),
-    ],
-)
-def test_ranges_beyond_float_precision_are_refused(values, words):
-    with pytest.raises(InputError, match=words):
-        read_axis(f"mechanism.crank={values}")
 
 
 def test_crank_angles_without_an_analysis_are_refused():

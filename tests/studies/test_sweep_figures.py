@@ -306,6 +306,7 @@ def test_the_pace_of_a_slow_sweep_is_not_zero():
         assert "all by a search" in said
 
 
+@pytest.mark.slow
 def test_a_sweep_of_simulations_draws_what_varies_in_units_of_a_drawing():
     options = {"revolutions": 2, "points": 36}
     result = sweep(optlink.load("slider-crank-clearance"), ["drive.speed=900..1500 rpm:3"], simulate=options)

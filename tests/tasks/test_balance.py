@@ -138,49 +138,6 @@ def test_an_objective_that_is_given_twice_is_refused():
         optlink.load("balance-four-bar", {"balance": section})
 
 
-@pytest.mark.parametrize("text", ["", "maximise force", "rms", "force of crank", "torque from 90 to 80 deg", "stroke of F"])
-def test_unknown_measures_are_refused(text):
-    with pytest.raises(optlink.InputError, match=r"not a term|minimisation|above the upper|whole machine|not a convex"):
-        optlink.load("balance-six-bar", {"balance.objective": text})
-
-
-@pytest.mark.parametrize(
-    ("keys", "key", "value", "remedy"),
-    [
-        ({"quantity": "velocity", "of": "C", "measure": "rms"}, "quantity", "velocity", "Choose one of: torque, reaction"),
-        ({"quantity": "total length"}, "quantity", "total length", "Choose one of: torque, reaction"),
-        (
-            {"quantity": "transmission angle", "of": "C", "measure": "largest"},
-            "quantity",
-            "transmission angle",
-            "Choose one of: torque",
-        ),
-        ({"quantity": "work"}, "quantity", "work", "Choose one of: torque"),
-        ({"quantity": "torque", "measure": "mean"}, "measure", "mean", "peak"),
-        ({"quantity": "torque", "measure": "largest"}, "measure", "largest", "peak"),
-        ({"quantity": "torque", "measure": "rms", "sense": "maximise"}, "sense", "maximise", "Leave it out"),
-    ],
-)
-def test_what_is_not_convex_is_refused_with_key_value_and_remedy(keys, key, value, remedy):
-    with pytest.raises(optlink.InputError) as refused:
-        optlink.load("balance-four-bar", {"balance.objective": keys})
-    (fault,) = refused.value.faults
-    assert (fault.key, fault.value) == (f"balance.objective.{key}", value)
-    assert remedy in fault.remedy
-    with pytest.raises(optlink.InputError) as refused:
-        optlink.load("balance-four-bar", {"balance.limits": {"held": {**keys, "max": "1 N"} if key != "sense" else keys}})
-    assert refused.value.faults[0].key.startswith("balance.limits.held.")
-
-
-@pytest.mark.parametrize(("side", "measure"), [("min", "rms"), ("exactly", "rms"), ("min", "peak"), ("exactly", "peak")])
-def test_a_magnitude_is_limited_from_above_only(side, measure):
-    limit = {"quantity": "torque", "measure": measure, side: "1 N*m"}
-    with pytest.raises(optlink.InputError) as refused:
-        optlink.load("balance-four-bar", {"balance.limits": {"held": limit}})
-    (fault,) = refused.value.faults
-    assert (fault.key, fault.value, fault.remedy) == (f"balance.limits.held.{side}", "1 N*m", "Write max")
-
-
 def test_compression_is_exact():
     """|R x + r| of the small matrix is the root mean square over all positions, whatever the parameters."""
     rng = np.random.default_rng(3)
@@ -1056,73 +1013,6 @@ def test_infeasible_through_the_command_line():
 
 
 # --- bad input -----------------------------------------------------------------------------------------------------
-
-WEIGHT = 'balance.counterweights=[{{ body = "crank", {} }}]'
-TWICE = '{ body = "crank", kind = "free", extent = "1 mm", mass = "1 kg" }'
-BAD = {
-    "no body": (
-        'balance.counterweights=[{ body = "crnk", thickness = "10 mm", density = "7850 kg/m^3", reach = "60 mm" }]',
-        "crank",
-    ),
-    "negative mass": (WEIGHT.format('kind = "free", reach = "60 mm", mass = ["-1 kg", "1 kg"]'), "negative mass"),
-    "free radius": (WEIGHT.format('radius = ["10 mm", "40 mm"], reach = "60 mm"'), "no convex function"),
-    "no size": (WEIGHT.format('reach = "60 mm"'), "thickness"),
-    "no density": (WEIGHT.format('thickness = "10 mm", reach = "60 mm"'), "density"),
-    "no place": (WEIGHT.format('thickness = "10 mm", density = "7850 kg/m^3"'), "ever larger radius"),
-    "no mass": (WEIGHT.format('kind = "free", reach = "60 mm"'), "mass is unbounded"),
-    "no extent": (WEIGHT.format('kind = "free", reach = "60 mm", mass = "1 kg"'), "moment of inertia is unbounded"),
-    "negative total": ('balance.mass=["-1 kg", "1 kg"]', "negative mass"),
-    "free disc": (WEIGHT.format('kind = "free", thickness = "10 mm", reach = "60 mm"'), "any shape"),
-    "too large": (WEIGHT.format('radius = "50 mm", extent = "20 mm"'), "larger than its extent"),
-    "unknown kind": (WEIGHT.format('kind = "cube", reach = "60 mm"'), "disc"),
-    "unknown key": (WEIGHT.format('kind = "free", reech = "60 mm"'), "reach"),
-    "no unit": (WEIGHT.format('kind = "free", reach = 60'), "unit"),
-    "twice": (f"balance.counterweights=[{TWICE}, {TWICE}]", "two"),
-    "nothing": ("balance.counterweights=[]", "are permitted"),
-    "no list": ('balance.counterweights={ body = "crank" }', "list of tables"),
-    "no measure": ('balance.objective="weight"', "rms torque"),
-    "no value": ('balance.limits={ a = { quantity = "torque" } }', 'Add max = "5 N*m", or "90 %"'),
-    "maximise": ('balance.objective="maximise force"', "convex"),
-    "negative weight": ('balance.objective={ "rms force" = -1.0 }', "a weight is positive"),
-    "no joint": ('balance.objective="reaction at Z"', "no such pin joint"),
-    "no point": ('balance.about="Q"', "not a point of the frame"),
-    "negative limit": ('balance.limits={ "rms force" = "-1 N" }', "must not be negative"),
-    "wrong unit": ('balance.limits={ "rms force" = "5 mm" }', "force"),
-    "no share": ('balance.limits={ "rms force" = "x %" }', "80 %"),
-    "few positions": ("balance.positions=2", "8"),
-    "bad arc": ('balance.objective="torque from 90 to 10 deg"', "above the upper"),
-}
-
-
-@pytest.mark.parametrize("name", BAD)
-def test_bad_input_is_reported_with_key_and_remedy(name):
-    change, words = BAD[name]
-    done = run("balance-four-bar", "--set", change)
-    assert done.exit_code == 2, done.output
-    assert done.stderr.startswith("Error: balance-four-bar.toml: balance")
-    assert words in done.stderr
-    assert "Traceback" not in done.output
-    document = json.loads(run("balance-four-bar", "--json", "--set", change).stdout)
-    assert document["faults"][0]["key"].startswith("balance")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("six-bar",), "no [balance]"),
-        (("balance-four-bar", "--minimise", "weight"), "--minimise"),
-        (("balance-four-bar", "--trade", "force"), "two measures"),
-        (("balance-four-bar", "--trade", "force,force"), "the same"),
-        (("balance-four-bar", "--trade", "force,torque", "--points", "2"), "--points"),
-        (("balance-four-bar", "--set", "bodies.crank.mass=0 kg"), ""),
-    ],
-)
-def test_bad_arguments(arguments, words):
-    done = run(*arguments)
-    if words:
-        assert done.exit_code == 2
-        assert words in done.stderr
-    assert "Traceback" not in done.output
 
 
 def test_friction_is_refused_where_it_is_not_linear():

@@ -489,13 +489,6 @@ def test_assembly_modes_that_the_lengths_do_not_have_are_refused(changes, words)
         optlink.analyze(four_bar_problem((50.0, 150.0, 100.0, 200.0)).override(changes))
 
 
-def test_designs_are_not_searched_through_change_points():
-    with pytest.raises(optlink.InputError, match="one assembly mode"):
-        optlink.load("crank-rocker", {"mechanism.assembly": "left, continue"})
-    with pytest.raises(optlink.InputError, match="one assembly mode"):
-        optlink.load("press-toggle", {"mechanism.assembly.C": "continue"})
-
-
 @pytest.mark.slow
 def test_undetermined_positions_are_shown_in_pages_and_pictures(tmp_path):
     path = tmp_path / "problem.toml"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Callable
 from typing import Any
@@ -182,14 +181,6 @@ def test_each_requirement_has_its_pictures_and_points(tmp_path):
 # --- input that is refused -------------------------------------------------------------------------------------------------
 
 
-def first(**changes: Any) -> Callable[[Any], Any]:
-    return lambda raw: raw["requirements"][0].update(changes)
-
-
-def second(**changes: Any) -> Callable[[Any], Any]:
-    return lambda raw: raw["requirements"][1].update(changes)
-
-
 def torque(**changes: Any) -> Callable[[Any], Any]:
     return lambda raw: raw["limits"]["driving_torque"].update(changes)
 
@@ -198,61 +189,7 @@ def limits(**changes: Any) -> Callable[[Any], Any]:
     return lambda raw: raw["limits"].update(changes)
 
 
-def stated(**changes: Any) -> Callable[[Any], Any]:
-    return lambda raw: raw["requirement"].update(changes)
-
-
 TWO, TORQUE, LEAST, SMALLEST = "poses-and-law", "path-within-torque", "least-torque", "law-smallest-machine"
-SWING = {"quantity": "stroke", "of": "rocker", "max": "50 deg"}
-
-
-@pytest.mark.parametrize(
-    ("name", "change", "key", "text"),
-    [
-        (TWO, second(name="gripper"), "requirements.1.name", "two requirements have this name"),
-        (TWO, lambda raw: raw["requirements"][1].pop("weight"), "requirements.1.weight", "Give each a weight, or a tolerance"),
-        (TWO, first(tolerance="1 mm"), "requirements.0.weight", "only a term of an objective of several terms"),
-        (TWO, lambda raw: raw["requirements"].pop(), "requirements.0.weight", "only a term of an objective of several terms"),
-        (TWO, first(weight=-1), "requirements.0.weight", "positive"),
-        (TWO, first(kind="pose"), "requirements.0.kind", "Known: function"),
-        (TWO, second(kind="funktion"), "requirements.1.kind", 'Did you mean "function"?'),
-        (TWO, second(kind="strok"), "requirements.1.kind", 'Did you mean "stroke"?'),
-        (TWO, first(toleranse="1 mm"), "requirements.0.toleranse", 'Did you mean "tolerance"?'),
-        (TWO, first(point="Q"), "requirements.0.point", "Known: B, C, P"),
-        (TWO, first(name="P"), "requirements.0.name", "a body or point of the mechanism has this name"),
-        (TWO, lambda raw: raw.update(requirement=raw["requirements"][0]), "requirement", "Move it into the list"),
-        (TWO, lambda raw: raw.update(requirements={"a": 1}), "requirements", "[[requirements]]"),
-        (TWO, lambda raw: raw.update(objective={"quantity": "total length"}), "objective.quantity", "[[objective.terms]]"),
-        (LEAST, stated(measure="sum of squares"), "requirement.measure", 'Write measure = "max"'),
-        (LEAST, stated(tolerance="0.5 deg"), "requirement.tolerance", "not a unit of length"),
-        (LEAST, stated(tolerance="0 mm"), "requirement.tolerance", "positive"),
-        (LEAST, stated(weight=2.0), "requirement.weight", "Leave it out"),
-        (LEAST, limits(crank="span"), "limits.crank", 'Write crank = "full rotation"'),
-        (TORQUE, limits(crank="span"), "limits.crank", 'Write crank = "full rotation"'),
-        (
-            TORQUE,
-            limits(transmision_angle=["30 deg", "150 deg"]),
-            "limits.transmision_angle",
-            'Did you mean "transmission_angle"?',
-        ),
-        (TORQUE, limits(foo=3), "limits.foo", "unknown key"),
-        (TORQUE, limits(foo={"of": "crank"}), "limits.foo", "unknown key"),
-        (TORQUE, torque(maxx="1 N*m"), "limits.driving_torque.maxx", 'Did you mean "max"?'),
-        (TORQUE, torque(quantity="torqe"), "limits.driving_torque.quantity", 'Did you mean "torque"?'),
-        (TORQUE, torque(max="0.4 N"), "limits.driving_torque.max", "not a unit of torque"),
-        (TORQUE, lambda raw: raw["limits"]["driving_torque"].pop("max"), "limits.driving_torque.max", "no value"),
-        (TORQUE, torque(quantity="stroke", of="crank", max="60 deg"), "limits.driving_torque.of", "turns fully"),
-        (SMALLEST, lambda raw: raw["limits"].update(crank="span", swing=SWING), "limits.crank", 'Write crank = "full rotation"'),
-    ],
-)
-def test_one_error_names_key_and_remedy(name, change, key, text):
-    raw = copy.deepcopy(dict(optlink.load(name).raw))
-    change(raw)
-    with pytest.raises(InputError) as caught:
-        read(raw)
-    assert len(caught.value.faults) == 1
-    assert str(caught.value.faults[0].key).startswith(key)
-    assert text in str(caught.value)
 
 
 def test_a_requirement_is_changed_by_its_name():

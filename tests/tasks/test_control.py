@@ -368,6 +368,7 @@ def test_checkpoints_of_other_kinds_are_refused(saved):
         optlink.simulate_clearance(rocker(), 2, 60, tolerance=1e-6, check_predictability=False, resume=simulation)
 
 
+@pytest.mark.slow
 def test_a_complete_run_is_resumed_at_its_last_revolution():
     """Its results may not have been written: the statistics are those of the whole run, the rows those of its end."""
     kept: list[dict] = []

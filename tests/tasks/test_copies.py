@@ -65,7 +65,7 @@ def made(kind: str) -> Any:
     return RESULTS[kind]()
 
 
-@pytest.fixture(scope="module", params=mostly_slow(RESULTS, *(RESULTS.keys() - {"comparison"})))
+@pytest.fixture(scope="module", params=mostly_slow(RESULTS, *(RESULTS.keys() - {"comparison", "transmission"})))
 def result(request: pytest.FixtureRequest) -> Any:
     return made(request.param)
 

@@ -10,7 +10,6 @@ import pytest
 from scipy.optimize import minimize
 
 import optlink
-from optlink.errors import InputError
 from optlink.report.html.page import page
 from optlink.report.report_model import report_model_of
 from optlink.tasks.results.design import SynthesisResult
@@ -201,34 +200,3 @@ def test_the_page_of_a_dwell() -> None:
     text = page(report_model_of(solution("straight-line")))
     assert "P.y [mm]" in text
     assert "start, the default" not in text
-
-
-FAULTS = {
-    "no range": ({"over": None}, "requirement.over", "missing"),
-    "half a range": ({"over": ["20 deg"]}, "requirement.over", "two angles"),
-    "a length": ({"over": ["20 mm", "30 mm"]}, "requirement.over", "deg"),
-    "no rotation": ({"over": ["20 deg", "20 deg"]}, "requirement.over", "zero"),
-    "more than a revolution": ({"over": "400 deg"}, "requirement.over", "one revolution"),
-    "two starts": ({"start": "30 deg"}, "requirement.start", "already states"),
-    "a tolerance": ({"tolerance": "1 deg"}, "requirement.tolerance", "band"),
-    "a band of length": ({"band": "1 mm"}, "requirement.band", "deg"),
-    "a band of nothing": ({"band": "0 deg"}, "requirement.band", "positive"),
-    "a value of length": ({"value": "3 mm"}, "requirement.value", "output is an angle"),
-    "a linked value": ({"value": {"equals": "start"}}, "requirement.value", "linked"),
-    "no such output": ({"output": "lever"}, "requirement.output", "name of a body"),
-    "no such point": ({"output": "Q.y"}, "requirement.output", "coordinate of a moving point"),
-    "a law": ({"law": "psi0"}, "requirement.law", "a dwell has no law"),
-    "a measure": ({"measure": "rms"}, "requirement.measure", "a dwell has no measure"),
-}
-
-
-@pytest.mark.parametrize("name", FAULTS)
-def test_unusable_dwells_are_reported(name: str) -> None:
-    changes, key, words = FAULTS[name]
-    stated = {**ROCKER["requirement"], **changes}
-    with pytest.raises(InputError) as caught:
-        optlink.read(ROCKER | {"requirement": {key: value for key, value in stated.items() if value is not None}})
-    fault = caught.value.faults[0]
-    assert fault.key == key
-    assert words in str(fault)
-    assert fault.remedy

@@ -61,6 +61,7 @@ def test_a_poor_path_is_called_poor(star) -> None:
     assert verdict(ReportModel(star.problem, star, None)).startswith("Valid, poor fit: rms error is")
 
 
+@pytest.mark.slow
 def test_a_design_that_breaks_a_limit_has_no_grade(star) -> None:
     """Beside "no feasible design found", a grade of the nearest one reads like praise, and its reasons are no remedies."""
     narrow = star.problem.override({"limits.transmission_angle": ["89.99 deg", "90.01 deg"]})

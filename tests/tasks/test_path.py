@@ -25,7 +25,7 @@ from optlink.tasks.run import design_task
 from tests import synthesis_oracle as oracle
 from tests.random_linkages import judged
 from tests.solved import solution
-from tests.stated import SLIDER_CRANK, document, four_bar_section, free
+from tests.stated import document, four_bar_section, free
 from tests.tiers import mostly_slow
 
 VLINE = [(20, 20), (20, 25), (20, 30), (20, 35), (20, 40), (20, 45)]
@@ -151,45 +151,6 @@ def test_same_seed_same_answer_and_files(tmp_path):
     assert document["valid"]
     machine = optlink.load(tmp_path / "design.toml")
     assert machine.model.quantities["crank"].value == pytest.approx(one.best.values["crank"], rel=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("points", "changes", "words"),
-    [
-        ([(1, 2)], {}, "point"),
-        ([(1, 2), (1, 2), (3, 4)], {}, "coincide"),
-        ([(1, 2), (3, math.nan)], {}, "nan"),
-        (VLINE, {"requirement.timing": "from start"}, "no crank angles"),
-        (VLINE, {"requirement.point": "Q"}, "Known"),
-        (VLINE, {"requirement.kind": "motion"}, "angles are missing"),
-    ],
-)
-def test_bad_input_is_reported(points, changes, words):
-    with pytest.raises(optlink.InputError) as caught:
-        optlink.read(path(points)).override(changes)
-    assert words in str(caught.value)
-
-
-KEYS = {
-    (
-        "path",
-        "limits",
-    ): "alignment length_margin crank transmission_angle pressure_angle transmission_cosine transmission_over "
-    "swing_angle time_ratio frame_length link_ratio pivots",
-    ("slider", "limits"): "alignment crank transmission_angle pressure_angle transmission_over pivots",
-    ("path", "requirement"): "name tolerance weight scale robust kind point points timing start rotation closed measure",
-    ("slider", "requirement"): "name tolerance weight scale robust kind point points timing start rotation closed measure",
-}
-
-
-@pytest.mark.parametrize(("base", "section"), KEYS)
-def test_an_unknown_key_lists_the_valid_keys(base, section):
-    raw = path(VLINE) if base == "path" else document(SLIDER_CRANK)
-    with pytest.raises(optlink.InputError) as caught:
-        optlink.read({**raw, section: {**raw[section], "swing": "20 deg"}})
-    (fault,) = caught.value.faults
-    assert fault.key == f"{section}.swing"
-    assert fault.remedy.partition("Known: ")[2].split(", ") == KEYS[base, section].split()
 
 
 @pytest.mark.slow

@@ -115,29 +115,6 @@ def test_a_mechanism_with_another_point_is_rejected(result: Any) -> None:
     assert not planted.valid
 
 
-FAULTS = {
-    "no such point": ({"output": "Q.x"}, "requirement.output", "coordinate of a moving point"),
-    "a point of the frame": ({"output": "D.x"}, "requirement.output", "coordinate of a moving point"),
-    "no such axis": ({"output": "P.z"}, "requirement.output", "coordinate of a moving point"),
-    "no output": ({"output": None}, "requirement.law", "P.y"),
-    "an angle": ({"law": "psi0 + phi"}, "requirement.output", "unit of length"),
-    "psi0": ({"psi0": "3 deg"}, "requirement.psi0", "a rotating body only"),
-    "a dead centre": ({"start": "outer dead centre"}, "requirement.start", "dead centres are not known"),
-}
-
-
-@pytest.mark.parametrize("stated", [dyads, four_bar])
-@pytest.mark.parametrize("name", FAULTS)
-def test_unusable_outputs_are_reported(name: str, stated: Any) -> None:
-    changes, key, words = FAULTS[name]
-    with pytest.raises(InputError) as caught:
-        optlink.read(optlink.read(stated()).override({f"requirement.{key}": value for key, value in changes.items()}).raw)
-    fault = caught.value.faults[0]
-    assert fault.key == key
-    assert words in str(fault)
-    assert fault.remedy
-
-
 def test_a_certificate_is_refused(result: Any) -> None:
     with pytest.raises(InputError, match="coordinate of a point"):
         certify(result)

@@ -176,29 +176,3 @@ def test_a_position_out_of_reach_is_told() -> None:
     result = optlink.solve(arm({"at": "90 deg", "value": "-120 deg"}), starts=5)
     assert not result.valid
     assert [one.key for one in result.conflict] == ["requirement.value"]
-
-
-FAULTS = {
-    "no crank angle": ({"at": None}, "requirement.at", "missing"),
-    "no value": ({"value": None}, "requirement.value", "missing"),
-    "a length of an angle": ({"value": "30 mm"}, "requirement.value", "the output is an angle"),
-    "an angle of a coordinate": ({"output": "B.x"}, "requirement.value", "the output is a coordinate"),
-    "an open range": ({"value": {"min": "30 deg"}}, "requirement.value", "less than a revolution apart"),
-    "no number": ({"value": "wide"}, "requirement.value", "deg"),
-    "a tolerance": ({"tolerance": "1 deg"}, "requirement.tolerance", "without tolerance"),
-    "a weight": ({"weight": 2.0}, "requirement.weight", "without weight"),
-    "no such output": ({"output": "lever"}, "requirement.output", "name of a body"),
-    "points": ({"points": 12}, "requirement.points", "a position has no points"),
-}
-
-
-@pytest.mark.parametrize("name", FAULTS)
-def test_unusable_positions_are_reported(name: str) -> None:
-    changes, key, words = FAULTS[name]
-    stated = {"kind": "position", "at": "30 deg", "value": "115 deg", **changes}
-    with pytest.raises(InputError) as caught:
-        optlink.read(ARM | {"requirement": {name: value for name, value in stated.items() if value is not None}})
-    fault = caught.value.faults[0]
-    assert fault.key == key
-    assert words in str(fault)
-    assert fault.remedy

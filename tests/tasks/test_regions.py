@@ -200,44 +200,6 @@ def test_a_certificate_is_refused() -> None:
         optlink.solve(optlink.read(four_bar(hood=HOOD)), starts=5, certify=True)
 
 
-FAULTS = {
-    "no such shape": (HOOD | {"region": "oval"}, "limits.hood.region", "choices"),
-    "no point": ({key: value for key, value in HOOD.items() if key != "of"}, "limits.hood.of", "missing"),
-    "no such point": (HOOD | {"of": "Q"}, "limits.hood.of", "no moving body"),
-    "a fixed point": (HOOD | {"of": "D"}, "limits.hood.of", "no moving body"),
-    "a box without sides": ({"region": "box", "of": "P"}, "limits.hood.x", "not complete"),
-    "a box without breadth": (HOOD | {"x": "3 mm"}, "limits.hood.x", "no breadth"),
-    "a radius of a box": (HOOD | {"radius": "3 mm"}, "limits.hood.radius", "a box has no radius"),
-    "a circle without radius": (
-        {key: value for key, value in DISC.items() if key != "radius"},
-        "limits.hood.radius",
-        "not complete",
-    ),
-    "a place of one coordinate": (DISC | {"centre": ["3 mm"]}, "limits.hood.centre", "two coordinates"),
-    "an angle as clearance": (HOOD | {"clearance": "3 deg"}, "limits.hood.clearance", "mm"),
-    "a negative clearance": (HOOD | {"clearance": "-3 mm"}, "limits.hood.clearance", "not be negative"),
-    "nothing left": (FRAMES | {"clearance": "40 mm"}, "limits.hood.clearance", "leaves nothing"),
-    "no such side": (HOOD | {"side": "above"}, "limits.hood.side", "choices"),
-    "an unknown key": (HOOD | {"clearence": "1 mm"}, "limits.hood.clearence", "clearance"),
-}
-
-
-@pytest.mark.parametrize("name", FAULTS)
-def test_unusable_regions_are_reported(name: str) -> None:
-    limit, key, words = FAULTS[name]
-    with pytest.raises(InputError) as caught:
-        optlink.read(four_bar(hood=limit))
-    fault = caught.value.faults[0]
-    assert fault.key == key
-    assert words in str(fault)
-    assert fault.remedy
-
-
-def test_a_revolution_needs_a_crank_that_turns() -> None:
-    with pytest.raises(InputError, match="no whole revolution"):
-        optlink.read(four_bar(hood=HOOD | {"over": "revolution"}, crank="span"))
-
-
 def test_a_region_over_the_span_applies_at_a_position_without_a_motion() -> None:
     """A position is a single crank angle: no peak of the distance moves along it."""
     raw = four_bar(dyads=True, hood=HOOD | {"over": "span"})

@@ -98,6 +98,7 @@ def test_processes_change_no_digit_of_a_path(name: str, starts: int | None, how:
         assert digits(optlink.solve(file, seed=1, starts=starts, **one)) == alone
 
 
+@pytest.mark.slow
 def test_the_order_of_completion_changes_no_digit_of_a_machine() -> None:
     alone = cycle_digits(shared("shaper-design", None, starts=4))
     assert cycle_digits(shared("shaper-design", backwards, starts=4)) == alone

@@ -120,15 +120,6 @@ def test_the_alignment_limit_follows_the_file(angle: str) -> None:
     assert alignment(result.design, problem.spec.span) == pytest.approx(float(angle.split()[0]), rel=1e-3)
 
 
-@pytest.mark.parametrize(("key", "value"), [("alignment", "0 deg"), ("alignment", "-1 deg"), ("length_margin", 0.0)])
-def test_a_margin_is_never_zero(key: str, value: object) -> None:
-    with pytest.raises(optlink.InputError) as caught:
-        optlink.read({**BENT, "limits": {"crank": "span", key: value}})
-    (fault,) = caught.value.faults
-    assert fault.key == f"limits.{key}"
-    assert "default" in fault.remedy
-
-
 def test_a_tighter_transmission_limit_is_shown_alone() -> None:
     problem = optlink.read({**BENT, "limits": {"crank": "span", "transmission_angle": ["3 deg", "177 deg"]}})
     result = solve(problem)

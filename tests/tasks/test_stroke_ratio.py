@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import optlink
-from optlink.errors import InputError
 from optlink.linkage.fourbar import LENGTHS, time_ratio
 from optlink.problem.file import ProblemFile
 from optlink.problem.templates import templates
@@ -188,26 +187,6 @@ def test_a_path_meets_the_time_ratio_of_the_named_stroke(sense, side):
 
 
 # --- the file --------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("ratio", "key"),
-    [
-        ({"exactly": 0.9, "stroke": "slow"}, "limits.time_ratio.exactly"),
-        ({"min": 0.9}, "limits.time_ratio.min"),
-        ({"max": 1.1, "stroke": "quick"}, "limits.time_ratio.max"),
-        ({"max": -1.0, "stroke": "forward"}, "limits.time_ratio.max"),
-        ({"stroke": "forward"}, "limits.time_ratio"),
-        ({"exactly": 1.1, "stroke": "foreward"}, "limits.time_ratio.stroke"),
-        ({"exactly": 1.1, "stroke": ["forward"]}, "limits.time_ratio.stroke"),
-        ({"exactly": 1.1, "max": 1.2}, "limits.time_ratio.exactly"),
-        (0.9, "limits.time_ratio"),
-    ],
-)
-def test_impossible_time_ratios_are_refused(ratio, key):
-    with pytest.raises(InputError) as error:
-        law(ratio)
-    assert [fault.key for fault in error.value.faults] == [key]
 
 
 def test_a_side_of_a_ratio_can_be_changed_and_keeps_its_stroke():

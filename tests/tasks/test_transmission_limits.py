@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import optlink
-from optlink.errors import InputError
 from optlink.linkage.dyad_types import transmitting
 from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import unit
@@ -156,30 +155,6 @@ def test_named_dyads_have_specific_limits_and_others_the_general_one() -> None:
     assert limits({"pressure_angle": {"E": "35 deg"}}) == {"transmission_angle": (40.0, 140.0), "pressure_angle.E": (55.0, 125.0)}
     assert limits({"transmission_angle": {"E": ["30 deg", "120 deg"]}}) == {"transmission_angle.E": (30.0, 120.0)}
     assert limits({"transmission_angle": None, "pressure_angle.C": "20 deg"}) == {"pressure_angle.C": (70.0, 110.0)}
-
-
-FAULTS = {
-    "no such dyad": ({"transmission_angle": {"G": ["40 deg", "140 deg"]}}, "limits.transmission_angle.G", "Known: C, E, min"),
-    "twice": ({"pressure_angle": "30 deg"}, "limits.pressure_angle", "limited twice"),
-    "twice at E": (
-        {"pressure_angle": {"E": "30 deg"}, "transmission_angle": {"E": ["40 deg", "140 deg"]}},
-        "limits.pressure_angle.E",
-        "limited twice",
-    ),
-    "a range": ({"pressure_angle": {"E": {"min": "3 deg"}}}, "limits.pressure_angle.E.min", "only its largest value"),
-    "too large": ({"pressure_angle": {"E": "95 deg"}, "transmission_angle": None}, "limits.pressure_angle.E", "out of range"),
-    "reversed": ({"transmission_angle": {"E": ["140 deg", "40 deg"]}}, "limits.transmission_angle.E", "Exchange"),
-}
-
-
-@pytest.mark.parametrize("name", FAULTS)
-def test_wrong_limits_are_reported(name: str) -> None:
-    changes, key, words = FAULTS[name]
-    with pytest.raises(InputError) as caught:
-        optlink.load("law-six-bar", {f"limits.{k}": value for k, value in changes.items()})
-    (fault,) = caught.value.faults
-    assert fault.key == key
-    assert words in str(fault)
 
 
 def test_span_limits_do_not_apply_beyond_the_span() -> None:
