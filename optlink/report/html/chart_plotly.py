@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from html import escape as escaped
@@ -13,6 +13,7 @@ import numpy as np
 from optlink.io import finite
 from optlink.report.chart_spec import (
     SYMBOLS,
+    TARGET,
     Array,
     Axis,
     Band,
@@ -29,7 +30,6 @@ from optlink.report.chart_spec import (
 from optlink.report.export.dimensions import Drawing
 from optlink.report.format import pretty
 from optlink.report.html.theme import readable
-from optlink.report.style import TARGET
 
 Trace = dict[str, Any]
 DIGITS = 6  # significant digits of a number in a chart, far below the visible resolution
@@ -94,11 +94,6 @@ def _legend_room(panel: Panel) -> float:
 def escape(text: str) -> str:
     """Write a text with the signs of units, safe for plotly."""
     return escaped(pretty(text))
-
-
-def charts(specs: Iterable[ChartSpec]) -> list[Chart]:
-    """Return the charts of a page; those that are pictures only are left out."""
-    return [chart(spec) for spec in specs if spec.page]
 
 
 def chart(spec: ChartSpec) -> Chart:

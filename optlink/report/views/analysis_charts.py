@@ -13,8 +13,25 @@ from optlink.dynamics.strokes import last_output
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.stroke import Travel
 from optlink.linkage.vector2d import TURN, Array
-from optlink.report.chart_spec import Axis, ChartSpec, Curve, Dash, Line, Mark, Panel, Span, crank_angle, max_abs
-from optlink.report.style import BODIES, CRANK, LIMIT, MUTED, RESULT, TARGET, Scale, degrees, scale
+from optlink.report.chart_spec import (
+    BODIES,
+    CRANK,
+    LIMIT,
+    MUTED,
+    RESULT,
+    TARGET,
+    Axis,
+    ChartSpec,
+    Curve,
+    Dash,
+    Line,
+    Mark,
+    Panel,
+    Span,
+    crank_angle,
+    max_abs,
+)
+from optlink.report.format import Scale, degrees, scale
 from optlink.report.views.analysis_curves import ROUNDING, CycleCurves
 from optlink.tasks.results.extremes import Extreme
 

@@ -16,10 +16,11 @@ from optlink.problem.cycle.terms import Term
 from optlink.problem.design import DesignProblem
 from optlink.report import chart_spec
 from optlink.report.causes import marked
-from optlink.report.chart_spec import Array, Axis, ChartSpec, Curve, Panel, crank_angle
+from optlink.report.chart_spec import GROUND, LIMIT, MUTED, RESULT, Array, Axis, ChartSpec, Curve, Panel, crank_angle
 from optlink.report.drawing import Sketch
+from optlink.report.format import Scale, scale
 from optlink.report.labels import place_labels
-from optlink.report.style import GROUND, LIMIT, MUTED, RESULT, Scale, figure, heading, scale, styled
+from optlink.report.style import figure, heading, styled
 from optlink.tasks.analyze import Analysis
 from optlink.tasks.results.design import LinkageDesign, SynthesisResult
 from optlink.units import KINDS
