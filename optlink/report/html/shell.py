@@ -8,7 +8,7 @@ import gzip
 import hashlib
 import json
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from importlib.resources import files
@@ -56,7 +56,8 @@ class PageContent:
         charts = [_chart_data(chart) for chart in self.charts]
         drawings = [part.svg for section in self.sections for part in section.parts if isinstance(part, Drawing)]
         drawn = [json.dumps(charts), "" if self.moving is None else self.moving.svg(""), *drawings]
-        colours = theme.palette(drawn)
+        colours = theme.palette(drawn)  # in dark mode
+        swapped = "".join(f"--c{colour[1:]}:{other};" for colour, other in colours.items())
         return (
             templates()
             .get_template("page.html")
@@ -67,7 +68,7 @@ class PageContent:
                 letterhead=letterhead(self.about.problem),
                 policy=_policy(plotly, script),
                 version=VERSION,
-                style=_style(colours),
+                style=asset("page.css").replace("/*drawn*/", swapped),
                 motion=None if self.moving is None else self.moving.to_dict(),
                 charts={"charts": charts, "dark": colours},
                 plotly=packed,
@@ -226,12 +227,6 @@ def _policy(*scripts: str) -> str:
 def asset(name: str) -> str:
     """Return a script or style sheet of the package."""
     return files("optlink.report").joinpath("assets", name).read_text(encoding="utf-8")
-
-
-def _style(colours: Mapping[str, str]) -> str:
-    """Return the style sheet, with the colours of drawings in dark mode."""
-    swapped = "".join(f"--c{colour[1:]}:{other};" for colour, other in colours.items())
-    return asset("page.css").replace("/*drawn*/", swapped)
 
 
 @cache

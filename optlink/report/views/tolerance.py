@@ -14,7 +14,6 @@ from optlink.report.chart_spec import (
     RESULT,
     SHADE,
     TARGET,
-    Array,
     Axis,
     Band,
     Bars,
@@ -22,7 +21,6 @@ from optlink.report.chart_spec import (
     Curve,
     Line,
     Panel,
-    Trace,
     crank_angle,
 )
 from optlink.report.format import dimension, figure, fixed, number
@@ -119,7 +117,7 @@ def _band(result: Tolerance) -> ChartSpec:
     error, limit = bool(np.any(base)), math.nan if result.limit is None else k * result.limit
     wide = x if len(x) > 1 else x + np.array([-0.5, 0.5])  # a single angle has a visible band too
     low, high = (np.broadcast_to(k * (base + column), wide.shape) for column in result.worst)
-    traces: list[Trace] = [Band(wide, low, high, "worst case", SHADE, 1.0)]
+    traces: list[Band | Curve] = [Band(wide, low, high, "worst case", SHADE, 1.0)]
     traces += [Curve(x, k * base, "nominal", RESULT, 2.0, mode=mode)] if error else []
     for sign in (1.0, -1.0):
         three = k * (base + result.shift + 3.0 * sign * result.sigma)
@@ -128,7 +126,8 @@ def _band(result: Tolerance) -> ChartSpec:
         ends = f"ends of {result.monte_carlo.samples:,} samples"
         for column, legend in ((result.monte_carlo.most, True), (result.monte_carlo.least, False)):
             traces.append(Curve(x, k * (base + column), ends, TARGET, 1.1, "dot", mode, legend=legend))
-    reach = 1.05 * max(np.nanmax(np.abs(y)) for trace in traces for y in _heights(trace))
+    heights = [y for trace in traces for y in ((trace.low, trace.high) if isinstance(trace, Band) else (trace.y,))]
+    reach = 1.05 * max(np.nanmax(np.abs(y)) for y in heights)
     words, lines, ends_of_y = f"limit ±{limit:.5g} {unit}", list[Line](), None
     if limit <= LIMIT_RATIO * reach:
         lines = [Line(limit, words, LIMIT, 1.6, "solid"), Line(-limit, "", LIMIT, 1.6, "solid")]
@@ -141,10 +140,6 @@ def _band(result: Tolerance) -> ChartSpec:
     output = f"the {name}" if error else name
     title, heading = f"Scatter of {name}", f"{result.problem.model.title}: {output} as built"
     return ChartSpec("band", title, [panel], crank_angle(), heading, width=8.0)
-
-
-def _heights(trace: Trace) -> tuple[Array, ...]:
-    return (trace.low, trace.high) if isinstance(trace, Band) else (trace.y,) if isinstance(trace, Curve) else ()
 
 
 def _histogram(result: Tolerance, sampled: MonteCarlo) -> ChartSpec:
@@ -204,12 +199,6 @@ def _symmetric(value: float, unit: tuple[float, str], digits: int = 6) -> str:
     return f"±{number(unit[0] * value, digits)} {unit[1]}"
 
 
-def _distribution(deviation: Deviation) -> str:
-    if deviation.values:
-        return f"measured, {len(deviation.values):,} parts"
-    return f"{CONTACT}, adds to {deviation.size}" if deviation.shape == CONTACT else deviation.shape
-
-
 def _between(sampled: MonteCarlo) -> str:
     low, high = sampled.interval
     return f"{100.0 * low:z.3f} ... {percent(high, 3)} ({INTERVAL})"
@@ -244,7 +233,9 @@ def _shares(result: Tolerance) -> TableSpec:
     for deviation, by, shares in sorted(parts, key=lambda part: -part[2][at]):
         unit = _unit(result.problem, deviation)
         per = f"{result.scale * by[at] / unit[0]:+z.5f}"
-        cells = quiet(_distribution(deviation)), per, strong(f"{shares[at]:z.1f} %"), f"{np.mean(shares):z.1f} %"
+        made = f"{CONTACT}, adds to {deviation.size}" if deviation.shape == CONTACT else deviation.shape
+        made = f"measured, {len(deviation.values):,} parts" if deviation.values else made
+        cells = quiet(made), per, strong(f"{shares[at]:z.1f} %"), f"{np.mean(shares):z.1f} %"
         rows.append((deviation.name, _symmetric(deviation.tolerance, unit), *cells))
     change = f">change [{result.display_unit or '-'}\nper {' or '.join(sorted(units, reverse=True))}]"
     columns = ["", ">tolerance", "distribution", change, ">share of the\nvariance", ">over all\nangles"]
