@@ -17,8 +17,8 @@ from optlink.execution import interrupts
 from optlink.io import head
 
 if TYPE_CHECKING:
-    from optlink.report.html.shell import StoredStudy
     from optlink.report.report_model import ReportModel
+    from optlink.report.view import StoredStudy
 
 SCHEMA = "optlink/written/1"
 Words = list[str] | None
@@ -128,9 +128,7 @@ def _report_model(
 
 def _refuse(about: ReportModel, as_json: bool) -> None:
     """Report why an invalid design is not written."""
-    from optlink.report.report_model import verdict
-
-    message = f"{verdict(about)}. Nothing was written; use --even-invalid to write it anyway"
+    message = f"{about.verdict}. Nothing was written; use --even-invalid to write it anyway"
     print(f"Error: {message}", file=sys.stderr)
     if as_json:
         document = head(SCHEMA, about.problem, "not valid")
@@ -140,13 +138,11 @@ def _refuse(about: ReportModel, as_json: bool) -> None:
 
 def _written(about: ReportModel | StoredStudy, output: Path, as_json: bool) -> None:
     """Report the written file, and exit with code 1 for an invalid design."""
-    from optlink.report.report_model import verdict
-
     size = output.stat().st_size
     if as_json:
         document = head(SCHEMA, about.problem, "valid" if about.valid else "not valid")
         console.print_json(document | {"valid": about.valid, "file": str(output), "bytes": size})
     else:
-        print(f"{output}: {size:,} bytes. {verdict(about)}")
+        print(f"{output}: {size:,} bytes. {about.verdict}")
     if not about.valid:
         raise typer.Exit(1)

@@ -80,7 +80,7 @@ def sensitivity(
 
     with console.share("searching again" if check else "searching") as progress:
         result = sensitivities(file, backend, starts, seed, check=check, progress=progress)
-    from optlink.report.views.study_tables import DERIVATIVE_TOLERANCE
+    from optlink.report.views.sensitivity import DERIVATIVE_TOLERANCE
 
     differs = result.gap is not None and result.gap > DERIVATIVE_TOLERANCE
     console.deliver(result, "sensitivity", as_json, out, code=1 if differs else 0)
@@ -132,9 +132,9 @@ def _output(
     if as_json:
         console.print_json(result.to_dict())
         return
-    from optlink.report.views import study_tables
+    from optlink.report.views.sensitivity import outputs
 
-    console.show(study_tables.outputs(found))
+    console.show(outputs(found))
 
 
 @study.command()

@@ -87,11 +87,7 @@ def _cause(check: Check, checks: Sequence[Check]) -> str:
     name, words = next(pair for pair in (*MEASURED, GENERAL) if re.fullmatch(pair[0], check.name))
     match = re.fullmatch(name, check.name)
     assert match is not None
-    required = f"{'' if _prescribed(limit[2], checks) else SIDES[limit[1]]}{limit[2]} {check.unit}".rstrip()
+    sides = {one.limit.partition(" ")[0] for one in checks if one.limit.partition(" ")[2] == limit[2]}
+    prescribed = sides >= {">=", "<="}  # the same value limits from below and from above
+    required = f"{'' if prescribed else SIDES[limit[1]]}{limit[2]} {check.unit}".rstrip()
     return f"{match.expand(words).replace('{}', value)}, {required} {'are' if check.unit else 'is'} required"
-
-
-def _prescribed(limit: str, checks: Sequence[Check]) -> bool:
-    """Return whether the same value limits from below and from above."""
-    sides = {check.limit.partition(" ")[0] for check in checks if check.limit.partition(" ")[2] == limit}
-    return sides >= {">=", "<="}

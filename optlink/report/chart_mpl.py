@@ -16,6 +16,8 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MultipleLocator, NullFo
 
 from optlink.report.chart_spec import (
     INK,
+    LIMIT,
+    MUTED,
     SYMBOLS,
     Axis,
     Band,
@@ -31,7 +33,7 @@ from optlink.report.chart_spec import (
     cells,
 )
 from optlink.report.labels import Label, place_labels
-from optlink.report.style import HALO, LIMIT, MUTED, figure, heading, styled
+from optlink.report.style import HALO, figure, heading, styled
 
 DASHES: dict[str, Any] = {"solid": "-", "dash": "--", "dot": ":", "dashdot": "-."}
 NO_VALUE = "#e4e4e4"  # colour of the cells of a heat map without a value

@@ -12,7 +12,7 @@ shows::
         return [ChartSpec("torque", "Driving torque", [panel], crank_angle(), heading=f"{title}: driving torque")]
 
     chart_mpl.pictures(charts(result))                  # {"torque": Figure}
-    [chart_plotly.chart(one) for one in charts(result)] # charts of the page
+    [chart_plotly.chart(one) for one in charts(result) if one.page]  # charts of the page
 
 Charts with the same `file` share one picture: those with the same `row` stand side by side. A chart without `file` is on the page
 only; with `page=False` it is a picture only. Values are in display units. NaN makes a gap in a curve.
@@ -20,13 +20,16 @@ only; with `page=False` it is a picture only. Values are in display units. NaN m
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from optlink.linkage.vector2d import Array as Array
+
+if TYPE_CHECKING:
+    from optlink.problem.file import ProblemFile
 
 Dash = Literal["solid", "dash", "dot", "dashdot"]
 Symbol = Literal["circle", "open circle", "square", "cross", "plus", "star", "triangle"]
@@ -43,6 +46,11 @@ SYMBOLS: dict[Symbol, tuple[str, str]] = {
 CRANK_ANGLE = "crank angle φ [deg]"
 TIME = "time [s]"
 INK = "#111111"
+CRANK, COUPLER, ROCKER, GROUND = "#c0392b", "#2c6fbb", "#2e8b57", "#444444"
+BODIES = (COUPLER, ROCKER, "#d07d00", "#7d55a8", "#17888f", "#a0522d", "#c2527f", "#6f7d22", "#5a6b7b")
+"""Colours of the bodies after the crank, in the order in which they are placed."""
+MUTED, TARGET, RESULT, LIMIT = "#9a9a9a", "#111111", "#2c6fbb", "#c0392b"
+SHADE = "#f3e3c3"
 ROUNDING = 1e-9  # variation of a curve, relative to its size, up to which it is constant
 MAX_DESCRIBED = 8  # largest number of traces of a panel that are described in words
 
@@ -262,7 +270,7 @@ class ChartSpec:
     `file` names the picture and `title` is the caption on the page and of its part of a picture. `heading` is the title of the
     picture (default: `title`), in red with `warning`; the first chart of a picture supplies it. `remark` is a sentence below the
     title. `equal` draws x and y on one scale. `cursor` lets the page mark the position of the slider, whose unit is that of the x
-    axis. `width` [inch] is that in the picture.
+    axis. `width` [inch] is that in the picture. `designs` returns problem and design [m, rad] of a source of `picks`.
     """
 
     file: str
@@ -276,6 +284,7 @@ class ChartSpec:
     equal: bool = False
     warning: bool = False
     picks: Picks | None = None
+    designs: Callable[[int], tuple[ProblemFile, Mapping[str, float]]] | None = None
     cursor: bool = True
     page: bool = True
     row: int = 0
@@ -324,6 +333,11 @@ def _ends(trace: Trace) -> list[float]:
     places = trace.y if isinstance(trace, Bars) and trace.horizontal else trace.x
     finite_values = places[np.isfinite(places)]
     return [float(np.min(finite_values)), float(np.max(finite_values))] if finite_values.size else []
+
+
+def charts_per_row(count: int) -> int:
+    """Return the number of charts or drawings in a row."""
+    return 2 if count in (2, 4) else min(count, 3)
 
 
 def max_abs(values: Array) -> float:

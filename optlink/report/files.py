@@ -111,13 +111,7 @@ def write_csv(path: Path, columns: Mapping[str, Iterable[float | str]]) -> None:
 
 def _write_rows(writer: Any, columns: Mapping[str, Iterable[float | str]]) -> None:
     for row in zip(*columns.values(), strict=True):
-        writer.writerow([_cell(value) for value in row])
-
-
-def _cell(value: float | str) -> str:
-    if isinstance(value, str):
-        return value
-    return repr(float(value)) if math.isfinite(value) else ""
+        writer.writerow([one if isinstance(one, str) else repr(float(one)) if math.isfinite(one) else "" for one in row])
 
 
 @contextlib.contextmanager

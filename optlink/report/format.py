@@ -69,6 +69,11 @@ def pretty(text: str) -> str:
     return product(text).replace("^2", "²").replace("<=", "≤").replace(">=", "≥").replace("->", "→")
 
 
+def shown(text: str) -> str:
+    """Write the units and relations in a sentence with their signs, as the values of a page have them."""
+    return re.sub(r"(?<=\d) deg\b", "°", pretty(text))
+
+
 def signed(value: float) -> str:
     """Format a change with its sign and four significant digits."""
     return f"{value:+.4g}" if value else "0"

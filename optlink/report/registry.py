@@ -26,40 +26,22 @@ KINDS = {
 
 
 def table_of(kind: str) -> Callable[[Any], Summary]:
-    """Import the function that shows results of a kind in the terminal.
+    """Import the function that shows results of a kind in the terminal, without a plotting library.
 
     Raises
     ------
     KeyError
         if no view of that kind exists.
     """
-    tables: dict[str, Callable[[Any], Summary]] = {name: view.table for name, view in REGISTERED.items()}
-    match kind:
-        case "design":
-            from optlink.report.views.design_tables import design_result as design_table
+    if kind == "design":
+        from optlink.report.views.design_tables import design_result
 
-            return design_table
-        case "balance":
-            from optlink.report.views.balance_tables import balance as balance_table
+        return design_result
+    if kind == "analysis":
+        from optlink.report.views.analysis_tables import analysis
 
-            return balance_table
-        case "analysis" | "simulation":
-            from optlink.report.views import analysis_tables as analysed
-
-            tables = {"analysis": analysed.analysis, "simulation": analysed.simulation}
-        case "clearance" | "control comparison" | "tuning":
-            from optlink.report.views import clearance_tables as simulated
-
-            tables = {"clearance": simulated.simulation, "control comparison": simulated.comparison, "tuning": simulated.tuning}
-        case "sensitivity" | "sweep" | "pareto":
-            from optlink.report.views import study_tables as studied
-
-            tables = {"sensitivity": studied.sensitivities, "sweep": studied.sweep, "pareto": studied.pareto_front}
-        case "tolerance":
-            from optlink.report.views.tolerance_tables import tolerances as tolerance_table
-
-            return tolerance_table
-    return tables[kind]
+        return analysis
+    return view_of(kind).table
 
 
 def view_of(kind: str) -> View:
@@ -118,9 +100,9 @@ def view_of(kind: str) -> View:
 
             return pareto.VIEW
         case "tuning":
-            from optlink.tasks.results.control_comparison import Tuning
+            from optlink.report.views import control_comparison
 
-            return View(result=Tuning, no_page="Read the best parameters in it, under best")
+            return control_comparison.TUNING
         case _:
             raise KeyError(kind)
 

@@ -15,7 +15,6 @@ from optlink.tasks.analyze import Analysis, analyze
 from optlink.tasks.run import solve, validate
 
 if TYPE_CHECKING:
-    from optlink.report.html.shell import StoredStudy
     from optlink.studies.sensitivity import Sensitivities
     from optlink.tasks.results.common import DesignResult
     from optlink.tasks.results.design import SynthesisResult
@@ -44,6 +43,21 @@ class ReportModel:
     def valid(self) -> bool:
         """Whether the design is valid; for an analysis, whether all reactions are finite."""
         return self.result.sound if isinstance(self.result, Analysis) else self.result.valid
+
+    @property
+    def verdict(self) -> str:
+        """Whether the design is valid, and which checks failed; of an analysis its status."""
+        outcome = self.result
+        if isinstance(outcome, Analysis):
+            return f"{outcome.status[0].upper()}{outcome.status[1:]}"
+        if self.valid:
+            fit = getattr(getattr(outcome, "best", None), "fit", None)
+            return f"Valid, {fit.text}" if fit is not None and fit.grade == "poor" else "Valid: every check passed"
+        checks = getattr(getattr(outcome, "validation", None), "checks", ())
+        if outcome.status is Status.INFEASIBLE:
+            named = [] if getattr(outcome, "refuted", "") else causes(checks)[:1]
+            return f"No feasible design found{''.join(f': {cause}' for cause in named)}"
+        return f"Not valid: {why_invalid(checks, outcome.status.value)}"
 
     @property
     def objective(self) -> float:
@@ -112,19 +126,3 @@ def report_model_of(outcome: DesignResult | Analysis) -> ReportModel:
     except InputError as error:
         return ReportModel(problem, outcome, None, error.faults[0].message)
     return ReportModel(problem, outcome, cycle, "" if cycle else "no linkage was found")
-
-
-def verdict(model: ReportModel | StoredStudy) -> str:
-    """Return the verdict: whether the design is valid, and which checks failed."""
-    if not isinstance(model, ReportModel):
-        return model.verdict
-    if isinstance(model.result, Analysis):
-        return f"{model.result.status[0].upper()}{model.result.status[1:]}"
-    if model.valid:
-        fit = getattr(getattr(model.result, "best", None), "fit", None)
-        return f"Valid, {fit.text}" if fit is not None and fit.grade == "poor" else "Valid: every check passed"
-    checks = getattr(getattr(model.result, "validation", None), "checks", ())
-    if model.result.status is Status.INFEASIBLE:
-        named = [] if getattr(model.result, "refuted", "") else causes(checks)[:1]
-        return f"No feasible design found{''.join(f': {cause}' for cause in named)}"
-    return f"Not valid: {why_invalid(checks, model.result.status.value)}"

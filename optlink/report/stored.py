@@ -17,8 +17,8 @@ from optlink.report.registry import KINDS, result_class, view_of
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from optlink.report.html.shell import StoredStudy
     from optlink.report.report_model import ReportModel
+    from optlink.report.view import StoredStudy
 
 RESULT = "result.json"
 FORMER = ("function", "path", "cycle")

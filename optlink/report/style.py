@@ -19,14 +19,17 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from optlink.io import whole
+from optlink.report.chart_spec import (
+    BODIES as BODIES,
+    CRANK as CRANK,
+    GROUND as GROUND,
+    LIMIT as LIMIT,
+    MUTED as MUTED,
+    TARGET as TARGET,
+)
 from optlink.report.fonts import families, legible, without_weight_messages
 from optlink.report.format import Scale as Scale, degrees as degrees, scale as scale
 
-CRANK, COUPLER, ROCKER, GROUND = "#c0392b", "#2c6fbb", "#2e8b57", "#444444"
-BODIES = (COUPLER, ROCKER, "#d07d00", "#7d55a8", "#17888f", "#a0522d", "#c2527f", "#6f7d22", "#5a6b7b")
-"""Colours of the bodies after the crank, in the order in which they are placed."""
-MUTED, TARGET, RESULT, LIMIT = "#9a9a9a", "#111111", "#2c6fbb", "#c0392b"
-SHADE = "#f3e3c3"
 HALO: list[patheffects.AbstractPathEffect] = [patheffects.withStroke(linewidth=2.5, foreground="white")]
 STYLE: dict[Any, Any] = {
     "font.size": 9.5,
@@ -77,11 +80,6 @@ def panels(fig: Figure, count: int, columns: int) -> list[Axes]:
     """Return axes in rows, the last of which may be shorter."""
     grid = fig.add_gridspec(-(-count // columns), columns)
     return [fig.add_subplot(grid[divmod(k, columns)]) for k in range(count)]
-
-
-def charts_per_row(count: int) -> int:
-    """Return the number of charts or drawings in a row."""
-    return 2 if count in (2, 4) else min(count, 3)
 
 
 def heading(text: str, width: float, size: float = 11.0) -> str:

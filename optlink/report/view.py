@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from optlink.io import write_json
 from optlink.problem.document import Document
 from optlink.report.files import write_csv, write_design
-from optlink.report.table_spec import Paragraph, Summary
+from optlink.report.table_spec import Line, Paragraph, Part, Summary
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -18,8 +18,50 @@ if TYPE_CHECKING:
 
     from optlink.problem.file import ProblemFile
     from optlink.report.chart_spec import ChartSpec
-    from optlink.report.html.shell import StoredStudy
+    from optlink.report.export.dimensions import Drawing
+    from optlink.report.html.chart_plotly import Chart
+    from optlink.report.html.moving_linkage import Moving
     from optlink.report.report_model import ReportModel
+
+
+@dataclass(frozen=True)
+class PageSection:
+    """Part of a page under a heading.
+
+    Its parts are further sections, charts, drawings, the moving linkage, paragraphs, facts by name, and groups of tables.
+    """
+
+    name: str
+    parts: Sequence[PageSection | Part | ChartSpec | Chart | Drawing | Moving | Mapping[str, str] | Sequence[Part]]
+
+    @property
+    def anchor(self) -> str:
+        """Name of the section in links."""
+        return self.name.lower().replace(" ", "-")
+
+
+@dataclass(frozen=True, eq=False)
+class StoredStudy:
+    """Report of a result.
+
+    `kind` describes the task; `conclusion` says in a sentence what was found; `status` are lines below the verdict;
+    `sections` contain tables and charts; `by` is the method. The linkage of a `design` [m, rad] turns, or `moving` returns an
+    animated one for a number of positions per revolution; `drawn` is its caption, `after` the number of sections before it.
+    """
+
+    problem: ProblemFile
+    kind: str
+    verdict: str
+    valid: bool
+    conclusion: str
+    status: Sequence[Line]
+    sections: Sequence[PageSection]
+    by: str
+    design: tuple[ProblemFile, Mapping[str, float]] | None = None
+    moving: Callable[[int], Moving | None] | None = None
+    drawn: str = ""
+    after: int = 0
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -29,8 +71,11 @@ class View:
     Parameters
     ----------
     table : function
-        Returns the summary that the terminal shows. The kinds of optlink name it in `registry.table_of` instead, since a terminal
-        needs no plotting library.
+        Returns the summary that the terminal shows.
+    conclusion : function, optional
+        Returns the conclusion of a result. Default: the first line of its status.
+    heading : str
+        Heading of the tables on the page.
     model : function
         Returns what `charts`, `drawings` and `frames` take, such as the motion of the result, computed once; default: the result.
     charts : function
@@ -52,6 +97,8 @@ class View:
     """
 
     table: Callable[[Any], Summary] = lambda _: Summary("", Paragraph())
+    conclusion: Callable[[Any], str] | None = None
+    heading: str = "Design and checks"
     model: Callable[[Any], Any] = lambda result: result
     charts: Callable[[Any], Iterable[ChartSpec]] = lambda _: ()
     drawings: Mapping[str, Callable[[Any], Figure | None]] = field(default_factory=dict)

@@ -10,8 +10,8 @@ from optlink.errors import InputError, OptlinkError, Status
 from optlink.linkage.vector2d import Array
 from optlink.problem.file import ProblemFile
 from optlink.problem.mechanism import sizes_of
-from optlink.report.format import single_units
-from optlink.report.views import conclusions
+from optlink.report.format import shown, single_units
+from optlink.report.views import balance, conclusions
 from optlink.solvers.solution import LimitState, Solution
 from optlink.studio.kinds import kind_of
 from optlink.tasks.analyze import Analysis
@@ -118,7 +118,7 @@ def design_of(result: Any) -> Design:
     """Return the design of an ordinary result, with the verdict of its validation."""
     if isinstance(result, Analysis | Balance):
         return _machine(result)
-    best, text = result.best, conclusions.shown(result.refuted)
+    best, text = result.best, shown(result.refuted)
     if best is None:
         words = text or "No design was found."
         values = result.problem.model.design({})
@@ -150,7 +150,7 @@ def _machine(result: Analysis | Balance) -> Design:
             status, conclusion = UNVERIFIED, f"{ANALYSED_TEXT} {conclusion}"
     else:
         status = "verified" if result.valid else "infeasible" if result.conflict else "not valid"
-        conclusion, unchecked = conclusions.balance(result), BALANCED_TEXT if result.valid else NOT_VALIDATED_TEXT
+        conclusion, unchecked = balance.conclusion(result), BALANCED_TEXT if result.valid else NOT_VALIDATED_TEXT
     values = sizes_of(result.problem.model.mechanism.quantities)
     return Design(result.problem, values, status, conclusion=conclusion, result=result, unchecked=unchecked)
 

@@ -37,7 +37,7 @@ from optlink.dynamics.ending import Ending
 from optlink.dynamics.inverse import acting_on
 from optlink.dynamics.machine import Acting
 from optlink.linkage.vector2d import cross, minus
-from optlink.report.views import clearance_tables
+from optlink.report.views import clearance as clearance_view
 from optlink.tasks.clearance import simulate_clearance
 from optlink.tasks.machine import machine_of
 from optlink.tasks.results.clearance import ClearanceSimulation
@@ -916,7 +916,7 @@ def test_every_contact_is_counted_however_few_stay_in_memory(monkeypatch):
     counted = len(known.impacts)
     assert len(result.impacts) < 10 < counted
     assert result.figures["contacts"] == result.figures["C.contacts"] == counted
-    contacts = clearance_tables.simulation(result).parts[1]
+    contacts = clearance_view.overview(result).parts[1]
     assert contacts.rows[0][4].text == str(counted)
 
 
@@ -1075,7 +1075,7 @@ def test_run_that_ends_before_it_settles_has_the_statistics_of_all_its_revolutio
     assert (result.revolutions, result.figures["settled_revolutions"]) == (2, 0.0)
     for name in ("rms_m", "mean_square_m2", "peak_m", "torque_rms_Nm"):
         assert result.figures[name] == whole.figures[name] > 0.0, name
-    deviation = clearance_tables.simulation(result).parts[0]
+    deviation = clearance_view.overview(result).parts[0]
     assert deviation.title == "Deviation of slider from the machine without clearance, revolutions 1 ... 2"
 
 

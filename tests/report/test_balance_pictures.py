@@ -18,7 +18,7 @@ from optlink.dynamics.columns import MotionColumns
 from optlink.report import terminal
 from optlink.report.chart_mpl import pictures
 from optlink.report.registry import view_of
-from optlink.report.views import balance, balance_drawing, balance_tables as tables
+from optlink.report.views import balance, balance_drawing
 from tests.solved import once
 
 SPRUNG = {
@@ -185,7 +185,7 @@ def test_table_fits_the_narrowest_terminal():
     console = terminal.console()
     for case in CASES:
         with console.capture() as capture:
-            console.print(terminal.rendered(tables.balance(result(*case))))
+            console.print(terminal.rendered(balance.overview(result(*case))))
         text = capture.get()
         row = next(line for line in text.splitlines() if line.startswith(" torque"))
         assert row.rstrip().endswith("N·m")

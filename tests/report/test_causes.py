@@ -13,7 +13,7 @@ from scipy.optimize import linprog
 import optlink
 from optlink.linkage.fourbar import LENGTHS
 from optlink.report.causes import causes, why_invalid
-from optlink.report.report_model import ReportModel, verdict
+from optlink.report.report_model import ReportModel
 from optlink.report.views.design_drawings import at_positions as drawn_mechanism
 from optlink.tasks.results.rotation import Length, cannot_turn, four_bar_conflict
 from optlink.validation.check import Check
@@ -174,12 +174,12 @@ def test_pictures_and_pages_name_the_cause() -> None:
     for result, wrong in ((optlink.validate(law, design), True), (optlink.solve(law), False)):
         titles = drawn_mechanism(result).get_suptitle().split("\n")
         assert any(line.startswith(f"NOT VALID: {cause}") for line in titles) == wrong
-        assert (cause in verdict(ReportModel(result.problem, result, None))) == wrong
+        assert (cause in ReportModel(result.problem, result, None).verdict) == wrong
     narrow = optlink.load("crank-rocker", {"limits.transmission_angle": ["88 deg", "92 deg"]})
     infeasible = optlink.solve(narrow)
     assert infeasible.refuted.startswith("No such linkage: 88 deg of transmission angle cannot be met")
-    assert verdict(ReportModel(narrow, infeasible, None)) == "No feasible design found"  # the sentence is the conclusion
+    assert ReportModel(narrow, infeasible, None).verdict == "No feasible design found"  # the sentence is the conclusion
     unnamed = ReportModel(narrow, replace(infeasible, conflict=()), None)
-    assert verdict(unnamed).startswith("No feasible design found: the transmission angle")
+    assert unnamed.verdict.startswith("No feasible design found: the transmission angle")
     _, why = drawn_mechanism(infeasible).get_suptitle().split("\n")[:2]
     assert why == infeasible.refuted

@@ -23,6 +23,8 @@ from optlink.report.chart_spec import (
 )
 from optlink.report.format import pretty
 from optlink.report.html import chart_plotly
+from optlink.report.html.study_page import drawn
+from optlink.report.view import PageSection
 
 X = np.linspace(0.0, 360.0, 91)
 Y = np.sin(np.radians(X))
@@ -86,10 +88,10 @@ def test_relations_have_their_signs() -> None:
 
 def test_charts_of_one_file_share_a_picture() -> None:
     specs = [over_the_crank(), over_the_crank(row=1), over_the_crank(row=1, page=False)]
-    drawn = chart_mpl.pictures(specs)
-    assert list(drawn) == ["law"]
-    assert len(drawn["law"].axes) == 6
-    assert len(chart_plotly.charts(specs)) == 2
+    pictures = chart_mpl.pictures(specs)
+    assert list(pictures) == ["law"]
+    assert len(pictures["law"].axes) == 6
+    assert len(drawn([PageSection("Curves", specs)])[0].parts) == 2
 
 
 @pytest.mark.parametrize("log", [False, True])

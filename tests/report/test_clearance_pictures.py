@@ -21,7 +21,7 @@ from optlink.report.chart_mpl import pictures
 from optlink.report.drawing import Sketch
 from optlink.report.format import single_units
 from optlink.report.registry import view_of
-from optlink.report.views import clearance, clearance_joints, conclusions, control_comparison, magnified_joints
+from optlink.report.views import clearance, clearance_joints, control_comparison, magnified_joints
 from optlink.report.views.revolutions import FULL, RevolutionCurves, fold, rough, round_below, runs
 from optlink.tasks.clearance import simulate_clearance
 from optlink.tasks.control_comparison import compare
@@ -129,7 +129,7 @@ def test_the_conclusion_separates_the_running_in_force() -> None:
     last = float(np.max(forces[-int(result.figures["settled_revolutions"]) :]))
     assert float(np.max(forces)) > 2.0 * last
     with single_units():
-        text = conclusions.clearance(result).partition("contact force reaches ")[2]
+        text = clearance.conclusion(result).partition("contact force reaches ")[2]
     assert float(text.split()[0]) == pytest.approx(last, rel=1e-3)
     assert float(text.partition("(")[2].split()[0]) == pytest.approx(float(np.max(forces)), rel=1e-3)
     assert text.endswith("while it runs in).")

@@ -18,10 +18,11 @@ import pytest
 
 import optlink
 from optlink.errors import InputError
-from optlink.report.html.shell import MAX_BYTES, PageContent, StoredStudy
-from optlink.report.html.study_page import _page, study_page
+from optlink.report.html.shell import MAX_BYTES, PageContent
+from optlink.report.html.study_page import content_of, study_page
 from optlink.report.registry import KINDS, view_of
 from optlink.report.stored import read_result, stored_page
+from optlink.report.view import StoredStudy
 from optlink.studies.pareto.objective import ParetoObjective
 from optlink.studies.tolerance.robust_design import RobustDesign
 from tests.browser import colours, console, faults, opened as shown, requests
@@ -116,7 +117,7 @@ def content(result: optlink.problem.document.Document) -> PageContent:
     """Return the content of the page of a study or a simulation."""
     computed = stored_page(result, {}, "result.json")
     assert isinstance(computed, StoredStudy)
-    return _page(computed, 90)
+    return content_of(computed, 90)
 
 
 def trace(page: PageContent, name: str) -> dict:

@@ -26,7 +26,7 @@ from optlink.dynamics.inertia import Inertia, Parameters
 from optlink.problem.cycle.quantities import QUANTITIES
 from optlink.problem.cycle.terms import Term
 from optlink.problem.machine.balance import term_keys
-from optlink.report.views import balance_tables
+from optlink.report.views import balance as balance_view
 from optlink.tasks import balance
 from tests.bar_oracle import Body, Motion, bar, disc, rms
 from tests.oracle import External, Kinematics, Mass, newton_euler
@@ -748,7 +748,7 @@ def test_the_price_of_a_limit_is_that_of_relaxing_it_alone() -> None:
         assert limit.price == pytest.approx((both.objective - longer.objective) / 1e-4, rel=1e-2)
         assert not limit.depends_on
     assert "limits that gain less alone than together: mass of the counterweight on crank" in words_of(
-        balance_tables.balance(both)
+        balance_view.overview(both)
     )
 
 

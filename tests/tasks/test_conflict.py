@@ -9,7 +9,7 @@ import pytest
 import optlink
 from optlink.report import terminal
 from optlink.report.registry import table_of
-from optlink.report.report_model import report_model_of, verdict
+from optlink.report.report_model import report_model_of
 from optlink.report.stored import read_result
 from optlink.report.views import conclusions
 from optlink.report.views.design_view import best, title_of
@@ -118,7 +118,7 @@ def test_the_sentence_leads_in_every_place(tmp_path) -> None:
     assert "FAIL" not in text  # a consequence
     page = conclusions.design(result, ())
     assert page == re.sub(r"(\d) deg", r"\1°", sentence)
-    assert verdict(report_model_of(result)) == "No feasible design found"
+    assert report_model_of(result).verdict == "No feasible design found"
     view = best(result)
     assert view is not None
     assert sentence in " ".join(title_of(view, 7.0, "pump drive").split())

@@ -25,7 +25,7 @@ from optlink.clearance.reference_signal import ReferenceSignal
 from optlink.dynamics.inverse import reactions
 from optlink.errors import InputError
 from optlink.report import files
-from optlink.report.views import clearance_tables, conclusions, control_comparison as control_comparison_view
+from optlink.report.views import control_comparison as comparison_view
 from optlink.tasks import control_comparison, parallel_runs
 from optlink.tasks.results.control_comparison import Comparison
 
@@ -319,14 +319,14 @@ def test_runs_that_stall_have_no_figures():
     for trials in result.trials.values():
         assert math.isnan(trials.mean)
         assert trials.stalled == 1
-    text = str(clearance_tables.comparison(result))
+    text = str(comparison_view.overview(result))
     assert "Stalled: 1 of 1 runs with control pid, which therefore has no mean" in text
     assert result.to_dict()["trials"]["pid"]["mean"] is None
-    assert control_comparison_view.charts(result) == []
-    assert conclusions.comparison(result) == "No controller completed its runs."
+    assert comparison_view.charts(result) == []
+    assert comparison_view.conclusion(result) == "No controller completed its runs."
     tuned = optlink.tune(problem, "pid", evaluations=4, starts=1, **SHORT)
     assert (tuned.finished, tuned.status, dict(tuned.best)) == (False, "stalled", {})
-    assert "No result: with every parameter set, that of the problem too, a run stalled" in str(clearance_tables.tuning(tuned))
+    assert "No result: with every parameter set, that of the problem too, a run stalled" in str(comparison_view.tuning(tuned))
 
 
 def test_one_run_of_several_that_stalls_leaves_its_control_without_a_mean():
@@ -337,9 +337,9 @@ def test_one_run_of_several_that_stalls_leaves_its_control_without_a_mean():
     assert math.isnan(trials.mean)
     full = control_comparison._trials(runs[:1] * 2)
     computed = Comparison(optlink.load("slider-crank-clearance"), {"none": full, "pid": trials}, np.zeros(2), 0, 2, {}, "m")
-    [chart] = control_comparison_view.charts(computed)
+    [chart] = comparison_view.charts(computed)
     assert [label for _, label in chart.panels[0].y.ticks] == ["no control"]
-    assert conclusions.comparison(computed).endswith("Not every run was completed.")
+    assert comparison_view.conclusion(computed).endswith("Not every run was completed.")
 
 
 @pytest.fixture(scope="module")
@@ -451,7 +451,7 @@ def test_best_parameters_of_a_tuning_are_compared_from_other_starts(monkeypatch)
     assert (best.mean - before.mean) == pytest.approx(result.before - result.cost)
     assert used == {True: searched, False: set(control_comparison.random_crank_angles(2, 4))}
     assert result.to_dict()["other_starts"]["cost"] == best.mean
-    text = str(clearance_tables.tuning(result))
+    text = str(comparison_view.tuning(result))
     assert "The best parameters are not better from other starts" in text
     assert "Use them" not in text
 

@@ -15,7 +15,7 @@ from optlink.cli.app import app
 from optlink.problem.file import dump
 from optlink.report import terminal
 from optlink.report.html.page import page
-from optlink.report.report_model import ReportModel, verdict
+from optlink.report.report_model import ReportModel
 from optlink.report.views import design_tables
 from optlink.solvers.solution import LimitState
 from optlink.tasks.design import solve, solve as solve_cycle, validate
@@ -58,7 +58,7 @@ def test_a_poor_path_is_called_poor(star) -> None:
     named = [each.remedy.removeprefix("widen ") for each in fit.reasons if each.remedy.startswith("widen")]
     assert set(named) <= set(limited)
     assert bool(named) == bool([key for key in limited if not key.startswith("requirement.points")])
-    assert verdict(ReportModel(star.problem, star, None)).startswith("Valid, poor fit: rms error is")
+    assert ReportModel(star.problem, star, None).verdict.startswith("Valid, poor fit: rms error is")
 
 
 @pytest.mark.slow
@@ -197,7 +197,7 @@ def test_a_linkage_of_the_best_transmission_is_graded(swing: float, ratio: float
     assert ("good" if min(angles) >= 45.0 else "fair" if min(angles) >= 40.0 else "poor") == grade
     remedies = {each["remedy"] for each in fit["reasons"]}
     assert remedies >= ({"change limits.swing_angle", "change limits.time_ratio"} if grade == "poor" else set())
-    shown = verdict(ReportModel(result.problem, result, None))
+    shown = ReportModel(result.problem, result, None).verdict
     assert shown.startswith("Valid, poor transmission" if grade == "poor" else "Valid: every check passed")
 
 
@@ -407,7 +407,7 @@ def test_no_law_of_two_rows_and_no_dwell_is_without_a_grade(block: int) -> None:
         share = fit.error / (1.0 if moved <= 1e-3 else moved)
         grade = "exact" if share <= 1e-9 else "good" if share <= 0.01 else "fair" if share <= 0.05 else "poor"
         assert fit.grade == grade or min(abs(share - edge) for edge in (1e-9, 0.01, 0.05)) < 1e-8, raw
-        shown = verdict(ReportModel(result.problem, result, None))
+        shown = ReportModel(result.problem, result, None).verdict
         assert shown.startswith("Valid, poor fit" if grade == "poor" else "Valid: every check passed"), raw
 
 

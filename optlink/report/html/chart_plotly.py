@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from html import escape as escaped
@@ -13,6 +13,7 @@ import numpy as np
 from optlink.io import finite
 from optlink.report.chart_spec import (
     SYMBOLS,
+    TARGET,
     Array,
     Axis,
     Band,
@@ -29,7 +30,6 @@ from optlink.report.chart_spec import (
 from optlink.report.export.dimensions import Drawing
 from optlink.report.format import pretty
 from optlink.report.html.theme import readable
-from optlink.report.style import TARGET
 
 Trace = dict[str, Any]
 DIGITS = 6  # significant digits of a number in a chart, far below the visible resolution
@@ -96,15 +96,10 @@ def escape(text: str) -> str:
     return escaped(pretty(text))
 
 
-def charts(specs: Iterable[ChartSpec]) -> list[Chart]:
-    """Return the charts of a page; those that are pictures only are left out."""
-    return [chart(spec) for spec in specs if spec.page]
-
-
 def chart(spec: ChartSpec) -> Chart:
     """Return a chart of the page."""
-    kinds = {type(trace) for panel in spec.panels for trace in panel.traces}
-    total = sum(panel.height for panel in spec.panels)
+    traces = [trace for panel in spec.panels for trace in panel.traces]
+    kinds, total = set(map(type, traces)), sum(panel.height for panel in spec.panels)
     height = 480 if spec.equal or kinds & {HeatMap, Boxes} else int(110 + 200 * total)
     inner = height - LAYOUT["margin"]["t"] - LAYOUT["margin"]["b"]
     least = max(PANEL_GAP, 3.0 * PANEL_GAP / len(spec.panels)) * inner
@@ -112,7 +107,8 @@ def chart(spec: ChartSpec) -> Chart:
     height, inner = height + round(sum(gaps) - least * len(gaps)), inner + sum(gaps) - least * len(gaps)
     unit = (1.0 - sum(gaps) / inner) / total
     layout: dict[str, Any] = LAYOUT | {"height": height}
-    if spec.equal or spec.picks is not None or not _lined(spec):
+    lined = any(isinstance(trace, Band) or (isinstance(trace, Curve) and "lines" in trace.mode) for trace in traces)
+    if spec.equal or spec.picks is not None or not lined:
         layout["hovermode"] = "closest"
     if HeatMap in kinds:
         layout["plot_bgcolor"] = "#eceef1"
@@ -145,10 +141,6 @@ def _selected_marker(picks: Picks, colour: str) -> Trace:
     look = {"color": "rgba(0,0,0,0)", "size": 13.0, "line": {"color": colour, "width": 2.2}}
     at = {"x": short(picks.x[[picks.first]]), "y": short(picks.y[[picks.first]]), "yaxis": "y"}
     return {"type": "scatter", "mode": "markers", "name": "", "showlegend": False, "hoverinfo": "skip", "marker": look} | at
-
-
-def _lined(spec: ChartSpec) -> bool:
-    return any(isinstance(t, Band) or (isinstance(t, Curve) and "lines" in t.mode) for panel in spec.panels for t in panel.traces)
 
 
 def _axis(axis: Axis, reach: tuple[float, float] | None = None) -> dict[str, Any]:

@@ -12,7 +12,8 @@ from optlink.errors import InputError
 from optlink.report.html.moving_linkage import Moving
 from optlink.report.html.page import animation_of
 from optlink.report.html.shell import asset, fragment, templates
-from optlink.report.registry import table_of, view_of
+from optlink.report.html.study_page import moving_of
+from optlink.report.registry import view_of
 from optlink.report.report_model import ReportModel, report_model_of
 
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ def notebook_html(result: Any) -> str | None:
     view = view_of(result.kind)
     if view.no_page:
         return None
-    shown = table_of(result.kind)(result)
+    shown = view.table(result)
     moving = _moving(result)
     linkage = "" if moving is None else _linkage(moving, result.problem.model.title)
     chart = _chart(result) if moving is None or view.page is not None else ""
@@ -48,7 +49,7 @@ def _moving(result: Any) -> Moving | None:
         if page is None:
             return animation_of(report_model_of(result), STEPS)
         about = page(result)
-        return None if isinstance(about, ReportModel) else about.moving(STEPS)
+        return None if isinstance(about, ReportModel) else moving_of(about, STEPS)
     except InputError:  # a design that cannot be assembled, a study without a design
         return None
 

@@ -1,7 +1,7 @@
 """HTML report of a design: linkage in motion, result and validation, sensitivities, charts, sources."""
 
 import functools
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,20 +9,13 @@ from optlink.errors import Status
 from optlink.io import whole
 from optlink.report.chart_spec import ChartSpec
 from optlink.report.format import single_units
-from optlink.report.html import chart_plotly
 from optlink.report.html.moving_linkage import Moving, turning
-from optlink.report.html.shell import PageSection, StoredStudy
 from optlink.report.html.study_page import study_page
-from optlink.report.registry import table_of, view_of
-from optlink.report.report_model import ReportModel, verdict
+from optlink.report.registry import view_of
+from optlink.report.report_model import ReportModel
 from optlink.report.table_spec import Paragraph, Span, Summary
-from optlink.report.views import (
-    analysis_charts,
-    analysis_forces,
-    conclusions,
-    sensitivity,
-    study_tables,
-)
+from optlink.report.view import PageSection, StoredStudy
+from optlink.report.views import analysis_charts, analysis_forces, sensitivity
 from optlink.report.views.analysis_curves import CycleCurves
 from optlink.studies.sensitivity import Sensitivities, of_solution
 from optlink.tasks.analyze import Analysis
@@ -52,54 +45,42 @@ def page(model: ReportModel | StoredStudy) -> str:
 
 
 def _report(model: ReportModel) -> StoredStudy:
+    outcome: Any = model.result
+    view, requested = view_of(outcome.kind), model.effects is not None
     effects = model.effects or sensitivities_of(model)
     with single_units():
-        shown = table_of(model.result.kind)(model.result)
+        shown = view.table(outcome)
+        sections = [PageSection(view.heading, (list(shown.parts),)), PageSection("Curves", charts(model))]
+        if effects is not None:
+            parts: list[Any] = [*sensitivity.charts(effects), tuple(sensitivity.parts(effects))]
+            sections.insert(0 if requested else 1, PageSection("Sensitivities", parts))
+        if model.cycle is None and model.unmoved:
+            unmoved = PageSection("Linkage", (Paragraph(f"It cannot be shown in motion: {model.unmoved}."),))
+            sections.insert(1 if requested else 0, unmoved)
+        if view.conclusion is not None:
+            conclusion = view.conclusion(outcome)
+        else:
+            conclusion = "".join(span.text for line in shown.status.lines[:1] for span in line)
+        if model.effects is not None:
+            conclusion = f"{sensitivity.conclusion(model.effects)} {conclusion}"
         return StoredStudy(
             problem=model.problem,
             kind=model.problem.kind,
-            verdict=verdict(model),
+            verdict=model.verdict,
             valid=model.valid,
-            conclusion=_conclusion(model, shown),
+            conclusion=conclusion,
             status=_status(model, shown),
-            sections=list(_sections(model, shown, effects)),
+            sections=sections,
             moving=functools.partial(animation_of, model),
             by=_method(model),
-            after=1 if model.effects is not None else 0,  # the requested study comes first
+            after=1 if requested else 0,  # the requested study comes first
             notes=model.notes,
         )
 
 
 def animation_of(model: ReportModel, steps: int) -> Moving | None:
-    """Return the animated machine of a report model; None if there is none.
-
-    Parameters
-    ----------
-    steps : int
-        Number of positions per revolution.
-    """
+    """Return the animated machine of a report model for a number of positions per revolution; None if there is none."""
     return None if model.cycle is None else turning(model.cycle, steps, model.regions)
-
-
-# --- layout ------------------------------------------------------------------------------------------------------------------
-
-
-def _sections(model: ReportModel, shown: Summary, effects: Sensitivities | None) -> Iterator[PageSection]:
-    if effects is not None and model.effects is not None:
-        yield _sensitivity_section(effects)
-    if model.cycle is None and model.unmoved:
-        yield PageSection("Linkage", (Paragraph(f"It cannot be shown in motion: {model.unmoved}."),))
-    name = "Analysis" if isinstance(model.result, Analysis) else "Design and checks"
-    yield PageSection(name, (list(shown.parts),))
-    if effects is not None and model.effects is None:
-        yield _sensitivity_section(effects)
-    yield PageSection("Curves", chart_plotly.charts(charts(model)))
-
-
-def _sensitivity_section(effects: Sensitivities) -> PageSection:
-    """Return the section of the sensitivities."""
-    figures = chart_plotly.charts(sensitivity.charts(effects))
-    return PageSection("Sensitivities", (*figures, tuple(study_tables.sensitivity_parts(effects))))
 
 
 def sensitivities_of(model: ReportModel) -> Sensitivities | None:
@@ -116,18 +97,6 @@ def sensitivities_of(model: ReportModel) -> Sensitivities | None:
     return result if result.moving else None
 
 
-def _conclusion(model: ReportModel, shown: Summary) -> str:
-    """Return the conclusion of the result; of the kind of an extension the first line of its status."""
-    outcome: Any = model.result
-    if isinstance(outcome, Analysis):
-        return conclusions.analysis(outcome)
-    if outcome.kind == "design":
-        solution = None if outcome.best is None else outcome.best.solution
-        text = conclusions.design(outcome, () if solution is None else solution.displayed_limits)
-        return f"{conclusions.sensitivities(model.effects)} {text}" if model.effects is not None else text
-    return "".join(span.text for line in shown.status.lines[:1] for span in line)
-
-
 def _status(model: ReportModel, shown: Summary) -> Sequence[Sequence[Span]]:
     """Return the lines of the status, without what the conclusion states: a conflict, the change of one objective."""
     outcome = model.result
@@ -142,19 +111,15 @@ def _status(model: ReportModel, shown: Summary) -> Sequence[Sequence[Span]]:
 def charts(model: ReportModel) -> list[ChartSpec]:
     """Return the charts of the result and, for a design, those of its machine over the cycle."""
     outcome: Any = model.result
-    kind = outcome.kind
-    view = view_of(kind)
+    view = view_of(outcome.kind)
     result = [*view.charts(view.model(outcome))]
-    if model.cycle is not None and kind != "analysis":
-        curves, cycle = CycleCurves(model.cycle), outcome.problem.model.of_cycle
-        initial_analysis = outcome.best.initial_analysis if cycle else None
-        initial = None if initial_analysis is None else CycleCurves(initial_analysis)
-        if cycle or model.forces:
-            result += analysis_charts.motion(curves, initial)
-        if cycle:
-            result += analysis_charts.transmission(curves)
-        if model.forces:
-            result += analysis_forces.forces(curves, initial)
+    if model.cycle is not None and model.cycle is not outcome:
+        curves, of_cycle = CycleCurves(model.cycle), outcome.problem.model.of_cycle
+        first = outcome.best.initial_analysis if of_cycle else None
+        initial = None if first is None else CycleCurves(first)
+        result += analysis_charts.motion(curves, initial) if of_cycle or model.forces else []
+        result += analysis_charts.transmission(curves) if of_cycle else []
+        result += analysis_forces.forces(curves, initial) if model.forces else []
     return result
 
 

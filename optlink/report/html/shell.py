@@ -8,7 +8,7 @@ import gzip
 import hashlib
 import json
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from importlib.resources import files
@@ -23,7 +23,8 @@ from optlink.report.format import pretty
 from optlink.report.html import theme
 from optlink.report.html.chart_plotly import Chart, short
 from optlink.report.html.moving_linkage import Moving
-from optlink.report.table_spec import Line, Paragraph, Part, TableSpec
+from optlink.report.table_spec import Paragraph, Part, TableSpec
+from optlink.report.view import PageSection, StoredStudy
 from optlink.version import VERSION
 
 MAX_BYTES = 3_000_000  # largest size of a page [bytes]
@@ -34,45 +35,6 @@ NARROW, WIDE, HUGE = 46, 72, 105  # widths [characters] beyond which a table is 
 DIGITS = 4  # significant digits of numbers outside the appendix
 _KEY_DOT = re.compile(r"(?<=[a-z_]\.)(?=[a-z_])")  # where a key such as mechanism.frame may be broken
 _DECIMAL = re.compile(r"(?<![\w.,])(\d+\.\d+)(e[-+]\d+)?(?![\w]|\.\d)")
-
-
-@dataclass(frozen=True)
-class PageSection:
-    """Part of a page under a heading.
-
-    Its parts are further sections, charts, drawings, the moving linkage, paragraphs, facts by name, and groups of tables.
-    """
-
-    name: str
-    parts: Sequence[PageSection | Part | Chart | Drawing | Moving | Mapping[str, str] | Sequence[Part]]
-
-    @property
-    def anchor(self) -> str:
-        """Name of the section in links."""
-        return self.name.lower().replace(" ", "-")
-
-
-@dataclass(frozen=True, eq=False)
-class StoredStudy:
-    """Report of a result.
-
-    `kind` describes the task; `conclusion` says in a sentence what was found; `status` are lines below the verdict;
-    `sections` contain tables and charts; `moving` returns the animated linkage for a number of positions per revolution, `drawn`
-    is its caption, `after` the number of sections before it; `by` is the method.
-    """
-
-    problem: ProblemFile
-    kind: str
-    verdict: str
-    valid: bool
-    conclusion: str
-    status: Sequence[Line]
-    sections: Sequence[PageSection]
-    moving: Callable[[int], Moving | None]
-    by: str
-    drawn: str = ""
-    after: int = 0
-    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -94,7 +56,8 @@ class PageContent:
         charts = [_chart_data(chart) for chart in self.charts]
         drawings = [part.svg for section in self.sections for part in section.parts if isinstance(part, Drawing)]
         drawn = [json.dumps(charts), "" if self.moving is None else self.moving.svg(""), *drawings]
-        colours = theme.palette(drawn)
+        colours = theme.palette(drawn)  # in dark mode
+        swapped = "".join(f"--c{colour[1:]}:{other};" for colour, other in colours.items())
         return (
             templates()
             .get_template("page.html")
@@ -105,7 +68,7 @@ class PageContent:
                 letterhead=letterhead(self.about.problem),
                 policy=_policy(plotly, script),
                 version=VERSION,
-                style=_style(colours),
+                style=asset("page.css").replace("/*drawn*/", swapped),
                 motion=None if self.moving is None else self.moving.to_dict(),
                 charts={"charts": charts, "dark": colours},
                 plotly=packed,
@@ -264,12 +227,6 @@ def _policy(*scripts: str) -> str:
 def asset(name: str) -> str:
     """Return a script or style sheet of the package."""
     return files("optlink.report").joinpath("assets", name).read_text(encoding="utf-8")
-
-
-def _style(colours: Mapping[str, str]) -> str:
-    """Return the style sheet, with the colours of drawings in dark mode."""
-    swapped = "".join(f"--c{colour[1:]}:{other};" for colour, other in colours.items())
-    return asset("page.css").replace("/*drawn*/", swapped)
 
 
 @cache

@@ -13,8 +13,25 @@ from optlink.dynamics.strokes import last_output
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.stroke import Travel
 from optlink.linkage.vector2d import TURN, Array
-from optlink.report.chart_spec import Axis, ChartSpec, Curve, Dash, Line, Mark, Panel, Span, crank_angle, max_abs
-from optlink.report.style import BODIES, CRANK, LIMIT, MUTED, RESULT, TARGET, Scale, degrees, scale
+from optlink.report.chart_spec import (
+    BODIES,
+    CRANK,
+    LIMIT,
+    MUTED,
+    RESULT,
+    TARGET,
+    Axis,
+    ChartSpec,
+    Curve,
+    Dash,
+    Line,
+    Mark,
+    Panel,
+    Span,
+    crank_angle,
+    max_abs,
+)
+from optlink.report.format import Scale, degrees, scale
 from optlink.report.views.analysis_curves import ROUNDING, CycleCurves
 from optlink.tasks.results.extremes import Extreme
 
@@ -58,15 +75,13 @@ def _slider(cycle: CycleCurves, name: str) -> OutputMotion:
     return OutputMotion(name, (f"{name}.s_m", f"{name}.v_m_s", f"{name}.a_m_s2"), cycle.result.strokes.get(name))
 
 
-def _body(cycle: CycleCurves, body: str) -> OutputMotion:
-    columns = (f"{body}.angle_rad", f"{body}.omega_rad_s", f"{body}.alpha_rad_s2")
-    return OutputMotion(body, columns, cycle.result.swings.get(body))
-
-
 def output(cycle: CycleCurves) -> OutputMotion:
     """Return the main output of the machine: its last slider on the frame, otherwise its last oscillating body."""
     name, slides = last_output(cycle.result.machine, cycle.result.swings, cycle.result.strokes)
-    return _slider(cycle, name) if slides else _body(cycle, name)
+    if slides:
+        return _slider(cycle, name)
+    columns = (f"{name}.angle_rad", f"{name}.omega_rad_s", f"{name}.alpha_rad_s2")
+    return OutputMotion(name, columns, cycle.result.swings.get(name))
 
 
 def outputs(cycle: CycleCurves) -> list[OutputMotion]:

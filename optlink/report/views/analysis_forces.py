@@ -8,8 +8,23 @@ import numpy as np
 from optlink.dynamics.columns import pin_columns
 from optlink.dynamics.inverse import shaking as shaken
 from optlink.linkage import extrema
-from optlink.report.chart_spec import Array, Axis, ChartSpec, Curve, Line, Mark, Panel
-from optlink.report.style import BODIES, COUPLER, CRANK, MUTED, RESULT, ROCKER, TARGET, Scale, degrees, scale
+from optlink.report.chart_spec import (
+    BODIES,
+    COUPLER,
+    CRANK,
+    MUTED,
+    RESULT,
+    ROCKER,
+    TARGET,
+    Array,
+    Axis,
+    ChartSpec,
+    Curve,
+    Line,
+    Mark,
+    Panel,
+)
+from optlink.report.format import Scale, degrees, scale
 from optlink.report.views.analysis_charts import DASHES, axis, chart, curves, extremes, look, machine_title, panel, together
 from optlink.report.views.analysis_curves import ROUNDING, CycleCurves
 

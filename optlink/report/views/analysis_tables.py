@@ -11,6 +11,7 @@ from optlink.dynamics.strokes import StrokeLoad, acting_loads, named_travels, tr
 from optlink.linkage.stroke import Travel
 from optlink.linkage.vector2d import TURN
 from optlink.problem.file import ProblemFile
+from optlink.problem.machine.balance import BalanceSection
 from optlink.problem.mechanism import DyadsSection
 from optlink.report.format import dimension, fixed, number
 from optlink.report.table_spec import (
@@ -70,8 +71,6 @@ def machine(file: ProblemFile) -> Iterator[TableSpec]:
     yield table("[drive] and loads", "<<", drive)
     yield from _clearances(file, built)
     if model.balance is not None:
-        from optlink.report.views.balance_tables import balance_problem
-
         yield balance_problem(model.balance)
     yield table("Reactions: force of which body on which", "<<", reaction_conventions(built).items())
 
@@ -96,6 +95,21 @@ def _clearances(file: ProblemFile, built: Machine) -> Iterator[TableSpec]:
         if value is not None:
             control.append((key, ", ".join(value) if isinstance(value, tuple) else str(value)))
     yield table("Contact law and [control]", "<<", control)
+
+
+def balance_problem(section: BalanceSection) -> TableSpec:
+    """List the settings of the `[balance]` section."""
+    rows = [("minimise", section.words)]
+    rows += [("limit", f"{term.words} at most {limit.max}") for term, limit in section.limited]
+    if section.mass is not None:
+        rows.append(("mass of all", str(section.mass)))
+    rows.append(("positions", str(section.positions)))
+    for weight in section.counterweights:
+        settings = {key: getattr(weight, key) for key in type(weight).model_fields if key != "body"}
+        rows.append((f"on {weight.body}", ", ".join(f"{key} {value}" for key, value in settings.items() if value is not None)))
+    for spring in section.springs:
+        rows.append((spring.name, f"spring {'-'.join(spring.between)}, stiffness {spring.stiffness or 'free'}"))
+    return table("[balance]", "<<", rows)
 
 
 def analysis(outcome: Analysis) -> Summary:

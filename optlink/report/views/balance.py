@@ -1,7 +1,11 @@
-"""Charts, files and HTML sections of a balancing result, which is checked against inverse dynamics when it is read."""
+"""Tables, charts, files and page of a balancing result, which is checked against inverse dynamics when it is read."""
+
+from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,16 +16,52 @@ from optlink.problem.cycle.terms import Term
 from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import fixed_design
 from optlink.problem.mechanism import sizes_of
-from optlink.report.chart_spec import Array, Axis, Band, ChartSpec, Curve, Line, Mark, Panel, Picks, crank_angle, max_abs
-from optlink.report.files import verdict
-from optlink.report.format import change, number
-from optlink.report.html import chart_plotly
-from optlink.report.html.shell import PageSection, StoredStudy
-from optlink.report.html.study_page import no_animation, turning_linkage
-from optlink.report.style import BODIES, CRANK, LIMIT, RESULT, TARGET, scale
-from optlink.report.view import View
-from optlink.report.views import balance_drawing, balance_tables, conclusions
+from optlink.report import files
+from optlink.report.chart_spec import (
+    BODIES,
+    CRANK,
+    LIMIT,
+    RESULT,
+    TARGET,
+    Array,
+    Axis,
+    Band,
+    ChartSpec,
+    Curve,
+    Line,
+    Mark,
+    Panel,
+    Picks,
+    crank_angle,
+    max_abs,
+)
+from optlink.report.format import change, figure, fixed, joined, number, scale, shown, times
+from optlink.report.table_spec import (
+    Inline,
+    Paragraph,
+    Part,
+    Row,
+    Summary,
+    TableSpec,
+    bad,
+    noted,
+    quiet,
+    strong,
+    summary,
+    table,
+    verdict,
+)
+from optlink.report.view import PageSection, StoredStudy, View
+from optlink.report.views.short_text import objective_line, short_text
 from optlink.tasks.results.balance import Balance, TradeOff, column_of
+from optlink.units import percent
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+ROUNDING = 1e-9  # share of the initial value below which the remainder is rounding error
+
+MAX_POINTS = 15  # largest number of listed points of a trade-off
 
 INITIAL = "#8a8a8a"
 COLOURS = {"shaking force": RESULT, "shaking moment": BODIES[3], "torque": CRANK}
@@ -198,6 +238,12 @@ def _picks(trade: TradeOff, places: Array) -> Picks:
     return Picks("point", what, tuple(rows), places[:, 0], places[:, 1], trade.knee or 0)
 
 
+def _mechanism(result: Balance) -> Figure | None:
+    from optlink.report.views.balance_drawing import mechanism
+
+    return mechanism(result)
+
+
 # --- files -----------------------------------------------------------------------------------------------------------------
 
 
@@ -220,7 +266,7 @@ def _design(result: Balance) -> tuple[ProblemFile, str] | None:
         return None
     sizes = sizes_of(result.machine.model.quantities)
     machine = fixed_design(result.machine, sizes) if result.machine.model.free else result.machine
-    return machine, verdict(result.status, result.valid, result.status)
+    return machine, files.verdict(result.status, result.valid, result.status)
 
 
 VERDICTS = {
@@ -236,27 +282,175 @@ VERDICTS = {
 
 def page(result: Balance) -> StoredStudy:
     """Return the page of a balanced machine."""
-    shown = balance_tables.balance(result)
+    shown = overview(result)
     chapters = {"Trade-off": trade_off(result), "Before and after": cycle_charts(result)}
-    curves = [PageSection(name, chart_plotly.charts(group)) for name, group in chapters.items()]
+    curves = [PageSection(name, group) for name, group in chapters.items()]
     return StoredStudy(
         problem=result.problem,
         kind="balance",
         verdict=VERDICTS[result.status] if result.valid or result.status is Status.INFEASIBLE else "Not valid",
         valid=result.valid,
-        conclusion=conclusions.balance(result),
+        conclusion=conclusion(result),
         status=shown.status.lines[1:] if result.refuted else shown.status.lines,  # the conclusion states the conflict
         sections=[PageSection("Balance and verification", (shown.parts,)), *curves],
-        moving=no_animation if result.machine is None else partial(turning_linkage, result.machine, {}),
+        design=None if result.machine is None else (result.machine, {}),
         by=f"a convex programme, {result.solver}; verified by the inverse dynamics of the balanced machine",
         drawn="The balanced machine: rings mark the centroids of its bodies with their counterweights.",
         after=1,
     )
 
 
+def overview(outcome: Balance) -> Summary:
+    """Summarise a balancing result."""
+    message: Inline = verdict(outcome.message, outcome.valid) if outcome.proven or not outcome.valid else outcome.message
+    status: list[Inline] = [message, *noted(outcome.notes)]
+    title, parts, short = outcome.problem.model.title, list[Part](), None
+    if outcome.conflict:
+        parts.append(_conflict(outcome))
+    elif outcome.rows:
+        objective, added = _objective(outcome), _added(outcome)
+        limits = _limits(outcome) if outcome.limits else None
+        parts += [objective, added, _measures(outcome), *([limits] if limits else [])]
+        if outcome.trade is not None:
+            parts.append(_trade(outcome.trade))
+        measured = objective_line(replace(objective, rows=objective.rows[:2]))
+        short = short_text(title, [*status, measured], _in_words(added), limits)
+    effort = f"{outcome.solver}, {outcome.iterations} iterations, {len(outcome.angles)} positions; {times(outcome.seconds)}"
+    return replace(summary(title, status, *parts, Paragraph(quiet(effort), appendix=True)), short=short)
+
+
+def _objective(outcome: Balance) -> TableSpec:
+    unit = outcome.unit or "of the initial machine's"
+    comparison = f"{change(-outcome.reduction)} against the initial {number(outcome.before)}"
+    remark = f"duality gap {outcome.gap:.1e}, computed from the dual point"
+    if outcome.exact:
+        remark = "unconstrained least-squares optimum: a lower bound for all counterweights"
+    agrees = quiet("inverse dynamics of the balanced machine agrees")
+    off = max([outcome.disagreement, *(p.disagreement for p in (outcome.trade.points if outcome.trade else ()))])
+    rows: list[Row] = [
+        (outcome.measure, strong(number(outcome.objective, 9)), unit, quiet(comparison)),
+        ("lower bound", number(max(outcome.lower, 0.0), 9), unit, quiet(remark)),
+        ("verification", f"{off:.1e}", "", agrees if outcome.verified else bad("inverse dynamics DISAGREES")),
+    ]
+    return table("Objective", "<><<", rows)
+
+
+def _added(outcome: Balance) -> TableSpec:
+    rows: list[Row] = []
+    for weight in outcome.added:
+        x, y = weight.place
+        size, what = (weight.gyration, "of gyration") if weight.radius is None else (weight.radius, "disc")
+        thickness = weight.specification.thickness_of(weight.mass) if weight.specification.kind == "disc" else None
+        if thickness is not None:
+            what += f" x {number(thickness * 1e3, 4)} mm"
+        along = float(weight.parameters.along)
+        across = _tiny(float(weight.parameters.across), along)
+        moment = number(math.hypot(along, across)), fixed(math.degrees(math.atan2(across, along)), 2)
+        place = f"({number(x * 1e3, 5)}, {number(y * 1e3 if abs(y) > 1e-9 * abs(x) else 0.0, 5)})"
+        rows.append((weight.body, number(weight.mass), place, *moment, number(size * 1e3, 5), quiet(what)))
+    for spring in outcome.springs:
+        ends = "-".join(point for _, point in spring.specification.ends)
+        made = f"spring {ends}: {number(spring.stiffness)} N/m, free length {number(spring.free * 1e3)} mm"
+        rows.append((spring.specification.name, "", "", "", "", "", made))
+    columns = ["body", ">mass [kg]", ">centre [mm]", ">m·r [kg·m]", ">at [deg]", ">radius\n[mm]", ""]
+    return table("Counterweights: centre along and across the body; m·r and its angle from the body", columns, rows)
+
+
+def _in_words(added: TableSpec) -> Paragraph:
+    """Return the table of counterweights and springs as a line for each."""
+    lines = []
+    for name, mass, place, _, _, radius, what in (tuple(cell.text for cell in row) for row in added.rows):
+        size = f"{mass} kg at {place} mm, radius {radius} mm, " if mass else ""
+        lines.append(f"{name}: {size}{what}")
+    return Paragraph(strong("Counterweights: centre along and across the body"), *lines)
+
+
+def _measures(outcome: Balance) -> TableSpec:
+    rows: list[Row] = []
+    for rms, most in zip(outcome.rows[::2], outcome.rows[1::2], strict=True):
+        cells, largest = [], max(rms.before, rms.after)
+        unit = scale(largest, unit_of(rms.measure))
+        for row in (rms, most):
+            less = percent(row.change, 1, signed=True).removesuffix(" %")
+            cells += [f"{value * unit.factor:.4g}" for value in (row.before, _tiny(row.after, row.before))] + [less]
+        rows.append((rms.measure.subject.removeprefix("reaction "), *cells, quiet(unit.unit)))
+    columns = ["", ">rms", ">after", ">%", ">largest", ">after", ">%", ""]
+    return table("Before and after, by inverse dynamics", columns, rows)
+
+
+def _tiny(value: float, scale: float) -> float:
+    """Return zero for values that are rounding error relative to `scale`."""
+    return value if abs(value) > 1e-12 * abs(scale) else 0.0
+
+
+def _limits(outcome: Balance) -> Part:
+    rows, together = [], dict[frozenset[str], str]()
+    for limit in (limit for limit in outcome.limits if limit.active):
+        step = f"{limit.step * 1e3:.4g} g" if limit.unit == "kg" else f"{limit.step:.4g} {limit.unit}"
+        price = f"{100.0 * limit.buys:.3g} % per {step}"
+        if limit.buys <= 1e-9:
+            price = "no effect alone" if limit.depends_on else "no effect: of several optima the lightest was chosen"
+        if limit.depends_on:
+            names = (limit.name, *limit.depends_on)
+            together.setdefault(frozenset(names), f"limits that gain less alone than together: {joined(names)}")
+        rows.append((limit.name, f"{limit.sense} {limit.bound:.6g} {limit.unit}", price))
+    if not rows:
+        none = "none: only the permitted counterweights and springs determine this optimum"
+        return Paragraph(strong("Active constraints"), none)
+    return table("Active constraints and their shadow prices", "<<<", rows, notes=[*map(quiet, together.values())])
+
+
+def _conflict(outcome: Balance) -> TableSpec:
+    rows = []
+    for item in outcome.conflict:
+        single = "never" if not math.isfinite(item.alone) else f"{item.sense} {item.alone:.6g} {item.unit}"
+        off = item.together - item.bound
+        kept = abs(off) <= 1e-6 * max(abs(item.bound), 1e-9)
+        together = "unchanged" if kept else f"{item.together:.6g} {item.unit} ({off:+.4g})"
+        rows.append((item.name, f"{item.sense} {item.bound:.6g} {item.unit}", single, together))
+    columns = ["limit", "limit value", "feasible if relaxed alone", "together"]
+    return table("Conflicting limits", columns, rows)
+
+
+def _trade(trade: TradeOff) -> TableSpec:
+    first, second = trade.first, trade.second
+    title = f"Trade-off, {len(trade.points)} points"
+    if math.isfinite(trade.ratio):
+        title += f"; a further point takes {percent(trade.ratio)} of the time of the first"
+    if len(trade.points) == 1:
+        title = "No trade-off: one machine minimises both"
+    step, rows = max(1, math.ceil(len(trade.points) / MAX_POINTS)), []
+    ends = {len(trade.points) - 1: f"least {second.subject}", 0: f"least {first.subject}"}
+    for k, point in enumerate(trade.points):
+        mark = ends.get(k, "knee" if k == trade.knee else "")
+        if k % step and not mark:
+            continue
+        shares = [change(value / before - 1.0) for value, before in zip(point.realised, trade.before, strict=True)]
+        price = f"{point.rate:.3g}" if math.isfinite(point.rate) else ""
+        rows.append((mark, number(point.realised[0]), shares[0], number(point.realised[1]), shares[1], price, f"{point.gap:.0e}"))
+    heads = [f">{term.words} {unit_of(term)}" for term in (first, second)]
+    return table(title, ["", heads[0], ">", heads[1], ">", ">price", ">gap"], rows)
+
+
+def conclusion(result: Balance) -> str:
+    """Return the conclusion of a balancing: change of the objective, and active limits."""
+    if result.conflict:
+        return shown(result.refuted)
+    if not result.rows:
+        return "No balancing was found."
+    left = result.objective if abs(result.objective) > ROUNDING * abs(result.before) else 0.0
+    mass = sum(counterweight.mass for counterweight in result.added)
+    text = f"The {result.measure} decreases by {100.0 * result.reduction:.4g} % to {figure(left, result.unit or '')}"
+    text = text.rstrip() + f" with {figure(mass, 'kg')} of counterweights"
+    active = [limit.name for limit in result.limits if limit.active]
+    limiting = f" Active limits: {joined(active[:3])}." if active else ""
+    return f"{text}.{limiting}" if result.valid else f"Not valid. {text}.{limiting}"
+
+
 VIEW = View(
+    overview,
     charts=charts,
-    drawings={"mechanism": balance_drawing.mechanism},
+    drawings={"mechanism": _mechanism},
     tables=_tables,
     design=_design,
     page=page,

@@ -11,8 +11,9 @@ from matplotlib.patches import Circle
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.vector2d import TURN, Array
 from optlink.report.drawing import Sketch
+from optlink.report.format import scale
 from optlink.report.labels import Label, in_points, lay_out, place_labels
-from optlink.report.style import figure, heading, scale, styled
+from optlink.report.style import figure, heading, styled
 from optlink.tasks.results.balance import AddedCounterweight, Balance
 
 

@@ -1,24 +1,41 @@
-"""Charts and page of a simulation with joint clearance."""
+"""Tables, charts, conclusion and page of a simulation with joint clearance."""
+
+from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from optlink.clearance.controller import Control
 from optlink.dynamics.columns import MotionColumns
 from optlink.linkage.vector2d import TURN
-from optlink.report.chart_spec import TIME, Array, Axis, ChartSpec, Curve, Dash, Panel, Span, max_abs
-from optlink.report.html import chart_plotly
-from optlink.report.html.moving_linkage import Moving, in_time
-from optlink.report.html.shell import PageSection, StoredStudy
-from optlink.report.html.study_page import cycle_of
-from optlink.report.scene import scene_at
+from optlink.report.chart_spec import (
+    BODIES,
+    CRANK,
+    LIMIT,
+    MUTED,
+    RESULT,
+    ROCKER,
+    SHADE,
+    TARGET,
+    TIME,
+    Array,
+    Axis,
+    ChartSpec,
+    Curve,
+    Dash,
+    Panel,
+    Span,
+    max_abs,
+)
+from optlink.report.format import Scale, fixed, number, scale, si
 from optlink.report.shapes import even
-from optlink.report.style import BODIES, CRANK, LIMIT, MUTED, RESULT, ROCKER, SHADE, TARGET, Scale, scale
-from optlink.report.view import View
-from optlink.report.views import clearance_joints, clearance_tables, conclusions, magnified_joints
+from optlink.report.table_spec import Line, Paragraph, Summary, TableSpec, noted, quiet, summary, table, verdict
+from optlink.report.view import PageSection, StoredStudy, View
+from optlink.report.views import clearance_joints
 from optlink.report.views.revolutions import (
     FULL,
     TORQUE,
@@ -31,6 +48,13 @@ from optlink.report.views.revolutions import (
 )
 from optlink.report.views.simulation import largest
 from optlink.tasks.results.clearance import ClearanceSimulation
+from optlink.units import DISPLAYED, percent
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from optlink.report.html.moving_linkage import Moving
+
 
 MAX_MARKERS = 60  # number of revolutions up to which each has a marker
 ENLARGE_RATIO = 4.0  # ratio to the ideal torque beyond which a second panel enlarges the latter
@@ -267,28 +291,33 @@ def energy(turns: RevolutionCurves) -> list[ChartSpec]:
 
 def page(result: ClearanceSimulation) -> StoredStudy:
     """Return the page of a simulation with clearance."""
-    shown = clearance_tables.simulation(result)
-    curves = chart_plotly.charts(charts(result)) if result.revolutions else ()
+    shown = overview(result)
+    curves = charts(result) if result.revolutions else ()
     control = "" if result.control is Control.NONE else f"; control: {result.control}"
     return StoredStudy(
         problem=result.problem,
         kind="simulation with clearance",
         verdict="Finished" if result.finished else f"Not finished: {result.ending.value}",
         valid=result.finished,
-        conclusion=conclusions.clearance(result),
+        conclusion=conclusion(result),
         status=shown.status.lines,
         sections=[PageSection("Figures", (shown.parts,)), PageSection("Curves", curves)],
-        moving=partial(_moving, result),
+        moving=partial(_moving, result) if result.revolutions else None,
         by=f"event-driven integration of all bodies, tolerance {result.tolerance:g}{control}",
         drawn="Its last revolutions, drawn without the clearance, which is too small to be seen; journal orbits are below.",
     )
 
 
+def _mechanism(result: ClearanceSimulation) -> Figure | None:
+    from optlink.report.views.magnified_joints import mechanism
+
+    return mechanism(result)
+
+
 def _moving(result: ClearanceSimulation, steps: int) -> Moving | None:
     """Animate the machine without clearance over the last revolutions."""
-    cycle = cycle_of(result.problem, result.machine.sizes) if result.revolutions else None
-    if cycle is None:
-        return None
+    from optlink.report.html.study_page import in_time
+
     turns = RevolutionCurves(result)
     span = turns.rows(WINDOW)
     rows = span.start + even(span.stop - span.start, steps + 1)
@@ -300,12 +329,116 @@ def _moving(result: ClearanceSimulation, steps: int) -> Moving | None:
     names = {gap.point: f"{gap.point}.normal_N" for gap in result.gaps}
     force = scale(largest(result.columns, names.values()), "N")
     shown += [(f"contact force at {point}", force, result[name][rows]) for point, name in names.items()]
-    return in_time(cycle, scene_at(cycle, np.radians(crank)), result["time_s"][rows], shown)
+    return in_time(result.problem, result.machine.sizes, result["time_s"][rows], crank, shown)
+
+
+def overview(outcome: ClearanceSimulation) -> Summary:
+    """Summarise a simulation with clearance: deviation, contacts, drive, energy account and predictability."""
+    title = outcome.problem.model.title
+    if not outcome.revolutions:
+        return summary(title, _status(outcome))
+    remark = f"Tolerance {outcome.tolerance:g}{', compiled integrator' if outcome.integrator == 'compiled' else ''}"
+    if outcome.sample_time is not None:
+        remark += f", controller sampled every {outcome.sample_time * 1e3:.6g} ms"
+    measured = _measured(outcome) if outcome.measured else None
+    parts = _error(outcome), measured, _contacts(outcome), _account(outcome), Paragraph(quiet(remark), appendix=True)
+    return summary(title, _status(outcome), *parts)
+
+
+def _status(outcome: ClearanceSimulation) -> Iterator[Line]:
+    rpm = outcome.speed * 30.0 / math.pi
+    sense = "" if rpm > 0.0 else ", clockwise"
+    free = outcome.problem.model.drive.torque is not None
+    drive = "under a torque; a revolution counts as one of" if free else f"control: {outcome.control};"
+    yield verdict(outcome.ending.value, outcome.finished), f", {outcome.message}; {drive} {abs(rpm):.6g} rpm{sense}"
+    predicted = outcome.prediction
+    if predicted is not None and not predicted.chaotic and predicted.watched:
+        turns = "revolution" if predicted.watched == 1 else "revolutions"
+        yield f"Predictable: runs at two tolerances agree over the {predicted.watched} {turns} compared"
+    yield from noted(outcome.notes)
+
+
+def _error(outcome: ClearanceSimulation) -> TableSpec:
+    figures, unit = outcome.figures, outcome.output.unit
+    factor, displayed = DISPLAYED[unit]
+    last, counted = outcome.revolutions, int(figures["settled_revolutions"]) or outcome.revolutions
+    first = last - counted + 1
+    span = f"revolutions {first} ... {last}" if last > first else f"revolution {last}"
+    rows = [
+        ("root mean square", fixed(figures[f"rms_{unit}"] * factor, 6), displayed),
+        ("mean square", number(figures[f"mean_square_{unit}2"] * factor * factor), f"{displayed}^2"),
+        ("largest", fixed(figures[f"peak_{unit}"] * factor, 6), displayed),
+    ]
+    rms = outcome.per_revolution[f"rms_{unit}"][-counted:]
+    if len(rms) > 1:
+        rows.append(("scatter between revolutions", f"{np.std(rms) * factor:.2g}", displayed))
+    return table(f"Deviation of {outcome.output.name} from the machine without clearance, {span}", "<><", rows)
+
+
+def _measured(outcome: ClearanceSimulation) -> TableSpec:
+    figures, unit = outcome.figures, outcome.output.unit
+    factor, displayed = DISPLAYED[unit]
+    rows = [
+        (words, *(fixed(figures[f"{name}.{what}_{unit}"] * factor, 4) for what in ("rms", "peak", "mean")))
+        for words, name in (("the simulation", "measured"), ("the machine without clearance", "measured.ideal"))
+    ]
+    title = f"Measured {outcome.output.name}, {int(figures['measured.rows'])} rows: difference from"
+    return table(title, ["", f">rms\n[{displayed}]", ">largest", ">mean"], rows)
+
+
+def _contacts(outcome: ClearanceSimulation) -> TableSpec:
+    figures = outcome.figures
+    rows = []
+    for gap in outcome.gaps:
+        count = str(int(figures[f"{gap.point}.contacts"]))
+        share = percent(float(np.mean(outcome.per_revolution[f"{gap.point}.contact_share"])))
+        most = number(figures[f"{gap.point}.normal_max_N"], 5), fixed(figures[f"{gap.point}.penetration_max_m"] * 1e6, 2)
+        rows.append((gap.point, gap.journal, gap.bearing, number(gap.clearance * 1e3), count, share, *most))
+    columns = ["joint", "journal", "bearing", ">gap\n[mm]", ">contacts", ">share", ">force\n[N]", ">depth\n[µm]"]
+    return table("Contacts of all revolutions: share of the time, largest force and penetration", columns, rows)
+
+
+def _account(outcome: ClearanceSimulation) -> TableSpec:
+    figures = outcome.figures
+    rows = [
+        ("torque, root mean square", number(figures["torque_rms_Nm"]), "N m"),
+        ("torque, largest", number(figures["torque_max_Nm"]), "N m"),
+    ]
+    if figures["correction_max_rad"] > 0.0:
+        rms, most = (math.degrees(figures[name]) for name in ("correction_rms_rad", "correction_max_rad"))
+        rows.append(("correction, root mean square", fixed(rms, 4), f"deg, largest {most:.4g} deg"))
+    for name in [key for key in figures if key.endswith(".work_J")]:
+        what, _, _ = name.rpartition(".")
+        words = {"drive": "work of the drive"}.get(what, f"work of {what}")
+        point, _, kind = what.rpartition(".")
+        if point:
+            words = f"lost at {point} {'in the contact' if kind == 'impact' else 'by friction'}"
+        rows.append((words, number(figures[name]), "J"))
+    share = figures["imbalance_J"] / figures["largest_energy_J"] if figures["largest_energy_J"] > 0.0 else 0.0
+    rows.append(("largest imbalance during the run", f"{figures['imbalance_J']:.1e}", f"J, {share:.1e} of the largest energy"))
+    return table("Drive and energy account", "<><", rows)
+
+
+def conclusion(result: ClearanceSimulation) -> str:
+    """Return the conclusion of a simulation with joint clearance."""
+    if not result.revolutions:
+        return f"No complete revolution was simulated: {result.message}."
+    unit, figures = result.output.unit, result.figures
+    text = f"Joint clearance makes the {result.output.name} deviate by {si(figures[f'rms_{unit}'], unit)} (root mean square), "
+    text += f"at most {si(figures[f'peak_{unit}'], unit)}"
+    counted = int(figures["settled_revolutions"])
+    last = {gap.point: np.max(result.per_revolution[f"{gap.point}.normal_max_N"][-counted:]) for gap in result.gaps}
+    point = max(last, key=lambda name: last[name])
+    first = max(figures[f"{gap.point}.normal_max_N"] for gap in result.gaps)
+    text += f"; the contact force reaches {si(last[point], 'N')} at {point}"
+    text += f" ({si(first, 'N')} while it runs in)." if first > last[point] else "."
+    return text if result.finished else f"Not finished: {result.message}. {text}"
 
 
 VIEW = View(
+    overview,
     charts=charts,
-    drawings={"mechanism": magnified_joints.mechanism},
+    drawings={"mechanism": _mechanism},
     tables=lambda result: {"play": result.columns} if result.columns else {},
     page=page,
     result=ClearanceSimulation,

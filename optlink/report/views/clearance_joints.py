@@ -8,9 +8,23 @@ from numpy.typing import NDArray
 
 from optlink.clearance.integration import Impact
 from optlink.clearance.joint import Gap
-from optlink.report.chart_spec import Array, Axis, ChartSpec, Curve, Panel, crank_angle, max_abs
-from optlink.report.format import round_below
-from optlink.report.style import BODIES, GROUND, LIMIT, MUTED, RESULT, TARGET, Scale, charts_per_row, scale
+from optlink.report.chart_spec import (
+    BODIES,
+    GROUND,
+    LIMIT,
+    MUTED,
+    RESULT,
+    TARGET,
+    Array,
+    Axis,
+    ChartSpec,
+    Curve,
+    Panel,
+    charts_per_row,
+    crank_angle,
+    max_abs,
+)
+from optlink.report.format import Scale, round_below, scale
 from optlink.report.views.revolutions import (
     CIRCLE,
     FULL,

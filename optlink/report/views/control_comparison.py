@@ -1,4 +1,4 @@
-"""Charts and page of a control comparison: deviation under each control, several starts."""
+"""Tables, charts and page of a control comparison: deviation under each control, several starts."""
 
 import math
 from collections.abc import Mapping
@@ -7,17 +7,30 @@ from functools import partial
 
 import numpy as np
 
-from optlink.report.chart_spec import Array, Axis, Band, ChartSpec, Curve, Line, Panel, max_abs
-from optlink.report.html import chart_plotly
-from optlink.report.html.shell import PageSection, StoredStudy
-from optlink.report.html.study_page import no_animation
-from optlink.report.style import BODIES, COUPLER, CRANK, MUTED, RESULT, ROCKER, TARGET, scale
-from optlink.report.view import View
-from optlink.report.views import clearance_tables, conclusions
+from optlink.report.chart_spec import (
+    BODIES,
+    COUPLER,
+    CRANK,
+    MUTED,
+    RESULT,
+    ROCKER,
+    TARGET,
+    Array,
+    Axis,
+    Band,
+    ChartSpec,
+    Curve,
+    Line,
+    Panel,
+    max_abs,
+)
+from optlink.report.format import fixed, scale, si
+from optlink.report.table_spec import Inline, Paragraph, Row, Summary, bad, good, summary, table
+from optlink.report.view import PageSection, StoredStudy, View
 from optlink.report.views.revolutions import FULL, RevolutionCurves, fold
 from optlink.tasks.results.clearance import ClearanceSimulation
-from optlink.tasks.results.control_comparison import Comparison
-from optlink.units import percent
+from optlink.tasks.results.control_comparison import Comparison, Tuning
+from optlink.units import DISPLAYED, percent
 
 
 def charts(comparison: Comparison) -> list[ChartSpec]:
@@ -122,18 +135,83 @@ def trials(comparison: Comparison) -> ChartSpec:
 
 def page(comparison: Comparison) -> StoredStudy:
     """Return the page of a control comparison."""
-    shown = clearance_tables.comparison(comparison)
+    shown = overview(comparison)
     return StoredStudy(
         problem=comparison.problem,
         kind="comparison of control",
         verdict="Finished" if comparison.finished else "Not every run was finished",
         valid=comparison.finished,
-        conclusion=conclusions.comparison(comparison),
+        conclusion=conclusion(comparison),
         status=shown.status.lines,
-        sections=[PageSection("Figures", (shown.parts,)), PageSection("Charts", chart_plotly.charts(charts(comparison)))],
-        moving=no_animation,
+        sections=[PageSection("Figures", (shown.parts,)), PageSection("Charts", charts(comparison))],
         by=f"event-driven integration from {len(comparison.starts)} crank angles, seed {comparison.seed}",
     )
 
 
-VIEW = View(charts=charts, page=page, result=Comparison)
+def overview(outcome: Comparison) -> Summary:
+    """Tabulate all kinds of control of a comparison."""
+    factor, displayed = DISPLAYED[outcome.unit]
+    count = len(outcome.starts)
+    starts = "one crank angle at the start" if count == 1 else f"{count} crank angles at the start"
+    status: list[Inline] = [f"{outcome.revolutions} revolutions from each of {starts} (seed {outcome.seed})"]
+    rows: list[Row] = []
+    for kind, trials in outcome.trials.items():
+        gain = math.nan if kind == "none" or "none" not in outcome.trials else outcome.gain(kind)
+        effort, torque = math.degrees(np.mean(trials.correction)), float(np.mean(trials.torque))
+        sizes = [fixed(value * factor, 4) for value in (trials.mean, trials.scatter, np.max(trials.peak))]
+        row = [kind, *sizes, percent(gain) if math.isfinite(gain) else "", fixed(effort, 3), fixed(torque, 3)]
+        rows.append([*row] if trials.finished else [bad(cell) for cell in row])
+        if trials.stalled:
+            status.append(bad(f"Stalled: {trials.stalled} of {count} runs with control {kind}, which therefore has no mean"))
+    columns = ["control", f">rms\n[{displayed}]", ">scatter", ">peak", ">gain", ">crank\n[deg]", ">torque\n[N m]"]
+    title = "Deviation of the output, and effort of the control: rms of correction and torque"
+    return summary(outcome.problem.model.title, status, table(title, columns, rows))
+
+
+def tuning(outcome: Tuning) -> Summary:
+    """Summarise a search for controller parameters and its best set."""
+    factor, displayed = DISPLAYED[outcome.unit]
+    starts = "one crank angle" if outcome.starts == 1 else f"{outcome.starts} crank angles"
+    runs = f"{outcome.revolutions} revolutions from each of {starts} at the start (seed {outcome.seed})"
+    stopped = int(np.sum(~np.isfinite(outcome.costs)))
+    tried = f"{len(outcome.costs)} parameter sets tried"
+    tried += f", {stopped} of them stalled or stopped early as worse" if stopped else ""
+    rows = [("parameters of the problem", fixed(outcome.before * factor, 4))]
+    failed = bad("No result: with every parameter set, that of the problem too, a run stalled")
+    lines = ["No parameter set is better than that of the problem, which is kept" if outcome.finished else failed]
+    if outcome.best:
+        rows.append(("best parameters", fixed(outcome.cost * factor, 4)))
+        rows.append(("scatter between starts", fixed(outcome.scatter * factor, 4)))
+        lines = [good("Use them: " + " ".join(f'--set control.{name}="{value}"' for name, value in outcome.best.items()))]
+        if outcome.check is not None:
+            before, best = outcome.check
+            rows.append(("from other starts: parameters of the problem", fixed(before.mean * factor, 4)))
+            rows.append(("from other starts: best parameters", fixed(best.mean * factor, 4)))
+            rows.append(("from other starts: scatter", fixed(best.scatter * factor, 4)))
+            if not (best.mean < before.mean or math.isnan(before.mean)):
+                lines = [bad("The best parameters are not better from other starts: the gain is an accident of these starts")]
+            elif before.mean - best.mean < 2.0 * best.scatter:
+                lines.append(bad("Note: the gain from other starts is less than twice the scatter; check it with more starts"))
+    costs = table("Mean root mean square of the deviation", ["", f">{displayed}"], rows)
+    return summary(outcome.problem.model.title, [f"{outcome.control}: {runs}", tried], costs, Paragraph(*lines))
+
+
+def conclusion(result: Comparison) -> str:
+    """Return the conclusion of a control comparison: the best control, and its gain."""
+    finished = {name: trials for name, trials in result.trials.items() if trials.finished}
+    if not finished:
+        return "No controller completed its runs."
+    best = min(finished, key=lambda name: finished[name].mean)
+    tail = "" if len(finished) == len(result.trials) else " Not every run was completed."
+    if best == "none":
+        rms = si(finished[best].mean, result.unit)
+        return f"Best without control: root mean square deviation {rms}; every controller that completed increases it.{tail}"
+    less = ""
+    if "none" in finished:
+        less = f", {100.0 * (1.0 - finished[best].mean / finished['none'].mean):z.1f} % less than without control"
+    rms, peak = (si(value, result.unit) for value in (finished[best].mean, np.max(finished[best].peak)))
+    return f"The best control is {best}: root mean square deviation {rms}{less}; peak {peak}.{tail}"
+
+
+VIEW = View(overview, charts=charts, page=page, result=Comparison)
+TUNING = View(tuning, result=Tuning, no_page="Read the best parameters in it, under best")

@@ -13,15 +13,17 @@ from optlink.linkage.motion import Motion
 from optlink.linkage.vector2d import TURN
 from optlink.report.animation import film, there_and_back
 from optlink.report.causes import marked
-from optlink.report.chart_spec import Array, ChartSpec
+from optlink.report.chart_spec import CRANK, TARGET, Array, ChartSpec
 from optlink.report.drawing import Sketch
-from optlink.report.style import CRANK, TARGET, styled
+from optlink.report.style import styled
 from optlink.report.view import View
+from optlink.report.views import conclusions
 from optlink.report.views.certificate_view import certificate_charts
 from optlink.report.views.design_charts import CloseUp, dots, errors, points_on, small_frames
 from optlink.report.views.design_cycle import beside_initial, courses
 from optlink.report.views.design_drawings import at_positions, beside_curve, designs
 from optlink.report.views.design_outputs import law, output_film, transmission
+from optlink.report.views.design_tables import design_result
 from optlink.report.views.design_view import DesignView, best, views, with_verdict
 from optlink.report.views.design_words import words_of
 from optlink.report.views.objective_map import objective_map
@@ -129,7 +131,15 @@ def tables(result: SynthesisResult) -> dict[str, Mapping[str, Array]]:
     return {f"points{part.task.prefix and f'-{part.task.prefix[:-1]}'}": words_of(part).columns(part) for part in parts}
 
 
+def conclusion(result: SynthesisResult) -> str:
+    """Return the conclusion, with the active limit that has the largest price."""
+    best = result.best
+    return conclusions.design(result, () if best is None or best.solution is None else best.solution.displayed_limits)
+
+
 VIEW = View(
+    design_result,
+    conclusion,
     charts=charts,
     drawings={
         **{"path": beside_curve, "mechanism": at_positions, "mechanisms": beside_initial},

@@ -8,11 +8,25 @@ from numpy.typing import NDArray
 
 from optlink.linkage.vector2d import TURN
 from optlink.report.chart_mpl import draw_into
-from optlink.report.chart_spec import Array, Axis, Bars, ChartSpec, Curve, Mark, Panel, Trace, max_abs
-from optlink.report.format import si
+from optlink.report.chart_spec import (
+    BODIES,
+    LIMIT,
+    MUTED,
+    RESULT,
+    TARGET,
+    Array,
+    Axis,
+    Bars,
+    ChartSpec,
+    Curve,
+    Mark,
+    Panel,
+    Trace,
+    max_abs,
+)
+from optlink.report.format import scale, si
 from optlink.report.labels import Label
 from optlink.report.shapes import even, finite
-from optlink.report.style import BODIES, LIMIT, MUTED, RESULT, TARGET, scale
 from optlink.report.views.design_view import DesignView, fitting, title_of, wrapped
 from optlink.report.views.design_words import captions, words_of
 

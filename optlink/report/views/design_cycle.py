@@ -16,10 +16,11 @@ from optlink.problem.cycle.terms import Term
 from optlink.problem.design import DesignProblem
 from optlink.report import chart_spec
 from optlink.report.causes import marked
-from optlink.report.chart_spec import Array, Axis, ChartSpec, Curve, Panel, crank_angle
+from optlink.report.chart_spec import GROUND, LIMIT, MUTED, RESULT, Array, Axis, ChartSpec, Curve, Panel, crank_angle
 from optlink.report.drawing import Sketch
+from optlink.report.format import Scale, scale
 from optlink.report.labels import place_labels
-from optlink.report.style import GROUND, LIMIT, MUTED, RESULT, Scale, figure, heading, scale, styled
+from optlink.report.style import figure, heading, styled
 from optlink.tasks.analyze import Analysis
 from optlink.tasks.results.design import LinkageDesign, SynthesisResult
 from optlink.units import KINDS
@@ -87,7 +88,9 @@ def courses(design: LinkageDesign) -> list[ChartSpec]:
 
 def _panel(problem: DesignProblem, term: Term, cycles: dict[str, Cycle], limits: tuple[float | None, float | None]) -> Panel:
     lines = {name: _line(cycle, term) for name, cycle in cycles.items()}
-    shown = scale(max(np.nanmax(np.abs(line.values)) for line in lines.values()), _unit(problem.kind(term)))
+    kind = problem.kind(term)
+    unit = "deg" if kind == "angle" else KINDS[kind].si.replace("**2", "²").replace("*", " ") if kind in KINDS else ""
+    shown = scale(max(np.nanmax(np.abs(line.values)) for line in lines.values()), unit)
     styles = {"initial": (INITIAL, 1.3), "result": (RESULT, 1.8)}
     curves = [
         Curve(line.angles, line.values * shown.factor, f"{name}: {term.how} {shown.text(line.figure)}", *styles[name], gid=name)
@@ -95,12 +98,6 @@ def _panel(problem: DesignProblem, term: Term, cycles: dict[str, Cycle], limits:
     ]
     low = min(np.nanmin(line.values) for line in lines.values())
     return Panel(Axis(f"{term.subject} [{shown.unit}]"), curves, lines=list(_limits(term, limits, shown, low)))
-
-
-def _unit(kind: str) -> str:
-    """Return the unit of a physical kind for `scale`; an empty text for a mere number."""
-    unit = "deg" if kind == "angle" else KINDS[kind].si if kind in KINDS else ""
-    return unit.replace("**2", "²").replace("*", " ")
 
 
 def _limits(term: Term, limits: tuple[float | None, float | None], shown: Scale, low: float) -> Iterable[chart_spec.Line]:

@@ -14,10 +14,12 @@ from optlink.linkage.dyad_types import transmitting
 from optlink.linkage.motion import Motion
 from optlink.linkage.stroke import travels, within_cycle
 from optlink.linkage.vector2d import TURN
+from optlink.report.chart_spec import CRANK, LIMIT, TARGET, charts_per_row
 from optlink.report.drawing import merged_positions
+from optlink.report.format import degrees
 from optlink.report.labels import Label, place_labels
 from optlink.report.shapes import even
-from optlink.report.style import CRANK, LIMIT, TARGET, charts_per_row, degrees, figure, heading, panels, styled
+from optlink.report.style import figure, heading, panels, styled
 from optlink.report.views.design_charts import MAX_NUMBERED, CloseUp, points_on
 from optlink.report.views.design_tables import cognate_sources
 from optlink.report.views.design_view import LINE, SMALL, TITLE, DesignView, mechanism_title, views, wrapped

@@ -11,8 +11,25 @@ from optlink.linkage.dyad_types import transmitting
 from optlink.optimization.output_derivatives import ErrorResiduals
 from optlink.problem.targets.function import Function
 from optlink.report.animation import film
-from optlink.report.chart_spec import Array, Axis, Band, ChartSpec, Curve, Line, Mark, Panel, Span, Trace, crank_angle
-from optlink.report.style import BODIES, LIMIT, MUTED, RESULT, TARGET, scale
+from optlink.report.chart_spec import (
+    BODIES,
+    LIMIT,
+    MUTED,
+    RESULT,
+    TARGET,
+    Array,
+    Axis,
+    Band,
+    ChartSpec,
+    Curve,
+    Line,
+    Mark,
+    Panel,
+    Span,
+    Trace,
+    crank_angle,
+)
+from optlink.report.format import scale
 from optlink.report.views.design_view import DesignView, title_of, wrapped
 from optlink.report.views.design_words import captions
 

@@ -16,10 +16,10 @@ from optlink.problem.requirements.base import MARK
 from optlink.report.causes import marked, why_invalid
 from optlink.report.drawing import Sketch
 from optlink.report.files import verdict
-from optlink.report.format import round_below
+from optlink.report.format import Scale, degrees, round_below, scale
 from optlink.report.regions import regions_of
 from optlink.report.shapes import finite, spread
-from optlink.report.style import Scale, degrees, heading, scale
+from optlink.report.style import heading
 from optlink.report.views.design_words import captions
 from optlink.tasks.results.design import LinkageDesign, SynthesisResult
 from optlink.validation.linkage_motion import transmission_angles

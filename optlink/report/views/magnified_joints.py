@@ -20,11 +20,11 @@ from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.vector2d import TURN, Array
 from optlink.report.animation import STACKED_RATIO
 from optlink.report.chart_mpl import FONT, TITLE
-from optlink.report.chart_spec import max_abs
+from optlink.report.chart_spec import GROUND, MUTED, TARGET, max_abs
 from optlink.report.drawing import Sketch
-from optlink.report.format import round_below
+from optlink.report.format import degrees, round_below
 from optlink.report.labels import Label, in_points, lay_out, place_labels
-from optlink.report.style import GROUND, MUTED, TARGET, degrees, figure, heading, styled
+from optlink.report.style import figure, heading, styled
 from optlink.report.views.revolutions import FULL, RevolutionCurves, joint_name, rough
 from optlink.tasks.results.clearance import ClearanceSimulation
 

@@ -10,8 +10,9 @@ from matplotlib.figure import Figure
 
 from optlink.linkage.vector2d import Array
 from optlink.optimization.nlp import NLP
+from optlink.report.chart_spec import LIMIT, TARGET
 from optlink.report.format import dimension, pretty
-from optlink.report.style import LIMIT, TARGET, figure, heading, styled
+from optlink.report.style import figure, heading, styled
 from optlink.report.views.design_words import measure
 from optlink.solvers.contract import selectable
 from optlink.solvers.solution import Solution

@@ -48,7 +48,9 @@ def _demands(model: DesignProblem) -> Iterator[TableSpec]:
     """List requirements, limits, and what is demanded of quantities of the machine."""
     for part in model.parts:
         title = f"requirements: {part.prefix[:-1]}" if part.prefix else "requirement"
-        yield _section(title, part.requirement, effective_values(part), leave_out=_inapplicable(part, "requirement"))
+        effective, stated = part.requirement.effective(part), part.requirement.model_fields_set
+        effective = {key: text for key, text in effective.items() if key not in stated}
+        yield _section(title, part.requirement, effective, leave_out=_inapplicable(part, "requirement"))
     if model.parts:
         over = {"transmission_over": model.limits.transmission_range}
         yield _section("limits", model.limits, over, leave_out=_inapplicable(model, "limits"))
@@ -74,12 +76,6 @@ def _terms(model: DesignProblem) -> TableSpec:
     stated = ["[[requirements]]" if model.requirements else "[requirement]"] * bool(model.required)
     stated += ["[objective]"] * bool(model.goals) + ["[limits]"] * bool(model.named_limits or not model.parts)
     return table(joined(stated), "<<<", rows)
-
-
-def effective_values(model: DesignProblem) -> dict[str, str]:
-    """Return the effective values of optional keys of the requirement."""
-    stated = model.requirement.model_fields_set
-    return {key: text for key, text in model.requirement.effective(model).items() if key not in stated}
 
 
 def _section(

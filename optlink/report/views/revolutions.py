@@ -8,9 +8,8 @@ from numpy.typing import NDArray
 
 from optlink.clearance.joint import Gap
 from optlink.linkage.vector2d import TURN
-from optlink.report.chart_spec import Array, Axis, Curve, Line, Span, crank_angle
-from optlink.report.format import round_below
-from optlink.report.style import MUTED, RESULT, SHADE, Scale, scale
+from optlink.report.chart_spec import MUTED, RESULT, SHADE, Array, Axis, Curve, Line, Span, crank_angle
+from optlink.report.format import Scale, round_below, scale
 from optlink.tasks.results.clearance import ClearanceSimulation
 
 Mask = NDArray[np.bool_]

@@ -70,7 +70,9 @@ def search_summary(
     verdict = [*refuted_first(outcome), *graded_status(search_verdict(best.status, best.valid, proof), best, tail)]
     notes, checked = [*noted(outcome.notes)], checks(best.validation.checks)
     proven = certificate_lines(proof)
-    ended: list[Line] = (proven if certified(proof) else []) if outcome.refuted else [quiet(_message(outcome, exact=best.exact))]
+    single = outcome.message == Status.OPTIMAL.text and outcome.starts == 1 and not best.exact
+    message = quiet(outcome.message + " (use --starts N for a multistart search)" * single)
+    ended: list[Line] = (proven if certified(proof) else []) if outcome.refuted else [message]
     full = summary(
         model.title,
         [*verdict, *notes, *ended],
@@ -111,12 +113,6 @@ def refuted_first(outcome: SynthesisResult) -> Iterator[Line]:
     """Yield which limits exclude each other, the first line of the status of an infeasible problem."""
     if outcome.refuted:
         yield [bad(outcome.refuted)]
-
-
-def _message(outcome: SynthesisResult, *, exact: bool) -> str:
-    text = outcome.message
-    single = text == Status.OPTIMAL.text and outcome.starts == 1 and not exact
-    return text + " (use --starts N for a multistart search)" * single
 
 
 def search_verdict(status: Status, valid: bool, certificate: Certificate | None) -> list[Inline]:
@@ -267,13 +263,9 @@ def conflict(limits: Sequence[Relaxation], together: Sequence[Relaxation]) -> Ta
         shared = opposed_limits(together)
         rows += [(limit.name, _limit(limit), f"together: {_relaxed(limit) or 'dropped'}") for limit in shared]
     columns = ["limit", "limit value", "feasible if relaxed alone"]
-    return table("Conflicting limits", columns, rows, sections=[single], notes=_exact_values(opposed))
-
-
-def _exact_values(limits: Sequence[OpposedLimit]) -> list[str]:
-    """Return how to state a least or a greatest value, for each limit whose two sides are the same."""
-    values = [(limit.name, _value(limit.sides[0])) for limit in limits if limit.exact]
-    return [f'A single value is exact: write ">= {x}" for the smallest or "<= {x}" for the largest {name}.' for name, x in values]
+    exact = [(limit.name, _value(limit.sides[0])) for limit in opposed if limit.exact]
+    notes = [f'A single value is exact: write ">= {x}" for the smallest or "<= {x}" for the largest {name}.' for name, x in exact]
+    return table("Conflicting limits", columns, rows, sections=[single], notes=notes)
 
 
 def _value(side: Relaxation) -> str:

@@ -1,30 +1,32 @@
 """Charts and page of a simulation in time: speed and torque, output, bodies, reactions, energy."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Iterable, Mapping
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from optlink.dynamics.ending import Ending
 from optlink.dynamics.machine import slider_names
 from optlink.linkage.mechanism import FRAME
-from optlink.report.chart_spec import TIME, Array, Axis, ChartSpec, Curve, Panel, max_abs
-from optlink.report.html import chart_plotly
-from optlink.report.html.moving_linkage import Moving, in_time
-from optlink.report.html.shell import PageSection, StoredStudy
-from optlink.report.html.study_page import cycle_of, no_animation
-from optlink.report.scene import scene_at
+from optlink.linkage.vector2d import TURN
+from optlink.report.chart_spec import BODIES, CRANK, MUTED, RESULT, TARGET, TIME, Array, Axis, ChartSpec, Curve, Panel, max_abs
+from optlink.report.format import Scale, figure, scale, si
 from optlink.report.shapes import even
-from optlink.report.style import BODIES, CRANK, MUTED, RESULT, TARGET, Scale, scale
-from optlink.report.view import View
-from optlink.report.views import analysis_tables, conclusions
+from optlink.report.view import PageSection, StoredStudy, View
+from optlink.report.views import analysis_tables
 from optlink.report.views.analysis_charts import MAX_BODIES, look, together
 from optlink.report.views.analysis_curves import ROUNDING
 from optlink.tasks.analyze import reaction_conventions
 from optlink.tasks.simulate import Simulation
 from optlink.units import percent
+
+if TYPE_CHECKING:
+    from optlink.report.html.moving_linkage import Moving
+
 
 RPM = 30.0 / math.pi
 MAX_REACTIONS = 10  # largest number of joint reactions
@@ -176,16 +178,16 @@ VERDICTS = {Ending.FINISHED: "Finished", Ending.AT_REST: "Came to rest"}
 
 def page(run: Simulation) -> StoredStudy:
     """Return the page of a simulation in time."""
-    curves = chart_plotly.charts(charts(run))
+    curves = charts(run)
     return StoredStudy(
         problem=run.problem,
         kind="simulation in time",
         verdict=VERDICTS.get(run.ending, f"Not finished: {run.ending.value}"),
         valid=run.finished,
-        conclusion=conclusions.simulation(run),
+        conclusion=conclusion(run),
         status=[f"{run.ending.value}, driven by {run.driven}{analysis_tables.unnoted(run)}", *run.notes],
         sections=[PageSection("Figures", (analysis_tables.simulation(run).parts,)), PageSection("Over time", curves)],
-        moving=partial(_moving, run) if curves else no_animation,
+        moving=partial(_moving, run) if curves else None,
         by=f"integration in time; driven by {run.driven}",
         drawn="As the crank turned in time: the slider goes from row to row of the simulation.",
     )
@@ -193,16 +195,30 @@ def page(run: Simulation) -> StoredStudy:
 
 def _moving(run: Simulation, steps: int) -> Moving | None:
     """Animate the linkage at rows of the simulation."""
-    cycle = cycle_of(run.problem, run.sizes)
-    if cycle is None:
-        return None
-    body, rows = cycle.machine.mechanism.crank.body, even(len(run["time_s"]), steps + 1)
+    from optlink.report.html.study_page import in_time
+
+    body, rows = run.machine.mechanism.crank.body, even(len(run["time_s"]), steps + 1)
     crank = run["crank_angle_deg"][rows]
     shown = [("crank angle", Scale(1.0, "deg"), crank)]
     for name, words, unit in ((f"{body}.omega_rad_s", "crank speed", "rad/s"), ("input.torque_Nm", "driving torque", "N m")):
         if name in run.columns:
             shown.append((words, scale(largest(run.columns, [name]), unit), run[name][rows]))
-    return in_time(cycle, scene_at(cycle, np.radians(crank)), run["time_s"][rows], shown)
+    return in_time(run.problem, run.sizes, run["time_s"][rows], crank, shown)
 
 
-VIEW = View(charts=charts, tables=lambda run: {"course": run.columns}, page=page, result=Simulation)
+def conclusion(result: Simulation) -> str:
+    """Return the conclusion of a simulation in time."""
+    figures = result.figures
+    speed, time = figures["end.speed_rad_s"] * 30.0 / math.pi, figures["end.time_s"]
+    turns = figures["end.crank_angle_rad"] / TURN
+    text = f"After {figure(time, 's')} the crank turns at {figure(speed, 'rpm')}, "
+    text += f"{figure(turns)} revolutions from its zero position"
+    if "last_turn.fluctuation" in figures:
+        last = "cycle" if "last_turn.revolutions" in figures else "revolution"
+        text += f"; its speed fluctuates by {100.0 * figures['last_turn.fluctuation']:z.2f} % in the last {last}"
+    if "input.work_J" in figures:
+        text += f"; the drive has done {si(figures['input.work_J'], 'J')} of work"
+    return f"{text}." if result.finished else f"Not finished: {result.ending.text}. {text}."
+
+
+VIEW = View(analysis_tables.simulation, charts=charts, tables=lambda run: {"course": run.columns}, page=page, result=Simulation)

@@ -1,9 +1,10 @@
-"""Charts and page of a parameter sweep: curves over one parameter, a map over two, maps over three, extremes over more."""
+"""Tables, charts and page of a sweep: curves over one parameter, a map over two, maps over three, extremes over more."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Literal
@@ -13,19 +14,52 @@ from numpy.typing import NDArray
 
 from optlink.problem.file import ProblemFile
 from optlink.report import chart_spec
-from optlink.report.chart_spec import Array, ChartSpec, Curve, HeatMap, Line, Panel, Picks, Span, cells, max_abs
-from optlink.report.format import number
-from optlink.report.html import chart_plotly
-from optlink.report.html.shell import PageSection, StoredStudy
-from optlink.report.html.study_page import named_si, no_animation, turning_linkage, with_drawings
+from optlink.report.chart_spec import (
+    BODIES,
+    LIMIT,
+    MUTED,
+    RESULT,
+    Array,
+    ChartSpec,
+    Curve,
+    HeatMap,
+    Line,
+    Panel,
+    Picks,
+    Span,
+    cells,
+    charts_per_row,
+    max_abs,
+)
+from optlink.report.format import (
+    Scale,
+    figure,
+    joined,
+    number,
+    points,
+    scale,
+)
 from optlink.report.shapes import even
-from optlink.report.style import BODIES, LIMIT, MUTED, RESULT, Scale, charts_per_row, scale
-from optlink.report.view import View
-from optlink.report.views import conclusions, study_tables
+from optlink.report.table_spec import (
+    Paragraph,
+    Row,
+    Summary,
+    TableSpec,
+    bad,
+    quiet,
+    summary,
+    table,
+    verdict,
+)
+from optlink.report.view import PageSection, StoredStudy, View
 from optlink.report.views.revolutions import runs
 from optlink.studies.analysis_task import FIGURES
 from optlink.studies.grid import Axis
 from optlink.studies.sweep import CHANGED, MAX_ROWS, TEXT, Sweep
+
+MAX_LISTED = 12  # largest number of active-set changes and of points listed
+MAX_COLUMNS = 5  # largest number of quantities side by side
+_UNIT = re.compile(r"(.+)_((?:rad|m)_s2?|(?:rad|mm|m|deg)2?|N|Nm|W|J)")
 
 MAX_CURVE_POINTS = 4000  # largest number of points of a curve; larger sweeps are thinned evenly
 MAX_SELECTABLE = 1500  # largest number of selectable points
@@ -102,24 +136,23 @@ class SweepTable:
 
 def page(result: Sweep) -> StoredStudy:
     """Return the page of a sweep."""
-    problem, table, shown = result.problem, SweepTable.of(result), study_tables.sweep(result)
-    figures = [with_drawings(chart, lambda k: _design(table, k)) for chart in chart_plotly.charts(charts(result))]
+    problem, table, shown = result.problem, SweepTable.of(result), overview(result)
     if result.evaluated:
         counted = ", ".join(f"{count:,} {status}" for status, count in result.statuses.items()) or "analysed"
         by = f"{'simulation' if result.mode == 'simulate' else 'analysis'} of every point"
     else:
         counted_points = f"{result.valid:,} points verified, {result.grid.count - result.valid:,} not"
         counted = "every point a verified local optimum" if result.complete else counted_points
-        by = f"a local optimum at every point, verified by the validator; {study_tables.searches(result)}"
+        by = f"a local optimum at every point, verified by the validator; {searches(result)}"
     return StoredStudy(
         problem=problem,
         kind="sweep",
         verdict=counted[0].upper() + counted[1:],
         valid=result.successful,
-        conclusion=conclusions.sweep(result),
+        conclusion=conclusion(result),
         status=shown.status.lines,
-        sections=[PageSection("Sweep", figures), PageSection("Figures", (shown.parts,))],
-        moving=no_animation if table.best is None else partial(turning_linkage, *_design(table, table.best)),
+        sections=[PageSection("Sweep", charts(result)), PageSection("Figures", (shown.parts,))],
+        design=None if table.best is None else _design(table, table.best),
         by=by,
         drawn="The best point of the sweep.",
         after=1,
@@ -138,11 +171,11 @@ def _design(table: SweepTable, row: int) -> tuple[ProblemFile, dict[str, float]]
 def _column_text(column: str) -> str:
     """Return the display name of a column with its measure and unit."""
     stem, kind = _column_and_measure(column)
-    return " ".join(filter(None, [WORDS.get(kind, ""), study_tables.column_label(stem)]))
+    return " ".join(filter(None, [WORDS.get(kind, ""), column_label(stem)]))
 
 
 def _axis_of(axis: Axis, limits: tuple[float, float] | None = None) -> chart_spec.Axis:
-    return chart_spec.Axis(study_tables.with_unit(axis.key, axis.unit), limits, _axis_scale(axis))
+    return chart_spec.Axis(with_unit(axis.key, axis.unit), limits, _axis_scale(axis))
 
 
 def _axis_scale(axis: Axis) -> Literal["linear", "log"]:
@@ -191,7 +224,7 @@ def _picks(table: SweepTable, rows: NDArray[np.intp], x: Array, y: Array) -> Pic
     """Tabulate the design of every selectable row (n,) of the table of the sweep, with its place."""
     columns, result = table.result.columns, table.result
     names = [*(axis.column for axis in result.grid.axes), *table.shown, *table.designs]
-    heads = [study_tables.with_unit(axis.key, axis.unit) for axis in result.grid.axes]
+    heads = [with_unit(axis.key, axis.unit) for axis in result.grid.axes]
     heads += map(_column_text, (*table.shown, *table.designs))
     words = {"status": "status", "reason": "reason"} if result.evaluated else {ACTIVE: "active", "status": "status"}
     blank = np.full(result.grid.count, "")
@@ -246,6 +279,7 @@ def _curves(table: SweepTable) -> ChartSpec:
     spans = [Span(*ends, NO_DESIGN, 1.0, "no design") for ends in empty]
     across, picks_ = _axis_of(axis, (edges[0], edges[-1]) if spans else None), _picks(table, picked, x[at], values[at])
     heading, more = _heading(table, f"over {axis.key}"), dict[str, Any](lines=lines, spans=spans, picks=picks_)
+    more["designs"] = partial(_design, table)
     return ChartSpec("sweep", f"Over {axis.key}", panels, across, heading, cursor=False, width=8.0, **more)
 
 
@@ -259,20 +293,20 @@ def _design_panels(table: SweepTable) -> Iterator[tuple[str, dict[str, Array]]]:
     yield _column_text(table.shown[0]), {"objective": table.column(table.shown[0])}
     by_unit: dict[str, dict[str, Array]] = {}
     for column in table.designs:
-        name, unit = study_tables.named(column)
+        name, unit = named(column)
         by_unit.setdefault(unit, {})[name] = table.column(column)
     for unit, curves in by_unit.items():
-        yield study_tables.with_unit("design variables" if len(curves) > 1 else next(iter(curves)), unit), curves
+        yield with_unit("design variables" if len(curves) > 1 else next(iter(curves)), unit), curves
 
 
 def _analysis_panels(table: SweepTable) -> Iterator[tuple[str, dict[str, Array]]]:
     for column, names in _measures_by_column(table).items():
         curves = {WORDS.get(_column_and_measure(name)[1], name): table.column(name) for name in names}
-        name, unit = study_tables.named(column)
+        name, unit = named(column)
         largest = max_abs(np.stack(list(curves.values())))
         length = scale(math.sqrt(largest) if unit == "m²" else largest, "m")
         shown = {"m": length, "m²": Scale(length.factor**2, f"{length.unit}²")}.get(unit, Scale(1.0, unit))
-        yield study_tables.with_unit(name, shown.unit), {word: values * shown.factor for word, values in curves.items()}
+        yield with_unit(name, shown.unit), {word: values * shown.factor for word, values in curves.items()}
 
 
 # --- two and three parameters ------------------------------------------------------------------------------------------------
@@ -293,11 +327,11 @@ def _maps(table: SweepTable) -> list[ChartSpec]:
             positions = {int(row): k for k, row in enumerate(rows)}
         pick = [[positions.get(int(row)) for row in line] for line in table.order] if picks else ()
         width, height = (8.0, 2.2) if len(in_picture) == 1 else (4.4, 1.7)
-        panel = _map(table, name, ..., _column_text(name), height, picks=pick)
+        words = _column_text(name)
+        panel = _map(table, name, ..., words, height, picks=pick)
+        more: dict[str, Any] = {"picks": picks, "designs": partial(_design, table), "width": width}
         file = "sweep" if name in in_picture else ""
-        specs.append(
-            ChartSpec(file, _column_text(name), [panel], _axis_of(side), heading, picks=picks, cursor=False, width=width)
-        )
+        specs.append(ChartSpec(file, words, [panel], _axis_of(side), heading, cursor=False, **more))
     return specs
 
 
@@ -370,4 +404,151 @@ def _extreme_charts(table: SweepTable) -> list[ChartSpec]:
     return specs
 
 
-VIEW = View(charts=charts, page=page, result=Sweep)
+def overview(result: Sweep) -> Summary:
+    """Summarise a parameter sweep."""
+    every = " x ".join(f"{len(axis.values):,}" for axis in result.grid.axes)
+    counted = points(result.grid.count) + (f" ({every})" if len(result.grid.axes) > 1 else "")
+    conflict = "Conflicting limits at a point without a design: `optlink solve` with --set at that point"
+    status = [(f"{counted}, ", verdict(_point_counts(result), result.complete)), *([conflict] if result.infeasible else [])]
+    axes = []
+    for axis in result.grid.axes:
+        ends = dict.fromkeys(f"{end:g}" for end in (min(axis.values), max(axis.values)))
+        axes.append((axis.key, f"{' ... '.join(ends)} {axis.unit}".rstrip(), quiet(points(len(axis.values)))))
+    parts = [table("Varied", "<<>", axes)]
+    if result.best is not None:
+        omitted = ("status", "valid", "failed", "method", "active_set_changed")
+        best = {name: value for name, value in result.best.items() if name not in omitted}
+        rows = (
+            ("active constraints", value or "none") if name == "active" else (column_label(name), number(float(value)))
+            for name, value in best.items()
+        )
+        parts.append(table("Best", "<>", rows))
+    if result.changes:
+        parts.append(_changes(result))
+    parts += _rows(result) if result.evaluated else []
+    rate = result.done / result.seconds if result.seconds else 0.0
+    pace = f"{rate:z,.0f}" if rate >= 10.0 else number(rate, 2)
+    line = f"{points(result.done)} done in {result.seconds:z.1f} s ({pace} a second"
+    line += f"; {1e3 * result.cpu / result.done:z.2f} ms of processor time each)" if result.done else ")"
+    if not result.evaluated:
+        line += f"; {searches(result)}"
+    return summary(result.problem.model.title, status, *parts, Paragraph(quiet(line), appendix=True))
+
+
+def searches(result: Sweep) -> str:
+    """Return how the optima of a sweep were computed."""
+    if result.searched >= result.grid.count:
+        return "all by a search"
+    return f"{result.searched:,} by a search, the others from a neighbouring optimum"
+
+
+def _point_counts(result: Sweep) -> str:
+    """Count the points by outcome."""
+    if not result.evaluated:
+        if result.complete:
+            return "every point a verified local optimum"
+        missed = result.grid.count - result.valid - result.infeasible
+        counts = {"verified": result.valid, "without a feasible design": result.infeasible, "not verified": missed}
+    else:
+        counts = dict(result.statuses)
+    return ", ".join(f"{count:,} {words}" for words, count in counts.items() if count)
+
+
+def _rows(result: Sweep) -> Iterator[TableSpec]:
+    """Yield the first points of a sweep of analyses; for larger sweeps, the extremes of each quantity."""
+    axes = result.grid.axes
+    names = [name for name in result.names[len(axes) :] if name not in TEXT and name != "valid"]
+    columns = result.columns
+    all_points = result.grid.count <= MAX_LISTED and len(names) <= MAX_COLUMNS
+    if not all_points and result.valid:
+        valid, rows = np.flatnonzero(columns["valid"]), []
+        for name in names:
+            if np.all(np.isnan(columns[name][valid])):
+                continue
+            ends = [int(valid[of(columns[name][valid])]) for of in (np.nanargmin, np.nanargmax)]
+            rows.append((name, *(text for k in ends for text in (number(columns[name][k]), _place(result, k)))))
+        yield table("Extremes over all valid points", ["", ">least", ">at", ">largest", ">at"], rows)
+    varied = [f">{_short(axis.key, axis.unit)}" for axis in axes]
+    if all_points:
+        heads = [">" + name.replace(".", ".\n") for name in names]
+        table_rows: list[Row] = []
+        for k in range(result.grid.count):
+            status = columns["status"][k] if columns["valid"][k] else bad(columns["status"][k])
+            table_rows.append((*_values(result, k), *(number(float(columns[name][k])) for name in names), status))
+        yield table("Points", [*varied, *heads, "status"], table_rows)
+    invalid = np.flatnonzero(~columns["valid"])
+    if invalid.size:
+        failed = [(*_values(result, k), columns["reason"][k]) for k in map(int, invalid[:MAX_LISTED])]
+        more = invalid.size - MAX_LISTED
+        notes = [quiet(f"and {more:,} more; the table of the sweep has all")] if more > 0 else []
+        yield table(f"Points that are not valid: {invalid.size:,}", [*varied, "reason"], failed, notes=notes)
+
+
+def _values(result: Sweep, point: int) -> list[str]:
+    return [f"{value:g}" for value in result.grid.values(point)]
+
+
+def named(column: str) -> tuple[str, str]:
+    """Return display name and unit of a column."""
+    match = _UNIT.fullmatch(column)
+    if match is None:
+        return column, ""
+    name, unit = match.groups()
+    return name, unit.replace("_", "/").replace("Nm", "N m").removesuffix("2") + ("²" if unit.endswith("2") else "")
+
+
+def column_label(column: str) -> str:
+    """Return the display name of a column with its unit."""
+    return with_unit(*named(column))
+
+
+def named_si(file: ProblemFile, columns: Mapping[str, float]) -> dict[str, float]:
+    """Return the quantities of a problem [SI] from columns with unit suffix such as "coupler_mm"; others are ignored."""
+    keys = {name: f"{name}_{quantity.display[1]}".removesuffix("_") for name, quantity in file.model.quantities.items()}
+    return {name: columns[key] * file.model.quantities[name].si_per_unit for name, key in keys.items() if key in columns}
+
+
+def with_unit(name: str, unit: str) -> str:
+    """Return a name with its unit, if it has one."""
+    return f"{name} [{unit}]" if unit else name
+
+
+def _short(key: str, unit: str) -> str:
+    """Abbreviate a key by the section of its mechanism, with its unit below."""
+    name = key.removeprefix("mechanism.").removeprefix("links.")
+    return name.replace(".", ".\n") + (f"\n[{unit}]" if unit else "")
+
+
+def _place(result: Sweep, point: int) -> str:
+    values = zip(result.grid.axes, result.grid.values(point), strict=True)
+    return ", ".join(f"{value:g} {axis.unit}".rstrip() for axis, value in values)
+
+
+def _changes(result: Sweep) -> TableSpec:
+    rows = [
+        (*(f"{value:g}" for value in change.at.values()), change.before or "none", change.after or "none")
+        for change in result.changes[:MAX_LISTED]
+    ]
+    columns = [*(f">{_short(axis.key, axis.unit)}" for axis in result.grid.axes), "before", "from there on"]
+    return table(f"Changes of the active constraints: {result.changed}", columns, rows)
+
+
+def conclusion(result: Sweep) -> str:
+    """Return the conclusion of a sweep: number of valid points, and the best of them."""
+    total = result.grid.count
+    if result.evaluated or result.best is None:
+        done = result.statuses.get("analysed", result.valid) if result.evaluated else result.valid
+        tail = "" if result.evaluated else " No point has a valid design: relax the limits or change the range."
+        return f"{done:,} of {total:,} points have valid results.{tail}"
+    name = next(column for column in result.best if column.startswith("objective"))
+    _, _, unit = name.partition("_")
+    where = [f"{axis.key} = {figure(float(result.best[axis.column]), axis.unit)}" for axis in result.grid.axes]
+    value = figure(float(result.best[name]), unit.replace("2", "²"))
+    extreme = "largest" if result.problem.model.objective_display[0] < 0.0 else "least"
+    verified = f"{result.valid:,} of {total:,} points have a verified design"
+    active = str(result.best.get("active", ""))
+    limits = f" Active limits of the best: {active}." if active else ""
+    return f"The objective is {extreme}, {value}, at {joined(where)}; {verified}.{limits}"
+
+
+VIEW = View(overview, charts=charts, page=page, result=Sweep)
