@@ -1,6 +1,6 @@
 """Places of the names of points in a drawing that moves: beside their own point, clear of links and of other names.
 
-The y axis points down, as in SVG. Every name has a few sides of its point to choose from. The cost of a side at a position counts
+Every name has a few sides of its point to choose from. The cost of a side at a position counts
 what the name would hide, and whether it would lie nearer to another point than to its own; the course of sides over the motion
 is the cheapest one, where a change of side costs as much as a few positions with a link behind the name.
 """
@@ -19,9 +19,9 @@ LETTER = 9.0 / 8.0
 WIDTH = 0.6
 ROOM = 0.42, 1.05
 """Distances of a name from its point, near and farther, as shares of the height of a ground pivot."""
-WAYS = np.array([[1, -1], [-1, -1], [1, 1], [-1, 1], [1, 0], [-1, 0], [0, -1], [0, 1]], dtype=float)
+WAYS = np.array([[1, 1], [-1, 1], [1, -1], [-1, -1], [1, 0], [-1, 0], [0, 1], [0, -1]], dtype=float)
 """Sides of a point, the preferred first."""
-BESIDE = np.array([[1.15, 0.95], [-1.15, 0.95]])
+BESIDE = np.array([[1.15, -0.95], [-1.15, -0.95]])
 """Further sides of a point of the frame: beside its support."""
 SPACING = 0.35
 """Distance of the samples along lines, as a share of the height of a letter."""

@@ -11,6 +11,7 @@ from optlink.problem.file import ProblemFile
 from optlink.problem.region import RegionLimit
 from optlink.report.names import LETTER, WIDTH
 from optlink.report.shapes import clipped, strokes
+from optlink.report.style import GROUND, LIMIT
 from optlink.validation.check import Check
 
 EDGE_WIDTH, THIN_WIDTH = 1.2, 0.6  # line widths [pt] of an edge, and of its hatching and clearance
@@ -32,13 +33,18 @@ class Outline:
     label: Array
 
     @property
+    def colour(self) -> str:
+        """Red if the design violates it."""
+        return LIMIT if self.violated else GROUND
+
+    @property
     def lines(self) -> tuple[tuple[Array, float, bool], ...]:
         """Its lines with their width [pt] and whether they are dashed."""
         return (self.edge, EDGE_WIDTH, False), (self.hatching, THIN_WIDTH, False), (self.clearance, THIN_WIDTH, True)
 
-    def scaled(self, factors: Array) -> "Outline":
-        """Return the outline with other units or another direction of an axis."""
-        lines = (line * factors for line in (self.edge, self.hatching, self.clearance, self.label))
+    def scaled(self, factor: float) -> "Outline":
+        """Return the outline in another unit."""
+        lines = (line * factor for line in (self.edge, self.hatching, self.clearance, self.label))
         return Outline(self.name, self.violated, *lines)
 
 

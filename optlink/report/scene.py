@@ -1,114 +1,393 @@
-"""Geometry of a mechanism in motion [mm, deg]: outlines of its bodies and their poses over the crank angle.
+"""The picture of a mechanism: all that is drawn of it, its places in motion and its extent, described once for every renderer.
 
-The y axis points down, as in SVG, and angles turn with it.
+Bodies keep their shape, so each is built once from parts in its own axes (bars, plates, blocks, slots) and then placed. The y
+axis points up.
 """
 
+import copy
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Literal, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
-from optlink.linkage.mechanism import FRAME
+from optlink.dynamics.loads import Spring
+from optlink.dynamics.machine import Machine
+from optlink.linkage.jet import as_jet
+from optlink.linkage.mechanism import FRAME, Guide
 from optlink.linkage.motion import Motion, sweep
-from optlink.linkage.vector2d import TURN, Array
-from optlink.report.drawing import Sketch
+from optlink.linkage.vector2d import TURN, Array, Vector
+from optlink.report.format import Scale, scale
 from optlink.report.names import NamePlaces, place_names
 from optlink.report.regions import Outline, Region
-from optlink.report.shapes import Part
+from optlink.report.shapes import Part, finite, hatching, hull, in_line, rectangle, spread, stem, zigzag
+from optlink.report.style import BODIES, CRANK, GROUND, MUTED
 from optlink.tasks.analyze import Analysis
 
-FLIP = np.array([1.0, -1.0])
+FAR_RATIO = 8.0  # positions beyond this multiple of the median distance from the crank pivot do not set the scale
+SYMBOL_SHARE = 0.035  # height of a ground pivot
 STEPS = 360  # positions per revolution
 PLACES = 6  # significant digits of a coordinate, relative to the extent
+MM = Scale(1e3, "mm")
+WHITE = "#ffffff"
+LAYERS = {
+    "regions": 0.9,
+    "traces": 1.0,
+    "ground": 2.0,
+    "slot": 2.6,
+    "plate": 2.8,
+    "springs": 2.9,
+    "bar": 3.0,
+    "block": 3.2,
+    "crank": 3.4,
+    "centroid": 3.6,
+    "joints": 4.0,
+}
+"""What lies on what: layers and their heights."""
+LOOKS = {"slot": (1.1, 0.13), "plate": (2.2, 0.22), "bar": (3.0, 0.0), "block": (1.5, 0.35), "crank": (3.8, 0.0)}
+"""Line width [pt] and opacity of the face of the parts of bodies."""
+CROSS = np.array([[-1.0, 0.0], [1.0, 0.0], [np.nan, np.nan], [0.0, -1.0], [0.0, 1.0]])
 
 
 @dataclass(frozen=True, eq=False)
-class Body:
-    """A body: outlines in its own axes, centroid there if it has a mass, and poses (positions, 3) as x, y, angle."""
+class Shape:
+    """An element of the picture: a line (n, 2) with gaps at NaN, or with a `radius` [pt] a circle about its only point.
 
-    name: str
-    colour: str
-    parts: tuple[Part, ...]
-    centroid: Array | None
-    poses: Array
-
-    def placed(self) -> Iterator[Array]:
-        """Yield the outlines of the parts at all positions (positions, corners, 2), closed ones to their first corner."""
-        x, y, angle = self.poses.T[:, :, None]
-        c, s = np.cos(np.radians(angle)), np.sin(np.radians(angle))
-        for part in self.parts:
-            outline = part.outline if part.kind == "bar" else np.concatenate([part.outline, part.outline[:1]])
-            u, v = outline.T
-            yield np.stack([x + c * u - s * v, y + s * u + c * v], axis=-1)
-
-
-@dataclass(frozen=True, eq=False)
-class Scene:
-    """A mechanism over its motion.
-
-    `angles` (positions,) [deg] follow the motion; `closed` says whether the last position equals the first; `points` are
-    coordinates (positions, 2) by name; `moving`, `free` and `pins` are names of points, `owner` the body whose colour the trace
-    of each takes; `ground` contains lines, widths and whether they are filled; `springs` are the two end points
-    (positions, 2, 2) by name; `regions` are those that points must stay in or out of; `size` is the height of a ground pivot;
-    `box` is x, y, width and height of the drawing.
+    It moves with what it is part `of`: a body, in whose axes it lies, a point, about which it lies, or a spring, in shares of
+    whose length and offsets from which it is given; its `name` is that of the body, point, spring or region. One with a `fill`
+    is closed.
     """
 
-    angles: Array
-    closed: bool
-    bodies: tuple[Body, ...]
-    points: Mapping[str, Array]
-    moving: tuple[str, ...]
-    free: tuple[str, ...]
-    pins: tuple[str, ...]
-    owner: Mapping[str, str]
-    ground: Sequence[tuple[Array, float, bool]]
-    springs: Mapping[str, Array]
-    regions: Sequence[Outline]
-    size: float
-    box: tuple[float, float, float, float]
+    layer: str
+    name: str
+    line: Array
+    colour: str
+    width: float
+    of: Literal["frame", "body", "point", "spring"] = "frame"
+    fill: str = ""
+    face: float = 1.0
+    opacity: float = 1.0
+    dashed: bool = False
+    radius: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Text:
+    """A text about its middle, in letters of the height `font`, turned by an angle [deg]."""
+
+    text: str
+    at: Array
+    colour: str
+    font: float
+    angle: float = 0.0
+
+
+class Scene:
+    """Picture of a mechanism with one unit, symbol size and set of colours for all its positions.
+
+    Extent, traces and slider strokes are those of the whole motion; centroids and springs those of the machine; `regions`
+    those of the limits; `share` is the height of a ground pivot as a share of the extent; without a `unit` of lengths the
+    extent selects it. `shown` are the positions to draw; `closed` says whether the last of them equals the first.
+    """
+
+    def __init__(
+        self,
+        motion: Motion,
+        machine: Machine | None = None,
+        share: float = SYMBOL_SHARE,
+        regions: Sequence[Region] = (),
+        unit: Scale | None = None,
+    ) -> None:
+        self.motion, self.mechanism = motion, motion.mechanism
+        self.shown, self.closed = motion, False
+        owners = self.mechanism.owners
+        self.names, self.pins = list(owners), tuple(self.mechanism.pins)
+        self.moving = tuple(name for name, bodies in owners.items() if FRAME not in bodies)
+        self.free = tuple(name for name in self.moving if len(owners[name]) == 1)
+        self._places = np.array([motion.position(name) for name in self.names])  # m, (points, positions, 2)
+        self.near = self._in_sight()
+        extent = max(np.max(spread(finite(self._places[:, self.near]))), 1e-30)
+        self.scale: Scale = unit or scale(extent, "m")
+        self.size = share * extent * self.scale.factor
+        crank = self.mechanism.crank.body
+        bodies = [body for body in self.mechanism.bodies if body != crank]
+        self.colours = {body: BODIES[k % len(BODIES)] for k, body in enumerate(bodies)} | {crank: CRANK}
+        self.travel = {guide.name: self._travel(guide) for guide in self.mechanism.guides}
+        self.parts = {body: self._parts(body) for body in self.mechanism.bodies}
+        self.springs = [load for load in machine.loads if isinstance(load, Spring)] if machine else []
+        inertias = machine.inertias if machine else {}
+        self.centroids = {
+            body: np.array([[i.along, i.across]], dtype=float) * self.scale.factor for body, i in inertias.items() if i.mass > 0.0
+        }
+        self.ground = self._ground_lines()
+        self.low, self.high = self._extent()
+        self.regions = tuple(regions)
+        factor = self.scale.factor
+        ends = self.low / factor, self.high / factor, self.size / factor
+        for region in self.regions:
+            self.widen(region.features(*ends) * factor)
+
+    def moved(self, shown: Motion, *, closed: bool = False) -> Self:
+        """Return the scene at the positions of a motion, with the same extent and outlines."""
+        other = copy.copy(self)
+        other.__dict__.pop("places_of_names", None)
+        other.shown, other.closed = shown, closed
+        return other
+
+    # --- positions ---------------------------------------------------------------------------------------------------
+
+    def _in_sight(self) -> NDArray[np.bool_]:
+        """Return the positions in which no point is so far away (parallel lines) that the others would vanish."""
+        crank = self.motion.position(self.mechanism.crank.start)
+        away = np.linalg.norm(self._places - crank, axis=-1)
+        distance = np.where(np.isfinite(self._places).all(axis=-1), away, 0.0).max(axis=0)
+        near: NDArray[np.bool_] = distance <= FAR_RATIO * np.median(distance)
+        return near
+
+    def position(self, motion: Motion, name: str) -> Array:
+        """Return the positions of a point in the display unit, shape (positions, 2)."""
+        return motion.position(name) * self.scale.factor
+
+    def placed(self, motion: Motion, body: str, outline: Array) -> Array:
+        """Return the positions (positions, corners, 2) of an outline (corners, 2) in the axes of a body, in the display unit."""
+        shape = motion.crank_angle.shape
+        with np.errstate(all="ignore"):  # at a dead centre of a group its rates are infinite or NaN
+            direction = motion.pose.direction(body)
+        x, y = (np.broadcast_to(as_jet(part).value, shape)[:, None] for part in direction)
+        start = self.position(motion, self.mechanism.bodies[body].start)[:, None, :]
+        along, across = outline[:, 0], outline[:, 1]
+        return np.asarray(start + np.stack([along * x - across * y, along * y + across * x], axis=-1))
+
+    def ends(self, motion: Motion, spring: str) -> Array:
+        """Return the positions (positions, 2, 2) of both ends of a spring."""
+        (found,) = (one for one in self.springs if one.name == spring)
+        return np.stack([self.position(motion, point) for _, point in found.ends], axis=1)
+
+    def located(self, shape: Shape, motion: Motion) -> Array:
+        """Return the places (positions, n, 2) of a shape; one position of a shape that stands still."""
+        if shape.of == "body":
+            return self.placed(motion, shape.name, shape.line)
+        if shape.of == "point":
+            return self.position(motion, shape.name)[:, None] + shape.line
+        if shape.of == "spring":
+            p, q = np.moveaxis(self.ends(motion, shape.name), 1, 0)[:, :, None]
+            left = (q - p)[..., ::-1] * [-1.0, 1.0] / np.maximum(np.linalg.norm(q - p, axis=-1, keepdims=True), 1e-30)
+            return np.asarray(p + shape.line[:, :1] * (q - p) + shape.line[:, 1:] * left)
+        return shape.line[None]
 
     @property
-    def still(self) -> frozenset[str]:
-        """Names of the points of the frame."""
-        return frozenset(self.points).difference(self.moving)
+    def crank_angles(self) -> Array:
+        """Crank angles [deg] of the positions to draw."""
+        return np.asarray(np.degrees(self.shown.crank_angle), dtype=float)
+
+    @property
+    def points(self) -> dict[str, Array]:
+        """Positions (positions, 2) of the points to draw."""
+        return {name: self.position(self.shown, name) for name in self.names}
+
+    def poses(self, body: str) -> Array:
+        """Return the poses (positions, 3) of a body to draw: x and y of its first point, and its angle [deg]."""
+        angle = np.degrees(np.asarray(self.shown.body_angle(body).value, dtype=float))
+        return np.asarray(np.column_stack([self.position(self.shown, self.mechanism.bodies[body].start), angle]))
+
+    def owner(self, name: str) -> str:
+        """Return the body in whose colour a point and its trace are drawn."""
+        bodies = self.mechanism.owners[name]
+        return bodies[0 if bodies[0] == self.mechanism.crank.body else -1]
 
     @cached_property
-    def names(self) -> dict[str, NamePlaces]:
+    def places_of_names(self) -> dict[str, NamePlaces]:
         """Places of the names of the points."""
-        links = [placed for body in self.bodies for placed in body.placed()]
-        ground = [*(line for line, _, _ in self.ground), *(region.edge for region in self.regions)]
-        return place_names(self.points, self.still, links, ground, self.moving, self.box, self.size)
+        links = [self.located(shape, self.shown) for shape in self.moving_shapes if shape.layer in LOOKS]
+        links = [np.concatenate([line, line[:, :1]], axis=1) if len(line[0]) > 2 else line for line in links]
+        ground = [*(line for line, _, _ in self.ground), *(region.edge for region in self.outlines)]
+        still = frozenset(self.names).difference(self.moving)
+        return place_names(self.points, still, links, ground, self.moving, self.box, self.size)
+
+    def _vector(self, vector: Vector) -> Array:
+        return np.array([float(as_jet(part).value) for part in vector]) * self.scale.factor
+
+    def _points_of(self, body: str) -> Array:
+        """Return the named points of a body in its own axes, without duplicates."""
+        pose = self.motion.pose
+        points: list[Array] = []
+        for point, bodies in self.mechanism.owners.items():
+            if body in bodies:
+                at = self._vector(pose.local(body, point))
+                if all(np.max(np.abs(at - other)) > 1e-3 * self.size for other in points):
+                    points.append(at)
+        return np.array(points).reshape(-1, 2)
+
+    def _line(self, guide: Guide, body: str) -> tuple[Array, Array]:
+        point, direction = self.motion.pose.local_line(guide, body)
+        return self._vector(point), self._vector(direction) / self.scale.factor
+
+    def _travel(self, guide: Guide) -> tuple[float, float]:
+        slides = np.asarray(self.motion.slide(guide.name).value) * self.scale.factor
+        finite_slides = slides[np.isfinite(slides) & self.near]
+        return (float(finite_slides.min()), float(finite_slides.max())) if finite_slides.size else (0.0, 0.0)
+
+    # --- shapes of the bodies ------------------------------------------------------------------------------------------
+
+    def _is_rod(self, guide: Guide) -> bool:
+        """Return whether the slider is a rod along the line in a small guide, which is then drawn as the block."""
+        if guide.on == FRAME or len(self._points_of(guide.on)) > 1:
+            return False
+        points, (point, direction) = self._points_of(guide.slider), self._line(guide, guide.slider)
+        off = (points - point) @ np.array([-direction[1], direction[0]])
+        return len(points) > 1 and bool(np.all(np.abs(off) < 0.05 * self.size))
+
+    def _parts(self, body: str) -> list[Part]:
+        points = self._points_of(body)
+        parts: list[Part] = []
+        half = np.array([1.0, 0.62]) * self.size
+        for guide in self.mechanism.guides:
+            if body not in guide.bodies:
+                continue
+            rod = self._is_rod(guide)
+            point, direction = self._line(guide, body)
+            low, high = self.travel[guide.name]
+            if rod and body == guide.slider:  # long enough to reach through its block
+                points = np.concatenate([points, [point - (high + half[0]) * direction, point - (low - half[0]) * direction]])
+            elif (body == guide.slider) != rod:
+                parts.append(Part("block", rectangle(point, direction, -half[0], half[0], half[1])))
+            else:
+                low, high = low - 1.25 * half[0], high + 1.25 * half[0]
+                parts.append(Part("slot", rectangle(point, direction, low, high, 1.2 * half[1])))
+                arm = stem(points, np.array([point + low * direction, point + high * direction]))
+                if np.linalg.norm(arm[1] - arm[0]) > 0.5 * self.size:
+                    parts.append(Part("bar", arm))
+        if len(points) > 1:
+            order = in_line(points, 0.05 * self.size)
+            parts.append(Part("plate", hull(points)) if order is None else Part("bar", points[order[[0, -1]]]))
+        return parts
+
+    # --- ground ----------------------------------------------------------------------------------------------------------
+
+    def _ground_lines(self) -> list[tuple[Array, float, bool]]:
+        """Return the ground pivots and rails as (line, width, filled white)."""
+        lines: list[tuple[Array, float, bool]] = []
+        middle = np.mean(finite(self._places[:, self.near] * self.scale.factor), axis=0)
+        s = self.size
+        anchors = {point for spring in self.springs for body, point in spring.ends if body == FRAME}
+        for name in self.mechanism.ground:
+            at = self._vector(self.motion.pose.points[name])
+            if name in self.mechanism.pins or name in anchors:
+                lines.append((at + s * np.array([[0.0, 0.0], [-0.55, -1.0], [0.55, -1.0], [0.0, 0.0]]), 1.1, True))
+                lines.append((at + s * np.array([[-0.9, -1.0], [0.9, -1.0]]), 1.1, False))
+                strokes = hatching(at - s * np.array([0.9, 1.0]), np.array([1.0, 0.0]), 1.8 * s, -0.35 * s, 0.25 * s)
+                lines.append((strokes, 0.8, False))
+            else:
+                cross = np.array([[-1.0, 0.0], [1.0, 0.0], [np.nan, np.nan], [0.0, -1.0], [0.0, 1.0]])
+                lines.append((at + 0.35 * s * cross, 1.0, False))
+        for guide in self.mechanism.guides:
+            if guide.on == FRAME:
+                point, direction = self._line(guide, FRAME)
+                left = np.array([-direction[1], direction[0]])
+                offset = float((middle - point) @ left)
+                side = -math.copysign(1.0, offset if abs(offset) > 0.5 * s else left[1] + 1e-9 * left[0])
+                low, high = (end + room * 1.5 * s for end, room in zip(self.travel[guide.name], (-1.0, 1.0), strict=True))
+                begin = point + low * direction + side * 0.62 * s * left
+                lines.append((np.array([begin, begin + (high - low) * direction]), 1.3, False))
+                lines.append((hatching(begin, direction, high - low, side * 0.35 * s, 0.35 * s), 0.8, False))
+        return lines
+
+    # --- extent ----------------------------------------------------------------------------------------------------------
+
+    def _extent(self) -> tuple[Array, Array]:
+        """Return the least and largest coordinates of everything that is drawn."""
+        corners = [finite(self._places[:, self.near] * self.scale.factor), *(finite(line) for line, _, _ in self.ground)]
+        for body, parts in self.parts.items():
+            outlines = [part.outline for part in parts] + ([self.centroids[body]] if body in self.centroids else [])
+            corners += [finite(self.placed(self.motion, body, outline)[self.near]) for outline in outlines]
+        together = np.concatenate(corners)
+        return np.min(together, axis=0), np.max(together, axis=0)
+
+    def widen(self, points: Array) -> None:
+        """Extend the drawing to further points (n, 2), in the display unit."""
+        kept = finite(points)
+        if kept.size:
+            self.low, self.high = np.minimum(self.low, kept.min(axis=0)), np.maximum(self.high, kept.max(axis=0))
+
+    @property
+    def limits(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Limits of x and y with a margin; the aspect ratio is limited."""
+        size = self.high - self.low
+        room = 0.07 * np.max(size)
+        widths = np.maximum(size + 2.0 * room, 0.22 * np.max(size))
+        middle = 0.5 * (self.low + self.high)
+        (x0, y0), (x1, y1) = middle - 0.5 * widths, middle + 0.5 * widths
+        return (float(x0), float(x1)), (float(y0), float(y1))
+
+    @property
+    def outlines(self) -> list[Outline]:
+        """The regions, as far as they are in the drawing."""
+        factor = self.scale.factor
+        low, high = np.array(self.limits).T / factor
+        return [region.outline(low, high, self.size / factor).scaled(factor) for region in self.regions]
+
+    @property
+    def ratio(self) -> float:
+        """Height divided by width."""
+        (x0, x1), (y0, y1) = self.limits
+        return (y1 - y0) / (x1 - x0)
+
+    @property
+    def box(self) -> tuple[float, float, float, float]:
+        """x and y of the lower left corner, width and height of the picture."""
+        (x0, x1), (y0, y1) = self.limits
+        return x0, y0, x1 - x0, y1 - y0
 
     @property
     def decimals(self) -> int:
         """Number of decimals of coordinates."""
-        return max(0, PLACES - 1 - math.floor(math.log10(max(self.box[2], self.box[3]))))
+        return max(0, PLACES - 1 - math.floor(math.log10(max(*self.box[2:], 1e-9))))
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the data that a script needs to animate the drawing."""
+    # --- elements --------------------------------------------------------------------------------------------------------
 
-        def columns(table: Array, names: str) -> dict[str, list[float]]:
-            return {name: np.round(table[:, k], self.decimals).tolist() for k, name in enumerate(names)}
+    def fixed_shapes(self, *, traces: bool = True) -> Iterator[Shape]:
+        """Yield what stands still: regions, traces of the moving points, ground with rails."""
+        for region in self.outlines:
+            for line, width, dashed in region.lines:
+                yield Shape("regions", region.name, line, region.colour, width, dashed=dashed)
+        for name in self.moving if traces else ():
+            width, opacity = (1.3, 0.75) if name in self.free else (0.9, 0.45)
+            motion = self.shown if len(self.shown.crank_angle) > 1 else self.motion
+            path = self.position(motion, name)
+            path = np.where(self.near[:, None], path, np.nan) if motion is self.motion else path
+            yield Shape("traces", name, path, self.colours[self.owner(name)], width, opacity=opacity)
+        for line, width, filled in self.ground:
+            yield Shape("ground", "", line, GROUND, width, fill=WHITE if filled else "")
 
-        return {
-            "angles_deg": np.round(self.angles, 9).tolist(),
-            "closed": self.closed,
-            "bodies": {
-                body.name: columns(body.poses[:, :2], "xy") | {"a": np.round(body.poses[:, 2], 5).tolist()}
-                for body in self.bodies
-            },
-            "points": {name: columns(self.points[name], "xy") for name in self.moving},
-            "names": {name: columns(self.names[name].middles, "xy") | {"side": self.names[name].code} for name in self.moving},
-            "springs": {name: columns(ends.reshape(len(ends), 4), "xyuv") for name, ends in self.springs.items()},
-            "size": self.size,
-        }
+    @cached_property
+    def moving_shapes(self) -> tuple[Shape, ...]:
+        """What moves: parts of the bodies, springs, centroids as rings with a cross, free points as dots, pins as rings."""
+        shapes: list[Shape] = []
+        for body, parts in self.parts.items():
+            colour = self.colours[body]
+            for part in parts:
+                layer = "crank" if part.kind == "bar" and body == self.mechanism.crank.body else part.kind
+                width, face = LOOKS[layer]
+                shapes.append(Shape(layer, body, part.outline, colour, width, "body", colour if face else "", face))
+        zigzagged = np.array(zigzag(self.size))
+        shapes += [Shape("springs", spring.name, zigzagged, MUTED, 1.2, "spring") for spring in self.springs]
+        for body, at in self.centroids.items():
+            colour, cross = self.colours[body], at + 0.35 * self.size * CROSS
+            shapes.append(Shape("centroid", body, at, colour, 0.9, "body", WHITE, radius=2.75))
+            shapes.append(Shape("centroid", body, cross, colour, 0.9, "body"))
+        origin = np.zeros((1, 2))
+        for name in self.free:
+            colour = self.colours[self.owner(name)]
+            shapes.append(Shape("joints", name, origin, colour, 0.0, "point", colour, radius=2.1))
+        shapes += [Shape("joints", name, origin, GROUND, 1.0, "point", WHITE, radius=2.75) for name in self.pins]
+        return tuple(sorted(shapes, key=lambda shape: LAYERS[shape.layer]))
 
 
 def scene(cycle: Analysis, steps: int = STEPS, at: float | None = None, regions: Sequence[Region] = ()) -> Scene:
-    """Return the scene of an analysed machine over its motion, or at one crank angle [rad], with regions of its limits.
+    """Return the scene of an analysed machine [mm] over its motion, or at one crank angle [rad], with regions of its limits.
 
     Extent and outlines are those of the whole motion in either case.
     """
@@ -118,56 +397,17 @@ def scene(cycle: Analysis, steps: int = STEPS, at: float | None = None, regions:
     last = first + direction * cycle.cycle if cycle.full else math.radians(float(cycle["crank_angle_deg"][-1]))
     count = steps * round(cycle.cycle / TURN) if cycle.full else max(1, math.ceil(abs(last - first) / TURN * steps))
     angles = np.linspace(first, last, count + 1)
-    full_motion = sweep(machine.mechanism, machine.sizes, angles, cycle.speed)
-    sketch = Sketch(full_motion, machine, regions=regions)
+    whole = Scene(sweep(machine.mechanism, machine.sizes, angles, cycle.speed), machine, regions=regions, unit=MM)
     if at is not None:
-        return scene_of(sketch, sweep(machine.mechanism, machine.sizes, [at], cycle.speed), closed=False)
-    known = np.all([np.isfinite(full_motion.position(name)).all(axis=-1) for name in machine.mechanism.owners], axis=0)
-    if not known.all() and known.any():  # a singular position has none, for example
-        full_motion = sweep(machine.mechanism, machine.sizes, angles[known], cycle.speed)
-    return scene_of(sketch, full_motion, closed=cycle.full)
+        return whole.moved(sweep(machine.mechanism, machine.sizes, [at], cycle.speed))
+    known = np.isfinite(whole._places).all(axis=(0, 2))
+    if known.all() or not known.any():
+        return whole.moved(whole.motion, closed=cycle.full)
+    return whole.moved(sweep(machine.mechanism, machine.sizes, angles[known], cycle.speed), closed=cycle.full)  # a singular one
 
 
 def scene_at(cycle: Analysis, angles: Array) -> Scene:
     """Return the scene of an analysed machine at crank angles (positions,) [rad], with the extent of its whole motion."""
     machine = cycle.machine
     full_motion = sweep(machine.mechanism, machine.sizes, np.radians(cycle["crank_angle_deg"]), cycle.speed)
-    return scene_of(Sketch(full_motion, machine), sweep(machine.mechanism, machine.sizes, angles, cycle.speed), closed=False)
-
-
-def scene_of(sketch: Sketch, motion: Motion, *, closed: bool, up: bool = False) -> Scene:
-    """Return the scene of a sketch at the positions of a motion; it is closed if the last one equals the first.
-
-    The y axis points down, and angles turn with it, unless `up`.
-    """
-    mechanism, k, signs = sketch.mechanism, 1e3 / sketch.scale.factor, np.abs(FLIP) if up else FLIP
-    flip = k * signs
-
-    def body(name: str) -> Body:
-        parts = tuple(Part(part.kind, part.outline * flip) for part in sketch.parts[name])
-        start = motion.position(mechanism.bodies[name].start) * 1e3 * signs
-        angle = signs[1] * np.degrees(np.asarray(motion.body_angle(name).value, dtype=float))
-        centroid = sketch.centroids.get(name)
-        poses = np.concatenate([start, angle[:, None]], axis=1)
-        return Body(name, sketch.colours[name], parts, None if centroid is None else centroid[0] * flip, poses)
-
-    owners = mechanism.owners
-    (x0, x1), (y0, y1) = sketch.limits
-    return Scene(
-        angles=np.degrees(np.asarray(motion.crank_angle, dtype=float)),
-        closed=closed,
-        bodies=tuple(body(name) for name in mechanism.bodies),
-        points={name: motion.position(name) * 1e3 * signs for name in sketch.names},
-        moving=tuple(name for name, bodies in owners.items() if FRAME not in bodies),
-        free=tuple(name for name, bodies in owners.items() if len(bodies) == 1 and bodies[0] != FRAME),
-        pins=tuple(mechanism.pins),
-        owner={name: bodies[0 if bodies[0] == mechanism.crank.body else -1] for name, bodies in owners.items()},
-        ground=[(line * flip, width, filled) for line, width, filled in sketch.ground],
-        springs={
-            spring.name: np.stack([motion.position(point) * 1e3 * signs for _, point in spring.ends], axis=1)
-            for spring in sketch.springs
-        },
-        regions=[outline.scaled(flip) for outline in sketch.outlines],
-        size=sketch.size * k,
-        box=(k * x0, k * (y0 if up else -y1), k * (x1 - x0), k * (y1 - y0)),
-    )
+    return Scene(full_motion, machine, unit=MM).moved(sweep(machine.mechanism, machine.sizes, angles, cycle.speed))

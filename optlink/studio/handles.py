@@ -143,8 +143,7 @@ class _Handles:
         self.taken: list[tuple[float, float]] = []
         self.radius, self.apart = 0.0, 0.0
         if picture is not None:
-            (x0, x1), (y0, y1) = picture.sketch.limits
-            extent = 1e3 / picture.sketch.scale.factor * max(x1 - x0, y1 - y0)
+            extent = max(picture.scene.box[2:])
             self.radius, self.apart = RADIUS * extent, HANDLE_SEPARATION * extent
 
     def all(self) -> Iterator[Handle]:

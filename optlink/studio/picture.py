@@ -10,13 +10,12 @@ from optlink.dynamics.machine import Machine
 from optlink.io import finite
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.vector2d import TURN, Array
-from optlink.report.drawing import Sketch
 from optlink.report.regions import Outline, Region
-from optlink.report.scene import scene_of
+from optlink.report.scene import LOOKS, MM, Scene
+from optlink.report.shapes import zigzag
 
 POSITIONS = 72  # positions per revolution
 END_MARGIN = 1e-8  # rad from the ends of a limited motion: there rounding decides
-DIGITS = 6  # significant digits of a coordinate, relative to the extent
 
 
 class Picture:
@@ -40,9 +39,7 @@ class Picture:
             motion = sweep(self.mechanism, machine.sizes, angles)
         self.motion: Motion = motion
         self.angles: Array = np.asarray(motion.crank_angle, dtype=float)
-        self.sketch = Sketch(motion, machine, regions=regions)
-        extent = 1e3 * max(np.ptp(self.sketch.limits, axis=1)) / self.sketch.scale.factor
-        self._decimals = max(0, DIGITS - 1 - math.floor(math.log10(max(extent, 1e-9))))
+        self.scene = Scene(motion, machine, regions=regions, unit=MM).moved(motion, closed=self.closed)
 
     def _reachable(self, start: float, direction: float) -> Array:
         """Return angles through the reachable range that contains the start, else through the largest one."""
@@ -57,33 +54,36 @@ class Picture:
 
     def at(self, name: str) -> tuple[float, float]:
         """Return the place of a point [mm] at the first position."""
-        x, y = 1e3 * self.motion.position(name)[0]
+        x, y = self.scene.position(self.motion, name)[0]
         return float(x), float(y)
 
     def document(self) -> dict[str, Any]:
         """Return the scene as data of the page."""
-        scene = scene_of(self.sketch, self.motion, closed=self.closed, up=True)
+        scene = self.scene
         x, y, wide, high = scene.box
-        points = {name: self._places(positions) for name, positions in scene.points.items()}
         bodies = []
-        for body in scene.bodies:
-            parts = [{"kind": p.kind, "outline": self._places(p.outline)} for p in body.parts]
-            poses = np.column_stack([np.round(body.poses[:, :2], self._decimals), np.round(body.poses[:, 2], 4)])
-            bodies.append({"name": body.name, "colour": body.colour, "parts": parts, "poses": _plain(poses)})
+        for name in scene.parts:
+            shapes = [shape for shape in scene.moving_shapes if shape.name == name and shape.layer in LOOKS]
+            parts = [{"kind": s.layer, "outline": self._places(s.line), "width": s.width, "closed": bool(s.fill)} for s in shapes]
+            poses = scene.poses(name)
+            placed = np.column_stack([np.round(poses[:, :2], scene.decimals), np.round(poses[:, 2], 4)])
+            bodies.append({"name": name, "colour": scene.colours[name], "parts": parts, "poses": _plain(placed)})
         return {
-            "angles": np.round(scene.angles, 4).tolist(),
+            "angles": np.round(scene.crank_angles, 4).tolist(),
             "closed": scene.closed,
             "box": self._places(np.array([x, y, x + wide, y + high])),
             "bodies": bodies,
-            "points": points,
+            "points": {name: self._places(positions) for name, positions in scene.points.items()},
             "pins": list(scene.pins),
             "free": list(scene.free),
-            "owner": {name: scene.owner[name] for name in scene.free},
+            "owner": {name: scene.owner(name) for name in scene.free},
             "ground": [{"line": self._gaps(line), "width": width, "filled": filled} for line, width, filled in scene.ground],
-            "regions": [self._region(outline) for outline in scene.regions],
-            "springs": {name: self._places(ends.reshape(len(ends), 4)) for name, ends in scene.springs.items()},
-            "size": round(scene.size, self._decimals),
-            "traces": {name: points[name] for name in scene.free},
+            "regions": [self._region(outline) for outline in scene.outlines],
+            "springs": {
+                spring.name: self._places(scene.ends(self.motion, spring.name).reshape(-1, 4)) for spring in scene.springs
+            },
+            "zigzag": zigzag(scene.size),
+            "size": round(scene.size, scene.decimals),
         }
 
     def _region(self, outline: Outline) -> dict[str, Any]:
@@ -91,10 +91,10 @@ class Picture:
         return {"name": outline.name, "violated": outline.violated, "lines": lines, "at": self._places(outline.label)}
 
     def _places(self, values: Array) -> Any:
-        return _plain(np.round(values, self._decimals))
+        return _plain(np.round(values, self.scene.decimals))
 
     def _gaps(self, line: Array) -> list[Any]:
-        return [None if None in place else place for place in finite(np.round(line, self._decimals))]
+        return [None if None in place else place for place in finite(np.round(line, self.scene.decimals))]
 
 
 def _plain(values: Array) -> Any:

@@ -424,9 +424,9 @@ def test_drawn_links_keep_their_length_and_pins_follow_the_motion():
         axes = panels("six-bar")[title]
         check_lengths(axes)
         motion = sweep(analysed("six-bar").machine.mechanism, analysed("six-bar").machine.sizes, np.array([at]))
-        (pins,) = (line for line in axes.get_lines() if line.get_gid() == "pins")
-        names = list(analysed("six-bar").machine.mechanism.pins)
-        np.testing.assert_allclose(pins.get_xydata(), [motion.position(name)[0] * 1e3 for name in names], atol=1e-9)
+        drawn = {line.get_gid(): line.get_xydata() for line in axes.get_lines()}
+        for name in analysed("six-bar").machine.mechanism.pins:
+            np.testing.assert_allclose(drawn[name], motion.position(name) * 1e3, atol=1e-9)
 
 
 def test_a_wrong_length_is_detected():

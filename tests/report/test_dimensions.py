@@ -30,7 +30,7 @@ def test_the_text_of_a_swing_is_clear_of_the_rocker(name: str) -> None:
     x, y = map(float, re.findall(rf'<text x="(\S+)" y="(\S+)"[^>]*>{re.escape(swing)}</text>', drawing.svg)[0])
     drawn = scene(cycle, at=np.radians(angle))
     rocker = np.linspace(drawn.points["D"][0], drawn.points["C"][0], 400)
-    covered = (np.abs(rocker[:, 0] - x) < 0.31 * size * len(swing)) & (np.abs(rocker[:, 1] - y) < 0.4 * size)
+    covered = (np.abs(rocker[:, 0] - x) < 0.31 * size * len(swing)) & (np.abs(-rocker[:, 1] - y) < 0.4 * size)
     assert not np.any(covered)
 
 

@@ -550,22 +550,23 @@ def test_long_point_names_do_not_overlap_in_the_animation():
     drawing = svg(moving, "six-bar")
     assert set(boxes_of_names(drawing)) == set(LONG.values())
     assert f"<title>{LONG['E']}</title>pin_be\u2026lider<" in drawing
-    left, top, wide, high = moving.box
+    left, low, wide, high = moving.box
+    top = -low - high
     meeting = 0
-    for k in range(len(moving.angles)):
-        placed = [np.array(box) for box in boxes_of_names(svg(moving, "six-bar", k=k, traces=False)).values()]
+    for k in range(len(moving.crank_angles)):
+        placed = [np.array(box) for box in boxes_of_names(svg(moving, "six-bar", k, traces=False)).values()]
         for one, other in itertools.combinations(placed, 2):
             meeting += bool(np.all(np.minimum(one[2:], other[2:]) > np.maximum(one[:2], other[:2])))
         assert all(box[0] >= left and box[1] >= top and box[2] <= left + wide and box[3] <= top + high for box in placed)
-    assert meeting < 0.25 * len(moving.angles)  # only where the crank pin passes the name of its pivot
+    assert meeting < 0.25 * len(moving.crank_angles)  # only where the crank pin passes the name of its pivot
 
 
 def test_pivot_names_do_not_overlap_the_hatching():
     moving = scene(analyze(optlink.load("six-bar")))
     boxes = boxes_of_names(svg(moving, "six-bar"))
-    for name in moving.still:
+    for name in moving.mechanism.ground:
         left, top, right, low = boxes[name]
-        ground = np.concatenate([line for line, _, _ in moving.ground])
+        ground = np.concatenate([line for line, _, _ in moving.ground]) * [1.0, -1.0]
         assert not np.any((ground[:, 0] > left) & (ground[:, 0] < right) & (ground[:, 1] > top) & (ground[:, 1] < low)), name
 
 
@@ -583,16 +584,16 @@ def test_every_name_of_a_moving_drawing_is_nearest_to_its_own_point(name):
     assembly = "parallelogram" if name == "flat kite" else "left"
     moving = scene(analyze(optlink.read({"mechanism": {**raw, "assembly": assembly}})))
     wrong = {True: 0, False: 0}
-    for k in range(0, len(moving.angles), 5):
+    for k in range(0, len(moving.crank_angles), 5):
         for own, box in boxes_of_names(svg(moving, name, k=k, traces=False)).items():
             left, top, right, low = box
-            places = {point: path[k] for point, path in moving.points.items()}
+            places = {point: path[k] * [1.0, -1.0] for point, path in moving.points.items()}
             distances = {
                 point: math.hypot(max(left - x, 0.0, x - right), max(top - y, 0.0, y - low))
                 for point, (x, y) in places.items()
                 if point == own or math.dist(places[point], places[own]) > moving.size
             }
-            wrong[own in moving.still] += min(distances, key=lambda point: distances[point]) != own
+            wrong[own in moving.mechanism.ground] += min(distances, key=lambda point: distances[point]) != own
     assert wrong[False] == 0
     assert wrong[True] <= 8
 

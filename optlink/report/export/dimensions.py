@@ -2,9 +2,8 @@
 
 import itertools
 import math
-import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,9 +13,9 @@ from optlink.linkage.mechanism import FRAME
 from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import TURN, Array
 from optlink.report.export.placement import HIGH, Place, arrange
-from optlink.report.export.svg import rimmed, svg
+from optlink.report.export.svg import svg
 from optlink.report.html.theme import readable
-from optlink.report.scene import FLIP, Scene, scene
+from optlink.report.scene import Scene, Shape, Text, scene
 from optlink.report.shapes import finite, hull, in_line
 from optlink.report.style import GROUND
 from optlink.tasks.analyze import Analysis
@@ -24,7 +23,6 @@ from optlink.tasks.analyze import Analysis
 POSITIONS = 24  # positions from which the clearest is drawn
 OFFSETS = (1.2, 2.2, 3.3, 4.6, 6.0)  # distances of a dimension line from what it measures, in heights of a ground pivot
 LETTER_WIDTH = 0.62  # width of a letter in font sizes
-_ANIMATED = re.compile(r' data-(?:body|point|spring)="[^"]*"')  # names by which the page moves a linkage
 LEVEL = np.array([1.0, 0.0])
 COINCIDENT = 1e-6  # distance of coincident points, as a share of the extent
 
@@ -60,7 +58,7 @@ def dimensioned(cycle: Analysis, title: str) -> Drawing:
     for dimension in (*_links(cycle, drawn), *_strokes(cycle, at, drawn), *(offset for _, offset in guides)):
         sheet.length(dimension)
     for name in cycle.machine.mechanism.ground:
-        x, y = drawn.points[name][0] * FLIP
+        x, y = drawn.points[name][0]
         place = f"{name} ({_mm(x)}, {_mm(y)})"
         words.append(f"pivot {place}" if name in drawn.pins else place)
         sheet.label(drawn.points[name][0], place)
@@ -70,11 +68,7 @@ def dimensioned(cycle: Analysis, title: str) -> Drawing:
     for name in drawn.moving:
         if np.all(np.isfinite(drawn.points[name][0])):
             sheet.label(drawn.points[name][0], name)
-    sheet.place()
-    box = sheet.box()
-    plain = _ANIMATED.sub("", svg(replace(drawn, box=box), described, traces=False, names=False))
-    end = plain.rindex("</svg>")
-    return Drawing(f"{plain[:end]}{sheet.svg()}</svg>\n", described)
+    return Drawing(svg(drawn, described, traces=False, names=False, box=sheet.place(), dimensions=sheet.drawn), described)
 
 
 def clearest(cycle: Analysis) -> float:
@@ -143,7 +137,7 @@ def _strokes(cycle: Analysis, at: float, drawn: Scene, *, named: bool = False) -
             point, direction = (
                 np.array([float(np.asarray(part)) for part in vector]) for vector in motion.pose.local_line(guide, FRAME)
             )
-            ends = (1e3 * (point + travel.low * direction) * FLIP, 1e3 * (point + travel.high * direction) * FLIP)
+            ends = (1e3 * (point + travel.low * direction), 1e3 * (point + travel.high * direction))
             text = f"stroke {guide.slider} {_mm(1e3 * travel.span)}" if named else f"stroke {_mm(1e3 * travel.span)}"
             yield _Length(ends, text, _colour(drawn, guide.slider))
 
@@ -154,30 +148,30 @@ def _guides(cycle: Analysis, at: float, drawn: Scene) -> Iterator[tuple[str, _Le
     pose = sweep(mechanism, cycle.machine.sizes, [at]).pose
     for guide in mechanism.guides:
         line = (np.array([as_jet(part).value for part in vector], dtype=float).ravel() for vector in pose.line(guide, guide.on))
-        start, along = (part * FLIP for part in line)
+        start, along = line
         near = mechanism.crank.start if guide.on == FRAME else pose.mechanism.bodies[guide.on].start
         near = guide.through if isinstance(guide.through, str) and guide.through in drawn.points else near
         place = drawn.points[near][0]
         foot = 1e3 * start + np.dot(place - 1e3 * start, along) * along
         distance = _mm(float(np.linalg.norm(foot - place)))
         where = f"through {near}" if distance == "0" else f"{distance} from {near}"
-        angle = f" at {_deg(math.atan2(*(along * FLIP)[::-1]))}," if guide.on == FRAME else ""
+        angle = f" at {_deg(math.atan2(*along[::-1]))}," if guide.on == FRAME else ""
         text = f"guide of {guide.slider}{angle} {where}"
         yield text, _Length((place, foot), "" if distance == "0" else distance, _colour(drawn, guide.slider))
 
 
 def _swings(cycle: Analysis, drawn: Scene) -> Iterator[tuple[str, float, float, Array, float]]:
     """Yield body, ends of its range [rad], ground pivot and direction at the low end, of all bodies with a pivot on the frame."""
-    mechanism, at = cycle.machine.mechanism, drawn.angles[0]
+    mechanism, at = cycle.machine.mechanism, drawn.crank_angles[0]
     for body in mechanism.bodies:
         names = [name for name, bodies in mechanism.owners.items() if body in bodies]
         pivot = next((name for name in names if name in mechanism.ground), None)
         moving_end = next((name for name in names if name not in mechanism.ground), None)
         if pivot is None or moving_end is None:
             continue
-        arm = (drawn.points[moving_end][0] - drawn.points[pivot][0]) * FLIP
+        arm = drawn.points[moving_end][0] - drawn.points[pivot][0]
         direction = math.atan2(arm[1], arm[0])
-        angle = -math.radians(float(next(b for b in drawn.bodies if b.name == body).poses[0, 2]))
+        angle = math.radians(float(drawn.poses(body)[0, 2]))
         if body == mechanism.crank.body:
             angles = np.radians(cycle["crank_angle_deg"])
             low, high = (0.0, TURN) if cycle.full else (float(np.min(angles)), float(np.max(angles)))
@@ -191,7 +185,7 @@ def _swings(cycle: Analysis, drawn: Scene) -> Iterator[tuple[str, float, float, 
 
 
 def _colour(drawn: Scene, body: str) -> str:
-    return readable(next(item.colour for item in drawn.bodies if item.name == body))
+    return readable(drawn.colours[body])
 
 
 def _mm(value: float) -> str:
@@ -210,20 +204,11 @@ class _Sheet:
 
     def __init__(self, drawn: Scene) -> None:
         self.scene, self.size, self.font = drawn, 0.8 * drawn.size, 0.95 * drawn.size
-        outlines = [self._placed(body.poses[0], part.outline) for body in drawn.bodies for part in body.parts]
-        fixed = [*(line for line, _, _ in drawn.ground), *(ends[0] for ends in drawn.springs.values())]
-        self.links = [piece for line in (*outlines, *fixed) for piece in _pieces(line)]
+        shapes = [one for one in drawn.moving_shapes if one.layer not in ("centroid", "joints")]
+        lines = [drawn.located(one, drawn.shown)[0] for one in shapes] + [line for line, _, _ in drawn.ground]
+        self.links = [piece for line in lines for piece in _pieces(line)]
         self.items: list[tuple[Sequence[Place], Callable[[Place], None]]] = []  # possible places, and how one is drawn
-        self.taken: list[Array] = []  # corners of the texts, and lines
-        self.lines: list[str] = []
-        self.texts: list[str] = []
-
-    @staticmethod
-    def _placed(pose: Array, outline: Array) -> Array:
-        """Return an outline in the axes of its body at its place."""
-        turn = math.radians(float(pose[2]))
-        across, along = np.array([-math.sin(turn), math.cos(turn)]), np.array([math.cos(turn), math.sin(turn)])
-        return np.asarray(pose[:2] + outline[:, :1] * along + outline[:, 1:] * across)
+        self.drawn: list[Shape | Text] = []
 
     def _half(self, text: str) -> float:
         """Return half the width of a text."""
@@ -236,7 +221,7 @@ class _Sheet:
         if span < 1e-9 or not dimension.text:
             return
         along, half = (q - p) / span, self._half(dimension.text)
-        normal = np.array([along[1], -along[0]])
+        normal = np.array([-along[1], along[0]])
         inside = span > 2.0 * half + 2.5 * self.size
         beyond = 0.5 + (half + 1.4 * self.size) / span  # share of the length at which the text stands beside the arrows
         shares = [
@@ -269,7 +254,7 @@ class _Sheet:
             self._arrow(a, -along if span > 1.6 * self.size else along, dimension.colour)
             self._arrow(b, along if span > 1.6 * self.size else -along, dimension.colour)
             angle = math.degrees(math.atan2(along[1], along[0]))
-            upright = angle - 180.0 if angle > 90.0 else angle + 180.0 if angle <= -90.0 else angle
+            upright = angle + 180.0 if angle < -90.0 else angle - 180.0 if angle >= 90.0 else angle
             self._text(place, dimension.text, dimension.colour, upright)
 
         self.items.append((places, drawn))
@@ -279,13 +264,13 @@ class _Sheet:
         half, full = self._half(text), high - low >= TURN - 1e-9
         turn = min(high - low, math.radians(300.0))
         directions = start + np.linspace(0.0, turn, max(8, math.ceil(math.degrees(turn) / 4)))
-        rays = np.stack([np.cos(directions), -np.sin(directions)], axis=1)
+        rays = np.stack([np.cos(directions), np.sin(directions)], axis=1)
         outside = (half + 0.8 * self.font) / (3.2 * self.size * max(high - low, 1e-9))  # beyond the ends of a narrow range
         shares = np.linspace(0.1, 0.9, 9).tolist() + ([] if outside > 4.0 or high - low > 2.0 else [-outside, 1.0 + outside])
         places = []
         for radius, share in itertools.product((2.2, 3.2, 4.4, 5.6), shares):
             direction = start + share * (high - low)
-            ray = np.array([math.cos(direction), -math.sin(direction)])
+            ray = np.array([math.cos(direction), math.sin(direction)])
             inside = min(half / max(abs(ray[0]), 1e-9), 0.4 * self.font / max(abs(ray[1]), 1e-9))  # of the text, along the ray
             middle = centre + (radius * self.size + inside + 0.4 * self.font) * ray
             arc = centre + radius * self.size * rays
@@ -309,47 +294,35 @@ class _Sheet:
         """Add a text beside a point."""
         half = self._half(text)
         places = []
-        for reach, turn in itertools.product((1.0, 1.8, 2.8), np.linspace(0.0, TURN, 24, endpoint=False)):
+        for reach, turn in itertools.product((1.0, 1.8, 2.8), np.linspace(TURN, 0.0, 24, endpoint=False)):
             ray = np.array([math.cos(turn), math.sin(turn)])
             middle = at + reach * self.size * ray + np.array([half, HIGH * self.font]) * np.clip(1.5 * ray, -1.0, 1.0)
             places.append(Place(middle, LEVEL, half, (), 0.35 * reach))
         self.items.append((places, lambda place: self._text(place, text, GROUND, 0.0)))
 
-    def place(self) -> None:
-        """Place and draw all texts with their lines."""
+    def place(self) -> tuple[float, float, float, float]:
+        """Place and draw all texts with their lines, and return the extent of links and dimensions."""
         chosen = arrange([places for places, _ in self.items], self.links, self.font)
         for place, (_, drawn) in zip(chosen, self.items, strict=True):
             drawn(place)
-            self.taken += [place.text(self.font), *place.lines]
+        self.drawn.sort(key=lambda one: isinstance(one, Text))  # texts above all lines
+        taken = [line for place in chosen for line in (place.text(self.font), *place.lines)]
+        every = finite(np.concatenate([*self.links, *taken]))
+        low, high = every.min(axis=0) - 0.8 * self.size, every.max(axis=0) + 0.8 * self.size
+        return float(low[0]), float(low[1]), float(high[0] - low[0]), float(high[1] - low[1])
 
     def _line(self, points: Array, colour: str, width: float) -> None:
-        path = " L".join(f"{x:.6g} {y:.6g}" for x, y in points)
-        self.lines.append(f'<path d="M{path}" fill="none" stroke="{colour}" stroke-width="{width * self.size / 8.0:.4g}"/>')
+        self.drawn.append(Shape("dimensions", "", points, colour, 0.8 * width))
 
     def _arrow(self, tip: Array, direction: Array, colour: str) -> None:
         direction = direction / max(float(np.linalg.norm(direction)), 1e-30)
         left = np.array([-direction[1], direction[0]])
         back = tip - 0.75 * self.size * direction
-        corners = (tip, back + 0.16 * self.size * left, back - 0.16 * self.size * left)
-        path = " L".join(f"{x:.6g} {y:.6g}" for x, y in corners)
-        self.lines.append(f'<path d="M{path}Z" fill="{colour}"/>')
+        corners = np.array([tip, back + 0.16 * self.size * left, back - 0.16 * self.size * left])
+        self.drawn.append(Shape("dimensions", "", corners, colour, 0.0, fill=colour))
 
     def _text(self, place: Place, text: str, colour: str, angle: float) -> None:
-        x, y = place.middle
-        turned = f' transform="rotate({angle:.4g} {x:.6g} {y:.6g})"' if angle else ""
-        at = f'x="{x:.6g}" y="{y + 0.35 * self.font:.6g}"{turned}'
-        self.texts.append(rimmed(at, text, colour, f"{0.28 * self.size:.4g}"))
-
-    def svg(self) -> str:
-        """Return the dimensions as a group, the texts above all lines."""
-        drawn = "".join((*self.lines, *self.texts))
-        return f'<g data-layer="dimensions" font-family="sans-serif" font-size="{self.font:.4g}">{drawn}</g>'
-
-    def box(self) -> tuple[float, float, float, float]:
-        """Return the extent of the links and dimensions in this position."""
-        every = finite(np.concatenate([*self.links, *self.taken]))
-        low, high = every.min(axis=0) - 0.8 * self.size, every.max(axis=0) + 0.8 * self.size
-        return float(low[0]), float(low[1]), float(high[0] - low[0]), float(high[1] - low[1])
+        self.drawn.append(Text(text, place.middle, colour, self.font, angle))
 
 
 def _pieces(line: Array) -> Iterator[Array]:

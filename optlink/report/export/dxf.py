@@ -100,11 +100,11 @@ def document(
     space = drawing.modelspace()
     _assemble(space, parts, motion)
     for name in drawn.free:
-        line = drawn.points[name] * np.array([1.0, -1.0])
+        line = drawn.points[name]
         space.add_lwpolyline(line[np.all(np.isfinite(line), axis=1)].tolist(), dxfattribs={"layer": TRACES})
-    _mark_out(drawing, drawn.regions, radius)
+    _mark_out(drawing, drawn.outlines, radius)
     x, y, wide, _ = drawn.box
-    _lay_out(space, [plate for plate in parts if plate.body != FRAME], (x, -y - drawn.box[3]), radius, wide)
+    _lay_out(space, [plate for plate in parts if plate.body != FRAME], (x, y), radius, wide)
     return drawing
 
 
@@ -222,18 +222,18 @@ def _mark_out(drawing: Drawing, regions: Sequence[Outline], radius: float) -> No
         return
     drawing.layers.add(REGIONS, color=8)
     drawing.linetypes.add("DASHED", [1.0, 0.6, -0.4])
-    space, flip = drawing.modelspace(), np.array([1.0, -1.0])
+    space = drawing.modelspace()
     for region in regions:
         look = {"layer": REGIONS, **({"color": 1} if region.violated else {})}
         for line, way in ((region.edge, "Continuous"), (region.clearance, "DASHED")):
             gaps = np.flatnonzero(~np.isfinite(line[:, 0]))
-            for piece in np.split(line * flip, gaps):
+            for piece in np.split(line, gaps):
                 known = piece[np.isfinite(piece[:, 0])]
                 if len(known) > 1:
                     space.add_lwpolyline(known.tolist(), dxfattribs={**look, "linetype": way, "ltscale": radius})
         if np.all(np.isfinite(region.label)):
             text = space.add_text(region.name, height=0.6 * radius, dxfattribs=look)
-            text.set_placement(tuple(region.label * flip), align=TextEntityAlignment.MIDDLE_CENTER)
+            text.set_placement(tuple(region.label), align=TextEntityAlignment.MIDDLE_CENTER)
 
 
 def _assemble(space: Modelspace, parts: list[Plate], motion: Motion) -> None:

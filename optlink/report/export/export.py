@@ -110,8 +110,8 @@ def _svg(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> N
     from optlink.report.scene import scene
 
     at = place_of(model, cycle, options.at)
-    whole_motion, position = scene(cycle), scene(cycle, at=at, regions=model.regions)
-    text = svg(position, f"{model.problem.model.title}: crank angle {math.degrees(at):.6g} deg", motion=whole_motion)
+    title = f"{model.problem.model.title}: crank angle {math.degrees(at):.6g} deg"
+    text = svg(scene(cycle, at=at, regions=model.regions), title, true_size=True)
     with whole(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 

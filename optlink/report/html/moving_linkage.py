@@ -12,11 +12,10 @@ from optlink.dynamics.machine import slider_names
 from optlink.io import finite
 from optlink.linkage.vector2d import Array
 from optlink.report.chart_spec import max_abs
-from optlink.report.export.svg import svg
+from optlink.report.export.svg import motion_data, svg
 from optlink.report.format import pretty
 from optlink.report.regions import Region
 from optlink.report.scene import Scene, scene
-from optlink.report.shapes import zigzag
 from optlink.report.style import Scale, scale
 from optlink.tasks.analyze import Analysis
 
@@ -78,7 +77,7 @@ class Moving:
         values = np.round(stops.values, 9).tolist()
         slider = {"values": values, "unit": stops.unit, "decimals": stops.decimals, "turn": stops.turn}
         listed = [{"values": readout.values, "decimals": readout.decimals} for readout in self.readouts]
-        return self.scene.to_dict() | {"zigzag": zigzag(self.scene.size), "readouts": listed, "slider": slider}
+        return motion_data(self.scene) | {"readouts": listed, "slider": slider}
 
     @property
     def flat(self) -> bool:
@@ -109,7 +108,7 @@ def decimals_of(values: Array) -> int:
 def turning(cycle: Analysis, steps: int, regions: Sequence[Region] = ()) -> Moving:
     """Return the animation of a machine over its crank angle, with `steps` positions per revolution and regions of its limits."""
     drawn = scene(cycle, steps, regions=regions)
-    return Moving(cycle, drawn, Stops("crank angle", "°", drawn.angles, 1, 360.0), readouts(cycle, drawn.angles))
+    return Moving(cycle, drawn, Stops("crank angle", "°", drawn.crank_angles, 1, 360.0), readouts(cycle, drawn.crank_angles))
 
 
 def readouts(cycle: Analysis, angles: Array) -> list[Readout]:

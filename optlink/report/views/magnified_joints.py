@@ -51,6 +51,7 @@ class MagnifiedMachine(Sketch):
         turn = np.radians(turns.angle[rows[-1]]) + np.linspace(0.0, TURN, TRACE_POSITIONS)
         super().__init__(sweep(machine.mechanism, machine.sizes, turn, speed), machine)
         self.turns, self.rows, self.gaps = turns, rows, {gap.point: gap for gap in result.gaps}
+        self.pins = tuple(name for name in self.pins if name not in self.gaps)
         self.steps = sweep(machine.mechanism, machine.sizes, np.radians(turns.angle[rows]), speed)
         self.close_up: Axes | None = None
         self.middles: dict[str, Array] = {}
@@ -116,10 +117,6 @@ class MagnifiedMachine(Sketch):
     def pose(self, axes: Axes, motion: Motion, k: int = 0) -> list[Artist]:
         """Draw the mechanism at row `k`, with joints with clearance as journals in bearings; also draw the close-ups, if any."""
         artists = super().pose(axes, motion, k)
-        ideal = [name for name in self.mechanism.pins if name not in self.gaps]
-        for artist in artists:
-            if isinstance(artist, Line2D) and artist.get_gid() == "pins":
-                artist.set_data(*np.array([self.position(motion, name)[k] for name in ideal]).reshape(-1, 2).T)
         more = [(axes, artist) for gap in self.gaps.values() for artist in self._joint(gap, k)]
         if self.close_up is not None:
             more += [(self.close_up, artist) for gap in self.gaps.values() for artist in self._magnified(gap, k)]

@@ -167,7 +167,7 @@ function standing(scene) {
   return (scene?.bodies || []).flatMap(({ parts, poses, colour: own }) => {
     const [x, y, angle] = poses[0];
     const [c, s] = [Math.cos((angle * Math.PI) / 180), Math.sin((angle * Math.PI) / 180)];
-    return (parts || []).map(({ kind, outline }) => ({ own, closed: kind !== "bar", line: outline.map(([u, v]) => [x + c * u - s * v, y + s * u + c * v]) }));
+    return (parts || []).map(({ closed, outline }) => ({ own, closed, line: outline.map(([u, v]) => [x + c * u - s * v, y + s * u + c * v]) }));
   });
 }
 

@@ -2,7 +2,6 @@
 import { colour, keyed, svg } from "./dom.js";
 
 const LAYERS = ["slot", "plate", "bar", "block", "crank"];
-const WIDTHS = { slot: 1.1, plate: 2.2, bar: 3.4, block: 1.5, crank: 4.2 };
 const RAD = Math.PI / 180;
 const SIDES = [45, 135, 90, -45, -135, -90, 0, 180]; // of a joint on which its name can stand, best first [deg]
 const CLEAR = 40; // between a name and a link [deg]
@@ -115,12 +114,11 @@ export class Linkage {
     const owner = scene.owner || {};
     keyed(
       this.layers.traces,
-      Object.entries(scene.traces || {}),
-      ([name]) => name,
-      ([name]) => svg("path", { "data-trace": name }),
-      (node, [name, line]) => {
-        put(node, "d", pathOf(line));
-        put(node, "class", free.has(name) ? "free" : "joint");
+      scene.free || [],
+      (name) => name,
+      (name) => svg("path", { "data-trace": name }),
+      (node, name) => {
+        put(node, "d", pathOf(scene.points[name]));
         node.style.stroke = colour(colours.get(owner[name]) || scene.bodies.at(-1)?.colour);
       }
     );
@@ -136,12 +134,11 @@ export class Linkage {
     for (const layer of LAYERS) {
       keyed(
         this.layers[layer],
-        scene.bodies.filter((body, k) => body.parts.some((part) => layerOf(part, k) === layer)),
+        scene.bodies.filter((body) => body.parts.some((part) => part.kind === layer)),
         (body) => body.name,
         (body) => svg("g", { "data-body": body.name }, svg("title", { text: body.name })),
         (node, body) => {
-          const k = scene.bodies.indexOf(body);
-          const parts = body.parts.filter((part) => layerOf(part, k) === layer);
+          const parts = body.parts.filter((part) => part.kind === layer);
           while (node.children.length - 1 > parts.length) {
             node.lastChild.remove();
           }
@@ -150,9 +147,9 @@ export class Linkage {
           }
           parts.forEach((part, n) => {
             const path = node.children[n + 1];
-            put(path, "d", pathOf(part.outline, part.kind !== "bar"));
+            put(path, "d", pathOf(part.outline, part.closed));
             put(path, "class", part.kind);
-            path.style.setProperty("--w", WIDTHS[layer]);
+            path.style.setProperty("--w", part.width);
             path.style.setProperty("--own", colour(body.colour));
           });
           this.bodies.set(`${layer} ${body.name}`, [node, body]);
@@ -210,11 +207,11 @@ export class Linkage {
       }
       const [x, y, turn] = poses[position];
       const [c, s] = [Math.cos(turn * RAD), Math.sin(turn * RAD)];
-      for (const { outline, kind } of parts) {
+      for (const { outline, closed } of parts) {
         const line = outline.map(([u, v]) => [x + c * u - s * v - joint[0], y + s * u + c * v - joint[1]]);
         const size = Math.max(...line.map((at) => Math.hypot(...at)));
         line.forEach((at, k) => {
-          for (const next of [line[k - 1] ?? (kind === "bar" ? null : line.at(-1)), line[k + 1] ?? (kind === "bar" ? null : line[0])]) {
+          for (const next of [line[k - 1] ?? (closed ? line.at(-1) : null), line[k + 1] ?? (closed ? line[0] : null)]) {
             if (next && Math.hypot(...at) < 1e-3 * size && Math.hypot(...next) > 1e-3 * size) {
               found.push(Math.atan2(next[1], next[0]) / RAD);
             }
@@ -327,7 +324,7 @@ export class Linkage {
       const ends = scene.springs[name];
       const line = this.mixed(ends[low].slice(0, 2), ends[high].slice(0, 2), share);
       const tail = this.mixed(ends[low].slice(2), ends[high].slice(2), share);
-      node.setAttribute("d", spring(line, tail, scene.size || 10));
+      node.setAttribute("d", stretched(scene.zigzag, line, tail));
     }
     const names = [...this.names.children];
     const places = [...this.joints.children].map((node) => this.point(node.dataset.point)).map((at) => at && view.px(...at));
@@ -357,18 +354,9 @@ function side(before, directions) {
   return clear(before) ? before : (SIDES.find(clear) ?? SIDES.reduce((best, turn) => (room(turn) > room(best) ? turn : best)));
 }
 
-function layerOf(part, k) {
-  return k === 0 && part.kind === "bar" ? "crank" : part.kind;
-}
-
-// The zigzag of the report's drawings: fourteen strokes between two straight ends.
-function spring([x, y], [u, v], size) {
+// A line given in shares of the length of a spring and offsets, between both ends of the spring.
+function stretched(line, [x, y], [u, v]) {
   const [dx, dy] = [u - x, v - y];
   const length = Math.max(Math.hypot(dx, dy), 1e-30);
-  const line = [[0, 0], [0.18, 0]];
-  for (let k = 0; k < 12; k += 1) {
-    line.push([0.2 + (0.6 * k) / 11, (k % 2 ? -0.45 : 0.45) * size]);
-  }
-  line.push([0.82, 0], [1, 0]);
-  return pathOf(line.map(([share, side]) => [x + share * dx + (side * dy) / length, y + share * dy - (side * dx) / length]));
+  return pathOf(line.map(([share, side]) => [x + share * dx - (side * dy) / length, y + share * dy + (side * dx) / length]));
 }
