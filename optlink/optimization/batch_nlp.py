@@ -1,11 +1,11 @@
-"""The nonlinear programme of a motion law at many points at once, with many values of its parameters.
+"""A nonlinear programme at many points, with many values of its parameters; every figure of a point is the same in any batch.
 
-The residual at one position of the requirement is traced once with its derivatives, and evaluated by numpy at all positions
-of all points. Every figure of a point is the same in any batch.
+The residual of a motion law at one fixed position is traced once with its derivatives, and evaluated by numpy at all positions of
+all points. Other programmes are evaluated point by point.
 """
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import casadi
 import numpy as np
@@ -33,6 +33,35 @@ class BatchValues:
     hessian: Array
 
 
+class Evaluator(Protocol):
+    """Evaluates a programme of `size` variables at x (points, n).
+
+    p (points, k) are its parameters, the multipliers (points, n + m) those of the bounds of the variables and of the rows.
+    """
+
+    size: int
+
+    def __call__(self, x: Array, p: Array, multipliers: Array) -> BatchValues:
+        """Evaluate the programme."""
+        ...
+
+
+class PointwiseNLP:
+    """Evaluates any programme, one point after the other."""
+
+    def __init__(self, nlp: NLP) -> None:
+        self.nlp, self.size = nlp, len(nlp.variables)
+
+    def __call__(self, x: Array, p: Array, multipliers: Array) -> BatchValues:
+        """Evaluate the programme; see `Evaluator`."""
+        each, unit = [], np.eye(self.size)
+        for y, q, prices in zip(x, p, multipliers, strict=True):
+            point, objective = self.nlp.at(y, q), self.nlp.measure.of(self.nlp.residuals(y, q))
+            values, jacobian = np.concatenate([y, point.g]), np.concatenate([unit, point.jacobian])
+            each.append((objective, point.gradient, values, jacobian, self.nlp.hessian(y, q, prices[self.size :])))
+        return BatchValues(*map(np.array, zip(*each, strict=True)))
+
+
 class BatchNLP:
     """Evaluates a programme without exchange points at the positions of its law."""
 
@@ -54,10 +83,7 @@ class BatchNLP:
         self._limits = NumpyEvaluator([x, p, multipliers], [rows, casadi.jacobian(rows, x).T, *second])
 
     def __call__(self, x: Array, p: Array, multipliers: Array) -> BatchValues:
-        """Evaluate the programme at x (points, n).
-
-        p (points, k) are its parameters, the multipliers (points, n + m) those of the bounds of the variables and of the rows.
-        """
+        """Evaluate the programme; see `Evaluator`."""
         n, count, scale = self.size, len(x), p[:, :1]
         of_rows = multipliers[:, n:]
         positions = [np.broadcast_to(axis, (count, len(axis))) for axis in (self.offsets, self.tabulated)]

@@ -3,10 +3,11 @@
 A course is traced by the programme at one crank angle, and evaluated by the exchange along its motion.
 """
 
+import copy
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -185,10 +186,12 @@ class TermCourse:
         """Return the course of another problem with the same terms, whose limits may differ."""
         if problem is self.problem:
             return self
-        from optlink.optimization.cycle_signals import TracedCycle
-
-        trace = TracedCycle(problem, self.trace.values, self.trace.slow)
-        return TermCourse(problem, self.near, trace, self.structure, self.count, self.sizes)
+        other = copy.copy(self)
+        bounds = [replace(own, interval=new.interval) for own, new in zip(self.problem.bounds, problem.bounds, strict=True)]
+        other.problem, scaled = problem, [scaled_limit(bound, problem.longest) for bound in bounds]
+        other.limits = [limit for limit in scaled if limit.bound.term.extreme]
+        other.fixed_limits = [limit for limit in scaled if not limit.bound.term.extreme]
+        return other
 
     @property
     def recipe(self) -> dict[str, Any]:

@@ -227,9 +227,9 @@ class NLP:
         """Return the exact Hessian (n, n) of the Lagrangian f + multipliers . g."""
         return self._hessian(x, p, multipliers)[0].reshape(len(x), len(x))
 
-    def residuals(self, x: Array) -> Array:
+    def residuals(self, x: Array, p: Array | None = None) -> Array:
         """Return the residuals of the objective, neither scaled nor smoothed."""
-        p = self.p.copy()
+        p = (self.p if p is None else p).copy()
         if self.smoothing:
             p[self.smoothing] = 0.0
         return self._residuals(x, p)[0]

@@ -38,6 +38,7 @@ EXCHANGES = 40  # rounds
 RADIUS, SMALLEST, LARGEST = 0.3, 1e-6, 10.0  # scaled units: trust-region radius of the first round, and its range
 GROWTH, ALL_BUT = 2.5, 0.9  # of the radius after a step of at least that share of it
 TRACKED_PEAK = 0.1  # in the unit of the row: a peak this far below its limit may exceed it in the next round
+NEAR_LIMIT = 0.01  # the same where only an excess counts
 MOVING_PEAK = 0.02  # the same for peaks whose positions are unknowns of the NLP
 TRACKED_LEVEL, MOVING_LEVEL = 0.3, 0.05  # the same for peaks of the error, as shares of the largest one
 REACH, FARTHEST = 0.02, 0.1  # share of the motion by which such a position may move in a round of the first radius, and at most
@@ -135,8 +136,8 @@ def _polished(solution: Solution) -> Solution:
 
 
 def largest_excess(task: DesignProblem, nlp: NLP, x: Array) -> float:
-    """Return the largest excess over a limit or a largest value of a design; see `RowPeak`."""
-    return _courses(task, nlp).tops(local.solution_at(nlp, x, ""))[0].height
+    """Return the largest excess over a limit or a largest value of a design, if it is not far below; see `RowPeak`."""
+    return _courses(task, nlp).tops(local.solution_at(nlp, x, ""), NEAR_LIMIT)[0].height
 
 
 def rank(solution: Solution) -> tuple[bool, bool, float]:
@@ -183,6 +184,32 @@ def place_at_peaks(task: DesignProblem, nlp: NLP, x: Array) -> None:
     """Move the exchange points, if there are any, to the peaks of the limits of a design."""
     if nlp.exchange_count:
         nlp.set_exchange_points(_places(_courses(task, nlp).tops(local.solution_at(nlp, x, "")), nlp.exchange_count))
+
+
+def with_peaks(task: DesignProblem, solution: Solution) -> tuple[Solution, list[int]]:
+    """Return an optimum as one of the programme in which the positions of its peaks are unknowns, and the rows that it keeps."""
+    nlp, rows = solution.nlp, list(range(len(solution.nlp.rows)))
+    if not nlp.exchange_count:
+        return solution, rows
+    first, each = nlp.exchange_rows
+    tops = _courses(task, nlp).tops(solution)
+    chosen = sorted((top for top in tops if top.moving), key=lambda top: (top.row, top.at))[: nlp.exchange_count]
+    at = [top.at for top in chosen]
+    places = [*at, *(place for place in _places(tops, nlp.exchange_count) if place not in at)]
+    nlp.set_exchange_points(np.resize(places, nlp.exchange_count))
+    if not chosen:
+        return local.solution_at(nlp, solution.x, solution.message), rows
+    whole = len([top for top in tops if top.level >= 0 and top.tracked]) > nlp.exchange_count
+    rows, slots = _moving_rows(nlp, whole=whole), [first + slot * each + top.row for slot, top in enumerate(chosen)]
+    key = f"at the peaks of rows {slots}" + (" and all positions" if whole else "")
+    if key not in nlp.cache:
+        nlp.cache[key] = with_moving_rows(nlp, rows, slots)
+    moving: NLP = nlp.cache[key]
+    moving.p[:] = nlp.p
+    moving.set_bounds(np.append(nlp.x_low, np.zeros(len(at))), np.append(nlp.x_high, np.ones(len(at))))
+    for k, j in enumerate(rows):
+        moving.limit(len(moving.variables) + k, nlp.low[j], nlp.high[j])
+    return local.solution_at(moving, np.append(solution.x, at), solution.message), rows
 
 
 def best_slow_stroke(task: DesignProblem, solution: Solution, backend: str) -> Solution:
@@ -362,8 +389,8 @@ class _Courses:
         self.task, self.limits, self.errors = task, limit_courses(task) if task.parts else [], error_courses(task)
         self.terms: TermCourse | None = None if nlp.terms is None else nlp.terms.of(task)
 
-    def tops(self, solution: Solution) -> list[RowPeak]:
-        """Return the peaks where limits or largest values are exceeded or nearly so, largest first."""
+    def tops(self, solution: Solution, near: float = math.inf) -> list[RowPeak]:
+        """Return the peaks where limits or largest values are exceeded or nearly so, at most by `near`, largest first."""
         values, angles = solved_values(self.task, solution.design, solution.x)
         nlp = solution.nlp
         levels = solution.x[nlp.first_level :]
@@ -374,8 +401,8 @@ class _Courses:
             values = heights(grid)
             each = [numbers] * len(values) if isinstance(numbers, int) else numbers
             for level, group in itertools.groupby(range(len(each)), key=lambda row: each[row]):
-                near = TRACKED_LEVEL if level >= 0 else TRACKED_PEAK
-                tops = peaks(heights, grid, near, values, list(group))
+                room = min(near, TRACKED_LEVEL if level >= 0 else TRACKED_PEAK)
+                tops = peaks(heights, grid, room, values, list(group))
                 found.extend(replace(top, row=rows + top.row, level=level) for top in tops)
             rows += len(values)
 

@@ -1,20 +1,23 @@
 """Sweep task that finds an optimum at every point of a grid.
 
-The programme is built once: what varies are its parameters and bounds. A search from the starting point of the problem is made
-in the middle of every block of neighbouring points; Newton's method leads from there to the optima of all points of the block at
-once (`optlink.studies.batch`). A point where it does not end at a verified optimum is searched. Every optimum is validated like a
-single one. A row depends on the grid alone.
+Programmes are built once: what varies are their parameters and bounds. Searches are made in the middle of every block of
+neighbouring points; Newton's method leads from there to the optima of all points of the block at once (`optlink.studies.batch`).
+A point where it does not end at a verified optimum is searched. Every optimum is validated like a single one. A row depends on
+the grid alone.
 
-Other programmes, of largest errors over a range, points, poses or linkages of dyads, are searched at the first and the last point
-of every chunk; their designs are followed from point to point from both ends, and the best one is kept.
+The programme of a law at fixed positions takes arrays of points, and its searches are single ones. Other programmes have the
+places of their peaks as unknowns; each search is that of the problem. Where what varies is no parameter of a programme, every
+point has its own, and begins at the optima in the middle of a small block.
 """
 
 from __future__ import annotations
 
+import copy
 import itertools
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from functools import cached_property
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -27,35 +30,38 @@ from optlink.optimization.constraints import rows as limit_rows
 from optlink.optimization.courses import course_again
 from optlink.optimization.multipliers import ACTIVE
 from optlink.optimization.nlp import NLP
-from optlink.optimization.programme import build
+from optlink.optimization.programme import build, constant_values
 from optlink.problem.design import DesignProblem, is_parameter
 from optlink.problem.file import ProblemFile
-from optlink.problem.quantity import check_choice
+from optlink.problem.quantity import Quantity, check_choice
+from optlink.problem.quantity_keys import place_of
 from optlink.solvers import multistart
 from optlink.solvers.contract import selectable
-from optlink.solvers.solution import FEASIBLE, Solution
+from optlink.solvers.exchange import with_peaks
+from optlink.solvers.solution import FEASIBLE, Attempt, Solution
 from optlink.studies.batch.blocks import MAX_BLOCK_POINTS, Blocks, coarse_block
 from optlink.studies.batch.newton import BatchProblem
-from optlink.studies.batch.optima import GridSearch
+from optlink.studies.batch.optima import GridSearch, keep
 from optlink.studies.continuation import FOLLOWED, follow_optimum
 from optlink.studies.fast_overrides import FastOverride
-from optlink.studies.grid import Grid
-from optlink.studies.sweep_task import FoundOptimum, OptimumTask
-from optlink.studies.target_programme import TargetProgramme, limit_key, variables_of
-from optlink.tasks import design as targets
+from optlink.studies.grid import Grid, column
+from optlink.studies.sweep_task import FROM_KNOWN, OPTIMISE, OUTCOME, SweepTask
+from optlink.studies.target_programme import PeakProgramme, TargetProgramme, in_order, limit_key, variables_of
+from optlink.tasks import cycle as machines, design as targets
 from optlink.tasks.certify import automatic
 from optlink.tasks.protocol import completed
 from optlink.tasks.results.design import LinkageDesign, SynthesisResult, of_designs
-from optlink.tasks.run import solve
+from optlink.tasks.run import design_task, solve
 from optlink.tasks.search import validated_design
 from optlink.validation import validate, validate_batch
 
 Index = NDArray[np.intp]
-CHUNK, SLOW_CHUNK = 100, 4  # points per chunk; the second if every point needs a separate search
-FOLLOWED_CHUNK = 8  # the same if the designs of searches at both ends are followed
-FOLLOWED_RATIO = 1.5  # of the best objective at the end of a chunk, up to which its other designs are followed too
+CHUNK, DESIGN_CHUNK = 100, 25  # points per chunk, of the programme of a law at fixed positions and of others
+FOLLOWED_CHUNK = 8  # points per chunk, and per block, if every point has its own programme
+FOLLOWED_RATIO = 1.5  # of the best objective of a search, up to which its other designs are followed too
+FEWEST_BLOCKS = 1.5  # approximate least number of blocks, each with a search of the problem: two for three points
 LARGEST_CHUNK, CHUNKS = 10_000, 10  # points of the chunks of a large grid, and the least number of chunks
-BATCH = 2_000  # points per batch
+BATCH, FILES = 2_000, 500  # points per batch; if each is read from the file, and files and results of searches that are kept
 STARTS, SEED = 6, 0  # searches in each of the few large blocks of a grid, from random points
 SMALL_GRID = 1000  # points of a grid up to which a point that Newton's method does not reach has such searches of its own
 SEARCHED = "searched"
@@ -76,134 +82,259 @@ def chunk_of(grid: Grid) -> int:
 
 
 @dataclass(frozen=True)
-class ReoptimiseTask(OptimumTask):
-    """Optimum at every point; `starts`: starting points of each search; `most`: points of a block, at most."""
+class FoundOptimum:
+    """Contents of a row: `design` [SI] by design variable, names of `failed` checks and of `active` limits, how it was found."""
 
+    design: Mapping[str, float]
+    objective: float
+    status: Status
+    valid: bool
+    failed: Iterable[str]
+    active: Iterable[str]
+    method: str
+
+
+@dataclass(frozen=True)
+class ReoptimiseTask(SweepTask):
+    """Optimum at every point; `starts`: starting points of each search; `anchors`: designs [SI] from which it begins too."""
+
+    mode = OPTIMISE
+
+    backend: str
     starts: int = 1
-    most: int | None = None
+    anchors: tuple[tuple[tuple[str, float], ...], ...] = ()
 
     @property
+    def options(self) -> dict[str, Any]:
+        """The back end."""
+        return {"backend": self.backend}
+
+    @cached_property
+    def template(self) -> ProblemFile:
+        """The problem at the first point, whose design variables are those of all points."""
+        return self.problem.override(self.grid.changes(0))
+
+    @cached_property
+    def free(self) -> dict[str, Quantity]:
+        """Design variables."""
+        model = self.template.model
+        return {name: model.quantities[name] for name in model.free}
+
+    @property
+    def columns(self) -> list[str]:
+        """The axes, the design variables and the objective in display units, and the outcome."""
+        free = [f"{name}_{quantity.display[1]}" for name, quantity in self.free.items()]
+        return [*(axis.column for axis in self.grid.axes), *free, self.objective_column, *OUTCOME]
+
+    @property
+    def objective_column(self) -> str:
+        """Name of the column of the objective."""
+        return column("objective", self.template.model.shown_objective(0.0).unit)
+
+    def shown(self, objective: float) -> float:
+        """Return the value of the column for a minimised value [SI]."""
+        return self.template.model.shown_objective(objective).value
+
+    def from_known(self, point: int, design: Mapping[str, float]) -> list[str] | None:
+        """Return the row of the optimum near a design [SI], or of the design itself; None if it is not valid at the point."""
+        file = self.problem.override(self.grid.changes(point))
+        known: Any = design_task(file).validate(file, design)
+        if not known.valid:
+            return None
+        near = near_design(file, design, self.backend)
+        return self.result_row(point, near if near.valid else known, FROM_KNOWN)
+
+    def optimum(self, point: int, outcome: FoundOptimum) -> list[str]:
+        """Return the row of an optimum; design and objective are empty unless the search is optimal or stalled."""
+        usable = outcome.valid or outcome.status in (Status.OPTIMAL, Status.STALLED)
+        sizes = [outcome.design.get(name, math.nan) / q.si_per_unit for name, q in self.free.items()]
+        figures = [value if usable else math.nan for value in (*sizes, self.shown(outcome.objective))]
+        words = (
+            outcome.status.value,
+            str(outcome.valid).lower(),
+            "; ".join(outcome.failed),
+            "; ".join(outcome.active),
+            outcome.method,
+        )
+        return self.row(point, figures, *words)
+
+    @cached_property
     def shared(self) -> bool:
-        """Whether all points have one programme; if not, every point needs its own."""
-        return self.template.model.shares_programme([axis.key for axis in self.grid.axes])
+        """Whether all points have one programme of a law at fixed positions, and take arrays of their numbers."""
+        template = self.template.model
+        return template.shares_programme([axis.key for axis in self.grid.axes]) and self.fast_override.possible
 
     @cached_property
     def programme(self) -> ParametricProgramme:
         """Common programme of all points."""
-        return ParametricProgramme(self.template)
+        return ParametricProgramme(self.template, self.fast_override, self.grid)
 
     @cached_property
-    def fast_override(self) -> FastOverride | None:
-        """Sets values in the model; None if the file has to be read again for each.
+    def fast_override(self) -> FastOverride:
+        """Sets values in the model."""
+        return FastOverride(self.template.spec, self.grid.axes)
 
-        Tolerances of a robust design are checked against each dimension, so each of its problems is read from the file.
-        """
-        if not self.shared or self.template.spec.requirement.robust is not None:
-            return None
-        override = FastOverride(self.template.spec, self.grid.axes)
-        return override if override.possible else None
+    @property
+    def parametric(self) -> bool:
+        """Whether what varies are parameters of the programmes of all designs."""
+        limited = [limit_key(part) for part in getattr(self.template.model, "parts", ())]
+        return all(is_parameter(axis.key) or axis.key in limited for axis in self.grid.axes)
 
     @cached_property
     def grid_search(self) -> GridSearch:
-        """Search for the optima of the common programme."""
-        nlp = BatchNLP(self.programme.nlp, self.template.spec.law)
-        large = Blocks(self.grid, self.grid.count)
+        """Search for the optima of the common programmes."""
 
         def searches(most: int | None, coarse: GridSearch | None = None) -> GridSearch:
-            return GridSearch(nlp, Blocks(self.grid, most), self._problem, self._search, large, self._search_many, coarse)
+            if self.shared:
+                blocks, large = Blocks(self.grid, most), Blocks(self.grid, self.grid.count)
+                return GridSearch(lambda _: self.programme, blocks, self._search, large, self._search_many, coarse)
+            blocks = Blocks(self.grid, most if self.parametric else FOLLOWED_CHUNK, FEWEST_BLOCKS)
+            return GridSearch(lambda nlp: self._peak_programmes[id(nlp)], blocks, self._optimum, blocks, self._optima, coarse)
 
         coarse = coarse_block(self.grid.count)
-        return searches(self.most, searches(coarse) if self.most is None and coarse > MAX_BLOCK_POINTS else None)
+        return searches(None, searches(coarse) if coarse > MAX_BLOCK_POINTS else None)
 
     def lines(self, index: int) -> list[list[str]]:
         """Return the rows of a chunk."""
-        if not self.shared:
-            return self._apart(self.span(index))
         rows: dict[int, list[str]] = {}
-        points = np.array(self.span(index))
-        for first in range(0, len(points), BATCH):
-            rows |= self._followed(points[first : first + BATCH])
-        return [rows[point] if point in rows else self.optimum(point, self._again(point)) for point in self.span(index)]
+        points, batch, followed = np.array(self.span(index)), FILES, self._designs
+        if self.shared:
+            batch, followed = BATCH, self._followed
+        for first in range(0, len(points) if self.shared or self.parametric else 0, batch):
+            rows |= followed(points[first : first + batch])
+        again = self._again if self.shared else self._beside_row
+        return [rows[point] if point in rows else again(point) for point in self.span(index)]
 
-    def _apart(self, points: range) -> list[list[str]]:
-        """Return the rows of neighbouring points without a common programme of fixed positions."""
-        files = {point: self.problem.override(self.grid.changes(point)) for point in points}
-        found = {point: _searched(files[point], self.backend) for point in dict.fromkeys((points[0], points[-1]))}
-        followed: dict[int, list[LinkageDesign]] = {point: [] for point in points}
-        for end, way in ((points[0], 1), (points[-1], -1)):
-            for design in found[end].designs:
-                if design.solution is None or design.objective > FOLLOWED_RATIO * found[end].objective:
-                    continue
-                known = {end: design}
-                for point in points[1:-1][::way]:
-                    neighbour = known.get(point - way, known.get(point - way * self.grid.row))
-                    near = None if neighbour is None else self._beside(neighbour, point)
-                    if near is not None and near.valid:
-                        known[point] = near
-                        followed[point].append(near)
-        rows = []
-        for point in points:
-            result, how = found.get(point), SEARCHED
-            if result is None and followed[point]:
-                result, how = of_designs(files[point], followed[point], len(followed[point]), self.backend), FOLLOWED
-            rows.append(self.result_row(point, result or _searched(files[point], self.backend), how))
+    # --- programmes with the places of their peaks as unknowns -----------------------------------------------------------
+
+    def _designs(self, points: Index) -> dict[int, list[str]]:
+        """Return the rows of the points at which Newton's method from the optimum of a search ends at a valid optimum."""
+        optima, rows = self.grid_search.optima(points), dict[int, list[str]]()
+        for k in np.flatnonzero(optima.optimal).tolist():
+            point, near = int(points[k]), optima.near[k]
+            programme = self._peak_programmes[id(near.nlp)]
+            solution = programme.solution(point, near, optima.x[k])
+            design = None if solution is None else validated(programme.file(point), solution)
+            if design is not None and design.valid:
+                rows[point] = self._design_row(point, [design], SEARCHED if optima.searched[k] else FOLLOWED)
         return rows
 
-    def _beside(self, near: LinkageDesign, point: int) -> LinkageDesign | None:
-        """Return the validated optimum of a point near the design of a neighbour; None if its programme has other variables."""
-        file, solution, angles = near.problem.override(self.grid.changes(point)), near.solution, near.crank_angles
-        assert solution is not None
-        key = (repr(file.at("mechanism.assembly")), -1 if near.task.data.offsets is None and angles[-1] < angles[0] else 1)
-        limited = [limit_key(part) for part in file.spec.parts]
-        kept = all(is_parameter(axis.key) or axis.key in limited for axis in self.grid.axes)
-        like = solution.nlp
-        key = (*key, *(() if like.terms is None else like.terms.structure.key))
-        if key not in self._programmes:
+    def _design_row(self, point: int, designs: list[LinkageDesign], how: str) -> list[str]:
+        return self.result_row(point, of_designs(designs[0].problem, designs, len(designs), self.backend), how)
+
+    def _beside_row(self, point: int) -> list[str]:
+        """Return the row of a point beside those that were searched: of the best valid design near theirs, else of a search."""
+        search = self.grid_search
+        home = int(search.blocks.of(np.array([point]))[0])
+        for block in (home, *search.blocks.neighbours(home)) if point != search.blocks.middle(home) else ():
+            ends = [self._beside(design, point) for design in self._branches(search.blocks.middle(block))]
+            if valid := [end for end in ends if end is not None and end.valid]:
+                return self._design_row(point, valid, FOLLOWED)
+        return self.result_row(point, self._found(point), SEARCHED)
+
+    def _found(self, point: int) -> SynthesisResult:
+        """Return the result of a search of a point, from the anchors if there are any; it is kept."""
+        if point not in self._results:
+            file = self.problem.override(self.grid.changes(point))
+            near = (near_design(file, dict(sizes), self.backend) for sizes in self.anchors)
+            result = min(near, key=lambda result: (not result.valid, result.objective), default=None)
+            keep(self._results, point, result if result is not None and result.valid else searched(file, self.backend), FILES)
+        return self._results[point]
+
+    def _branches(self, point: int) -> list[LinkageDesign]:
+        """Return the designs of a search that are followed, best first."""
+        designs = [design for design in self._found(point).designs if design.solution is not None]
+        room = (FOLLOWED_RATIO - 1.0) * abs(designs[0].objective) if designs else 0.0
+        return [design for design in designs if design.objective <= designs[0].objective + room]
+
+    def _optima(self, point: int) -> list[Solution]:
+        """Return the designs of a search as optima of programmes of all points."""
+        optima = []
+        for design in self._branches(point):
+            solution, target, task = design.solution, self._target(design), design.problem.spec
+            assert solution is not None
+            if not target.bind(task):
+                continue
+            start = multistart.solution_at(target.nlp, target.nlp.x_of(variables_of(solution)), solution.message)
+            begin, rows = with_peaks(task, start)
+            end = multistart.conclude(begin.nlp, Attempt(begin.x, 0, begin.message), begin.p)
+            if end.status is Status.OPTIMAL:
+                made = PeakProgramme(target, partial(self._file, design.problem), end.nlp, rows)
+                self._peak_programmes.setdefault(id(end.nlp), made)
+                optima.append(end)
+        return optima
+
+    def _optimum(self, point: int) -> Solution | None:
+        return next(iter(self._optima(point)), None)
+
+    def _target(self, near: LinkageDesign) -> TargetProgramme:
+        """Return the programme of designs of the same assembly modes, sense of rotation and order of strokes as another."""
+        assert near.solution is not None
+        recipe = near.solution.nlp.recipe
+        key = repr((near.problem.at("mechanism.assembly"), recipe))
+        if key not in self._targets:
             template = near.problem.override(self.grid.changes(0)).spec
-            self._programmes[key] = TargetProgramme(template, key[1], self.backend, terms=course_again(template, like.recipe))
-        programme = self._programmes[key]
-        if not (kept and programme.bind(file.spec)):
-            programme = TargetProgramme(file.spec, key[1], self.backend, terms=course_again(file.spec, like.recipe))
+            terms = course_again(template, recipe)
+            self._targets[key] = TargetProgramme(template, recipe["direction"], self.backend, terms=terms)
+        return self._targets[key]
+
+    def _file(self, definite: ProblemFile, point: int) -> ProblemFile:
+        """Return the problem of a point with definite assembly modes."""
+        key = repr(definite.at("mechanism.assembly")), point
+        if key not in self._files:
+            keep(self._files, key, definite.override(self.grid.changes(point)), FILES)
+        return self._files[key]
+
+    @cached_property
+    def _files(self) -> dict[tuple[str, int], ProblemFile]:
+        return {}
+
+    @cached_property
+    def _results(self) -> dict[int, SynthesisResult]:
+        return {}
+
+    @cached_property
+    def _targets(self) -> dict[str, TargetProgramme]:
+        return {}
+
+    @cached_property
+    def _peak_programmes(self) -> dict[int, PeakProgramme]:
+        return {}
+
+    def _beside(self, near: LinkageDesign, point: int) -> LinkageDesign | None:
+        """Return the validated optimum of a point near another design; None if its programme has other variables or strokes."""
+        file, solution = self._file(near.problem, point), near.solution
+        assert solution is not None
+        programme = self._target(near) if self.parametric else None
+        if programme is None or not programme.bind(file.spec):
+            recipe = solution.nlp.recipe
+            programme = TargetProgramme(file.spec, recipe["direction"], self.backend, terms=course_again(file.spec, recipe))
         values = variables_of(solution)
         if {v.name for v in programme.nlp.variables} != values.keys():
             return None
-        return validated_design(file, programme.optimum(file.spec, values))
-
-    @cached_property
-    def _programmes(self) -> dict[tuple[Any, ...], TargetProgramme]:
-        """Programmes at the first point of the grid by assembly modes, sense of rotation and order of ends of strokes."""
-        return {}
-
-    def near(self, point: int, file: ProblemFile, design: Mapping[str, float]) -> SynthesisResult:
-        """Return the result of a search of a point from a design [SI]."""
-        return completed(targets.solve(file, self.backend, begin=design))
+        end = programme.optimum(file.spec, values)
+        return validated(file, end) if end.usable and in_order(end) else None
 
     def result_row(self, point: int, result: SynthesisResult, how: str) -> list[str]:
         """Return the row of a result."""
-        return self.optimum(point, _row(result, how))
+        result = result.oriented
+        failed = tuple(dict.fromkeys(item.name for item in result.conflict)) or result.validation.failed
+        solution = result.solution
+        limits = () if solution is None or not (result.problem.spec.parts or solution.usable) else active(solution)
+        found = FoundOptimum(result.design, result.objective, result.status, result.valid, failed, limits, how)
+        return self.optimum(point, found)
+
+    # --- the programme of a law at fixed positions ---------------------------------------------------------------------------
 
     def model(self, point: int) -> DesignProblem:
         """Return the problem at a point of the grid."""
-        if self.fast_override is not None:
-            return self.fast_override.model(self.grid.values(point))
-        return self.problem.override(self.grid.changes(point)).spec
-
-    def _problem(self, points: Index) -> BatchProblem:
-        """Return parameters and bounds of the programme at points of the grid."""
-        if self.fast_override is not None:
-            return self.programme.parameters(self.fast_override.model(self.grid.columns(points)), len(points))
-        parts = [self.programme.parameters(self.model(point)) for point in points.tolist()]
-        return BatchProblem(*(np.concatenate([vars(part)[name] for part in parts]) for name in ("p", "lower", "upper")))
+        return self.fast_override.model(self.grid.values(point))
 
     def _search(self, point: int) -> Solution:
         """Return the best result of the searches at a point, the first of which begins at the starting point of the problem."""
         self.programme.bind(self.model(point))
         nlp = self.programme.nlp
-        begin = list(multistart.starts(nlp, self.starts, 0))
-        if self.starts > 1 and automatic(problem := self.problem.override(self.grid.changes(point))):
-            best = completed(solve(problem, self.backend)).design
-            if best:  # globally optimal: local searches may all miss a narrow feasible region
-                begin.append(nlp.x_of(best))
+        begin = [*multistart.starts(nlp, self.starts, 0), *(nlp.x_of(dict(sizes)) for sizes in self.anchors)]
         return multistart.best([multistart.solve_from(nlp, x, self.backend) for x in begin])
 
     def _search_many(self, point: int) -> list[Solution]:
@@ -211,8 +342,13 @@ class ReoptimiseTask(OptimumTask):
         self.programme.bind(self.model(point))
         nlp, solutions = self.programme.nlp, list[Solution]()
         high = np.where(np.isfinite(nlp.x_high), nlp.x_high, 1.0)
-        for x in itertools.islice(multistart.latin_hypercubes(nlp.x_low, high, SEED), STARTS):
-            end = multistart.solve_from(nlp, nlp.lifted(x), self.backend, persistent=False)
+        begin = [nlp.lifted(x) for x in itertools.islice(multistart.latin_hypercubes(nlp.x_low, high, SEED), STARTS)]
+        if self.starts > 1 and automatic(problem := self.problem.override(self.grid.changes(point))):
+            best = completed(solve(problem, self.backend)).design
+            if best:  # globally optimal: local searches may all miss a narrow feasible region
+                begin.append(nlp.x_of(best))
+        for x in begin:
+            end = multistart.solve_from(nlp, x, self.backend, persistent=False)
             if end.status is Status.OPTIMAL and not any(multistart.compare(end, solution).same for solution in solutions):
                 solutions.append(end)
         return sorted(solutions, key=lambda solution: solution.objective)
@@ -225,20 +361,10 @@ class ReoptimiseTask(OptimumTask):
         if not len(points):
             return {}
         values = {v.name: v.origin + x[:, i] * v.size for i, v in enumerate(nlp.variables) if v.name not in nlp.helpers}
-        if self.fast_override is not None:
-            task = self.fast_override.model(self.grid.columns(points))
-            validations = validate_batch(task, task.complete(values), objective=objective)
-            valid = validations.valid
-            failed = {k: validations.of(k).failed for k in np.flatnonzero(~valid).tolist()}
-        else:
-            tasks = [self.model(point) for point in points.tolist()]
-            designs = [task.design({name: entries[k] for name, entries in values.items()}) for k, task in enumerate(tasks)]
-            given = zip(tasks, designs, objective.tolist(), strict=True)
-            single = [validate(task, design, objective=value) for task, design, value in given]
-            valid, failed = (
-                np.array([outcome.valid for outcome in single]),
-                {k: outcome.failed for k, outcome in enumerate(single)},
-            )
+        task = self.fast_override.model(self.grid.columns(points))
+        validations = validate_batch(task, task.complete(values), objective=objective)
+        valid = validations.valid
+        failed = {k: validations.of(k).failed for k in np.flatnonzero(~valid).tolist()}
         keys = list(map(tuple, sides.tolist()))
         labels = {key: "; ".join(_labels(nlp, np.flatnonzero(key), np.array(key))) for key in set(keys)}
         methods = np.where(optima.searched[solved], SEARCHED, FOLLOWED).tolist()
@@ -259,8 +385,8 @@ class ReoptimiseTask(OptimumTask):
             for k, point in enumerate(points.tolist())
         }
 
-    def _again(self, point: int) -> FoundOptimum:
-        """Search for the optimum at a point, starting from a neighbour if there is one."""
+    def _again(self, point: int) -> list[str]:
+        """Return the row of a search for the optimum at a point, starting from a neighbour if there is one."""
         programme, near, corners = self.programme, self.grid_search.nearest(point), self.grid_search.branches(point)
         task = self.model(point)
         programme.bind(task)
@@ -273,54 +399,48 @@ class ReoptimiseTask(OptimumTask):
                 end = multistart.solve_from(programme.nlp, programme.within(neighbour.x), self.backend)
             if end is not None and multistart.best([solution, end]) is end and not multistart.compare(solution, end).same:
                 solution, how = end, SEARCHED
-        if not solution.usable and not 1.0 / MAX_SIZE_RATIO <= task.size / programme.size <= MAX_SIZE_RATIO:
-            nlp = build(task)
-            solution = multistart.best([solution, multistart.solve_from(nlp, nlp.x_start, self.backend)])
-        if solution.status is not Status.OPTIMAL and (self.starts > 1 or solution.status is not Status.INFEASIBLE):
-            anew = _searched(self.problem.override(self.grid.changes(point)), self.backend)
-            if anew.valid:
-                return _row(anew, SEARCHED)
-        design = task.design(solution.design)
-        validation = validate(task, design, objective=solution.objective)
-        failed = validation.failed
+        scaled = 1.0 / MAX_SIZE_RATIO <= task.size / programme.size <= MAX_SIZE_RATIO
+        doubtful = self.starts > 1 or not scaled or solution.status is not Status.INFEASIBLE
+        if solution.status is not Status.OPTIMAL and doubtful and (anew := self._found(point)).valid:
+            return self.result_row(point, anew, SEARCHED)
+        failed = validate(task, task.design(solution.design), objective=solution.objective).failed
         valid = solution.status is Status.OPTIMAL and not failed
-        if solution.status is Status.INFEASIBLE:
-            violated, at_bound = conflicting(solution)
-            return FoundOptimum(solution.design, solution.objective, solution.status, valid, violated or failed, at_bound, how)
-        return FoundOptimum(solution.design, solution.objective, solution.status, valid, failed, active(solution), how)
+        violated, limits = conflicting(solution) if solution.status is Status.INFEASIBLE else ((), active(solution))
+        found = FoundOptimum(solution.design, solution.objective, solution.status, valid, violated or failed, limits, how)
+        return self.optimum(point, found)
 
 
 class ParametricProgramme:
-    """One programme of a four-bar with a law for many values of its parameters and bounds, also for arrays of them."""
+    """One programme of a law at fixed positions for many values of its parameters and bounds; see `GridProgramme`."""
 
-    def __init__(self, problem: ProblemFile) -> None:
+    def __init__(self, problem: ProblemFile, override: FastOverride, grid: Grid) -> None:
         self.nlp: NLP = build(problem.spec)
-        self.size = problem.spec.size
+        self.size, self.override, self.grid = problem.spec.size, override, grid
+        self.evaluate, self.kept = BatchNLP(self.nlp, problem.spec.law), np.zeros(1, dtype=np.intp)
 
-    def parameters(self, task: DesignProblem, count: int | None = None) -> BatchProblem:
+    def problem(self, points: Index) -> BatchProblem:
+        """Return parameters and bounds at points of the grid."""
+        return self.parameters(self.override.model(self.grid.columns(points)), len(points))
+
+    def parameters(self, task: DesignProblem, count: int = 1) -> BatchProblem:
         """Return parameters and bounds of the programme for problems of the same structure.
 
         The numbers of `task` may be arrays (count,).
         """
         nlp, quantities = self.nlp, task.quantities
         p: list[Any] = list(nlp.p)
-        counted = task.counted
-        for i, constant in enumerate(nlp.constants):
-            value = quantities[constant.name].value if constant.name in quantities else counted[constant.name]
-            p[1 + i] = (value - constant.origin) / constant.size
+        p[1 : 1 + len(nlp.constants)] = constant_values(task, nlp.constants)
         bounds: list[tuple[Any, Any]] = list(zip(nlp.x_low, nlp.x_high, strict=True))
         for i, v in enumerate(nlp.variables):
             if v.name not in nlp.helpers:
                 low, high = quantities[v.name].bounds
-                bounds[i] = (low - v.origin) / v.size, (high - v.origin) / v.size
+                bounds[i] = v.scaled(low), v.scaled(high)
         values = {name: quantity.value for name, quantity in quantities.items()}
         with np.errstate(all="ignore"):
             rows = limit_rows(task, values, task.reach(values), self.size)
         bounds += [(row.low, row.high) for row in rows]
         bounds += zip(nlp.low[len(rows) :], nlp.high[len(rows) :], strict=True)
         lower, upper = zip(*bounds, strict=True)
-        if count is None:
-            return BatchProblem(*(np.array([array], dtype=float) for array in (p, lower, upper)))
         return BatchProblem(
             *(np.array([np.broadcast_to(array, count) for array in arrays], dtype=float).T for arrays in (p, lower, upper))
         )
@@ -353,18 +473,46 @@ class ParametricProgramme:
         return multistart.best(tries), SEARCHED
 
 
-def _searched(file: ProblemFile, backend: str) -> SynthesisResult:
-    """Return the result of a search of one problem."""
-    result: Any = completed(solve(file, backend))
-    return result.oriented  # type: ignore[no-any-return]
+def optimum_task(
+    problem: ProblemFile, grid: Grid, backend: str, chunk: int, anchors: Sequence[Mapping[str, float]] = ()
+) -> ReoptimiseTask:
+    """Return the task that optimises a problem at every point of a grid."""
+    task = ReoptimiseTask(problem, grid, chunk, backend, anchors=tuple(tuple(sizes.items()) for sizes in anchors))
+    return task if task.shared else replace(task, chunk=DESIGN_CHUNK if task.parametric else FOLLOWED_CHUNK)
 
 
-def _row(result: SynthesisResult, how: str) -> FoundOptimum:
-    """Return the row of a result."""
-    result = result.oriented
-    failed = tuple(item.name for item in result.conflict) or result.validation.failed
-    limits = () if result.solution is None else active(result.solution)
-    return FoundOptimum(result.design, result.objective, result.status, result.valid, failed, limits, how)
+def searched(file: ProblemFile, backend: str) -> SynthesisResult:
+    """Return the result of a search of one problem, of a machine repeated once from it if the peak exchange did not converge."""
+    result: SynthesisResult = completed(solve(file, backend))  # type: ignore[assignment]
+    if file.task == "cycle" and not result.valid and result.status is Status.OPTIMAL:
+        repeated = near_design(file, result.design, backend)
+        result = repeated if repeated.valid else result
+    return result.oriented
+
+
+def near_design(file: ProblemFile, design: Mapping[str, float], backend: str) -> SynthesisResult:
+    """Return the result of a search of a problem from a design [SI]."""
+    if file.task == "cycle":
+        return completed(machines.solve(with_starting_values(file, design), backend, starts=1))
+    return completed(targets.solve(file, backend, begin=design))
+
+
+def with_starting_values(problem: ProblemFile, values: Mapping[str, float]) -> ProblemFile:
+    """Return the problem with other starting values of its design variables, clipped to their bounds."""
+    mechanism = copy.deepcopy(problem.raw["mechanism"])
+    for name, value in values.items():
+        quantity = problem.model.quantities[name]
+        low, high = quantity.bounds
+        start = f"{min(max(value, low), high) / quantity.si_per_unit!r} {quantity.display[1]}"
+        if quantity.free:
+            table, key = place_of(mechanism, name)
+            table[key] = {**table[key], "start": start}
+    return problem.with_tables({**problem.raw, "mechanism": mechanism})
+
+
+def validated(file: ProblemFile, solution: Solution) -> LinkageDesign:
+    """Return a solution as a validated design."""
+    return (validated_design if file.spec.parts else machines.validated_design)(file, solution)
 
 
 def conflicting(solution: Solution) -> tuple[tuple[str, ...], tuple[str, ...]]:

@@ -19,9 +19,8 @@ from optlink.problem.arguments import typed
 from optlink.problem.document import Document, Number, Source
 from optlink.problem.file import ProblemFile
 from optlink.solvers.solution import Solution
-from optlink.studies.cycle_parameters import CycleParameters
 from optlink.studies.kkt_derivatives import KKTSystem, ValidityEnd
-from optlink.studies.optimum_parameters import OptimumParameters, TargetParameters
+from optlink.studies.optimum_parameters import CycleParameters, OptimumParameters, TargetParameters
 from optlink.studies.parameters import Parameter, design_variables, displayed
 from optlink.tasks.protocol import completed
 from optlink.tasks.results.balance import Balance

@@ -24,9 +24,8 @@ from optlink.problem.arguments import typed
 from optlink.problem.document import Document, Source
 from optlink.problem.file import ProblemFile
 from optlink.studies.analysis_task import MAX_ANGLES, analysis_task
-from optlink.studies.cycle_task import optimum_task
 from optlink.studies.grid import Grid, axes_of_arrays, read_grid
-from optlink.studies.reoptimise_task import SEARCHED, check_backend, chunk_of
+from optlink.studies.reoptimise_task import SEARCHED, check_backend, chunk_of, optimum_task
 from optlink.studies.simulation_task import simulation_task
 from optlink.studies.sweep_task import OPTIMISE, SweepTask
 

@@ -13,11 +13,9 @@ from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
-from optlink.errors import InputError, Status
+from optlink.errors import InputError
 from optlink.problem.file import ProblemFile
-from optlink.problem.quantity import Quantity
-from optlink.studies.grid import Grid, column
-from optlink.tasks.run import design_task
+from optlink.studies.grid import Grid
 from optlink.version import VERSION
 
 OPTIMISE = "optimise"  # mode of a sweep that optimises at every point
@@ -141,87 +139,3 @@ class FiguresTask(SweepTask):
     def columns(self) -> list[str]:
         """The axes, the figures, and the outcome."""
         return [*(axis.column for axis in self.grid.axes), *self.figures, "status", "valid", "reason"]
-
-
-@dataclass(frozen=True)
-class FoundOptimum:
-    """Contents of a row: `design` [SI] by design variable, names of `failed` checks and of `active` limits, how it was found."""
-
-    design: Mapping[str, float]
-    objective: float
-    status: Status
-    valid: bool
-    failed: Iterable[str]
-    active: Iterable[str]
-    method: str
-
-
-@dataclass(frozen=True)
-class OptimumTask(SweepTask):
-    """A task whose rows are optima."""
-
-    mode = OPTIMISE
-
-    backend: str
-
-    @property
-    def options(self) -> dict[str, Any]:
-        """The back end."""
-        return {"backend": self.backend}
-
-    @cached_property
-    def template(self) -> ProblemFile:
-        """The problem at the first point, whose design variables are those of all points."""
-        return self.problem.override(self.grid.changes(0))
-
-    @cached_property
-    def free(self) -> dict[str, Quantity]:
-        """Design variables."""
-        model = self.template.model
-        return {name: model.quantities[name] for name in model.free}
-
-    @property
-    def columns(self) -> list[str]:
-        """The axes, the design variables and the objective in display units, and the outcome."""
-        free = [f"{name}_{quantity.display[1]}" for name, quantity in self.free.items()]
-        return [*(axis.column for axis in self.grid.axes), *free, self.objective_column, *OUTCOME]
-
-    @property
-    def objective_column(self) -> str:
-        """Name of the column of the objective."""
-        return column("objective", self.template.model.shown_objective(0.0).unit)
-
-    def shown(self, objective: float) -> float:
-        """Return the value of the column for a minimised value [SI]."""
-        return self.template.model.shown_objective(objective).value
-
-    @abstractmethod
-    def near(self, point: int, file: ProblemFile, design: Mapping[str, float]) -> Any:
-        """Return the result of a search of a point from a design [SI]."""
-
-    @abstractmethod
-    def result_row(self, point: int, result: Any, how: str) -> list[str]:
-        """Return the row of a result."""
-
-    def from_known(self, point: int, design: Mapping[str, float]) -> list[str] | None:
-        """Return the row of the optimum near a design [SI], or of the design itself; None if it is not valid at the point."""
-        file = self.problem.override(self.grid.changes(point))
-        known = design_task(file).validate(file, design)
-        if not known.valid:
-            return None
-        near = self.near(point, file, design)
-        return self.result_row(point, near if near.valid else known, FROM_KNOWN)
-
-    def optimum(self, point: int, outcome: FoundOptimum) -> list[str]:
-        """Return the row of an optimum; design and objective are empty unless the search is optimal or stalled."""
-        usable = outcome.valid or outcome.status in (Status.OPTIMAL, Status.STALLED)
-        sizes = [outcome.design.get(name, math.nan) / q.si_per_unit for name, q in self.free.items()]
-        figures = [value if usable else math.nan for value in (*sizes, self.shown(outcome.objective))]
-        words = (
-            outcome.status.value,
-            str(outcome.valid).lower(),
-            "; ".join(outcome.failed),
-            "; ".join(outcome.active),
-            outcome.method,
-        )
-        return self.row(point, figures, *words)

@@ -1,26 +1,35 @@
 """One programme for many problems with targets: what varies are its parameters, bounds and limits."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from optlink.linkage.vector2d import unit
+from optlink.errors import Status
+from optlink.linkage.vector2d import Array, unit
+from optlink.optimization.batch_nlp import PointwiseNLP
 from optlink.optimization.constraints import alignment_row, link_rows, position_rows, rows as limit_rows
 from optlink.optimization.courses import TermCourse, has_position_limits
 from optlink.optimization.nlp import NLP
 from optlink.optimization.programme import build, constant_values
 from optlink.problem.design import DesignProblem
+from optlink.problem.file import ProblemFile
 from optlink.problem.limits import Reach
 from optlink.problem.machine.model import Problem
 from optlink.solvers import multistart
 from optlink.solvers.contract import MINIMAX
-from optlink.solvers.exchange import RADIUS, solve_semi_infinite
+from optlink.solvers.event_orders import at_edge, misfit
+from optlink.solvers.exchange import INTEGRAL_TOLERANCE, MOST_NODES, RADIUS, largest_excess, solve_semi_infinite
 from optlink.solvers.solution import Solution
+from optlink.studies.batch.newton import BatchProblem
+from optlink.studies.batch.optima import keep
+from optlink.studies.continuation import FOLLOWED
 from optlink.units import DISPLAYED, KINDS, factor
 
 OF_PROBLEM = ("courses", "forward", "backward")
 """Keys of what the exchange keeps of a problem in the cache of its programme."""
+MOST_POINTS = 2_000  # points of a grid whose parameters and bounds are kept
 
 
 class TargetProgramme:
@@ -60,6 +69,7 @@ class TargetProgramme:
             return False
         for key in OF_PROBLEM:
             nlp.cache.pop(key, None)
+        nlp.spread_exchange_points()
         nlp.p[1 : 1 + len(nlp.constants)] = constant_values(task, nlp.constants)
         set_bounds(nlp, task)
         for j, programme_row in enumerate(nlp.rows):
@@ -95,6 +105,61 @@ class TargetProgramme:
             if solution.usable:
                 break
         return solution
+
+
+class PeakProgramme:
+    """The programme of designs of the same assembly modes, sense of rotation and order of strokes at all points of a grid.
+
+    The positions of the peaks of an optimum are unknowns; programmes differ in the rows that have these peaks. `file` returns the
+    problem of a point, with definite assembly modes.
+    """
+
+    def __init__(self, target: TargetProgramme, file: Callable[[int], ProblemFile], nlp: NLP, rows: list[int]) -> None:
+        self.target, self.file, self.nlp, self.rows = target, file, nlp, rows
+        self.evaluate, self._known = PointwiseNLP(nlp), dict[int, tuple[Array, Array, Array]]()
+        self.kept = np.array([0, *range(len(nlp.p) - target.nlp.exchange_count, len(nlp.p))])
+
+    def problem(self, points: NDArray[np.intp]) -> BatchProblem:
+        """Return parameters and bounds at points of the grid; NaN where the programme of a point has other limits."""
+        each = [self._at(point) for point in points.tolist()]
+        return BatchProblem(*(np.array(arrays) for arrays in zip(*each, strict=True)))
+
+    def _at(self, point: int) -> tuple[Array, Array, Array]:
+        if point not in self._known:
+            base, peaks = self.target.nlp, np.zeros(len(self.nlp.rows) - len(self.rows))
+            fits = self.target.bind(self.file(point).spec)
+            low, high = np.where(base.around, -np.inf, base.x_low), np.where(base.around, np.inf, base.x_high)
+            lower = np.concatenate([low, peaks, base.low[self.rows], peaks])
+            upper = np.concatenate([high, peaks + 1.0, base.high[self.rows], peaks])
+            wrong = 1.0 if fits else np.nan
+            keep(self._known, point, (base.p.copy(), lower * wrong, upper * wrong), MOST_POINTS)
+        return self._known[point]
+
+    def solution(self, point: int, near: Solution, x: Array) -> Solution | None:
+        """Return the optimum x, continued from another one, verified anew; None if it is none, also between the positions."""
+        base, task = self.target.nlp, self.file(point).spec
+        n, many = len(base.variables), base.exchange_count
+        if not self.target.bind(task):
+            return None
+        places = near.p[len(near.p) - many :].copy()
+        places[: len(self.nlp.variables) - n] = x[n : len(self.nlp.variables)]
+        base.set_exchange_points(places)
+        solution = multistart.solution_at(base, base.wrapped(x[:n]), FOLLOWED)
+        if solution.status is not Status.OPTIMAL or (many and largest_excess(task, base, solution.x) > 0.0):
+            return None
+        return solution if in_order(solution) else None
+
+
+def in_order(solution: Solution) -> bool:
+    """Return whether an optimum has the order of ends of strokes of its programme, and accurate integrals."""
+    terms, nlp = solution.nlp.terms, solution.nlp
+    if terms is None:
+        return True
+    values = nlp.given | solution.design
+    if at_edge(solution) or (terms.events and misfit(terms.trace, terms.structure, values)):
+        return False
+    events = solution.x[nlp.first_event : nlp.first_level]
+    return not terms.integral or terms.count >= MOST_NODES or terms.integral_error(values, events) <= INTEGRAL_TOLERANCE
 
 
 def limit_key(part: DesignProblem) -> str:

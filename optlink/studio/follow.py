@@ -11,6 +11,8 @@ from typing import Protocol
 import numpy as np
 
 from optlink.linkage.vector2d import Array
+from optlink.optimization.courses import TermCourse
+from optlink.optimization.cycle_signals import TracedCycle
 from optlink.optimization.nlp import NLP
 from optlink.problem.design import DesignProblem
 from optlink.problem.file import ProblemFile
@@ -19,7 +21,7 @@ from optlink.solvers.contract import CLOSE, MINIMAX
 from optlink.solvers.exchange import largest_excess, place_at_peaks, solve_semi_infinite
 from optlink.solvers.solution import Solution, stationarity
 from optlink.studies.continuation import follow_optimum
-from optlink.studies.cycle_task import CycleProgramme, with_starting_values
+from optlink.studies.reoptimise_task import with_starting_values
 from optlink.studies.target_programme import TargetProgramme
 
 BACKEND = "ipopt"
@@ -89,14 +91,18 @@ class CycleFollower:
 
     def __init__(self, problem: ProblemFile, values: Mapping[str, float]) -> None:
         task = problem.spec
-        begun = with_starting_values(problem, {name: values[name] for name in task.free})
-        self.programme = CycleProgramme(begun, BACKEND)
-        self.task = task
-        self._near = None if self.programme.structure is None else self._first(values)
+        start = {name: values[name] for name in task.free}
+        begun = with_starting_values(problem, start).spec
+        trace = TracedCycle(begun, slow=begun.slow_assumed)
+        structure = trace.structure(start)
+        self.task, self._near = task, None
+        if structure is not None:
+            self.programme = TargetProgramme(begun, 1, BACKEND, terms=TermCourse(begun, start, trace, structure.definite))
+            self._near = self._first(values)
         self.follow(problem, None)  # the first search takes longer: it compiles
 
     def _first(self, values: Mapping[str, float]) -> Solution:
-        nlp = self.programme.programme.nlp
+        nlp = self.programme.nlp
         x = nlp.x_of({name: values[name] for name in self.task.free})
         place_at_peaks(self.task, nlp, x)
         solution = multistart.solution_at(nlp, nlp.lifted(x), "the last optimum")
@@ -107,9 +113,9 @@ class CycleFollower:
     def follow(self, problem: ProblemFile, near: Solution | None) -> Solution | None:
         """Return the optimum of a problem near the last one, which the follower keeps; None if its events have another order."""
         last, task = self._near, problem.spec
-        if last is None or not self.programme.programme.bind(task):
+        if last is None or not self.programme.bind(task):
             return None
-        nlp = self.programme.programme.nlp
+        nlp = self.programme.nlp
         nlp.set_exchange_points(last.p[len(last.p) - nlp.exchange_count :])
         solution = follow_optimum(nlp, last) if last.usable else None
         if solution is None or largest_excess(task, nlp, solution.x) > PEAK_TOLERANCE:

@@ -971,13 +971,13 @@ def test_an_interrupted_search_gives_no_row(monkeypatch):
     """A search that Ctrl-C ended with its best design so far ends the study: nothing of it is kept as the optimum."""
     from types import SimpleNamespace
 
-    from optlink.studies import cycle_task
+    from optlink.studies import reoptimise_task
 
-    monkeypatch.setattr(cycle_task, "solve_cycle", lambda *_, **__: SimpleNamespace(interrupted=True))
+    monkeypatch.setattr(reoptimise_task, "solve", lambda *_, **__: SimpleNamespace(interrupted=True))
     file = optlink.load("shaper-design")
-    task = cycle_task.optimum_task(file, read_grid(file, ["drive.speed=50,60 rpm"]), "ipopt", 1)
+    task = reoptimise_task.optimum_task(file, read_grid(file, ["drive.speed=50,60 rpm"]), "ipopt", 1)
     with pytest.raises(KeyboardInterrupt):
-        task.searched(file)
+        task.lines(0)
 
 
 @pytest.mark.slow

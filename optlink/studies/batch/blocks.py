@@ -24,12 +24,12 @@ def coarse_block(count: int) -> int:
 class Blocks:
     """Blocks of few points, fewer in small grids, about as long along every axis; they depend on the grid alone.
 
-    `most`: largest number of points of a block, by default `MAX_BLOCK_POINTS`.
+    `most`: largest number of points of a block, by default `MAX_BLOCK_POINTS`; `least`: approximate least number of blocks.
     """
 
-    def __init__(self, grid: Grid, most: int | None = None) -> None:
+    def __init__(self, grid: Grid, most: int | None = None, least: float = MIN_BLOCKS) -> None:
         self.shape = tuple(len(axis.values) for axis in grid.axes)
-        left = max(1, min(MAX_BLOCK_POINTS if most is None else most, math.prod(self.shape) // MIN_BLOCKS))
+        left = max(1, min(MAX_BLOCK_POINTS if most is None else most, int(math.prod(self.shape) / least)))
         edges = dict.fromkeys(range(len(self.shape)), 1)
         for divided, axis in enumerate(sorted(edges, key=lambda k: self.shape[k])):
             edge = math.floor(left ** (1.0 / (len(edges) - divided)) + 1e-9)

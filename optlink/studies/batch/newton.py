@@ -7,13 +7,15 @@ does not depend on the others.
 from __future__ import annotations
 
 import contextlib
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from optlink.linkage.vector2d import Array
-from optlink.optimization.batch_nlp import BatchNLP, BatchValues
+from optlink.optimization.batch_nlp import BatchValues, Evaluator
 from optlink.optimization.multipliers import ACTIVE
 from optlink.solvers.newton import newton
 from optlink.solvers.solution import FEASIBLE
@@ -42,14 +44,19 @@ class BatchProblem:
         """Return the problem at some of the points."""
         return BatchProblem(self.p[points], self.lower[points], self.upper[points])
 
+    def keeping(self, kept: Index, values: Array) -> BatchProblem:
+        """Return the problem with other values (points, kept) of some parameters."""
+        p = self.p.copy()
+        p[:, kept] = values
+        return BatchProblem(p, self.lower, self.upper)
+
     def towards(self, other: BatchProblem, share: float) -> BatchProblem:
-        """Return the problem at a share of the way to another one; infinite bounds and the scale are those of the other one."""
+        """Return the problem at a share of the way to another one; infinite bounds are those of the other one."""
         problems = []
         for begin, end in ((self.p, other.p), (self.lower, other.lower), (self.upper, other.upper)):
             with np.errstate(invalid="ignore"):
                 change = end - begin
             problems.append(end - (1.0 - share) * np.where(np.isfinite(change), change, 0.0))
-        problems[0][:, 0] = other.p[:, 0]
         return BatchProblem(*problems)
 
 
@@ -67,6 +74,23 @@ class BatchOptima:
     objective: Array
     optimal: Bools
 
+    def part(self, points: Index | Bools | slice) -> BatchOptima:
+        """Return some of the optima."""
+        return BatchOptima(**{name: values[points] for name, values in vars(self).items()})
+
+    @classmethod
+    def joined(cls, count: int, parts: Sequence[tuple[Index, BatchOptima]]) -> BatchOptima:
+        """Return optima of several programmes at their own ones of `count` points; the rows of the others end with zeros."""
+        arrays = {}
+        for name in (item.name for item in fields(cls)):
+            each = [(points, getattr(optima, name)) for points, optima in parts]
+            wide = tuple(max(values.shape[k] for _, values in each) for k in range(1, each[0][1].ndim))
+            arrays[name] = np.zeros((count, *wide), dtype=each[0][1].dtype)
+            for points, values in each:
+                place: Any = points, *map(slice, values.shape[1:])
+                arrays[name][place] = values
+        return cls(**arrays)
+
 
 def active_set_groups(sides: NDArray[np.int8]) -> list[tuple[Index, Index]]:
     """Return the points (indices) and the active entries of every active set that occurs."""
@@ -78,7 +102,7 @@ def active_set_groups(sides: NDArray[np.int8]) -> list[tuple[Index, Index]]:
     return [(np.flatnonzero(group == k), np.flatnonzero(sides[row])) for k, row in enumerate(first)]
 
 
-def batch_newton(nlp: BatchNLP, problem: BatchProblem, x: Array, multipliers: Array, sides: NDArray[np.int8]) -> BatchOptima:
+def batch_newton(nlp: Evaluator, problem: BatchProblem, x: Array, multipliers: Array, sides: NDArray[np.int8]) -> BatchOptima:
     """Find the optima of neighbouring problems.
 
     `x` (points, n) are scaled; `multipliers` and `sides` (points, n + m), the latter the first active sets as in `BatchOptima`.
@@ -134,7 +158,7 @@ class _Ended:
 
 
 def _iterated(
-    nlp: BatchNLP, problem: BatchProblem, x: Array, multipliers: Array, sides: NDArray[np.int8], start: Array
+    nlp: Evaluator, problem: BatchProblem, x: Array, multipliers: Array, sides: NDArray[np.int8], start: Array
 ) -> _Ended:
     """Iterate with fixed active sets; `x` and `multipliers` are changed in place."""
     count, n = x.shape

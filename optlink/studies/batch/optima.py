@@ -10,19 +10,21 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, Protocol, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from optlink.linkage.vector2d import Array
-from optlink.optimization.batch_nlp import BatchNLP
+from optlink.optimization.batch_nlp import Evaluator
+from optlink.optimization.nlp import NLP
 from optlink.solvers.multistart import SAME_OBJECTIVE
 from optlink.solvers.solution import Solution
 from optlink.studies.batch.blocks import Blocks
 from optlink.studies.batch.newton import INDEPENDENT, BatchOptima, BatchProblem, batch_newton
 from optlink.studies.batch.prediction import Prediction, block_nodes
 
+K = TypeVar("K")
 T = TypeVar("T")
 Index = NDArray[np.intp]
 Bools = NDArray[np.bool_]
@@ -36,45 +38,94 @@ CONTINUED_RATIO = 2.0
 """Optima of a large block up to this many times the objective in a block's middle are continued to its points."""
 
 
-@dataclass(frozen=True)
+class GridProgramme(Protocol):
+    """One programme for many points of a grid: `evaluate` it, and its parameters and bounds at points (points,).
+
+    `kept`: indices of the parameters that have the values of the optimum that is continued, such as its exchange points.
+    """
+
+    @property
+    def evaluate(self) -> Evaluator:
+        """Evaluates the programme."""
+        ...
+
+    @property
+    def kept(self) -> Index:
+        """Indices of parameters."""
+        ...
+
+    def problem(self, points: Index) -> BatchProblem:
+        """Return the problem at points."""
+        ...
+
+
+@dataclass
 class GridOptima:
-    """Optima at some points of a grid: see `BatchOptima`. `searched` (points,): whether the optimum is that of a search there."""
+    """Optima at some points of a grid: see `BatchOptima`. `searched` (points,): whether the optimum is that of a search there.
+
+    `near` (points,) are the solutions from which the optima were continued; rows of x and of the sides end with those of the
+    programmes of these.
+    """
 
     x: Array
     sides: NDArray[np.int8]
     objective: Array
     optimal: Bools
     searched: Bools
+    near: NDArray[Any]
+
+    @classmethod
+    def empty(cls, count: int) -> Self:
+        """Return points without an optimum."""
+        x, sides = np.empty((count, 0)), np.empty((count, 0), dtype=np.int8)
+        none = np.zeros(count, dtype=bool)
+        return cls(x, sides, np.full(count, np.inf), none, none.copy(), np.full(count, None))
+
+    def take(self, at: Index, other: BatchOptima | GridOptima, which: Index | Bools, near: NDArray[Any]) -> None:
+        """Take some of other optima at some of these points."""
+        for name in ("x", "sides"):
+            rows, more = getattr(self, name), getattr(other, name)[which]
+            rows = np.pad(rows, ((0, 0), (0, max(0, more.shape[1] - rows.shape[1]))))
+            rows[at, : more.shape[1]] = more
+            setattr(self, name, rows)
+        self.objective[at], self.optimal[at], self.near[at] = other.objective[which], True, near
+        self.searched[at] = other.searched[which] if isinstance(other, GridOptima) else False
 
 
 class GridSearch:
     """Optima at the points of a grid.
 
-    `search` returns the solution of a point, `search_many` its distinct optima, best first; both depend on the point alone.
-    `large`: a few large blocks; each of their optima has a number like a block, from the number of blocks on. `coarse`: search of
-    the same grid with larger blocks, whose optima are taken where its searches agree.
+    `programme` returns the one of a solution for all points. `search` returns the solution of a point, `search_many` its distinct
+    optima, best first; both depend on the point alone. `large`: a few large blocks; each of their optima has a number like a
+    block, from the number of blocks on. `coarse`: search of the same grid with larger blocks, whose optima are taken where its
+    searches agree.
     """
 
     def __init__(
         self,
-        nlp: BatchNLP,
+        programme: Callable[[NLP], GridProgramme],
         blocks: Blocks,
-        problem: Callable[[Index], BatchProblem],
-        search: Callable[[int], Solution],
+        search: Callable[[int], Solution | None],
         large: Blocks,
         search_many: Callable[[int], list[Solution]],
         coarse: GridSearch | None = None,
     ) -> None:
-        self.nlp, self.blocks, self.problem, self.search = nlp, blocks, problem, search
+        self.programme, self.blocks, self.search = programme, blocks, search
         self.large, self.search_many, self.coarse = large, search_many, coarse
-        self._searches: dict[int, tuple[Solution, NDArray[np.int8]]] = {}
+        self._searches: dict[int, tuple[Solution | None, NDArray[np.int8]]] = {}
         self._branches: dict[int, list[tuple[Solution, NDArray[np.int8]]]] = {} if coarse is None else coarse._branches
         self._predictions: dict[int, Prediction | None] = {}
         self._others_of: dict[int, set[int]] = {}
 
-    def at_middle(self, block: int) -> Solution:
-        """Return the result of the search in the middle of a block."""
+    def at_middle(self, block: int) -> Solution | None:
+        """Return the usable result of the search in the middle of a block, if there is one."""
         return self._searched(block)[0]
+
+    def _optimum(self, block: int) -> tuple[Solution, NDArray[np.int8]]:
+        """Return a usable result, see `at_middle`, and its active sides."""
+        solution, sides = self._searched(block)
+        assert solution is not None
+        return solution, sides
 
     def branches(self, point: int) -> list[list[Solution]]:
         """Return the optima at two opposite corners of the block of a point, best first."""
@@ -83,7 +134,7 @@ class GridSearch:
 
     def _many(self, point: int) -> list[tuple[Solution, NDArray[np.int8]]]:
         if point not in self._branches:
-            _keep(
+            keep(
                 self._branches, point, [(solution, active_sides(solution)) for solution in self.search_many(point)[:MAX_BRANCHES]]
             )
         return self._branches[point]
@@ -102,20 +153,23 @@ class GridSearch:
         further = block - self.blocks.count
         return self.blocks.middle(block) if further < 0 else self.large.middle(further // MAX_BRANCHES)
 
-    def _searched(self, block: int) -> tuple[Solution, NDArray[np.int8]]:
+    def _searched(self, block: int) -> tuple[Solution | None, NDArray[np.int8]]:
         if block >= self.blocks.count:
             large_block, rank = divmod(block - self.blocks.count, MAX_BRANCHES)
             return self._many(self.large.middle(large_block))[rank]
         if block not in self._searches:
             solution = self.search(self.blocks.middle(block))
-            _keep(self._searches, block, (solution, active_sides(solution)))
+            if solution is None or not solution.usable:
+                keep(self._searches, block, (None, np.zeros(0, dtype=np.int8)))
+            else:
+                keep(self._searches, block, (solution, active_sides(solution)))
         return self._searches[block]
 
     def nearest(self, point: int) -> Solution | None:
         """Return the usable result of a search in the block of a point or beside it, if there is one."""
         home = int(self.blocks.of(np.array([point]))[0])
         optima = (self.at_middle(block) for block in (home, *self.blocks.neighbours(home)))
-        return next((solution for solution in optima if solution.usable), None)
+        return next((solution for solution in optima if solution is not None), None)
 
     def optima(self, points: Index) -> GridOptima:
         """Return the best optima found at points of the grid (points,)."""
@@ -124,20 +178,21 @@ class GridSearch:
         of_point = self.coarse.blocks.of(points)
         blocks, block_of_point = np.unique(of_point, return_inverse=True)
         calm_points = np.flatnonzero(self.coarse.calm(blocks)[block_of_point])
-        coarse = self.coarse._optima(points[calm_points])
-        remaining = np.setdiff1d(np.arange(len(points)), calm_points[coarse.optimal])
-        order = np.argsort(np.concatenate([calm_points[coarse.optimal], remaining]))
-        further = vars(self._optima(points[remaining]))
-        return GridOptima(
-            **{name: np.concatenate([values[coarse.optimal], further[name]])[order] for name, values in vars(coarse).items()}
-        )
+        coarse, optima = self.coarse._optima(points[calm_points]), GridOptima.empty(len(points))
+        known = np.flatnonzero(coarse.optimal)
+        optima.take(calm_points[known], coarse, known, coarse.near[known])
+        remaining = np.flatnonzero(~optima.optimal)
+        further = self._optima(points[remaining])
+        known = np.flatnonzero(further.optimal)
+        optima.take(remaining[known], further, known, further.near[known])
+        return optima
 
     def calm(self, blocks: Index) -> Bools:
         """Return for each block (blocks,) whether its search and those of its neighbours lead to one optimum in its middle."""
         neighbours_of_block = [self.blocks.neighbours(block) for block in blocks.tolist()]
         return np.array(
             [
-                differing.isdisjoint(neighbours) and all(self.at_middle(number).usable for number in (block, *neighbours))
+                differing.isdisjoint(neighbours) and None not in map(self.at_middle, (block, *neighbours))
                 for block, neighbours, differing in zip(
                     blocks.tolist(), neighbours_of_block, self._differing(blocks), strict=True
                 )
@@ -147,16 +202,9 @@ class GridSearch:
 
     def _optima(self, points: Index) -> GridOptima:
         """Return the best optima that are found from these blocks, and from the large ones."""
-        problem, of_point = self.problem(points), self.blocks.of(points)
-        count = len(points)
-        optima = GridOptima(
-            x=np.full((count, self.nlp.size), np.nan),
-            sides=np.zeros(problem.lower.shape, dtype=np.int8),
-            objective=np.full(count, np.inf),
-            optimal=np.zeros(count, dtype=bool),
-            searched=np.zeros(count, dtype=bool),
-        )
-        self._follow(optima, problem, np.arange(count), of_point, points)
+        of_point, count = self.blocks.of(points), len(points)
+        optima = GridOptima.empty(count)
+        self._follow(optima, points, np.arange(count), of_point, predicted=True)
         blocks, block_of_point = np.unique(of_point, return_inverse=True)
         at_middle = points == np.array([self.blocks.middle(int(block)) for block in blocks])[block_of_point]
         optima.searched[:] = optima.optimal & at_middle
@@ -170,30 +218,27 @@ class GridSearch:
             selected = np.flatnonzero(
                 (begin[block_of_point] >= 0) & (differs[block_of_point] | (~optima.optimal & ~beyond[block_of_point]))
             )
-            self._follow(optima, problem, selected, begin[block_of_point[selected]])
+            self._follow(optima, points, selected, begin[block_of_point[selected]])
         for k in np.flatnonzero(at_middle & optima.optimal):  # keep the optimum of a search that Newton's method left
             middle = self.at_middle(int(of_point[k]))
             optima.optimal[k] = not (
-                middle.usable and middle.objective < optima.objective[k] - MIN_IMPROVEMENT * abs(middle.objective)
+                middle is not None and middle.objective < optima.objective[k] - MIN_IMPROVEMENT * abs(middle.objective)
             )
         return optima
 
-    def _follow(
-        self, optima: GridOptima, problem: BatchProblem, indices: Index, blocks: Index, points: Index | None = None
-    ) -> None:
-        """Continue the optima in the middle of blocks to some points, and keep those that are better.
+    def _follow(self, optima: GridOptima, points: Index, indices: Index, blocks: Index, *, predicted: bool = False) -> None:
+        """Continue the optima in the middle of blocks to some of the points, and keep those that are better.
 
-        With the points of the grid, which lie in these blocks, the iterations begin at the predictions of the blocks.
+        `predicted`: the points lie in these blocks, and the iterations begin at the predictions of the blocks.
         """
         distinct, block_of_point = np.unique(blocks, return_inverse=True)
-        usable = np.array([self.at_middle(block).usable for block in distinct.tolist()], dtype=bool)[block_of_point]
-        indices, blocks = indices[usable], blocks[usable]
-        ended = self._continued(problem.part(indices), blocks, None if points is None else points[indices])
+        near = np.array([self.at_middle(block) for block in distinct.tolist()] or [None], dtype=object)
+        usable = np.array([one is not None for one in near.tolist()])[block_of_point]
+        indices, blocks, block_of_point = indices[usable], blocks[usable], block_of_point[usable]
+        ended = self._continued(points[indices], blocks, predicted=predicted)
         with np.errstate(invalid="ignore"):
             better = ended.optimal & (ended.objective < optima.objective[indices] - MIN_IMPROVEMENT * np.abs(ended.objective))
-        at = indices[better]
-        optima.x[at], optima.sides[at], optima.objective[at] = ended.x[better], ended.sides[better], ended.objective[better]
-        optima.optimal[at], optima.searched[at] = True, False
+        optima.take(indices[better], ended, better, near[block_of_point[better]])
 
     def _around(self, block: int) -> list[int]:
         """Return the blocks beside a block, then the numbers of the optima of the large blocks around it."""
@@ -205,7 +250,7 @@ class GridSearch:
         neighbours = {block: self._others_of[block] for block in blocks.tolist() if block not in new}
         neighbours |= zip(new, self._others(np.array(new, dtype=np.intp), [self._around(block) for block in new]), strict=True)
         for block in new:
-            _keep(self._others_of, block, neighbours[block])
+            keep(self._others_of, block, neighbours[block])
         return [neighbours[block] for block in blocks.tolist()]
 
     def _others(self, blocks: Index, neighbours_of_block: list[list[int]]) -> list[set[int]]:
@@ -217,16 +262,16 @@ class GridSearch:
             (k, start_block)
             for k, neighbours in enumerate(neighbours_of_block)
             for start_block in neighbours
-            if self.at_middle(start_block).usable
+            if self.at_middle(start_block) is not None
         ]
         differing: list[set[int]] = [set() for _ in neighbours_of_block]
         if not pairs:
             return differing
         source, begin = np.array(pairs).T
         middles = np.array([self.blocks.middle(int(block)) for block in blocks])
-        ended = self._continued(self.problem(middles).part(source), begin)
+        ended = self._continued(middles[source], begin)
         at_middles = [self.at_middle(int(block)) for block in blocks]
-        objective = np.array([start_block.objective if start_block.usable else np.inf for start_block in at_middles])[source]
+        objective = np.array([np.inf if one is None else one.objective for one in at_middles])[source]
         with np.errstate(invalid="ignore"):
             same = ended.optimal & (np.abs(ended.objective - objective) <= SAME_OBJECTIVE * np.abs(objective))
             near = (begin < self.blocks.count) | (ended.optimal & (ended.objective <= CONTINUED_RATIO * objective))
@@ -241,55 +286,63 @@ class GridSearch:
         return differing
 
     def _predictions_of(self, blocks: Index) -> dict[int, Prediction]:
-        """Return the predictions of blocks (blocks,) that have one."""
+        """Return the predictions of blocks (blocks,) of one programme that have one."""
         new = [block for block in blocks.tolist() if block not in self._predictions]
         predictions = dict.fromkeys(new) | {block: self._predictions[block] for block in blocks.tolist() if block not in new}
         nodes = {block: nodes_of_block for block in new if (nodes_of_block := block_nodes(self.blocks.ends(block))) is not None}
         if nodes:
             points = [self.blocks.points(nodes_of_block) for nodes_of_block in nodes.values()]
             sizes = [len(nodes_of_block) for nodes_of_block in points]
-            ended = self._continued(self.problem(np.concatenate(points)), np.repeat([*nodes], sizes))
+            ended = self._continued(np.concatenate(points), np.repeat([*nodes], sizes))
             for (block, nodes_of_block), last, size in zip(nodes.items(), np.cumsum(sizes), sizes, strict=True):
-                part = BatchOptima(**{name: values[last - size : last] for name, values in vars(ended).items()})
-                predictions[block] = Prediction.through(nodes_of_block, part)
+                predictions[block] = Prediction.through(nodes_of_block, ended.part(slice(last - size, last)))
         for block in new:
-            _keep(self._predictions, block, predictions[block])
+            keep(self._predictions, block, predictions[block])
         return {block: prediction for block, prediction in predictions.items() if prediction is not None}
 
-    def _continued(self, problem: BatchProblem, blocks: Index, points: Index | None = None) -> BatchOptima:
-        """Continue the optima in the middle of blocks (points,) to the problem of each point.
-
-        With the points of the grid, which lie in these blocks, the iterations begin at the predictions of the blocks.
-        """
+    def _continued(self, points: Index, blocks: Index, *, predicted: bool = False) -> BatchOptima:
+        """Continue the optima in the middle of blocks (points,) to points of the grid; see `_follow`."""
+        if not len(points):
+            return BatchOptima(
+                np.empty((0, 0)), np.empty((0, 0)), np.empty((0, 0), dtype=np.int8), np.empty(0), np.empty(0, bool)
+            )
         distinct, block_of_point = np.unique(blocks, return_inverse=True)
-        begin = [self.at_middle(int(block)) for block in distinct]
-        if not begin:
-            return batch_newton(self.nlp, problem, np.zeros((0, self.nlp.size)), problem.lower, problem.lower.astype(np.int8))
-        sides = np.array([self._searched(int(block))[1] for block in distinct])[block_of_point]
+        groups: dict[GridProgramme, list[int]] = {}
+        for k, block in enumerate(distinct.tolist()):
+            groups.setdefault(self.programme(self._optimum(block)[0].nlp), []).append(k)
+        parts = []
+        for programme, members in groups.items():
+            part = np.flatnonzero(np.isin(block_of_point, members))
+            parts.append((part, self._continued_by(programme, points[part], blocks[part], predicted=predicted)))
+        return parts[0][1] if len(parts) == 1 else BatchOptima.joined(len(points), parts)
+
+    def _continued_by(self, programme: GridProgramme, points: Index, blocks: Index, *, predicted: bool) -> BatchOptima:
+        """Continue optima of one programme; see `_continued`."""
+        distinct, block_of_point = np.unique(blocks, return_inverse=True)
+        begin, sides_of_block = zip(*(self._optimum(block) for block in distinct.tolist()), strict=True)
+        kept, sides = np.array([optimum.p[programme.kept] for optimum in begin]), np.array(sides_of_block)[block_of_point]
+        batch = programme.problem(points).keeping(programme.kept, kept[block_of_point])
         multipliers = np.array([optimum.conditions.multipliers for optimum in begin])[block_of_point]
-        scale = np.array([optimum.p[0] for optimum in begin])
-        p = problem.p.copy()
-        p[:, 0] = scale[block_of_point]
         x = np.array([optimum.x for optimum in begin])[block_of_point]
-        first, predicted = (x.copy(), multipliers.copy(), sides.copy()), np.zeros(len(x), dtype=bool)
-        if points is not None:
+        first, foretold = (x.copy(), multipliers.copy(), sides.copy()), np.zeros(len(x), dtype=bool)
+        if predicted:
             for block, prediction in self._predictions_of(distinct).items():
                 part = blocks == block
                 first[0][part], first[1][part] = prediction.at(np.unravel_index(points[part], self.blocks.shape))
-                first[2][part], predicted[part] = prediction.sides, True
-        batch = BatchProblem(p, problem.lower, problem.upper)
-        equal = problem.lower == problem.upper
+                first[2][part], foretold[part] = prediction.sides, True
+        equal = batch.lower == batch.upper
         for array in (sides, first[2]):
             array[(array != 0) & equal] = 2
-        direct = batch_newton(self.nlp, batch, *first)
-        direct.optimal[predicted & ~(np.max(np.abs(direct.x - first[0]), axis=1) <= MAX_DEVIATION)] = False
+        direct = batch_newton(programme.evaluate, batch, *first)
+        direct.optimal[foretold & ~(np.max(np.abs(direct.x - first[0]), axis=1) <= MAX_DEVIATION)] = False
         far = np.flatnonzero(~direct.optimal)
         if far.size:
-            middles = self.problem(np.array([self._middle(int(block)) for block in distinct])).part(block_of_point[far])
+            middles = programme.problem(np.array([self._middle(int(block)) for block in distinct]))
+            middles = middles.keeping(programme.kept, kept).part(block_of_point[far])
             start = BatchOptima(x[far], multipliers[far], sides[far], direct.objective[far], direct.optimal[far])
             for share in SHARES:
                 between = middles.towards(batch.part(far), share)
-                start = batch_newton(self.nlp, between, start.x, start.multipliers, start.sides)
+                start = batch_newton(programme.evaluate, between, start.x, start.multipliers, start.sides)
             for name, values in vars(direct).items():
                 values[far] = getattr(start, name)
         return direct
@@ -309,8 +362,8 @@ def active_sides(solution: Solution) -> NDArray[np.int8]:
     return sides
 
 
-def _keep(cache: dict[int, T], key: int, value: T) -> None:
-    """Keep a value, in place of the oldest one if there are many."""
-    if len(cache) >= CACHED_SEARCHES:
+def keep(cache: dict[K, T], key: K, value: T, most: int = CACHED_SEARCHES) -> None:
+    """Keep a value, in place of the oldest one if there are `most`."""
+    if len(cache) >= most:
         del cache[next(iter(cache))]
     cache[key] = value

@@ -1,4 +1,4 @@
-"""Objectives of a design for targets: its deviations, limits, dimensions and quantities of the machine."""
+"""Objectives of a design: deviations from targets, limits, dimensions and quantities of the machine; those of a machine alone."""
 
 import copy
 import math
@@ -13,7 +13,7 @@ from optlink.linkage.vector2d import TURN, unit
 from optlink.optimization.constraints import position_rows, rows as limit_rows
 from optlink.optimization.courses import has_position_limits
 from optlink.problem.cycle.quantities import QUANTITIES
-from optlink.problem.cycle.terms import read_words
+from optlink.problem.cycle.terms import Limit, Term, read_words
 from optlink.problem.design import DesignProblem
 from optlink.problem.file import SIDES, ProblemFile
 from optlink.problem.interval import Interval, StrokeRatio
@@ -201,8 +201,11 @@ def design_figures(problem: ProblemFile, objectives: Sequence[ParetoObjective], 
             errors.append(float(validate_batch(part, own, passing(part, own)).of().objective))
         return errors
 
-    tested = [(file, measured(file)) for file in problem.variants()]
-    file, errors = min(tested, key=lambda pair: sum(pair[1]))
+    files, errors = problem.variants(), list[float]()
+    if len(files) > 1 or any(objective.part >= 0 for objective in objectives):
+        file, errors = min(((file, measured(file)) for file in files), key=lambda pair: sum(pair[1]))
+    else:
+        (file,) = files
     return tuple(_figure(file.spec, objective, file.spec.design(values), errors) for objective in objectives)
 
 
@@ -311,3 +314,109 @@ def without_varied_limits(problem: ProblemFile, objectives: Sequence[ParetoObjec
                 sides[opposite] = extreme[opposite]
             problem = problem.override({above: sides or None})
     return problem
+
+
+# --- machines -----------------------------------------------------------------------------------------------------------------
+
+
+def cycle_objective(problem: ProblemFile, name: str, number: int) -> ParetoObjective:
+    """Return the objective of a name: a term of the machine, a dimension, a limit by its name, the `objective` of the file."""
+    task = problem.spec
+    if name == SUM:
+        if not task.single:
+            return ParetoObjective(name, "sum of the objective", "", 1)
+        raw_objective = problem.raw.get("objective", {"quantity": task.goals[0].quantity})
+        return _termed(problem, {**raw_objective, "sense": task.goals[0].sense}, number, name)
+    limited = task.limits.named.get(name.removeprefix("limits."))
+    if limited is not None:
+        if limited.exactly is not None or (limited.min is not None and limited.max is not None):
+            remedy = f'State the direction: "minimise {limited.words}" or "maximise {limited.words}"'
+            raise InputError("the limit bounds the term on both sides", remedy, problem.file, OPTION, name)
+        raw = {key: value for key, value in problem.raw["limits"][name.removeprefix("limits.")].items() if key not in SIDES}
+        way = "maximise" if limited.max is None and limited.exactly is None else "minimise"
+        return _termed(problem, {**raw, "sense": way}, number, name)
+    if name in task.quantities:
+        return _termed(problem, {"quantity": "length", "of": name}, number, name)
+    keys = read_words(name)
+    if keys is None:
+        names = [*QUANTITIES, *(f"limits.{key}" for key in task.limits.named), *task.free, SUM]
+        raise InputError("unknown objective", nearest(name, names), problem.file, OPTION, name)
+    return _termed(problem, keys, number, name)
+
+
+def epsilon_problem(
+    problem: ProblemFile, objectives: Sequence[ParetoObjective], goals: Mapping[int, float], bounds: Mapping[int, Raw]
+) -> ProblemFile:
+    """Return the problem of a machine with other objectives and bounds.
+
+    A limit of the file on the same side of the term of an objective is removed; all others remain.
+
+    `goals`: reference values of the minimised objectives in their units, by index; `bounds` of the constrained ones.
+    """
+    raw = {key: copy.deepcopy(value) for key, value in problem.raw.items() if key != "expected"}
+    task = problem.spec
+    removed = {
+        name for name, limit in task.limits.named.items() if any(_is_replaced(limit, objective) for objective in objectives)
+    }
+    limits = {name: value for name, value in raw.get("limits", {}).items() if name not in removed}
+    for name in removed:
+        rest = _remaining_side(problem, name, objectives)
+        if rest is not None:
+            limits[name] = rest
+    for k, value in bounds.items():
+        limits[objectives[k].key.split(".")[1]] = {**dict(objectives[k].term), objectives[k].side: value}
+    raw["limits"] = limits
+    terms = [term for k, reference in goals.items() for term in _objective_terms(problem, objectives[k], reference)]
+    single = [k for k in goals if len(goals) == 1 and objectives[k].key]
+    raw["objective"] = {key: v for key, v in terms[0].items() if key != "scale"} if single else {"terms": terms}
+    return problem.with_tables(raw)
+
+
+def _objective_terms(problem: ProblemFile, objective: ParetoObjective, reference: float) -> list[dict[str, Any]]:
+    """Return the terms of an objective, with the reference value `reference` [its unit]."""
+    if objective.key:
+        sense = "maximise" if objective.sense < 0 else "minimise"
+        return [{**dict(objective.term), "sense": sense, "scale": exact_text(reference, objective.unit)}]
+    return [{**term, "weight": term.get("weight", 1.0) / reference} for term in problem.raw["objective"]["terms"]]
+
+
+def _same_quantity(first: Term, second: Term) -> bool:
+    keys = ("quantity", "of", "on", "how", "static", "stroke", "about")
+    directions = [None if term.direction is None else term.direction.value for term in (first, second)]
+    return directions[0] == directions[1] and all(getattr(first, key) == getattr(second, key) for key in keys)
+
+
+def _is_replaced(limit: Limit, objective: ParetoObjective) -> bool:
+    """Return whether a limit constrains the term of an objective on the side that is varied."""
+    if not objective.key:
+        return False
+    return _same_quantity(limit, objective.cycle_term) and (
+        limit.exactly is not None or getattr(limit, objective.side) is not None
+    )
+
+
+def _remaining_side(problem: ProblemFile, name: str, objectives: Sequence[ParetoObjective]) -> dict[str, Any] | None:
+    """Return the other side of a limit that is removed, or None."""
+    limit, raw = problem.spec.limits.named[name], dict(problem.raw["limits"][name])
+    raw.pop("exactly", None)
+    for objective in objectives:
+        if _is_replaced(limit, objective):
+            raw.pop(objective.side, None)
+    return raw if any(side in raw for side in SIDES) else None
+
+
+def cycle_figures(problem: ProblemFile, objectives: Sequence[ParetoObjective], values: Mapping[str, float]) -> tuple[float, ...]:
+    """Return the values of all objectives of a machine by ordinary inverse dynamics; NaN if the crank cannot turn fully.
+
+    `values` [SI] replace dimensions of the file.
+    """
+    task = problem.spec
+    cycle = Cycle(task, values)
+    figures = []
+    for objective in objectives:
+        if not objective.key:
+            figures.append(cycle.objective() if cycle.full else math.nan)
+            continue
+        kind = task.kind(objective.cycle_term)
+        figures.append(cycle.figure(objective.cycle_term) / (factor(objective.unit, kind) if kind else 1.0))
+    return tuple(figures)

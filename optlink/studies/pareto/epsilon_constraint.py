@@ -27,13 +27,11 @@ from optlink.optimization.pareto_front import ends, knee, undominated
 from optlink.problem.arguments import typed
 from optlink.problem.document import Source, entries
 from optlink.problem.file import ProblemFile
-from optlink.studies.cycle_task import optimum_task
 from optlink.studies.pareto.epsilon_ranges import RANGES, EpsilonRanges, NoExtreme
 from optlink.studies.pareto.objective import OPTION, ParetoObjective
 from optlink.studies.pareto.objectives import read_objectives
-from optlink.studies.reoptimise_task import CHUNK, ReoptimiseTask, check_backend
+from optlink.studies.reoptimise_task import CHUNK, ReoptimiseTask, check_backend, optimum_task
 from optlink.studies.sweep import GridStudy, TableFile
-from optlink.studies.sweep_task import OptimumTask
 from optlink.version import VERSION
 
 T = TypeVar("T")
@@ -44,8 +42,7 @@ RANGE_MARGIN = 1e-3
 """Share of an objective by which a design is better than the tightest limit of a range that does not restrict it."""
 SAME_LIMIT = 1e-6  # relative excess over a limit up to which a validation decides whether a known design meets it
 MAX_POINTS = 100_000  # largest number of points of a grid
-STARTS = 8  # starting points of each search of a law
-SEARCHES = 100  # approximate number of searches of a law's front: one per point of most fronts
+STARTS = 8  # starting points of each search of a law, if the designs at the ends are not known
 
 
 @dataclass(frozen=True)
@@ -230,8 +227,7 @@ def pareto(
             raise
         once.progress = None
         task = optimum_task(base, grid, backend, CHUNK, anchors)
-        if isinstance(task, ReoptimiseTask):
-            task = replace(task, starts=STARTS, most=max(1, grid.count // SEARCHES))
+        task = task if anchors else replace(task, starts=STARTS)
         store.divide(task.size, task.chunks)
         mine, cpu = store.fill(
             task,
@@ -316,7 +312,7 @@ class _Once:
 
 
 def _with_known_designs(
-    task: OptimumTask, ranges: EpsilonRanges, rows: list[list[str]], anchors: Sequence[Mapping[str, float]]
+    task: ReoptimiseTask, ranges: EpsilonRanges, rows: list[list[str]], anchors: Sequence[Mapping[str, float]]
 ) -> list[list[str]]:
     """Return the rows, where a search found no valid design with those from designs that are valid at tighter limits or the ends.
 
@@ -339,17 +335,17 @@ def _with_known_designs(
     return rows
 
 
-def _is_valid(task: OptimumTask, row: Sequence[str]) -> bool:
+def _is_valid(task: ReoptimiseTask, row: Sequence[str]) -> bool:
     return row[task.columns.index("valid")] == "true"
 
 
-def _design(task: OptimumTask, row: Sequence[str]) -> dict[str, float]:
+def _design(task: ReoptimiseTask, row: Sequence[str]) -> dict[str, float]:
     """Return the design variables [SI] of a row."""
     first = len(task.grid.axes)
     return {name: float(row[first + k]) * quantity.si_per_unit for k, (name, quantity) in enumerate(task.free.items())}
 
 
-def _point(task: OptimumTask, ranges: EpsilonRanges, row: Mapping[str, str]) -> ParetoPoint | None:
+def _point(task: ReoptimiseTask, ranges: EpsilonRanges, row: Mapping[str, str]) -> ParetoPoint | None:
     """Return a row with its objectives evaluated; None if they are not finite."""
     objective = float(row[task.objective_column]) / task.template.model.objective_display[0]
     measured = ranges.figures(task.template, _design(task, list(row.values())), objective)

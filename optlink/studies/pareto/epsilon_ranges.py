@@ -16,13 +16,14 @@ from optlink.optimization.programme import angle_name, build
 from optlink.problem.file import ProblemFile
 from optlink.solvers.exchange import place_at_peaks
 from optlink.solvers.infeasibility import tightest
-from optlink.studies.cycle_task import with_starting_values
 from optlink.studies.grid import Axis, Grid
-from optlink.studies.pareto.cycle_objectives import cycle_figures, cycle_objective, epsilon_problem
 from optlink.studies.pareto.design_objectives import (
+    cycle_figures,
+    cycle_objective,
     design_figures,
     design_objective,
     design_problem,
+    epsilon_problem,
     error_display,
     limit_in_file,
     limited_objective,
@@ -30,6 +31,7 @@ from optlink.studies.pareto.design_objectives import (
     without_varied_limits,
 )
 from optlink.studies.pareto.objective import OPTION, ParetoObjective, range_values
+from optlink.studies.reoptimise_task import near_design, with_starting_values
 from optlink.studies.toml_keys import Raw, exact_text
 from optlink.tasks import design as targets
 from optlink.tasks.certify import automatic
@@ -166,13 +168,15 @@ class _DesignRanges(EpsilonRanges):
         return (1 + len(self.open) + (len(self.constrained) if len(self.constrained) > 1 else 0)) if self.open else 0
 
     def figures(self, problem: ProblemFile, values: Mapping[str, float], error: float) -> tuple[float, ...]:
-        figures = list(design_figures(problem, self.objectives, values))
         minimised, model = self.objectives[self.first], problem.spec
-        if not minimised.key:
-            figures[self.first] = error * model.objective_display[0]
-        elif minimised.part >= 0 and not model.by_angle:  # that of the optimiser, with its digits
+        if minimised.key and (minimised.part < 0 or model.by_angle):
+            return design_figures(problem, self.objectives, values)
+        figures = list(design_figures(problem, [self.objectives[k] for k in self.constrained], values))
+        if minimised.key:  # that of the optimiser, with its digits
             part = model.parts[minimised.part]
-            figures[self.first] = error * error_display(part)[0] / part.worth
+            figures.insert(self.first, error * error_display(part)[0] / part.worth)
+        else:
+            figures.insert(self.first, error * model.objective_display[0])
         return tuple(figures)
 
     def reference(self, base: ProblemFile, once: Once) -> tuple[str, tuple[float, ...] | None]:
@@ -292,7 +296,7 @@ class _DesignRanges(EpsilonRanges):
         for share in RELAXATIONS:
             bound = objective.worsened(limit, share * abs(worst - limit))
             file = self._bounded(self.bare, {**loose, k: exact_text(bound, objective.unit)})
-            result = completed(targets.solve(file, self.backend, begin=near))
+            result = near_design(file, near, self.backend)
             if result.valid:
                 return {"limit": limit if share == RELAXATIONS[0] else bound, "design": dict(result.design)}
         return {"limit": limit, "design": None}
