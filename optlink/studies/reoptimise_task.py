@@ -47,7 +47,7 @@ from optlink.studies.fast_overrides import FastOverride
 from optlink.studies.grid import Grid, column
 from optlink.studies.sweep_task import FROM_KNOWN, OPTIMISE, OUTCOME, SweepTask
 from optlink.studies.target_programme import PeakProgramme, TargetProgramme, in_order, limit_key, variables_of
-from optlink.tasks import cycle as machines, design as targets
+from optlink.tasks import design as targets
 from optlink.tasks.certify import automatic
 from optlink.tasks.protocol import completed
 from optlink.tasks.results.design import LinkageDesign, SynthesisResult, of_designs
@@ -214,7 +214,7 @@ class ReoptimiseTask(SweepTask):
             point, near = int(points[k]), optima.near[k]
             programme = self._peak_programmes[id(near.nlp)]
             solution = programme.solution(point, near, optima.x[k])
-            design = None if solution is None else validated(programme.file(point), solution)
+            design = None if solution is None else validated_design(programme.file(point), solution)
             if design is not None and design.valid:
                 rows[point] = self._design_row(point, [design], SEARCHED if optima.searched[k] else FOLLOWED)
         return rows
@@ -313,7 +313,7 @@ class ReoptimiseTask(SweepTask):
         if {v.name for v in programme.nlp.variables} != values.keys():
             return None
         end = programme.optimum(file.spec, values)
-        return validated(file, end) if end.usable and in_order(end) else None
+        return validated_design(file, end) if end.usable and in_order(end) else None
 
     def result_row(self, point: int, result: SynthesisResult, how: str) -> list[str]:
         """Return the row of a result."""
@@ -493,7 +493,7 @@ def searched(file: ProblemFile, backend: str) -> SynthesisResult:
 def near_design(file: ProblemFile, design: Mapping[str, float], backend: str) -> SynthesisResult:
     """Return the result of a search of a problem from a design [SI]."""
     if file.task == "cycle":
-        return completed(machines.solve(with_starting_values(file, design), backend, starts=1))
+        return completed(targets.solve(with_starting_values(file, design), backend, starts=1))
     return completed(targets.solve(file, backend, begin=design))
 
 
@@ -508,11 +508,6 @@ def with_starting_values(problem: ProblemFile, values: Mapping[str, float]) -> P
             table, key = place_of(mechanism, name)
             table[key] = {**table[key], "start": start}
     return problem.with_tables({**problem.raw, "mechanism": mechanism})
-
-
-def validated(file: ProblemFile, solution: Solution) -> LinkageDesign:
-    """Return a solution as a validated design."""
-    return (validated_design if file.spec.parts else machines.validated_design)(file, solution)
 
 
 def conflicting(solution: Solution) -> tuple[tuple[str, ...], tuple[str, ...]]:
