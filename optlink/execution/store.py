@@ -93,7 +93,7 @@ class Store:
             check_link(self.path / JOURNAL)
             stored = self._stored(self.path, resume)
         with self._writing():
-            self._database = sqlite3.connect(place, isolation_level=None)
+            self._database = sqlite3.connect(place, timeout=60.0, isolation_level=None)  # for who looks into the file
             self._ends.callback(self._database.close)
             if stored is None:
                 self._begun = self.path is not None
