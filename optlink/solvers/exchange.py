@@ -197,8 +197,9 @@ def with_peaks(task: DesignProblem, solution: Solution) -> tuple[Solution, list[
     at = [top.at for top in chosen]
     places = [*at, *(place for place in _places(tops, nlp.exchange_count) if place not in at)]
     nlp.set_exchange_points(np.resize(places, nlp.exchange_count))
+    x = nlp.lifted(solution.x)
     if not chosen:
-        return local.solution_at(nlp, solution.x, solution.message), rows
+        return local.solution_at(nlp, x, solution.message), rows
     whole = len([top for top in tops if top.level >= 0 and top.tracked]) > nlp.exchange_count
     rows, slots = _moving_rows(nlp, whole=whole), [first + slot * each + top.row for slot, top in enumerate(chosen)]
     key = f"at the peaks of rows {slots}" + (" and all positions" if whole else "")
@@ -209,7 +210,7 @@ def with_peaks(task: DesignProblem, solution: Solution) -> tuple[Solution, list[
     moving.set_bounds(np.append(nlp.x_low, np.zeros(len(at))), np.append(nlp.x_high, np.ones(len(at))))
     for k, j in enumerate(rows):
         moving.limit(len(moving.variables) + k, nlp.low[j], nlp.high[j])
-    return local.solution_at(moving, np.append(solution.x, at), solution.message), rows
+    return local.solution_at(moving, np.append(x, at), solution.message), rows
 
 
 def best_slow_stroke(task: DesignProblem, solution: Solution, backend: str) -> Solution:
