@@ -90,9 +90,9 @@ def depth(t: float, state: Any, omega: float) -> tuple[float, float]:
 def ours(rpm: float, integrator: str, tolerance: float, revolutions: int = REVOLUTIONS, problem: str = ONE_GAP) -> Motion:
     """A shipped problem; equations are compiled once, as the peers' are. Peaks and works are part of it."""
     import optlink
-    from optlink.clearance.closed_loop import ClosedLoop
+    from optlink.clearance.columns import default_output
+    from optlink.clearance.control import ClosedLoop
     from optlink.clearance.equations import Drive
-    from optlink.clearance.output import default_output
 
     omega = rpm * math.pi / 30.0
     model = optlink.load(problem).model

@@ -401,7 +401,7 @@ def first(laws: str) -> Figures:
     import optlink
     from optlink.optimization.programme import build
     from optlink.solvers import multistart as search
-    from optlink.synthesis import function_starts
+    from optlink.synthesis import freudenstein
     from tests import synthesis_oracle as oracle
 
     rng = np.random.default_rng(7)
@@ -416,9 +416,9 @@ def first(laws: str) -> Figures:
             problem = optlink.read(law_file(law, side)).spec
             nlp = build(problem)
             search.prepare(nlp, "ipopt")
-            found, taken, _ = clocked(lambda problem=problem: function_starts.steps(problem))  # type: ignore[misc]
+            found, taken, _ = clocked(lambda problem=problem: freudenstein.steps(problem))  # type: ignore[misc]
             spent["convex"] += taken
-            begin = [nlp.x_of(function_starts.values(problem, step)) for step in found]
+            begin = [nlp.x_of(freudenstein.values(problem, step)) for step in found]
             drawn = []
             for _draw in range(MANY):  # lengths evenly in their logarithm
                 lengths = 1e-3 * np.exp(rng.uniform(math.log(5.0), math.log(2000.0), 3))

@@ -19,19 +19,16 @@ if TYPE_CHECKING:
     from optlink.linkage.fourbar import four_bar, grashof
     from optlink.problem.file import ProblemFile, load, read, shipped
     from optlink.problem.templates import new
-    from optlink.report.stored import read_result
+    from optlink.report.registry import read_result
     from optlink.studio import explore
-    from optlink.tasks.analyze import Analysis, analyze
+    from optlink.tasks.analyze import Analysis, analyze, analyze_batch
     from optlink.tasks.balance import balance
-    from optlink.tasks.batch import analyze_batch
     from optlink.tasks.clearance import InverseMotion, inverse_model, simulate_clearance
     from optlink.tasks.control_comparison import compare, tune
-    from optlink.tasks.given_design import read_design
     from optlink.tasks.programme import Programme, build
     from optlink.tasks.results.balance import Balance
-    from optlink.tasks.results.clearance import ClearanceSimulation
+    from optlink.tasks.results.clearance import ClearanceSimulation, Comparison, Tuning
     from optlink.tasks.results.common import DesignResult
-    from optlink.tasks.results.control_comparison import Comparison, Tuning
     from optlink.tasks.results.design import (
         CycleResult as CycleResult,
         FunctionResult as FunctionResult,
@@ -40,7 +37,7 @@ if TYPE_CHECKING:
         PathResult as PathResult,
         SynthesisResult,
     )
-    from optlink.tasks.run import solve, validate
+    from optlink.tasks.run import read_design, solve, validate
     from optlink.tasks.simulate import Simulation, simulate
 
 _NAMES = {
@@ -49,19 +46,16 @@ _NAMES = {
     "optlink.linkage.fourbar": ("four_bar", "grashof"),
     "optlink.problem.file": ("ProblemFile", "load", "read", "shipped"),
     "optlink.problem.templates": ("new",),
-    "optlink.report.stored": ("read_result",),
+    "optlink.report.registry": ("read_result",),
     "optlink.studio": ("explore",),
-    "optlink.tasks.analyze": ("Analysis", "analyze"),
     "optlink.tasks.balance": ("balance",),
-    "optlink.tasks.batch": ("analyze_batch",),
+    "optlink.tasks.analyze": ("Analysis", "analyze", "analyze_batch"),
     "optlink.tasks.clearance": ("InverseMotion", "inverse_model", "simulate_clearance"),
     "optlink.tasks.control_comparison": ("compare", "tune"),
-    "optlink.tasks.given_design": ("read_design",),
     "optlink.tasks.programme": ("Programme", "build"),
     "optlink.tasks.results.balance": ("Balance",),
-    "optlink.tasks.results.clearance": ("ClearanceSimulation",),
     "optlink.tasks.results.common": ("DesignResult",),
-    "optlink.tasks.results.control_comparison": ("Comparison", "Tuning"),
+    "optlink.tasks.results.clearance": ("ClearanceSimulation", "Comparison", "Tuning"),
     "optlink.tasks.results.design": (
         "LinkageDesign",
         "CycleResult",
@@ -70,7 +64,7 @@ _NAMES = {
         "PathResult",
         "SynthesisResult",
     ),
-    "optlink.tasks.run": ("solve", "validate"),
+    "optlink.tasks.run": ("read_design", "solve", "validate"),
     "optlink.tasks.simulate": ("Simulation", "simulate"),
 }
 """Public names by their modules."""

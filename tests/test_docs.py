@@ -359,8 +359,7 @@ def test_units_and_formats_agree_with_the_models():
     """Against the models: values that the reference permits are accepted, and values that it excludes are refused."""
     keys = hook("keys")
     from optlink.problem.limits import Limits
-    from optlink.problem.machine.bodies import DriveSection
-    from optlink.problem.machine.joints import JointSection
+    from optlink.problem.machine.bodies import DriveSection, JointSection
     from optlink.problem.mechanism import FourBarSection
 
     assert keys.value(FourBarSection, "crank") == "length, fixed, free or linked"

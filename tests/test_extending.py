@@ -15,13 +15,13 @@ from typer.testing import CliRunner
 
 import optlink
 from optlink.cli.app import app
-from optlink.dynamics.dyad_balances import BALANCES
+from optlink.dynamics.inverse import BALANCES
 from optlink.errors import InputError
 from optlink.linkage.assur import DYADS
-from optlink.problem.cycle.quantities import QUANTITIES
 from optlink.problem.design import DesignProblem
 from optlink.problem.file_errors import SECTIONS
 from optlink.problem.limits import LIMITS, Limits
+from optlink.problem.terms import QUANTITIES
 from optlink.report.registry import REGISTERED
 from optlink.solvers.contract import SOLVERS
 from optlink.studio import design as studio_design

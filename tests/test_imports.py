@@ -19,10 +19,10 @@ ROOT = Path(__file__).parent.parent
 NOT_FOR_A_LAW = {
     "multiprocessing",
     "numpy.random",
-    "optlink.clearance.state",
+    "optlink.clearance.equations",
     "optlink.dynamics.columns",
     "optlink.dynamics.counterweights",
-    "optlink.dynamics.flywheel",
+    "optlink.dynamics.work",
     "optlink.tasks.analyze",
 }
 HEAVY = {"casadi", "matplotlib", "cvxpy", "plotly", "scipy.optimize", "scipy.stats", "pint"}

@@ -19,7 +19,7 @@ import optlink
 from optlink.cli.app import app
 from optlink.problem.file import ProblemFile
 from optlink.problem.templates import template, templates
-from optlink.report.views.short_text import LINES
+from optlink.report.views.search_tables import LINES
 from optlink.tasks.design import SynthesisTask
 from optlink.tasks.protocol import DesignTask, Search
 from optlink.tasks.run import design_task

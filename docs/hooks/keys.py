@@ -24,15 +24,15 @@ from typing import Any
 from pydantic.fields import FieldInfo
 
 import optlink
-from optlink.clearance.contact_laws import DAMPING
+from optlink.clearance.joint import DAMPING
 from optlink.errors import InputError
 from optlink.problem.base_model import Section
-from optlink.problem.cycle.quantities import QUANTITIES
 from optlink.problem.design import DesignProblem
 from optlink.problem.machine.model import Problem
 from optlink.problem.mechanism import DyadsSection, FourBarSection
 from optlink.problem.requirements.base import DEFAULT_KIND, Requirement
 from optlink.problem.requirements.laws import DEAD_CENTRES
+from optlink.problem.terms import QUANTITIES
 from optlink.units import DEFINITIONS, KINDS, UnitProblem, factor
 
 DOCS = Path(__file__).resolve().parent.parent

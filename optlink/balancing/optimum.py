@@ -7,12 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from optlink.balancing.certificate import GAP, ConeCertificate, solved
-from optlink.balancing.socp import CONSTRAINT_TOLERANCE, BalanceBound, BalancingProgramme, Price
+from optlink.balancing.socp import CONSTRAINT_TOLERANCE, GAP, BalanceBound, BalancingProgramme, ConeCertificate, Price, solved
 from optlink.errors import SolverError
 from optlink.linkage.vector2d import Array
-from optlink.optimization.multipliers import MultiplierSet
-from optlink.problem.cycle.terms import Term
+from optlink.optimization.nlp import MultiplierSet
+from optlink.problem.terms import Term
 from optlink.units import percent
 
 Goal = Sequence[tuple[Term, float]]

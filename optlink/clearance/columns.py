@@ -1,21 +1,21 @@
 """Named columns of a machine with joint clearance: motion, clearance, contacts, reactions, torque, energies."""
 
 import itertools
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline
 
-from optlink.clearance.equations import Equations
+from optlink.clearance.equations import ClearanceState, Equations, Pin
 from optlink.clearance.integration import Block
 from optlink.clearance.joint import Touch, acting
-from optlink.clearance.spanning_tree import Pin
-from optlink.clearance.state import ClearanceState
 from optlink.dynamics.columns import Column, joint_forces
-from optlink.dynamics.inertia import Wrench
 from optlink.dynamics.inverse import GuideForce
-from optlink.dynamics.machine import slider_names
+from optlink.dynamics.machine import Machine, Moving, Wrench, slider_names
 from optlink.linkage.mechanism import FRAME, Guide
-from optlink.linkage.vector2d import Array, Value, Vector, cross, dot, minus, plus
+from optlink.linkage.vector2d import Array, Value, Vector, angle, cross, dot, minus, plus
 
 
 class ClearanceColumns:
@@ -178,3 +178,131 @@ def _work(name: str) -> str:
     if kind == "friction" and point:
         return f"energy lost at {point} by friction"
     return "work of the drive" if name == "drive" else f"work of the load {name}"
+
+
+# Output of a machine: the slide of a slider or the angle of a body, and its deviation from the ideal motion.
+
+
+@dataclass(frozen=True)
+class Output:
+    """Output of a machine: the slide in a `guide`, or, without a guide, the angle of a body."""
+
+    name: str
+    guide: str = ""
+
+    @property
+    def unit(self) -> str:
+        """SI unit: m or rad."""
+        return "m" if self.guide else "rad"
+
+    @property
+    def column(self) -> str:
+        """Name of the column in tables."""
+        return f"{self.name}.s_m" if self.guide else f"{self.name}.angle_rad"
+
+    @property
+    def error(self) -> str:
+        """Name of the column of the deviation from the machine without clearance."""
+        return f"{self.name}.error_{self.unit}"
+
+    def of(self, with_clearance: ClearanceState) -> Value:
+        """Return the output [m, rad]; an angle lies in (-pi, pi]."""
+        return with_clearance.slides[self.guide][0] if self.guide else angle(with_clearance.state(self.name).axis)
+
+    def ideal(self, moving: Moving) -> tuple[Value, Value]:
+        """Return the output of the machine without clearance [m, rad], and its velocity."""
+        if self.guide:
+            s, v, _ = moving.slides[self.guide]
+            return s, v
+        state = moving.state(self.name)
+        return angle(state.axis), state.omega
+
+    def difference(self, value: Value, ideal: Value) -> Value:
+        """Return the deviation of a value from a target [m, rad]; that of an angle is wrapped to (-pi, pi]."""
+        return value - ideal if self.guide else np.remainder(value - ideal + np.pi, 2.0 * np.pi) - np.pi
+
+
+def outputs(machine: Machine) -> dict[str, Output]:
+    """Return the possible outputs by name: sliders in their guides, and the angles of other bodies."""
+    sliding = {name: Output(name, guide) for guide, name in slider_names(machine).items()}
+    turning = {body: Output(body) for body in machine.mechanism.bodies if body != machine.mechanism.crank.body}
+    return {**turning, **sliding}
+
+
+def default_output(machine: Machine) -> Output:
+    """Return the default output: the last slider on the frame, else the last body that is pinned to the frame."""
+    available = outputs(machine)
+    names = slider_names(machine)
+    rams = [names[guide.name] for guide in machine.mechanism.guides if FRAME in guide.bodies]
+    if rams:
+        return available[rams[-1]]
+    pinned = {body for bodies in machine.mechanism.pins.values() if FRAME in bodies for body in bodies}
+    moving = [link.body for link in machine.mechanism.links[1:]]
+    return available[next((body for body in reversed(moving) if body in pinned), moving[-1])]
+
+
+# Comparison of a measured series with the simulated output: the series ends in the last simulated revolution.
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredComparison:
+    """Rows of a measured series beside the simulation, each (n,): time of the simulation [s], outputs [m, rad]."""
+
+    time: Array
+    measured: Array
+    simulated: Array
+    ideal: Array
+    output: Output
+
+    @property
+    def difference(self) -> Array:
+        """Measured minus simulated output [m, rad]."""
+        return np.asarray(self.output.difference(self.measured, self.simulated))
+
+    @property
+    def columns(self) -> dict[str, Array]:
+        """The rows by name, with their units."""
+        unit = self.output.unit
+        names = {"measured": self.measured, "simulated": self.simulated, "ideal": self.ideal, "difference": self.difference}
+        return {"time_s": self.time, **{f"{name}_{unit}": values for name, values in names.items()}}
+
+    @property
+    def figures(self) -> dict[str, float]:
+        """Root mean square, largest and mean difference from the simulation, and from the machine without clearance."""
+        unit, found = self.output.unit, {"measured.rows": float(len(self.time))}
+        without = np.asarray(self.output.difference(self.measured, self.ideal))
+        for name, values in (("measured", self.difference), ("measured.ideal", without)):
+            found[f"{name}.rms_{unit}"] = math.sqrt(float(np.mean(values * values)))
+            found[f"{name}.peak_{unit}"] = float(np.max(np.abs(values)))
+            found[f"{name}.mean_{unit}"] = float(np.mean(values))
+        return found
+
+
+def measured_comparison(
+    times: Sequence[float],
+    measured: Sequence[float],
+    rows: Mapping[str, Array],
+    output: Output,
+    period: float,
+    counted: tuple[int, int],
+) -> MeasuredComparison | None:
+    """Compare a measured series [s; m, rad] with the rows of a simulation; None if no row of the series lies within them.
+
+    The times of the series, from the start angle of the crank, are moved by whole revolutions of duration `period` [s], so that
+    the last one lies in the last simulated revolution. `counted`: numbers of revolutions before the counted ones, and of all
+    simulated ones; other rows of the series are left out.
+    """
+    time, values = rows["time_s"], rows[output.column]
+    rate = rows[f"{output.name}.v_m_s" if output.guide else f"{output.name}.omega_rad_s"]
+    values = values if output.guide else np.unwrap(values)
+    begin, end = counted[0] * period, counted[1] * period
+    at = np.asarray(times, dtype=float)
+    at = at + period * math.floor((end - np.max(at)) / period + 1e-6)
+    near = 1e-6 * period
+    within = (at > begin + near) & (at >= float(time[0]) - near) & (at <= float(time[-1]) + near)
+    if not np.any(within):
+        return None
+    at = np.clip(at[within], time[0], time[-1])
+    simulated = np.asarray(CubicHermiteSpline(time, values, rate)(at))
+    error = np.interp(at, time, rows[output.error])
+    return MeasuredComparison(at, np.asarray(measured, dtype=float)[within], simulated, simulated - error, output)

@@ -12,23 +12,327 @@ References
 Newton-Euler equations by virtual power; wrenches and positions are those of the ideal machine.
 """
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import Any, Literal, NamedTuple, TypeVar
 
 import casadi
 import numpy as np
+from numpy.typing import NDArray
 
-from optlink.clearance.joint import Gap, Touch, acting, touch
-from optlink.clearance.reference_signal import ReferenceSignal
-from optlink.clearance.spanning_tree import SpanningTree
-from optlink.clearance.state import ClearanceState
-from optlink.dynamics.loads import Magnitude
-from optlink.dynamics.machine import Machine
+from optlink.clearance.joint import Gap, JournalMotion, Touch, acting, touch
+from optlink.dynamics.inverse import required_wrench
+from optlink.dynamics.machine import Acting, BodyMotion, Machine, Magnitude, Wrench, body_motion
 from optlink.linkage.jet import Jet, as_jet
-from optlink.linkage.vector2d import Array
+from optlink.linkage.mechanism import FRAME, Guide, Mechanism, Pose
+from optlink.linkage.vector2d import Array, Value, Vector, angle, cross, dot, minus, plus, turn, turn_back, unit
 from optlink.symbolic import BufferedFunction, CompiledFunction, symbols_in_numpy
+
+# Spanning tree of a mechanism cut at its gaps: the ideal joints form a tree of bodies with its coordinates.
+#
+# A body is connected to its parent by a pin (coordinate: its own angle) or by a guide (coordinate: the slide), or is free (two
+# coordinates of its start, and its angle). Ideal joints outside the tree close loops; each gives two equations.
+
+Kind = Literal["angle", "x", "y", "slide"]
+
+
+class Coordinate(NamedTuple):
+    """One coordinate of a body: its `angle` [rad], `x` or `y` of its start [m], or a `slide` [m]."""
+
+    body: str
+    kind: Kind
+
+    @property
+    def name(self) -> str:
+        """Name for columns and messages."""
+        return f"{self.body}.{self.kind}"
+
+
+class BodyPlace(NamedTuple):
+    """Position of a body: its start [m] and the unit vector of its x axis."""
+
+    start: Vector
+    axis: Vector
+
+
+class Pin(NamedTuple):
+    """An ideal revolute joint between two bodies."""
+
+    point: str
+    first: str
+    second: str
+
+    @property
+    def bodies(self) -> tuple[str, str]:
+        """The two bodies."""
+        return self.first, self.second
+
+
+class Branch(NamedTuple):
+    """Connection of a body to the tree: by a joint to a body placed before it, or none (free body)."""
+
+    body: str
+    parent: str
+    joint: Pin | Guide | None
+
+
+@dataclass(frozen=True)
+class SpanningTree:
+    """A mechanism cut at its pins in `gaps`: point -> body that is cut off there (the journal)."""
+
+    mechanism: Mechanism
+    sizes: Mapping[str, Value]
+    gaps: Mapping[str, str]
+
+    @cached_property
+    def joints(self) -> tuple[Pin | Guide, ...]:
+        """The ideal joints, each between two bodies: pins, then guides."""
+        pins = []
+        for point, bodies in self.mechanism.pins.items():
+            carriers = [body for body in bodies if body != self.gaps.get(point)]
+            pins += [Pin(point, carriers[0], other) for other in carriers[1:]]
+        return (*pins, *self.mechanism.guides)
+
+    @cached_property
+    def branches(self) -> tuple[Branch, ...]:
+        """All bodies, each after its parent."""
+        tree = self._grow(free_crank=False)
+        crank = next(branch for branch in tree if branch.body == self.mechanism.crank.body)
+        # the drive prescribes the crank angle, so it must be a coordinate: a crank connected by a guide becomes a root
+        return self._grow(free_crank=True) if isinstance(crank.joint, Guide) else tree
+
+    def _grow(self, *, free_crank: bool) -> tuple[Branch, ...]:
+        tree: dict[str, Branch] = {}
+        if free_crank:
+            tree[self.mechanism.crank.body] = Branch(self.mechanism.crank.body, FRAME, None)
+        waiting = [FRAME, *tree]
+        for root in ["", *self.mechanism.bodies]:
+            if root and root not in tree:
+                tree[root] = Branch(root, FRAME, None)
+                waiting.append(root)
+            while waiting:
+                at = waiting.pop(0)
+                for joint in self.joints:
+                    if at in joint.bodies:
+                        other = joint.bodies[0] if joint.bodies[1] == at else joint.bodies[1]
+                        if other != FRAME and other not in tree:
+                            tree[other] = Branch(other, at, joint)
+                            waiting.append(other)
+        return tuple(tree.values())
+
+    @cached_property
+    def closing(self) -> tuple[Pin | Guide, ...]:
+        """The ideal joints outside the tree."""
+        used = {id(branch.joint) for branch in self.branches}
+        return tuple(joint for joint in self.joints if id(joint) not in used)
+
+    @cached_property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        """The coordinates of the tree, in the order of the bodies."""
+        coordinates = []
+        for body, _, joint in self.branches:
+            free: tuple[Kind, ...] = ("x", "y", "angle") if joint is None else ("slide" if isinstance(joint, Guide) else "angle",)
+            coordinates += [Coordinate(body, kind) for kind in free]
+        return tuple(coordinates)
+
+    @cached_property
+    def driven(self) -> int:
+        """Index of the crank's angle among the coordinates."""
+        return self.coordinates.index(Coordinate(self.mechanism.crank.body, "angle"))
+
+    @cached_property
+    def local(self) -> Pose:
+        """Local coordinates of points and lines on the bodies; no body is placed in it."""
+        return Pose(self.mechanism, self.sizes)
+
+    def place(self, values: Sequence[Value]) -> dict[str, BodyPlace]:
+        """Return the position of every body from the coordinates (floats, arrays, symbols or jets), in their order."""
+        places = {FRAME: BodyPlace((0.0, 0.0), (1.0, 0.0))}
+        remaining = iter(values)
+        for body, parent, joint in self.branches:
+            if joint is None:
+                places[body] = BodyPlace((next(remaining), next(remaining)), unit(next(remaining)))
+            elif isinstance(joint, Guide):
+                places[body] = self._slid(joint, body, places[parent], next(remaining))
+            else:
+                axis = unit(next(remaining))
+                at = self.at(joint.point, parent, places[parent])
+                places[body] = BodyPlace(minus(at, turn(self.local.local(body, joint.point), axis)), axis)
+        return places
+
+    def _slid(self, guide: Guide, body: str, parent: BodyPlace, slide: Value) -> BodyPlace:
+        """Place a body in a guide of its parent; the body may be the slider, or carry the line."""
+        at, line_on_body = self.local.local_line(guide, body)
+        begin, way = self.line(guide, guide.other(body), parent)
+        axis, shift = turn_back(way, line_on_body), slide if body == guide.slider else -slide
+        return BodyPlace(minus((begin[0] + shift * way[0], begin[1] + shift * way[1]), turn(at, axis)), axis)
+
+    def at(self, point: str, body: str, place: BodyPlace | BodyMotion) -> Vector:
+        """Return the position of a point of a placed body [m]."""
+        return plus(place.start, turn(self.local.local(body, point), place.axis))
+
+    def line(self, guide: Guide, body: str, place: BodyPlace | BodyMotion) -> tuple[Vector, Vector]:
+        """Return a point [m] and the unit vector of a guide's line, from the place of one of its two bodies."""
+        point, way = self.local.local_line(guide, body)
+        return plus(place.start, turn(point, place.axis)), turn(way, place.axis)
+
+    def slide(self, guide: Guide, places: Mapping[str, BodyPlace]) -> Value:
+        """Return the displacement of the slider along its line [m]."""
+        begin, way = self.line(guide, guide.on, places[guide.on])
+        return dot(minus(self.line(guide, guide.slider, places[guide.slider])[0], begin), way)
+
+    def open(self, places: Mapping[str, BodyPlace]) -> list[Value]:
+        """Return the residuals of the closing joints [m, or the sine of an angle], two for each joint."""
+        gaps: list[Value] = []
+        for joint in self.closing:
+            first, second = joint.bodies
+            if isinstance(joint, Guide):
+                at, direction = self.line(joint, first, places[first])
+                begin, way = self.line(joint, second, places[second])
+                gaps += [cross(way, minus(at, begin)), cross(way, direction)]
+            else:
+                gaps += minus(self.at(joint.point, first, places[first]), self.at(joint.point, second, places[second]))
+        return gaps
+
+    def read(self, pose: Pose) -> list[Value]:
+        """Return the coordinates in a pose of the mechanism without gaps (jets if the pose has jets)."""
+        values: list[Value] = []
+        for body, kind in self.coordinates:
+            if kind == "angle":
+                values.append(angle(pose.direction(body)))
+            elif kind == "slide":
+                branch = next(branch for branch in self.branches if branch.body == body)
+                assert isinstance(branch.joint, Guide)
+                values.append(pose.slide(branch.joint))
+            else:
+                values.append(pose.points[self.mechanism.bodies[body].start][0 if kind == "x" else 1])
+        return values
+
+
+# A machine with joint clearance in motion: the coordinates place every body; pins with clearance impose nothing.
+#
+# It has the interface of `Moving`, so that loads act on it as on the ideal machine, with floats, arrays or symbols.
+
+SMOOTH = 1e-4
+"""Share of the nominal speed (crank speed times size of the machine) where a load that opposes a motion has 76 % of its size."""
+
+
+class ClearanceState:
+    """A machine with joint clearance at coordinates that are jets.
+
+    The nominal speed of the crank [rad/s], with its sense, is the reference for the smoothing of `sense`.
+    """
+
+    def __init__(self, machine: Machine, cut: SpanningTree, values: Sequence[Value], speed: float) -> None:
+        self.machine, self.tree, self.nominal = machine, cut, speed
+        self.direction = -1.0 if speed < 0.0 else 1.0
+        self.places = cut.place(values)
+        self.crank: Jet = values[cut.driven]
+        self._states: dict[str, BodyMotion] = {}
+
+    @property
+    def variables(self) -> dict[str, Value]:
+        """Variables available to every load: crank angle [rad] and speed [rad/s]."""
+        return {"phi": self.crank.value, "omega": self.crank.rate}
+
+    def state(self, body: str) -> BodyMotion:
+        """Return the motion of a body."""
+        if body not in self._states:
+            self._states[body] = body_motion(*self.places[body])
+        return self._states[body]
+
+    def position(self, point: str, body: str) -> Vector:
+        """Return the position of a point of a body [m]."""
+        return self.tree.at(point, body, self.state(body))
+
+    def velocity(self, point: str, body: str) -> Vector:
+        """Return the velocity of a point of a body [m/s]."""
+        return self.state(body).at(self.position(point, body))[0]
+
+    def acceleration(self, point: str, body: str) -> Vector:
+        """Return the acceleration of a point of a body [m/s^2]."""
+        return self.state(body).at(self.position(point, body))[1]
+
+    def line(self, guide: str) -> Vector:
+        """Return the unit vector of a guide's line."""
+        joint = next(candidate for candidate in self.machine.mechanism.guides if candidate.name == guide)
+        return self.tree.line(joint, joint.on, self.state(joint.on))[1]
+
+    @cached_property
+    def slides(self) -> dict[str, tuple[Value, Value, Value]]:
+        """Slide in every guide, its velocity and acceleration [m, m/s, m/s^2]."""
+        return {guide.name: as_jet(self.tree.slide(guide, self.places)).parts for guide in self.machine.mechanism.guides}
+
+    def sense(self, of: Callable[[ClearanceState], tuple[Value, Value]], size: Value = 1.0) -> Value:
+        """Return the smoothed sign of a velocity, because no equation of motion is integrated across a jump.
+
+        `size` is that of the machine [m] for the velocity of a point, 1 for an angular velocity.
+        """
+        return np.tanh(of(self)[0] / (SMOOTH * abs(self.nominal) * size))
+
+    def journal_motion(self, gap: Gap) -> JournalMotion:
+        """Return the motion of the journal of a gap in its bearing."""
+        bodies = gap.journal, gap.bearing
+        eccentricity = minus(*(self.position(gap.point, body) for body in bodies))
+        rate = minus(*(self.velocity(gap.point, body) for body in bodies))
+        return JournalMotion(eccentricity, rate, *(self.state(body).omega for body in bodies))
+
+    # --- forces and energies -----------------------------------------------------------------------------------------
+
+    def needed(self) -> dict[str, Wrench]:
+        """Return the total force, and moment about its start, that each body requires for its inertia and against gravity."""
+        return required_wrench(self, loads=False)  # type: ignore[arg-type]
+
+    def acting(self) -> dict[str, list[Acting]]:
+        """Return the forces of each load, by the load's name."""
+        return {load.name: list(load.act(self)) for load in self.machine.loads}  # type: ignore[arg-type]
+
+    def power(self, acting: Sequence[Acting]) -> Value:
+        """Return the power that loads feed into the machine [W]."""
+        return sum(load.power(self.state(load.body)) for load in acting if load.body != FRAME)
+
+    @cached_property
+    def kinetic(self) -> Value:
+        """Kinetic energy [J]."""
+        return self.machine.kinetic(self.state)
+
+    @cached_property
+    def potential(self) -> Value:
+        """Potential energy of gravity [J]; the energy of springs counts among the works of loads."""
+        return self.machine.weight(self.state)
+
+
+# Servo reference: constant speed plus a Fourier-series correction.
+
+
+@dataclass(frozen=True)
+class ReferenceSignal:
+    """Reference angle = start + speed t + a Fourier series of the revolution; its derivative is the reference speed.
+
+    `harmonics` (h,): complex [rad], by default none. The correction is the real part of their sum with exp(i k |speed| t).
+    """
+
+    start: float
+    speed: float
+    harmonics: NDArray[np.complex128] = field(default_factory=lambda: np.zeros(0, dtype=complex))
+
+    def at(self, time: Value) -> tuple[Value, Value]:
+        """Return the reference angle [rad] and speed [rad/s] at a time [s] (float, array or symbol)."""
+        angle, speed = self.start + self.speed * time, self.speed + 0.0 * time
+        for k, harmonic in enumerate(self.harmonics.tolist()):
+            rate = k * abs(self.speed)
+            c, s = np.cos(rate * time), np.sin(rate * time)
+            angle = angle + harmonic.real * c - harmonic.imag * s
+            speed = speed - rate * (harmonic.real * s + harmonic.imag * c)
+        return angle, speed
+
+    def correction(self, time: Value) -> Value:
+        """Return the reference angle minus that of constant speed [rad]."""
+        return self.at(time)[0] - (self.start + self.speed * time)
+
 
 Made = TypeVar("Made")
 LEAST_FORCE = 1e-300

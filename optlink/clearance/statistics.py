@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from optlink.clearance.closed_loop import ClosedLoop, SimulatedRevolution
 from optlink.clearance.columns import ClearanceColumns
+from optlink.clearance.control import ClosedLoop, SimulatedRevolution
 from optlink.clearance.integration import Impact, Stalled
 from optlink.linkage.vector2d import Array
 

@@ -114,7 +114,7 @@ def _report_model(
         raise InputError("this would overwrite the input file", "Choose another name", key="--out", value=str(output))
     if is_result(text):
         from optlink.problem.assignment import parse_assignments
-        from optlink.report.stored import read_result, stored_page
+        from optlink.report.registry import read_result, stored_page
 
         remedy = "Leave it out, or name the problem instead of its result"
         facts = parse_assignments(changes or ())

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from optlink.cli import console
-from optlink.cli.completion import problem_names, template_names
-from optlink.cli.options import PROBLEM_HELP, Json, Quiet, Set, flag, option
+from optlink.cli.options import PROBLEM_HELP, Json, Quiet, Set, flag, option, problem_names, template_names
 from optlink.errors import InputError
 
 if TYPE_CHECKING:

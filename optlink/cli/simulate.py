@@ -174,7 +174,7 @@ def _series(measured: Path | None) -> list[str]:
 
 def _rows_done(begun: Mapping[str, Any], revolutions: int, out: Path | None) -> int:
     """Return the number of rows of a simulation before those that follow; the last revolution is simulated again."""
-    from optlink.cli.run_folder import earlier_result
+    from optlink.cli.console import earlier_result
 
     result = {} if out is None else earlier_result(out)
     if result.get("finished") and (result.get("figures") or {}).get("revolutions") == revolutions == begun.get("revolutions"):

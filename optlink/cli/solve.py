@@ -131,9 +131,8 @@ def validate(
 def _validate(
     problem: str, design: list[str], changes: list[str] | None, as_json: bool, out: Path | None, *, details: bool = True
 ) -> None:
-    from optlink.tasks.given_design import read_design
-    from optlink.tasks.modes import possible_modes
-    from optlink.tasks.run import validate as check
+    from optlink.tasks.run import read_design, validate as check
+    from optlink.tasks.search import possible_modes
 
     file = console.load(problem, changes)
     own = None if design else console.given_design(file, problem, changes, design)

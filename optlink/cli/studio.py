@@ -10,8 +10,7 @@ from typing import Annotated
 
 import typer
 
-from optlink.cli.completion import problem_names
-from optlink.cli.options import Quiet, flag, option
+from optlink.cli.options import Quiet, flag, option, problem_names
 from optlink.errors import InputError
 
 PROBLEM_HELP = "Name of a shipped problem, or path of a .toml file. Default: choose on the page."

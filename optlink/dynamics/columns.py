@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from optlink.dynamics.inverse import GuideForce, Reactions, acting_on, reactions, shaking, torque_parts
 from optlink.dynamics.machine import Machine, Moving, slider_names
-from optlink.linkage.alignment import AlignedPosition
 from optlink.linkage.dyad_types import RRR
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.motion import continuous
+from optlink.linkage.singular import AlignedPosition
 from optlink.linkage.vector2d import Array, Value, Vector, cross, dot, magnitude, minus
 
 NEAR, NEARER, ASIDE = 1e-4, 1e-5, 1e-2

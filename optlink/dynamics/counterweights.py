@@ -1,6 +1,6 @@
 """Reactions, torque and shaking forces as affine functions of the parameters of counterweights and springs.
 
-A counterweight adds four inertial parameters to its body (`optlink.dynamics.inertia.Parameters`), a spring its stiffness k and
+A counterweight adds four inertial parameters to its body (`optlink.dynamics.machine.Parameters`), a spring its stiffness k and
 the product k * free length; reactions, torque and shaking forces are linear in all of these. Balancing is therefore a convex
 programme.
 """
@@ -13,9 +13,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from optlink.dynamics.columns import MotionColumns
-from optlink.dynamics.inertia import UNITS, Inertia, Parameters
-from optlink.dynamics.loads import Spring
-from optlink.dynamics.machine import Moving
+from optlink.dynamics.machine import UNITS, Inertia, Moving, Parameters, Spring
 from optlink.linkage.vector2d import Array
 
 Quantity: TypeAlias = Callable[[MotionColumns], Array]

@@ -9,32 +9,194 @@ References
 Equation of motion of a machine with one degree of freedom (Eksergian's equation).
 """
 
+import enum
+import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from optlink.dynamics.crank_acceleration import (
-    STEADY,
-    acceleration_with_friction,
-    accelerations_with_friction,
-    can_rest,
-    crank_acceleration,
-    required_torque,
-)
-from optlink.dynamics.dop853 import ALL
-from optlink.dynamics.ending import Ending, first_event, marks_ahead, nearest
-from optlink.dynamics.flywheel import LastTurn
-from optlink.dynamics.inverse import reactions
-from optlink.dynamics.loads import Magnitude
-from optlink.dynamics.machine import Machine, Moving
-from optlink.dynamics.runge_kutta import Step, Stepper, TrialStep, attempt, states_at
-from optlink.dynamics.work import jumps
+from optlink.dynamics.inverse import ROUNDING, Reactions, reactions, required_wrench, virtual_torque
+from optlink.dynamics.machine import Machine, Magnitude, Moving
+from optlink.dynamics.runge_kutta import ALL, Step, Stepper, TrialStep, attempt, states_at
+from optlink.dynamics.work import LastTurn, jumps
 from optlink.linkage.jet import Jet
 from optlink.linkage.motion import Motion
 from optlink.linkage.vector2d import TURN, Array, Value
+
+# Events of a simulation: crank angles at which the integration restarts or ends, and reasons for its end.
+
+EDGE = 1e-6  # share of a limited range excluded at each end: speeds are infinite at a dead position
+PASSED_JUMP = 1e-9  # rad: a jump of a load nearer than this counts as passed
+
+
+class Ending(enum.Enum):
+    """Reason for the end of a simulation; `text` describes it."""
+
+    FINISHED = "finished"
+    AT_REST = "at rest"
+    DEAD_POSITION = "dead position"
+    SINGULAR = "singular position"
+    JAMMED = "jammed"
+    UNDETERMINED = "undetermined"
+    STALLED = "stalled"
+    INTERRUPTED = "interrupted"
+
+    @property
+    def text(self) -> str:
+        """Description in one sentence."""
+        return _TEXT[self]
+
+
+_TEXT = {
+    Ending.FINISHED: "the whole duration was simulated",
+    Ending.AT_REST: "the machine came to rest: the drive cannot overcome loads and friction there",
+    Ending.DEAD_POSITION: "the crank reached a position beyond which the mechanism cannot be assembled",
+    Ending.SINGULAR: "the crank reached a singular position: the assembly modes meet, and the motion beyond is not determined",
+    Ending.JAMMED: "friction jams a guide: no motion of the machine satisfies its law, and rest does not either",
+    Ending.UNDETERMINED: "friction of a guide leaves the motion open: more than one motion, or motion and rest, satisfy it",
+    Ending.STALLED: "the integration stalled: a singular position, or forces and speeds that grow without bound; "
+    "results up to that time are kept. Start elsewhere, shorten the duration, or check loads and torque",
+    Ending.INTERRUPTED: "interrupted; results up to that time are kept",
+}
+
+
+def nearest(angle: float, marks: Array, cycle: float, aside: float = 0.0) -> list[float]:
+    """Return the nearest below and above a crank angle [rad] of marks that repeat every cycle, at least `aside` away."""
+    if not len(marks):
+        return []
+    every = (marks[:, None] + cycle * (np.floor(angle / cycle) + np.arange(-2.0, 3.0))).ravel()
+    return [float(np.max(every[every <= angle - aside])), float(np.min(every[every >= angle + aside]))]
+
+
+def marks_ahead(angle: float, switches: Array, cycle: float, limits: tuple[float, float] | None) -> list[tuple[str, float]]:
+    """Return crank angles [rad] at which the integration restarts or ends, the nearest on either side, with the kind of event.
+
+    `switches` are the crank angles at which a load jumps, repeated every cycle, `limits` the reachable range.
+    """
+    marks = [("switch", at) for at in nearest(angle, switches, cycle, PASSED_JUMP)]
+    if limits is not None:
+        edge = EDGE * (limits[1] - limits[0])
+        marks += [("limit", limits[0] + edge), ("limit", limits[1] - edge)]
+    return marks
+
+
+def first_event(step: Step, direction: float, marks: list[tuple[str, float]]) -> tuple[float, str | None]:
+    """Return the time of the first event within a step, an angle is reached or the crank stops, and its kind; else the end.
+
+    The state begins with crank angle and speed; `direction` is the sense in which the crank turns, 0 if it cannot come to rest.
+    """
+    (angle, speed), (later, slower) = step.before[:2].tolist(), step.after[:2].tolist()
+    events = [(kind, 0, at) for kind, at in marks if (angle - at) * (later - at) < 0.0]
+    if speed * direction > 0.0 > slower * direction:
+        events.append(("rest", 1, 0.0))
+    if not events:
+        return step.end, None
+    from scipy.optimize import brentq
+
+    return min(
+        (float(brentq(lambda t, part=part, at=at: step.at(t, part) - at, step.time, step.end, xtol=1e-16, rtol=1e-15)), kind)
+        for kind, part, at in events
+    )
+
+
+# Acceleration of the crank under a torque, with Coulomb friction in guides: none, one or several, and rest.
+#
+# References
+# ---------- P. Painleve, Sur les lois du frottement de glissement, C. R. Acad. Sci. 121 (1895): friction may admit no motion, or
+# several.
+
+STEADY = 1e-13  # share of the larger torque by which a resting machine may be out of balance and still stay at rest
+
+
+def required_torque(moving: Moving, geared: Moving) -> tuple[Value, Reactions | None]:
+    """Return the torque on the crank that a motion requires [N m], and the reactions if friction requires them (else None).
+
+    `geared` are the same positions at a crank speed of 1 rad/s, in this whole module.
+    """
+    if moving.machine.friction:
+        joint_reactions = reactions(moving)
+        return joint_reactions.torque, joint_reactions
+    return virtual_torque(required_wrench(moving), geared), None
+
+
+def crank_acceleration(geared: Moving, speed: Value, torque: Value, direction: Value) -> Value:
+    """Compute the angular acceleration of the crank [rad/s^2] under a driving torque, elementwise (forward dynamics).
+
+    It is NaN where no signs of the normal forces in guides with friction are consistent, or several that differ are. The crank
+    turns, or is about to turn, in `direction`: +1 or -1.
+    """
+    if geared.machine.friction:
+        return acceleration_with_friction(geared, speed, torque, direction)[0]
+    needed, _ = required_torque(geared.scaled(speed, 0.0, direction), geared)
+    return (torque - needed) / (2.0 * geared.kinetic)
+
+
+def accelerations_with_friction(
+    geared: Moving, speed: Value, torque: Value, direction: Value
+) -> Iterator[tuple[Value, Value, dict[str, float]]]:
+    """Yield for all signs of the normal forces in guides the acceleration, whether it is consistent with them, and the signs.
+
+    For assumed signs, torque and normal forces are linear in the acceleration: two accelerations determine them.
+    """
+    names = tuple(geared.machine.friction)
+    step = 1.0 + speed * speed + np.abs(torque) / (2.0 * geared.kinetic)
+    ends = [geared.scaled(speed, alpha, direction) for alpha in (0.0, step)]
+    wrenches = [required_wrench(moving) for moving in ends]
+    for trial in itertools.product((1.0, -1.0), repeat=len(names)):
+        normals = dict(zip(names, trial, strict=True))
+        still, moved = (reactions(moving, needed, normals) for moving, needed in zip(ends, wrenches, strict=True))
+        share = (torque - still.torque) / (moved.torque - still.torque)
+        pins = (*still.pins.values(), *moved.pins.values())
+        loaded = (np.hypot(*force) for on in pins for force in on.values())
+        least = -ROUNDING * (1.0 + np.abs(share)) * sum(loaded)
+        fits: Value = np.isfinite(share)
+        for name, sign in normals.items():
+            low, high = (joint_reactions.guides[name].normal for joint_reactions in (still, moved))
+            fits = fits & (sign * (low + share * (high - low)) >= least)
+        yield share * step, fits, normals
+
+
+def acceleration_with_friction(
+    geared: Moving, speed: Value, torque: Value, direction: Value
+) -> tuple[Value, dict[str, Value], Value]:
+    """Return the acceleration of the crank, the signs of the normal forces in guides, and where several fit.
+
+    The acceleration is NaN where no signs are consistent, or several whose accelerations differ.
+    """
+    chosen: Value = np.nan
+    signs: dict[str, Value] = dict.fromkeys(geared.machine.friction, 1.0)
+    several: Value = False
+    for alpha, fits, normals in accelerations_with_friction(geared, speed, torque, direction):
+        step = 1.0 + speed * speed + np.abs(torque) / (2.0 * geared.kinetic)
+        several = several | (fits & (np.abs(alpha - chosen) > 1e-6 * step))
+        first = fits & np.isnan(chosen)
+        chosen = np.where(first, alpha, chosen)
+        signs = {name: np.where(first, normals[name], sign) for name, sign in signs.items()}
+    return np.where(several, np.nan, chosen), signs, several
+
+
+def can_rest(geared: Moving, torque: float) -> bool:
+    """Return whether friction in guides can hold a machine at rest against a torque of the drive [N m].
+
+    Torque and friction are out of balance by a polynomial that is linear in every coefficient of friction, between minus and
+    plus its largest value: it vanishes if it has both signs among all the largest ones. It is the torque times the
+    determinants.
+    """
+    signs = set()
+    for direction in (1.0, -1.0):
+        still = geared.scaled(0.0, 0.0, direction)
+        needed = required_wrench(still)
+        for trial in itertools.product((1.0, -1.0), repeat=len(geared.machine.friction)):
+            joint_reactions = reactions(still, needed, dict(zip(geared.machine.friction, trial, strict=True)))
+            least = np.asarray(joint_reactions.torque).item()
+            determinant = math.prod(np.asarray(sine).item() for sine in joint_reactions.singularity.values())
+            lacks = abs(torque - least) > STEADY * (abs(torque) + abs(least))
+            signs.add(np.sign(determinant * (torque - least)) if lacks else 0.0)
+    return 0.0 in signs or {1.0, -1.0} <= signs
+
 
 STOP = 1e-6  # rad: distance before a singular position at which a simulation ends
 LEAST, PATIENCE = 1e-4, 2000  # least share of the duration per so many steps; less is a stall

@@ -6,17 +6,134 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from optlink.dynamics.inertia import BodyMotion, Inertia, Wrench, body_motion, kinetic, potential
 from optlink.linkage.jet import as_jet
 from optlink.linkage.mechanism import FRAME, Mechanism, Pose
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.stroke import Ranges, reachable
-from optlink.linkage.vector2d import TURN, Value, Vector, cross, dot, magnitude, minus, sign
+from optlink.linkage.vector2d import TURN, Value, Vector, angle_from, cross, dot, magnitude, minus, plus, sign, turn, unit
+
+# Mass properties of a body, and the wrench that its motion requires, linear in them.
+#
+# A body's parameters are its mass m, its first moments m*c (c: centroid in the body's own axes) and its moment of inertia about
+# the start of the body; the wrench that moves it is their linear function, so a regressor is the wrench of unit parameters.
+
+
+class Wrench(NamedTuple):
+    """A force [N] and the moment [N m] about the start of the body that it acts on."""
+
+    force: Vector
+    moment: Value
+
+    def about(self, start: Vector, point: Vector) -> Value:
+        """Return the moment about another point [N m]; `start` is that of the body, to which `moment` refers."""
+        return self.moment + cross(minus(start, point), self.force)
+
+    def __add__(self, other: Wrench) -> Wrench:  # type: ignore[override]
+        return Wrench(plus(self.force, other.force), self.moment + other.moment)
+
+    def __neg__(self) -> Wrench:
+        return Wrench((-self.force[0], -self.force[1]), -self.moment)
+
+
+class Parameters(NamedTuple):
+    """Inertial parameters of a body: mass [kg], first moments [kg m], moment of inertia about the start [kg m^2]."""
+
+    mass: Value
+    along: Value
+    across: Value
+    moment: Value
+
+
+@dataclass(frozen=True)
+class Inertia:
+    """Mass [kg], centroid in the body's own axes [m], moment of inertia about the centroid [kg m^2]."""
+
+    mass: Value = 0.0
+    along: Value = 0.0
+    across: Value = 0.0
+    moment: Value = 0.0
+
+    @property
+    def parameters(self) -> Parameters:
+        """The inertial parameters about the start of the body (Steiner)."""
+        square = self.along * self.along + self.across * self.across
+        return Parameters(self.mass, self.mass * self.along, self.mass * self.across, self.moment + self.mass * square)
+
+
+class BodyMotion(NamedTuple):
+    """Motion of a body: its start [m, m/s, m/s^2], its x axis (unit vector), angular velocity and acceleration."""
+
+    start: Vector
+    velocity: Vector
+    acceleration: Vector
+    axis: Vector
+    omega: Value
+    alpha: Value
+
+    def at(self, point: Vector) -> tuple[Vector, Vector]:
+        """Return the velocity and acceleration of the body's point at a position [m/s, m/s^2]."""
+        x, y = minus(point, self.start)
+        square = self.omega * self.omega
+        velocity = self.velocity[0] - self.omega * y, self.velocity[1] + self.omega * x
+        acceleration = (
+            self.acceleration[0] - self.alpha * y - square * x,
+            self.acceleration[1] + self.alpha * x - square * y,
+        )
+        return velocity, acceleration
+
+
+def body_motion(start: Vector, axis: Vector) -> BodyMotion:
+    """Return the state of a body from the motion of its start [m] and of its x axis (unit vector), pairs of jets.
+
+    What is not a jet does not move.
+    """
+    x, y, c, s = as_jet(start[0]), as_jet(start[1]), as_jet(axis[0]), as_jet(axis[1])
+    way, turned = (c.value, s.value), cross((c.value, s.value), (c.acceleration, s.acceleration))
+    places = (x.value, y.value), (x.rate, y.rate), (x.acceleration, y.acceleration)
+    return BodyMotion(*places, way, cross(way, (c.rate, s.rate)), turned)
+
+
+def wrench(parameters: Parameters, state: BodyMotion, gravity: Vector) -> Wrench:
+    """Compute the force and moment (about the start of the body) that joints and loads together exert on a body in motion.
+
+    Gravity [m/s^2] counts as an acceleration of the frame of reference: pass (0, 0) for the inertia alone. These are the
+    Newton-Euler equations, with the Steiner term.
+    """
+    ax, ay = minus(state.acceleration, gravity)
+    rx, ry = turn((parameters.along, parameters.across), state.axis)
+    square = state.omega * state.omega
+    force = (
+        parameters.mass * ax - square * rx - state.alpha * ry,
+        parameters.mass * ay - square * ry + state.alpha * rx,
+    )
+    return Wrench(force, parameters.moment * state.alpha + rx * ay - ry * ax)
+
+
+UNITS = tuple(Parameters(*(float(i == k) for i in range(4))) for k in range(4))
+"""One parameter at a time: the wrench of each is a column of the regressor."""
+
+
+def kinetic(parameters: Parameters, state: BodyMotion) -> Value:
+    """Return the kinetic energy [J] of a body."""
+    first = turn((parameters.along, parameters.across), state.axis)
+    square = dot(state.velocity, state.velocity)
+    return (
+        0.5 * parameters.mass * square
+        + state.omega * cross(first, state.velocity)
+        + 0.5 * parameters.moment * state.omega * state.omega
+    )
+
+
+def potential(parameters: Parameters, state: BodyMotion, gravity: Vector) -> Value:
+    """Return the potential energy of a body in the field of gravity [m/s^2], zero at the origin [J]."""
+    first = turn((parameters.along, parameters.across), state.axis)
+    return -(parameters.mass * dot(gravity, state.start) + dot(gravity, first))
+
 
 INSTANT = 1e-10
 """Crank rotation [rad] from a load jump to the position of its one-sided value."""
@@ -271,3 +388,221 @@ def slider_names(machine: Machine) -> dict[str, str]:
     """Return the name of the slide of every guide: the slider's name, or the guide's name where one body slides in two guides."""
     sliders = [guide.slider for guide in machine.mechanism.guides]
     return {g.name: g.slider if sliders.count(g.slider) == 1 else g.name for g in machine.mechanism.guides}
+
+
+# Loads on a machine in addition to inertia and gravity: forces, torques, springs, dampers.
+#
+# A load is an object that returns the forces it exerts on a machine in motion. Forces may be constant, follow a table or
+# expression, oppose the motion, or act in one stroke only; the stroke is determined from the motion.
+
+Magnitude = Callable[[Mapping[str, Value]], Value]
+"""Force [N] or torque [N m] from phi (crank angle) [rad], omega (crank speed), and s, v of a slider or theta, w of a body."""
+
+Stroke = Literal["both", "forward", "backward"]
+
+
+def _sense(load: Force | Torque, moving: Moving) -> Value:
+    """Factor of the magnitude: -1 against a positive velocity if the load opposes motion, 0 in the other stroke."""
+    opposing, stroke = load.opposing, load.stroke
+    if not opposing and stroke == "both":
+        return 1.0
+    sign = moving.sense(load.reversing, moving.machine.size if isinstance(load, Force) else 1.0)
+    share = 1.0
+    if stroke != "both":
+        way = moving.direction if load.turning else 1.0
+        share = 0.5 * (1.0 + (sign if stroke == "forward" else -sign) * way)
+    return share * (-sign if opposing else 1.0)
+
+
+@dataclass(frozen=True)
+class _Process:
+    """Base class of forces and torques: they may oppose the motion, act in one stroke, and react on another body."""
+
+    opposing: bool = field(default=False, kw_only=True)
+    stroke: Stroke = field(default="both", kw_only=True)
+    turning: bool = field(default=False, kw_only=True)
+    """The stroke is that of a crank that turns counter-clockwise; clockwise it is the other one."""
+    against: str = field(default=FRAME, kw_only=True)
+    """The body on which the reaction acts."""
+
+    @property
+    def switching(self) -> bool:
+        """Whether the load jumps where the motion reverses."""
+        return self.opposing or self.stroke != "both"
+
+    def potential(self, moving: Moving) -> Value:
+        """Return zero: the load stores no energy."""
+        return 0.0
+
+    def known(self, moving: Moving) -> dict[str, Value]:
+        """Return the variables of the magnitude: crank angle [rad] and speed, and those of the body on which the load acts."""
+        return moving.variables
+
+
+@dataclass(frozen=True)
+class Force(_Process):
+    """A force on a point of a body, along a direction fixed in the plane or along the guide of a slider."""
+
+    name: str
+    body: str
+    point: str
+    magnitude: Magnitude
+    direction: float | str  # angle [rad], or the guide that the body slides in
+
+    def along(self, moving: Moving) -> Vector:
+        """Return the unit vector of the direction."""
+        return moving.line(self.direction) if isinstance(self.direction, str) else unit(self.direction)
+
+    def reversing(self, moving: Moving) -> tuple[Value, Value]:
+        """Return the velocity and acceleration along the direction, relative to the body that takes the reaction."""
+        if isinstance(self.direction, str):
+            return moving.slides[self.direction][1:]
+        way, other = unit(self.direction), moving.state(self.against)
+        velocity, acceleration = other.at(moving.position(self.point, self.body))
+        slip = minus(moving.velocity(self.point, self.body), velocity)
+        rate = minus(moving.acceleration(self.point, self.body), acceleration)
+        # the point of the other body that the force meets changes: its velocity does so by omega x slip
+        return dot(way, slip), dot(way, (rate[0] + other.omega * slip[1], rate[1] - other.omega * slip[0]))
+
+    def known(self, moving: Moving) -> dict[str, Value]:
+        """Return the variables of the magnitude: crank angle and speed; of a slider its slide and velocity [SI]."""
+        if not isinstance(self.direction, str):
+            return moving.variables
+        s, v, _ = moving.slides[self.direction]
+        return {**moving.variables, "s": s, "v": v}
+
+    def act(self, moving: Moving) -> Iterator[Acting]:
+        """Yield the force, and its reaction on the other body."""
+        size = self.magnitude(self.known(moving)) * _sense(self, moving)
+        x, y = self.along(moving)
+        at, force = moving.position(self.point, self.body), (size * x + 0.0, size * y + 0.0)  # + 0.0: avoids -0.0
+        yield Acting(self.body, at, force)
+        if self.against != FRAME:
+            yield Acting(self.against, at, (-force[0], -force[1]))
+
+
+@dataclass(frozen=True)
+class Torque(_Process):
+    """A torque on a body; `middle` [rad]: the angle of the body that the magnitude sees is at most half a revolution from it."""
+
+    name: str
+    body: str
+    magnitude: Magnitude
+    middle: Value = 0.0
+
+    def reversing(self, moving: Moving) -> tuple[Value, Value]:
+        """Return the angular velocity and acceleration of the body relative to the other."""
+        state, other = moving.state(self.body), moving.state(self.against)
+        return state.omega - other.omega, state.alpha - other.alpha
+
+    def known(self, moving: Moving) -> dict[str, Value]:
+        """Return the variables of the magnitude: crank angle and speed, angle of the body and its relative speed [SI]."""
+        theta = self.middle + angle_from(unit(self.middle), moving.state(self.body).axis)
+        return {**moving.variables, "theta": theta, "w": self.reversing(moving)[0]}
+
+    def act(self, moving: Moving) -> Iterator[Acting]:
+        """Yield the torque, and its reaction on the other body."""
+        state = moving.state(self.body)
+        torque = self.magnitude(self.known(moving)) * _sense(self, moving)
+        yield Acting(self.body, state.start, torque=torque)
+        if self.against != FRAME:
+            yield Acting(self.against, moving.state(self.against).start, torque=-torque)
+
+
+class Steady:
+    """Base class of loads without jumps; they store no energy unless they are springs."""
+
+    switching = False
+
+    def reversing(self, moving: Moving) -> None:
+        """Return None: the load does not jump."""
+        return
+
+    def potential(self, moving: Moving) -> Value:
+        """Return zero: the load stores no energy."""
+        return 0.0
+
+
+@dataclass(frozen=True)
+class Spring(Steady):
+    """A linear spring and damper between two points: `stiffness` [N/m], `free` length [m], `damping` [N s/m]."""
+
+    name: str
+    ends: tuple[tuple[str, str], tuple[str, str]]  # (body, point) twice
+    stiffness: Value
+    free: Value
+    damping: Value
+
+    def _stretch(self, moving: Moving) -> tuple[Value, Vector, Value]:
+        """Length, direction from the first end to the second, rate of the length."""
+        (one, p), (other, q) = self.ends
+        between = minus(moving.position(q, other), moving.position(p, one))
+        length = np.sqrt(dot(between, between))
+        along = (between[0] / length, between[1] / length)
+        return length, along, dot(along, minus(moving.velocity(q, other), moving.velocity(p, one)))
+
+    def act(self, moving: Moving) -> Iterator[Acting]:
+        """Yield the forces of the spring on both ends."""
+        length, (x, y), rate = self._stretch(moving)
+        pull = self.stiffness * (length - self.free) + self.damping * rate
+        for (body, point), direction in zip(self.ends, (1.0, -1.0), strict=True):
+            yield Acting(body, moving.position(point, body), (direction * pull * x, direction * pull * y))
+
+    def potential(self, moving: Moving) -> Value:
+        """Return the energy stored in the spring [J]."""
+        stretch = self._stretch(moving)[0] - self.free
+        return 0.5 * self.stiffness * stretch * stretch
+
+
+@dataclass(frozen=True)
+class TorsionSpring(Steady):
+    """A torsion spring and damper between two bodies: `stiffness` [N m/rad], `free` angle [rad], `damping` [N m s/rad].
+
+    `middle` [rad]: relative angle of the bodies near the middle of the swing, at most half a revolution from `free`; the
+    deflection is measured from there, so a swing of less than a revolution crosses no branch cut.
+    """
+
+    name: str
+    body: str
+    against: str
+    stiffness: Value
+    free: Value
+    damping: Value
+    middle: Value = 0.0
+
+    def _deflection(self, moving: Moving) -> Value:
+        axis, other = moving.state(self.body).axis, moving.state(self.against).axis
+        return self.middle - self.free + angle_from(turn(other, unit(self.middle)), axis)
+
+    def act(self, moving: Moving) -> Iterator[Acting]:
+        """Yield the torque of the spring on both bodies."""
+        body, against = moving.state(self.body), moving.state(self.against)
+        torque = -self.stiffness * self._deflection(moving) - self.damping * (body.omega - against.omega)
+        yield Acting(self.body, body.start, torque=torque)
+        yield Acting(self.against, against.start, torque=-torque)
+
+    def potential(self, moving: Moving) -> Value:
+        """Return the energy stored in the spring [J]."""
+        deflection = self._deflection(moving)
+        return 0.5 * self.stiffness * deflection * deflection
+
+
+@dataclass(frozen=True)
+class SlideDamper(Steady):
+    """Viscous damping in a guide: `damping` [N s/m]."""
+
+    name: str
+    guide: str
+    slider: str
+    on: str
+    point: str
+    damping: Value
+
+    def act(self, moving: Moving) -> Iterator[Acting]:
+        """Yield the damping force on the slider, and its reaction on the body that carries the line."""
+        x, y = moving.line(self.guide)
+        force = -self.damping * moving.slides[self.guide][1]
+        point = moving.position(self.point, self.slider)
+        yield Acting(self.slider, point, (force * x, force * y))
+        if self.on != FRAME:
+            yield Acting(self.on, point, (-force * x, -force * y))

@@ -16,11 +16,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.linkage.alignment import AlignedPosition, alignment_grid, alignment_margin, least_alignments
 from optlink.linkage.dyad_types import PRP, RPR, ModalDyad
 from optlink.linkage.jet import Jet
-from optlink.linkage.mechanism import Dyad, Mechanism, Pose
-from optlink.linkage.passage import GroupPassages, Passage
+from optlink.linkage.mechanism import Dyad, GroupPassages, Mechanism, Passage, Pose
+from optlink.linkage.singular import AlignedPosition, alignment_grid, alignment_margin, least_alignments
 from optlink.linkage.stroke import Ranges, range_grid, reachable
 from optlink.linkage.vector2d import TURN, Array, Value, turn, unit
 

@@ -6,8 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from optlink.linkage.dyads import prp, rpp, rpr, rrp, rrr
-from optlink.linkage.mechanism import Dyad, Guide, Joint, Mechanism, Pose
-from optlink.linkage.passage import GroupPassages
+from optlink.linkage.mechanism import Dyad, GroupPassages, Guide, Joint, Mechanism, Pose
 from optlink.linkage.vector2d import Value, Vector, cross, dot, minus, plus, turn, turn_back
 
 FORWARD = {"forward": 1, "backward": -1}

@@ -7,14 +7,13 @@ from typing import Literal
 
 import numpy as np
 
-from optlink.linkage.alignment import AlignedPosition, alignment_margin, least_alignments, least_margin
 from optlink.linkage.dyad_types import PRP
-from optlink.linkage.extrema import distinct
+from optlink.linkage.extrema import distinct, zeros
 from optlink.linkage.jet import Jet
 from optlink.linkage.mechanism import Dyad, Mechanism
 from optlink.linkage.motion import Motion, sweep
+from optlink.linkage.singular import AlignedPosition, alignment_margin, least_alignments, least_margin
 from optlink.linkage.vector2d import TURN, Array, Value
-from optlink.linkage.zeros import zeros
 
 GRID = 1440
 """Positions per revolution among which everything is bracketed."""

@@ -18,17 +18,15 @@ import casadi
 import numpy as np
 
 from optlink.dynamics.inverse import Reactions, reactions, required_wrench
-from optlink.dynamics.loads import Force
-from optlink.dynamics.machine import Load, Machine, Moving
+from optlink.dynamics.machine import Force, Load, Machine, Moving
+from optlink.linkage.extrema import sign_changes, zeros
 from optlink.linkage.jet import Jet, as_jet
 from optlink.linkage.motion import Motion
 from optlink.linkage.stroke import Direction, slow_stroke
 from optlink.linkage.vector2d import TURN, Array, Value, dot, sign, unit
-from optlink.linkage.zeros import sign_changes, zeros
-from optlink.problem.cycle.quantities import guide_of
-from optlink.problem.cycle.terms import Term, output_of
 from optlink.problem.design import DesignProblem
-from optlink.problem.machine.load_curves import LoadTable
+from optlink.problem.machine.loads import LoadTable
+from optlink.problem.terms import Term, guide_of, output_of
 from optlink.symbolic import CompiledFunction, NumpyEvaluator, symbols_in_numpy
 
 GRID = 240  # crank angles among which events are bracketed

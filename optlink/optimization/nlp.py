@@ -1,24 +1,25 @@
 """NLP: one scaled nonlinear programme with exact derivatives and a label and unit for every row; see `programme.build`."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple, Protocol, Self
 
 import casadi
 import numpy as np
 from numpy.typing import NDArray
 
 from optlink.linkage.vector2d import TURN, Array
-from optlink.optimization.constraints import DEGREES, ConstraintRow, Scale
 from optlink.optimization.mapped_terms import MappedTerms
-from optlink.optimization.objectives import ErrorMeasure
+from optlink.optimization.terms import DEGREES, ConstraintRow, ErrorMeasure, Scale
 from optlink.problem.design import EPIGRAPH
 from optlink.problem.machine.model import Problem
-from optlink.problem.quantity import Quantity
-from optlink.problem.quantity_keys import quantity_key
-from optlink.symbolic import BufferedFunction, CompiledFunction, packed, unpacked
+from optlink.problem.quantity import Quantity, quantity_key
+from optlink.problem.targets.law import Law
+from optlink.symbolic import BufferedFunction, CompiledFunction, NumpyEvaluator, packed, unpacked
 
 
 @dataclass(frozen=True)
@@ -108,7 +109,7 @@ class NLP:
     position_symbol: Any = None  # crank rotation from the start, tabulated output: a position of the requirement
     position_expression: Any = None  # the residuals there, of which `residual_expression` has those of every position
     place_expression: Any = None  # crank angles [rad] of the rows, those of limits over a motion (`ConstraintRow.periodic`)
-    smoothing: int = 0  # index in `p` of the smoothing of a scatter (`optlink.problem.robust.SMOOTHED`); 0: none
+    smoothing: int = 0  # index in `p` of the smoothing of a scatter (`optlink.problem.tolerances.SMOOTHED`); 0: none
     exchange_rows: tuple[int, int] = (0, 0)  # index of the first row of the exchange points, number of rows per position
     cycle: bool = False  # of a machine cycle
     recipe: Mapping[str, Any] = field(default_factory=dict, compare=False)  # what it is built from, beside its problem
@@ -332,3 +333,206 @@ def boxed(quantity: Quantity, variable: Variable) -> tuple[float, float, float]:
     """Return the scaled bounds and starting value of a design variable."""
     low, high = quantity.bounds
     return variable.scaled(low), variable.scaled(high), variable.scaled(quantity.value)
+
+
+# Lagrange multipliers of a nonlinear programme: which limits are active, and all multipliers if they are not unique.
+
+LEAST_PRICE = 1e-6
+"""Least change of the objective, as a share of its value, for a bound moved by one scaled unit (the frame, 1 rad): else it has no
+price. Multipliers are recomputed to about this accuracy."""
+ACTIVE = 1e-6  # distance, in scaled units, at which a limit counts as active
+DEPENDENT = 1e-6  # least singular value of linearly independent gradients of active limits, relative to the largest
+FLAT = 1e-12  # gradient of a limit, in scaled units, that counts as none
+SAME_SUM = 1e-4  # relative change of a sum of multipliers that counts as none: of rows beside one peak of a limit
+
+
+def active_sides(nlp: NLP, x: Array, point: NLPValues, within: float = ACTIVE) -> tuple[Array, NDArray[np.bool_]]:
+    """Return the side at which each bound and row is active (1: upper, -1: lower, 0: neither), and which are equalities.
+
+    The bounds of an angle that may be any do not limit, nor does that of the largest error of a minimax problem. `within` is the
+    distance (scaled) at which a limit counts as active.
+    """
+    values, low, high = np.concatenate([x, point.g]), nlp.lower, nlp.upper
+    sign = (high - values <= within) * 1.0 - (values - low <= within)
+    sign[: len(x)][nlp.around] = 0.0
+    sign[[k for k, variable in enumerate(nlp.variables) if variable.name.startswith(EPIGRAPH)]] = 0.0
+    return sign, low == high
+
+
+@dataclass(frozen=True)
+class MultiplierSet:
+    """All multipliers of an optimum: `multipliers` (n + m,), and others if gradients of active limits are linearly dependent.
+
+    These are `multipliers + directions @ t` with the signs of their limits: `sign` (n + m,) is zero of equalities and inactive
+    limits. `directions` (n + m, k) has no columns if the multipliers are unique.
+
+    References
+    ----------
+    J. Gauvin, F. Dubeau, Differential properties of the marginal function in mathematical programming (1982): the derivative of
+    the optimal value by a change of the bounds is extreme over all multipliers.
+    """
+
+    multipliers: Array
+    directions: Array
+    sign: Array
+
+    @classmethod
+    def unique(cls, multipliers: Array) -> MultiplierSet:
+        """Return a set of one element, for multipliers (n + m,) that are shown and not changed."""
+        return cls(multipliers, np.zeros((len(multipliers), 0)), np.zeros(len(multipliers)))
+
+    @classmethod
+    def of(cls, nlp: NLP, x: Array, point: NLPValues, multipliers: Array) -> MultiplierSet:
+        """Return all multipliers of an optimum of which some (n + m,), of bounds, then rows, are known."""
+        jacobian = np.concatenate([np.eye(len(x)), point.jacobian])
+        sign, equal = active_sides(nlp, x, point)
+        return cls.from_gradients(jacobian, multipliers, (sign != 0.0) | equal, np.where(equal, 0.0, sign))
+
+    @classmethod
+    def from_gradients(cls, gradients: Array, multipliers: Array, active: NDArray[np.bool_], sign: Array) -> MultiplierSet:
+        """Return all multipliers of an optimum from the gradients (limits, n) of its limits; for `sign` see the class."""
+        norms = np.linalg.norm(gradients, axis=1)
+        moving = norms > FLAT
+        rows = np.flatnonzero(active & (moving | (sign == 0.0)))  # an equation without gradient can have any multiplier
+        norms = np.where(moving, norms, 1.0)
+        left, singular, _ = np.linalg.svd(np.where(moving[rows, None], gradients[rows] / norms[rows, None], 0.0))
+        null = left[:, np.sum(singular > DEPENDENT * np.max(singular, initial=0.0)) :]
+        null[np.linalg.norm(null, axis=1) <= SAME_SUM] = 0.0  # these gradients do not depend on others
+        directions = np.zeros((len(multipliers), null.shape[1]))
+        directions[rows] = null / norms[rows, None]
+        return cls(multipliers, directions, sign)
+
+    def least(self, weights: Array) -> tuple[float, Array]:
+        """Return the least weighted sum of multipliers, -inf if there is none, and multipliers with this sum."""
+        value, size = float(weights @ self.multipliers), float(np.max(np.abs(self.multipliers), initial=0.0))
+        if not self.directions.size or not size or not self.changes(weights):
+            return value, self.multipliers
+        from scipy.optimize import linprog
+
+        limited = self.sign != 0.0
+        sides = self.sign[limited, None] * self.directions[limited]
+        room = np.maximum((self.sign * self.multipliers)[limited] / size, 0.0)
+        solved = linprog(weights @ self.directions, A_ub=-sides, b_ub=room, bounds=(None, None))
+        if solved.status in (2, 3, 4):  # unbounded
+            return -math.inf, self.multipliers
+        multipliers = self.multipliers + size * (self.directions @ solved.x)
+        multipliers[np.abs(multipliers) <= LEAST_PRICE * size] = 0.0
+        return float(weights @ multipliers), multipliers
+
+    def changes(self, weights: Array) -> bool:
+        """Return whether a weighted sum differs between the multipliers, apart from their signs."""
+        change = np.abs(weights) @ np.abs(self.directions)
+        return bool(np.any(np.abs(weights @ self.directions) > SAME_SUM * np.max(change, initial=0.0)))
+
+
+# A nonlinear programme at many points, with many values of its parameters; every figure of a point is the same in any batch.
+#
+# The residual of a motion law at one fixed position is traced once with its derivatives, and evaluated by numpy at all positions
+# of all points. Other programmes are evaluated point by point.
+
+
+@dataclass(frozen=True)
+class BatchValues:
+    """A programme at many points: arrays over the points.
+
+    `objective` (points,) is that of the measure; `gradient` (points, n) belongs to the scaled objective, `values` (points, n + m)
+    are the variables and the rows, `jacobian` (points, n + m, n) their derivatives, `hessian` (points, n, n) is that of the
+    Lagrangian.
+    """
+
+    objective: Array
+    gradient: Array
+    values: Array
+    jacobian: Array
+    hessian: Array
+
+
+class Evaluator(Protocol):
+    """Evaluates a programme of `size` variables at x (points, n).
+
+    p (points, k) are its parameters, the multipliers (points, n + m) those of the bounds of the variables and of the rows.
+    """
+
+    size: int
+
+    def __call__(self, x: Array, p: Array, multipliers: Array) -> BatchValues:
+        """Evaluate the programme."""
+        ...
+
+
+class PointwiseNLP:
+    """Evaluates any programme, one point after the other."""
+
+    def __init__(self, nlp: NLP) -> None:
+        self.nlp, self.size = nlp, len(nlp.variables)
+
+    def __call__(self, x: Array, p: Array, multipliers: Array) -> BatchValues:
+        """Evaluate the programme; see `Evaluator`."""
+        each, unit = [], np.eye(self.size)
+        for y, q, prices in zip(x, p, multipliers, strict=True):
+            point, objective = self.nlp.at(y, q), self.nlp.measure.of(self.nlp.residuals(y, q))
+            values, jacobian = np.concatenate([y, point.g]), np.concatenate([unit, point.jacobian])
+            each.append((objective, point.gradient, values, jacobian, self.nlp.hessian(y, q, prices[self.size :])))
+        return BatchValues(*map(np.array, zip(*each, strict=True)))
+
+
+class BatchNLP:
+    """Evaluates a programme without exchange points at the positions of its law."""
+
+    def __init__(self, nlp: NLP, law: Law) -> None:
+        self.nlp, self.size, self.offsets, self.tabulated = nlp, len(nlp.variables), law.offsets, law.tabulated
+        self.minimax = nlp.variables[-1].name == EPIGRAPH
+        self.limits = sum(row.limit != EPIGRAPH for row in nlp.rows)
+        self.pairs = [(i, j) for i in range(self.size) for j in range(i, self.size)]
+        x, p, position = nlp.x_symbol, nlp.p_symbol, nlp.position_expression
+        self.width = position.numel()
+        parts: list[Any] = []
+        for k in range(self.width):
+            hessian, gradient = casadi.hessian(position[k], x)
+            parts += [position[k], gradient, *(hessian[i, j] for i, j in self.pairs)]
+        self._residuals = NumpyEvaluator([x, p, nlp.position_symbol], parts)
+        multipliers, rows = casadi.SX.sym("multipliers", self.limits), nlp.g_expression[: self.limits]
+        hessian = casadi.hessian(casadi.dot(multipliers, rows), x)[0]
+        second = [hessian[i, j] for i, j in self.pairs]
+        self._limits = NumpyEvaluator([x, p, multipliers], [rows, casadi.jacobian(rows, x).T, *second])
+
+    def __call__(self, x: Array, p: Array, multipliers: Array) -> BatchValues:
+        """Evaluate the programme; see `Evaluator`."""
+        n, count, scale = self.size, len(x), p[:, :1]
+        of_rows = multipliers[:, n:]
+        positions = [np.broadcast_to(axis, (count, len(axis))) for axis in (self.offsets, self.tabulated)]
+        inputs = [*x.T[:, :, None], *p.T[:, :, None], *positions]
+        residuals = self._residuals(*inputs).reshape(self.width, -1, count, len(self.offsets))
+        error, first, second = residuals[:, 0], residuals[:, 1 : 1 + n], residuals[:, 1 + n :]
+        limits = self._limits(*x.T, *p.T, *of_rows[:, : self.limits].T).reshape(-1, count)
+        rows, slopes = limits[: self.limits].T, limits[self.limits : self.limits * (1 + n)].T.reshape(count, -1, n)
+        bent = limits[self.limits * (1 + n) :]
+        if self.minimax:
+            objective = np.max(np.abs(error), axis=(0, 2))
+            gradient = np.zeros((count, n))
+            gradient[:, -1] = 1.0 / scale[:, 0]
+            signed = np.stack([-error[0], error[-1]], axis=-1)
+            steep = np.stack([-first[0], first[-1]], axis=-1)  # (n, points, positions, 2)
+            steep[-1] += 1.0
+            rows = np.concatenate([rows, (x[:, -1:] + signed.reshape(count, -1)) / scale], axis=1)
+            slopes = np.concatenate([slopes, np.moveaxis(steep, 0, -1).reshape(count, -1, n) / scale[:, :, None]], axis=1)
+            weights = (of_rows[:, self.limits :] / scale).reshape(count, -1, 2)
+            bent = bent + np.sum(weights[..., 1] * second[-1] - weights[..., 0] * second[0], axis=-1)
+        else:
+            mean = len(self.offsets) if self.nlp.measure.name == "rms" else 1
+            total = np.sum(np.sum(error * error, axis=-1), axis=0)
+            objective = np.sqrt(total / mean) if mean > 1 else total
+            factor = 2.0 / (mean * scale[:, 0])
+            gradient = (factor * np.sum(np.sum(error[:, None] * first, axis=-1), axis=0)).T
+            bent = bent + factor * np.array(
+                [
+                    np.sum(np.sum(first[:, i] * first[:, j] + error * second[:, k], axis=-1), axis=0)
+                    for k, (i, j) in enumerate(self.pairs)
+                ]
+            )
+        hessian = np.empty((count, n, n))
+        for k, (i, j) in enumerate(self.pairs):
+            hessian[:, i, j] = hessian[:, j, i] = bent[k]
+        unit = np.broadcast_to(np.eye(n), (count, n, n))
+        values, jacobian = np.concatenate([x, rows], axis=1), np.concatenate([unit, slopes], axis=1)
+        return BatchValues(objective, gradient, values, jacobian, hessian)

@@ -11,9 +11,8 @@ import numpy as np
 from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.vector2d import Array, Value, Vector, cross, unit
 from optlink.problem.design import DesignProblem
-from optlink.problem.robust import EXPECTED, residuals, sizes_of
 from optlink.problem.targets.law import Table
-from optlink.problem.tolerances import with_deviating_pivots
+from optlink.problem.tolerances import EXPECTED, residuals, sizes_of, with_deviating_pivots
 from optlink.symbolic import NumpyEvaluator, symbols_in_numpy
 
 
@@ -82,7 +81,7 @@ class ErrorDerivatives:
 def traced_residuals(
     problem: DesignProblem, known: Mapping[str, Any], angle: Any, target: tuple[Any, ...], smoothed: Value
 ) -> list[Any]:
-    """Return the residuals of a robust problem at one position as symbols, see `optlink.problem.robust.residuals`.
+    """Return the residuals of a robust problem at one position as symbols, see `optlink.problem.tolerances.residuals`.
 
     `known` has the quantities and, by their keys, the tolerances that count.
     """
@@ -119,7 +118,7 @@ class ErrorResiduals:
         return parts[-1], mean
 
     def parts(self, values: Mapping[str, Value], offsets: Array, tabulated: Array) -> list[Array]:
-        """Return the residuals at crank rotations [rad] from the start (`optlink.problem.robust.residuals`)."""
+        """Return the residuals at crank rotations [rad] from the start (`optlink.problem.tolerances.residuals`)."""
         problem = self.problem
         with np.errstate(all="ignore"):
             values = problem.complete(values)

@@ -18,16 +18,6 @@ import numpy as np
 
 from optlink.linkage.stroke import LEAST_DIFFERENCE
 from optlink.linkage.vector2d import TURN, Array, unit
-from optlink.optimization.constraints import (
-    DEGREES,
-    PLAIN,
-    ConstraintRow,
-    Scale,
-    SquareRootScale,
-    link_rows,
-    rows as limit_rows,
-    transmission,
-)
 from optlink.optimization.courses import (
     EVENT,
     ErrorCourse,
@@ -35,17 +25,29 @@ from optlink.optimization.courses import (
     TermCourse,
     course_again,
     exchange_count,
+    heights_at,
     limit_courses,
+    rows_below_level,
 )
 from optlink.optimization.mapped_terms import MappedTerms
 from optlink.optimization.nlp import NLP, Variable, boxed, scaled_variable
-from optlink.optimization.objectives import Figure, error_measures
 from optlink.optimization.output_derivatives import traced_residuals
-from optlink.optimization.term_rows import heights_at, rows_below_level
-from optlink.problem.cycle.terms import Term
+from optlink.optimization.terms import (
+    DEGREES,
+    PLAIN,
+    ConstraintRow,
+    Figure,
+    Scale,
+    SquareRootScale,
+    error_measures,
+    link_rows,
+    rows as limit_rows,
+    transmission,
+)
 from optlink.problem.design import EPIGRAPH, STEP, DesignProblem
 from optlink.problem.limits import Bound, Reach
-from optlink.problem.robust import EXPECTED, SMOOTHED
+from optlink.problem.terms import Term
+from optlink.problem.tolerances import EXPECTED, SMOOTHED
 from optlink.symbolic import symbols_in_numpy
 from optlink.units import DISPLAYED
 

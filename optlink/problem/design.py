@@ -11,26 +11,24 @@ import numpy as np
 from pydantic import PrivateAttr, model_validator
 from pydantic.fields import FieldInfo
 
-from optlink.dynamics.inertia import Inertia
+from optlink.dynamics.machine import Inertia
 from optlink.linkage.dyad_types import transmitting
 from optlink.linkage.inner_four_bar import InnerFourBar, whole_four_bar
 from optlink.linkage.mechanism import Pose
 from optlink.linkage.vector2d import Array, Value
-from optlink.problem.cycle.terms import Goal, Limit, Objective, Term, check_term, read_scale
-from optlink.problem.interval import read_figure
 from optlink.problem.limits import LIMITS, MARGIN_KEYS, Bound, Limits, LimitTerm, Reach, check_limits, four_bar_limits
 from optlink.problem.linked import Link
 from optlink.problem.machine.model import Problem, ShownObjective
 from optlink.problem.mechanism import check_one_mode
-from optlink.problem.quantity import Quantity, Unusable, below
+from optlink.problem.quantity import Quantity, Unusable, below, read_figure
 from optlink.problem.requirements.base import NoRequirement, Requirement, StartPosition, TargetArrays, names_of
 from optlink.problem.requirements.kinds import AnyRequirement
 from optlink.problem.requirements.points import carrier
-from optlink.problem.robust import Robust, check_robust
 from optlink.problem.targets.expression import Expression
-from optlink.problem.targets.function import Function
-from optlink.problem.targets.law import Law, SlideExpression
+from optlink.problem.targets.law import Function, Law, SlideExpression
 from optlink.problem.targets.target_points import TargetPoints
+from optlink.problem.terms import Goal, Limit, Objective, Term, check_term, read_scale
+from optlink.problem.tolerances import Robust, check_robust
 from optlink.units import DISPLAYED, KINDS, display_unit
 
 NUMBERS = ("mechanism.", "limits.", "tolerances.", "requirement.from", "requirement.start", "requirement.psi0")

@@ -14,17 +14,16 @@ import pydantic
 from optlink.errors import Fault
 from optlink.io import Registry
 from optlink.problem.base_model import ALSO_WRITTEN, Ends, written
-from optlink.problem.cycle.terms import Limit
 from optlink.problem.design import DesignProblem
-from optlink.problem.limits import OF_QUANTITY, OF_REGION, Limits, four_bar_limits
+from optlink.problem.limits import OF_QUANTITY, OF_REGION, Limits, RegionLimit, four_bar_limits
 from optlink.problem.machine.model import Problem
 from optlink.problem.mechanism import DyadsSection, FourBarSection
 from optlink.problem.quantity import Unusable, nearest
-from optlink.problem.region import RegionLimit
 from optlink.problem.requirements.base import DEFAULT_KIND
 from optlink.problem.requirements.kinds import REQUIREMENTS, lacks
 from optlink.problem.targets.law import SLIDE
 from optlink.problem.targets.target_points import file_kind
+from optlink.problem.terms import Limit
 from optlink.units import split
 from optlink.unsupported import unsupported_key
 

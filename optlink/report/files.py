@@ -11,8 +11,7 @@ from typing import Any
 
 from optlink.errors import InputError
 from optlink.io import check_link, checked, folder, read_object, whole
-from optlink.problem.file import ProblemFile, dump, shipped
-from optlink.problem.fixed_design import with_files_beside
+from optlink.problem.file import ProblemFile, dump, shipped, with_files_beside
 from optlink.problem.quantity import input_of, nearest
 
 MAX_NAME_BYTES = 255  # largest length of a file name on common systems [bytes]

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, TypeAlias, cast
 
 from optlink.errors import InputError, Status
 from optlink.problem.file import ProblemFile
-from optlink.report.causes import causes, why_invalid
-from optlink.report.regions import Region, regions_of
+from optlink.report.format import causes, why_invalid
+from optlink.report.scene import Region, regions_of
 from optlink.tasks.analyze import Analysis, analyze
 from optlink.tasks.run import solve, validate
 

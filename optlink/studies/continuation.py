@@ -8,7 +8,7 @@ import numpy as np
 
 from optlink.errors import Status
 from optlink.optimization.nlp import NLP
-from optlink.solvers.newton import newton
+from optlink.solvers.multistart import newton
 from optlink.solvers.solution import Attempt, Solution, verified_solution
 
 MAX_STEPS = 8

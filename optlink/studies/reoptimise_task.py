@@ -1,7 +1,8 @@
 """Sweep task that finds an optimum at every point of a grid.
 
 Programmes are built once: what varies are their parameters and bounds. Searches are made in the middle of every block of
-neighbouring points; Newton's method leads from there to the optima of all points of the block at once (`optlink.studies.batch`).
+neighbouring points; Newton's method leads from there to the optima of all points of the block at once
+(`optlink.studies.batch_optima`).
 A point where it does not end at a verified optimum is searched. Every optimum is validated like a single one. A row depends on
 the grid alone.
 
@@ -25,26 +26,21 @@ from numpy.typing import NDArray
 
 from optlink.errors import InputError, Status
 from optlink.linkage.vector2d import Array
-from optlink.optimization.batch_nlp import BatchNLP
-from optlink.optimization.constraints import rows as limit_rows
 from optlink.optimization.courses import course_again
-from optlink.optimization.multipliers import ACTIVE
-from optlink.optimization.nlp import NLP
+from optlink.optimization.nlp import ACTIVE, NLP, BatchNLP
 from optlink.optimization.programme import build, constant_values
+from optlink.optimization.terms import rows as limit_rows
 from optlink.problem.design import DesignProblem, is_parameter
 from optlink.problem.file import ProblemFile
-from optlink.problem.quantity import Quantity, check_choice
-from optlink.problem.quantity_keys import place_of
+from optlink.problem.quantity import Quantity, check_choice, place_of
 from optlink.solvers import multistart
 from optlink.solvers.contract import selectable
 from optlink.solvers.exchange import with_peaks
 from optlink.solvers.solution import FEASIBLE, Attempt, Solution
-from optlink.studies.batch.blocks import MAX_BLOCK_POINTS, Blocks, coarse_block
-from optlink.studies.batch.newton import BatchProblem
-from optlink.studies.batch.optima import GridSearch, keep
+from optlink.studies.batch_optima import MAX_BLOCK_POINTS, BatchProblem, Blocks, GridSearch, coarse_block, keep
 from optlink.studies.continuation import FOLLOWED, follow_optimum
-from optlink.studies.fast_overrides import FastOverride
 from optlink.studies.grid import Grid, column
+from optlink.studies.optimum_parameters import FastOverride
 from optlink.studies.sweep_task import FROM_KNOWN, OPTIMISE, OUTCOME, SweepTask
 from optlink.studies.target_programme import PeakProgramme, TargetProgramme, in_order, limit_key, variables_of
 from optlink.tasks import design as targets

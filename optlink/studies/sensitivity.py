@@ -1,6 +1,6 @@
 """Parametric sensitivities: derivatives of an optimum by all its parameters, and their range of validity.
 
-The method is described in `optlink.studies.kkt_derivatives`.
+The method is described in `optlink.studies.optimum_parameters`.
 """
 
 from __future__ import annotations
@@ -19,9 +19,16 @@ from optlink.problem.arguments import typed
 from optlink.problem.document import Document, Number, Source
 from optlink.problem.file import ProblemFile
 from optlink.solvers.solution import Solution
-from optlink.studies.kkt_derivatives import KKTSystem, ValidityEnd
-from optlink.studies.optimum_parameters import CycleParameters, OptimumParameters, TargetParameters
-from optlink.studies.parameters import Parameter, design_variables, displayed
+from optlink.studies.optimum_parameters import (
+    CycleParameters,
+    KKTSystem,
+    OptimumParameters,
+    Parameter,
+    TargetParameters,
+    ValidityEnd,
+    design_variables,
+    displayed,
+)
 from optlink.tasks.protocol import completed
 from optlink.tasks.results.balance import Balance
 from optlink.tasks.run import solve

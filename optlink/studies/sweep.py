@@ -23,11 +23,9 @@ from optlink.execution.store import TABLE, Progress, Store, TemporaryFolder
 from optlink.problem.arguments import typed
 from optlink.problem.document import Document, Source
 from optlink.problem.file import ProblemFile
-from optlink.studies.analysis_task import MAX_ANGLES, analysis_task
 from optlink.studies.grid import Grid, axes_of_arrays, read_grid
 from optlink.studies.reoptimise_task import SEARCHED, check_backend, chunk_of, optimum_task
-from optlink.studies.simulation_task import simulation_task
-from optlink.studies.sweep_task import OPTIMISE, SweepTask
+from optlink.studies.sweep_task import MAX_ANGLES, OPTIMISE, SweepTask, analysis_task, simulation_task
 
 CHANGED = "active_set_changed"
 MAX_ROWS = 200_000  # rows up to which a document contains the table, and a page shows all of it

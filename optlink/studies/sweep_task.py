@@ -8,14 +8,28 @@ import hashlib
 import io
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, fields
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
+import numpy as np
+
+from optlink.dynamics.columns import MotionColumns, pin_columns
+from optlink.dynamics.forward import Ending
+from optlink.dynamics.machine import Machine, slider_names
 from optlink.errors import InputError
+from optlink.linkage.singular import positions_text
+from optlink.linkage.stroke import Ranges, failure, reachable
+from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.file import ProblemFile
-from optlink.studies.grid import Grid
+from optlink.problem.quantity import nearest
+from optlink.studies.grid import Axis, Grid
+from optlink.tasks.analyze import Analysis, analyze, analyze_batch, batch_extremes, reaction_parts
+from optlink.tasks.clearance import check_simulations, simulate_clearance
+from optlink.tasks.machine import crank_speed, machine_of
+from optlink.tasks.simulate import simulate
+from optlink.units import factor
 from optlink.version import VERSION
 
 OPTIMISE = "optimise"  # mode of a sweep that optimises at every point
@@ -139,3 +153,256 @@ class FiguresTask(SweepTask):
     def columns(self) -> list[str]:
         """The axes, the figures, and the outcome."""
         return [*(axis.column for axis in self.grid.axes), *self.figures, "status", "valid", "reason"]
+
+
+# Sweep task that analyses the machine at every point of a grid.
+
+CHUNK = 2000  # designs per chunk
+MAX_ANGLES = 10_000  # largest number of crank angles of an analysis
+FIGURES = ("min", "max", "rms")
+ANALYSED = "analysed"
+ANGLE = ".angle_rad"  # its extremes are those of the swing
+
+
+@dataclass(frozen=True)
+class AnalysisTask(FiguresTask):
+    """Analysis of given designs over the whole revolution.
+
+    `quantities` of the mechanism that the axes vary; `requested`: columns, each with its least, largest and rms value, or single
+    figures; `points`: crank angles per revolution, for rms values; `design` [SI]: design variables that are not varied.
+    """
+
+    mode = "analyse"
+
+    quantities: tuple[str, ...]
+    requested: tuple[str, ...]
+    points: int
+    design: tuple[tuple[str, float], ...]
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """Crank angles and the given design."""
+        return {"crank_angles": self.points, "design": dict(self.design)}
+
+    @cached_property
+    def figures(self) -> tuple[str, ...]:
+        """Names of the figures, in the order of the table."""
+        columns, single = available_figures(self.problem)
+        names: dict[str, None] = {}
+        for name in self.requested:
+            if name in columns:
+                names |= dict.fromkeys(f"{name}.{kind}" for kind in FIGURES)
+            elif name in single or (name.rpartition(".")[0] in columns and name.rpartition(".")[2] in FIGURES):
+                names[name] = None
+            else:
+                raise InputError("no such column", nearest(name, (*columns, *single)), self.source.file, "--column", name)
+        return tuple(names)
+
+    def machines(self, points: range) -> Iterator[MachineFigures]:
+        """Yield the figures of the designs at points of the grid."""
+        values = [self.grid.values(point) for point in points]
+        quantities = self.problem.model.mechanism.quantities
+        designs = {name: np.full(len(values), value) for name, value in self.design if name in quantities}  # none of a task alone
+        for name, axis, column in zip(self.quantities, self.grid.axes, np.array(values).T, strict=True):
+            designs[name] = column * factor(axis.unit, quantities[name].kind)
+        clear = self._batched(designs)
+        for i in range(len(values)):
+            outcome = clear.get(i) or self._alone({name: float(sizes[i]) for name, sizes in designs.items()})
+            missing = [name for name in self.figures if not math.isfinite(outcome.figures.get(name, math.nan))]
+            if outcome.status == ANALYSED and missing:
+                outcome = outcome._replace(status="no value", reason=f"{missing[0]} has no value for this design")
+            yield outcome
+
+    def _batched(self, designs: Mapping[str, Array]) -> dict[int, MachineFigures]:
+        """Return the outcomes of the designs clear of all singular positions, by their index."""
+        stems = {name.rpartition(".")[0] for name in self.figures}
+        columns, _ = available_figures(self.problem)
+        machine = machine_of(self.problem)
+        breaks = machine.switching or machine.cornered or any(load.by_pace for load in self.problem.model.loads.values())
+        if breaks or not stems <= {name for name in columns if not name.endswith(ANGLE)}:
+            return {}
+        extremes, clear = batch_extremes(self.problem, designs, tuple(sorted(stems)))
+        numbers = np.flatnonzero(clear)
+        if not numbers.size:
+            return {}
+        values = {f"{name}.{kind}": bounds[numbers, k] for name, bounds in extremes.items() for k, kind in enumerate(FIGURES[:2])}
+        for name in {name.removesuffix(".rms") for name in self.figures if name.endswith(".rms")}:
+            parts = reaction_parts(name)
+            sampled = analyze_batch(self.problem, {key: sizes[numbers] for key, sizes in designs.items()}, parts, self.points)
+            with np.errstate(all="ignore"):
+                values[f"{name}.rms"] = np.sqrt(np.mean(sum(np.square(sampled[part]) for part in parts), axis=1))
+        return {
+            int(number): MachineFigures({name: float(column[i]) for name, column in values.items()}, ANALYSED)
+            for i, number in enumerate(numbers)
+        }
+
+    def _alone(self, design: Mapping[str, float]) -> MachineFigures:
+        """Return the outcome of one design [SI], including failures."""
+        machine = machine_of(self.problem, design)
+        ranges = reachable(machine.mechanism, machine.sizes)
+        if not ranges.full:
+            return MachineFigures(
+                {}, "partial rotation" if ranges.ranges else "not assembled", _unreached(self.problem, machine, ranges)
+            )
+        analysis = analyze(self.problem, self.points, design=design)
+        if not analysis.sound:
+            return MachineFigures(
+                {}, "singular position" if analysis.singular.size else "no finite reactions", _unsound(analysis)
+            )
+        return MachineFigures({**analysis.figures, **dict(self._sampled(analysis))}, ANALYSED)
+
+    def _sampled(self, analysis: Analysis) -> Iterator[tuple[str, float]]:
+        """Yield figures missing in the summary of the analysis: rms values, and extremes of angles."""
+        for name in {name.rpartition(".")[0] for name in self.figures}:
+            parts = reaction_parts(name)
+            if not all(part in analysis.columns for part in parts):
+                continue
+            yield f"{name}.rms", math.sqrt(sum(float(np.mean(np.square(analysis[part][:-1]))) for part in parts))
+            if name.endswith(ANGLE):
+                swing = analysis.swings.get(name.removesuffix(ANGLE))
+                yield f"{name}.min", float(np.min(analysis[name])) if swing is None else swing.low
+                yield f"{name}.max", float(np.max(analysis[name])) if swing is None else swing.high
+
+
+def available_figures(problem: ProblemFile) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the columns of the analysis, whose extremes and rms values can be columns of a sweep, and its other figures."""
+    machine, drive = machine_of(problem), problem.model.drive
+    mechanism = machine.mechanism
+    columns = list(MotionColumns(machine.moving(np.array([drive.start.value]), crank_speed(problem))).columns)
+    columns += [name for name, _, _ in pin_columns(machine)]
+    sliders = set(slider_names(machine).values())
+    single = [f"{name}.{kind}" for name in sliders for kind in ("stroke_m", "time_ratio")]
+    for link in mechanism.links:
+        single += [f"{link.body}.swing_rad", f"{link.body}.{'swing_' if link.body in sliders else ''}time_ratio"]
+    work = f"input.work_per_{'revolution' if machine.cycle == TURN else 'cycle'}_J"
+    return tuple(columns), (*sorted(single), work, "input.work_J.min", "input.work_J.max")
+
+
+def _unreached(problem: ProblemFile, machine: Machine, ranges: Ranges) -> str:
+    """Return where the crank can turn, and what stops it."""
+    if ranges.ranges:
+        return f"the crank does not turn fully; reachable: {ranges.text}"
+    failed = failure(machine.mechanism, machine.sizes, problem.model.drive.start.value)
+    return f"no crank angle can be reached{f': {failed}' if failed else ''}"
+
+
+def _unsound(analysis: Analysis) -> str:
+    """Return why an analysis is not sound, and where."""
+    if analysis.ranges.singular:
+        where = f"singular position at crank angle {positions_text(analysis.ranges.singular)}"
+        return f"{where}: the assembly modes meet, and the motion beyond it is not determined"
+    for angles, what in (
+        (analysis.singular, "singular position, reactions are infinite,"),
+        (analysis.jammed, "friction locks a guide, or leaves several solutions,"),
+        (analysis.undefined, "a load has no finite value"),
+    ):
+        if angles.size:
+            more = f" and {angles.size - 1} more positions" if angles.size > 1 else ""
+            return f"{what} at crank angle {math.degrees(float(angles[0])):.6g} deg{more}"
+    return "`optlink analyze` with --set at this point gives the reason"
+
+
+def quantity_of(problem: ProblemFile, axis: Axis) -> str:
+    """Return the mechanism quantity that an axis varies: `mechanism.frame`, `mechanism.links.rod.length` or `rod.length`."""
+    quantities = problem.model.mechanism.quantities
+    name = axis.key.removeprefix("mechanism.")
+    for start in ("links.", "ground.", "guides.", "points."):
+        name = name.removeprefix(start)
+    name = name.replace(".points.", ".").replace(".through.", ".")
+    if name not in quantities:
+        prescribed = axis.key.partition(".")[0] in ("requirement", "limits", "objective")
+        remedy = "Leave --analyze out, to optimise at every point" if prescribed else "Write --simulate, which varies every key"
+        remedy += f"; dimensions: {', '.join(quantities)}"
+        raise InputError("an analysis varies dimensions of the mechanism only", remedy, problem.file, f"--vary {axis.key}")
+    return name
+
+
+def analysis_task(
+    problem: ProblemFile, grid: Grid, columns: Sequence[str], points: int, design: Mapping[str, float] | None
+) -> AnalysisTask:
+    """Return the task that analyses the machine at every point."""
+    quantities = tuple(quantity_of(problem, axis) for axis in grid.axes)
+    following = {*quantities, *problem.model.links}
+    values = tuple((name, value) for name, value in (design or {}).items() if name not in following)
+    task = AnalysisTask(problem, grid, CHUNK, quantities, tuple(columns), points, values)
+    first = Grid(tuple(replace(axis, values=axis.values[:1]) for axis in grid.axes))
+    replace(task, grid=first).lines(0)  # detects invalid columns or dimensions early
+    return task
+
+
+# Sweep task that simulates the machine at every point of a grid: speed, clearance, friction or dimensions vary.
+
+
+@dataclass(frozen=True)
+class SimulationTask(FiguresTask):
+    """Figures of the simulation of the machine at every point.
+
+    `figures`: their names, those of a simulation at the first point; `stated`: options (revolutions, points, control, tolerance,
+    duration [s], speed [rad/s]); `design` [SI]: design variables that are not varied.
+    """
+
+    mode = "simulate"
+
+    figures: tuple[str, ...]
+    stated: tuple[tuple[str, Any], ...]
+    design: tuple[tuple[str, float], ...]
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """Options of every simulation, and the given design."""
+        return {"options": dict(self.stated), "design": dict(self.design)}
+
+    def machines(self, points: range) -> Iterator[MachineFigures]:
+        """Yield the figures of the simulations at points of the grid."""
+        return map(self.simulated, points)
+
+    @cached_property
+    def has_clearance(self) -> bool:
+        """Whether there are joints with clearance."""
+        return self.problem.override(self.grid.changes(0)).model.has_clearance
+
+    def simulated(self, point: int) -> MachineFigures:
+        """Return the figures of a simulation, with its ending as status."""
+        try:
+            file = self.problem.override(self.grid.changes(point))
+            design = {name: value for name, value in self.design if name in file.model.free} or None
+            result = simulate_machine(file, dict(self.stated), design, has_clearances=self.has_clearance)
+        except InputError as error:
+            return MachineFigures({}, "not simulated", error.faults[0].message)
+        if result.status == Ending.INTERRUPTED.value:  # a row is complete or absent
+            raise KeyboardInterrupt
+        return result
+
+
+def simulate_machine(
+    problem: ProblemFile, options: Mapping[str, Any], design: Mapping[str, float] | None, *, has_clearances: bool
+) -> MachineFigures:
+    """Simulate one machine."""
+    settings = dict(options)
+    if has_clearances:
+        settings = {"integrator": "cvodes", **settings}  # one for all points, whatever is compiled meanwhile
+        simulation = simulate_clearance(problem, design=design, check_predictability=False, **settings)
+        return MachineFigures(simulation.figures, simulation.ending.value, "" if simulation.finished else simulation.message)
+    if "points" in settings:
+        settings["rows"] = settings.pop("points")
+    ideal = simulate(problem, design=design, **settings)
+    reason = "" if ideal.finished else f"{ideal.ending.text} (at {ideal.stopped:.9g} s)"
+    return MachineFigures(ideal.figures, ideal.ending.value, reason)
+
+
+def simulation_task(
+    problem: ProblemFile, grid: Grid, options: Mapping[str, Any], design: Mapping[str, float] | None
+) -> SimulationTask:
+    """Return the task that simulates every point; the names of its figures are those of a short run at the first one.
+
+    With joint clearance, its integrator is the one that is fastest for all points.
+    """
+    first, short = problem.override(grid.changes(0)), options
+    clearances = first.model.has_clearance
+    if clearances:
+        settings = {"control": "none", "revolutions": 20, "points": 360, "tolerance": 1e-10, **options}
+        _, integrator = check_simulations(first, design=design, runs=grid.count, **settings)
+        options = {**options, "integrator": integrator} if integrator != "cvodes" else options
+        short = {**options, "revolutions": 1}
+    names = tuple(simulate_machine(first, short, design, has_clearances=clearances).figures)
+    return SimulationTask(problem, grid, 1, names, tuple(options.items()), tuple((design or {}).items()))

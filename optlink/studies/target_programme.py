@@ -8,22 +8,19 @@ from numpy.typing import NDArray
 
 from optlink.errors import Status
 from optlink.linkage.vector2d import Array, unit
-from optlink.optimization.batch_nlp import PointwiseNLP
-from optlink.optimization.constraints import alignment_row, link_rows, position_rows, rows as limit_rows
 from optlink.optimization.courses import TermCourse, has_position_limits
-from optlink.optimization.nlp import NLP
+from optlink.optimization.nlp import NLP, PointwiseNLP
 from optlink.optimization.programme import build, constant_values
+from optlink.optimization.terms import alignment_row, link_rows, position_rows, rows as limit_rows
 from optlink.problem.design import DesignProblem
 from optlink.problem.file import ProblemFile
 from optlink.problem.limits import Reach
 from optlink.problem.machine.model import Problem
 from optlink.solvers import multistart
 from optlink.solvers.contract import MINIMAX
-from optlink.solvers.event_orders import at_edge, misfit
-from optlink.solvers.exchange import INTEGRAL_TOLERANCE, MOST_NODES, RADIUS, largest_excess, solve_semi_infinite
+from optlink.solvers.exchange import INTEGRAL_TOLERANCE, MOST_NODES, RADIUS, at_edge, largest_excess, misfit, solve_semi_infinite
 from optlink.solvers.solution import Solution
-from optlink.studies.batch.newton import BatchProblem
-from optlink.studies.batch.optima import keep
+from optlink.studies.batch_optima import BatchProblem, keep
 from optlink.studies.continuation import FOLLOWED
 from optlink.units import DISPLAYED, KINDS, factor
 

@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
+import base64
+import binascii
 import contextlib
 import os
 import stat
+import tempfile
 import tomllib
-from collections.abc import Collection, Mapping
+import zlib
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 from optlink.errors import InputError
 from optlink.problem.enclosed import references
 from optlink.problem.file import MAX_BYTES, ProblemFile, load, read, shipped
-from optlink.problem.quantity import check_choice
-from optlink.problem.quantity_keys import file_key, quantity_key
+from optlink.problem.quantity import check_choice, file_key, quantity_key
 from optlink.problem.targets.target_points import split_enclosed
 from optlink.problem.templates import template, templates
 from optlink.report import toml_text
-from optlink.studies.toml_keys import exact_text
+from optlink.studies.grid import exact_text
+from optlink.studio.design import Design
 from optlink.version import VERSION
 
 NO_FOLDER = Path(__file__)  # of a problem without files: below a file no other one can lie, whoever may write into which folder
@@ -210,3 +214,95 @@ def tables(text: str, file: str) -> dict[str, Any]:
     except (tomllib.TOMLDecodeError, ValueError, RecursionError) as error:
         reason = "nested too deeply" if isinstance(error, RecursionError) else str(error)
         raise InputError(f"the text is not valid TOML: {reason}", "Correct the text", file) from None
+
+
+# Undo and redo: the steps of a document. The server keeps a copy, so that a failed computation does not lose them.
+
+Step = TypeVar("Step")
+
+MAX_STEPS = 200
+
+
+class History(Generic[Step]):
+    """Documents in the order of their changes, and the index of the present one."""
+
+    def __init__(self, steps: Sequence[Step], at: int) -> None:
+        self.steps, self.at = list(steps), at
+
+    @property
+    def present(self) -> Step:
+        """The present document."""
+        return self.steps[self.at]
+
+    def add(self, document: Step) -> None:
+        """Add a step after the present one, and drop what was undone."""
+        self.steps[self.at + 1 :] = [document]
+        del self.steps[:-MAX_STEPS]
+        self.at = len(self.steps) - 1
+
+    def move(self, step: int) -> None:
+        """Undo (-1) or redo (+1) a step, if there is one."""
+        self.at = min(max(self.at + step, 0), len(self.steps) - 1)
+
+    @property
+    def ends(self) -> tuple[bool, bool]:
+        """Whether a step can be undone, and redone."""
+        return self.at > 0, self.at < len(self.steps) - 1
+
+
+# Exports of the studio: drawings, tables and the report of the present design, and links that contain the problem.
+
+MEDIA = {"dxf": "image/vnd.dxf", "svg": "image/svg+xml", "html": "text/html", "csv": "text/csv"}
+
+
+def exported(design: Design, name: str, format: str) -> dict[str, Any]:
+    """Return a file of a design: its name, media type and text.
+
+    Raises
+    ------
+    InputError
+        If the format is unknown, or the design cannot be drawn.
+    """
+    if format not in MEDIA:
+        raise InputError("unknown format", f"One of: {', '.join(MEDIA)}", key="format", value=format)
+    if design.result is None:
+        raise InputError("there is no verified design yet", "Release the handle, or wait for the search", key="export")
+    from optlink.report.export.export import export
+    from optlink.report.html.page import page
+    from optlink.report.report_model import report_model_of
+
+    model = report_model_of(design.result)
+    if format == "html":
+        text = page(model)
+    else:
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / f"{name}.{format}"
+            export(model, path)
+            text = path.read_text(encoding="utf-8")
+    return {"name": f"{name}.{format}", "media": MEDIA[format], "text": text}
+
+
+def deflated(text: str) -> str:
+    """Return a text, compressed, in the letters of a link."""
+    return base64.urlsafe_b64encode(zlib.compress(text.encode(), 9)).decode().rstrip("=")
+
+
+def inflated(fragment: str) -> str:
+    """Return the text of a link.
+
+    Raises
+    ------
+    InputError
+        If it is not a compressed text, or too long.
+    """
+    try:
+        data = base64.urlsafe_b64decode(fragment + "=" * (-len(fragment) % 4))
+        unpacker = zlib.decompressobj()
+        text = unpacker.decompress(data, MAX_BYTES + 1)
+        if len(text) > MAX_BYTES:
+            raise InputError(f"the problem of the link is longer than {MAX_BYTES:,} bytes", "Open its file instead")
+        if not unpacker.eof:
+            raise ValueError
+        return text.decode()
+    except (ValueError, binascii.Error, zlib.error):
+        raise InputError("the link contains no problem", "Copy the whole link") from None

@@ -9,8 +9,8 @@ from optlink.errors import InputError
 from optlink.io import finite
 from optlink.linkage.mechanism import Arm
 from optlink.problem.file import ProblemFile
-from optlink.problem.quantity_keys import file_key
-from optlink.studies.toml_keys import Knob, exact_text, knobs, read_figure
+from optlink.problem.quantity import file_key
+from optlink.studies.grid import Knob, exact_text, knobs, read_figure
 from optlink.studio.picture import Picture
 
 MAX_VALUE = 1e9  # in the unit of a handle

@@ -10,8 +10,7 @@ from optlink.dynamics.machine import Machine
 from optlink.io import finite
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.vector2d import TURN, Array
-from optlink.report.regions import Outline, Region
-from optlink.report.scene import LOOKS, MM, Scene
+from optlink.report.scene import LOOKS, MM, Outline, Region, Scene
 from optlink.report.shapes import zigzag
 
 POSITIONS = 72  # positions per revolution

@@ -29,8 +29,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from optlink.errors import InputError
 from optlink.studio.document import hello
-from optlink.studio.link import UNSTARTED_TEXT, Link, Worker
-from optlink.studio.requests import MAX_MESSAGE, TOO_MANY, Requests
+from optlink.studio.link import MAX_MESSAGE, TOO_MANY, UNSTARTED_TEXT, Link, Requests, Worker
 
 ASSETS = Path(__file__).parent / "assets"
 ADDRESS = "127.0.0.1"

@@ -10,27 +10,37 @@ from optlink.problem.assignment import parse_assignment
 from optlink.problem.enclosed import references
 from optlink.problem.file import ProblemFile, load
 from optlink.report.format import pretty
-from optlink.report.regions import regions_of
-from optlink.studio import state
+from optlink.report.scene import regions_of
+from optlink.studio import design as state
 from optlink.studio.design import (
     Design,
+    Follower,
     carried_design,
     failure,
     fault_text,
     from_solution,
     in_modes,
+    kind_of,
     moved_machine,
     solved_design,
     started,
+    structure,
     validated_design,
     verdict,
 )
-from optlink.studio.document import Document, from_template, from_text, named, shipped_problem
-from optlink.studio.files import deflated, exported, inflated
-from optlink.studio.follow import Follower
+from optlink.studio.document import (
+    MAX_STEPS,
+    Document,
+    History,
+    deflated,
+    exported,
+    from_template,
+    from_text,
+    inflated,
+    named,
+    shipped_problem,
+)
 from optlink.studio.handles import Handle, handles, same_kind
-from optlink.studio.history import MAX_STEPS, History
-from optlink.studio.kinds import kind_of, structure
 from optlink.studio.picture import Picture
 
 if TYPE_CHECKING:
@@ -411,7 +421,7 @@ class Session:
 
 def warm() -> None:
     """Import what the first request would otherwise wait for."""
-    from optlink.studio import curve, files
+    from optlink.studio import curve, document as files
     from optlink.tasks import certify, design
     from optlink.tasks.analyze import analyze
 

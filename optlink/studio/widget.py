@@ -15,8 +15,7 @@ import traitlets
 
 from optlink.problem.file import ProblemFile
 from optlink.studio.document import Document, hello
-from optlink.studio.link import Link, Worker
-from optlink.studio.requests import Requests
+from optlink.studio.link import Link, Requests, Worker
 from optlink.tasks.run import solve
 
 CANVAS_HEIGHT = 640  # px

@@ -26,12 +26,12 @@ from optlink.linkage.dyad_types import RRR
 from optlink.linkage.inner_four_bar import InnerFourBar, inner_four_bars
 from optlink.linkage.mechanism import FRAME, Link, Mechanism, Pose
 from optlink.linkage.vector2d import Array, unit
-from optlink.optimization.constraints import rows as limit_rows
 from optlink.optimization.courses import limit_courses
+from optlink.optimization.terms import rows as limit_rows
 from optlink.problem.design import DesignProblem
 from optlink.problem.file import ProblemFile
 from optlink.problem.limits import Reach
-from optlink.synthesis import random_starts
+from optlink.synthesis import batch_search
 from optlink.synthesis.batch import Batch
 
 Complex = NDArray[np.complex128]
@@ -179,7 +179,7 @@ def grow_from_four_bar(
     (points,) [rad] the crank angles; `batch` is the linkage with definite assembly modes. There are at most `count` designs,
     those with the largest slack of their limits first.
     """
-    x = random_starts.random_designs(batch, SAMPLES, rng)
+    x = batch_search.random_designs(batch, SAMPLES, rng)
     for i, name in enumerate(batch.names):  # relative to the size of the curve, independent of the bounds
         kind, near = batch.problem.quantities[name].kind, slice(SAMPLES // 4, SAMPLES)
         if kind in NEARBY:

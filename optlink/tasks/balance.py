@@ -10,22 +10,18 @@ from typing import Any
 import numpy as np
 
 from optlink.balancing import optimum as search
-from optlink.balancing.certificate import GAP
-from optlink.balancing.measures import amounts, measured, value
-from optlink.balancing.socp import NOTHING, BalanceBound, BalancingProgramme, Price, version
+from optlink.balancing.socp import GAP, NOTHING, BalanceBound, BalancingProgramme, Price, amounts, measured, value, version
 from optlink.dynamics.columns import MotionColumns
 from optlink.dynamics.counterweights import Effects, with_counterweight
-from optlink.dynamics.inertia import Inertia, Parameters
-from optlink.dynamics.machine import Machine
-from optlink.dynamics.poles import poles
+from optlink.dynamics.machine import Inertia, Machine, Parameters
+from optlink.dynamics.strokes import poles
 from optlink.errors import InputError, Status
 from optlink.linkage.vector2d import Array
 from optlink.optimization.pareto_front import knee
 from optlink.problem.arguments import typed
-from optlink.problem.cycle.terms import Term
-from optlink.problem.file import ProblemFile
-from optlink.problem.fixed_design import fixed_design
+from optlink.problem.file import ProblemFile, fixed_design
 from optlink.problem.quantity import check_range
+from optlink.problem.terms import Term
 from optlink.tasks.machine import (
     check_design,
     check_regular,

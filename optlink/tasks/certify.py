@@ -15,12 +15,11 @@ from optlink.errors import InputError
 from optlink.execution import interrupts
 from optlink.execution.worker import Runs
 from optlink.linkage.vector2d import Array
-from optlink.optimization.box_models import DesignBoxes, box_problem
+from optlink.optimization.taylor_model import DesignBoxes, box_problem
 from optlink.problem.file import ProblemFile
 from optlink.solvers.global_search.branch_and_bound import BATCH, FEW, Bounder, BranchAndBound, joint_history
-from optlink.solvers.global_search.function_certificate import CLOSED, INTERRUPTED, MOST, certify_function
-from optlink.solvers.global_search.lagrangian import Guess, LagrangianBounds
-from optlink.solvers.global_search.quadratic import least_squares
+from optlink.solvers.global_search.function_generator import CLOSED, INTERRUPTED, MOST, certify_function
+from optlink.solvers.global_search.lagrangian import Guess, LagrangianBounds, least_squares
 from optlink.tasks.design import certified_by_default
 from optlink.tasks.protocol import Proving
 from optlink.tasks.results.certificate import (
@@ -34,8 +33,7 @@ from optlink.tasks.results.certificate import (
     exact,
     sides_of,
 )
-from optlink.tasks.results.common import inexact
-from optlink.tasks.results.evidence import INCOMPLETE
+from optlink.tasks.results.common import INCOMPLETE, inexact
 
 if TYPE_CHECKING:
     from optlink.solvers.global_search.timed_path import TimedPathBounds

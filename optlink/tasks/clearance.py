@@ -11,18 +11,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from optlink.clearance.closed_loop import ClosedLoop, vibration
+from optlink.clearance.columns import MeasuredComparison, Output, measured_comparison
 from optlink.clearance.compiled.choice import INSTALL, IntegratorKind, chosen, installed, resumed
-from optlink.clearance.controller import PID, Control, Controller, Gains
-from optlink.clearance.equations import Drive, Servo, Weightless
+from optlink.clearance.control import PID, ClosedLoop, Control, Controller, Gains, Inverse, leverage, vibration
+from optlink.clearance.equations import Drive, ReferenceSignal, Servo, Weightless
 from optlink.clearance.integration import TOO_DEEP, Stalled
-from optlink.clearance.inverse_model import Inverse, leverage
 from optlink.clearance.joint import Gap
-from optlink.clearance.measurement import MeasuredComparison, measured_comparison
-from optlink.clearance.output import Output
-from optlink.clearance.reference_signal import ReferenceSignal
 from optlink.clearance.statistics import WATCHED, PredictabilityCheck, Statistics, table
-from optlink.dynamics.ending import Ending
+from optlink.dynamics.forward import Ending
 from optlink.dynamics.machine import Machine
 from optlink.errors import InputError
 from optlink.execution import interrupts
@@ -44,8 +40,7 @@ from optlink.tasks.machine import (
     starting_speed,
     with_flywheel,
 )
-from optlink.tasks.results.checkpoint import ClearanceCheckpoint, RevolutionState, read_checkpoint
-from optlink.tasks.results.clearance import RUNNING_IN, ClearanceSimulation
+from optlink.tasks.results.clearance import RUNNING_IN, ClearanceCheckpoint, ClearanceSimulation, RevolutionState, read_checkpoint
 
 EVERY = 5.0
 """Seconds between checkpoints."""

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from optlink.clearance.columns import Output
 from optlink.clearance.compiled.choice import resumed
-from optlink.clearance.controller import Control
-from optlink.clearance.output import Output
+from optlink.clearance.control import Control
 from optlink.errors import InputError
 from optlink.execution.runner import check as check_engine, pool
 from optlink.execution.worker import Runs
@@ -20,8 +20,15 @@ from optlink.problem.quantity import check_choice, check_range
 from optlink.tasks.clearance import check_simulations
 from optlink.tasks.machine import machine_of
 from optlink.tasks.parallel_runs import RunJob, RunResult, run_jobs
-from optlink.tasks.results.checkpoint import ComparisonCheckpoint, CompleteRun, TuningCheckpoint, read_checkpoint
-from optlink.tasks.results.control_comparison import Comparison, Trials, Tuning
+from optlink.tasks.results.clearance import (
+    Comparison,
+    ComparisonCheckpoint,
+    CompleteRun,
+    Trials,
+    Tuning,
+    TuningCheckpoint,
+    read_checkpoint,
+)
 
 KINDS = tuple(str(kind) for kind in Control)
 ROUNDING = 1e-9  # relative difference of equal errors, beyond which a run stops early

@@ -20,29 +20,28 @@ from optlink.optimization.nlp import NLP
 from optlink.optimization.programme import angle_name, build
 from optlink.problem.design import EPIGRAPH, DesignProblem
 from optlink.problem.file import ProblemFile
-from optlink.problem.targets.function import Function
+from optlink.problem.targets.law import Function
 from optlink.solvers import multistart
 from optlink.solvers.continuum import Continuum, continuum
 from optlink.solvers.contract import BACKENDS, FOUND, LEAST_SQUARES
-from optlink.solvers.event_orders import SAMPLES, STARTS, OrderedStarts, one_of_each
-from optlink.solvers.exchange import place_at_peaks, solve_semi_infinite
+from optlink.solvers.exchange import SAMPLES, STARTS, OrderedStarts, one_of_each, place_at_peaks, solve_semi_infinite
 from optlink.solvers.infeasibility import Explanation, Follow, explain, feasible_point
 from optlink.solvers.solution import Solution
 from optlink.synthesis.batch_search import PER_ROUND, PERFECT, Exploration, Searcher
 from optlink.synthesis.freudenstein import FirstStep
-from optlink.tasks.modes import mode_of, possible_modes
 from optlink.tasks.protocol import DesignTask, Search, Timer, agreement, completed, part
-from optlink.tasks.results.default_margins import margin_notes
+from optlink.tasks.results.common import INCOMPLETE
+from optlink.tasks.results.conflict import cannot_turn, margin_notes
 from optlink.tasks.results.design import LinkageDesign, SynthesisResult, of_designs
-from optlink.tasks.results.evidence import INCOMPLETE
-from optlink.tasks.results.rotation import cannot_turn
 from optlink.tasks.search import (
     BEGUN,
     DesignCollection,
     Polisher,
     designs_from_four_bar,
     has_several_dyads,
+    mode_of,
     no_stroke,
+    possible_modes,
     validated_design,
 )
 from optlink.validation import validate as validate_design
@@ -367,11 +366,11 @@ class SearchRounds:
             task = file.spec
             starts: list[tuple[Mapping[str, float], bool]] = [({} if begin is None else begin, False)]
             if begin is None and has_first_steps(task):
-                from optlink.synthesis import function_starts
+                from optlink.synthesis import freudenstein
 
-                steps = function_starts.steps(task)
+                steps = freudenstein.steps(task)
                 self.first_step = min(filter(None, (self.first_step, *steps[:1])), key=lambda step: step.error, default=None)
-                starts = [*((function_starts.values(task, step), True) for step in steps), *starts]
+                starts = [*((freudenstein.values(task, step), True) for step in steps), *starts]
             if begin is None and not task.law_given and not any(quantity.begun for quantity in task.quantities.values()):
                 continue
             for values, close in starts:
@@ -422,9 +421,9 @@ class SearchRounds:
         """Random linkages that fit a function of a four-bar, with their assembly modes in turn; none for other problems."""
         if not has_first_steps(self.task):
             return iter(())
-        from optlink.synthesis import function_starts
+        from optlink.synthesis import freudenstein
 
-        sources = [zip(repeat(k), function_starts.fits(f.spec, self.options.seed)) for k, f in enumerate(self.files)]
+        sources = [zip(repeat(k), freudenstein.fits(f.spec, self.options.seed)) for k, f in enumerate(self.files)]
         return (fit for each in zip_longest(*sources) for fit in each if fit is not None)
 
     def _fitted(self) -> bool:
@@ -583,9 +582,9 @@ def has_first_steps(task: DesignProblem) -> bool:
     """Return whether a problem has convex first designs: a function of a four-bar."""
     if not task.has_error:
         return False
-    from optlink.synthesis import function_starts
+    from optlink.synthesis import freudenstein
 
-    return function_starts.fittable(task)
+    return freudenstein.fittable(task)
 
 
 def certified_by_default(task: DesignProblem) -> bool:

@@ -7,11 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from optlink.dynamics.inertia import Inertia
-from optlink.dynamics.machine import Machine
-from optlink.dynamics.poles import SAMPLES, irregular
+from optlink.dynamics.machine import Inertia, Machine
+from optlink.dynamics.strokes import SAMPLES, irregular
 from optlink.errors import InputError
-from optlink.linkage.alignment import angles_text, positions_text
+from optlink.linkage.singular import angles_text, positions_text
 from optlink.linkage.stroke import Ranges, failure
 from optlink.linkage.vector2d import TURN, Array, Value
 from optlink.problem.file import ProblemFile

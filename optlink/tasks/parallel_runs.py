@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from optlink.dynamics.ending import Ending
+from optlink.dynamics.forward import Ending
 from optlink.execution.worker import Runs
 from optlink.linkage.vector2d import Array
 from optlink.problem.file import ProblemFile

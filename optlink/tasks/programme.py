@@ -19,10 +19,9 @@ from optlink.problem.arguments import typed
 from optlink.problem.design import EPIGRAPH
 from optlink.problem.file import ProblemFile
 from optlink.solvers.multistart import scaled_parameters
-from optlink.tasks.given_design import check_complete
 from optlink.tasks.machine import check_design
-from optlink.tasks.modes import mode_of, possible_modes
-from optlink.tasks.run import design_task
+from optlink.tasks.run import check_complete, design_task
+from optlink.tasks.search import mode_of, possible_modes
 
 
 @dataclass(frozen=True)

@@ -17,43 +17,74 @@ from optlink.optimization.courses import NODES, ErrorCourse, TermCourse
 from optlink.optimization.cycle_signals import EventOrder, TracedCycle
 from optlink.optimization.nlp import NLP
 from optlink.optimization.programme import angle_name, build, build_again, path_variable, solved_values
-from optlink.problem.cycle.terms import Term
 from optlink.problem.design import DesignProblem
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import input_of
+from optlink.problem.terms import Term
 from optlink.solvers import multistart
 from optlink.solvers.contract import BACKENDS, CLOSE, FOUND, MINIMAX
-from optlink.solvers.event_orders import (
+from optlink.solvers.exchange import (
     CROSSINGS,
     FURTHER,
     SAMPLES,
     OrderedStart,
     OrderedStarts,
     at_edge,
+    best_slow_stroke,
     misfit,
     orders_beside,
+    place_at_peaks,
+    rank,
+    solve_semi_infinite,
+    with_accurate_integrals,
 )
-from optlink.solvers.exchange import best_slow_stroke, place_at_peaks, rank, solve_semi_infinite, with_accurate_integrals
 from optlink.solvers.solution import Solution
 from optlink.synthesis.batch import Batch
 from optlink.synthesis.batch_search import Candidate, Exploration, acceptable
 from optlink.synthesis.growth import ContainedFourBar, grow_from_four_bar
 from optlink.synthesis.levenberg_marquardt import minimise
-from optlink.tasks.modes import mode_of
 from optlink.tasks.results.common import (
     BETTER,
     OPTIMALITY_CHECK,
     ROUNDED,
+    Evidence,
     Optimum,
     RejectedDesign,
     best_rejected,
+    evidence,
     inexact,
+    tally,
     with_optimality,
 )
 from optlink.tasks.results.design import LinkageDesign
-from optlink.tasks.results.evidence import Evidence, evidence, tally
 from optlink.validation import validate
 from optlink.validation.timing import passing
+
+# The assembly modes that a problem leaves open.
+
+
+def possible_modes(problem: ProblemFile) -> list[ProblemFile]:
+    """Return the problem with definite assembly modes, one for each combination in which its sections are consistent.
+
+    If there is none, the error of the first combination is raised.
+    """
+    variants, refused = list[ProblemFile](), list[InputError]()
+    for change in problem.model.mechanism.variants(problem.model.linkage):
+        try:
+            definite = {**problem.located, **change}
+            variants.append(problem.override(definite) if definite else problem)
+        except InputError as error:
+            refused.append(error)
+    if not variants:
+        raise refused[0]
+    return variants
+
+
+def mode_of(problem: ProblemFile) -> str:
+    """Return the assembly modes of a problem in words, such as "left", or "C left of B-D, E forward"."""
+    assembly = problem.raw["mechanism"].get("assembly", "left")
+    return assembly if isinstance(assembly, str) else ", ".join(f"{joint} {mode}" for joint, mode in assembly.items())
+
 
 TRIES = 6  # candidates refined in the first round per requested design, while too few are valid
 PER_ROUND = 10  # candidates refined in a later round

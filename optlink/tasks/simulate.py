@@ -9,8 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from optlink.dynamics.columns import tabulated
-from optlink.dynamics.ending import Ending
-from optlink.dynamics.forward import Run, run
+from optlink.dynamics.forward import Ending, Run, run
 from optlink.dynamics.inverse import reduced_inertia
 from optlink.dynamics.machine import Machine, Moving
 from optlink.errors import InputError

@@ -7,22 +7,18 @@ from functools import cached_property
 import numpy as np
 
 from optlink.dynamics.columns import MotionColumns
-from optlink.dynamics.inertia import Parameters
-from optlink.dynamics.loads import Steady
-from optlink.dynamics.machine import Acting, Machine, Moving, slider_names
+from optlink.dynamics.machine import Acting, Machine, Moving, Parameters, Steady, slider_names
 from optlink.dynamics.work import NODES, WEIGHTS, Work, gauss_points
 from optlink.linkage.extrema import distinct, extremes, maxima
 from optlink.linkage.motion import sweep
 from optlink.linkage.stroke import Travel, reachable, travels
 from optlink.linkage.vector2d import TURN, Array, turn
-from optlink.problem.cycle.quantities import guide_of
-from optlink.problem.cycle.terms import Term, output_of
 from optlink.problem.design import DesignProblem
 from optlink.problem.limits import stroke_ratio
 from optlink.problem.quantity import Unusable
+from optlink.problem.terms import Term, guide_of, output_of
 from optlink.validation.check import POSITIONS
-from optlink.validation.four_bar_motion import FourBarMotion
-from optlink.validation.linkage_motion import LinkageMotion, motion_of
+from optlink.validation.motion import FourBarMotion, LinkageMotion, motion_of
 
 ROUNDING = 1e-6  # of the size of the signal, below which a mean or a work counts as zero
 

@@ -24,13 +24,12 @@ from optlink.linkage.mechanism import FRAME, Mechanism
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.vector2d import TURN, Array, Value
 from optlink.problem.design import STEP, DesignProblem
-from optlink.problem.limits import Bound, limits_in_file
+from optlink.problem.limits import Bound, RegionLimit, limits_in_file
 from optlink.problem.quantity import Unusable
-from optlink.problem.region import RegionLimit
 from optlink.problem.requirements.base import MARK
 from optlink.problem.requirements.laws import DEAD_CENTRES
-from optlink.problem.robust import EXPECTED, WORST
 from optlink.problem.targets.law import Table
+from optlink.problem.tolerances import EXPECTED, WORST
 from optlink.units import DISPLAYED, KINDS, factor
 from optlink.validation.check import (
     ANGLE_TOLERANCE,
@@ -41,8 +40,11 @@ from optlink.validation.check import (
     Checks,
     Validation,
     Validations,
+    alignment_check,
+    at_least,
     bounds_and_links,
     finely,
+    grashof_check,
     joined,
     limit_checks,
     registered_checks,
@@ -51,9 +53,7 @@ from optlink.validation.check import (
     text,
     transmission_checks,
 )
-from optlink.validation.four_bar_motion import FourBarMotion
-from optlink.validation.linkage_motion import LinkageMotion, motion_of, placed, rows_of, transmission_angles
-from optlink.validation.margins import alignment_check, at_least, grashof_check
+from optlink.validation.motion import FourBarMotion, LinkageMotion, motion_of, placed, rows_of, transmission_angles
 
 if TYPE_CHECKING:
     from optlink.validation.cycle import Cycle

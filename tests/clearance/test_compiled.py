@@ -15,12 +15,12 @@ import numpy as np
 import pytest
 
 import optlink
-from optlink.clearance.closed_loop import ClosedLoop
 from optlink.clearance.compiled import choice, machine
 from optlink.clearance.compiled.choice import IntegratorKind, chosen
 from optlink.clearance.compiled.integration import CompiledIntegration
-from optlink.clearance.compiled.source import LITERALS, OPERATIONS, Unsupported, written
-from optlink.dynamics.ending import Ending
+from optlink.clearance.compiled.machine import LITERALS, OPERATIONS, Unsupported, written
+from optlink.clearance.control import ClosedLoop
+from optlink.dynamics.forward import Ending
 from optlink.errors import InputError
 from optlink.tasks.clearance import _setting, simulate_clearance
 

@@ -11,7 +11,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from optlink.clearance import contact_laws
+from optlink.clearance import joint as contact_laws
 from optlink.symbolic import symbols_in_numpy
 
 STIFF, MASS = 6.6102e10, 0.14

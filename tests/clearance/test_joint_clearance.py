@@ -23,17 +23,15 @@ import pytest
 
 import optlink
 from optlink.clearance import (
-    closed_loop as plant_module,
     columns as record_module,
+    control as plant_module,
     equations as equations_module,
     statistics as statistics_module,
 )
-from optlink.clearance.contact_laws import SLOWEST
-from optlink.clearance.hermite import crossing, summit
-from optlink.clearance.integration import Block, Impact, Integration
-from optlink.clearance.joint import JournalMotion
+from optlink.clearance.integration import Block, Impact, Integration, crossing, summit
+from optlink.clearance.joint import SLOWEST, JournalMotion
 from optlink.clearance.statistics import RETAINED_REVOLUTIONS
-from optlink.dynamics.ending import Ending
+from optlink.dynamics.forward import Ending
 from optlink.dynamics.inverse import acting_on
 from optlink.dynamics.machine import Acting
 from optlink.linkage.vector2d import cross, minus

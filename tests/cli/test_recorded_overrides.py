@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from optlink.cli.app import app
 from optlink.problem.file import load
-from optlink.report.stored import read_result
+from optlink.report.registry import read_result
 
 FRAME = "mechanism.frame"
 

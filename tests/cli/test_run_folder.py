@@ -140,15 +140,15 @@ def test_pictures_of_an_earlier_run_are_removed_and_files_of_the_user_kept(tmp_p
     assert "drive.png" in first
     (out / "mine.png").write_bytes(b"a picture of the user")
     (out / "course.csv").write_text("changed by the user")
-    from optlink.cli import run_folder
+    from optlink.cli import console
 
-    about = json.loads((out / run_folder.MANIFEST).read_text())
+    about = json.loads((out / console.MANIFEST).read_text())
     assert about["command"] == "simulate"
-    about["files"]["old.png"] = run_folder._sum(out / "mine.png")  # as if a run before had written two more pictures
+    about["files"]["old.png"] = console._sum(out / "mine.png")  # as if a run before had written two more pictures
     (out / "old.png").write_bytes(b"a picture of the user")
     about["files"]["edited.png"] = "00000000"
     (out / "edited.png").write_bytes(b"which the user has changed since")
-    (out / run_folder.MANIFEST).write_text(json.dumps(about))
+    (out / console.MANIFEST).write_text(json.dumps(about))
     assert run("simulate", path, "--duration", "0.1 s", "--out", out).exit_code == 0
     assert not (out / "old.png").exists()
     assert (out / "mine.png").exists()

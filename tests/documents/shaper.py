@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 import optlink
-from optlink.dynamics.inertia import Inertia
+from optlink.dynamics.machine import Inertia
 from optlink.tasks.analyze import Analysis, analyze
 from tests.documents.faults import Fault
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import optlink
-from optlink.clearance.spanning_tree import SpanningTree
+from optlink.clearance.equations import SpanningTree
 from tests.documents.faults import Fault
 
 CRANK, ROD = 50.0, 120.0  # mm, of the page

@@ -12,12 +12,11 @@ from typer.testing import CliRunner
 
 import optlink
 from optlink.cli.app import app
-from optlink.dynamics import crank_acceleration as crank_module, forward as drive_module
-from optlink.dynamics.crank_acceleration import crank_acceleration
-from optlink.dynamics.ending import Ending
-from optlink.dynamics.flywheel import Fluctuation, flywheel
-from optlink.dynamics.inertia import Inertia
+from optlink.dynamics import forward as crank_module, forward as drive_module
+from optlink.dynamics.forward import Ending, crank_acceleration
 from optlink.dynamics.inverse import reactions, reduced_inertia
+from optlink.dynamics.machine import Inertia
+from optlink.dynamics.work import Fluctuation, flywheel
 from optlink.tasks.clearance import _setting
 from optlink.tasks.machine import machine_of
 from tests.tiers import mostly_slow

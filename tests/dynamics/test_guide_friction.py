@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 import optlink
-from optlink.dynamics.crank_acceleration import crank_acceleration
-from optlink.dynamics.ending import Ending
+from optlink.dynamics.forward import Ending, crank_acceleration
 from optlink.dynamics.inverse import reactions
 from optlink.tasks.machine import machine_of
 

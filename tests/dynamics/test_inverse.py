@@ -16,12 +16,22 @@ import numpy as np
 import pytest
 
 import optlink
-from optlink.dynamics import dyad_balances, inverse as reactions_module
+from optlink.dynamics import inverse, inverse as reactions_module
 from optlink.dynamics.counterweights import Effects
-from optlink.dynamics.inertia import Inertia, Parameters, Wrench
 from optlink.dynamics.inverse import Reactions, acting_on, reactions, reported_on, shaking, torque_parts
-from optlink.dynamics.loads import Force, SlideDamper, Spring, Torque, TorsionSpring
-from optlink.dynamics.machine import Load, Machine, Moving
+from optlink.dynamics.machine import (
+    Force,
+    Inertia,
+    Load,
+    Machine,
+    Moving,
+    Parameters,
+    SlideDamper,
+    Spring,
+    Torque,
+    TorsionSpring,
+    Wrench,
+)
 from optlink.linkage.assur import Assembly
 from optlink.linkage.jet import Jet
 from optlink.linkage.mechanism import FRAME, BodyPoint, Guide, Link, Mechanism
@@ -1219,7 +1229,7 @@ def test_checks_see_a_wrong_wrench(name, defect, monkeypatch):
 def test_checks_see_a_sign_in_a_balance(name, monkeypatch):
     moving = machine_of(name).moving(PHI, 7.0, 3.0)
     k, reference = kinematics(moving), expected(moving)
-    monkeypatch.setattr(dyad_balances, "moment_row", other_lever)
+    monkeypatch.setattr(inverse, "moment_row", other_lever)
     assert all(verdicts(moving, k, reference).values())
 
 

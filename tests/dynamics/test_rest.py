@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import optlink
-from optlink.dynamics.ending import Ending
+from optlink.dynamics.forward import Ending
 from optlink.errors import InputError
 from optlink.problem.file import ProblemFile, read
 

@@ -9,8 +9,7 @@ from scipy.integrate import DOP853
 
 import optlink
 from optlink.dynamics import forward, runge_kutta
-from optlink.dynamics.dop853 import COEFFICIENTS
-from optlink.dynamics.runge_kutta import ABSOLUTE, RELATIVE, Stepper, attempt, states_at
+from optlink.dynamics.runge_kutta import ABSOLUTE, COEFFICIENTS, RELATIVE, Stepper, attempt, states_at
 from optlink.symbolic import CompiledFunction, symbols_in_numpy
 
 

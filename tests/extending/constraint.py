@@ -3,8 +3,8 @@
 import numpy as np
 
 from optlink.problem.design import add_limit
-from optlink.problem.interval import NumberInterval
 from optlink.problem.limits import LimitTerm
+from optlink.problem.quantity import NumberInterval
 
 
 def values(problem, sizes, reach, limit):

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from optlink.dynamics.dyad_balances import BALANCES, GroupForces, solve_two_by_two
+from optlink.dynamics.inverse import BALANCES, GroupForces, solve_two_by_two
 from optlink.linkage.assur import DYADS
 from optlink.linkage.mechanism import Dyad, Guide
 from optlink.linkage.vector2d import cross, dot, minus, plus, turn, turn_back

@@ -1,6 +1,6 @@
 """The angular velocity of a body over the cycle of a machine: `quantity = "turning"`, `of = "rocker"`."""
 
-from optlink.problem.cycle.quantities import QUANTITIES, Element, QuantityType
+from optlink.problem.terms import QUANTITIES, Element, QuantityType
 
 BODY = Element(lambda mechanism: mechanism.bodies, "no such body")
 

@@ -10,8 +10,7 @@ from scipy.optimize import brentq, minimize_scalar
 
 import optlink
 from optlink.linkage import extrema
-from optlink.linkage.extrema import distinct, extremes, extremes_of_rows, maxima
-from optlink.linkage.zeros import zeros
+from optlink.linkage.extrema import distinct, extremes, extremes_of_rows, maxima, zeros
 from tests.tiers import mostly_slow
 
 TURN = 2.0 * math.pi

@@ -21,10 +21,10 @@ import optlink
 from optlink.linkage import dyads, fourbar, vector2d
 from optlink.linkage.jet import _CHAIN, Jet
 from optlink.linkage.mechanism import BodyPoint, Mechanism
-from optlink.optimization import constraints, objectives
+from optlink.optimization import terms
 from optlink.optimization.nlp import NLP
-from optlink.optimization.objectives import MEASURES
 from optlink.optimization.programme import build
+from optlink.optimization.terms import MEASURES
 from optlink.problem.design import DesignProblem
 from optlink.problem.requirements.base import StartPosition
 from optlink.problem.targets.expression import FUNCTIONS, parse
@@ -147,7 +147,7 @@ def output_error(rule: DesignProblem) -> Callable[..., list[object]]:
             *start.crank,
             start.phi0,
             start.psi0,
-            objectives.output_error(rule, named, start, offset, 0.2),
+            terms.output_error(rule, named, start, offset, 0.2),
         ]
 
     return function
@@ -188,7 +188,7 @@ LIMITS = {  # name -> (problem, has abs, has maximum or minimum)
 def limit_rows(rule: DesignProblem) -> Callable[..., list[object]]:
     def function(*values):
         named = start_values(rule, values)
-        return [row.value for row in constraints.rows(rule, named, rule.reach(named), 0.5)]
+        return [row.value for row in terms.rows(rule, named, rule.reach(named), 0.5)]
 
     return function
 
@@ -526,7 +526,7 @@ def check_rows_over_a_span(rule: DesignProblem) -> None:
     design = rule.design({})
     phi = design["phi0"] + rule.span * np.linspace(0.0, 1.0, 2001)
     cosine = fourbar.transmission_cosine(*(design[name] for name in fourbar.LENGTHS), np.cos(phi))
-    computed = [float(r.value) for r in constraints.rows(rule, design, rule.reach(design), 0.5) if r.scale.cosine]
+    computed = [float(r.value) for r in terms.rows(rule, design, rule.reach(design), 0.5) if r.scale.cosine]
     np.testing.assert_allclose([min(computed), max(computed)], [np.min(cosine), np.max(cosine)], atol=1e-6)
 
 
@@ -542,17 +542,17 @@ def test_rows_of_a_dead_centre_are_met_exactly_where_it_exists(start, coupler_lo
         limit = fourbar.dead_centre(crank, coupler, rocker, frame, 1, start == "outer dead centre")
         if abs(limit.margin) < 1e-3 or abs(crank - coupler) < 1e-3:
             continue
-        rows = constraints.rows(rule, values, rule.reach(values), 0.5)
+        rows = terms.rows(rule, values, rule.reach(values), 0.5)
         met = [row.value >= row.low for row in rows if row.label.startswith("dead centre")]
         verdicts.append(limit.margin > 0.0)
         assert all(met) == verdicts[-1], values
     assert min(verdicts.count(True), verdicts.count(False)) > 40
 
 
-def rows_of(name: str) -> list[constraints.ConstraintRow]:
+def rows_of(name: str) -> list[terms.ConstraintRow]:
     rule = LIMITS[name][0]
     design = rule.design({})
-    return constraints.rows(rule, design, rule.reach(design), 0.5)
+    return terms.rows(rule, design, rule.reach(design), 0.5)
 
 
 @pytest.mark.parametrize(
@@ -576,11 +576,11 @@ def test_slope_of_a_measure_is_its_derivative():
 @pytest.mark.parametrize(
     ("scale", "value", "displayed"),
     [
-        (constraints.COSINE, math.cos(1.1), math.degrees(1.1)),
-        (constraints.COSINE, -0.4, math.degrees(math.acos(-0.4))),
-        (constraints.DEGREES, -0.7, math.degrees(-0.7)),
-        (constraints.PLAIN, 1.3, 1.3),
-        (constraints.Scale("mm", 500.0), 0.8, 400.0),
+        (terms.COSINE, math.cos(1.1), math.degrees(1.1)),
+        (terms.COSINE, -0.4, math.degrees(math.acos(-0.4))),
+        (terms.DEGREES, -0.7, math.degrees(-0.7)),
+        (terms.PLAIN, 1.3, 1.3),
+        (terms.Scale("mm", 500.0), 0.8, 400.0),
     ],
 )
 def test_scales_convert_rows_to_display_units_and_back(scale, value, displayed):
@@ -594,7 +594,7 @@ def test_bounds_of_the_rows_are_the_limits_of_the_file():
     wide = {"transmission_angle": ["40 deg", "130 deg"], "time_ratio": {"max": 1.5}, **ALL}
     rule = problem(None, None, wide)
     design = rule.design({})
-    result = {row.label: row for row in constraints.rows(rule, design, rule.reach(design), 0.5)}
+    result = {row.label: row for row in terms.rows(rule, design, rule.reach(design), 0.5)}
 
     def displayed(words: str) -> tuple[float, float]:
         (row,) = (row for label, row in result.items() if words in label)
@@ -737,8 +737,8 @@ class Programme:
         table = self.rule.law
         # the largest error counts at the exchange points first
         offsets, tabulated = np.append(shares * self.rule.span, table.offsets), np.append(np.zeros(count), table.tabulated)
-        errors = objectives.output_error(self.rule, values, start, offsets, tabulated)
-        rows = [row.value for row in constraints.rows(self.rule, values, self.rule.reach(values), size)]
+        errors = terms.output_error(self.rule, values, start, offsets, tabulated)
+        rows = [row.value for row in terms.rows(self.rule, values, self.rule.reach(values), size)]
         if self.rule.requirement.measure == "max":
             f, largest = x[-1], x[-1]
             rows += [value / p[0] for error in errors for value in (largest + error, largest - error)]
@@ -872,7 +872,7 @@ def test_batch_of_designs_goes_through_the_objective_at_once():
     coupler, rocker = rng.uniform(0.38, 0.44, (5, 1)), rng.uniform(0.2, 0.3, (5, 1))
     values = {"crank": 0.1, "coupler": coupler, "rocker": rocker, "frame": 0.5}
     table = rule.law
-    batch = objectives.output_error(rule, values, rule.start_position(values), table.offsets, table.tabulated)
+    batch = terms.output_error(rule, values, rule.start_position(values), table.offsets, table.tabulated)
     assert batch.shape == (5, 30)
     nlp = programme("shipped").nlp
     for k in range(5):

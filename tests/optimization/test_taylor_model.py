@@ -307,7 +307,7 @@ def test_planted_defects_are_detected(
 
 def test_an_angle_of_a_pose_beyond_half_a_turn_is_unknown() -> None:
     """The angle of a pose lies within -pi ... pi; its model is continuous, so beyond it would be wrong by a turn."""
-    from optlink.optimization.box_models import _known_within
+    from optlink.optimization.taylor_model import _known_within
 
     [x] = TaylorModel.unknowns(np.array([[-0.1], [-0.5]]), np.array([[0.1], [-0.3]]))
     angle = np.arctan2(x, TaylorModel.constant(-1.0, 1))

@@ -15,7 +15,7 @@ from optlink.optimization.courses import TermCourse
 from optlink.optimization.cycle_signals import TracedCycle
 from optlink.optimization.nlp import NLP
 from optlink.optimization.programme import build
-from optlink.problem.cycle.terms import Term, read_words
+from optlink.problem.terms import Term, read_words
 from optlink.validation.cycle import Cycle
 
 CUT = {"of": "F"}

@@ -17,10 +17,9 @@ import numpy as np
 import pytest
 
 import optlink
-from optlink.optimization.box_models import box_problem
+from optlink.optimization.taylor_model import box_problem
 from optlink.problem.design import DesignProblem
-from optlink.tasks.results.certificate import certificate_document, sides_of
-from optlink.tasks.results.certificate_numbers import numbers_of
+from optlink.tasks.results.certificate import certificate_document, numbers_of, sides_of
 from optlink.validation import validate
 from tests.as_dyads import as_dyads
 from tests.cli.test_cli import run

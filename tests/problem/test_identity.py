@@ -22,8 +22,8 @@ from optlink.cli.app import app
 from optlink.errors import InputError
 from optlink.problem.base_model import InFolder
 from optlink.problem.design import DesignProblem
+from optlink.problem.enclosed import identity
 from optlink.problem.file import WORDS, read
-from optlink.problem.identity import identity
 from optlink.problem.machine.model import Problem
 from optlink.studies.pareto.epsilon_constraint import pareto
 from optlink.studies.sweep import sweep

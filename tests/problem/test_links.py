@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 import optlink
-from optlink.problem.file import read
-from optlink.problem.fixed_design import fixed_design
+from optlink.problem.file import fixed_design, read
 
 LAW = """
 [mechanism]

@@ -231,8 +231,8 @@ def test_files_that_are_not_tables(tmp_path, form):
 
 
 def test_too_many_rows(tmp_path, monkeypatch):
-    monkeypatch.setattr("optlink.problem.targets.point_table.MAX_ROWS", 5)
-    monkeypatch.setattr("optlink.problem.targets.svg_path.MAX_ELEMENTS", 5)
+    monkeypatch.setattr("optlink.problem.targets.target_points.MOST_POINTS", 5)
+    monkeypatch.setattr("optlink.problem.targets.points.MAX_ELEMENTS", 5)
     (tmp_path / "c.csv").write_text("x_mm,y_mm\n" + "".join(f"{k},0\n" for k in range(6)))
     refused({"csv": "c.csv"}, tmp_path, "csv", "more than 5 rows")
     refused([[f"{k} mm", "0 mm"] for k in range(6)], tmp_path, "", "6 points, more than 5")

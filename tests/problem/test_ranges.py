@@ -12,8 +12,7 @@ from optlink.errors import InputError
 from optlink.problem.assignment import parse_assignment
 from optlink.problem.base_model import with_ranges
 from optlink.problem.file import load, read
-from optlink.problem.interval import read_interval
-from optlink.problem.quantity import Unusable, read_quantity
+from optlink.problem.quantity import Unusable, read_interval, read_quantity
 from optlink.units import UnitProblem, parse, split_range
 
 seeded = settings(derandomize=True, deadline=None, max_examples=150)

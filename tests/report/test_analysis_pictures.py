@@ -21,11 +21,11 @@ from optlink.linkage.vector2d import TURN
 from optlink.report import style
 from optlink.report.chart_mpl import pictures
 from optlink.report.drawing import Sketch
-from optlink.report.fonts import LettersNotDrawn
 from optlink.report.labels import Label, place_labels
 from optlink.report.registry import view_of
-from optlink.report.views import analysis, analysis_charts, analysis_forces
-from optlink.report.views.analysis_curves import CycleCurves
+from optlink.report.style import LettersNotDrawn
+from optlink.report.views import analysis, analysis_charts, analysis_charts as analysis_forces
+from optlink.report.views.analysis_charts import CycleCurves
 from optlink.tasks.analyze import Analysis, analyze
 from tests.tiers import mostly_slow
 

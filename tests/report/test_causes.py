@@ -12,10 +12,10 @@ from scipy.optimize import linprog
 
 import optlink
 from optlink.linkage.fourbar import LENGTHS
-from optlink.report.causes import causes, why_invalid
+from optlink.report.format import causes, why_invalid
 from optlink.report.report_model import ReportModel
 from optlink.report.views.design_drawings import at_positions as drawn_mechanism
-from optlink.tasks.results.rotation import Length, cannot_turn, four_bar_conflict
+from optlink.tasks.results.conflict import Length, cannot_turn, four_bar_conflict
 from optlink.validation.check import Check
 
 

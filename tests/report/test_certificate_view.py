@@ -15,13 +15,11 @@ import optlink
 from optlink.problem.machine.model import ShownObjective
 from optlink.report import chart_mpl
 from optlink.report.html import chart_plotly
-from optlink.report.registry import table_of, view_of
-from optlink.report.stored import read_result
-from optlink.report.views import certificate_view, conclusions
+from optlink.report.registry import read_result, table_of, view_of
+from optlink.report.views import conclusions, search_tables
 from optlink.tasks.certify import certify
 from optlink.tasks.results.certificate import MOST_DRAWN, Certificate
-from optlink.tasks.results.common import Optimum
-from optlink.tasks.results.evidence import evidence
+from optlink.tasks.results.common import Optimum, evidence
 from tests.report.test_function_tables import words
 
 OPPOSED = {"limits.transmission_angle.min": "80 deg", "limits.transmission_angle.max": "100 deg"}
@@ -86,7 +84,7 @@ def test_an_open_proof_states_its_bound_and_how_to_continue(unfinished):
     assert "a local optimum" in text
     assert "gap 100 % largest share by which a design could be better, 0.0001 % was required" in text
     assert f"{unfinished.certificate.open_boxes} of them left" in text
-    assert certificate_view.CONTINUE in text
+    assert search_tables.CONTINUE in text
     assert "proven" not in conclusions.design(unfinished, ())
     assert unfinished.to_dict()["message"].startswith("a local optimum")
     assert "better than that of the local search" not in text
@@ -107,14 +105,14 @@ def test_a_path_certificate_has_display_units():
 
 def test_an_exact_design_has_no_gap():
     proof = Certificate("global", 1e-24, 0.0, 1e-6, 0, 0, ("coupler",))
-    text = words(certificate_view.certificate_table(proof, lambda value: ShownObjective(value, 1.0, "rad^2"), {}))
-    assert "%" not in text + proof.text + proof.brief + certificate_view.clause(proof)
+    text = words(search_tables.certificate_table(proof, lambda value: ShownObjective(value, 1.0, "rad^2"), {}))
+    assert "%" not in text + proof.text + proof.brief + search_tables.clause(proof)
     assert "no design can be better" in proof.text
 
 
 @given(st.floats(1e-12, 1e6), st.integers(6, 14))
 def test_a_lower_bound_is_rounded_down(value, digits):
-    text = certificate_view.rounded_down(value, digits)
+    text = search_tables.rounded_down(value, digits)
     assert value * (1.0 - 10.0 ** (1 - digits)) <= float(text) <= value
 
 

@@ -15,13 +15,13 @@ from matplotlib.patches import Circle, FancyArrowPatch
 from matplotlib.text import Text
 
 import optlink
-from optlink.clearance import closed_loop
+from optlink.clearance import control as closed_loop
 from optlink.clearance.integration import Integration
 from optlink.report.chart_mpl import pictures
 from optlink.report.drawing import Sketch
 from optlink.report.format import single_units
 from optlink.report.registry import view_of
-from optlink.report.views import clearance, clearance_joints, control_comparison, magnified_joints
+from optlink.report.views import clearance, clearance_joints, clearance_joints as magnified_joints, control_comparison
 from optlink.report.views.revolutions import FULL, RevolutionCurves, fold, rough, round_below, runs
 from optlink.tasks.clearance import simulate_clearance
 from optlink.tasks.control_comparison import compare

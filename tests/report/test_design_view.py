@@ -13,8 +13,8 @@ import optlink
 from optlink.report.registry import table_of, view_of
 from optlink.report.views import conclusions
 from optlink.report.views.design_drawings import positions
+from optlink.report.views.design_tables import captions
 from optlink.report.views.design_view import DesignView, best
-from optlink.report.views.design_words import captions
 from tests.report.test_function_tables import words
 
 SIZES = {"crank": 100.0, "coupler": 412.0, "rocker": 233.0, "frame": 500.0}  # mm

@@ -21,7 +21,7 @@ from ezdxf.document import Drawing
 
 import optlink
 from optlink.dynamics.machine import slider_names
-from optlink.problem.fixed_design import fixed_design
+from optlink.problem.file import fixed_design
 from optlink.problem.mechanism import sizes_of
 from optlink.report.export import dxf
 from optlink.report.export.dimensions import dimensioned

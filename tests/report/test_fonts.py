@@ -9,7 +9,7 @@ from fontTools.pens.ttGlyphPen import TTGlyphPen
 from matplotlib import font_manager
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from optlink.report import fonts, style
+from optlink.report import style, style as fonts
 from optlink.report.html import notebook
 from tests.cli.test_cli import run
 

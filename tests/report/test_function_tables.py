@@ -25,9 +25,8 @@ from optlink.report.views import conclusions, design, problem_tables
 from optlink.report.views.search_tables import active, conflict
 from optlink.solvers.solution import LimitState, Relaxation
 from optlink.tasks.design import validate, validate as validate_path
-from optlink.tasks.results.common import Optimum
+from optlink.tasks.results.common import Optimum, evidence
 from optlink.tasks.results.conflict import refutation
-from optlink.tasks.results.evidence import evidence
 
 
 def words(shown: Summary | Part) -> str:

@@ -23,12 +23,12 @@ from optlink.report import terminal
 from optlink.report.chart_mpl import pictures
 from optlink.report.registry import view_of
 from optlink.report.style import LIMIT
-from optlink.report.views import design as view, design_outputs, design_tables as tables
+from optlink.report.views import design as view, design_charts, design_tables as tables
 from optlink.report.views.design_charts import CloseUp
+from optlink.report.views.design_tables import decimals, words_of
 from optlink.report.views.design_view import DesignView
-from optlink.report.views.design_words import decimals, words_of
+from optlink.tasks.results.common import evidence
 from optlink.tasks.results.design import LinkageDesign, SynthesisResult
-from optlink.tasks.results.evidence import evidence
 from optlink.validation import validate as validate_path
 from tests import synthesis_oracle as oracle
 from tests.tiers import mostly_slow
@@ -554,7 +554,7 @@ def test_the_mark_of_the_film_is_the_mechanism(name, monkeypatch):
         return []
 
     monkeypatch.setattr(view, "film", catch)
-    monkeypatch.setattr(design_outputs, "film", catch)
+    monkeypatch.setattr(design_charts, "film", catch)
     view.frames(result(name), 24)
     steps, marks = caught["steps"], caught["marks"]
     assert len(steps) == len(marks) == 24

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 import optlink
-from optlink.problem.region import RegionLimit
+from optlink.problem.limits import RegionLimit
 from optlink.report.export.export import export
 from optlink.report.html.page import animation_of
-from optlink.report.regions import Region, regions_of
 from optlink.report.report_model import ReportModel, report_model_of
+from optlink.report.scene import Region, regions_of
 from optlink.report.shapes import clipped
 from optlink.report.style import GROUND, LIMIT
 from optlink.report.views.design_drawings import beside_curve

@@ -27,9 +27,9 @@ from optlink.report.format import pretty
 from optlink.report.html import chart_plotly, theme
 from optlink.report.html.page import charts, page, sensitivities_of, write_page
 from optlink.report.html.shell import MAX_BYTES, four_digits
+from optlink.report.registry import read_result
 from optlink.report.report_model import ReportModel, report_model_of, solve_or_validate
 from optlink.report.scene import scene
-from optlink.report.stored import read_result
 from optlink.report.style import BODIES, CRANK, LIMIT, MUTED, TARGET
 from optlink.report.views import conclusions, sensitivity
 from optlink.tasks.analyze import analyze

@@ -20,10 +20,9 @@ import optlink
 from optlink.errors import InputError
 from optlink.report.html.shell import MAX_BYTES, PageContent
 from optlink.report.html.study_page import content_of, study_page
-from optlink.report.registry import KINDS, view_of
-from optlink.report.stored import read_result, stored_page
+from optlink.report.registry import KINDS, read_result, stored_page, view_of
 from optlink.report.view import StoredStudy
-from optlink.studies.pareto.objective import ParetoObjective
+from optlink.studies.pareto.design_objectives import ParetoObjective
 from optlink.studies.tolerance.robust_design import RobustDesign
 from tests.browser import colours, console, faults, opened as shown, requests
 from tests.cli.test_cli import run

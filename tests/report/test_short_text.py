@@ -15,7 +15,7 @@ import optlink
 from optlink.cli.app import app
 from optlink.report.registry import table_of
 from optlink.report.table_spec import Paragraph, table
-from optlink.report.views import short_text
+from optlink.report.views import search_tables
 from tests.report.test_function_tables import words
 
 PUBLISHED = ("--design", "coupler=412.26 mm", "--design", "rocker=232.2417 mm")
@@ -27,7 +27,7 @@ def run(*arguments: str):
 
 def test_solve_prints_the_verdict_the_design_its_limits_and_the_proof():
     text = run("solve", "crank-rocker").stdout
-    assert text.count("\n") <= short_text.LINES
+    assert text.count("\n") <= search_tables.LINES
     for line in (
         "optimal, valid, fair fit: rms error is 3 % of the output range",
         "objective: sum of squares 0.00759237 rad^2 (error: rms 0.9115, largest 2.29 \ndeg); transmission angle 45.00 deg",
@@ -67,7 +67,7 @@ def test_failed_checks_are_always_shown(command):
 def test_all_conflicting_limits_are_shown():
     changes = {"mechanism.crank": "950 mm"}
     result = optlink.solve(optlink.load("crank-rocker", changes))
-    assert len(result.conflict) + len(result.together) > short_text.MAX_LIMITS
+    assert len(result.conflict) + len(result.together) > search_tables.MAX_LIMITS
     shown = words(table_of("design")(result).short)
     for limit in (*result.conflict, *result.together):
         assert limit.name in shown
@@ -76,33 +76,33 @@ def test_all_conflicting_limits_are_shown():
 
 
 def test_only_the_first_reason_of_a_poor_fit_and_the_first_limits_are_shown():
-    shown = words(Paragraph(*short_text.verdict_lines(["poor fit", "Cause 0.", "Cause 1.", "Cause 2."])))
+    shown = words(Paragraph(*search_tables.verdict_lines(["poor fit", "Cause 0.", "Cause 1.", "Cause 2."])))
     assert shown == "poor fit Cause 0. 2 more: --details"
-    assert short_text.verdict_lines(["poor fit", "Cause 0."]) == ["poor fit", "Cause 0."]
+    assert search_tables.verdict_lines(["poor fit", "Cause 0."]) == ["poor fit", "Cause 0."]
 
     limits = table("Limits", "<<", [(f"limit {k}", "<= 1") for k in range(9)])
-    shown = words(short_text.first_rows(limits))
+    shown = words(search_tables.first_rows(limits))
     assert "limit 2" in shown
     assert "limit 3" not in shown
     assert "and 6 more: --details" in shown
-    few = replace(limits, rows=limits.rows[: short_text.MAX_LIMITS])
-    assert short_text.first_rows(few) is few
+    few = replace(limits, rows=limits.rows[: search_tables.MAX_LIMITS])
+    assert search_tables.first_rows(few) is few
 
 
 def test_a_design_with_many_dimensions_is_written_as_text():
     rows = [(f"link{k}", f"{k}.5", "mm", "free") for k in range(12)]
-    shown = short_text.dimensions(table("Design", "<><<", rows))
+    shown = search_tables.dimensions(table("Design", "<><<", rows))
     assert isinstance(shown, Paragraph)
     assert "link0 0.5 mm, link1 1.5 mm" in words(shown)
     few = table("Design", "<><<", rows[:8])
-    assert short_text.dimensions(few) is few
+    assert search_tables.dimensions(few) is few
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["path-arc5", "law-slider-crank", "transmission-optimal"])
 def test_a_path_problem_says_how_sure_its_optimum_is(name: str) -> None:
     text = run("solve", name, "--starts", "60").stdout
-    assert text.count("\n") <= short_text.LINES
+    assert text.count("\n") <= search_tables.LINES
     proven = "globally optimal within the bounds" in text
     assert name == "transmission-optimal" or not proven
     assert proven != ("starts reached the best value; chance that a better optimum" in text)

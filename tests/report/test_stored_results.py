@@ -18,9 +18,8 @@ from optlink.problem.document import Document
 from optlink.report.export.export import export
 from optlink.report.files import write_csv
 from optlink.report.html.page import page
-from optlink.report.registry import KINDS, view_of
+from optlink.report.registry import KINDS, read_result, stored_page, view_of
 from optlink.report.report_model import ReportModel, report_model_of
-from optlink.report.stored import read_result, stored_page
 from optlink.studies.motion_sensitivity import OutputStudy
 from optlink.studies.pareto.epsilon_constraint import pareto
 from optlink.studies.sensitivity import sensitivities

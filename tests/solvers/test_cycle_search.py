@@ -16,7 +16,7 @@ from optlink.errors import InputError, Status
 from optlink.optimization.cycle_signals import TracedCycle
 from optlink.problem.file import ProblemFile, read
 from optlink.solvers import multistart
-from optlink.solvers.event_orders import OrderedStarts
+from optlink.solvers.exchange import OrderedStarts
 from optlink.tasks import search
 from optlink.tasks.design import solve, validate
 from optlink.tasks.results.design import SynthesisResult

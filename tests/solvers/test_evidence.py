@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from optlink.tasks.results.evidence import evidence
+from optlink.tasks.results.common import evidence
 
 
 def posterior(n: int, w: int, most: int) -> np.ndarray:

@@ -14,7 +14,7 @@ from optlink.optimization.programme import build
 from optlink.solvers import exchange, multistart
 from optlink.solvers.contract import BACKENDS
 from optlink.solvers.solution import Solution
-from optlink.synthesis import function_starts
+from optlink.synthesis import freudenstein
 
 RAW = {
     "title": "function",
@@ -38,7 +38,7 @@ def problem(function: str, x: list[float], turned: float, swung: float, assembly
 def at_positions(file: optlink.ProblemFile) -> tuple[NLP, Solution]:
     """The programme, and its optimum at the design positions from the best convex first design."""
     nlp = build(file.spec)
-    first = function_starts.values(file.spec, function_starts.steps(file.spec)[0])
+    first = freudenstein.values(file.spec, freudenstein.steps(file.spec)[0])
     return nlp, multistart.solve_from(nlp, nlp.x_of(first), "ipopt, close")
 
 

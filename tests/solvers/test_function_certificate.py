@@ -9,20 +9,19 @@ from scipy.optimize import linprog
 import optlink
 from optlink.linkage.fourbar import LENGTHS, crank_rocker_conditions, double_crank_conditions, four_bar
 from optlink.linkage.vector2d import unit
-from optlink.solvers.global_search.function_certificate import certify_function, linkage_sets
-from optlink.solvers.global_search.function_rows import (
+from optlink.solvers.global_search.function_generator import (
     LinkageSet,
     Rows,
+    certify_function,
     coupler_rows,
     grashof_rows,
     largest,
+    least_violation,
+    linkage_sets,
     loop_rows,
     unit_vector,
 )
-from optlink.solvers.global_search.interior_point import least_violation
-from optlink.synthesis.freudenstein import first_steps
-from optlink.synthesis.freudenstein_fit import FitProblem
-from optlink.synthesis.loop_equations import LoopEquation
+from optlink.synthesis.freudenstein import FitProblem, LoopEquation, first_steps
 from optlink.tasks.certify import certify
 
 X = np.linspace(0.0, 1.2, 9)

@@ -10,9 +10,8 @@ import pytest
 import optlink
 from optlink.errors import InputError
 from optlink.execution.runner import pool
-from optlink.optimization.box_models import BoxModels, DesignBoxes, box_problem
-from optlink.optimization.taylor_model import TaylorModel, pairs
-from optlink.solvers.global_search import branch_and_bound, lagrangian, quadratic
+from optlink.optimization.taylor_model import BoxModels, DesignBoxes, TaylorModel, box_problem, pairs
+from optlink.solvers.global_search import branch_and_bound, lagrangian, lagrangian as quadratic
 from optlink.solvers.global_search.branch_and_bound import BranchAndBound
 from optlink.solvers.global_search.lagrangian import LagrangianBounds
 from optlink.tasks.certify import certify
@@ -309,8 +308,8 @@ def wrong(monkeypatch, name):
 
 def objective_at(problem, points):
     """Return the objective of designs (k, 2); infinite where a limit is violated."""
-    from optlink.optimization.constraints import rows
     from optlink.optimization.output_derivatives import ErrorResiduals
+    from optlink.optimization.terms import rows
 
     fixed = {name: quantity.value for name, quantity in problem.quantities.items()}
     flat = fixed | dict(zip(problem.free, points.T, strict=True))

@@ -10,8 +10,7 @@ import pytest
 
 import optlink
 from optlink.optimization.programme import build
-from optlink.solvers.elastic_programme import limit_sides
-from optlink.solvers.infeasibility import Explanation, explain, tightest
+from optlink.solvers.infeasibility import Explanation, explain, limit_sides, tightest
 from optlink.solvers.solution import Relaxation
 from optlink.tasks.results.conflict import outward
 from optlink.tasks.run import solve

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 import optlink
-from optlink.optimization.box_models import box_problem
+from optlink.optimization.taylor_model import box_problem
 from optlink.solvers.global_search.branch_and_bound import BranchAndBound, joint_history
 from optlink.solvers.global_search.lagrangian import LagrangianBounds
 from optlink.tasks.certify import certify

@@ -12,10 +12,9 @@ from scipy.optimize import minimize_scalar
 
 import optlink
 from optlink.errors import Status
-from optlink.optimization.constraints import PLAIN, ConstraintRow
 from optlink.optimization.nlp import NLP, Variable
-from optlink.optimization.objectives import error_measures
 from optlink.optimization.programme import build
+from optlink.optimization.terms import PLAIN, ConstraintRow, error_measures
 from optlink.problem.design import EPIGRAPH
 from optlink.solvers import contract, multistart
 from optlink.solvers.minimax import minimax

@@ -10,10 +10,10 @@ import pytest
 from numpy.typing import NDArray
 
 import optlink
-from optlink.optimization.box_models import DesignBoxes, box_problem
-from optlink.solvers.global_search import function_bounds
+from optlink.optimization.taylor_model import DesignBoxes, box_problem
+from optlink.solvers.global_search import function_generator
 from optlink.solvers.global_search.branch_and_bound import Bounder
-from optlink.solvers.global_search.function_certificate import FunctionSearch, linkage_sets
+from optlink.solvers.global_search.function_generator import FunctionSearch, linkage_sets
 from optlink.solvers.global_search.lagrangian import OPEN, LagrangianBounds
 from optlink.solvers.global_search.timed_path import TimedPathBounds
 from tests import synthesis_oracle as oracle
@@ -147,8 +147,8 @@ def tighter_path(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def tighter_rows(monkeypatch: pytest.MonkeyPatch) -> None:
-    original = function_bounds.loop_rows
-    monkeypatch.setattr(function_bounds, "loop_rows", lambda linkages, x, y, t: original(linkages, x, y, 0.9 * t))
+    original = function_generator.loop_rows
+    monkeypatch.setattr(function_generator, "loop_rows", lambda linkages, x, y, t: original(linkages, x, y, 0.9 * t))
 
 
 def larger_residuals(monkeypatch: pytest.MonkeyPatch) -> None:

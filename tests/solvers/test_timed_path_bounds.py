@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 import optlink
 from optlink.linkage.vector2d import unit
 from optlink.solvers.global_search.branch_and_bound import BranchAndBound
-from optlink.solvers.global_search.column_fit import ColumnFit
 from optlink.solvers.global_search.lagrangian import OPEN, TESTS
-from optlink.solvers.global_search.timed_path import TimedPathBounds, unsuitable
+from optlink.solvers.global_search.timed_path import ColumnFit, TimedPathBounds, unsuitable
 
 Array = NDArray[np.float64]
 

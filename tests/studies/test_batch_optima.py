@@ -10,13 +10,12 @@ import pytest
 
 import optlink
 from optlink.execution.runner import apart
-from optlink.optimization.batch_nlp import BatchNLP
+from optlink.optimization.nlp import BatchNLP
 from optlink.optimization.programme import build
 from optlink.solvers import multistart
 from optlink.solvers.exchange import solve_semi_infinite
 from optlink.studies import reoptimise_task
-from optlink.studies.batch.blocks import MAX_BLOCK_POINTS, Blocks
-from optlink.studies.batch.prediction import block_nodes
+from optlink.studies.batch_optima import MAX_BLOCK_POINTS, Blocks, block_nodes
 from optlink.studies.grid import Axis, Grid, read_grid
 from optlink.studies.reoptimise_task import FOLLOWED, ReoptimiseTask, chunk_of
 from optlink.studies.sweep import sweep
@@ -180,7 +179,7 @@ def test_neighbours_correct_a_search_that_ends_in_a_worse_optimum(monkeypatch):
     """The problem has optima of 0.0012 and 0.36 rad^2; one search is led to the worse one, another finds no design."""
     vary = ["mechanism.crank=98..102 mm:21"]
     expected = task(vary, **WIDE).lines(0)
-    monkeypatch.setattr("optlink.studies.batch.blocks.MAX_BLOCK_POINTS", 7)
+    monkeypatch.setattr("optlink.studies.batch_optima.MAX_BLOCK_POINTS", 7)
     study = task(vary, **WIDE)
     search, nlp = study.grid_search, study.programme.nlp
     assert search.blocks.counts == (3,)

@@ -14,8 +14,7 @@ import optlink
 from optlink.cli.app import app
 from optlink.errors import InputError
 from optlink.optimization.programme import build
-from optlink.problem.robust import read_robust
-from optlink.problem.tolerances import with_tolerance
+from optlink.problem.tolerances import read_robust, with_tolerance
 from optlink.studies.sensitivity import sensitivities
 from optlink.studies.sweep import sweep
 from optlink.studies.tolerance.analysis import tolerance

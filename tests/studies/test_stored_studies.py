@@ -16,7 +16,7 @@ from optlink.cli.app import app
 from optlink.errors import InputError
 from optlink.problem.document import Document
 from optlink.report.html.page import write_page
-from optlink.report.stored import read_result, stored_page
+from optlink.report.registry import read_result, stored_page
 from optlink.studies import sweep as sweep_module
 from optlink.studies.motion_sensitivity import OutputStudy
 from optlink.studies.pareto.epsilon_constraint import pareto

@@ -30,8 +30,8 @@ from optlink.errors import InputError, SolverError
 from optlink.execution import runner, store
 from optlink.report.chart_mpl import draw
 from optlink.report.views.sweep import charts
-from optlink.studies.fast_overrides import FastOverride
 from optlink.studies.grid import read_axis, read_grid
+from optlink.studies.optimum_parameters import FastOverride
 from optlink.studies.sweep import CHANGED, sweep
 from optlink.validation import validate_batch as prove
 from tests import chunks

@@ -19,7 +19,7 @@ from optlink.errors import InputError
 from optlink.report.views import sweep as sweep_view
 from optlink.report.views.sweep import charts
 from optlink.studies.sweep import sweep
-from optlink.tasks.batch import batch_extremes
+from optlink.tasks.analyze import batch_extremes
 
 PUMP = """
 title = "Offset pump"
@@ -140,7 +140,7 @@ def test_both_routes_to_a_row_agree(pump, monkeypatch):
     file = optlink.load(str(pump()))
     batched = sweep(file, vary, analyze=True, columns=columns, workers=1).columns
     assert np.all(batched["valid"])
-    monkeypatch.setattr("optlink.studies.analysis_task.AnalysisTask._batched", lambda *_: {})
+    monkeypatch.setattr("optlink.studies.sweep_task.AnalysisTask._batched", lambda *_: {})
     alone = sweep(file, vary, analyze=True, columns=columns, workers=1).columns
     for name in list(batched)[2:-3]:
         rounding = (

@@ -21,12 +21,10 @@ from optlink.problem.tolerances import SHAPES, Deviation
 from optlink.studies.tolerance import allocation
 from optlink.studies.tolerance.allocation import least_cost
 from optlink.studies.tolerance.analysis import tolerance
-from optlink.studies.tolerance.linear import linear_analysis
-from optlink.studies.tolerance.monte_carlo import monte_carlo
+from optlink.studies.tolerance.monte_carlo import linear_analysis, monte_carlo
 from optlink.studies.tolerance.nominal import nominal_design
-from optlink.studies.tolerance.options import read_deviations
 from optlink.studies.tolerance.robust_design import RobustSearch, robust
-from optlink.studies.tolerance.sampling import read_costs, read_yield, sample_deviations, wilson
+from optlink.studies.tolerance.sampling import read_costs, read_deviations, read_yield, sample_deviations, wilson
 from tests.solved import solution
 
 DESIGN = {"coupler": 0.412865417, "rocker": 0.23224617}

@@ -7,7 +7,7 @@ import pytest
 import optlink
 from optlink.errors import Status
 from optlink.solvers import multistart
-from optlink.studio.follow import TargetsFollower
+from optlink.studio.design import TargetsFollower
 
 
 @pytest.mark.slow

@@ -21,8 +21,7 @@ import pytest
 import websockets
 
 from optlink.studio.document import named
-from optlink.studio.link import Link, Worker
-from optlink.studio.requests import MAX_REFUSED, Requests, parsed
+from optlink.studio.link import MAX_REFUSED, Link, Requests, Worker, parsed
 from optlink.studio.server import FULL, MAX_PAGES, REMEMBERED_PAGES, Studio
 
 SECONDS = 300.0  # on a machine that is busy otherwise; most waits end within one

@@ -19,12 +19,11 @@ import pytest
 import optlink
 from optlink.problem.file import read
 from optlink.report.toml_text import rewritten
-from optlink.studies.toml_keys import exact_text, knobs
-from optlink.studio import state
+from optlink.studies.grid import exact_text, knobs
+from optlink.studio import design as state
 from optlink.studio.curve import curve_problem
 from optlink.studio.design import design_of
-from optlink.studio.document import Document, from_template, from_text, named, tables
-from optlink.studio.files import deflated, inflated
+from optlink.studio.document import Document, deflated, from_template, from_text, inflated, named, tables
 from optlink.studio.session import Session
 from optlink.studio.worker import Interrupts
 

@@ -13,11 +13,8 @@ from scipy.optimize import linprog, lsq_linear
 import optlink
 from optlink.linkage.fourbar import four_bar
 from optlink.linkage.motion import sweep
-from optlink.synthesis import freudenstein, freudenstein_convex
-from optlink.synthesis.freudenstein import FirstStep
-from optlink.synthesis.freudenstein_fit import FitProblem, Keep
-from optlink.synthesis.function_starts import UNLIMITED
-from optlink.synthesis.loop_equations import LoopEquation
+from optlink.synthesis import freudenstein, freudenstein as freudenstein_convex
+from optlink.synthesis.freudenstein import UNLIMITED, FirstStep, FitProblem, Keep, LoopEquation
 from optlink.tasks.design import has_first_steps
 from tests.tiers import mostly_slow
 

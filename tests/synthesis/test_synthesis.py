@@ -15,11 +15,10 @@ from optlink.linkage.fourbar import LENGTHS, Inversion, grashof
 from optlink.linkage.vector2d import unit
 from optlink.optimization.programme import build
 from optlink.problem.design import STEP
-from optlink.synthesis import levenberg_marquardt, random_starts
+from optlink.synthesis import batch_search, levenberg_marquardt
 from optlink.synthesis.batch import INSIDE, WEIGHT, Batch
 from optlink.synthesis.batch_search import PERFECT, Searcher
-from optlink.synthesis.levenberg_marquardt import minimise
-from optlink.synthesis.variable_projection import SimilarityFit
+from optlink.synthesis.levenberg_marquardt import SimilarityFit, minimise
 from optlink.validation.design import deviations
 from tests import synthesis_oracle as oracle
 from tests.stated import ANGLE, SLIDER_CRANK, SPOTS, STEPHENSON, document, four_bar_section, free, model
@@ -72,8 +71,8 @@ def sample(batch: Batch, count: int, seed: int = 0) -> tuple[Array, Array]:
     rng = np.random.default_rng(seed)
     result: list[tuple[Array, Array]] = []
     for _ in range(200):
-        x = random_starts.random_designs(batch, 400, rng)
-        t = random_starts.random_crank_angles(batch, 400, rng) if batch.free_timing else np.zeros((400, len(batch.data.columns)))
+        x = batch_search.random_designs(batch, 400, rng)
+        t = batch_search.random_crank_angles(batch, 400, rng) if batch.free_timing else np.zeros((400, len(batch.data.columns)))
         x = batch.low + (batch.high - batch.low) * np.clip((x - batch.low) / (batch.high - batch.low), 1e-3, 1.0 - 1e-3)
         mechanism = batch.problem.linkage
         with np.errstate(all="ignore"):
@@ -152,7 +151,7 @@ def test_missed_limits_are_those_of_the_lengths() -> None:
     problem = model(document(four_bar_section("left"), limits={"link_ratio": [0.8, 1.5], "pivots": {"x": ["-5 mm", "5 mm"]}}))
     batch = Batch(problem)
     rng = np.random.default_rng(3)
-    x, t = random_starts.random_designs(batch, 200, rng), random_starts.random_crank_angles(batch, 200, rng)
+    x, t = batch_search.random_designs(batch, 200, rng), batch_search.random_crank_angles(batch, 200, rng)
     values = {name: v[:, 0] for name, v in batch.values(x).items()}
     crank, coupler, rocker, frame = (values[name] for name in LENGTHS)
     others = np.sort([coupler, rocker, frame], axis=0)
@@ -443,7 +442,7 @@ def test_a_bound_holds_the_optimum() -> None:
 )
 def test_proportions_are_all_of_their_kind(crank: str, inversion: Inversion) -> None:
     batch = Batch(model(document(four_bar_section(), limits={"crank": crank})))
-    lengths = random_starts.random_proportions(batch, 2000, np.random.default_rng(0))
+    lengths = batch_search.random_proportions(batch, 2000, np.random.default_rng(0))
     assert lengths.shape == (2000, 4)
     assert np.all(lengths > 0.0)
     assert np.all(lengths[:, 3] == 1.0)
@@ -453,7 +452,7 @@ def test_proportions_are_all_of_their_kind(crank: str, inversion: Inversion) -> 
 def test_proportions_leave_no_crank_rocker_out() -> None:
     """Around every random crank-rocker of the oracle there are some, though they are three numbers."""
     batch = Batch(model(document(four_bar_section())))
-    logs = np.log(random_starts.random_proportions(batch, 60_000, np.random.default_rng(1))[:, :3])
+    logs = np.log(batch_search.random_proportions(batch, 60_000, np.random.default_rng(1))[:, :3])
     rng = np.random.default_rng(2)
     for _ in range(60):
         design = oracle.random_crank_rocker(rng)
@@ -465,7 +464,7 @@ def test_proportions_leave_no_crank_rocker_out() -> None:
 @pytest.mark.parametrize("closed", [False, True])
 def test_random_timing_is_in_order(rotation: str, closed: bool) -> None:
     batch = Batch(model(document(four_bar_section(), closed=closed, rotation=rotation)))
-    t = random_starts.random_crank_angles(batch, 500, np.random.default_rng(0))
+    t = batch_search.random_crank_angles(batch, 500, np.random.default_rng(0))
     steps = np.diff(t, axis=1)
     way = np.sign(steps[:, :1])
     assert np.all(steps * way >= STEP)

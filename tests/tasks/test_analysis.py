@@ -21,9 +21,8 @@ from optlink.cli.app import app
 from optlink.dynamics.columns import MotionColumns
 from optlink.dynamics.work import Work, jumps
 from optlink.linkage import stroke as cycle
-from optlink.linkage.extrema import SampledFunctions, extremes
+from optlink.linkage.extrema import SampledFunctions, extremes, zeros
 from optlink.linkage.fourbar import four_bar, grashof, reachable as four_bar_reachable
-from optlink.linkage.zeros import zeros
 from optlink.studies.sweep import sweep
 from optlink.symbolic import symbols_in_numpy
 from optlink.tasks.machine import machine_of

@@ -16,16 +16,15 @@ from scipy.optimize import minimize
 from typer.testing import CliRunner
 
 import optlink
-from optlink.balancing import certificate, socp
-from optlink.balancing.measures import amounts, measured, value
+from optlink.balancing import socp, socp as certificate
+from optlink.balancing.socp import amounts, measured, value
 from optlink.cli.app import app
 from optlink.dynamics import counterweights as effects_module
 from optlink.dynamics.columns import MotionColumns
 from optlink.dynamics.counterweights import Affine, Counterweight, Effects, with_counterweight
-from optlink.dynamics.inertia import Inertia, Parameters
-from optlink.problem.cycle.quantities import QUANTITIES
-from optlink.problem.cycle.terms import Term
+from optlink.dynamics.machine import Inertia, Parameters
 from optlink.problem.machine.balance import term_keys
+from optlink.problem.terms import QUANTITIES, Term
 from optlink.report.views import balance as balance_view
 from optlink.tasks import balance
 from tests.bar_oracle import Body, Motion, bar, disc, rms

@@ -14,7 +14,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import optlink
-from optlink.dynamics.ending import Ending
+from optlink.dynamics.forward import Ending
 from tests.tiers import mostly_slow
 
 SEEDS = range(200)

@@ -10,7 +10,7 @@ import pytest
 
 import optlink
 from optlink.optimization.programme import build
-from optlink.solvers import event_orders
+from optlink.solvers import exchange
 from optlink.studies.sensitivity import sensitivities
 from optlink.studies.target_programme import TargetProgramme
 from optlink.tasks.search import DesignOrders
@@ -136,8 +136,8 @@ def test_a_design_with_further_dead_centres_does_not_fit_its_programme() -> None
     """The rocker of a double-crank never reverses, and a design of a crank-rocker has the order of its programme."""
     orders = DesignOrders(smallest(swing=SWING))
     trace, structure, design = orders.of({"crank": 0.12, "coupler": 0.40, "rocker": 0.30})
-    assert event_orders.misfit(trace, structure, design) == ""
-    assert event_orders.misfit(trace, structure, {"crank": 0.8, "coupler": 0.7, "rocker": 0.8}) == event_orders.FURTHER
+    assert exchange.misfit(trace, structure, design) == ""
+    assert exchange.misfit(trace, structure, {"crank": 0.8, "coupler": 0.7, "rocker": 0.8}) == exchange.FURTHER
 
 
 def test_the_validator_finds_a_wrong_stroke_by_itself() -> None:

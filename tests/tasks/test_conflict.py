@@ -8,9 +8,8 @@ import pytest
 
 import optlink
 from optlink.report import terminal
-from optlink.report.registry import table_of
+from optlink.report.registry import read_result, table_of
 from optlink.report.report_model import report_model_of
-from optlink.report.stored import read_result
 from optlink.report.views import conclusions
 from optlink.report.views.design_view import best, title_of
 from optlink.solvers.solution import Relaxation

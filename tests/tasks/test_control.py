@@ -15,19 +15,16 @@ import numpy as np
 import pytest
 
 import optlink
-from optlink.clearance.closed_loop import DENSE, ClosedLoop
+from optlink.clearance.columns import default_output
 from optlink.clearance.compiled.choice import installed
-from optlink.clearance.controller import PID, Controller, Gains
-from optlink.clearance.equations import Drive, Servo
-from optlink.clearance.inverse_model import POINTS, Inverse, leverage, predicted
-from optlink.clearance.output import default_output
-from optlink.clearance.reference_signal import ReferenceSignal
+from optlink.clearance.control import DENSE, PID, POINTS, ClosedLoop, Controller, Gains, Inverse, leverage, predicted
+from optlink.clearance.equations import Drive, ReferenceSignal, Servo
 from optlink.dynamics.inverse import reactions
 from optlink.errors import InputError
 from optlink.report import files
 from optlink.report.views import control_comparison as comparison_view
 from optlink.tasks import control_comparison, parallel_runs
-from optlink.tasks.results.control_comparison import Comparison
+from optlink.tasks.results.clearance import Comparison
 
 CRANK, ROD = 0.05, 0.12
 SPEED = 1200.0 * math.pi / 30.0

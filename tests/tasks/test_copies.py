@@ -20,9 +20,8 @@ from optlink import load
 from optlink.errors import Fault
 from optlink.problem.document import Document
 from optlink.report.html.page import page
-from optlink.report.registry import view_of
+from optlink.report.registry import read_result, view_of
 from optlink.report.report_model import report_model_of
-from optlink.report.stored import read_result
 from optlink.studies.motion_sensitivity import output_sensitivity
 from optlink.studies.pareto.epsilon_constraint import pareto
 from optlink.studies.sensitivity import of_solution, sensitivities

@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 
 import optlink
 from optlink.dynamics.columns import MotionColumns
-from optlink.problem.cycle.terms import Limit
+from optlink.problem.terms import Limit
 from optlink.tasks.design import solve, validate
 from optlink.tasks.results.design import SynthesisResult
 from optlink.validation import validate as validate_design

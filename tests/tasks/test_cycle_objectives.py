@@ -14,7 +14,7 @@ import optlink
 from optlink.errors import InputError, Status
 from optlink.optimization.cycle_signals import TracedCycle
 from optlink.problem.file import ProblemFile, read
-from optlink.solvers.event_orders import OrderedStart
+from optlink.solvers.exchange import OrderedStart
 from optlink.tasks.design import solve
 from optlink.tasks.search import Polisher
 from optlink.validation import validate as validate_design

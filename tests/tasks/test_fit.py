@@ -19,8 +19,7 @@ from optlink.report.report_model import ReportModel
 from optlink.report.views import design_tables
 from optlink.solvers.solution import LimitState
 from optlink.tasks.design import solve, solve as solve_cycle, validate
-from optlink.tasks.results.fit import Fit, PathFit, TransmissionFit, transmission_fit
-from optlink.tasks.results.remedies import fixed_effects
+from optlink.tasks.results.fit import Fit, PathFit, TransmissionFit, fixed_effects, transmission_fit
 from tests.stated import document, four_bar_section, free
 
 SIZES = dict.fromkeys(("crank", "coupler", "rocker", "frame"), free(10.0, 300.0))

@@ -10,13 +10,12 @@ import pytest
 
 import optlink
 from optlink.errors import InputError
-from optlink.optimization.constraints import rows
-from optlink.studies.fast_overrides import FastOverride
+from optlink.optimization.terms import rows
 from optlink.studies.grid import read_grid
+from optlink.studies.optimum_parameters import FastOverride
 from optlink.studies.sweep import sweep
-from optlink.synthesis.batch import Batch
-from optlink.synthesis.by_lengths import ByLengths
-from optlink.synthesis.random_starts import random_crank_angles, random_designs
+from optlink.synthesis.batch import Batch, ByLengths
+from optlink.synthesis.batch_search import random_crank_angles, random_designs
 from optlink.validation import validate
 from tests.as_dyads import FAR, as_dyads
 

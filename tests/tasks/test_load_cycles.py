@@ -11,8 +11,7 @@ import pytest
 
 import optlink
 from optlink.errors import InputError
-from optlink.problem.targets.expression import parse
-from optlink.problem.targets.repetition import revolutions_of
+from optlink.problem.targets.expression import parse, revolutions_of
 from optlink.studies.sweep import sweep
 
 CRANK, ROD, MASS, SPEED = 0.04, 0.14, 0.4, 20.0

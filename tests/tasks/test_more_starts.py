@@ -14,7 +14,7 @@ import pytest
 import optlink
 from optlink.optimization.programme import build
 from optlink.solvers import contract, multistart
-from optlink.synthesis import function_starts
+from optlink.synthesis import freudenstein
 from optlink.synthesis.batch_search import Searcher
 from optlink.tasks.design import solve
 from optlink.tasks.search import DesignCollection, Polisher
@@ -80,7 +80,7 @@ def test_a_valid_design_is_not_lost_to_an_invalid_better_one() -> None:
     """A start that leads to a lower objective beyond a limit of the validator comes last: the valid one before it stays."""
     file = short()
     collection = DesignCollection(Polisher([file], "ipopt"), 1)
-    good = collection.polisher.from_values(0, function_starts.values(file.spec, function_starts.steps(file.spec)[0]), None)
+    good = collection.polisher.from_values(0, freudenstein.values(file.spec, freudenstein.steps(file.spec)[0]), None)
     collection.take(good)
     assert collection.designs == [good]
     check = Check("the cover is not reached", False, 3.25, "<= 2", "mm")

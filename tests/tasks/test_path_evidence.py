@@ -16,7 +16,7 @@ import optlink
 from optlink.linkage.fourbar import LENGTHS
 from optlink.synthesis.batch_search import Exploration, Searcher
 from optlink.tasks.design import MISSED_CHANCE, solve
-from optlink.tasks.results.evidence import percent
+from optlink.tasks.results.common import percent
 from optlink.tasks.search import IDLE_ROUNDS, OBJECTIVE_TOLERANCE, DesignCollection, Polisher
 from tests import synthesis_oracle as oracle
 from tests.stated import document, four_bar_section, free

@@ -12,9 +12,8 @@ import pytest
 
 import optlink
 from optlink.report.html.page import page
-from optlink.report.registry import table_of
+from optlink.report.registry import read_result, table_of
 from optlink.report.report_model import report_model_of
-from optlink.report.stored import read_result
 from optlink.tasks import search
 from optlink.validation import Check, Validation
 from optlink.validation.check import MEASURED

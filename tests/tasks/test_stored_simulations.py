@@ -14,13 +14,12 @@ import numpy as np
 import pytest
 
 import optlink
-from optlink.dynamics.ending import Ending
+from optlink.dynamics.forward import Ending
 from optlink.errors import InputError
 from optlink.problem.file import ProblemFile
 from optlink.report.format import single_units
 from optlink.report.html.study_page import study_page
-from optlink.report.registry import table_of, view_of
-from optlink.report.stored import read_result
+from optlink.report.registry import read_result, table_of, view_of
 from tests.tiers import mostly_slow
 
 ROTOR = {

@@ -13,7 +13,7 @@ import optlink
 from optlink.errors import InputError
 from optlink.validation import validate
 from optlink.validation.cycle import Cycle
-from optlink.validation.linkage_motion import motion_of
+from optlink.validation.motion import motion_of
 
 Raw = dict[str, object]
 

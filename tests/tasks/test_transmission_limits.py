@@ -13,9 +13,9 @@ from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import unit
 from optlink.optimization.programme import build
 from optlink.problem.design import DesignProblem
-from optlink.studies.parameters import parameters
+from optlink.studies.optimum_parameters import parameters
 from optlink.tasks.design import solve, validate
-from optlink.validation.linkage_motion import transmission_angles
+from optlink.validation.motion import transmission_angles
 from tests.tasks.test_motion_laws import LINKS
 
 TURN = 2.0 * math.pi

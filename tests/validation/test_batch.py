@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from optlink.problem.design import DesignProblem
-from optlink.studies.fast_overrides import copy_model
+from optlink.studies.optimum_parameters import copy_model
 from optlink.validation import validate, validate_batch
 from optlink.validation.check import Validation
 from tests.validation.test_validation import BEST, OPTIMUM, SHIPPED, defects, failed, problem

@@ -11,7 +11,7 @@ import optlink
 from optlink.report.views.conclusions import design as conclusion
 from optlink.tasks.design import validate
 from optlink.tasks.results.design import LinkageDesign
-from optlink.validation.between import sagittas
+from optlink.validation.timing import sagittas
 from tests.stated import document, four_bar_section
 
 CRANK, ROD = 40.0, 120.0

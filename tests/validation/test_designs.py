@@ -20,8 +20,7 @@ from optlink.linkage.vector2d import Value
 from optlink.problem.design import DesignProblem
 from optlink.problem.requirements.laws import DEAD_CENTRES
 from optlink.validation import validate, validate_batch
-from optlink.validation.four_bar_motion import FourBarMotion
-from optlink.validation.linkage_motion import LinkageMotion, motion_of
+from optlink.validation.motion import FourBarMotion, LinkageMotion, motion_of
 
 COUNT = 12
 

@@ -21,8 +21,8 @@ from typer.testing import CliRunner
 
 import optlink
 from optlink.cli.app import app
-from optlink.dynamics.inertia import Wrench
 from optlink.dynamics.inverse import reactions, required_wrench
+from optlink.dynamics.machine import Wrench
 from optlink.tasks.analyze import Analysis, analyze
 
 TABLE = Path(__file__).resolve().parent.parent / "data" / "six_bar_15deg.csv"

@@ -17,7 +17,7 @@ from optlink.linkage.dyads import rrr
 from optlink.linkage.fourbar import LENGTHS, Inversion, dead_centre, four_bar, grashof, swing, time_ratio
 from optlink.linkage.jet import Jet
 from optlink.linkage.mechanism import Link, Mechanism
-from optlink.optimization import constraints
+from optlink.optimization import terms
 from optlink.problem.design import DesignProblem
 from optlink.validation import Validation, validate
 
@@ -117,7 +117,7 @@ def test_the_limit_of_alignment_is_that_of_the_file_or_one_degree(least, limits)
         check = next(check for check in validate(rule, values).checks if "off alignment" in check.name)
         assert (check.value, check.passed) == (pytest.approx(angle, rel=1e-6), meets)
         aligned = [
-            row for row in constraints.rows(rule, values, rule.reach(values), values["frame"]) if row.limit == "limits.alignment"
+            row for row in terms.rows(rule, values, rule.reach(values), values["frame"]) if row.limit == "limits.alignment"
         ]
         assert aligned
         assert all(row.low <= row.value <= row.high for row in aligned) == meets  # what the optimiser sees
@@ -568,7 +568,7 @@ def test_rows_of_the_programme_and_the_validator_draw_the_same_line(name):
     verdicts = []
     for coupler, rocker in rng.uniform(0.1, 0.9, (80, 2)):
         design = rule.design({"coupler": coupler, "rocker": rocker})
-        rows = constraints.rows(rule, design, rule.reach(design), 0.5)
+        rows = terms.rows(rule, design, rule.reach(design), 0.5)
         spare = float(np.min([[float(row.value) - row.low, row.high - float(row.value)] for row in rows]))
         if abs(spare) < 1e-3:  # on the line itself tolerances decide
             continue

@@ -4,7 +4,7 @@ import enum
 from collections.abc import Mapping
 from typing import Any
 
-from optlink.clearance.closed_loop import ClosedLoop
+from optlink.clearance.control import ClosedLoop
 from optlink.errors import InputError
 
 
@@ -60,8 +60,7 @@ def chosen(integrator: str, closed_loop: ClosedLoop, revolutions: float, *, cach
     auto, equations = integrator == IntegratorKind.AUTO, closed_loop.equations
     if integrator == IntegratorKind.CVODES or (auto and closed_loop.integration.slow):
         return IntegratorKind.CVODES
-    from optlink.clearance.compiled.machine import code_of, is_cached
-    from optlink.clearance.compiled.source import Unsupported
+    from optlink.clearance.compiled.machine import Unsupported, code_of, is_cached
 
     if auto:
         seconds = revolutions * len(equations.gaps) * (REVOLUTION + ROW * closed_loop.rows)

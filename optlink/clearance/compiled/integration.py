@@ -7,9 +7,9 @@ import numpy as np
 
 from optlink.clearance.compiled import motion
 from optlink.clearance.compiled.machine import code_of, engine
-from optlink.clearance.contact_laws import SLOWEST
+from optlink.clearance.equations import ReferenceSignal
 from optlink.clearance.integration import BUSY, DEEPEST, Block, Impact, Integration, Stalled
-from optlink.clearance.reference_signal import ReferenceSignal
+from optlink.clearance.joint import SLOWEST
 
 ROWS = 4096
 """Most rows of a call."""

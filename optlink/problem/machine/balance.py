@@ -12,20 +12,24 @@ from pydantic import Field, field_validator, model_validator
 from optlink.dynamics.machine import Machine
 from optlink.linkage.mechanism import FRAME, Pose
 from optlink.problem.base_model import RESERVED, Name, Section
-from optlink.problem.cycle.quantities import QUANTITIES
-from optlink.problem.cycle.terms import Limit, Objective, Place, Term, TermSection, check_term, read_scale, read_words
-from optlink.problem.interval import CoordinateInterval, Interval, LengthInterval, MassInterval, StiffnessInterval, read_figure
 from optlink.problem.machine.loads import spring_ends
 from optlink.problem.quantity import (
+    CoordinateInterval,
     Density,
     FixedForce,
     FixedLength,
+    Interval,
+    LengthInterval,
+    MassInterval,
+    StiffnessInterval,
     Unusable,
     below,
     check_name,
     is_number,
+    read_figure,
     where,
 )
+from optlink.problem.terms import QUANTITIES, Limit, Objective, Place, Term, TermSection, check_term, read_scale, read_words
 from optlink.units import KINDS, read_number, with_article
 
 if TYPE_CHECKING:

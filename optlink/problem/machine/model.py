@@ -19,22 +19,28 @@ from optlink.linkage.vector2d import Array, Value
 from optlink.problem.base_model import RESERVED, Name, Section, in_folder
 from optlink.problem.linked import Link, check_linked, links_of
 from optlink.problem.machine.balance import BalanceSection
-from optlink.problem.machine.bodies import BodySection, DriveSection, Gravity
-from optlink.problem.machine.control import ControlSection
-from optlink.problem.machine.joints import JointSection
-from optlink.problem.machine.loads import LoadSection
-from optlink.problem.machine.measured import MeasuredSeries, read_measured
-from optlink.problem.machine.revolution import RevolutionSamples
-from optlink.problem.mechanism import DyadsSection, FourBarSection, sizes_of
-from optlink.problem.nearby import nearest_modes
-from optlink.problem.quantity import FixedAngle, FixedLength, Number, Quantity, Unusable, below, check_name, nearest
-from optlink.problem.quantity_keys import quantity_key, write
-from optlink.problem.targets.repetition import MOST_REVOLUTIONS
+from optlink.problem.machine.bodies import BodySection, DriveSection, Gravity, JointSection
+from optlink.problem.machine.control import ControlSection, MeasuredSeries, read_measured
+from optlink.problem.machine.loads import LoadSection, RevolutionSamples
+from optlink.problem.mechanism import DyadsSection, FourBarSection, nearest_modes, sizes_of
+from optlink.problem.quantity import (
+    FixedAngle,
+    FixedLength,
+    Number,
+    Quantity,
+    Unusable,
+    below,
+    check_name,
+    nearest,
+    quantity_key,
+    write,
+)
+from optlink.problem.targets.expression import MOST_REVOLUTIONS
 from optlink.problem.tolerances import Deviation, Tolerances, deviations, with_deviating_pivots
 from optlink.units import display_unit
 
 if TYPE_CHECKING:
-    from optlink.clearance.output import Output
+    from optlink.clearance.columns import Output
 
 SPELLINGS = {
     "phi0": ("from", "start"),
@@ -307,7 +313,7 @@ class Problem(Section):
 
     def controlled_output(self, machine: Machine) -> "Output":
         """Return the output whose deviation is measured: that of `control.output`, else the default one."""
-        from optlink.clearance.output import default_output, outputs
+        from optlink.clearance.columns import default_output, outputs
 
         named = None if self.control is None else self.control.output
         return default_output(machine) if named is None else outputs(machine)[named]

@@ -10,12 +10,11 @@ from optlink.linkage.inner_four_bar import InnerFourBar
 from optlink.linkage.mechanism import Mechanism, Pose
 from optlink.linkage.vector2d import Array, Value, Vector
 from optlink.problem.base_model import Name, Section
-from optlink.problem.interval import read_figure
 from optlink.problem.limits import Bound, Limits
-from optlink.problem.quantity import Number, Quantity, Unusable, below, where
-from optlink.problem.robust import Robustness
+from optlink.problem.quantity import Number, Quantity, Unusable, below, read_figure, where
 from optlink.problem.targets.law import Law
 from optlink.problem.targets.target_points import TargetPoints
+from optlink.problem.tolerances import Robustness
 
 START, MARK, ZERO = "start", "mark", "zero"
 """Names of quantities that a requirement adds to those of dyads; a law of a four-bar section adds phi0 and psi0."""

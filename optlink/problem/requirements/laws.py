@@ -28,9 +28,9 @@ from optlink.problem.requirements.base import (
     at_positions,
 )
 from optlink.problem.targets.expression import Expression
-from optlink.problem.targets.function import Function
 from optlink.problem.targets.law import (
     SLIDE,
+    Function,
     Law,
     SlideExpression,
     Table,

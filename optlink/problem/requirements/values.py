@@ -11,26 +11,28 @@ from pydantic import BeforeValidator, model_validator
 from optlink.linkage.dyad_types import RRR, Transmitting, transmitting
 from optlink.linkage.mechanism import Pose
 from optlink.linkage.vector2d import TURN, Value, angle_from, dot, minus, unit
-from optlink.problem.cycle.quantities import guide_of
-from optlink.problem.cycle.terms import Limit, Term, check_term, output_of
-from optlink.problem.interval import SIDES, Interval, RatioOfStrokes, read_interval
 from optlink.problem.limits import Bound
 from optlink.problem.mechanism import moving_points
 from optlink.problem.quantity import (
+    SIDES,
     Angle,
     FixedAngle,
+    Interval,
     Quantity,
+    RatioOfStrokes,
     Unusable,
     check_keys,
     check_pair,
     nearest,
     read_fixed,
+    read_interval,
     read_quantity,
 )
 from optlink.problem.requirements.base import START, ZERO, Designed, Measure, Requirement, TargetArrays, at_positions
 from optlink.problem.requirements.laws import OF_DYADS, OF_FOUR_BAR, LawOf, LawRequirement
 from optlink.problem.targets.expression import Expression, parse
 from optlink.problem.targets.law import check_rotation
+from optlink.problem.terms import Limit, Term, check_term, guide_of, output_of
 
 GRID = 36  # crank angles at which the transmission of a mechanism other than a four-bar is evaluated
 

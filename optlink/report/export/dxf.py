@@ -20,8 +20,7 @@ from optlink.linkage.mechanism import FRAME, Guide, Mechanism
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.vector2d import TURN, Array
 from optlink.report.format import round_below
-from optlink.report.regions import Outline, Region
-from optlink.report.scene import scene
+from optlink.report.scene import Outline, Region, scene
 from optlink.report.shapes import hull, in_line
 from optlink.tasks.analyze import Analysis
 

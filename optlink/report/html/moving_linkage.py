@@ -14,8 +14,7 @@ from optlink.linkage.vector2d import Array
 from optlink.report.chart_spec import max_abs
 from optlink.report.export.svg import motion_data, svg
 from optlink.report.format import pretty
-from optlink.report.regions import Region
-from optlink.report.scene import Scene, scene
+from optlink.report.scene import Region, Scene, scene
 from optlink.report.style import Scale, scale
 from optlink.tasks.analyze import Analysis
 

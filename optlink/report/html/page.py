@@ -15,8 +15,8 @@ from optlink.report.registry import view_of
 from optlink.report.report_model import ReportModel
 from optlink.report.table_spec import Paragraph, Span, Summary
 from optlink.report.view import PageSection, StoredStudy
-from optlink.report.views import analysis_charts, analysis_forces, sensitivity
-from optlink.report.views.analysis_curves import CycleCurves
+from optlink.report.views import analysis_charts, analysis_charts as analysis_forces, sensitivity
+from optlink.report.views.analysis_charts import CycleCurves
 from optlink.studies.sensitivity import Sensitivities, of_solution
 from optlink.tasks.analyze import Analysis
 

@@ -9,8 +9,7 @@ import numpy as np
 
 from optlink.errors import InputError
 from optlink.linkage.vector2d import Array
-from optlink.problem.file import ProblemFile
-from optlink.problem.fixed_design import fixed_design
+from optlink.problem.file import ProblemFile, fixed_design
 from optlink.report.chart_spec import ChartSpec
 from optlink.report.export.dimensions import Drawing, dimensioned
 from optlink.report.format import Scale, single_units

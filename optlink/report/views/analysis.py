@@ -12,16 +12,14 @@ from PIL import Image
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import TURN
-from optlink.report.animation import film, there_and_back
 from optlink.report.chart_spec import CRANK, TARGET, ChartSpec
-from optlink.report.drawing import Sketch, merged_positions
+from optlink.report.drawing import Sketch, film, merged_positions, there_and_back
 from optlink.report.format import degrees, round_below, scale
 from optlink.report.labels import Label, place_labels
 from optlink.report.style import figure, heading, panels, styled
 from optlink.report.view import View
-from optlink.report.views import analysis_charts, analysis_forces, analysis_tables, conclusions
-from optlink.report.views.analysis_charts import output
-from optlink.report.views.analysis_curves import ROUNDING, CycleCurves
+from optlink.report.views import analysis_charts, analysis_charts as analysis_forces, analysis_tables, conclusions
+from optlink.report.views.analysis_charts import ROUNDING, CycleCurves, output
 from optlink.tasks.analyze import Analysis
 
 FRAMES = 80

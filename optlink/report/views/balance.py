@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from optlink.balancing.measures import measured, unit_of
+from optlink.balancing.socp import measured, unit_of
 from optlink.dynamics.inverse import reported_on
 from optlink.errors import Status
-from optlink.problem.cycle.terms import Term
-from optlink.problem.file import ProblemFile
-from optlink.problem.fixed_design import fixed_design
+from optlink.problem.file import ProblemFile, fixed_design
 from optlink.problem.mechanism import sizes_of
+from optlink.problem.terms import Term
 from optlink.report import files
 from optlink.report.chart_spec import (
     BODIES,
@@ -52,7 +51,7 @@ from optlink.report.table_spec import (
     verdict,
 )
 from optlink.report.view import PageSection, StoredStudy, View
-from optlink.report.views.short_text import objective_line, short_text
+from optlink.report.views.search_tables import objective_line, short_text
 from optlink.tasks.results.balance import Balance, TradeOff, column_of
 from optlink.units import percent
 

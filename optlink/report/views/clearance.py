@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from optlink.clearance.controller import Control
+from optlink.clearance.control import Control
 from optlink.dynamics.columns import MotionColumns
 from optlink.linkage.vector2d import TURN
 from optlink.report.chart_spec import (
@@ -309,7 +309,7 @@ def page(result: ClearanceSimulation) -> StoredStudy:
 
 
 def _mechanism(result: ClearanceSimulation) -> Figure | None:
-    from optlink.report.views.magnified_joints import mechanism
+    from optlink.report.views.clearance_joints import mechanism
 
     return mechanism(result)
 

@@ -3,10 +3,9 @@
 import math
 from collections.abc import Iterable
 
-from optlink.report.causes import why_invalid
-from optlink.report.format import figure, joined, shown, si
-from optlink.report.views.certificate_view import clause
-from optlink.report.views.design_words import sentence
+from optlink.report.format import figure, joined, shown, si, why_invalid
+from optlink.report.views.design_tables import sentence
+from optlink.report.views.search_tables import clause
 from optlink.solvers.solution import LimitState
 from optlink.tasks.analyze import Analysis
 from optlink.tasks.results.design import LinkageDesign, SynthesisResult, TermFigure

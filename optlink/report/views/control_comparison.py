@@ -28,8 +28,7 @@ from optlink.report.format import fixed, scale, si
 from optlink.report.table_spec import Inline, Paragraph, Row, Summary, bad, good, summary, table
 from optlink.report.view import PageSection, StoredStudy, View
 from optlink.report.views.revolutions import FULL, RevolutionCurves, fold
-from optlink.tasks.results.clearance import ClearanceSimulation
-from optlink.tasks.results.control_comparison import Comparison, Tuning
+from optlink.tasks.results.clearance import ClearanceSimulation, Comparison, Tuning
 from optlink.units import DISPLAYED, percent
 
 

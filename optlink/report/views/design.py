@@ -11,22 +11,19 @@ from PIL import Image
 
 from optlink.linkage.motion import Motion
 from optlink.linkage.vector2d import TURN
-from optlink.report.animation import film, there_and_back
-from optlink.report.causes import marked
 from optlink.report.chart_spec import CRANK, TARGET, Array, ChartSpec
-from optlink.report.drawing import Sketch
+from optlink.report.drawing import Sketch, film, there_and_back
+from optlink.report.format import marked
 from optlink.report.style import styled
 from optlink.report.view import View
 from optlink.report.views import conclusions
-from optlink.report.views.certificate_view import certificate_charts
-from optlink.report.views.design_charts import CloseUp, dots, errors, points_on, small_frames
+from optlink.report.views.design_charts import CloseUp, dots, errors, law, output_film, points_on, small_frames, transmission
 from optlink.report.views.design_cycle import beside_initial, courses
 from optlink.report.views.design_drawings import at_positions, beside_curve, designs
-from optlink.report.views.design_outputs import law, output_film, transmission
-from optlink.report.views.design_tables import design_result
+from optlink.report.views.design_tables import design_result, words_of
 from optlink.report.views.design_view import DesignView, best, views, with_verdict
-from optlink.report.views.design_words import words_of
 from optlink.report.views.objective_map import objective_map
+from optlink.report.views.search_tables import certificate_charts
 from optlink.tasks.results.design import SynthesisResult
 
 FRAMES = 90

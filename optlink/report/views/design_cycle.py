@@ -12,13 +12,12 @@ from matplotlib.lines import Line2D
 from optlink.dynamics.columns import MotionColumns
 from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import TURN, Value
-from optlink.problem.cycle.terms import Term
 from optlink.problem.design import DesignProblem
+from optlink.problem.terms import Term
 from optlink.report import chart_spec
-from optlink.report.causes import marked
 from optlink.report.chart_spec import GROUND, LIMIT, MUTED, RESULT, Array, Axis, ChartSpec, Curve, Panel, crank_angle
 from optlink.report.drawing import Sketch
-from optlink.report.format import Scale, scale
+from optlink.report.format import Scale, marked, scale
 from optlink.report.labels import place_labels
 from optlink.report.style import figure, heading, styled
 from optlink.tasks.analyze import Analysis

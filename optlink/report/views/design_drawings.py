@@ -21,9 +21,8 @@ from optlink.report.labels import Label, place_labels
 from optlink.report.shapes import even
 from optlink.report.style import figure, heading, panels, styled
 from optlink.report.views.design_charts import MAX_NUMBERED, CloseUp, points_on
-from optlink.report.views.design_tables import cognate_sources
+from optlink.report.views.design_tables import captions, cognate_sources, modes, transmission, words_of
 from optlink.report.views.design_view import LINE, SMALL, TITLE, DesignView, mechanism_title, views, wrapped
-from optlink.report.views.design_words import captions, modes, transmission, words_of
 from optlink.tasks.results.design import SynthesisResult
 
 MAX_HEIGHT, LABEL_WIDTH = 4.3, 0.75  # largest height of a panel and width of its axis labels [inch]

@@ -13,16 +13,15 @@ from optlink.linkage.stroke import reachable
 from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.file import ProblemFile
 from optlink.problem.requirements.base import MARK
-from optlink.report.causes import marked, why_invalid
 from optlink.report.drawing import Sketch
 from optlink.report.files import verdict
-from optlink.report.format import Scale, degrees, round_below, scale
-from optlink.report.regions import regions_of
+from optlink.report.format import Scale, degrees, marked, round_below, scale, why_invalid
+from optlink.report.scene import regions_of
 from optlink.report.shapes import finite, spread
 from optlink.report.style import heading
-from optlink.report.views.design_words import captions
+from optlink.report.views.design_tables import captions
 from optlink.tasks.results.design import LinkageDesign, SynthesisResult
-from optlink.validation.linkage_motion import transmission_angles
+from optlink.validation.motion import transmission_angles
 
 POSITIONS = 721  # positions per revolution
 DEVIATION_LENGTH = 0.07  # length of the largest magnified deviation, as a share of the extent of the points

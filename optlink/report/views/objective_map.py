@@ -13,7 +13,7 @@ from optlink.optimization.nlp import NLP
 from optlink.report.chart_spec import LIMIT, TARGET
 from optlink.report.format import dimension, pretty
 from optlink.report.style import figure, heading, styled
-from optlink.report.views.design_words import measure
+from optlink.report.views.design_tables import measure
 from optlink.solvers.contract import selectable
 from optlink.solvers.solution import Solution
 from optlink.tasks.results.design import SynthesisResult

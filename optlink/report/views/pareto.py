@@ -26,8 +26,8 @@ from optlink.report.table_spec import (
 )
 from optlink.report.view import PageSection, StoredStudy, View
 from optlink.report.views.sweep import named_si
+from optlink.studies.pareto.design_objectives import ParetoObjective
 from optlink.studies.pareto.epsilon_constraint import Pareto, ParetoPoint
-from optlink.studies.pareto.objective import ParetoObjective
 
 RATIO_ABOVE = 3.0  # ratio above which a change is not given in per cent
 MAX_POINTS = 24  # largest number of listed points, besides the end points and the knee

@@ -8,9 +8,8 @@ import numpy as np
 from optlink.problem.base_model import Section
 from optlink.problem.design import DesignProblem
 from optlink.problem.file import ProblemFile
-from optlink.problem.interval import Interval
 from optlink.problem.limits import RegionSection
-from optlink.problem.quantity import Quantity
+from optlink.problem.quantity import Interval, Quantity
 from optlink.problem.targets.target_points import TargetPoints
 from optlink.report.format import joined
 from optlink.report.table_spec import Part, Summary, TableSpec, quiet, summary, table

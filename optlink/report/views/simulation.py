@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from optlink.dynamics.ending import Ending
+from optlink.dynamics.forward import Ending
 from optlink.dynamics.machine import slider_names
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.vector2d import TURN
@@ -18,8 +18,7 @@ from optlink.report.format import Scale, figure, scale, si
 from optlink.report.shapes import even
 from optlink.report.view import PageSection, StoredStudy, View
 from optlink.report.views import analysis_tables
-from optlink.report.views.analysis_charts import MAX_BODIES, look, together
-from optlink.report.views.analysis_curves import ROUNDING
+from optlink.report.views.analysis_charts import MAX_BODIES, ROUNDING, look, together
 from optlink.tasks.analyze import reaction_conventions
 from optlink.tasks.simulate import Simulation
 from optlink.units import percent

@@ -53,9 +53,9 @@ from optlink.report.table_spec import (
 )
 from optlink.report.view import PageSection, StoredStudy, View
 from optlink.report.views.revolutions import runs
-from optlink.studies.analysis_task import FIGURES
 from optlink.studies.grid import Axis
 from optlink.studies.sweep import CHANGED, MAX_ROWS, TEXT, Sweep
+from optlink.studies.sweep_task import FIGURES
 
 MAX_LISTED = 12  # largest number of active-set changes and of points listed
 MAX_COLUMNS = 5  # largest number of quantities side by side

@@ -3,30 +3,93 @@
 import copy
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from optlink.errors import InputError
 from optlink.linkage.vector2d import TURN, unit
-from optlink.optimization.constraints import position_rows, rows as limit_rows
 from optlink.optimization.courses import has_position_limits
-from optlink.problem.cycle.quantities import QUANTITIES
-from optlink.problem.cycle.terms import Limit, Term, read_words
+from optlink.optimization.terms import position_rows, rows as limit_rows
 from optlink.problem.design import DesignProblem
 from optlink.problem.file import SIDES, ProblemFile
-from optlink.problem.interval import Interval, StrokeRatio
 from optlink.problem.limits import Reach
-from optlink.problem.quantity import nearest, range_example
-from optlink.problem.quantity_keys import file_key
-from optlink.studies.pareto.objective import OPTION, ParetoObjective
+from optlink.problem.quantity import Interval, StrokeRatio, file_key, nearest, range_example
+from optlink.problem.terms import QUANTITIES, Limit, Term, read_words
+from optlink.studies.grid import Axis, Raw, column, exact_text, read_axis
 from optlink.studies.target_programme import limit_key
-from optlink.studies.toml_keys import Raw, exact_text
 from optlink.units import DISPLAYED, KINDS, factor
 from optlink.validation.cycle import Cycle
 from optlink.validation.design import validate_batch
 from optlink.validation.timing import passing
+
+# One objective of a Pareto front.
+
+OPTION = "--objectives"
+
+
+@dataclass(frozen=True)
+class ParetoObjective:
+    """One objective of a Pareto front: its text, `text`, and its `name`.
+
+    `sense`: 1 to minimise, -1 to maximise; `key`: the limit that constrains it in the problem file, with its side, empty for an
+    objective that can only be minimised itself; `term`: of a machine, as in the file; `span`: the requested range, if any;
+    `of`: name of a dimension; `part`: number of the requirement whose deviation it is.
+    """
+
+    text: str
+    name: str
+    unit: str
+    sense: int
+    key: str = ""
+    term: tuple[tuple[str, Any], ...] = ()
+    span: str = ""
+    of: str = ""
+    part: int = -1
+
+    @property
+    def direct(self) -> bool:
+        """Whether it can be minimised itself, not only constrained."""
+        return self.part >= 0 or bool(self.term) or not self.key
+
+    @property
+    def column(self) -> str:
+        """Name of its column in the table."""
+        return column(self.name, self.unit).replace(" ", "_")
+
+    @property
+    def best(self) -> str:
+        """Name of its end of the front."""
+        if self.name.startswith(("largest", "least", "smallest")):
+            return f"best {self.name}"
+        return f"{'least' if self.sense > 0 else 'largest'} {self.name}"
+
+    @property
+    def way(self) -> str:
+        """Whether it is minimised or maximised, in a word."""
+        return "minimise" if self.sense > 0 else "maximise"
+
+    @property
+    def side(self) -> str:
+        """Side of the limit that constrains it."""
+        return "max" if self.sense > 0 else "min"
+
+    @property
+    def cycle_term(self) -> Term:
+        """Term of a machine."""
+        return Term.model_validate(dict(self.term))
+
+    def worsened(self, value: float, by: float) -> float:
+        """Return a value that is worse by an amount."""
+        return value + self.sense * by
+
+
+def range_values(objective: ParetoObjective, count: int) -> Axis:
+    """Return the values of the requested range of an objective."""
+    stated = ":" in objective.span or "step" in objective.span
+    return read_axis(f"{objective.key}={objective.span}" + ("" if stated else f":{count}"))
+
 
 ERROR, SUM = "error", "objective"
 VARIABLE_LIMITS = (

@@ -27,8 +27,8 @@ from optlink.optimization.pareto_front import ends, knee, undominated
 from optlink.problem.arguments import typed
 from optlink.problem.document import Source, entries
 from optlink.problem.file import ProblemFile
+from optlink.studies.pareto.design_objectives import OPTION, ParetoObjective
 from optlink.studies.pareto.epsilon_ranges import RANGES, EpsilonRanges, NoExtreme
-from optlink.studies.pareto.objective import OPTION, ParetoObjective
 from optlink.studies.pareto.objectives import read_objectives
 from optlink.studies.reoptimise_task import CHUNK, ReoptimiseTask, check_backend, optimum_task
 from optlink.studies.sweep import GridStudy, TableFile

@@ -16,8 +16,10 @@ from optlink.optimization.programme import angle_name, build
 from optlink.problem.file import ProblemFile
 from optlink.solvers.exchange import place_at_peaks
 from optlink.solvers.infeasibility import tightest
-from optlink.studies.grid import Axis, Grid
+from optlink.studies.grid import Axis, Grid, Raw, exact_text
 from optlink.studies.pareto.design_objectives import (
+    OPTION,
+    ParetoObjective,
     cycle_figures,
     cycle_objective,
     design_figures,
@@ -27,12 +29,11 @@ from optlink.studies.pareto.design_objectives import (
     error_display,
     limit_in_file,
     limited_objective,
+    range_values,
     tightest_bound,
     without_varied_limits,
 )
-from optlink.studies.pareto.objective import OPTION, ParetoObjective, range_values
 from optlink.studies.reoptimise_task import near_design, with_starting_values
-from optlink.studies.toml_keys import Raw, exact_text
 from optlink.tasks import design as targets
 from optlink.tasks.certify import automatic
 from optlink.tasks.protocol import completed

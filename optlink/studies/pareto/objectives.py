@@ -10,9 +10,8 @@ from dataclasses import replace
 
 from optlink.errors import InputError
 from optlink.problem.file import ProblemFile
-from optlink.studies.pareto.design_objectives import ERROR
+from optlink.studies.pareto.design_objectives import ERROR, OPTION, ParetoObjective, range_values
 from optlink.studies.pareto.epsilon_ranges import RANGES
-from optlink.studies.pareto.objective import OPTION, ParetoObjective, range_values
 from optlink.units import UnitProblem, factor
 
 EXAMPLES = (

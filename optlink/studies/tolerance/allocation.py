@@ -19,8 +19,7 @@ from optlink.errors import InputError, SolverError
 from optlink.execution.worker import Runs
 from optlink.linkage.vector2d import Array
 from optlink.problem.document import Column, Source
-from optlink.studies.tolerance.linear import LinearAnalysis
-from optlink.studies.tolerance.monte_carlo import MonteCarlo, monte_carlo
+from optlink.studies.tolerance.monte_carlo import LinearAnalysis, MonteCarlo, monte_carlo
 
 PROVEN = 1e-6  # largest relative duality gap of a proven cost
 SEARCH_SAMPLES = 1 << 16  # samples of the exact linkage at each k

@@ -24,12 +24,10 @@ from optlink.problem.quantity import check_choice, nearest
 from optlink.problem.tolerances import CHOICES, NORMAL, SHAPES
 from optlink.studies.tolerance import robust_design
 from optlink.studies.tolerance.allocation import Allocation, allocate
-from optlink.studies.tolerance.linear import LinearAnalysis, linear_analysis
-from optlink.studies.tolerance.maximum_yield import maximise_yield
-from optlink.studies.tolerance.monte_carlo import CHUNK, MonteCarlo, Progress, monte_carlo
+from optlink.studies.tolerance.monte_carlo import CHUNK, LinearAnalysis, MonteCarlo, Progress, linear_analysis, monte_carlo
 from optlink.studies.tolerance.nominal import ERROR, nominal_design
-from optlink.studies.tolerance.options import identified, read_deviations
-from optlink.studies.tolerance.robust_design import YIELD, RobustDesign, check_targets
+from optlink.studies.tolerance.robust_design import YIELD, RobustDesign, check_targets, maximise_yield
+from optlink.studies.tolerance.sampling import identified, read_deviations
 from optlink.tasks.machine import check_design
 from optlink.units import DISPLAYED, UnitProblem, parse, read_number
 

@@ -10,17 +10,16 @@ from typing import Annotated, Any, ClassVar, Self
 import numpy as np
 from pydantic import PlainSerializer, PlainValidator, ValidationInfo, WithJsonSchema
 
-from optlink.balancing.measures import amounts, measured, unit_of
+from optlink.balancing.socp import amounts, measured, unit_of
 from optlink.dynamics.columns import MotionColumns
 from optlink.dynamics.counterweights import Counterweight, FreeSpring
-from optlink.dynamics.inertia import Parameters
-from optlink.dynamics.machine import Machine
+from optlink.dynamics.machine import Machine, Parameters
 from optlink.errors import Status
 from optlink.linkage.vector2d import Array
-from optlink.problem.cycle.terms import Term, read_words
 from optlink.problem.document import Column, Document, Never, Number, Source
 from optlink.problem.file import ProblemFile
 from optlink.problem.machine.balance import BalanceGoal, BalanceSection
+from optlink.problem.terms import Term, read_words
 from optlink.solvers.solution import Relaxation
 from optlink.tasks.machine import machine_of
 from optlink.tasks.results.conflict import refutation

@@ -22,27 +22,35 @@ from optlink.linkage.mechanism import Pose
 from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import TURN, Array
 from optlink.optimization.output_derivatives import error_function
-from optlink.problem.cycle.terms import Term
 from optlink.problem.design import DesignProblem
 from optlink.problem.document import Column, Document, Number, Source, adapter, entries
-from optlink.problem.file import ProblemFile
-from optlink.problem.fixed_design import fixed_design, started
+from optlink.problem.file import ProblemFile, fixed_design, started
 from optlink.problem.targets.expression import Expression
+from optlink.problem.terms import Term
 from optlink.solvers.solution import LimitState, Relaxation, Solution
 from optlink.synthesis.freudenstein import FirstStep
 from optlink.tasks.machine import turning_machine
 from optlink.tasks.results.certificate import Certificate, message
-from optlink.tasks.results.common import FOUND, ROUNDED, SEARCHED, Optimum, RejectedDesign, of_solution, verified
+from optlink.tasks.results.common import (
+    FOUND,
+    INCOMPLETE,
+    ROUNDED,
+    SEARCHED,
+    Evidence,
+    Optimum,
+    RejectedDesign,
+    of_solution,
+    verified,
+)
 from optlink.tasks.results.conflict import refutation
-from optlink.tasks.results.evidence import INCOMPLETE, Evidence
 from optlink.tasks.results.fit import Fit, fit, transmission_fit
 from optlink.tasks.results.strokes import stroke_document
 from optlink.units import DISPLAYED, KINDS, factor, percent
 from optlink.validation import validate
-from optlink.validation.between import excursions
 from optlink.validation.check import Check, Validation
 from optlink.validation.design import MeasuredDeviations, deviations
-from optlink.validation.linkage_motion import transmission_angles
+from optlink.validation.motion import transmission_angles
+from optlink.validation.timing import excursions
 
 if TYPE_CHECKING:
     from optlink.tasks.analyze import Analysis

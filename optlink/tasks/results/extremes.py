@@ -12,12 +12,11 @@ from numpy.typing import ArrayLike
 
 from optlink.dynamics.columns import ANGLE, MotionColumns, pin_columns
 from optlink.dynamics.machine import Machine
-from optlink.dynamics.poles import without_values
+from optlink.dynamics.strokes import without_values
 from optlink.dynamics.work import Work
-from optlink.linkage.extrema import Index, SampledFunctions, distinct
+from optlink.linkage.extrema import Index, SampledFunctions, distinct, zeros
 from optlink.linkage.stroke import Ranges, within_cycle
 from optlink.linkage.vector2d import Array
-from optlink.linkage.zeros import zeros
 
 CHANGE_POINT_WIDTH = 1e-5  # rad from a passed change point: reactions are inaccurate there
 WORK = "input.work_J"

@@ -1,1 +1,0 @@
-"""Quantities of a machine cycle, and objective and limits in them."""

@@ -1,1 +1,0 @@
-"""Many neighbouring optima at once."""
