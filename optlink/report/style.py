@@ -24,10 +24,14 @@ from PIL import Image
 from optlink.io import whole
 from optlink.report.chart_spec import (
     BODIES as BODIES,
+    COUPLER as COUPLER,
     CRANK as CRANK,
     GROUND as GROUND,
     LIMIT as LIMIT,
     MUTED as MUTED,
+    RESULT as RESULT,
+    ROCKER as ROCKER,
+    SHADE as SHADE,
     TARGET as TARGET,
 )
 from optlink.report.format import Scale as Scale, degrees as degrees, scale as scale

@@ -495,7 +495,7 @@ def test_the_front_does_not_depend_on_workers_or_interruption(tmp_path, monkeypa
 def test_ends_are_kept_and_not_searched_again(press, tmp_path, monkeypatch):
     words = f"rod.length, {LEAST}"
     whole = pareto(press, words, tmp_path / "whole", points=5, workers=1)
-    real, calls, seen = epsilon_ranges.solve_cycle, [0], []
+    real, calls, seen = epsilon_ranges.targets.solve, [0], []
 
     def fails_third(*arguments, **options):
         calls[0] += 1
@@ -504,7 +504,7 @@ def test_ends_are_kept_and_not_searched_again(press, tmp_path, monkeypatch):
         return real(*arguments, **options)
 
     with monkeypatch.context() as patch:
-        patch.setattr(epsilon_ranges, "solve_cycle", fails_third)
+        patch.setattr(epsilon_ranges.targets, "solve", fails_third)
         with pytest.raises(KeyboardInterrupt):
             pareto(press, words, tmp_path / "run", points=5, workers=1)
     stored = json.loads(chunks.text(tmp_path / "run", ENDS))
@@ -516,7 +516,7 @@ def test_ends_are_kept_and_not_searched_again(press, tmp_path, monkeypatch):
         return real(*arguments, **options)
 
     with monkeypatch.context() as patch:
-        patch.setattr(epsilon_ranges, "solve_cycle", fails_never)
+        patch.setattr(epsilon_ranges.targets, "solve", fails_never)
         late = pareto(press, words, tmp_path / "run", points=5, workers=1, resume=True, progress=lambda *at: seen.append(at))
         assert calls[0] == 5  # two of four searches were left
         again = pareto(press, words, tmp_path / "run", points=5, workers=1, resume=True)
