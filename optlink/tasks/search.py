@@ -343,8 +343,9 @@ class Polisher:
             elif min([*([best] if best else []), *judged], key=rank) is end and at_edge(end):
                 begins = [(terms.trace, *each) for each in orders_beside(terms.trace, terms.structure, end.design)]
             for trace, order, values in begins:
-                if (order.key, bool(message)) not in beside:
-                    beside.add((order.key, bool(message)))
+                key = (order.key, trace.values and tuple(trace.values.items()))  # loads count angles from the traced design
+                if key not in beside:
+                    beside.add(key)
                     ahead.append(self._searched(variant, end, trace, order, values))
         return judged
 
