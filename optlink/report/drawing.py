@@ -99,11 +99,18 @@ class Sketch(Scene):
 
 
 def merged_positions(positions: Iterable[tuple[str, float]], *, periodic: bool = True) -> dict[str, float]:
-    """Return named crank angles [rad], where equal angles share a name; `periodic` angles are equal a whole turn apart."""
+    """Return named crank angles [rad]; equal ones share a name, other ones of one name are numbered.
+
+    `periodic` angles are equal a whole turn apart.
+    """
     merged: dict[str, float] = {}
     for name, at in positions:
-        same = next((k for k, v in merged.items() if abs(math.remainder(v - at, TURN) if periodic else v - at) < 1e-6), name)
-        merged = {f"{k} = {name}" if k == same else k: v for k, v in merged.items()} if same in merged else {**merged, name: at}
+        same = next((k for k, v in merged.items() if abs(math.remainder(v - at, TURN) if periodic else v - at) < 1e-6), None)
+        if same is None:
+            count = sum(k == name or k.startswith(f"{name} (") for k in merged)
+            merged[f"{name} ({count + 1})" if count else name] = at
+        elif name not in same.split(" = "):
+            merged = {f"{k} = {name}" if k == same else k: v for k, v in merged.items()}
     return merged
 
 

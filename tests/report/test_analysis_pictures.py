@@ -20,11 +20,11 @@ from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import TURN
 from optlink.report import style
 from optlink.report.chart_mpl import pictures
-from optlink.report.drawing import Sketch
+from optlink.report.drawing import Sketch, merged_positions
 from optlink.report.labels import Label, place_labels
 from optlink.report.registry import view_of
 from optlink.report.style import LettersNotDrawn
-from optlink.report.views import analysis, analysis_charts, analysis_charts as analysis_forces
+from optlink.report.views import analysis, analysis_charts
 from optlink.report.views.analysis_charts import CycleCurves
 from optlink.tasks.analyze import Analysis, analyze
 from tests.tiers import mostly_slow
@@ -245,7 +245,7 @@ def test_the_work_of_a_whole_cycle_is_marked_at_its_end(speed):
     assert (extreme.least, extreme.least_at) == (0.0, 0.0)
     assert (extreme.largest, extreme.largest_at) == (pytest.approx(result.work), pytest.approx(speed * TURN))
     assert result.to_dict()["extremes"]["input.work_J"]["max_at_deg"] == pytest.approx(speed * 360.0)
-    figure = pictures(analysis_forces.work(CycleCurves(result)))["work"]
+    figure = pictures(analysis_charts.work(CycleCurves(result)))["work"]
     curve = drawn(figure, "input.work_J")
     for marker in by_gid(figure, "extreme input.work_J"):
         assert np.min(np.hypot(*((curve - marker.get_xydata()[0]) / [360.0, result.work]).T)) < 1e-9
@@ -253,7 +253,7 @@ def test_the_work_of_a_whole_cycle_is_marked_at_its_end(speed):
 
 def test_a_shaking_moment_of_rounding_is_not_drawn():
     """The shaking force of a Scotch yoke passes through the crank pivot."""
-    figure = pictures(analysis_forces.shaking(CycleCurves(analyze(optlink.load("scotch-yoke")))))["shaking"]
+    figure = pictures(analysis_charts.shaking(CycleCurves(analyze(optlink.load("scotch-yoke")))))["shaking"]
     assert by_gid(figure, "frame.shaking_fx_N")
     assert not by_gid(figure, "frame.shaking_moment_Nm")
     assert not [words for words in titles(figure) if "crank pivot" in words]
@@ -605,7 +605,7 @@ def test_axes_are_labelled_in_the_unit_that_is_drawn():
 def test_titles_accept_dollar_signs_and_foreign_letters(tmp_path):
     raw = four_bar(100, 412.865, 232.246, 500, title="Costs $5 or $6_{x}: 连杆机构 🙂 " + "and so on " * 15)
     strange = CycleCurves(analyze(optlink.read(raw)))
-    figure = pictures(analysis_forces.torque(strange))["torque"]
+    figure = pictures(analysis_charts.torque(strange))["torque"]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", LettersNotDrawn)  # a machine without such fonts
         style.save(figure, tmp_path / "torque.png")  # no warning of matplotlib
@@ -654,8 +654,8 @@ def test_no_force_charts_without_forces(tmp_path):
 def test_a_massless_four_bar_has_no_guide_or_shaking_charts():
     assert picture("partial", "guides") is None
     loaded = analyze(optlink.read({**YOKE, "bodies": {}}))
-    assert analysis_forces.shaking(CycleCurves(loaded)) == []
-    assert analysis_forces.guides(CycleCurves(loaded))
+    assert analysis_charts.shaking(CycleCurves(loaded)) == []
+    assert analysis_charts.guides(CycleCurves(loaded))
 
 
 @pytest.mark.slow
@@ -773,3 +773,9 @@ def test_the_palette_keeps_the_frequent_colours_exactly():
     assert tuple(again[0, 0]) == (255, 255, 255)
     assert tuple(again[15, 15]) == (192, 57, 43)
     assert np.max(np.abs(again.astype(int) - plain)) < 40
+
+
+def test_positions_of_one_name_are_all_drawn():
+    named = [("limit of x", 0.1), ("limit of x", 2.0), ("start", 2.0 + 2.0 * math.pi), ("limit of x", 0.1), ("limit of x", 3.0)]
+    assert merged_positions(named) == {"limit of x": 0.1, "limit of x (2) = start": 2.0, "limit of x (3)": 3.0}
+    assert len(merged_positions(named, periodic=False)) == 4

@@ -15,7 +15,7 @@ from optlink.report.registry import view_of
 from optlink.report.report_model import ReportModel
 from optlink.report.table_spec import Paragraph, Span, Summary
 from optlink.report.view import PageSection, StoredStudy
-from optlink.report.views import analysis_charts, analysis_charts as analysis_forces, sensitivity
+from optlink.report.views import analysis_charts, sensitivity
 from optlink.report.views.analysis_charts import CycleCurves
 from optlink.studies.sensitivity import Sensitivities, of_solution
 from optlink.tasks.analyze import Analysis
@@ -119,7 +119,7 @@ def charts(model: ReportModel) -> list[ChartSpec]:
         initial = None if first is None else CycleCurves(first)
         result += analysis_charts.motion(curves, initial) if of_cycle or model.forces else []
         result += analysis_charts.transmission(curves) if of_cycle else []
-        result += analysis_forces.forces(curves, initial) if model.forces else []
+        result += analysis_charts.forces(curves, initial) if model.forces else []
     return result
 
 

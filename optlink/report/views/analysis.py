@@ -18,7 +18,7 @@ from optlink.report.format import degrees, round_below, scale
 from optlink.report.labels import Label, place_labels
 from optlink.report.style import figure, heading, panels, styled
 from optlink.report.view import View
-from optlink.report.views import analysis_charts, analysis_charts as analysis_forces, analysis_tables, conclusions
+from optlink.report.views import analysis_charts, analysis_tables, conclusions
 from optlink.report.views.analysis_charts import ROUNDING, CycleCurves, output
 from optlink.tasks.analyze import Analysis
 
@@ -31,7 +31,7 @@ def charts(cycle: CycleCurves) -> list[ChartSpec]:
         *analysis_charts.motion(cycle),
         *analysis_charts.bodies(cycle),
         *analysis_charts.transmission(cycle),
-        *analysis_forces.forces(cycle),
+        *analysis_charts.forces(cycle),
     ]
 
 
