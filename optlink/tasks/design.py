@@ -34,7 +34,6 @@ from optlink.tasks.results.common import INCOMPLETE
 from optlink.tasks.results.conflict import cannot_turn, margin_notes
 from optlink.tasks.results.design import LinkageDesign, SynthesisResult, of_designs
 from optlink.tasks.search import (
-    BEGUN,
     DesignCollection,
     Polisher,
     designs_from_four_bar,
@@ -508,8 +507,7 @@ class SearchRounds:
         the peaks of a point; bounds of the design variables and limits that no requirement states are kept.
         """
         starts = self.sampled[k].begun[0][:COARSE_STARTS]
-        nlp = self.collection.polisher.of_start(k, starts[0])
-        nlp.set_exchange_points(nlp.cache[BEGUN])
+        nlp = self.collection.polisher.at_first_peaks(k, starts[0])
         task, terms = nlp.terms.problem, nlp.terms
         coarse = build(task, terms=TermCourse(task, nlp.design(nlp.x_start), terms.trace, terms.structure, COARSE_NODES))
         required = {bound.key for bound in task.bounds}

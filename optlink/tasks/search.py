@@ -364,11 +364,7 @@ class Polisher:
 
         Every search in a programme begins with the same exchange points: the peaks of its first design.
         """
-        nlp = self.of_start(variant, start, trace)
-        if BEGUN not in nlp.cache:
-            place_at_peaks(self.files[variant].spec, nlp, nlp.lifted(nlp.x_start))
-            nlp.cache[BEGUN] = nlp.exchange_points
-        nlp.set_exchange_points(nlp.cache[BEGUN])
+        nlp = self.at_first_peaks(variant, start, trace)
         return multistart.solve_beside(nlp, nlp.x_of(start.values), self.backend, insist=start.insists)
 
     def at_starts(self, variant: int, starts: Sequence[OrderedStart], runs: Runs | None = None) -> Iterator[Solution]:
@@ -383,6 +379,15 @@ class Polisher:
     def of_start(self, variant: int, start: OrderedStart, trace: TracedCycle | None = None) -> NLP:
         """Return the NLP of a starting point with an order of events."""
         return self.of_order(variant, 1, trace or self.orders[variant].trace, start.order, start.near)
+
+    def at_first_peaks(self, variant: int, start: OrderedStart, trace: TracedCycle | None = None) -> NLP:
+        """Return the NLP of a starting point with its exchange points at the peaks of its first design."""
+        nlp = self.of_start(variant, start, trace)
+        if BEGUN not in nlp.cache:
+            place_at_peaks(self.files[variant].spec, nlp, nlp.lifted(nlp.x_start))
+            nlp.cache[BEGUN] = nlp.exchange_points
+        nlp.set_exchange_points(nlp.cache[BEGUN])
+        return nlp
 
     def exchanged(self, end: Solution) -> Solution:
         """Return a local optimum at the positions of a programme without targets as one that holds between them too."""
