@@ -1,32 +1,33 @@
-"""The documentation: pages, links and pictures exist, commands exist, the reference lists every key, the site builds."""
+"""The documentation: pages, links and pictures exist, commands exist, the reference lists every key, nothing made is stale."""
 
 from __future__ import annotations
 
 import contextlib
-import importlib.util
+import importlib
 import io
 import itertools
 import json
 import re
 import shlex
-import sys
 import urllib.parse
 from functools import cache
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import pytest
 from typer.testing import CliRunner
 
 import optlink
+from docs.generate import api, commands as cli_page, keys, measurements, pages as made, recipes, validation
 from optlink.cli.app import app
 from optlink.problem.base_model import Section
 from optlink.problem.targets.expression import FUNCTIONS
-from optlink.problem.templates import templates
+from optlink.problem.templates import template, templates
 from optlink.report.registry import json_schema
+from tests.clearance.test_joint_clearance import ending_after
 from tests.crank_rocker_oracle import best_of_ratio, shortest_pair
-from tests.solved import once
+from tests.solved import once, solution
+from tests.validation.test_clearance import simulate
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
@@ -36,26 +37,9 @@ NAV = (ROOT / "mkdocs.yml").read_text(encoding="utf-8").partition("\nnav:\n")[2]
 
 
 @cache
-def hook(name: str) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(f"docs_{name}", DOCS / "hooks" / f"{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-@cache
 def answer(name: str) -> Any:
     """The answer to a template as its recipe shows it."""
-    recipes = hook("recipes")  # loaded before what is stored of it is read
     return once(f"recipe {name}", lambda: recipes.answer(name))
-
-
-DRAWN = {DOCS / hook("sketches").FOLDER / f"{name}.svg" for name in hook("sketches").SKETCHES}
-DRAWN |= {DOCS / hook("certificates").PICTURE}
-"""Pictures that are drawn when the site is built."""
 
 
 def named(path: Path) -> str:
@@ -70,12 +54,7 @@ LINKS = re.compile(r"!?\[[^\]\n]*\]\((?P<target>[^)\s]+)\)")
 
 @cache
 def text_of(path: Path) -> str:
-    """A page with the parts that are made when the site is built, except figures, which take a while."""
-    text = path.read_text(encoding="utf-8")
-    for name in ("keys", "commands"):
-        if hook(name).MARKER in text:
-            text = text.replace(hook(name).MARKER, hook(name).reference())
-    return text
+    return path.read_text(encoding="utf-8")
 
 
 def prose(path: Path) -> str:
@@ -91,12 +70,7 @@ def slug(heading: str) -> str:
 @cache
 def anchors(path: Path) -> set[str]:
     text = FENCES.sub("", text_of(path))
-    result = set(re.findall(r"\{ #([\w-]+) \}", text))
-    for heading in re.findall(r"^#+ (.+)$", text, re.MULTILINE):
-        result.add(slug(re.sub(r"\{ #[\w-]+ \}", "", heading)))
-    if path.name == "validation.md":
-        result |= {group.anchor for group in hook("validation").GROUPS}
-    return result
+    return {*re.findall(r'^<a id="([\w-]+)"></a>$', text, re.MULTILINE), *map(slug, re.findall(r"^#+ (.+)$", text, re.MULTILINE))}
 
 
 def test_every_page_is_in_the_navigation():
@@ -119,7 +93,7 @@ def test_every_link_and_picture_exists(page):
             continue
         path, _, anchor = urllib.parse.unquote(target).partition("#")
         place = (page.parent / path).resolve() if path else page
-        assert place.exists() or place in DRAWN, f"{named(page)} links to {target}"
+        assert place.exists(), f"{named(page)} links to {target}"
         assert place.is_relative_to(ROOT), f"{named(page)} links out of the repository: {target}"
         if anchor:
             assert place.suffix == ".md", target
@@ -134,29 +108,89 @@ def test_a_broken_link_is_detected():
 
 
 def test_every_template_has_its_recipe():
-    pages = {page.stem: page.read_text(encoding="utf-8") for page in (DOCS / "recipes").glob("*.md")}
-    hooked = hook("recipes")
-    assert hooked.LISTED in pages.pop("index")
-    assert set(pages) == set(templates())
-    for text in pages.values():
-        assert text.count(hooked.MARKER) == 1
-        assert hooked.READING in text
-    assert all(f"[{name}]({name}.md)" in hooked.listed() for name in pages)
+    """Quoted output is in the stored output; other words are detected."""
+    stored = {page.stem: page.read_text(encoding="utf-8") for page in (DOCS / "recipes").glob("*.md")}
+    listed = stored.pop("index")
+    assert set(stored) == set(templates())
+    for name, text in stored.items():
+        assert f"[{name}]({name}.md)" in listed
+        assert f"![{template(name).summary}]({name}.svg)" in text
+        assert optlink.new(name) in text
+        assert recipes.READING in text
+        assert recipes.missing(text) == []
+    assert recipes.missing(stored["law"].replace("The second line is the verdict: `locally optimal", "`perfect")) == [
+        "perfect, valid`"[:-1]
+    ]
+
+
+# --- what is made from the program ---------------------------------------------------------------------------------------
+
+MADE = [block for page in made.pages() for block in made.blocks(page)]
+REMEDY = "is stale: python -m docs.generate"
+
+
+@pytest.mark.parametrize(
+    "block", [block for block in MADE if block.kind not in made.SOLVED], ids=lambda block: block.what or block.kind
+)
+def test_what_is_made_in_a_moment_is_up_to_date(block):
+    assert block.made() == block.text, f"{named(block.page)} {REMEDY}"
 
 
 @pytest.mark.slow
-def test_recipe_shows_file_picture_and_output(monkeypatch):
-    """Quoted output is in the actual output; other words are detected."""
-    hooked, page = hook("recipes"), (DOCS / "recipes" / "law.md").read_text(encoding="utf-8")
-    law = answer("law")
-    monkeypatch.setattr(hooked, "answer", lambda name: {"law": law}[name])
-    shown = hooked.recipe("law")
-    assert optlink.new("law") in shown
-    assert "locally optimal, valid" in shown.partition("## The answer")[2]
-    assert "![" in shown
-    assert hooked.answer("law").picture.startswith(b"\x89PNG")
-    assert hooked.missing(page, hooked.answer("law").text) == []
-    assert hooked.missing(page.replace("`locally optimal, valid`", "`perfect`"), hooked.answer("law").text) == ["perfect"]
+@pytest.mark.parametrize(
+    "page",
+    sorted({block.page for block in MADE if block.kind in made.SOLVED}),
+    ids=lambda page: f"{page.parent.name}-{page.stem}",
+)
+def test_what_needs_solving_is_up_to_date(page, monkeypatch):
+    """But for times and rounding; with the answers and solutions that other tests of this run need as well."""
+    monkeypatch.setattr(recipes, "answer", answer)
+    monkeypatch.setattr(validation, "solved", solution)
+    monkeypatch.setattr(validation, "clearance_run", clearance_run)
+    assert made.renewed(page, made.SOLVED) == page.read_text(encoding="utf-8"), f"{named(page)} {REMEDY}"
+
+
+def clearance_run(rpm, revolutions, friction, tolerance):
+    """The motion that the tests of the same reference values need; of first contacts no more than the beginning."""
+    with ending_after(0.1) if revolutions == 1 else contextlib.nullcontext():
+        return simulate(rpm, friction, revolutions, tolerance=tolerance)
+
+
+def test_every_block_is_one_that_can_be_made():
+    assert {block.kind for block in MADE} == set(made.MAKERS)
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8")
+        assert text.count("<!-- ") == 2 * len(made.blocks(page)), f"{named(page)}: a block without its end"
+
+
+def test_pictures_show_the_problems_of_today():
+    drawn = list(made.pictures())
+    assert [named(one.file) for one in drawn if one.stale] == [], REMEDY
+    assert {one.file for one in drawn} == {path.resolve() for path in DOCS.rglob("*.svg") if path.parent.name != "assets"}
+    assert sum(one.file.stat().st_size for one in drawn) < 3_000_000
+
+
+def test_a_stale_block_and_a_stale_picture_are_detected(tmp_path):
+    block = next(block for block in MADE if "validate" in block.what and block.kind == "output")
+    figures = next(block for block in MADE if block.kind == "figures")
+    page = tmp_path / "page.md"
+    page.write_text("# A page\n\n<!-- recipes -->\nold\n<!-- end -->\n\nend\n", encoding="utf-8")
+    assert made.renewed(page, ("recipes",)) == f"# A page\n\n<!-- recipes -->\n\n{recipes.listed()}\n\n<!-- end -->\n\nend\n"
+    assert made.renewed(page, ("keys",)) == page.read_text(encoding="utf-8")
+    assert made.same(block, block.text)
+    assert not made.same(block, block.text.replace("valid", "not valid"))
+    assert not made.same(figures, figures.text.replace("412.86542 mm", "412.87 mm"))
+    shown = tmp_path / "six.toml"
+    shown.write_text("a = 1\n", encoding="utf-8")
+    picture = made.Picture(tmp_path / "six.svg", shown, lambda: b'<svg><path d="M 1.23456 -0.0001"/></svg>\n')
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(made, "ROOT", tmp_path)
+        assert picture.stale
+        picture.write()
+        assert not picture.stale
+        assert picture.file.read_text(encoding="utf-8").startswith('<svg><path d="M 1.23 -0"/></svg>\n<!-- six.toml ')
+        shown.write_text("a = 2\n", encoding="utf-8")
+        assert picture.stale
 
 
 @pytest.mark.parametrize("page", READ, ids=named)
@@ -247,7 +281,7 @@ def test_unknown_commands_are_detected(wrong):
 
 
 def test_inline_commands_exist():
-    known = {name.split()[1] for name, _ in hook("commands").commands() if " " in name}
+    known = {name.split()[1] for name, _ in cli_page.commands() if " " in name}
     for page in READ:
         for word in re.findall(r"`optlink ([a-z]+)[ `]", FENCES.sub("", text_of(page))):
             assert word in known, f"{named(page)}: optlink {word}"
@@ -319,7 +353,6 @@ def test_the_page_of_builders_has_the_optima_of_independent_formulas():
 
 
 def test_the_reference_has_every_key_of_every_model():
-    keys = hook("keys")
     stated = {(keys.owner(part.model, name), name) for part in keys.sections() for name in part.model.model_fields}
     models = [model for model in keys.every_model() if model.__module__.startswith("optlink.")]  # none of an extension
     assert len(models) > 30
@@ -329,7 +362,6 @@ def test_the_reference_has_every_key_of_every_model():
 
 
 def test_the_reference_describes_every_key():
-    keys = hook("keys")
     for part in keys.sections():
         table = keys._table(part)
         for name, field in part.model.model_fields.items():
@@ -341,7 +373,6 @@ def test_the_reference_describes_every_key():
 
 
 def test_a_key_without_a_description_is_detected():
-    keys = hook("keys")
 
     class Bare(Section):
         """A table that somebody has just added."""
@@ -357,7 +388,6 @@ def test_a_key_without_a_description_is_detected():
 
 def test_units_and_formats_agree_with_the_models():
     """Against the models: values that the reference permits are accepted, and values that it excludes are refused."""
-    keys = hook("keys")
     from optlink.problem.limits import Limits
     from optlink.problem.machine.bodies import DriveSection, JointSection
     from optlink.problem.mechanism import FourBarSection
@@ -377,7 +407,6 @@ def test_units_and_formats_agree_with_the_models():
 def test_examples_of_the_reference_are_toml():
     import tomllib
 
-    keys = hook("keys")
     count = 0
     for part in keys.sections():
         for name in part.model.model_fields:
@@ -406,9 +435,9 @@ def test_laws_of_the_reference_are_read(tmp_path):
 
 
 def test_the_command_reference_has_every_option():
-    text = hook("commands").reference()
-    for name, command in hook("commands").commands():
-        section = text.partition(f"## {name} {{")[2].partition("\n## ")[0]
+    text = cli_page.reference()
+    for name, command in cli_page.commands():
+        section = text.partition(f"## {name}\n")[2].partition("\n## ")[0]
         assert command.help
         for param in command.params:
             for spelling in param.opts if param.param_type_name == "option" else [param.metavar]:
@@ -420,9 +449,7 @@ def test_the_command_reference_has_every_option():
 
 
 def test_public_names_have_a_page():
-    shown = re.findall(
-        r"^::: (\S+)$", "\n".join(page.read_text(encoding="utf-8") for page in (DOCS / "api").glob("*.md")), re.MULTILINE
-    )
+    shown = [block.what for block in MADE if block.kind == "api"]
     assert len(shown) == len(set(shown))
     for name in set(optlink.__all__) - {"__version__"}:
         assert f"optlink.{name}" in shown, name
@@ -435,7 +462,6 @@ def test_public_names_have_a_page():
 
 
 def test_words_of_docstrings_are_no_types():
-    pytest.importorskip("griffe")
     given = """Sum.
 
 Parameters
@@ -476,15 +502,15 @@ Returns
 x :
     [m]
 """
-    assert hook("docstrings").spelled(given) == expected
+    assert api.spelled(given) == expected
 
 
 # --- figures -------------------------------------------------------------------------------------------------------------
 
 
 def test_reference_values_name_existing_tests():
-    module, source = hook("validation"), (DOCS / "hooks" / "validation.py").read_text(encoding="utf-8")
-    named_tests = {(getattr(module, file), name) for file, name in re.findall(r"\{([A-Z_]+)\}::(test_\w+)", source)}
+    source = Path(validation.__file__).read_text(encoding="utf-8")
+    named_tests = {(getattr(validation, file), name) for file, name in re.findall(r"\{([A-Z_]+)\}::(test_\w+)", source)}
     named_tests |= set(re.findall(r'"(tests/\S+\.py)::(test_\w+)"', source))
     assert len(named_tests) > 15
     for file, name in named_tests:
@@ -495,19 +521,18 @@ def test_reference_values_name_existing_tests():
     "group", ["crank_rocker", "six_bar", "shaper", "under_a_torque", pytest.param("machines", marks=pytest.mark.slow)]
 )
 def test_reference_values_agree(group):
-    rows = list(getattr(hook("validation"), group)())
+    rows = list(getattr(validation, group)())
     assert len(rows) > 1
     assert [row.what for row in rows if not row.holds] == []
     assert max(row.near / abs(row.target) for row in rows if abs(row.target) > 1e-3) < 0.01
 
 
 def test_a_wrong_reference_value_stops_the_site(monkeypatch):
-    module = hook("validation")
-    row = module.Row("a figure", "mm", 100.0, 100.2, 0.1, "tests/test_docs.py::test_x")
+    row = validation.Row("a figure", "mm", 100.0, 100.2, 0.1, "tests/test_docs.py::test_x")
     assert not row.holds
-    monkeypatch.setattr(module, "GROUPS", (module.Group("A", "a", "by hand", lambda: iter([row])),))
+    monkeypatch.setattr(validation, "GROUPS", (validation.Group("A", "by hand", lambda: iter([row])),))
     with pytest.raises(ValueError, match=r"a figure is 100\.2"):
-        module.page()
+        validation.page()
 
 
 def test_the_schema_of_results_is_up_to_date() -> None:
@@ -530,11 +555,11 @@ def test_measurements_mark_what_is_missed_and_what_is_open(tmp_path: Path, monke
         row(float("nan"), ">= 20"), row(0.9, "<= 1", kind=COST), row(1.1, "<= 1", kind=COST), row(5.0, "", kind=ERROR),
     ]  # fmt: skip
     assert [one.holds for one in shown] == [True, False, None, True, None, True, False, None]
-    module, file = hook("measurements"), tmp_path / "measurements.json"
+    file = tmp_path / "measurements.json"
     show({"first": shown[:5]}, file)
     show({"second": shown[5:]}, file)  # the other part stays
-    monkeypatch.setattr(module, "RECORD", file)
-    text = module.page()
+    monkeypatch.setattr(measurements, "RECORD", file)
+    text = measurements.page()
     assert "Of 7 targets: 3 met, 2 missed, 2 open." in text
     parts = re.split(r"^## ", text, flags=re.MULTILINE)
     assert [part.partition("\n")[0] for part in parts[1:]] == ["Speed", "Errors", "Cost", "Times of optlink alone"]
@@ -550,7 +575,7 @@ def test_the_record_of_the_measurements_names_its_machine() -> None:
         assert {"date", "python", "system", "load", "packages"} <= part.keys()
         for row in part["rows"]:
             assert not row["cut"] or row["holds"] is None or row["ratio"] > float((row["target"] or ">= 0").split()[1])
-    assert "against a compiled loop" in hook("measurements").page()
+    assert "against a compiled loop" in measurements.page()
 
 
 def test_the_comparison_names_the_versions_that_were_run() -> None:

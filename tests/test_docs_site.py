@@ -1,8 +1,7 @@
-"""What is made when the site is built: formulas, sketches, outputs of commands, links; and the site as a whole."""
+"""What is made of pages and pictures: formulas, sketches, gallery, outputs of commands, links; and the site as a whole."""
 
 from __future__ import annotations
 
-import contextlib
 import html
 import logging
 import re
@@ -14,18 +13,16 @@ import pytest
 from matplotlib.figure import Figure
 
 import optlink
+from docs.generate import gallery, outputs, sketches
+from docs.hooks import formulas, links
 from optlink.errors import Status
-from tests.clearance.test_joint_clearance import ending_after
-from tests.solved import solution
-from tests.test_docs import DOCS, PAGES, ROOT, answer, hook, parse
-from tests.validation.test_clearance import simulate
+from tests.test_docs import DOCS, PAGES, ROOT, parse
 
 # --- formulas ------------------------------------------------------------------------------------------------------------
 
 
 def test_formulas_become_mathml():
     pytest.importorskip("latex2mathml")
-    formulas = hook("formulas")
     text, computed = formulas.marked(
         "An angle $`\\cos \\varphi_0`$.\n\n```math\n\\begin{aligned} a &= b \\\\ c &= d \\end{aligned}\n```\n"
     )
@@ -41,8 +38,8 @@ def test_formulas_become_mathml():
 @pytest.mark.parametrize("path", sorted((ROOT / "notebooks").glob("*.ipynb")), ids=lambda path: path.stem)
 def test_no_latex_is_left_on_the_page_of_a_notebook(path):
     pytest.importorskip("latex2mathml")
-    text, _ = hook("links").notebook(f"notebooks/{path.name}")
-    marked, found = hook("formulas").marked(text)
+    text, _ = links.notebook(f"notebooks/{path.name}")
+    marked, found = formulas.marked(text)
     prose = re.sub(r"^(`{3,}).*?^\1\s*$|`[^`\n]*`", "", marked, flags=re.DOTALL | re.MULTILINE)
     assert "$" not in prose
     assert not re.search(r"\\(frac|tfrac|sqrt|omega|dot|psi|sum)", prose)
@@ -50,7 +47,7 @@ def test_no_latex_is_left_on_the_page_of_a_notebook(path):
 
 
 def test_a_price_in_dollars_is_no_formula():
-    text = hook("links").with_formulas("costs $5 and $ 6, but $a_1$ and `$b$`\n$$x\n= y$$ end")
+    text = links.with_formulas("costs $5 and $ 6, but $a_1$ and `$b$`\n$$x\n= y$$ end")
     assert text == "costs $5 and $ 6, but $`a_1`$ and `$b$`\n\n\n```math\nx\n= y\n```\n\n end"
 
 
@@ -58,7 +55,7 @@ def test_a_price_in_dollars_is_no_formula():
 def test_formulas_of_every_page_are_read_and_their_letters_are_in_the_font():
     pytest.importorskip("latex2mathml")
     pytest.importorskip("ziamath")
-    formulas, count = hook("formulas"), 0
+    count = 0
     letters = {*formulas.LETTERS, *formulas.ITALIC}
     for page in PAGES:
         for formula in formulas.marked(page.read_text(encoding="utf-8"))[1]:
@@ -74,7 +71,6 @@ def test_formulas_of_every_page_are_read_and_their_letters_are_in_the_font():
 
 @pytest.mark.slow
 def test_sketches_are_those_of_the_named_dyads_and_the_same_at_each_build():
-    sketches = hook("sketches")
     for kind, mechanism in sketches.DYADS.items():
         machine = optlink.analyze(sketches.problem_of(mechanism, sketches.ANGLES[kind]), points=4).machine
         assert [group.kind for group in machine.mechanism.groups] == [kind]
@@ -84,7 +80,7 @@ def test_sketches_are_those_of_the_named_dyads_and_the_same_at_each_build():
 
 @pytest.mark.parametrize(("end", "before"), [(70.0, 63.0), (-40.0, -33.0)])
 def test_an_angle_of_a_sketch_has_its_arrowhead_where_it_ends(end, before):
-    sketches, axes = hook("sketches"), Figure().add_subplot()
+    axes = Figure().add_subplot()
     sketches._arc(axes, np.array([5.0, 2.0]), 10.0, 0.0, end, "θ")
     (arc,), (arrow, _) = axes.patches, axes.texts
     assert sorted((arc.theta1, arc.theta2)) == sorted((0.0, end))
@@ -96,21 +92,20 @@ def test_an_angle_of_a_sketch_has_its_arrowhead_where_it_ends(end, before):
 
 
 def test_the_gallery_has_every_problem_with_a_real_command():
-    gallery = hook("gallery")
     page = gallery.page()
     for name in optlink.shipped():
-        card = re.search(rf'<figure id="{name}">.*?</figure>', page)[0]
-        command = html.unescape(re.search(r"<code>(.*?)</code>", card)[1])
+        (sentence, command) = re.search(
+            rf"\(images/gallery/{name}\.svg\) \| \*\*.*?\*\*<br>(.*?)<br>`(.*?)` \|$", page, re.MULTILINE
+        ).groups()
         assert parse(shlex.split(command)[1:]).params.get("problem") == name
-        assert len(re.search(r"</strong> (.*?) <code>", card)[1]) > 30, name
+        assert len(sentence) > 30, name
     assert gallery.command_of(optlink.load("slider-crank-clearance")) == "optlink simulate slider-crank-clearance"
 
 
 @pytest.mark.slow
 def test_gallery_pictures_show_valid_designs_only(monkeypatch):
-    gallery = hook("gallery")
     for name in ("whitworth", "path-scott-russell"):
-        assert gallery.picture(name)[:4] == b"\x89PNG"
+        assert b"<svg" in gallery.picture(name)
     tight = optlink.load("crank-rocker").override({"limits.transmission_angle": ["85 deg", "95 deg"], "requirement.points": 3})
     monkeypatch.setattr(gallery.optlink, "load", lambda name: tight)
     with pytest.raises(ValueError, match="no valid design to draw"):
@@ -121,20 +116,8 @@ def test_gallery_pictures_show_valid_designs_only(monkeypatch):
 
 
 def test_outputs_are_those_of_the_commands():
-    outputs = hook("outputs")
-    text = (DOCS / "reading-a-result.md").read_text(encoding="utf-8")
-    page = outputs.generated(text.partition("## Limits that conflict")[0])  # the conflict takes seconds
-    assert "<!--" not in page
-    for line in ("coupler   412.865  mm", "largest transmission angle  <= 135 deg", "The exit code is 1."):
-        assert line in page
-    for heading in (
-        "Design",
-        "Working and return strokes",
-        "Objective",
-        "Active constraints and their shadow prices",
-        "Validation",
-    ):
-        assert re.search(rf"^```text\n{heading}", page, re.MULTILINE), heading
+    assert "coupler   412.865  mm" in outputs.shown("optlink solve crank-rocker --details", {"from": "Design", "to": "Objective"})
+    assert outputs.exit_code('optlink validate crank-rocker --design coupler="412.26 mm" --design rocker="232.2417 mm"') == "1"
     assert outputs.excerpt("a\nb\nc\nd", "b", "d") == "b\nc"
     with pytest.raises(ValueError, match="no line starts with 'x'"):
         outputs.excerpt("a\nb", "x")
@@ -151,7 +134,6 @@ def test_every_status_is_explained():
 
 
 def test_links_out_of_the_documentation_lead_to_pages_of_the_site():
-    links = hook("links")
     text = "[a](../notebooks/six_bar.ipynb), [b](../tests/test_units.py#x), [c](studies.md#files)\n```\n[d](../README.md)\n```\n"
     expected = (
         "[a](notebooks/six_bar.md), [b](source/tests/test_units.py.md#x), [c](studies.md#files)\n```\n[d](../README.md)\n```\n"
@@ -163,14 +145,15 @@ def test_links_out_of_the_documentation_lead_to_pages_of_the_site():
 
 
 def test_network_access_of_a_page_is_detected():
-    fetched = hook("links").fetched
-    assert fetched('<script defer src="https://unpkg.com/x.js"></script>') == ["https://unpkg.com/x.js"]
-    assert fetched('<link rel="stylesheet" href="//fonts.example/css">') == ["//fonts.example/css"]
-    assert fetched('<link rel=canonical href=https://example.org/><a href="https://example.org">x</a><img src="a.png">') == []
+    assert links.fetched('<script defer src="https://unpkg.com/x.js"></script>') == ["https://unpkg.com/x.js"]
+    assert links.fetched('<link rel="stylesheet" href="//fonts.example/css">') == ["//fonts.example/css"]
+    assert (
+        links.fetched('<link rel=canonical href=https://example.org/><a href="https://example.org">x</a><img src="a.png">') == []
+    )
 
 
 def test_a_notebook_becomes_a_page():
-    text, pictures = hook("links").notebook("notebooks/crank_rocker.ipynb")
+    text, pictures = links.notebook("notebooks/crank_rocker.ipynb")
     assert text.startswith("# ")
     assert "six_bar.ipynb){" not in text
     assert "````python\n" in text
@@ -179,18 +162,10 @@ def test_a_notebook_becomes_a_page():
     assert all(f"({name})" in text for name in pictures)
 
 
-def clearance_run(rpm, revolutions, friction, tolerance):
-    """The motion that the tests of the same reference values need; of first contacts no more than the beginning."""
-    with ending_after(0.1) if revolutions == 1 else contextlib.nullcontext():
-        return simulate(rpm, friction, revolutions, tolerance=tolerance)
-
-
 @pytest.mark.slow
 def test_the_site_builds_without_warnings_or_network(tmp_path, monkeypatch, caplog):
-    """With the answers and solutions that other tests of this run need as well."""
     pytest.importorskip("mkdocs")
     pytest.importorskip("material")
-    pytest.importorskip("mkdocstrings")
     from mkdocs.commands.build import build
     from mkdocs.config import load_config
 
@@ -200,26 +175,14 @@ def test_the_site_builds_without_warnings_or_network(tmp_path, monkeypatch, capl
     with warnings.catch_warnings(), caplog.at_level(logging.WARNING):
         warnings.simplefilter("ignore")  # of other libraries; those of MkDocs are in its log
         config = load_config(str(ROOT / "mkdocs.yml"), strict=True, site_dir=str(site))
-        monkeypatch.setattr(config.hooks["docs/hooks/recipes.py"], "answer", answer)
-        validation = config.hooks["docs/hooks/validation.py"]
-        monkeypatch.setattr(validation, "solved", solution)
-        monkeypatch.setattr(validation, "clearance_run", clearance_run)
-        gallery = config.hooks["docs/hooks/gallery.py"]
-        searched = gallery.solve_or_validate
-
-        def shared(problem, **options):
-            needed = problem.task == "path" or problem.name.startswith(("function-", "stroke-"))
-            return solution(problem.name) if needed else searched(problem, **options)
-
-        monkeypatch.setattr(gallery, "solve_or_validate", shared)
         build(config)
     assert caplog.records == []
     pages = list(site.rglob("*.html"))
     assert len(pages) > 40
     for page in pages:
         html = page.read_text(encoding="utf-8")
-        assert hook("links").fetched(html) == []
+        assert links.fetched(html) == []
         if "source" not in page.relative_to(site).parts:
-            assert not re.search(r"<!-- (?:keys|commands|figures) -->|toml (?:design|laws)", html), page.name
+            assert not re.search(r"toml (?:design|laws)", html), page.name
     for style in site.rglob("*.css"):
         assert not re.search(r"url\(['\"]?(?:https?:)?//", style.read_text(encoding="utf-8")), style.name

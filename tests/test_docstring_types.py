@@ -11,7 +11,8 @@ from typing import Any
 
 import pytest
 
-from tests.test_docs import DOCS, ROOT, hook
+from docs.generate import api
+from tests.test_docs import MADE, ROOT
 
 ANY = "any"
 WORDS = {
@@ -236,12 +237,7 @@ def test_a_wrong_type_is_detected(right: str, wrong: str) -> None:
 
 def documented() -> Iterator[Any]:
     """The functions and classes of the Python reference, with their members, as the pages read them."""
-    griffe = pytest.importorskip("griffe")
-    package = griffe.load(
-        "optlink", search_paths=[ROOT], docstring_parser="numpy", extensions=griffe.load_extensions(hook("docstrings").Words())
-    )
-    names = re.findall(r"^::: optlink\.(\S+)$", "\n".join(page.read_text() for page in (DOCS / "api").glob("*.md")), re.MULTILINE)
-    todo, seen = [package[name] for name in names], set()
+    todo, seen = [api.package()[block.what.removeprefix("optlink.")] for block in MADE if block.kind == "api"], set()
     while todo:
         item = todo.pop()
         item = item.final_target if item.is_alias else item

@@ -53,7 +53,7 @@ def reference() -> set[str]:
     """Full names of the functions and classes of the Python reference, and of the extension points."""
     pages = "\n".join(page.read_text(encoding="utf-8") for page in (ROOT / "docs" / "api").glob("*.md"))
     found = set(EXTENSION_POINTS)
-    for name in re.findall(r"^::: (optlink\.\S+)$", pages, re.MULTILINE):
+    for name in re.findall(r"^<!-- api: (optlink\.\S+) ", pages, re.MULTILINE):
         home, _, last = name.rpartition(".")
         item = vars(optlink).get(last) or getattr(importlib.import_module(home), last, None) or importlib.import_module(name)
         if inspect.ismodule(item):

@@ -9,9 +9,10 @@ import pytest
 from typer.testing import CliRunner
 
 import optlink
+from docs.generate import commands, keys
 from optlink.cli.app import app
 from tests.documents.test_documents import PAGES, STATED
-from tests.test_docs import DOCS, hook, text_of
+from tests.test_docs import DOCS, text_of
 
 GLOSSARY = (DOCS / "glossary.md").read_text(encoding="utf-8")
 CHINESE = re.compile(r"[\u4e00-\u9fff]{2,}")
@@ -25,9 +26,7 @@ def words_of_optlink() -> str:
     pages = [
         text_of(DOCS / name) for name in ("problem-files.md", "analysis.md", "clearance.md", "conventions.md", "synthesis.md")
     ]
-    return "\n".join(
-        [hook("keys").reference(), hook("commands").reference(), analysis, simulation, " ".join(optlink.shipped()), *pages]
-    )
+    return "\n".join([keys.reference(), commands.reference(), analysis, simulation, " ".join(optlink.shipped()), *pages])
 
 
 def unknown(names: list[str], words: str) -> list[str]:

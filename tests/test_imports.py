@@ -121,8 +121,10 @@ def test_public_names_exist():
 
 
 def test_version_is_that_of_the_package():
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    assert project["version"] == optlink.__version__
+    """Stated once, in optlink/version.py: hatch reads it there, and tests/test_package.py looks at what it makes of it."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    assert project["project"]["dynamic"] == ["version"]
+    assert project["tool"]["hatch"]["version"]["path"] == "optlink/version.py"
     newest, *released = re.findall(
         r"^## \[(.+)\](?: - \d{4}-\d\d-\d\d)?$", (ROOT / "CHANGELOG.md").read_text("utf-8"), re.MULTILINE
     )

@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+import optlink
+
 ROOT = Path(__file__).parent.parent
 
 
@@ -28,6 +30,7 @@ def test_wheel_contains_problems_and_types(unpacked):
     assert (unpacked / "optlink" / "problems" / "crank-rocker.toml").is_file()
     assert (unpacked / "optlink" / "py.typed").is_file()
     assert not (unpacked / "tests").exists()
+    assert (unpacked / f"optlink-{optlink.__version__}.dist-info").is_dir()
 
 
 def test_wheel_works_outside_the_checkout(unpacked, tmp_path):

@@ -169,10 +169,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         add(path, book.read_bytes())
         for name, data in pictures.items():
             add(f"notebooks/{name}", data)
-    wanted = {
-        "tests/validation",
-        *re.findall(r"tests/[\w/]+\.py", (ROOT / "docs/hooks/validation.py").read_text(encoding="utf-8")),
-    }
+    wanted = {"tests/validation"}
     for page in [file for file in files.documentation_pages() if not file.generated_by]:
         text = page.content_string
         wanted |= set(outward(text, posixpath.dirname(f"docs/{page.src_uri}")))

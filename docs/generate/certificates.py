@@ -1,0 +1,46 @@
+"""Table and picture of the page on certificates of global optima.
+
+The table comes from the record that `benchmarks/certificates.py --json` writes, the picture from a proof of the crank-rocker.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from pathlib import Path
+
+import matplotlib as mpl
+
+import optlink
+from optlink.report.chart_mpl import pictures
+from optlink.report.style import apply_style
+from optlink.report.views.design import charts
+
+RECORD = Path(__file__).resolve().parents[2] / "benchmarks" / "certificates_record.json"
+PICTURE = "images/certificates/boxes.svg"
+
+
+def page() -> str:
+    """Return the table of boxes and seconds, with what they were measured on."""
+    record = json.loads(RECORD.read_text(encoding="utf-8"))
+    lines = [
+        f"Measured on {record['date']} with Python {record['python']} on one of the processors of {record['system']}; other "
+        "programs ran at the same time.",
+        "",
+        "| problem | unknowns | gap | boxes | seconds | finding |",
+        "|---|---|---|---|---|---|",
+    ]
+    for row in record["rows"]:
+        cells = (row["what"], row["unknowns"], f"{row['gap']:g}", f"{row['boxes']:,}", f"{row['seconds']:.2f}", row["text"])
+        lines.append(f"| {' | '.join(map(str, cells))} |")
+    return "\n".join(lines)
+
+
+def picture() -> bytes:
+    """Return the picture of the boxes of the crank-rocker as SVG."""
+    found = optlink.solve(optlink.load("crank-rocker"))
+    assert isinstance(found, optlink.SynthesisResult)
+    drawn = pictures(chart for chart in charts(found) if chart.file == "boxes")["boxes"]
+    with apply_style(), mpl.rc_context({"svg.hashsalt": "boxes"}), io.BytesIO() as stream:
+        drawn.savefig(stream, format="svg", metadata={"Date": None})
+        return stream.getvalue()

@@ -1,0 +1,63 @@
+"""What surrounds the code: the changelog of releases, the citation, the workflows, and lines that fit a screen."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+
+import pytest
+
+from tests.test_docs import DOCS, FENCES, READ, ROOT, named, text_of
+
+RELEASED = {"0.1.0": "1553887f9a6fbff5"}
+"""Beginning of the SHA-256 of the words of the changelog from a release to its end."""
+LONGEST = 140
+CHANGELOG = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+TOP = [ROOT / name for name in ("SECURITY.md", "CODE_OF_CONDUCT.md")]
+
+
+def long_lines(text: str) -> list[str]:
+    """Lines of prose that are too long; tables, code, comments and what is made from the program are none."""
+    text = re.sub(r"(<!-- [^\n]* -->)(?:(?!<!--).)*<!-- end -->", r"\1", FENCES.sub("", text), flags=re.DOTALL)
+    return [line for line in text.split("\n") if len(line) > LONGEST and not line.startswith(("|", "<!--", "    "))]
+
+
+@pytest.mark.parametrize("page", [*READ, *TOP], ids=named)
+def test_no_line_of_prose_is_long(page):
+    assert long_lines(text_of(page)) == []
+
+
+def test_a_long_line_is_detected():
+    line = "word " * 30
+    assert long_lines(f"short\n{line}\n```sh\n{line}\n```\n| {line} |\n<!-- keys -->\n{line}\n<!-- end -->\n") == [line]
+
+
+def test_the_changelog_of_a_release_does_not_change():
+    for version, digest in RELEASED.items():
+        part = " ".join(CHANGELOG[CHANGELOG.index(f"## [{version}]") :].split())
+        found = hashlib.sha256(part.encode()).hexdigest()[:16]
+        assert found == digest, f"{version} is released: write under Unreleased"
+    assert set(re.findall(r"^## \[([\d.]+)\]", CHANGELOG, re.MULTILINE)) == set(RELEASED)
+
+
+def test_the_citation_is_that_of_the_newest_release():
+    version, date = re.search(r"^## \[([\d.]+)\] - (\S+)$", CHANGELOG, re.MULTILINE).groups()
+    citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    assert f"\nversion: {version}\n" in citation
+    assert f'\ndate-released: "{date}"\n' in citation
+
+
+def test_workflows_have_the_least_permissions():
+    for workflow in (ROOT / ".github" / "workflows").glob("*.yml"):
+        text = workflow.read_text(encoding="utf-8")
+        assert "\npermissions:\n  contents: read\n" in text, workflow.name
+        assert text.count("uses: actions/checkout") == text.count("persist-credentials: false"), workflow.name
+        assert len(re.findall(r": write\b", text)) == (workflow.name == "release.yml"), workflow.name
+
+
+def test_readme_and_the_first_page_do_not_repeat_each_other():
+    sentences = [
+        {words for words in re.split(r"(?<=[.:])\s+|\n\n", " ".join(FENCES.sub("", text_of(page)).split())) if len(words) > 60}
+        for page in (ROOT / "README.md", DOCS / "index.md")
+    ]
+    assert sentences[0] & sentences[1] == set()
