@@ -47,6 +47,16 @@ def test_the_citation_is_that_of_the_newest_release():
     assert f'\ndate-released: "{date}"\n' in citation
 
 
+@pytest.mark.parametrize("page", sorted((DOCS / "decisions").glob("[01]*.md")), ids=named)
+def test_a_decision_is_short_and_names_what_repeats_its_figures(page):
+    text = text_of(page)
+    assert len(text.splitlines()) <= 40
+    assert re.findall(r"^\*\*(\w+)\.\*\*", text, re.MULTILINE) == ["Context", "Decision", "Figures", "Consequences"]
+    assert f"[{text.splitlines()[0].removeprefix('# ')}]({page.name})" in text_of(page.parent / "index.md")
+    for file in re.findall(r"(?:tests|benchmarks|docs|optlink)/[\w/]+\.\w+", text):
+        assert (ROOT / file).is_file(), file
+
+
 def test_workflows_have_the_least_permissions():
     for workflow in (ROOT / ".github" / "workflows").glob("*.yml"):
         text = workflow.read_text(encoding="utf-8")
