@@ -80,6 +80,8 @@ def test_every_page_is_in_the_navigation():
         "contributing.md",
         "changelog.md",
         "zh.md",
+        "security.md",
+        "conduct.md",
         *(f"notebooks/{book.stem}.md" for book in (ROOT / "notebooks").glob("*.ipynb")),
     }
     assert {page.relative_to(DOCS).as_posix() for page in PAGES} | generated == set(listed)

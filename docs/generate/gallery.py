@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import html
 import io
+import itertools
 import re
 from typing import Any
 
@@ -126,17 +127,16 @@ def _pose_angle(motion: Motion) -> float:
 
 
 def page() -> str:
-    """Return the gallery as Markdown with a heading for each group."""
+    """Return the gallery as Markdown with a heading for each group, two problems in a row."""
     problems = {name: optlink.load(name) for name in optlink.shipped()}
     parts = []
     for group, title in GROUPS.items():
-        parts += [f"## {title}", "", "| drawing | problem |", "|---|---|"]
-        for name, problem in problems.items():
-            if group_of(problem) == group:
-                words, sentence = (
-                    html.escape(text, quote=False).replace("|", "\\|") for text in (problem.model.title, sentence_of(problem))
-                )
-                picture = f"![Drawing: {words}]({FOLDER}/{name}.svg)"
-                parts.append(f"| {picture} | **{words}**<br>{sentence}<br>`{command_of(problem)}` |")
-        parts.append("")
+        cells = [_cell(name, problem) for name, problem in problems.items() if group_of(problem) == group]
+        rows = [f"| {one} | {other} |" for one, other in itertools.zip_longest(cells[::2], cells[1::2], fillvalue="")]
+        parts += [f"## {title}", "", "| | |", "|---|---|", *rows, ""]
     return "\n".join(parts).rstrip()
+
+
+def _cell(name: str, problem: optlink.ProblemFile) -> str:
+    title, sentence = (html.escape(text, quote=False).replace("|", "\\|") for text in (problem.model.title, sentence_of(problem)))
+    return f"![Drawing: {title}]({FOLDER}/{name}.svg)<br>**{title}**<br>{sentence}<br>`{command_of(problem)}`"

@@ -28,9 +28,11 @@ OUTSIDE = {
     "README.zh.md": "zh.md",
     "CONTRIBUTING.md": "contributing.md",
     "CHANGELOG.md": "changelog.md",
+    "SECURITY.md": "security.md",
+    "CODE_OF_CONDUCT.md": "conduct.md",
 }
 """Pages of the repository that are pages of the site under another name."""
-LEXERS = {".py": "python", ".toml": "toml", ".m": "matlab", ".yml": "yaml"}
+LEXERS = {".py": "python", ".toml": "toml", ".m": "matlab", ".yml": "yaml", ".cff": "yaml"}
 QUIET = "---\nsearch:\n  exclude: true\n---\n\n"
 """In front of pages that would only clutter the search."""
 MINOR = "---\nsearch:\n  boost: 0.3\n---\n\n"
@@ -160,8 +162,11 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
             level = InclusionLevel.UNDEFINED if listed else InclusionLevel.NOT_IN_NAV
             files.append(File.generated(config, uri, content=content, inclusion=level))
 
-    for path in ("README.zh.md", "CONTRIBUTING.md", "CHANGELOG.md"):
-        add(page_of(path), rewritten((ROOT / path).read_text(encoding="utf-8"), "", page_of(path)), listed=True)
+    wanted = {"tests/validation"}
+    for path in [path for path in OUTSIDE if path != "README.md"]:
+        text = (ROOT / path).read_text(encoding="utf-8")
+        wanted |= set(outward(text, ""))
+        add(page_of(path), rewritten(text, "", page_of(path)), listed=True)
     for book in sorted((ROOT / "notebooks").glob("*.ipynb")):
         path = f"notebooks/{book.name}"
         text, pictures = notebook(path)
@@ -169,7 +174,6 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         add(path, book.read_bytes())
         for name, data in pictures.items():
             add(f"notebooks/{name}", data)
-    wanted = {"tests/validation"}
     for page in [file for file in files.documentation_pages() if not file.generated_by]:
         text = page.content_string
         wanted |= set(outward(text, posixpath.dirname(f"docs/{page.src_uri}")))
