@@ -61,7 +61,7 @@ def record(rows: list[Row]) -> dict[str, Any]:
         "python": platform.python_version(),
         "system": f"{platform.system()} {platform.machine()}, {os.cpu_count()} processors",
         "load": LOAD,
-        "packages": {name: version(name) for name in ("numpy", "scipy", "casadi", "cvxpy", "distributed", *PEERS)},
+        "packages": {name: version(name) for name in ("numpy", "scipy", "casadi", "cvxpy-base", "distributed", *PEERS)},
         "rows": [
             {
                 "what": row.what,

@@ -8,7 +8,6 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from importlib import metadata
 from typing import Any
 
 import numpy as np
@@ -399,7 +398,10 @@ class BalancingProgramme:
 
 def version() -> str:
     """Return the names and versions of the solver and of cvxpy."""
-    return f"Clarabel {metadata.version('clarabel')}, cvxpy {metadata.version('cvxpy')}"
+    import clarabel
+    import cvxpy
+
+    return f"Clarabel {clarabel.__version__}, cvxpy {cvxpy.__version__}"
 
 
 # Certificate of a second-order cone programme, computed from its dual solution.

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import base64
 import functools
+import gzip
+import hashlib
 import json
 import math
 import os
@@ -24,7 +26,7 @@ from optlink.io import with_check_sum
 from optlink.report.export.dimensions import dimensioned
 from optlink.report.export.svg import motion_data
 from optlink.report.format import pretty
-from optlink.report.html import chart_plotly, theme
+from optlink.report.html import chart_plotly, shell, theme
 from optlink.report.html.page import charts, page, sensitivities_of, write_page
 from optlink.report.html.shell import MAX_BYTES, four_digits
 from optlink.report.registry import read_result
@@ -49,6 +51,7 @@ PROBLEMS = (
     "scotch-yoke",
     "oscillating-cylinder",
 )
+PLOTLY = "79542150855a52c567260e3137095dbe2b744e6d702a5cabe67da246942fba7a"
 EVIL = "<script>window.caught = 1</script><img src=x onerror='window.caught = 2'> \"&' </title></style>"
 
 
@@ -122,7 +125,7 @@ class Reader(HTMLParser):
 @pytest.mark.slow
 def test_a_page_is_complete_and_small(about):
     text = page(about)
-    assert len(text.encode()) < 3_000_000
+    assert len(text.encode()) < MAX_BYTES
     read = Reader(text)
     assert read.scripts == 4
     assert all(address.startswith(("#", "data:,")) for address in read.addresses)
@@ -458,7 +461,17 @@ def test_the_hash_of_a_problem_is_the_same_in_every_process():
 
 
 def test_the_limit_of_a_page():
-    assert MAX_BYTES == 3_000_000
+    assert MAX_BYTES == 2_000_000
+
+
+def test_plotly_is_the_published_one_with_its_licence():
+    """That of the npm package plotly.js-cartesian-dist-min; the page names its version and allows this text by its hash."""
+    text, packed = shell.plotly()
+    assert hashlib.sha256(text.encode()).hexdigest() == PLOTLY
+    assert gzip.decompress(base64.b64decode(packed)).decode() == text
+    assert text.splitlines()[1] == f"* plotly.js (cartesian - minified) v{shell.plotly_version()}"
+    licence = Path(shell.__file__).parents[1] / "assets" / "plotly-LICENSE.txt"
+    assert licence.read_text("utf-8").startswith("MIT License\n\nCopyright (c) 2016-2024 Plotly Technologies Inc.")
 
 
 # --- in a browser ------------------------------------------------------------------------------------------------------------
@@ -467,7 +480,10 @@ def test_the_limit_of_a_page():
 def test_assets_and_templates_belong_to_the_package():
     """Beside the modules, where the wheel takes them from."""
     folder = Path(optlink.__file__).parent / "report"
-    assert {path.name for path in (folder / "assets").iterdir()} == {"motion.js", "notebook.js", "page.css", "page.js"}
+    assert {path.name for path in (folder / "assets").iterdir()} == {
+        *("motion.js", "notebook.js", "page.css", "page.js"),
+        *("plotly-cartesian.min.js.gz", "plotly-LICENSE.txt"),
+    }
     assert {path.name for path in (folder / "templates").iterdir()} == {"page.html", "parts.html", "notebook.html"}
 
 

@@ -27,7 +27,7 @@ from optlink.report.table_spec import Paragraph, Part, TableSpec
 from optlink.report.view import PageSection, StoredStudy
 from optlink.version import VERSION
 
-MAX_BYTES = 3_000_000  # largest size of a page [bytes]
+MAX_BYTES = 2_000_000  # largest size of a page [bytes]
 STEPS = (360, 180, 90)  # numbers of positions per revolution, tried in this order
 UNBROKEN_ROWS = 20  # rows up to which a table is not broken in print
 UNBROKEN_LENGTH = 36  # length up to which a text is not broken [characters]
@@ -52,7 +52,7 @@ class PageContent:
 
     def html(self) -> str:
         """Return the complete document."""
-        script, (plotly, packed) = asset("motion.js") + asset("page.js"), _plotly()
+        script, (library, packed) = asset("motion.js") + asset("page.js"), plotly()
         charts = [_chart_data(chart) for chart in self.charts]
         drawings = [part.svg for section in self.sections for part in section.parts if isinstance(part, Drawing)]
         drawn = [json.dumps(charts), "" if self.moving is None else self.moving.svg(""), *drawings]
@@ -66,7 +66,7 @@ class PageContent:
                 about=self.about,
                 status=Paragraph(*self.about.status, *(f"Note: {note}" for note in self.about.notes)),
                 letterhead=letterhead(self.about.problem),
-                policy=_policy(plotly, script),
+                policy=_policy(library, script),
                 version=VERSION,
                 style=asset("page.css").replace("/*drawn*/", swapped),
                 motion=None if self.moving is None else self.moving.to_dict(),
@@ -230,9 +230,12 @@ def asset(name: str) -> str:
 
 
 @cache
-def _plotly() -> tuple[str, str]:
-    """Return plotly.js as shipped with the Python package, and the same compressed for a page."""
-    from plotly.offline import get_plotlyjs
+def plotly() -> tuple[str, str]:
+    """Return plotly.js, and the same compressed for a page: of the npm package plotly.js-cartesian-dist-min, by `gzip -9n`."""
+    packed = files("optlink.report").joinpath("assets", "plotly-cartesian.min.js.gz").read_bytes()
+    return gzip.decompress(packed).decode(), base64.b64encode(packed).decode()
 
-    text: str = get_plotlyjs()
-    return text, base64.b64encode(gzip.compress(text.encode(), 9, mtime=0)).decode()
+
+def plotly_version() -> str:
+    """Return the version of plotly.js, which its first lines name."""
+    return plotly()[0].partition(" v")[2].partition("\n")[0]

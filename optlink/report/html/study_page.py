@@ -3,7 +3,6 @@
 import platform
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from importlib.metadata import version
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from optlink.report.format import Scale, single_units
 from optlink.report.html import chart_plotly, moving_linkage
 from optlink.report.html.chart_plotly import Chart
 from optlink.report.html.moving_linkage import Moving
-from optlink.report.html.shell import MAX_BYTES, STEPS, PageContent, arrange
+from optlink.report.html.shell import MAX_BYTES, STEPS, PageContent, arrange, plotly_version
 from optlink.report.scene import scene_at
 from optlink.report.shapes import even
 from optlink.report.table_spec import Paragraph
@@ -120,6 +119,6 @@ def closing_sections(file: ProblemFile, by: str) -> Iterable[PageSection]:
         "Hash of the problem": file.hash,
         "Found by": by,
         "optlink": f"{VERSION}, with Python {platform.python_version()}, numpy {np.__version__}",
-        "Charts": f"plotly.js of plotly {version('plotly')}, in this page",
+        "Charts": f"plotly.js {plotly_version()}, in this page",
     }
     yield PageSection("Sources", (sources,))
