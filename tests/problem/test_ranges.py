@@ -207,7 +207,7 @@ def test_template_keeps_comments_and_spellings(tmp_path):
     ]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     whole = _template(load(path)).splitlines()
-    added = ['type = "four-bar"', 'alignment = "1 deg"', "length_margin = 0.0001"]
+    added = ["format = 1", 'type = "four-bar"', 'alignment = "1 deg"', "length_margin = 0.0001"]
     assert [line for line in whole if line not in added] == lines
     assert [line for line in whole if line in added] == added
     assert whole.index(added[0]) == lines.index("") == whole.index("") - 1
