@@ -129,12 +129,12 @@ def result_class(kind: str) -> type[Document] | None:
 
 
 def json_schema(kind: str) -> dict[str, Any]:
-    """Return the JSON schema of the document of a kind of result, or of any result.
+    """Return the JSON schema of the document of a kind of result, or of any result; or that of problem files.
 
     Parameters
     ----------
     kind : str
-        "result" for any.
+        "result" for any; "problem".
 
     Raises
     ------
@@ -143,7 +143,11 @@ def json_schema(kind: str) -> dict[str, Any]:
     """
     from optlink.problem.quantity import check_choice
 
-    check_choice("--schema", kind, ["result", *KINDS], "no such kind of result")
+    check_choice("--schema", kind, ["problem", "result", *KINDS], "no such kind of document")
+    if kind == "problem":
+        from optlink.problem.schema import problem_schema
+
+        return problem_schema()
     schemas = [one.json_schema() for name in KINDS if kind in ("result", name) and (one := result_class(name)) is not None]
     parts = {name: part for schema in schemas for name, part in schema.pop("$defs", {}).items()}
     return {
