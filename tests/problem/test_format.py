@@ -38,7 +38,7 @@ def test_what_is_written_begins_with_the_format(tmp_path):
     for text in (dump(problem), stored_problem(problem)["toml"], shown, edited, studio, dump(changed)):
         assert next(iter(tomllib.loads(text).items())) == ("format", FORMAT)
     assert edited.count("#") == OLD.count("#")  # all comments
-    assert edited == f"format = {FORMAT}\n{OLD}".replace('"500 mm"', '"480 mm"')
+    assert edited == f"format = {FORMAT}\n{OLD}".replace('frame = "300 mm"', 'frame = "480 mm"')
 
 
 def test_the_format_does_not_change_what_a_problem_is():
