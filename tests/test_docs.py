@@ -537,10 +537,11 @@ def test_a_wrong_reference_value_stops_the_site(monkeypatch):
         validation.page()
 
 
-def test_the_schema_of_results_is_up_to_date() -> None:
-    """Write it again: optlink show --schema result > docs/reference/result.schema.json."""
-    published = json.loads((ROOT / "docs/reference/result.schema.json").read_text())
-    assert published == json_schema("result")
+@pytest.mark.parametrize("kind", ["problem", "result"])
+def test_published_schemas_are_up_to_date(kind: str) -> None:
+    """Write it again: optlink show --schema KIND > docs/reference/KIND.schema.json."""
+    published = json.loads((ROOT / f"docs/reference/{kind}.schema.json").read_text())
+    assert published == json_schema(kind)
 
 
 def test_measurements_mark_what_is_missed_and_what_is_open(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

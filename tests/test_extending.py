@@ -9,6 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import jsonschema
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -215,6 +216,19 @@ def test_a_new_kind_of_result_and_its_view(extended, tmp_path):
     other.write_text(json.dumps(document | {"distance_m": 2.0 * document["distance_m"]}))
     assert "the result was changed" in run("report", str(other), "-o", str(tmp_path / "no.html"), code=2)
     assert "unknown key" in run("solve", str(file), "--set", "clearing.poit=B", code=2)
+
+
+def test_the_schema_of_problem_files_has_what_is_registered(extended):
+    for name in ("constraint", "objective", "kind"):
+        extended(name)
+    schema = json.loads(run("show", "--schema", "problem"))
+    assert schema["$defs"]["Limits"]["properties"]["coupler_ratio"]["description"] == "Coupler over crank; of a four-bar."
+    assert "turning" in schema["$defs"]["quantity-of-the-cycle"]["enum"]
+    assert schema["$defs"]["Clearing"]["required"] == ["point", "least"]
+    own = {"mechanism": optlink.load("crank-rocker").raw["mechanism"], "clearing": {"point": "C", "least": "300 mm"}}
+    validator = jsonschema.Draft202012Validator(schema)
+    assert validator.is_valid(own)
+    assert not validator.is_valid(own | {"clearing": {"point": "C", "last": "300 mm"}})
 
 
 def test_a_name_is_registered_once(extended):

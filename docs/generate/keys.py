@@ -6,12 +6,9 @@ the documentation, which the tests load.
 
 from __future__ import annotations
 
-import ast
 import functools
 import inspect
-import itertools
 import re
-import textwrap
 import tomllib
 import types
 import typing
@@ -23,14 +20,13 @@ from typing import Any
 from pydantic.fields import FieldInfo
 
 import optlink
-from optlink.clearance.joint import DAMPING
 from optlink.errors import InputError
 from optlink.problem.base_model import Section
 from optlink.problem.design import DesignProblem
 from optlink.problem.machine.model import Problem
 from optlink.problem.mechanism import DyadsSection, FourBarSection
 from optlink.problem.requirements.base import DEFAULT_KIND, Requirement
-from optlink.problem.requirements.laws import DEAD_CENTRES
+from optlink.problem.schema import FORMS, READERS, description, owner
 from optlink.problem.terms import QUANTITIES
 from optlink.units import DEFINITIONS, KINDS, UnitProblem, factor
 
@@ -62,66 +58,8 @@ NARRATED = {
 }
 """Page and anchor that describe a table, by the first part of its name."""
 
-READERS = {
-    "read_quantity": "{kind}, fixed, free or linked",
-    "read_fixed": "{kind}",
-    "read_positive": "{kind}, not negative",
-    "read_interval": "range of {kind}",
-    "_read_joint_ranges": "range of {kind}, or table of ranges by joint",
-    "_read_joint_maxima": "largest {kind}, or table of them by joint",
-    "_read_stroke_ratio": "range of {kind}, with `stroke` `forward`, `backward`, `slow` or `quick`",
-}
-"""Permitted values by the function of `optlink.problem.quantity` or `interval` that reads a field."""
-
-FORMS = {
-    "Problem.gravity": "acceleration, or `[x, y]`",
-    "BodySection.centroid": "text, or `[along, across]`",
-    "BodySection.inertia": "moment of inertia, or `uniform bar`",
-    "DriveSection.torque": "torque, table or expression",
-    "JointSection.clearance": "length",
-    "JointSection.law": ", ".join(f"`{law}`" for law in DAMPING),
-    "JointSection.modulus": "pressure, or `[journal, bearing]`",
-    "JointSection.poisson": "number, or `[journal, bearing]`",
-    "LoadSection.force": "force, table or expression",
-    "LoadSection.torque": "torque, table or expression",
-    "ControlSection.known": "list of names",
-    "ControlSection.regularisation": "length or angle",
-    "FourBarSection.points": "names with `[along, across]`, each fixed, free or linked",
-    "FourBarSection.pivot": "`[x, y]`, each fixed, free or linked",
-    "LinkSection.joints": "list of one or two names",
-    "LinkSection.points": "names with `[along, across]`, each fixed, free or linked",
-    "GuideSection.through": "text, or `[x, y]`, each fixed, free or linked",
-    "DyadsSection.ground": "names with `[x, y]`, each fixed, free or linked",
-    "Problem.measured": "table of `csv`, `column`, `per_volt`, `at_zero`",
-    "Problem.tolerances": "names with text or tables",
-    "Term.quantity": "one of the [quantities](#quantities-of-the-cycle)",
-    "TermSection.quantity": "one of the [quantities](#quantities-of-the-cycle)",
-    "Requirement.tolerance": "length or angle",
-    "Requirement.scale": "length or angle",
-    "FunctionRequirement.law": "text or table",
-    "Requirement.robust": "text",
-    "FunctionRequirement.psi0": "angle, fixed, free or linked, or `output at the start`",
-    "FunctionRequirement.zero": "coordinate, fixed, free or linked, or `output at the start`",
-    "FunctionRequirement.start": " or ".join(f"`{start}`" for start in DEAD_CENTRES) + ", or angle, fixed, free or linked",
-    "DwellRequirement.over": "angle, or `[begin, end]`",
-    "DwellRequirement.band": "length or angle",
-    "DwellRequirement.value": "angle or coordinate, fixed or free",
-    "PositionRequirement.value": "angle or coordinate, range of these, or table of `min`, `max`, `exactly`",
-    "PathRequirement.points": "list or table",
-    "StrokeRequirement.stroke": "length or angle, range of these, or table of `min`, `max`, `exactly`",
-    "Goal.scale": "quantity",
-    "RegionLimit.centre": "`[x, y]`",
-    "RegionLimit.through": "`[x, y]`",
-    "RegionLimit.clearance": "length, or zero",
-    "Limit.min": "quantity",
-    "Limit.max": "quantity",
-    "Limit.exactly": "quantity",
-    "CounterweightSection.at": "text, or `[along, across]`",
-    "TermSection.about": "text, or `[x, y]`",
-    "BalanceLimit.max": "quantity or percentage",
-    "BalanceSection.about": "text, or `[x, y]`",
-}
-"""Permitted values of fields with a reader of their own, by model and name."""
+LINKED = "one of the [quantities](#quantities-of-the-cycle)"
+"""Value of the key `quantity`."""
 
 
 @dataclass(frozen=True)
@@ -195,34 +133,11 @@ def _models(annotation: Any) -> Iterator[tuple[str, type[Section], bool]]:
 # --- what is said of a field -------------------------------------------------------------------------------------------
 
 
-@functools.cache
-def _strings(model: type[Section]) -> dict[str, str]:
-    """Strings below the fields that a class states itself, by field."""
-    (tree,) = ast.parse(textwrap.dedent(inspect.getsource(model))).body
-    assert isinstance(tree, ast.ClassDef)
-    found = {}
-    for field, below in itertools.pairwise(tree.body):
-        text = below.value.value if isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant) else None
-        if isinstance(text, str) and isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name):
-            found[field.target.id] = " ".join(text.split())
-    return found
-
-
-def owner(model: type[Section], name: str) -> type[Section]:
-    """Return the class that defines a field: the model itself or its nearest base class."""
-    return next(base for base in model.__mro__ if name in vars(base).get("__annotations__", {}))
-
-
-def description(model: type[Section], name: str) -> str:
-    """Return the docstring of a field, or an empty string."""
-    return _strings(owner(model, name)).get(name, "")
-
-
 def value(model: type[Section], name: str) -> str:
     """Return the permitted values of a field."""
     field = model.model_fields[name]
-    stated = FORMS.get(f"{owner(model, name).__name__}.{name}")
-    return stated or _words(field.annotation, field.metadata)
+    form = FORMS.get(f"{owner(model, name).__name__}.{name}", {})
+    return LINKED if name == "quantity" else form.get("title") or _words(field.annotation, field.metadata)
 
 
 def reader(annotation: Any, metadata: typing.Iterable[Any]) -> tuple[str, str | None] | None:
@@ -247,7 +162,7 @@ def _words(annotation: Any, metadata: typing.Iterable[Any] = ()) -> str:
     if origin is dict and not known:
         return "table of names" if any(True for _ in _models(inside[1])) else f"names with {_words(inside[1])}"
     if known:
-        return READERS[known[0]].format(kind=known[1] or "numbers")
+        return str(READERS[known[0]](known[1])["title"])
     if origin is typing.Literal:
         return ", ".join(f"`{text}`" for text in inside)
     if origin is typing.Annotated or (origin in (typing.Union, types.UnionType) and len(inside) == 1):

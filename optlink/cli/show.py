@@ -43,7 +43,12 @@ def show(
     problem: Shown = "",
     changes: Set = None,
     schema: Annotated[
-        str, option("KIND", "Print the JSON schema of a kind of result; KIND result: of all kinds.", "--schema")
+        str,
+        option(
+            "KIND",
+            "Print the JSON schema of problem files (KIND problem), of all results (result), or of a kind of result.",
+            "--schema",
+        ),
     ] = "",
     as_toml: Annotated[bool, flag("Print a problem file, as a template for your own.", "--toml")] = False,
     as_json: Json = False,

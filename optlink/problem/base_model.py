@@ -16,7 +16,7 @@ from optlink.linkage.mechanism import FRAME
 from optlink.problem.quantity import Unusable
 from optlink.units import split_range
 
-_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,39}", re.ASCII)
+NAME = "[A-Za-z][A-Za-z0-9_]{0,39}"
 DEEPEST = 10
 """Greatest depth of tables at which a range can be written."""
 RESERVED = (FRAME, "input", "energy")
@@ -140,7 +140,7 @@ def with_ranges(raw: Any, path: tuple[str, ...] = (), skip: Collection[str] = ()
 
 
 def _read_name(raw: object) -> str:
-    if not isinstance(raw, str) or not _NAME.fullmatch(raw):
+    if not isinstance(raw, str) or not re.fullmatch(NAME, raw):
         raise Unusable("not a name", "Use letters, digits and _, beginning with a letter, for example link2", "", raw)
     return raw
 

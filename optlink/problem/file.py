@@ -38,7 +38,7 @@ from optlink.problem.file_errors import (
 from optlink.problem.limits import MARGINS
 from optlink.problem.linked import states_links
 from optlink.problem.machine.balance import with_terms
-from optlink.problem.machine.model import Problem
+from optlink.problem.machine.model import FORMAT, Problem
 from optlink.problem.mechanism import read_near
 from optlink.problem.overview import linkage_type
 from optlink.problem.quantity import input_of, nearest, write
@@ -218,7 +218,7 @@ def _texts(value: Any, depth: int = 0) -> Iterator[str]:
         yield from _texts(item, depth + 1)
 
 
-WORDS = ("title", "source", "about", "report", "expected")
+WORDS = ("format", "title", "source", "about", "report", "expected")
 
 
 def shipped() -> dict[str, Path]:
@@ -324,6 +324,12 @@ def read(
 
 def _tables(raw: Mapping[str, Any], file: str) -> dict[str, Any]:
     """Return the tables of a file in present words, with ranges written out."""
+    stated = raw.get("format", FORMAT)
+    if type(stated) is not int or stated < 1:
+        raise InputError("not a format of problem files", f"Write format = {FORMAT}, or leave it out", file, "format", stated)
+    if stated > FORMAT:
+        message = f"the file has a later format than this version of optlink reads, {FORMAT}"
+        raise InputError(message, "Update optlink", file, "format", stated)
     with input_of(file):
         return with_terms(with_ranges(with_spellings(raw), skip=WORDS))
 
@@ -376,8 +382,8 @@ def _check_values(raw: Mapping[str, Any], file: str) -> None:
 
 
 def _typed(raw: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Add the type of a mechanism without one."""
-    mechanism = raw.get("mechanism")
+    """Add the format of a file without one, as the first key, and the type of a mechanism without one."""
+    raw, mechanism = {"format": FORMAT, **raw}, raw.get("mechanism")
     if isinstance(mechanism, dict) and "type" not in mechanism:
         return {**raw, "mechanism": {"type": linkage_type(raw), **mechanism}}
     return raw

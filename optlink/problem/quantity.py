@@ -256,7 +256,7 @@ def range_example(kind: str | None) -> str:
     return f'"{f"{number}..{2.0 * float(number):g} {unit}".strip()}"'
 
 
-def read_number(raw: object, key: str) -> float:
+def read_number(raw: object, key: str = "") -> float:
     """Read a plain number, or a share in percent.
 
     Raises
@@ -338,7 +338,7 @@ Stiffness = Annotated[Quantity, reader(read_positive, "stiffness")]
 Damping = Annotated[Quantity, reader(read_positive, "damping")]
 TorsionalStiffness = Annotated[Quantity, reader(read_positive, "torsional stiffness")]
 TorsionalDamping = Annotated[Quantity, reader(read_positive, "torsional damping")]
-Number = Annotated[float, BeforeValidator(lambda raw: read_number(raw, ""))]
+Number = Annotated[float, BeforeValidator(read_number)]
 Friction = Annotated[
     Number, where(lambda value: 0.0 <= value < 10.0, "out of range", "A coefficient of friction lies between 0 and 10")
 ]

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from optlink.errors import InputError
 from optlink.io import load_extensions
 from optlink.problem.arguments import typed
-from optlink.problem.document import Document, read_document
+from optlink.problem.document import VERSION_OF_SCHEMAS, Document, read_document
 from optlink.report.format import single_units
 from optlink.report.table_spec import Summary
 from optlink.report.view import View
@@ -129,12 +129,12 @@ def result_class(kind: str) -> type[Document] | None:
 
 
 def json_schema(kind: str) -> dict[str, Any]:
-    """Return the JSON schema of the document of a kind of result, or of any result.
+    """Return the JSON schema of the document of a kind of result, or of any result; or that of problem files.
 
     Parameters
     ----------
     kind : str
-        "result" for any.
+        "result" for any; "problem".
 
     Raises
     ------
@@ -143,7 +143,11 @@ def json_schema(kind: str) -> dict[str, Any]:
     """
     from optlink.problem.quantity import check_choice
 
-    check_choice("--schema", kind, ["result", *KINDS], "no such kind of result")
+    check_choice("--schema", kind, ["problem", "result", *KINDS], "no such kind of document")
+    if kind == "problem":
+        from optlink.problem.schema import problem_schema
+
+        return problem_schema()
     schemas = [one.json_schema() for name in KINDS if kind in ("result", name) and (one := result_class(name)) is not None]
     parts = {name: part for schema in schemas for name, part in schema.pop("$defs", {}).items()}
     return {
@@ -213,6 +217,11 @@ def read_result(path: str | Path) -> Document:
 
 def _unknown(schema: object, kind: str, path: Path) -> InputError:
     """Return the error for a document of another schema."""
+    number = str(schema).rpartition("/")[2]
+    if number.isdecimal() and int(number) > VERSION_OF_SCHEMAS and str(schema).startswith("optlink/"):
+        return InputError(
+            "the result has a later format than this version of optlink reads", "Update optlink", str(path), "schema", schema
+        )
     if (command := KINDS.get(kind, "solve" if kind in FORMER else "")) != "":
         remedy = f"Run `{command}` again, or use the version of optlink that wrote it"
         return InputError("the result has the format of another version", remedy, str(path), "schema", schema)

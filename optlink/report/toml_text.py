@@ -26,6 +26,8 @@ def rewritten(text: str, old: Mapping[str, Any], new: Mapping[str, Any]) -> str:
 
     for edit in (_edit, _replace_sections):
         with contextlib.suppress(TOMLKitError, LookupError, TypeError, ValueError):  # such as rare orders of tables
+            if "format" in new and "format" not in tables(text):
+                text = f"format = {new['format']}\n{text}"
             page = tomlkit.parse(text)
             edit(page, old, new)
             result = page.as_string()

@@ -11,6 +11,7 @@ from optlink.errors import InputError, Status
 from optlink.io import finite
 from optlink.linkage.vector2d import Array
 from optlink.problem.file import ProblemFile
+from optlink.problem.machine.model import FORMAT
 from optlink.studio.design import UNVERIFIED, Design
 from optlink.studio.document import Document, from_text
 from optlink.studio.picture import Picture
@@ -53,7 +54,8 @@ def curve_problem(points: Any, *, closed: bool) -> Document:
     sides = [f'{{ bounds = ["{c - MAX_LINK * size:.6g} mm", "{c + MAX_LINK * size:.6g} mm"] }}' for c in centre]
     rows = ",\n".join(f'    ["{x!r} mm", "{y!r} mm"]' for x, y in places.tolist())
     links = "\n".join(f'{name} = {{ bounds = ["{least} mm", "{far} mm"] }}' for name in ("crank", "coupler", "rocker", "frame"))
-    text = f'''title = "A drawn curve"
+    text = f'''format = {FORMAT}
+title = "A drawn curve"
 
 # A four-bar whose coupler point P passes these points in order, at free crank angles.
 [mechanism]

@@ -207,10 +207,10 @@ def test_template_keeps_comments_and_spellings(tmp_path):
     ]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     whole = _template(load(path)).splitlines()
-    added = ['type = "four-bar"', 'alignment = "1 deg"', "length_margin = 0.0001"]
+    added = ["format = 1", 'type = "four-bar"', 'alignment = "1 deg"', "length_margin = 0.0001"]
     assert [line for line in whole if line not in added] == lines
     assert [line for line in whole if line in added] == added
-    assert whole.index(added[0]) == lines.index("") == whole.index("") - 1
+    assert whole.index(added[1]) == lines.index("") + 1 == whole.index("") - 1
 
     changed = load(path, {"mechanism.frame": "480 mm", f"{SIZE}.max": "700 mm", "mechanism.rocker": "250 mm", RATIO: ">= 1.1"})
     text = _template(changed)

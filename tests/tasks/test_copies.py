@@ -20,7 +20,7 @@ from optlink import load
 from optlink.errors import Fault
 from optlink.problem.document import Document
 from optlink.report.html.page import page
-from optlink.report.registry import read_result, view_of
+from optlink.report.registry import KINDS, read_result, result_class, view_of
 from optlink.report.report_model import report_model_of
 from optlink.studies.motion_sensitivity import output_sensitivity
 from optlink.studies.pareto.epsilon_constraint import pareto
@@ -51,6 +51,9 @@ RESULTS: dict[str, Callable[[], Any]] = {
     "simulation": lambda: optlink.simulate(load("slider-crank"), rows=50),
     "clearance": lambda: optlink.simulate_clearance(load("slider-crank-clearance"), 1),
     "comparison": lambda: optlink.compare(load("crank-rocker-clearance"), 1, 1),
+    "tuning": lambda: optlink.tune(
+        load("crank-rocker-clearance"), "pid", ("proportional",), evaluations=4, starts=1, revolutions=2, points=72
+    ),
     "sensitivities": lambda: sensitivities(load("crank-rocker")),
     "output sensitivity": _slopes,
     "sweep": lambda: sweep(load("crank-rocker"), ["limits.transmission_angle.min=30..40 deg:2"], workers=1),
@@ -64,7 +67,7 @@ def made(kind: str) -> Any:
     return RESULTS[kind]()
 
 
-@pytest.fixture(scope="module", params=mostly_slow(RESULTS, *(RESULTS.keys() - {"comparison", "transmission"})))
+@pytest.fixture(scope="module", params=mostly_slow(RESULTS, *(RESULTS.keys() - {"comparison", "transmission", "tuning"})))
 def result(request: pytest.FixtureRequest) -> Any:
     return made(request.param)
 
@@ -158,6 +161,12 @@ def test_a_result_is_shown_in_notebooks(result: Any) -> None:
     assert len(repr(result)) < 120
 
 
+def test_every_kind_of_result_has_a_published_schema() -> None:
+    published = json.loads((Path(__file__).parents[2] / "docs/reference/result.schema.json").read_text())
+    schemas = [one["properties"]["schema"]["const"] for one in published["anyOf"]]
+    assert schemas == [result_class(kind).schema() for kind in KINDS]  # type: ignore[union-attr]
+
+
 @cache
 def schema() -> Any:
     """Validator of documents of results."""
@@ -180,3 +189,8 @@ def test_a_result_reads_itself(result: Any, tmp_path: Path) -> None:
     written = json.loads(path.read_text(encoding="utf-8"))
     assert json.loads(json.dumps(again.to_dict())) == written
     schema().validate(written)
+    assert written["schema"] == result.schema()
+    for wrong in ({"novel": 1}, {"schema": "optlink/design/1"}, {"problem_file": {}}, {"title": 3}):
+        assert not schema().is_valid(written | wrong)
+    for name in ("schema", "problem_hash", "problem_file", "crc32"):
+        assert not schema().is_valid({key: item for key, item in written.items() if key != name})

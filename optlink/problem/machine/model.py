@@ -5,7 +5,7 @@ import datetime
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, Self
 
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field
@@ -50,6 +50,8 @@ SPELLINGS = {
     "mark": ("mark",),
 }
 """Keys of the requirement for the quantities that it adds to those of the mechanism."""
+FORMAT: Literal[1] = 1
+"""The latest format of problem files, and so far the only one."""
 MAX_SHIFT = 1e6  # largest distance of a mechanism or a curve from the origin, in multiples of its size
 
 
@@ -114,6 +116,8 @@ class ShownObjective(NamedTuple):
 class Problem(Section):
     """A problem file, read and checked; immutable. Change it with `optlink.load(..., overrides)` or `override`."""
 
+    format: Literal[1] = FORMAT
+    """Version of the format of the file, which rises when a later optlink can no longer read it as before."""
     title: Annotated[str, AfterValidator(lambda text: " ".join(text.splitlines()))] = Field(
         "problem", min_length=1, max_length=200
     )

@@ -515,7 +515,7 @@ _FORMS = (
 )
 
 
-_KEYS = {
+POINT_KEYS = {
     "csv": ("csv", "points"),
     "svg": ("svg", "path", "unit", "points"),
     "x": ("x", "y", "unit", "t", "points", "spacing"),
@@ -540,11 +540,11 @@ def read_points(raw: object, folder: Path) -> TargetPoints:
         raise Unusable("points are a list or a table", _FORMS)
     forms = [form for form, keys in (("csv", ("csv",)), ("svg", ("svg",)), ("x", ("x", "y"))) if any(key in raw for key in keys)]
     if not forms:
-        check_keys(raw, sorted({name for form in _KEYS.values() for name in form}))
+        check_keys(raw, sorted({name for form in POINT_KEYS.values() for name in form}))
         raise Unusable("the points are missing", _FORMS)
     if len(forms) > 1:
         raise Unusable(f"the points are given twice, by {' and by '.join(forms)}", "Keep one of them", forms[1], raw[forms[1]])
-    check_keys(raw, _KEYS[forms[0]])
+    check_keys(raw, POINT_KEYS[forms[0]])
     if forms == ["csv"]:
         count = read_count(raw) if "points" in raw else None
         return check_and_reduce(read_csv_rows(raw, folder), count)

@@ -406,11 +406,11 @@ class PointRows:
         if bad.any():
             row = int(np.argmax(bad))
             key = f"[{row}].{column}" if self.key is None else self.key
-            kind, value = _COLUMNS[column], float(self.columns[column][row])
+            kind, value = POINT_COLUMNS[column], float(self.columns[column][row])
             raise Unusable(message.format(self.named(row)), remedy, key, show(value, kind) if kind else f"{value:.6g}")
 
 
-_COLUMNS = {"x": "coordinate", "y": "coordinate", "crank": "angle", "angle": "angle", "weight": "", "tolerance": "length"}
+POINT_COLUMNS = {"x": "coordinate", "y": "coordinate", "crank": "angle", "angle": "angle", "weight": "", "tolerance": "length"}
 _LEFT_OUT = {"weight": 1.0, "tolerance": math.inf}  # defaults of a row
 
 
@@ -425,7 +425,7 @@ def read_rows(raw: Sequence[object]) -> PointRows:
     if len(raw) > MOST_POINTS:
         raise Unusable(f"there are {len(raw):,} points, more than {MOST_POINTS:,}", "Reduce their number", "")
     example = 'Write ["20 mm", "25 mm"], or { x = "20 mm", y = "25 mm", crank = "30 deg" }'
-    columns: dict[str, list[float]] = {name: [] for name in _COLUMNS}
+    columns: dict[str, list[float]] = {name: [] for name in POINT_COLUMNS}
     first_rows: dict[str, int] = {}
     unit = "mm"
     for number, row in enumerate(raw):
@@ -436,8 +436,8 @@ def read_rows(raw: Sequence[object]) -> PointRows:
         if not isinstance(row, dict):
             raise Unusable(f"point {number + 1} is neither a list nor a table", example, f"[{number}]", row)
         with below(f"[{number}]"):
-            check_keys(row, list(_COLUMNS))
-        for name, kind in _COLUMNS.items():
+            check_keys(row, list(POINT_COLUMNS))
+        for name, kind in POINT_COLUMNS.items():
             key = f"[{number}].{name}"
             if name not in row and name in ("x", "y"):
                 raise Unusable(f"point {number + 1} has no {name}", example, key)
@@ -468,7 +468,7 @@ def _number(raw: object, key: str) -> float:
 
 
 _ENDINGS = {"length": COLUMN_UNITS["coordinate"], "": ("",)} | COLUMN_UNITS
-_TITLES = {f"{name}_{unit}".rstrip("_"): (name, unit) for name, kind in _COLUMNS.items() for unit in _ENDINGS[kind]}
+_TITLES = {f"{name}_{unit}".rstrip("_"): (name, unit) for name, kind in POINT_COLUMNS.items() for unit in _ENDINGS[kind]}
 
 
 def read_csv_rows(raw: Mapping[str, Any], folder: Path) -> PointRows:
@@ -502,7 +502,9 @@ def read_csv_rows(raw: Mapping[str, Any], folder: Path) -> PointRows:
     for column, _, index, values in read:
         if column == "crank":
             table.check_unit(index, min(values), max(values))
-    columns = {column: np.array(values) * (factor(unit, _COLUMNS[column]) if unit else 1.0) for column, unit, _, values in read}
+    columns = {
+        column: np.array(values) * (factor(unit, POINT_COLUMNS[column]) if unit else 1.0) for column, unit, _, values in read
+    }
     unit = next(unit for column, unit, *_ in read if column == "x")
     return PointRows(columns, unit, table.name, numbers, "csv")
 
