@@ -69,8 +69,8 @@ class StrokeLoad:
 def acting_loads(machine: Machine, speed: float) -> tuple[StrokeLoad, ...]:
     """Return the loads that act in one stroke only, of a machine whose crank turns fully; only the sign of the speed is used."""
     acting = []
-    for load in machine.loads:
-        if isinstance(load, Force | Torque) and load.stroke != "both":
+    for load in machine.processes:
+        if load.stroke != "both":
             ranges = load_strokes(machine, load)
             other = OTHER[load.stroke] if speed < 0.0 else load.stroke
             direct, counter = (other, load.stroke) if load.turning else (load.stroke, other)
@@ -108,7 +108,7 @@ def travels_by_use(
     """
     named = {f"{name} slides": travel for name, travel in strokes.items()}
     named |= {f"{name} swings": travel for name, travel in swings.items()}
-    loaded = dict.fromkeys(load.body for load in machine.loads if isinstance(load, Force | Torque))
+    loaded = dict.fromkeys(load.body for load in machine.processes)
     outputs = [f"{body} {'slides' if body in strokes else 'swings'}" for body in loaded if body in strokes or body in swings]
     last, slides = last_output(machine, swings, strokes)
     outputs = outputs or [f"{last} {'slides' if slides else 'swings'}"]
@@ -165,8 +165,8 @@ def irregular(machine: Machine, grid: Array, speed: float) -> Irregular:
     The rising grid [rad] is so fine that a denominator has at most one zero or minimum between neighbours.
     """
     corners, peaks, unbounded = [np.empty(0)], [np.empty(0)], {}
-    for load in machine.loads:
-        if not isinstance(load, Force | Torque) or not hasattr(load.magnitude, "breakpoints"):
+    for load in machine.processes:
+        if not hasattr(load.magnitude, "breakpoints"):
             continue
         with np.errstate(all="ignore"):
             values = _breakpoints(machine, load, speed)

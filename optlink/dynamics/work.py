@@ -60,15 +60,14 @@ def corners(machine: Machine, low: float, high: float, speed: float) -> Array:
     """
     corner_angles: list[Array] = []
     rows: list[tuple[str, float]] = []
-    for load in machine.loads:
-        table = getattr(load, "magnitude", None)
-        at = np.asarray(getattr(table, "at", ()), dtype=float)
-        over, guide = getattr(table, "over", ""), getattr(load, "direction", None)
+    for load in machine.processes:
+        table, guide = load.magnitude, load.guide
+        at, over = np.asarray(getattr(table, "at", ()), dtype=float), getattr(table, "over", "")
         if over == "phi":
             period = TURN * getattr(table, "revolutions", 1)
             cycles = np.arange(np.floor((low - at[-1]) / period), np.ceil((high - at[0]) / period) + 1.0)
             corner_angles.append((at[:, None] + period * cycles).ravel())
-        elif over == "s" and isinstance(guide, str):
+        elif over == "s":
             rows += [(guide, float(value)) for value in at]
     if rows:
 

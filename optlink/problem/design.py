@@ -13,7 +13,7 @@ from pydantic.fields import FieldInfo
 
 from optlink.dynamics.machine import Inertia
 from optlink.linkage.dyad_types import transmitting
-from optlink.linkage.inner_four_bar import InnerFourBar, whole_four_bar
+from optlink.linkage.fourbar import InnerFourBar, whole_four_bar
 from optlink.linkage.mechanism import Pose
 from optlink.linkage.vector2d import Array, Value
 from optlink.problem.limits import LIMITS, MARGIN_KEYS, Bound, Limits, LimitTerm, Reach, check_limits, four_bar_limits

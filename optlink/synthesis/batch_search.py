@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from optlink.execution.runner import ordered
 from optlink.execution.worker import Runs, built, packed
-from optlink.linkage.inner_four_bar import InnerFourBar, inner_four_bars
+from optlink.linkage.fourbar import InnerFourBar, inner_four_bars
 from optlink.linkage.vector2d import TURN, Array, unit
 from optlink.optimization.programme import path_variable
 from optlink.problem.design import STEP, DesignProblem

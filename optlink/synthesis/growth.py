@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from optlink.errors import InputError
 from optlink.linkage.dyad_types import RRR
-from optlink.linkage.inner_four_bar import InnerFourBar, inner_four_bars
+from optlink.linkage.fourbar import InnerFourBar, inner_four_bars
 from optlink.linkage.mechanism import FRAME, Link, Mechanism, Pose
 from optlink.linkage.vector2d import Array, unit
 from optlink.optimization.courses import limit_courses

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from optlink.linkage.dyad_types import RRR, transmitting
 from optlink.linkage.extrema import extremes_of_rows
-from optlink.linkage.inner_four_bar import inner_four_bars
+from optlink.linkage.fourbar import inner_four_bars
 from optlink.linkage.mechanism import FRAME, Mechanism
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.vector2d import TURN, Array, Value

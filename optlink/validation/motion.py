@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from optlink.linkage.dyad_types import RPR, RRP, RRR, transmitting
 from optlink.linkage.extrema import POINTS, Function, extremes_of_rows, refined_minima, refined_roots
-from optlink.linkage.inner_four_bar import InnerFourBar, whole_four_bar
+from optlink.linkage.fourbar import InnerFourBar, whole_four_bar
 from optlink.linkage.mechanism import FRAME, Guide, Mechanism
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.stroke import travels
