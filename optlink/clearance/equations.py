@@ -156,19 +156,17 @@ class SpanningTree:
             if joint is None:
                 places[body] = BodyPlace((next(remaining), next(remaining)), unit(next(remaining)))
             elif isinstance(joint, Guide):
-                places[body] = self._slid(joint, body, places[parent], next(remaining))
+                at, line_on_body = self.local.local_line(joint, body)
+                begin, way = self.line(joint, joint.other(body), places[parent])
+                slide = next(remaining)
+                axis, shift = turn_back(way, line_on_body), slide if body == joint.slider else -slide
+                start = minus((begin[0] + shift * way[0], begin[1] + shift * way[1]), turn(at, axis))
+                places[body] = BodyPlace(start, axis)
             else:
                 axis = unit(next(remaining))
                 at = self.at(joint.point, parent, places[parent])
                 places[body] = BodyPlace(minus(at, turn(self.local.local(body, joint.point), axis)), axis)
         return places
-
-    def _slid(self, guide: Guide, body: str, parent: BodyPlace, slide: Value) -> BodyPlace:
-        """Place a body in a guide of its parent; the body may be the slider, or carry the line."""
-        at, line_on_body = self.local.local_line(guide, body)
-        begin, way = self.line(guide, guide.other(body), parent)
-        axis, shift = turn_back(way, line_on_body), slide if body == guide.slider else -slide
-        return BodyPlace(minus((begin[0] + shift * way[0], begin[1] + shift * way[1]), turn(at, axis)), axis)
 
     def at(self, point: str, body: str, place: BodyPlace | BodyMotion) -> Vector:
         """Return the position of a point of a placed body [m]."""

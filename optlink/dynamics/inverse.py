@@ -393,7 +393,7 @@ def torque_parts(moving: Moving, whole: Reactions | None = None) -> dict[str, Va
 
     `whole` are the reactions of this motion, if already computed.
     """
-    smooth = moving.without_friction
+    smooth = Moving(moving.machine.with_(friction={}), moving.motion, moving.side, moving.direction)
     inertia = reactions(smooth, required_wrench(smooth, gravity=False, loads=False)).torque
     gravity = reactions(smooth, required_wrench(smooth, inertia=False, loads=False)).torque
     total = (whole or reactions(moving)).torque

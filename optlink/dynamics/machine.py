@@ -373,11 +373,6 @@ class Moving:
         """
         return Moving(self.machine, self.motion.scaled(speed, acceleration), self.side, direction)
 
-    @property
-    def without_friction(self) -> Moving:
-        """The same motion of the machine without friction."""
-        return Moving(self.machine.with_(friction={}), self.motion, self.side, self.direction)
-
     @cached_property
     def kinetic(self) -> Value:
         """Kinetic energy [J]."""

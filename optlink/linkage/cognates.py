@@ -70,7 +70,8 @@ class CouplerPose:
 
     def link(self, name: str) -> Vector:
         """Return the unit vector of crank (A -> B), coupler (B -> C) or rocker (D -> C) relative to A -> D [-]."""
-        return {"crank": self.crank, "coupler": self.coupler, "rocker": self.rocker}[name]
+        link: Vector = getattr(self, name)
+        return link
 
     def angle(self, name: str) -> Value:
         """Return the angle of crank, coupler or rocker from A -> D [rad], in (-pi, pi]."""

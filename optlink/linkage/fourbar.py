@@ -464,7 +464,12 @@ class InnerFourBar:
     def dead_centre(self, values: Mapping[str, Value], *, outer: bool) -> DeadCentre:
         """Return a limit position of the rocker of a plain four-bar, with the directions of crank and rocker in the plane.
 
-        `values` are the dimensions [m], elementwise; `outer`: crank and coupler extended, else overlapping.
+        Parameters
+        ----------
+        values : mapping of dimension to Value [m]
+            Elementwise.
+        outer : bool
+            Whether crank and coupler are extended, else they overlap.
         """
         axis = self.frame(values)[1]
         limit = dead_centre(*self.lengths(values), self.side, outer)

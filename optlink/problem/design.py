@@ -509,6 +509,11 @@ class DesignProblem(Problem):
         """Sense of crank rotation with free timing: "either", "counter-clockwise" or "clockwise"."""
         return self.requirement.rotation if self.pointed else "either"
 
+    @property
+    def ways(self) -> tuple[float, ...]:
+        """Signs of the senses of crank rotation that may pass the points: 1 counter-clockwise, -1 clockwise."""
+        return {"counter-clockwise": (1.0,), "clockwise": (-1.0,)}.get(self.rotation, (1.0, -1.0))
+
     @cached_property
     def closed(self) -> bool:
         """Whether the points form a closed curve: the last step leads back to the first point."""

@@ -32,9 +32,7 @@ def passing(problem: DesignProblem, design: Mapping[str, float]) -> Array:
         return np.concatenate([passing(part, part.own(design)) for part in problem.parts])
     if problem.data.offsets is not None or not problem.pointed:
         return problem.crank_angles(design, None)
-    rotation = {"counter-clockwise": 1.0, "clockwise": -1.0}.get(problem.rotation)
-    directions = [_one_way(problem, design, way) for way in ((1.0, -1.0) if rotation is None else (rotation,))]
-    angles = min(directions, key=lambda each: each[1])[0]
+    angles = min((_one_way(problem, design, way) for way in problem.ways), key=lambda each: each[1])[0]
     return np.asarray(angles - TURN * np.round(angles[0] / TURN))
 
 
