@@ -327,8 +327,8 @@ def _number(value: Value) -> float:
 # the output, and no drive has unlimited bandwidth: therefore the correction is a Fourier series up to a bandwidth, computed by
 # regularised least squares over the whole revolution. The speed command is the derivative of the series.
 
-POINTS = 720
-ROUNDS = 60
+POINTS = 720  # positions of the revolution: 12 per period of the highest harmonic
+ROUNDS = 60  # of Newton and Gauss-Newton at most: both end at rounding errors
 HIGHEST = 60  # maximum harmonic of a correction
 
 

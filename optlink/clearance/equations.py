@@ -487,7 +487,11 @@ class Equations:
         return self._in_time(self.rates)
 
     @cached_property
-    def _short_step(self) -> CompiledFunction:
+    def short_step(self) -> CompiledFunction:
+        """Function (x, parameters, time) -> state, works [J] after a time [s] too short for the integrator.
+
+        One classical Runge-Kutta step; the time may be negative, and the span in the parameters is ignored.
+        """
         flow = casadi.Function("flow", [self.x, self.parameters, self.tau], self._flow)
         time, now = casadi.SX.sym("time"), casadi.vertcat(0.0, self.parameters[1:])  # span 0: tau has no effect
 
@@ -535,14 +539,6 @@ class Equations:
         closed = self._once(("closure", count), lambda: CompiledFunction(self.closed[:1], self.closed[1:], count))
         residuals, grip = closed(states[:, : self.size].ravel())
         return residuals.reshape(count, -1), grip.reshape(count, self.size, -1).transpose(0, 2, 1)
-
-    def nudge(self, state: Array, parameters: Array, time: float) -> tuple[Array, Array]:
-        """Return state and works [J] after a time [s] too short for the integrator, by one classical Runge-Kutta step.
-
-        The time may be negative; the span in the parameters is ignored.
-        """
-        moved, works = self._short_step(state, parameters, np.array([time]))
-        return moved, works
 
     def integrator(self, steps: int, tolerance: float, *, stiff: bool = False) -> BufferedFunction:
         """Return the CVODES integrator (x, parameters) -> states, works [J] after each of the equal steps of the span.

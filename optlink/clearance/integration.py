@@ -489,7 +489,7 @@ class Integration:
         """Integrate the last interval before a switch, too short for a call of the integrator: (state, works, time)."""
         into, works = 0.0, np.zeros_like(self.works)
         for _ in range(6):
-            state, more = self.equations.nudge(state, self.parameters(0.0, time + into), rest)
+            state, more = self.equations.short_step(state, self.parameters(0.0, time + into), np.array([rest]))
             into, works = into + rest, works + more
             depth, rate = (side * float(part[gap]) for part in self._penetrations(state))
             rest = -depth / rate if rate > 0.0 else 0.0

@@ -16,7 +16,7 @@ from optlink.linkage.vector2d import TURN, Array, Value
 
 GRID = 720  # crank angles among which reversals are bracketed
 AHEAD = 1e-6  # rad beyond a reversal at which the direction of motion is read
-SAME_ANGLE = 1e-6  # rad; crank angles that near to one another are one
+SAME_ANGLE = 1e-6  # rad; crank angles that near to one another are one, also one found as a zero and as a minimum
 
 
 def load_strokes(machine: Machine, load: Load) -> dict[Direction, list[tuple[float, float]]]:
@@ -142,7 +142,6 @@ def use_of(stroke: StrokeRange, working: Direction | None) -> str:
 SAMPLES = 1440  # of a range or revolution
 SMALL = 1e-2  # share of its largest value below which a quantity may come close to zero between two samples
 NOTHING = 1e-12  # share of its largest value that is zero
-SAME = 1e-6  # rad between positions that are one, found as a zero and as a minimum
 BESIDE = np.array([1e-3, 1e-4, 1e-5, 1e-6])  # rad from a position at which a load may grow without bound
 GROWTH, ROUNDING = 0.5, 1e-3  # least ratio of its last step to its first, and share of its value that may be rounding error
 
@@ -174,7 +173,7 @@ def irregular(machine: Machine, grid: Array, speed: float) -> Irregular:
             crossed = np.concatenate([*zeros(values, grid, still=True, samples=samples), np.empty(0)])
             close, zero = _least(values, grid, samples)
             at = distinct(np.concatenate([crossed, close[zero]]))
-            at = at[np.diff(at, prepend=-np.inf) > SAME]
+            at = at[np.diff(at, prepend=-np.inf) > SAME_ANGLE]
             irregular_angles = at[_grows(machine, load, speed, at)] if at.size else at
         corners.append(crossed)
         peaks.append(close)

@@ -175,8 +175,7 @@ class Work:
 
 # Speed fluctuation in the steady state and at the end of a simulation, and flywheel sizing.
 
-POSITIONS = 2880
-BISECTIONS = 100  # of a range of numbers at most
+POSITIONS = 2880  # of a revolution, at which the speed is computed: every eighth of a degree
 ROUNDING = 1e-9  # of a revolution, by which a run of exactly one may fall short
 
 
@@ -266,10 +265,7 @@ def _least_enough(enough: Callable[[float], bool], likely: float) -> float:
     low, high = 0.0, likely
     while not enough(high):
         high *= 2.0
-    for _ in range(BISECTIONS):
-        middle = 0.5 * (low + high)
-        if not low < middle < high:
-            break
+    while low < (middle := 0.5 * (low + high)) < high:  # to the last digit
         low, high = (low, middle) if enough(middle) else (middle, high)
     return high
 

@@ -12,11 +12,9 @@ from optlink.linkage.extrema import distinct, zeros
 from optlink.linkage.jet import Jet
 from optlink.linkage.mechanism import Dyad, Mechanism
 from optlink.linkage.motion import Motion, sweep
-from optlink.linkage.singular import AlignedPosition, alignment_margin, least_alignments, least_margin
+from optlink.linkage.singular import GRID, AlignedPosition, alignment_margin, least_alignments, least_margin
 from optlink.linkage.vector2d import TURN, Array, Value
 
-GRID = 1440
-"""Positions per revolution among which everything is bracketed."""
 SEAM = 1e-6
 """Crank rotations [rad] that differ from a whole cycle by less count as one: the accuracy of flat extrema."""
 PARALLEL_AT_END = 1e-4

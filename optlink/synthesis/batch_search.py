@@ -178,7 +178,7 @@ def assembles_everywhere(batch: Batch, x: Array, t: Array) -> NDArray[np.bool_]:
 
 FIRST_ROUND, PER_ROUND = 60, 240  # starting points per round over all assembly modes: doubled from the first to the second number
 POOL = 6  # samples per starting point; half of the starting points are the best samples, the others random ones
-STEPS = 60
+STEPS = 60  # of the first descent, with variable projection; twice as many without
 DISTINCT = 1e-3  # least difference of two designs, in scaled units and relative to variables above one
 PERFECT = 1e-20  # cost (square of a fraction of the curve size) of a design that passes all points
 MISSED = 1e-3  # weighted squares of limit violations up to which the NLP refines a design

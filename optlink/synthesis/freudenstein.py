@@ -130,7 +130,6 @@ Keep = Callable[[Array, Array, Array, Array, Array, Array], Any]
 """Admissible linkages, elementwise: (crank, coupler, rocker, phi0, psi0, side), all (m,), to (m,) bool."""
 
 BLOCK = 1 << 17  # numbers in one array of the scan, so that it fits in the cache
-FITS_PER_START = 2  # fits per start position, unweighted then weighted; a third has no measurable effect
 FLATTEST = 0.05  # of the largest slope: limits the weight of positions near a dead position
 SINGULAR = 1e-12  # squared sine between the columns of a fit below which its constants are not determined
 ZOOMS = 6  # successive grids around a start position, each of half the width
@@ -213,12 +212,11 @@ def fit(task: FitProblem, x0: Array, y0: Array) -> Cells:
     chain = task.chain
     x, y = x0[:, None] + task.x, y0[:, None] + task.y
     u, v, w = chain.terms(x, y)
-    k = _weighted(task, u, v, w, np.ones_like(w))
-    for _ in range(1, FITS_PER_START):
-        slope = np.abs(chain.slope(x, y, k))
-        floor = FLATTEST * np.max(slope, axis=-1, keepdims=True)
-        q = np.maximum(np.maximum(slope, floor), 1e-100) ** -2.0
-        k = _weighted(task, u, v, w, q / np.max(q, axis=-1, keepdims=True))
+    k = _weighted(task, u, v, w, np.ones_like(w))  # then weighted by the slopes; a third fit has no measurable effect
+    slope = np.abs(chain.slope(x, y, k))
+    floor = FLATTEST * np.max(slope, axis=-1, keepdims=True)
+    q = np.maximum(np.maximum(slope, floor), 1e-100) ** -2.0
+    k = _weighted(task, u, v, w, q / np.max(q, axis=-1, keepdims=True))
     return fit_error(task, x0, y0, k)
 
 

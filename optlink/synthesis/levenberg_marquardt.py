@@ -27,8 +27,8 @@ from optlink.synthesis.batch import Batch, Variant
 
 Fit = Callable[[Array, Array, NDArray[np.int_]], tuple[Array, Array]]
 
-FIRST_DAMPING = 1e-2
-LEAST_DAMPING, MOST_DAMPING = 1e-14, 1e9
+FIRST_DAMPING = 1e-2  # share of the diagonal of the normal equations
+LEAST_DAMPING, MOST_DAMPING = 1e-14, 1e9  # least: rounding error of that diagonal; at the largest a design ends
 SLOW = 1e-5  # relative decrease of the cost below which a step counts as slow
 PATIENCE = 4  # consecutive slow steps that terminate a design
 POOR, HOPELESS = 4.0, 1e-3  # times the cost of a good design: a poor one, and the decrease that counts as slow for it

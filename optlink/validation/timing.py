@@ -16,8 +16,8 @@ from optlink.validation.motion import placed
 
 GRID = 720  # crank angles of the coarse search
 REFINED_ANGLES = 25  # crank angles per point and round of the refinement
-ROUNDS = 16
-SHRINK = 6.0
+ROUNDS = 16  # of the refinement: with `SHRINK` to 4e-13 of a step of the coarse search
+SHRINK = 6.0  # ratio of the ranges of two rounds: the next one reaches two of the last one's twelve steps to either side
 FAR = 1e3  # sizes of the curve: distance assigned to a position that does not exist
 
 
