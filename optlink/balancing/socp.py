@@ -36,7 +36,7 @@ def amounts(record: MotionColumns, term: Term) -> Array:
         return values
     low, high = term.over.bounds
     turned = np.mod(np.asarray(moving.motion.crank_angle, dtype=float) - low, TURN)
-    return np.asarray(values[(turned <= high - low + 1e-9) | (turned >= TURN - 1e-9)])
+    return values[(turned <= high - low + 1e-9) | (turned >= TURN - 1e-9)]
 
 
 def value(term: Term, values: Array) -> float:

@@ -87,7 +87,7 @@ def corners(machine: Machine, low: float, high: float, speed: float) -> Array:
 
 
 def _grid(low: float, high: float) -> Array:
-    return np.asarray(low + (high - low) * np.linspace(0.0, 1.0, 8 * _panels(low, high) + 1))
+    return low + (high - low) * np.linspace(0.0, 1.0, 8 * _panels(low, high) + 1)
 
 
 def _panels(low: float, high: float) -> int:
@@ -97,7 +97,7 @@ def _panels(low: float, high: float) -> int:
 def _rising(lists: list[Array], low: float, high: float) -> Array:
     angles = distinct(np.concatenate([*lists, np.empty(0)]))
     inside = angles[(angles >= low) & (angles < high)]
-    return np.asarray(inside[np.diff(inside, prepend=-np.inf) > 1e-12])
+    return inside[np.diff(inside, prepend=-np.inf) > 1e-12]
 
 
 class Work:

@@ -46,7 +46,7 @@ class Motion:
         """
         (px, py), (qx, qy) = ([self._full(as_jet(x).value) for x in self._point(name)] for name in (p, q))
         x, y = qx - px, qy - py
-        return np.asarray(np.sqrt(x * x + y * y))
+        return np.sqrt(x * x + y * y)
 
     def velocity(self, point: str) -> Array:
         """Return the velocity [m/s], shape (..., 2)."""

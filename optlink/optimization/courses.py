@@ -217,7 +217,7 @@ class ErrorCourse:
         if level is not None:
             return above_level(sizes, level)
         assert self.part.tolerance is not None
-        return np.asarray(sizes - self.part.tolerance / self.part.whole - EXCEEDED)
+        return sizes - self.part.tolerance / self.part.whole - EXCEEDED
 
 
 class TermCourse:
@@ -403,7 +403,7 @@ class Motion:
 
     def signals(self, shares: Array) -> Array:
         """Return the signals at shares of the stroke, one-sided at its ends."""
-        return np.asarray(self.trace.signals(*self.inputs, self.begin + self.span * shares, *self.senses))
+        return self.trace.signals(*self.inputs, self.begin + self.span * shares, *self.senses)
 
 
 def course_again(problem: DesignProblem, recipe: Mapping[str, Any]) -> TermCourse | None:
@@ -421,12 +421,12 @@ def course_again(problem: DesignProblem, recipe: Mapping[str, Any]) -> TermCours
 
 def _beyond(value: Array, low: float, high: float) -> Array:
     """Return by how much values lie beyond two bounds; negative inside."""
-    return np.asarray(np.maximum(low - value, value - high))
+    return np.maximum(low - value, value - high)
 
 
 def above_level(values: Array, level: float) -> Array:
     """Return by how much values (scaled) exceed a level beyond rounding, as shares of it."""
-    return np.asarray((values - level - LEVELLED * abs(level) - NO_ERROR) / max(abs(level), LEAST_LEVEL))
+    return (values - level - LEVELLED * abs(level) - NO_ERROR) / max(abs(level), LEAST_LEVEL)
 
 
 def limit_courses(problem: DesignProblem) -> list[LimitCourse]:

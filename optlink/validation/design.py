@@ -358,7 +358,7 @@ class _Targets:
 
     def difference(self, one: Array, other: Array) -> Array:
         """Return the difference of two deviations (..., components)."""
-        return np.asarray(one - other)
+        return one - other
 
     def with_scatter(self, middle: Array, spread: Array) -> Array:
         """Return the squares of deviations (..., components) with their scatter: the largest ones, or the expected ones."""

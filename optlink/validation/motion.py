@@ -194,7 +194,7 @@ class FourBarMotion(_Designs):
     def largest_jump(self) -> Array:
         """Longest step of C (designs,) as a multiple of 1.5 steps at its largest speed."""
         survey = self.survey
-        return np.asarray(survey.longest / (SPEEDUP * survey.fastest * np.abs(self.width) + ROUNDING * self.size))
+        return survey.longest / (SPEEDUP * survey.fastest * np.abs(self.width) + ROUNDING * self.size)
 
     @cached_property
     def _cosine_extremes(self) -> tuple[Array, Array]:
@@ -208,7 +208,7 @@ class FourBarMotion(_Designs):
             designs = which % self.count
             diagonal = self._joints(points, designs).diagonal
             cosine = included_cosine(coupler[designs], rocker[designs], dot(diagonal, diagonal))
-            return np.asarray(signs[which // self.count] * cosine)
+            return signs[which // self.count] * cosine
 
         values, samples = signs * survey.cosine, (signs * survey.samples).reshape(POINTS, -1).T
         some = np.flatnonzero(np.isfinite(values))

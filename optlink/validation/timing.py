@@ -40,7 +40,7 @@ def _squares(problem: DesignProblem, design: Mapping[str, float], angles: Array)
     """Return the weighted squares of the deviations of every point (points, k) at crank angles (points, k) or (points,)."""
     data, motion = problem.data, placed(problem.linkage, design, np.atleast_2d(angles.T).T)
     squares, far = point_deviations(problem, motion, design, data.columns[:, None])[-1], (FAR * problem.size) ** 2
-    return np.asarray(np.where(np.isfinite(squares), squares, far) * data.roots[:, None] ** 2)
+    return np.where(np.isfinite(squares), squares, far) * data.roots[:, None] ** 2
 
 
 def _one_way(problem: DesignProblem, design: Mapping[str, float], way: float) -> tuple[Array, float]:
@@ -151,4 +151,4 @@ def sagittas(points: Array, *, closed: bool, around: bool) -> Array:
     turning, curvature = (np.fmax(one, np.roll(one, -1)) for one in (turning, curvature))
     half = np.maximum(0.5 * turning, np.arcsin(np.minimum(0.5 * curvature * chord, 1.0)))
     heights = np.where(repeated, 0.0, 0.5 * chord * np.tan(0.5 * half))
-    return np.asarray(heights if closed else heights[:-1])
+    return heights if closed else heights[:-1]
