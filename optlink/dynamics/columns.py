@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from optlink.dynamics.inverse import GuideForce, Reactions, acting_on, reactions, shaking, torque_parts
 from optlink.dynamics.machine import Machine, Moving, slider_names
-from optlink.linkage.dyad_types import RRR
+from optlink.linkage.dyads import RRR
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.motion import continuous
 from optlink.linkage.singular import AlignedPosition

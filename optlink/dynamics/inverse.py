@@ -20,7 +20,7 @@ import numpy as np
 
 from optlink.dynamics.machine import Machine, Moving, Wrench, wrench
 from optlink.io import Registry
-from optlink.linkage.dyad_types import JointedDyad, Transmitting
+from optlink.linkage.dyads import JointedDyad, Transmitting
 from optlink.linkage.mechanism import FRAME, Dyad, Guide, Joint, Link
 from optlink.linkage.vector2d import Array, Value, Vector, cross, dot, minus, plus
 

@@ -14,7 +14,7 @@ from typing import get_args
 
 from optlink.errors import InvalidValue
 from optlink.io import Registry
-from optlink.linkage.dyad_types import FORWARD, RPR, LineDyad, ModalDyad, Transmitting
+from optlink.linkage.dyads import FORWARD, RPR, LineDyad, ModalDyad, Transmitting
 from optlink.linkage.mechanism import FRAME, BodyPoint, Dyad, Ground, Guide, Joint, Link, Mechanism, owners_of
 from optlink.unsupported import unsupported
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from optlink.errors import InputError
 from optlink.linkage.arguments import check_length, check_number, check_point_names, check_side
-from optlink.linkage.dyad_types import RRR
+from optlink.linkage.dyads import RRR
 from optlink.linkage.mechanism import FRAME, Arm, BodyPoint, Ground, Link, Mechanism, Size
 from optlink.linkage.vector2d import Value, Vector, angle, angle_from, magnitude, root, turn
 

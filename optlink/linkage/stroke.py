@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from optlink.linkage.dyad_types import PRP
+from optlink.linkage.dyads import PRP
 from optlink.linkage.extrema import distinct, zeros
 from optlink.linkage.jet import Jet
 from optlink.linkage.mechanism import Dyad, Mechanism

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from optlink.linkage.dyad_types import RRR, Transmitting
+from optlink.linkage.dyads import RRR, Transmitting
 from optlink.linkage.fourbar import (
     LENGTHS,
     crank_rocker_conditions,

@@ -12,7 +12,7 @@ from pydantic import PrivateAttr, model_validator
 from pydantic.fields import FieldInfo
 
 from optlink.dynamics.machine import Inertia
-from optlink.linkage.dyad_types import transmitting
+from optlink.linkage.dyads import transmitting
 from optlink.linkage.fourbar import InnerFourBar, whole_four_bar
 from optlink.linkage.mechanism import Pose
 from optlink.linkage.vector2d import Array, Value

@@ -12,7 +12,7 @@ import casadi
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.linkage.dyad_types import ModalDyad
+from optlink.linkage.dyads import ModalDyad
 from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.vector2d import TURN, Array, unit

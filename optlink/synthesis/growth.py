@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.errors import InputError
-from optlink.linkage.dyad_types import RRR
+from optlink.linkage.dyads import RRR
 from optlink.linkage.fourbar import InnerFourBar, inner_four_bars
 from optlink.linkage.mechanism import FRAME, Link, Mechanism, Pose
 from optlink.linkage.vector2d import Array, unit

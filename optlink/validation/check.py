@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from optlink.linkage.dyad_types import RPR, RRR
+from optlink.linkage.dyads import RPR, RRR
 from optlink.linkage.fourbar import LENGTHS, classify
 from optlink.linkage.mechanism import Dyad
 from optlink.linkage.motion import Motion

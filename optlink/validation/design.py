@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from optlink.linkage.dyad_types import RRR, transmitting
+from optlink.linkage.dyads import RRR, transmitting
 from optlink.linkage.extrema import extremes_of_rows
 from optlink.linkage.fourbar import inner_four_bars
 from optlink.linkage.mechanism import FRAME, Mechanism

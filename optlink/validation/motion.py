@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from optlink.linkage.dyad_types import RPR, RRP, RRR, transmitting
+from optlink.linkage.dyads import RPR, RRP, RRR, transmitting
 from optlink.linkage.extrema import POINTS, Function, extremes_of_rows, refined_minima, refined_roots
 from optlink.linkage.fourbar import InnerFourBar, whole_four_bar
 from optlink.linkage.mechanism import FRAME, Guide, Mechanism
