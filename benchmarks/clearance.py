@@ -115,7 +115,7 @@ def ours(rpm: float, integrator: str, tolerance: float, revolutions: int = REVOL
 
 def fast() -> bool:
     """Whether optlink can compile."""
-    from optlink.clearance.compiled.choice import installed as numba_is_installed
+    from optlink.clearance.control import installed as numba_is_installed
 
     return numba_is_installed()
 

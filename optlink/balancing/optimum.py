@@ -78,7 +78,7 @@ def optimum(programme: BalancingProgramme, goal: Goal) -> Optimum:
     expression = sum(weight * programme.expression(measure) for measure, weight in goal)
     rows = [programme.row(bound) for bound in programme.bounds]
     problem = cp.Problem(cp.Minimize(expression), [*programme.cones, *programme.relaxed, *rows])
-    certificate = solved(cp, problem)
+    certificate = solved(problem)
     if certificate.status != "optimal":
         return Optimum(np.full(programme.effects.count, np.nan), math.nan, certificate)
     x = programme.found
@@ -192,7 +192,7 @@ class _Lightest:
         if not self.idle.shape[1]:
             return x if self.programme.satisfies(x, self.limits) else None
         self.given.value = x
-        certificate = solved(self.programme.cp, self.exact)
+        certificate = solved(self.exact)
         if certificate.status != "optimal" or certificate.outside > CONSTRAINT_TOLERANCE:
             return None
         return np.asarray(x + self.idle @ np.atleast_1d(self.free.value))
@@ -204,7 +204,7 @@ class _Lightest:
         values = np.array([self.programme.evaluate(measure, x) for measure in self.measures])
         for room in LIKE:
             self.values.value = values + room
-            if solved(self.programme.cp, self.near).status != "optimal":
+            if solved(self.near).status != "optimal":
                 continue
             near = self.programme.found
             measured = [self.programme.evaluate(measure, near) for measure in self.measures]
@@ -240,7 +240,7 @@ def realised_discs(programme: BalancingProgramme, goal: Goal, x: Array) -> Array
     for _ in range(ROUNDS):
         slopes.value, levels.value = (np.array(part) for part in zip(*(programme.tangent(best, k) for k in discs), strict=True))
         here.value, width.value = best, reach
-        certificate = solved(cp, problem)
+        certificate = solved(problem)
         if certificate.status == "optimal":
             step = programme.realised(programme.found)
             if _merit(programme, goal, step) < _merit(programme, goal, best) - 1e-12:
@@ -275,11 +275,11 @@ def conflict(programme: BalancingProgramme) -> tuple[Conflict, ...]:
     slack = cp.Variable(len(bounds), nonneg=True)
     sizes = [abs(bound.bound) / bound.scale or 1.0 for bound in bounds]
     rows = [programme.row(bound, slack[k] * sizes[k]) for k, bound in enumerate(bounds)]
-    elastic = solved(cp, cp.Problem(cp.Minimize(cp.sum(slack)), [*programme.cones, *programme.relaxed, *rows]))
+    elastic = solved(cp.Problem(cp.Minimize(cp.sum(slack)), [*programme.cones, *programme.relaxed, *rows]))
     amounts = np.array(slack.value, dtype=float) if elastic.status == "optimal" else np.full(len(bounds), np.inf)
     conflicts = []
     for k, bound in enumerate(bounds):
-        single = solved(cp, cp.Problem(cp.Minimize(bound.sense * bound.expression), programme.constraints(bound)))
+        single = solved(cp.Problem(cp.Minimize(bound.sense * bound.expression), programme.constraints(bound)))
         value = float(bound.expression.value) * bound.scale if single.status == "optimal" else math.inf
         together = bound.bound + bound.sense * float(amounts[k]) * sizes[k] * bound.scale
         if math.isfinite(value) or amounts[k] > CONSTRAINT_TOLERANCE:
@@ -343,7 +343,7 @@ def curve(programme: BalancingProgramme, first: Term, second: Term, count: int) 
     for share in np.linspace(0.0, 1.0, count)[1:-1]:
         at.value = np.array([a0 + share * (a1 - a0), b0 - share * (b0 - b1)])
         begin = time.perf_counter()
-        certificate = solved(cp, problem)
+        certificate = solved(problem)
         seconds.append(time.perf_counter() - begin)
         if certificate.status != "optimal":
             raise SolverError(f"the trade-off stopped at {percent(share, 0)} of its length: {certificate.status}")
@@ -365,7 +365,7 @@ def _end(programme: BalancingProgramme, first: Term, second: Term) -> Optimum:
         return best
     cp = programme.cp
     bound = programme.expression(first) <= best.value + END
-    then = solved(cp, cp.Problem(cp.Minimize(programme.expression(second)), [*programme.constraints(), bound]))
+    then = solved(cp.Problem(cp.Minimize(programme.expression(second)), [*programme.constraints(), bound]))
     if then.status != "optimal":
         return best
     x = _Lightest(programme, [first, second]).like(programme.found)

@@ -35,7 +35,7 @@ def amounts(record: MotionColumns, term: Term) -> Array:
         return values
     low, high = term.over.bounds
     turned = np.mod(np.asarray(moving.motion.crank_angle, dtype=float) - low, TURN)
-    return np.asarray(values[(turned <= high - low + 1e-9) | (turned >= TURN - 1e-9)])
+    return values[(turned <= high - low + 1e-9) | (turned >= TURN - 1e-9)]
 
 
 def value(term: Term, values: Array) -> float:
@@ -444,18 +444,20 @@ class ConeCertificate:
         return self.gap <= GAP * max(1.0, abs(self.value)) and self.outside <= GAP
 
 
-def solved(cp: Any, problem: Any) -> ConeCertificate:
+def solved(problem: Any) -> ConeCertificate:
     """Solve a problem of cvxpy (`cp`) to the tightest tolerance that the solver reaches, and certify the solution."""
+    import cvxpy
+
     best = ConeCertificate("not solved")
     for options in TOLERANCES:
         settings = {**options, **REFINED}
-        data, chain, inverse = problem.get_problem_data(cp.CLARABEL, solver_opts=settings)
+        data, chain, inverse = problem.get_problem_data(cvxpy.CLARABEL, solver_opts=settings)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # an inaccurate solution is judged by its certificate, not by a warning
             raw = chain.solve_via_data(problem, data, False, False, settings)
             try:
                 problem.unpack_results(raw, chain, inverse)
-            except cp.error.SolverError:
+            except cvxpy.error.SolverError:
                 best.status = str(raw.status)
                 continue
         if problem.status in ("infeasible", "unbounded"):

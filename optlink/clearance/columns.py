@@ -212,8 +212,7 @@ class Output:
     def ideal(self, moving: Moving) -> tuple[Value, Value]:
         """Return the output of the machine without clearance [m, rad], and its velocity."""
         if self.guide:
-            s, v, _ = moving.slides[self.guide]
-            return s, v
+            return moving.slides[self.guide][:2]
         state = moving.state(self.name)
         return angle(state.axis), state.omega
 

@@ -156,19 +156,17 @@ class SpanningTree:
             if joint is None:
                 places[body] = BodyPlace((next(remaining), next(remaining)), unit(next(remaining)))
             elif isinstance(joint, Guide):
-                places[body] = self._slid(joint, body, places[parent], next(remaining))
+                at, line_on_body = self.local.local_line(joint, body)
+                begin, way = self.line(joint, joint.other(body), places[parent])
+                slide = next(remaining)
+                axis, shift = turn_back(way, line_on_body), slide if body == joint.slider else -slide
+                start = minus((begin[0] + shift * way[0], begin[1] + shift * way[1]), turn(at, axis))
+                places[body] = BodyPlace(start, axis)
             else:
                 axis = unit(next(remaining))
                 at = self.at(joint.point, parent, places[parent])
                 places[body] = BodyPlace(minus(at, turn(self.local.local(body, joint.point), axis)), axis)
         return places
-
-    def _slid(self, guide: Guide, body: str, parent: BodyPlace, slide: Value) -> BodyPlace:
-        """Place a body in a guide of its parent; the body may be the slider, or carry the line."""
-        at, line_on_body = self.local.local_line(guide, body)
-        begin, way = self.line(guide, guide.other(body), parent)
-        axis, shift = turn_back(way, line_on_body), slide if body == guide.slider else -slide
-        return BodyPlace(minus((begin[0] + shift * way[0], begin[1] + shift * way[1]), turn(at, axis)), axis)
 
     def at(self, point: str, body: str, place: BodyPlace | BodyMotion) -> Vector:
         """Return the position of a point of a placed body [m]."""
@@ -489,7 +487,11 @@ class Equations:
         return self._in_time(self.rates)
 
     @cached_property
-    def _short_step(self) -> CompiledFunction:
+    def short_step(self) -> CompiledFunction:
+        """Function (x, parameters, time) -> state, works [J] after a time [s] too short for the integrator.
+
+        One classical Runge-Kutta step; the time may be negative, and the span in the parameters is ignored.
+        """
         flow = casadi.Function("flow", [self.x, self.parameters, self.tau], self._flow)
         time, now = casadi.SX.sym("time"), casadi.vertcat(0.0, self.parameters[1:])  # span 0: tau has no effect
 
@@ -537,14 +539,6 @@ class Equations:
         closed = self._once(("closure", count), lambda: CompiledFunction(self.closed[:1], self.closed[1:], count))
         residuals, grip = closed(states[:, : self.size].ravel())
         return residuals.reshape(count, -1), grip.reshape(count, self.size, -1).transpose(0, 2, 1)
-
-    def nudge(self, state: Array, parameters: Array, time: float) -> tuple[Array, Array]:
-        """Return state and works [J] after a time [s] too short for the integrator, by one classical Runge-Kutta step.
-
-        The time may be negative; the span in the parameters is ignored.
-        """
-        moved, works = self._short_step(state, parameters, np.array([time]))
-        return moved, works
 
     def integrator(self, steps: int, tolerance: float, *, stiff: bool = False) -> BufferedFunction:
         """Return the CVODES integrator (x, parameters) -> states, works [J] after each of the equal steps of the span.

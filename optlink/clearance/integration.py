@@ -223,7 +223,7 @@ def _cubic_summits(values: Array, slopes: Array, span: float) -> Array:
     root = np.sqrt(np.maximum(q * q - 3.0 * p * a, 0.0))
     below = root - q  # the root of the slope where it falls is a / (root - q), without cancellation for q < 0
     u = np.clip(np.divide(a, below, out=np.zeros_like(a), where=below > 0.0), 0.0, 1.0)
-    return np.asarray(np.maximum(np.maximum(y0, y1), y0 + u * (a + u * (q + u * p))))
+    return np.maximum(np.maximum(y0, y1), y0 + u * (a + u * (q + u * p)))
 
 
 CHUNKS = (1, 10, 64, 256, 2560)
@@ -489,7 +489,7 @@ class Integration:
         """Integrate the last interval before a switch, too short for a call of the integrator: (state, works, time)."""
         into, works = 0.0, np.zeros_like(self.works)
         for _ in range(6):
-            state, more = self.equations.nudge(state, self.parameters(0.0, time + into), rest)
+            state, more = self.equations.short_step(state, self.parameters(0.0, time + into), np.array([rest]))
             into, works = into + rest, works + more
             depth, rate = (side * float(part[gap]) for part in self._penetrations(state))
             rest = -depth / rate if rate > 0.0 else 0.0

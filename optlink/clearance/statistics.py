@@ -27,9 +27,9 @@ WATCHED = 25
 """Revolutions of the second run."""
 
 _PLAIN = (
-    *("count", "contacts", "largest", "imbalance", "first", "datum", "sums", "every"),
-    *("peak", "depths", "forces", "torque", "correction", "settled"),
-)
+    "count", "contacts", "largest", "imbalance", "first", "datum", "sums",
+    "every", "peak", "depths", "forces", "torque", "correction", "settled",
+)  # fmt: skip
 _COMPARED = "parted", "watched", "largest", "lost"
 """Attributes of `Statistics` and of `PredictabilityCheck` in a checkpoint."""
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from optlink.dynamics.inverse import GuideForce, Reactions, acting_on, reactions, shaking, torque_parts
 from optlink.dynamics.machine import Machine, Moving, slider_names
-from optlink.linkage.dyad_types import RRR
+from optlink.linkage.dyads import RRR
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.motion import continuous
 from optlink.linkage.singular import AlignedPosition
@@ -45,6 +45,16 @@ class Column(NamedTuple):
 Named = Iterator[tuple[str, str, Callable[[], Value]]]
 """Columns: name, meaning, and a function that computes the value."""
 Sources = dict[str, tuple[str, Callable[[], Value]]]
+
+
+def _by_name(columns: Callable[[Any], Named]) -> cached_property[Sources]:
+    """Return a property that has the columns of a generator by name."""
+
+    def named(self: Any) -> Sources:
+        with np.errstate(all="ignore"):
+            return {name: (meaning, value) for name, meaning, value in columns(self)}
+
+    return cached_property(named)
 
 
 def _constant(value: Value) -> Callable[[], Value]:
@@ -121,24 +131,12 @@ class MotionColumns:
         return self._reactions.keys()
 
     @cached_property
-    def _motion(self) -> Sources:
-        return _by_name(self._motions())
-
-    @cached_property
     def _reactions(self) -> Sources:
         forces = joint_forces(self.machine, self.reactions.pins, self.reactions.guides)
         return {name: (meaning, _constant(value)) for name, meaning, value in forces}
 
-    @cached_property
-    def _loads(self) -> Sources:
-        with np.errstate(all="ignore"):
-            return _by_name(self._load_forces())
-
-    @cached_property
-    def _drive(self) -> Sources:
-        return _by_name(self._drives())
-
-    def _motions(self) -> Named:
+    @_by_name
+    def _motion(self) -> Named:
         moving, mechanism = self.moving, self.machine.mechanism
         for body in mechanism.bodies:
             yield from self._turning(body)
@@ -167,7 +165,8 @@ class MotionColumns:
         yield f"{body}.omega_rad_s", f"angular velocity of {body}", lambda: moving.state(body).omega
         yield f"{body}.alpha_rad_s2", f"angular acceleration of {body}", lambda: moving.state(body).alpha
 
-    def _load_forces(self) -> Named:
+    @_by_name
+    def _loads(self) -> Named:
         for load in self.machine.loads:
             for k, acting in enumerate(act for act in load.act(self.moving) if act.body != FRAME):
                 name = f"{load.name}.{acting.body}" if k else load.name
@@ -177,7 +176,8 @@ class MotionColumns:
                 if not _nothing(acting.torque):
                     yield f"{name}.torque_Nm", f"torque of the load {load.name} on {acting.body}", _constant(acting.torque)
 
-    def _drives(self) -> Named:  # no function refers to the record, which would then outlive its use
+    @_by_name
+    def _drive(self) -> Named:  # no function refers to the record, which would then outlive its use
         moving, joint_reactions, torque = self.moving, self.reactions, self.reactions.torque
         parts, shaken = cache(lambda: torque_parts(moving, joint_reactions)), cache(lambda: shaking(moving))
         mechanism = self.machine.mechanism
@@ -248,10 +248,6 @@ def _transmission(moving: Moving, group: RRR) -> Value:
     j = moving.position(group.joint)
     p, q = (minus(moving.position(pin), j) for pin in group.outer)
     return np.arctan2(magnitude(cross(p, q)), dot(p, q))
-
-
-def _by_name(columns: Named) -> Sources:
-    return {name: (meaning, value) for name, meaning, value in columns}
 
 
 def _nothing(*parts: Value) -> bool:

@@ -112,7 +112,7 @@ class Affine:
 
     def at(self, parameters: Array) -> Array:
         """Return its value (positions, parts)."""
-        return np.asarray(self.matrix @ parameters + self.offset)
+        return self.matrix @ parameters + self.offset
 
     def compressed(self) -> tuple[Array, Array]:
         """Return R (k, n) and r (k,), k <= n + 1, with |R x + r| the root mean square over the positions for every x.

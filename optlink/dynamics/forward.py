@@ -71,18 +71,6 @@ def nearest(angle: float, marks: Array, cycle: float, aside: float = 0.0) -> lis
     return [float(np.max(every[every <= angle - aside])), float(np.min(every[every >= angle + aside]))]
 
 
-def marks_ahead(angle: float, switches: Array, cycle: float, limits: tuple[float, float] | None) -> list[tuple[str, float]]:
-    """Return crank angles [rad] at which the integration restarts or ends, the nearest on either side, with the kind of event.
-
-    `switches` are the crank angles at which a load jumps, repeated every cycle, `limits` the reachable range.
-    """
-    marks = [("switch", at) for at in nearest(angle, switches, cycle, PASSED_JUMP)]
-    if limits is not None:
-        edge = EDGE * (limits[1] - limits[0])
-        marks += [("limit", limits[0] + edge), ("limit", limits[1] - edge)]
-    return marks
-
-
 def first_event(step: Step, direction: float, marks: list[tuple[str, float]]) -> tuple[float, str | None]:
     """Return the time of the first event within a step, an angle is reached or the crank stops, and its kind; else the end.
 
@@ -424,7 +412,11 @@ class _Integration:
             self.ending = _stopped(self.equations, self.state)
             return
         stepper = Stepper(self.equations, self.equations.attempt, self.time, end, self.state, first)
-        ahead = [*marks_ahead(float(self.state[0]), self.switches, self.equations.cycle, self.limits), *self.stops()]
+        ahead = [("switch", at) for at in nearest(float(self.state[0]), self.switches, self.equations.cycle, PASSED_JUMP)]
+        ahead += self.stops()
+        if self.limits is not None:
+            edge = EDGE * (self.limits[1] - self.limits[0])
+            ahead += [("limit", self.limits[0] + edge), ("limit", self.limits[1] - edge)]
         event = None
         while event is None and self.time < end:
             step = stepper.step()

@@ -20,7 +20,7 @@ import numpy as np
 
 from optlink.dynamics.machine import Machine, Moving, Wrench, wrench
 from optlink.io import Registry
-from optlink.linkage.dyad_types import JointedDyad, Transmitting
+from optlink.linkage.dyads import JointedDyad, Transmitting
 from optlink.linkage.mechanism import FRAME, Dyad, Guide, Joint, Link
 from optlink.linkage.vector2d import Array, Value, Vector, cross, dot, minus, plus
 
@@ -68,15 +68,17 @@ class GroupForces:
         return self.each(lambda x: np.where(which, x, next(rest)))
 
 
-class RemainingWrenches:
-    """Wrenches `needed` that the joints not solved yet must exert on the bodies of a machine in motion.
+class ForceBalance:
+    """Wrenches `needed` that the joints not solved yet must exert on the bodies of a machine in motion, solved group by group.
 
     `tilts` are the tangents of the friction angles of guides with friction, by name.
     """
 
-    def __init__(self, moving: Moving, needed: Mapping[str, Wrench]) -> None:
+    def __init__(self, moving: Moving, needed: Mapping[str, Wrench], normals: Mapping[str, Value] | None = None) -> None:
         self.moving, self.mechanism, self.needed = moving, moving.machine.mechanism, dict(needed)
         self._places: dict[str, Vector] = {}
+        self.normals, self.result = normals, Reactions(np.nan, {}, {}, {})
+        self.order = {body: k for k, body in enumerate((FRAME, *self.mechanism.bodies))}
 
     def across(self, guide: Guide, tilts: Mapping[str, Value]) -> Vector:
         """Return the direction in which a guide exerts no force: its line, rotated by the friction angle."""
@@ -130,8 +132,98 @@ class RemainingWrenches:
         first, second = (self.needed[link.body].force for link in group.links)
         return plus(first, second)
 
+    def solve(self) -> Reactions:
+        """Solve all groups, the last one first."""
+        for group in reversed(self.mechanism.groups):
+            self._commit(group, self.with_friction(group))
+        crank = self.mechanism.crank
+        force, self.result.torque = self.needed[crank.body]
+        self._exert(crank.start, crank.body, force, FRAME)
+        return self.result
 
-def jointed_forces(balance: RemainingWrenches, group: JointedDyad, tilts: Mapping[str, Value]) -> GroupForces:
+    # --- one group -------------------------------------------------------------------------------------------------
+
+    def with_friction(self, group: Dyad) -> GroupForces:
+        """Solve a group; with guide friction, for the consistent signs of the normal forces."""
+        solver = BALANCES[group.kind]
+        rough = [guide for guide in group.prismatic if guide.name in self.moving.machine.friction]
+        if not rough:
+            return solver(self, group, {})
+        senses = {guide.name: self._slip(guide) for guide in rough}
+        if self.normals is not None:
+            return solver(self, group, {name: self.normals[name] * sense for name, sense in senses.items()})
+        balances = []
+        for signs in itertools.product((1.0, -1.0), repeat=len(rough)):
+            tilts = {guide.name: sign * senses[guide.name] for guide, sign in zip(rough, signs, strict=True)}
+            trial = solver(self, group, tilts)
+            least = -ROUNDING * sum(np.abs(force) for force in trial.components)
+            fits: Value = np.True_
+            for guide, sign in zip(rough, signs, strict=True):
+                fits = fits & (sign * self._normal(trial, guide) >= least)
+            balances.append((fits, trial))
+        # no consistent signs: friction locks the guide; several that differ: the solution is not unique (Painleve paradox)
+        chosen = balances[0][1].each(lambda x: np.nan * x)
+        decided: Value = np.False_
+        torn: Value = np.False_
+        for fits, trial in balances:
+            if not np.any(decided) and np.all(fits):
+                chosen = trial
+            else:
+                differs = sum(np.abs(a - b) for a, b in zip(trial.components, chosen.components, strict=True))
+                size = sum(np.abs(a) for a in chosen.components)
+                torn = torn | (fits & decided & (differs > 1e-6 * size))
+                chosen = trial.where(fits & ~decided, chosen)
+            decided = decided | fits
+        good = decided & ~torn
+        self.result.jammed, self.result.several = self.result.jammed | ~good, self.result.several | torn
+        return chosen if np.all(good) else chosen.each(lambda x: np.where(good, x, np.nan))
+
+    def _normal(self, solved: GroupForces, guide: Guide) -> Value:
+        """Normal force of a guide on its slider."""
+        _, body, force, _ = next(entry for entry in solved.guides if entry[0] is guide)
+        return cross(self.moving.line(guide.name), force) * (1.0 if body == guide.slider else -1.0)
+
+    def _slip(self, guide: Guide) -> Value:
+        """Coefficient of friction with the sign of the slider's velocity along the line."""
+        sense = self.moving.sense(lambda source: source.slides[guide.name][1:], self.moving.machine.size)
+        return self.moving.machine.friction[guide.name] * sense
+
+    # --- transmitted forces ----------------------------------------------------------------------------------------
+
+    def _commit(self, group: Dyad, solved: GroupForces) -> None:
+        """Store the forces of a group and apply their counterparts to the bodies that carry it."""
+        first, second = (link.body for link in group.links)
+        for point, body, force in solved.pins:
+            if point == group.joint:
+                self._exert(point, body, force, second if body == first else first)
+            else:
+                before = min(self.order[first], self.order[second])
+                carrier = next(holder for holder in self.mechanism.pins[point] if self.order[holder] < before)
+                self._exert(point, body, force, carrier)
+                self._carry(carrier, self.moving.position(point), force, 0.0)
+        for guide, body, force, moment in solved.guides:
+            other, at = guide.other(body), self.at(guide)
+            if other not in (first, second):
+                self._carry(other, at, force, moment)
+            sign = 1.0 if body == guide.slider else -1.0
+            line, on = self.moving.line(guide.name), (sign * force[0], sign * force[1])
+            self.result.guides[guide.name] = GuideForce(cross(line, on), dot(line, on), sign * moment, at, on)
+        self.result.rows[group.joint] = solved.rows
+
+    def _exert(self, point: str, body: str, force: Vector, by: str) -> None:
+        """Add the force of one body on another at a pin."""
+        forces = self.result.pins.setdefault(point, {})
+        forces[body] = plus(forces[body], force) if body in forces else force
+        forces[by] = minus(forces[by], force) if by in forces else (-force[0], -force[1])
+
+    def _carry(self, body: str, point: Vector, force: Vector, moment: Value) -> None:
+        """Add a transmitted force and moment to the wrench that a body requires."""
+        if body != FRAME:
+            start = self.moving.state(body).start
+            self.needed[body] = self.needed[body] + Wrench(force, moment + cross(minus(point, start), force))
+
+
+def jointed_forces(balance: ForceBalance, group: JointedDyad, tilts: Mapping[str, Value]) -> GroupForces:
     """Return the forces of a group from its three joints: a pin exerts no moment about itself, a guide no force along its line.
 
     With an inner pin its force follows from one balance of each body, with an inner guide that of the first body's outer pin
@@ -293,109 +385,6 @@ def virtual_torque(wrenches: Mapping[str, Wrench], moving: Moving) -> Value:
     return power / source.motion.speed
 
 
-class ForceBalance(RemainingWrenches):
-    """The remaining wrenches, solved group by group."""
-
-    def __init__(self, moving: Moving, needed: Mapping[str, Wrench], normals: Mapping[str, Value] | None = None) -> None:
-        super().__init__(moving, needed)
-        self.normals, self.result = normals, Reactions(np.nan, {}, {}, {})
-        self.order = {body: k for k, body in enumerate((FRAME, *self.mechanism.bodies))}
-
-    def solve(self) -> Reactions:
-        """Solve all groups, the last one first."""
-        for group in reversed(self.mechanism.groups):
-            self._commit(group, self.with_friction(group))
-        crank = self.mechanism.crank
-        force, self.result.torque = self.needed[crank.body]
-        self._exert(crank.start, crank.body, force, FRAME)
-        return self.result
-
-    # --- one group -------------------------------------------------------------------------------------------------
-
-    def with_friction(self, group: Dyad) -> GroupForces:
-        """Solve a group; with guide friction, for the consistent signs of the normal forces."""
-        solver = BALANCES[group.kind]
-        rough = [guide for guide in group.prismatic if guide.name in self.moving.machine.friction]
-        if not rough:
-            return solver(self, group, {})
-        senses = {guide.name: self._slip(guide) for guide in rough}
-        if self.normals is not None:
-            return solver(self, group, {name: self.normals[name] * sense for name, sense in senses.items()})
-        balances = []
-        for signs in itertools.product((1.0, -1.0), repeat=len(rough)):
-            tilts = {guide.name: sign * senses[guide.name] for guide, sign in zip(rough, signs, strict=True)}
-            trial = solver(self, group, tilts)
-            least = -ROUNDING * sum(np.abs(force) for force in trial.components)
-            fits: Value = np.True_
-            for guide, sign in zip(rough, signs, strict=True):
-                fits = fits & (sign * self._normal(trial, guide) >= least)
-            balances.append((fits, trial))
-        # no consistent signs: friction locks the guide; several that differ: the solution is not unique (Painleve paradox)
-        chosen = balances[0][1].each(lambda x: np.nan * x)
-        decided: Value = np.False_
-        torn: Value = np.False_
-        for fits, trial in balances:
-            if not np.any(decided) and np.all(fits):
-                chosen = trial
-            else:
-                differs = sum(np.abs(a - b) for a, b in zip(trial.components, chosen.components, strict=True))
-                size = sum(np.abs(a) for a in chosen.components)
-                torn = torn | (fits & decided & (differs > 1e-6 * size))
-                chosen = trial.where(fits & ~decided, chosen)
-            decided = decided | fits
-        good = decided & ~torn
-        self.result.jammed, self.result.several = self.result.jammed | ~good, self.result.several | torn
-        return chosen if np.all(good) else chosen.each(lambda x: np.where(good, x, np.nan))
-
-    def _normal(self, solved: GroupForces, guide: Guide) -> Value:
-        """Normal force of a guide on its slider."""
-        _, body, force, _ = next(entry for entry in solved.guides if entry[0] is guide)
-        return cross(self.moving.line(guide.name), force) * (1.0 if body == guide.slider else -1.0)
-
-    def _slip(self, guide: Guide) -> Value:
-        """Coefficient of friction with the sign of the slider's velocity along the line."""
-        sense = self.moving.sense(lambda source: source.slides[guide.name][1:], self.moving.machine.size)
-        return self.moving.machine.friction[guide.name] * sense
-
-    # --- transmitted forces ----------------------------------------------------------------------------------------
-
-    def _commit(self, group: Dyad, solved: GroupForces) -> None:
-        """Store the forces of a group and apply their counterparts to the bodies that carry it."""
-        first, second = (link.body for link in group.links)
-        for point, body, force in solved.pins:
-            if point == group.joint:
-                self._exert(point, body, force, second if body == first else first)
-            else:
-                carrier = self._carrier(point, (first, second))
-                self._exert(point, body, force, carrier)
-                self._carry(carrier, self.moving.position(point), force, 0.0)
-        for guide, body, force, moment in solved.guides:
-            other, at = guide.other(body), self.at(guide)
-            if other not in (first, second):
-                self._carry(other, at, force, moment)
-            sign = 1.0 if body == guide.slider else -1.0
-            line, on = self.moving.line(guide.name), (sign * force[0], sign * force[1])
-            self.result.guides[guide.name] = GuideForce(cross(line, on), dot(line, on), sign * moment, at, on)
-        self.result.rows[group.joint] = solved.rows
-
-    def _carrier(self, point: str, force: tuple[str, str]) -> str:
-        """Return the body placed before a group that holds one of its outer joints."""
-        first = min(self.order[body] for body in force)
-        return next(body for body in self.mechanism.pins[point] if self.order[body] < first)
-
-    def _exert(self, point: str, body: str, force: Vector, by: str) -> None:
-        """Add the force of one body on another at a pin."""
-        forces = self.result.pins.setdefault(point, {})
-        forces[body] = plus(forces[body], force) if body in forces else force
-        forces[by] = minus(forces[by], force) if by in forces else (-force[0], -force[1])
-
-    def _carry(self, body: str, point: Vector, force: Vector, moment: Value) -> None:
-        """Add a transmitted force and moment to the wrench that a body requires."""
-        if body != FRAME:
-            start = self.moving.state(body).start
-            self.needed[body] = self.needed[body] + Wrench(force, moment + cross(minus(point, start), force))
-
-
 # --- derived quantities ------------------------------------------------------------------------------------------------
 
 
@@ -404,7 +393,7 @@ def torque_parts(moving: Moving, whole: Reactions | None = None) -> dict[str, Va
 
     `whole` are the reactions of this motion, if already computed.
     """
-    smooth = moving.without_friction
+    smooth = Moving(moving.machine.with_(friction={}), moving.motion, moving.side, moving.direction)
     inertia = reactions(smooth, required_wrench(smooth, gravity=False, loads=False)).torque
     gravity = reactions(smooth, required_wrench(smooth, inertia=False, loads=False)).torque
     total = (whole or reactions(moving)).torque

@@ -234,11 +234,16 @@ class Machine:
         """Crank ranges in which the mechanism can be assembled."""
         return reachable(self.mechanism, self.sizes)
 
+    @property
+    def processes(self) -> list[Force | Torque]:
+        """Loads with a magnitude that may change: forces and torques."""
+        return [load for load in self.loads if isinstance(load, Force | Torque)]
+
     @cached_property
     def revolutions(self) -> int | None:
         """Revolutions of the crank after which motion and loads repeat; None where a load never does."""
         motion = max(1, round(self.mechanism.cycle / TURN))
-        loads = [getattr(getattr(load, "magnitude", None), "revolutions", 1) for load in self.loads]
+        loads = [getattr(load.magnitude, "revolutions", 1) for load in self.processes]
         return None if None in loads else math.lcm(motion, *loads)
 
     @property
@@ -263,7 +268,7 @@ class Machine:
     @property
     def cornered(self) -> bool:
         """Whether a load may have a corner, a jump or a pole: a row of its table, or a breakpoint of its expression."""
-        return any(getattr(getattr(load, "magnitude", None), "cornered", False) for load in self.loads)
+        return any(getattr(load.magnitude, "cornered", False) for load in self.processes)
 
 
 class Moving:
@@ -368,11 +373,6 @@ class Moving:
         """
         return Moving(self.machine, self.motion.scaled(speed, acceleration), self.side, direction)
 
-    @property
-    def without_friction(self) -> Moving:
-        """The same motion of the machine without friction."""
-        return Moving(self.machine.with_(friction={}), self.motion, self.side, self.direction)
-
     @cached_property
     def kinetic(self) -> Value:
         """Kinetic energy [J]."""
@@ -426,6 +426,11 @@ class _Process:
     """The body on which the reaction acts."""
 
     @property
+    def guide(self) -> str:
+        """The guide along which the load acts, if it does."""
+        return ""
+
+    @property
     def switching(self) -> bool:
         """Whether the load jumps where the motion reverses."""
         return self.opposing or self.stroke != "both"
@@ -449,14 +454,15 @@ class Force(_Process):
     magnitude: Magnitude
     direction: float | str  # angle [rad], or the guide that the body slides in
 
-    def along(self, moving: Moving) -> Vector:
-        """Return the unit vector of the direction."""
-        return moving.line(self.direction) if isinstance(self.direction, str) else unit(self.direction)
+    @property
+    def guide(self) -> str:
+        """The guide along which the load acts, if it does."""
+        return self.direction if isinstance(self.direction, str) else ""
 
     def reversing(self, moving: Moving) -> tuple[Value, Value]:
         """Return the velocity and acceleration along the direction, relative to the body that takes the reaction."""
-        if isinstance(self.direction, str):
-            return moving.slides[self.direction][1:]
+        if self.guide:
+            return moving.slides[self.guide][1:]
         way, other = unit(self.direction), moving.state(self.against)
         velocity, acceleration = other.at(moving.position(self.point, self.body))
         slip = minus(moving.velocity(self.point, self.body), velocity)
@@ -466,15 +472,15 @@ class Force(_Process):
 
     def known(self, moving: Moving) -> dict[str, Value]:
         """Return the variables of the magnitude: crank angle and speed; of a slider its slide and velocity [SI]."""
-        if not isinstance(self.direction, str):
+        if not self.guide:
             return moving.variables
-        s, v, _ = moving.slides[self.direction]
+        s, v, _ = moving.slides[self.guide]
         return {**moving.variables, "s": s, "v": v}
 
     def act(self, moving: Moving) -> Iterator[Acting]:
         """Yield the force, and its reaction on the other body."""
         size = self.magnitude(self.known(moving)) * _sense(self, moving)
-        x, y = self.along(moving)
+        x, y = moving.line(self.guide) if self.guide else unit(self.direction)
         at, force = moving.position(self.point, self.body), (size * x + 0.0, size * y + 0.0)  # + 0.0: avoids -0.0
         yield Acting(self.body, at, force)
         if self.against != FRAME:

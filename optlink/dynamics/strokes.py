@@ -16,7 +16,7 @@ from optlink.linkage.vector2d import TURN, Array, Value
 
 GRID = 720  # crank angles among which reversals are bracketed
 AHEAD = 1e-6  # rad beyond a reversal at which the direction of motion is read
-SAME_ANGLE = 1e-6  # rad; crank angles that near to one another are one
+SAME_ANGLE = 1e-6  # rad; crank angles that near to one another are one, also one found as a zero and as a minimum
 
 
 def load_strokes(machine: Machine, load: Load) -> dict[Direction, list[tuple[float, float]]]:
@@ -69,8 +69,8 @@ class StrokeLoad:
 def acting_loads(machine: Machine, speed: float) -> tuple[StrokeLoad, ...]:
     """Return the loads that act in one stroke only, of a machine whose crank turns fully; only the sign of the speed is used."""
     acting = []
-    for load in machine.loads:
-        if isinstance(load, Force | Torque) and load.stroke != "both":
+    for load in machine.processes:
+        if load.stroke != "both":
             ranges = load_strokes(machine, load)
             other = OTHER[load.stroke] if speed < 0.0 else load.stroke
             direct, counter = (other, load.stroke) if load.turning else (load.stroke, other)
@@ -108,7 +108,7 @@ def travels_by_use(
     """
     named = {f"{name} slides": travel for name, travel in strokes.items()}
     named |= {f"{name} swings": travel for name, travel in swings.items()}
-    loaded = dict.fromkeys(load.body for load in machine.loads if isinstance(load, Force | Torque))
+    loaded = dict.fromkeys(load.body for load in machine.processes)
     outputs = [f"{body} {'slides' if body in strokes else 'swings'}" for body in loaded if body in strokes or body in swings]
     last, slides = last_output(machine, swings, strokes)
     outputs = outputs or [f"{last} {'slides' if slides else 'swings'}"]
@@ -142,7 +142,6 @@ def use_of(stroke: StrokeRange, working: Direction | None) -> str:
 SAMPLES = 1440  # of a range or revolution
 SMALL = 1e-2  # share of its largest value below which a quantity may come close to zero between two samples
 NOTHING = 1e-12  # share of its largest value that is zero
-SAME = 1e-6  # rad between positions that are one, found as a zero and as a minimum
 BESIDE = np.array([1e-3, 1e-4, 1e-5, 1e-6])  # rad from a position at which a load may grow without bound
 GROWTH, ROUNDING = 0.5, 1e-3  # least ratio of its last step to its first, and share of its value that may be rounding error
 
@@ -165,8 +164,8 @@ def irregular(machine: Machine, grid: Array, speed: float) -> Irregular:
     The rising grid [rad] is so fine that a denominator has at most one zero or minimum between neighbours.
     """
     corners, peaks, unbounded = [np.empty(0)], [np.empty(0)], {}
-    for load in machine.loads:
-        if not isinstance(load, Force | Torque) or not hasattr(load.magnitude, "breakpoints"):
+    for load in machine.processes:
+        if not hasattr(load.magnitude, "breakpoints"):
             continue
         with np.errstate(all="ignore"):
             values = _breakpoints(machine, load, speed)
@@ -174,7 +173,7 @@ def irregular(machine: Machine, grid: Array, speed: float) -> Irregular:
             crossed = np.concatenate([*zeros(values, grid, still=True, samples=samples), np.empty(0)])
             close, zero = _least(values, grid, samples)
             at = distinct(np.concatenate([crossed, close[zero]]))
-            at = at[np.diff(at, prepend=-np.inf) > SAME]
+            at = at[np.diff(at, prepend=-np.inf) > SAME_ANGLE]
             irregular_angles = at[_grows(machine, load, speed, at)] if at.size else at
         corners.append(crossed)
         peaks.append(close)

@@ -60,15 +60,14 @@ def corners(machine: Machine, low: float, high: float, speed: float) -> Array:
     """
     corner_angles: list[Array] = []
     rows: list[tuple[str, float]] = []
-    for load in machine.loads:
-        table = getattr(load, "magnitude", None)
-        at = np.asarray(getattr(table, "at", ()), dtype=float)
-        over, guide = getattr(table, "over", ""), getattr(load, "direction", None)
+    for load in machine.processes:
+        table, guide = load.magnitude, load.guide
+        at, over = np.asarray(getattr(table, "at", ()), dtype=float), getattr(table, "over", "")
         if over == "phi":
             period = TURN * getattr(table, "revolutions", 1)
             cycles = np.arange(np.floor((low - at[-1]) / period), np.ceil((high - at[0]) / period) + 1.0)
             corner_angles.append((at[:, None] + period * cycles).ravel())
-        elif over == "s" and isinstance(guide, str):
+        elif over == "s":
             rows += [(guide, float(value)) for value in at]
     if rows:
 
@@ -88,7 +87,7 @@ def corners(machine: Machine, low: float, high: float, speed: float) -> Array:
 
 
 def _grid(low: float, high: float) -> Array:
-    return np.asarray(low + (high - low) * np.linspace(0.0, 1.0, 8 * _panels(low, high) + 1))
+    return low + (high - low) * np.linspace(0.0, 1.0, 8 * _panels(low, high) + 1)
 
 
 def _panels(low: float, high: float) -> int:
@@ -98,7 +97,7 @@ def _panels(low: float, high: float) -> int:
 def _rising(lists: list[Array], low: float, high: float) -> Array:
     angles = distinct(np.concatenate([*lists, np.empty(0)]))
     inside = angles[(angles >= low) & (angles < high)]
-    return np.asarray(inside[np.diff(inside, prepend=-np.inf) > 1e-12])
+    return inside[np.diff(inside, prepend=-np.inf) > 1e-12]
 
 
 class Work:
@@ -176,8 +175,7 @@ class Work:
 
 # Speed fluctuation in the steady state and at the end of a simulation, and flywheel sizing.
 
-POSITIONS = 2880
-BISECTIONS = 100  # of a range of numbers at most
+POSITIONS = 2880  # of a revolution, at which the speed is computed: every eighth of a degree
 ROUNDING = 1e-9  # of a revolution, by which a run of exactly one may fall short
 
 
@@ -267,10 +265,7 @@ def _least_enough(enough: Callable[[float], bool], likely: float) -> float:
     low, high = 0.0, likely
     while not enough(high):
         high *= 2.0
-    for _ in range(BISECTIONS):
-        middle = 0.5 * (low + high)
-        if not low < middle < high:
-            break
+    while low < (middle := 0.5 * (low + high)) < high:  # to the last digit
         low, high = (low, middle) if enough(middle) else (middle, high)
     return high
 

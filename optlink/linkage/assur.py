@@ -5,16 +5,16 @@ References
 L. V. Assur (1914): classification of mechanisms; a mechanism is a driving crank plus groups of zero mobility, added one by one.
 """
 
+import itertools
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import combinations
 from typing import get_args
 
 from optlink.errors import InvalidValue
 from optlink.io import Registry
-from optlink.linkage.dyad_types import FORWARD, RPR, LineDyad, ModalDyad, Transmitting
+from optlink.linkage.dyads import FORWARD, RPR, LineDyad, ModalDyad, Transmitting
 from optlink.linkage.mechanism import FRAME, BodyPoint, Dyad, Ground, Guide, Joint, Link, Mechanism, owners_of
 from optlink.unsupported import unsupported
 
@@ -100,7 +100,9 @@ class Assembly:
         self.check_joints()
         connected = {body for start in (FRAME, self.driver) for body in self.neighbours(start)}
         while len(self.placed) <= len(self.bodies):
-            group = self.next_group(sorted(connected, key=self.rank.__getitem__))
+            rank = self.rank.__getitem__
+            pairs = ((a, b) for a in sorted(connected, key=rank) for b in self.neighbours(a) if rank(a) < rank(b))
+            group = next(filter(None, itertools.starmap(self._group, pairs)), None)  # the first one, in the order of the file
             if group is None:
                 raise self.refusal([body for body in self.bodies if body not in self.placed])
             self.groups.append(group)
@@ -115,14 +117,6 @@ class Assembly:
                     "no dyad has its inner joint there, or the dyad has only one assembly mode", remedy, f"assembly.{joint}"
                 )
         return Mechanism(name, self.ground, self.bodies[self.driver], tuple(self.groups), tuple(self.points), tuple(self.guides))
-
-    def next_group(self, connected: list[str]) -> Dyad | None:
-        """Return the first dyad, in the order of the file, among bodies joined to placed ones."""
-        for first in connected:
-            for second in self.neighbours(first):
-                if self.rank[first] < self.rank[second] and (group := self._group(first, second)):
-                    return group
-        return None
 
     def check_joints(self) -> None:
         """Refuse a driven body off the frame or fixed to it, and bodies without a joint.
@@ -231,7 +225,7 @@ class Assembly:
                 missing, remedy = unsupported("redundant body", body=body)
                 message = f"{body} moves only with special lengths, as {_list(joints)} already fix its position: {missing}"
                 return StructureError(message, remedy, f"links.{body}")
-        for first, second in combinations(left, 2):
+        for first, second in itertools.combinations(left, 2):
             if len(self._shared(first, second)) > 1:
                 return self._one_body(first, second, self._shared(first, second))
         joint_count = sum(len(bodies) - 1 for bodies in self.members.values()) + len(self.guides)
@@ -249,7 +243,7 @@ class Assembly:
                 "Remove a joint, or add a body",
                 f"links.{left[-1]}",
             )
-        for first, second in combinations(left, 2):
+        for first, second in itertools.combinations(left, 2):
             joint_lists = self.placed_joints(first), self._shared(first, second), self.placed_joints(second)
             if all(len(some) == 1 and isinstance(some[0], Guide) for some in joint_lists):
                 return StructureError(

@@ -39,8 +39,9 @@ from typing import NamedTuple
 import numpy as np
 
 from optlink.errors import InputError
+from optlink.linkage.arguments import check_length, check_number, check_side
 from optlink.linkage.dyads import rrr
-from optlink.linkage.fourbar import Inversion, classify, reachable
+from optlink.linkage.fourbar import LENGTHS, Inversion, classify, reachable
 from optlink.linkage.vector2d import Value, Vector, angle, cross, dot, minus, plus, turn, unit
 
 DEGENERATE = 1e-9
@@ -70,7 +71,8 @@ class CouplerPose:
 
     def link(self, name: str) -> Vector:
         """Return the unit vector of crank (A -> B), coupler (B -> C) or rocker (D -> C) relative to A -> D [-]."""
-        return {"crank": self.crank, "coupler": self.coupler, "rocker": self.rocker}[name]
+        link: Vector = getattr(self, name)
+        return link
 
     def angle(self, name: str) -> Value:
         """Return the angle of crank, coupler or rocker from A -> D [rad], in (-pi, pi]."""
@@ -111,14 +113,11 @@ class CouplerLinkage:
     side: int = 1
 
     def __post_init__(self) -> None:
-        for name in ("crank", "coupler", "rocker", "frame", "along", "across", "x", "y", "direction"):
-            value = getattr(self, name)
-            if not math.isfinite(value):
-                raise InputError("not a finite number", "Give a number in SI units", key=name, value=value)
-            if name in ("crank", "coupler", "rocker", "frame") and value <= 0.0:
-                raise InputError("a link length must be positive", "Give it in m, above 0", key=name, value=value)
-        if self.side not in (1, -1):
-            raise InputError("not an assembly mode", "Give 1 or -1", key="side", value=self.side)
+        for name in ("along", "across", "x", "y", "direction"):
+            check_number(name, getattr(self, name))
+        for name, length in zip(LENGTHS, self.lengths, strict=True):
+            check_length(name, length)
+        check_side(self.side)
 
     @property
     def lengths(self) -> tuple[float, float, float, float]:

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.linkage.dyad_types import PRP, RPR, ModalDyad
+from optlink.linkage.dyads import PRP, RPR, ModalDyad
 from optlink.linkage.jet import Jet
 from optlink.linkage.mechanism import Dyad, GroupPassages, Mechanism, Passage, Pose
 from optlink.linkage.singular import AlignedPosition, alignment_grid, alignment_margin, least_alignments

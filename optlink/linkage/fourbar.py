@@ -7,16 +7,16 @@ The transmission angle gamma is the angle B-C-D between coupler and rocker, 0 ..
 
 import enum
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from optlink.errors import InputError
 from optlink.linkage.arguments import check_length, check_number, check_point_names, check_side
-from optlink.linkage.dyad_types import RRR
-from optlink.linkage.mechanism import Arm, BodyPoint, Link, Mechanism
-from optlink.linkage.vector2d import Value, Vector, angle, angle_from, magnitude, root
+from optlink.linkage.dyads import RRR
+from optlink.linkage.mechanism import FRAME, Arm, BodyPoint, Ground, Link, Mechanism, Size
+from optlink.linkage.vector2d import Value, Vector, angle, angle_from, magnitude, root, turn
 
 LENGTHS = ("crank", "coupler", "rocker", "frame")
 
@@ -122,6 +122,10 @@ class Inversion(enum.Enum):
         return self in (Inversion.CRANK_ROCKER, Inversion.DOUBLE_CRANK)
 
 
+SHORTEST = (Inversion.CRANK_ROCKER, Inversion.DOUBLE_ROCKER, Inversion.ROCKER_CRANK, Inversion.DOUBLE_CRANK)
+"""Inversions of linkages that satisfy Grashof's condition by their shortest link, in the order of `LENGTHS`."""
+
+
 @dataclass(frozen=True)
 class GrashofClass:
     """Inversion and Grashof slack p + q - s - l [m], which is positive where the shortest link turns fully."""
@@ -176,33 +180,29 @@ def classify(crank: float, coupler: float, rocker: float, frame: float, toleranc
     crank, coupler, rocker, frame : float [m]
     tolerance : float [-]
     """
-    lengths = {"crank": crank, "coupler": coupler, "rocker": rocker, "frame": frame}
-    if not all(map(math.isfinite, lengths.values())):  # a NaN would compare as any class
+    lengths = (crank, coupler, rocker, frame)
+    if not all(map(math.isfinite, lengths)):  # a NaN would compare as any class
         return GrashofClass(Inversion.IMPOSSIBLE, math.nan)
-    shortest, short, long, longest = sorted(lengths.values())
+    shortest, short, long, longest = sorted(lengths)
     slack = short + long - shortest - longest
     tiny = tolerance * longest
+
+    def equal(*pairs: tuple[float, float]) -> bool:
+        return all(abs(a - b) <= tiny for a, b in pairs)
+
     if longest > shortest + short + long + tiny:
-        return GrashofClass(Inversion.IMPOSSIBLE, slack)
-    if slack < -tiny:
-        return GrashofClass(Inversion.TRIPLE_ROCKER, slack)
-    if slack <= tiny:
-
-        def equal(a: float, b: float) -> bool:
-            return abs(a - b) <= tiny
-
-        if equal(crank, rocker) and equal(coupler, frame):
-            return GrashofClass(Inversion.PARALLELOGRAM, slack)
-        if (equal(crank, coupler) and equal(rocker, frame)) or (equal(crank, frame) and equal(coupler, rocker)):
-            return GrashofClass(Inversion.KITE, slack)
-        return GrashofClass(Inversion.CHANGE_POINT, slack)
-    by_shortest = {
-        "crank": Inversion.CRANK_ROCKER,
-        "frame": Inversion.DOUBLE_CRANK,
-        "coupler": Inversion.DOUBLE_ROCKER,
-        "rocker": Inversion.ROCKER_CRANK,
-    }
-    return GrashofClass(by_shortest[min(lengths, key=lambda name: lengths[name])], slack)
+        inversion = Inversion.IMPOSSIBLE
+    elif slack < -tiny:
+        inversion = Inversion.TRIPLE_ROCKER
+    elif slack > tiny:
+        inversion = SHORTEST[lengths.index(shortest)]
+    elif equal((crank, rocker), (coupler, frame)):
+        inversion = Inversion.PARALLELOGRAM
+    elif equal((crank, coupler), (rocker, frame)) or equal((crank, frame), (coupler, rocker)):
+        inversion = Inversion.KITE
+    else:
+        inversion = Inversion.CHANGE_POINT
+    return GrashofClass(inversion, slack)
 
 
 # --- transmission angle and assembly over a range of crank angles -------------------------------------------------
@@ -370,3 +370,130 @@ def time_ratio(
     if stroke in ("backward", "quick"):
         theta = -theta
     return (np.pi + theta) / (np.pi - theta)
+
+
+# --- the four-bar within a linkage of dyads: its crank and a group of two links between the crank and the frame ------------
+
+
+@dataclass(frozen=True)
+class InnerFourBar:
+    """Crank, coupler and rocker: `pin` joins crank and coupler, `joint` coupler and rocker, `ground_pin` rocker and frame.
+
+    `pivots`: places of the two pivots on the frame, that of the crank first.
+    """
+
+    crank: Link
+    coupler: Link
+    rocker: Link
+    group: RRR
+    pin: str
+    ground_pin: str
+    pivots: tuple[Ground, Ground]
+
+    @property
+    def joint(self) -> str:
+        """The joint of coupler and rocker."""
+        return self.group.joint
+
+    @property
+    def side(self) -> int:
+        """Assembly mode: +1 if the joint of coupler and rocker lies to the left of the line from `pin` to `ground_pin`."""
+        return self.group.side if self.group.outer == (self.pin, self.ground_pin) else -self.group.side
+
+    @property
+    def plain(self) -> bool:
+        """Whether its joints are the ends of its links, so that the link lengths are those of the four-bar."""
+        ends = [{self.crank.start, self.pin}, {self.pin, self.joint}, {self.ground_pin, self.joint}]
+        links = (self.crank, self.coupler, self.rocker)
+        return all(
+            {link.start, link.end} == both and isinstance(link.length, str) for link, both in zip(links, ends, strict=True)
+        )
+
+    @property
+    def ground(self) -> tuple[str, ...]:
+        """Names of the sizes that place its two pivots."""
+        sizes = [size for place in self.pivots for size in ((place.length, place.direction) if isinstance(place, Arm) else place)]
+        return tuple(size for size in sizes if isinstance(size, str))
+
+    @property
+    def names(self) -> tuple[str, str, str]:
+        """Names of the lengths of crank, coupler and rocker of a plain four-bar."""
+        return str(self.crank.length), str(self.coupler.length), str(self.rocker.length)
+
+    @property
+    def frame_length(self) -> str:
+        """Name of the size that is the length of the frame; empty if its pivots have coordinates."""
+        one, other = self.pivots
+        if isinstance(other, Arm):
+            return str(other.length)
+        return str(other[0]) if one == (0.0, 0.0) and other[1] == 0.0 else ""
+
+    def frame(self, values: Mapping[str, Value]) -> tuple[Value, Vector | None]:
+        """Return the length of the frame [m] and the unit vector from crank to rocker pivot; elementwise.
+
+        The direction is relative to that from which crank angles count, None if it is the same.
+        """
+        if self.frame_length:
+            return values[self.frame_length], None
+        one, other = self.pivots
+        assert not isinstance(one, Arm)
+        assert not isinstance(other, Arm)
+        dx, dy = (_size(end, values) - _size(begin, values) for begin, end in zip(one, other, strict=True))
+        length = np.sqrt(dx * dx + dy * dy)
+        return length, (dx / length, dy / length)
+
+    def frame_bounds(self, bounds: Mapping[str, tuple[float, float]]) -> tuple[float, float]:
+        """Return the least and largest length of the frame [m] for the bounds of all dimensions [m]."""
+        if self.frame_length:
+            return bounds[self.frame_length]
+        ends = [bounds[name] for name in self.ground]
+        least = [max(0.0, first - high, low - last) for (low, high), (first, last) in zip(ends[:2], ends[2:], strict=True)]
+        most = [max(last - low, high - first) for (low, high), (first, last) in zip(ends[:2], ends[2:], strict=True)]
+        return math.hypot(*least), math.hypot(*most)
+
+    def lengths(self, values: Mapping[str, Value]) -> tuple[Value, Value, Value, Value]:
+        """Return the lengths [m] of crank, coupler, rocker and frame of a plain four-bar; elementwise."""
+        crank, coupler, rocker = self.names
+        return values[crank], values[coupler], values[rocker], self.frame(values)[0]
+
+    def turned(self, values: Mapping[str, Value]) -> Value:
+        """Return the angle [rad] of the frame, from crank to rocker pivot, where crank angles count from; elementwise."""
+        axis = self.frame(values)[1]
+        return 0.0 if axis is None else angle(axis)
+
+    def dead_centre(self, values: Mapping[str, Value], *, outer: bool) -> DeadCentre:
+        """Return a limit position of the rocker of a plain four-bar, with the directions of crank and rocker in the plane.
+
+        Parameters
+        ----------
+        values : mapping of dimension to Value [m]
+            Elementwise.
+        outer : bool
+            Whether crank and coupler are extended, else they overlap.
+        """
+        axis = self.frame(values)[1]
+        limit = dead_centre(*self.lengths(values), self.side, outer)
+        return limit if axis is None else DeadCentre(turn(limit.crank, axis), turn(limit.rocker, axis), limit.margin)
+
+
+def _size(size: Size, values: Mapping[str, Value]) -> Value:
+    return values[size] if isinstance(size, str) else size
+
+
+def whole_four_bar(mechanism: Mechanism) -> InnerFourBar | None:
+    """Return the four-bar that a linkage is as a whole, however it is written; None if a joint is not at the end of its link."""
+    loop = next(inner_four_bars(mechanism), None) if len(mechanism.groups) == 1 else None
+    return loop if loop is not None and loop.plain else None
+
+
+def inner_four_bars(mechanism: Mechanism) -> Iterator[InnerFourBar]:
+    """Yield the four-bars of a linkage, in the order of its groups."""
+    crank, owners = mechanism.crank, mechanism.owners
+    for group in mechanism.groups:
+        if not isinstance(group, RRR):
+            continue
+        pins = tuple(zip(group.links, group.outer, strict=True))
+        for (coupler, pin), (rocker, ground_pin) in (pins, pins[::-1]):
+            if crank.body in owners[pin] and FRAME not in owners[pin] and FRAME in owners[ground_pin]:
+                pivots = mechanism.ground[crank.start], mechanism.ground[ground_pin]
+                yield InnerFourBar(crank, coupler, rocker, group, pin, ground_pin, pivots)

@@ -17,10 +17,10 @@ from optlink.linkage.vector2d import Value
 
 
 def _add(a: Value, b: Value) -> Jet:
+    if not isinstance(a, Jet):
+        a, b = b, a
     if not isinstance(b, Jet):
         return Jet(a.value + b, a.rate, a.acceleration)
-    if not isinstance(a, Jet):
-        return Jet(a + b.value, b.rate, b.acceleration)
     return Jet(a.value + b.value, a.rate + b.rate, a.acceleration + b.acceleration)
 
 
@@ -33,10 +33,10 @@ def _subtract(a: Value, b: Value) -> Jet:
 
 
 def _multiply(a: Value, b: Value) -> Jet:
+    if not isinstance(a, Jet):
+        a, b = b, a
     if not isinstance(b, Jet):
         return Jet(a.value * b, a.rate * b, a.acceleration * b)
-    if not isinstance(a, Jet):
-        return Jet(a * b.value, a * b.rate, a * b.acceleration)
     if a is b:
         return Jet(a.value * a.value, 2.0 * (a.value * a.rate), 2.0 * (a.rate * a.rate + a.value * a.acceleration))
     return Jet(
@@ -97,15 +97,10 @@ class Jet(NDArrayOperatorsMixin):
     # direct operators bypass numpy's dispatch, which is half of the cost of a jet of a few hundred positions
 
     __add__, __sub__, __mul__, __truediv__ = _add, _subtract, _multiply, _divide
-
-    def __radd__(self, other: Value) -> Jet:
-        return _add(other, self)
+    __radd__, __rmul__ = _add, _multiply
 
     def __rsub__(self, other: Value) -> Jet:
         return _subtract(other, self)
-
-    def __rmul__(self, other: Value) -> Jet:
-        return _multiply(other, self)
 
     def __neg__(self) -> Jet:
         return Jet(-self.value, -self.rate, -self.acceleration)

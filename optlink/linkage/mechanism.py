@@ -94,29 +94,22 @@ class GroupPassages:
         """Return the result of a dyad formula at a crank angle [rad], near singular positions replaced by its series.
 
         The formula maps the assembly mode to the joint [m], or the unit vector of the guide, and the assembly margin. Margins
-        that are rounding errors near singular positions become zero.
+        that are rounding errors near singular positions become zero, except those of symbols.
         """
         value = as_jet(angle).value
-        if not _numeric(value):
-            return self._traced(angle, value, *formula(self.side(angle)))
+        number = _numeric(value)
         away = [value - passage.crank_angle for passage in self.passages]
-        away = [delta - self.cycle * np.round(np.real(delta) / self.cycle) for delta in away]
-        new, margin = formula(self._side_of_series(value, away, formula) if np.iscomplexobj(value) else self.side(angle))
+        away = [delta - self.cycle * np.round((np.real(delta) if number else delta) / self.cycle) for delta in away]
+        turns = number and np.iscomplexobj(value)
+        new, margin = formula(self._side_of_series(value, away, formula) if turns else self.side(angle))
         for passage, delta in zip(self.passages, away, strict=True):
             near = np.abs(delta) < passage.window
-            if np.any(near):
-                place = passage.place(angle, np.where(near, delta, 0.0))
-                new = _either(near, place[0], new[0]), _either(near, place[1], new[1])
-                margin = _either(near & ~(np.real(as_jet(margin).value) >= 0.0), 0.0, margin)
-        return new, margin
-
-    def _traced(self, angle: Value, value: Value, new: Vector, margin: Value) -> tuple[Vector, Value]:
-        """Return the same for symbols, except the margin near a singular position."""
-        for passage in self.passages:
-            delta = value - passage.crank_angle
-            delta = delta - self.cycle * np.round(delta / self.cycle)
-            near, place = np.abs(delta) < passage.window, passage.place(angle, delta)
+            if number and not np.any(near):
+                continue
+            place = passage.place(angle, np.where(near, delta, 0.0) if number else delta)
             new = _either(near, place[0], new[0]), _either(near, place[1], new[1])
+            if number:
+                margin = _either(near & ~(np.real(as_jet(margin).value) >= 0.0), 0.0, margin)
         return new, margin
 
     def _side_of_series(self, value: Value, away: list[Value], formula: Callable[[Value], tuple[Vector, Value]]) -> Value:

@@ -46,7 +46,7 @@ class Motion:
         """
         (px, py), (qx, qy) = ([self._full(as_jet(x).value) for x in self._point(name)] for name in (p, q))
         x, y = qx - px, qy - py
-        return np.asarray(np.sqrt(x * x + y * y))
+        return np.sqrt(x * x + y * y)
 
     def velocity(self, point: str) -> Array:
         """Return the velocity [m/s], shape (..., 2)."""
@@ -62,19 +62,16 @@ class Motion:
 
     def body_angle(self, body: str) -> Jet:
         """Return the angle of a body [rad], continuous along the sweep, and its first and second derivative [rad/s, rad/s^2]."""
-        with np.errstate(all="ignore"):
-            value, rate, acceleration = map(self._full, as_jet(angle(self._direction(body))).parts)
-        return Jet(continuous(value), rate, acceleration)
+        jet = self._angle(body)
+        return Jet(continuous(jet.value), jet.rate, jet.acceleration)
 
     def wrapped_angle(self, body: str) -> Array:
         """Return the angle of a body [rad] in (-pi, pi]."""
-        with np.errstate(all="ignore"):
-            return self._full(as_jet(angle(self.pose.direction(body))).value)
+        return np.asarray(self._angle(body).value)
 
     def body_rate(self, body: str) -> Array:
         """Return the angular velocity of a body [rad/s]."""
-        with np.errstate(all="ignore"):
-            return self._full(as_jet(angle(self._direction(body))).rate)
+        return np.asarray(self._angle(body).rate)
 
     def slide(self, guide: str) -> Jet:
         """Return the slide in a guide [m], its velocity and acceleration [m/s, m/s^2]."""
@@ -133,8 +130,10 @@ class Motion:
         points = self.pose.points
         return points[name] if name in points else self.pose.point(_known(self.mechanism.owners, name, "point"))
 
-    def _direction(self, body: str) -> Vector:
-        return self.pose.direction(_known((FRAME, *self.mechanism.bodies), body, "body"))
+    def _angle(self, body: str) -> Jet:
+        with np.errstate(all="ignore"):
+            direction = self.pose.direction(_known((FRAME, *self.mechanism.bodies), body, "body"))
+            return Jet(*map(self._full, as_jet(angle(direction)).parts))
 
 
 def _known(names: Collection[str], name: str, what: str) -> str:

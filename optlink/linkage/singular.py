@@ -61,7 +61,7 @@ FIXED_LIMIT_TOLERANCE = 1e-9
 
 
 GRID = 1440
-"""Positions per revolution between which each least alignment is bracketed."""
+"""Positions per revolution between which each least alignment, end of a range and dead centre is bracketed."""
 
 TOUCHING = math.sin(SINGULAR_ALIGNMENT) ** 2
 """Alignment (a squared sine) up to which a position is singular; a negative one of that size is rounding."""

@@ -7,22 +7,22 @@ from typing import Literal
 
 import numpy as np
 
-from optlink.linkage.dyad_types import PRP
+from optlink.linkage.dyads import PRP
 from optlink.linkage.extrema import distinct, zeros
 from optlink.linkage.jet import Jet
 from optlink.linkage.mechanism import Dyad, Mechanism
 from optlink.linkage.motion import Motion, sweep
-from optlink.linkage.singular import AlignedPosition, alignment_margin, least_alignments, least_margin
+from optlink.linkage.singular import GRID, AlignedPosition, alignment_margin, least_alignments, least_margin
 from optlink.linkage.vector2d import TURN, Array, Value
 
-GRID = 1440
-"""Positions per revolution among which everything is bracketed."""
 SEAM = 1e-6
 """Crank rotations [rad] that differ from a whole cycle by less count as one: the accuracy of flat extrema."""
 PARALLEL_AT_END = 1e-4
 """Sine of the angle of two guides below which they count as parallel at the end of a range."""
 LEAST_DIFFERENCE = math.radians(0.1)
 """Crank rotations [rad] of two strokes that differ by less count as equally long: neither is the slow one."""
+ROUNDING = 1e-9
+"""Rate of a body's angle [-], or of a slide as a share of its largest value, over the crank angle that is rounding: it stands."""
 Direction = Literal["forward", "backward"]
 Pace = Literal["slow", "quick", "equal"]
 OTHER: dict[Direction, Direction] = {"forward": "backward", "backward": "forward"}
@@ -298,7 +298,8 @@ def travels(
 
     motion = sweep(mechanism, sizes, grid)
     jets = {output: course(motion, *output) for output in outputs}
-    moving = [output for output, jet in jets.items() if _moves(jet, angle=output[1])]
+    sizes_of = {output: 1.0 if output[1] else np.nanmax(np.abs(jet.value), initial=1e-12) for output, jet in jets.items()}
+    moving = [one for one, jet in jets.items() if np.nanmax(np.abs(jet.rate), initial=0.0) > ROUNDING * sizes_of[one]]
 
     def rates(angles: Array) -> Array:
         at = sweep(mechanism, sizes, angles)
@@ -332,9 +333,3 @@ def travels(
         limits = float(values[first]), float(values[last]), place(ends[first]), place(ends[last])
         (swings if turning else strokes)[name] = Travel(tuple(map(place, centres)), *limits, ratio)
     return swings, strokes
-
-
-def _moves(jet: Jet, *, angle: bool) -> bool:
-    """Whether the motion of a body's angle, or of a slider, is more than rounding."""
-    scale = 1.0 if angle else float(np.nanmax(np.abs(jet.value), initial=1e-12))
-    return float(np.nanmax(np.abs(jet.rate), initial=0.0)) > 1e-9 * scale

@@ -57,7 +57,7 @@ class ScaledLimit:
     def rows_at(self, parts: Sequence[Any]) -> Iterator[ConstraintRow]:
         """Yield the rows of a term at one position from its components there [SI]."""
         term = self.bound.term
-        if len(parts) > 1 and not term.nature.general:
+        if _vector(term, parts):
             square, scale = sum(part * part for part in parts), SquareRootScale(self.scale.unit, self.scale.factor)
             yield ConstraintRow(self.bound.key, term.words, square / self.size**2, -math.inf, self.above**2, scale)
             return
@@ -77,6 +77,11 @@ def scaled_limit(bound: Bound, length: float) -> ScaledLimit:
     return ScaledLimit(bound, size, below, above, scale)
 
 
+def _vector(term: Term, parts: Sequence[Any]) -> bool:
+    """Whether the components at one position are those of one vector, whose magnitude counts."""
+    return len(parts) > 1 and not term.nature.general
+
+
 SIGNS = {"peak": (1.0, -1.0), "largest": (1.0,), "least": (-1.0,)}
 """Signs of the values whose largest is an extreme."""
 
@@ -84,7 +89,7 @@ SIGNS = {"peak": (1.0, -1.0), "largest": (1.0,), "least": (-1.0,)}
 def rows_below_level(goal: Goal, size: float, level: Any, parts: Sequence[Any]) -> Iterator[ConstraintRow]:
     """Yield the rows that keep the values at one position, in units of `size` [SI], below a level."""
     label = f"{goal.words} at another crank angle"
-    if len(parts) > 1 and not goal.nature.general:
+    if _vector(goal, parts):
         square = level * level - sum(part * part for part in parts) / size**2
         yield ConstraintRow(EPIGRAPH, label, square, 0.0, math.inf, PLAIN)
         return
@@ -212,7 +217,7 @@ class ErrorCourse:
         if level is not None:
             return above_level(sizes, level)
         assert self.part.tolerance is not None
-        return np.asarray(sizes - self.part.tolerance / self.part.whole - EXCEEDED)
+        return sizes - self.part.tolerance / self.part.whole - EXCEEDED
 
 
 class TermCourse:
@@ -361,28 +366,26 @@ class TermCourse:
     def _rows_of(self, term: Term) -> int:
         """Return the number of rows of a term at one position."""
         width = self.trace.widths[next(k for k, other in enumerate(self.trace.cyclic) if other is term)]
-        return 1 if width > 1 and not term.nature.general else width * len(SIGNS[term.how] if term.how == "peak" else (1.0,))
+        return 1 if _vector(term, range(width)) else width * (2 if term.how == "peak" else 1)
 
     def heights(self, motion: "Motion", levels: Array, shares: Array) -> Array:
         """Return the excess (rows, n) of all terms over their limits or largest values along a stroke."""
         with np.errstate(all="ignore"):
             signals = motion.signals(shares)
             rows: list[Array] = []
+
+            def values(term: Term, size: float, signs: tuple[float, ...]) -> list[Array]:
+                parts = self.parts(term, signals)
+                if _vector(term, parts):
+                    return [np.hypot(*parts) / size]
+                return [sign * part / size for part in parts for sign in signs]
+
             for limit in self.limits:
-                parts, term = self.parts(limit.bound.term, signals), limit.bound.term
-                if len(parts) > 1 and not term.nature.general:
-                    excesses = [np.hypot(*parts) / limit.size - limit.above]
-                else:
-                    signs = SIGNS["peak"] if term.how == "peak" else (1.0,)
-                    excesses = [_beyond(sign * part / limit.size, limit.below, limit.above) for part in parts for sign in signs]
-                rows += [excess - EXCEEDED for excess in excesses]
+                term = limit.bound.term
+                for value in values(term, limit.size, SIGNS["peak"] if term.how == "peak" else (1.0,)):
+                    rows.append(_beyond(value, limit.below, limit.above) - EXCEEDED)
             for goal, size, level in zip(self.extremes, self.sizes, levels, strict=True):
-                parts = self.parts(goal, signals)
-                if len(parts) > 1 and not goal.nature.general:
-                    values = [np.hypot(*parts) / size]
-                else:
-                    values = [sign * part / size for part in parts for sign in SIGNS[goal.how]]
-                rows += [above_level(value, float(level)) for value in values]
+                rows += [above_level(value, float(level)) for value in values(goal, size, SIGNS[goal.how])]
             rows += [_beyond(row.value, row.low, row.high) - EXCEEDED for row in self.alignment_rows(signals)]
             heights = np.array(rows).reshape(-1, len(shares))
         return np.where(np.isfinite(heights), heights, -np.inf)
@@ -400,7 +403,7 @@ class Motion:
 
     def signals(self, shares: Array) -> Array:
         """Return the signals at shares of the stroke, one-sided at its ends."""
-        return np.asarray(self.trace.signals(*self.inputs, self.begin + self.span * shares, *self.senses))
+        return self.trace.signals(*self.inputs, self.begin + self.span * shares, *self.senses)
 
 
 def course_again(problem: DesignProblem, recipe: Mapping[str, Any]) -> TermCourse | None:
@@ -418,12 +421,12 @@ def course_again(problem: DesignProblem, recipe: Mapping[str, Any]) -> TermCours
 
 def _beyond(value: Array, low: float, high: float) -> Array:
     """Return by how much values lie beyond two bounds; negative inside."""
-    return np.asarray(np.maximum(low - value, value - high))
+    return np.maximum(low - value, value - high)
 
 
 def above_level(values: Array, level: float) -> Array:
     """Return by how much values (scaled) exceed a level beyond rounding, as shares of it."""
-    return np.asarray((values - level - LEVELLED * abs(level) - NO_ERROR) / max(abs(level), LEAST_LEVEL))
+    return (values - level - LEVELLED * abs(level) - NO_ERROR) / max(abs(level), LEAST_LEVEL)
 
 
 def limit_courses(problem: DesignProblem) -> list[LimitCourse]:

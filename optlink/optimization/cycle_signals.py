@@ -18,7 +18,7 @@ import casadi
 import numpy as np
 
 from optlink.dynamics.inverse import Reactions, reactions, required_wrench
-from optlink.dynamics.machine import Force, Load, Machine, Moving
+from optlink.dynamics.machine import Load, Machine, Moving
 from optlink.linkage.extrema import sign_changes, zeros
 from optlink.linkage.jet import Jet, as_jet
 from optlink.linkage.motion import Motion
@@ -272,7 +272,7 @@ class TracedCycle:
     def paced_loads(self) -> dict[str, int]:
         """Loads of the slow or quick stroke, with the index of the event that ends their strokes."""
         keys = [event.key for event in self.events]
-        guides = {load.name: ("guide", str(getattr(load, "direction", ""))) for load in self.base.loads}
+        guides = {load.name: ("guide", load.guide) for load in self.base.processes}
         return {
             name: keys.index(guides[name] if guides[name] in keys else ("load", name))
             for name, section in self.problem.loads.items()
@@ -306,14 +306,12 @@ class TracedCycle:
             cuts = cuts or (key in events and events[key].cuts)
             events[key] = StrokeEnd(key, value, cuts)
 
-        for load in self.base.loads:
-            slides = isinstance(load, Force) and isinstance(load.direction, str)
-            guide = str(load.direction) if isinstance(load, Force) else ""
+        for load in self.base.processes:
             if load.switching:
-                add(("guide", guide) if slides else ("load", load.name), functools.partial(_reversal, load))
-            if isinstance(load, Force) and isinstance(load.magnitude, LoadTable) and load.magnitude.over == "s":
+                add(("guide", load.guide) if load.guide else ("load", load.name), functools.partial(_reversal, load))
+            if isinstance(load.magnitude, LoadTable) and load.magnitude.over == "s":
                 for row, at in enumerate(load.magnitude.at):
-                    add((CORNER, load.name, str(row)), functools.partial(_corner, guide, at))
+                    add((CORNER, load.name, str(row)), functools.partial(_corner, load.guide, at))
         for term in self.terms:
             if term.ended:
                 add(self._key(term), functools.partial(self._rate, term), cuts=term.quantity == "work")

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from optlink.linkage.vector2d import TURN, Array
 from optlink.optimization.mapped_terms import MappedTerms
-from optlink.optimization.terms import DEGREES, ConstraintRow, ErrorMeasure, Scale
+from optlink.optimization.terms import DEGREES, ConstraintRow, ErrorMeasure, Scale, millimetres
 from optlink.problem.design import EPIGRAPH
 from optlink.problem.machine.model import Problem
 from optlink.problem.quantity import Quantity, quantity_key
@@ -48,7 +48,7 @@ def scaled_variable(problem: Problem, name: str, size: float, *, periodic: bool,
     key = quantity_key(problem, name)
     periodic = periodic and not any(name in link.names.values() for link in problem.links.values())
     if problem.quantities[name].kind in ("length", "coordinate"):
-        return Variable(name, size, Scale("mm", 1e3 * size, offset=1e3 * origin), origin, key)
+        return Variable(name, size, millimetres(size, origin), origin, key)
     return Variable(name, 1.0, DEGREES, key=key, periodic=periodic)
 
 

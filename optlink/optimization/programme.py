@@ -41,11 +41,12 @@ from optlink.optimization.terms import (
     SquareRootScale,
     error_measures,
     link_rows,
+    millimetres,
     rows as limit_rows,
     transmission,
 )
 from optlink.problem.design import EPIGRAPH, STEP, DesignProblem
-from optlink.problem.limits import Bound, Reach
+from optlink.problem.limits import Reach
 from optlink.problem.terms import Term
 from optlink.problem.tolerances import EXPECTED, SMOOTHED
 from optlink.symbolic import symbols_in_numpy
@@ -122,7 +123,7 @@ class _Builder:
         self.helpers = frozenset({EPIGRAPH, *angles, *self.states, *(v.name for v in self.variables[self.first_level :])})
         self.moving = target_constants(first) if first and movable and first.pointed and robust is None else []
         self.spanned = first is not None and movable and first.movable_span
-        counted = [Variable(name, self.size, Scale("mm", 1e3 * self.size)) for name in problem.counted]
+        counted = [Variable(name, self.size, millimetres(self.size)) for name in problem.counted]
         self.constants = [*fixed, *counted, *([Variable(SPAN, 1.0, DEGREES)] if self.spanned else []), *self.moving]
         self.smoothing = 1 + len(self.constants) if robust is not None and robust.text != EXPECTED else 0
         self.many = exchange_count(problem, 1 if terms is None else terms.strokes)
@@ -399,10 +400,6 @@ class _Targets:
         self.further.append(self.watched.at(angle, self.origin, *[0.0] * self.part.data.columns.shape[1]))
         return list(self._below(self.further[-1], "at its peak" if self.signed else "at another crank angle"))
 
-    def _place(self, i: int) -> str:
-        """Return where a position is: of a law, by its crank rotation."""
-        return f"{math.degrees(self.part.law.offsets[i]):.4g} deg from the start" if self.part.law_given else f"at point {i + 1}"
-
     def _below(self, error: Any, where: str) -> Iterator[ConstraintRow]:
         """Yield the rows that keep an error, or each of several transmission cosines, below the largest one or the tolerance.
 
@@ -447,10 +444,6 @@ class _Targets:
         for square in squares:
             yield ConstraintRow(key, label, square, -math.inf, bound**2, SquareRootScale(unit_of, factor * whole))
 
-    def _residual(self, error: Any) -> Any:
-        """Return the residual of the measure at one position: of a vector with scatter its largest length."""
-        return casadi.norm_2(error[:-1]) + error[-1] if self.scattered else error
-
     def reduce(self) -> None:
         """Reduce the deviations: rows of the tolerances, and of the largest one or the limited measure; `value` [SI]."""
         data, part, of = self.part.data, self.part, self.of
@@ -461,8 +454,12 @@ class _Targets:
                 most = (tolerance / part.size) ** 2
                 of.rows.append(ConstraintRow(f"{part.key}.points", label, square, -math.inf, most, scale))
             if part.measure == "max":
-                of.rows += self._below(error, self._place(i))
-        self.residual = casadi.vertcat(*map(self._residual, (*self.errors, *self.further)))
+                place = f"{math.degrees(part.law.offsets[i]):.4g} deg from the start" if part.law_given else f"at point {i + 1}"
+                of.rows += self._below(error, place)
+        errors = [*self.errors, *self.further]
+        if self.scattered:  # of a vector with scatter its largest length
+            errors = [casadi.norm_2(error[:-1]) + error[-1] for error in errors]
+        self.residual = casadi.vertcat(*errors)
         if part.measure == "max":
             self.value = 0.0 if self.level is None else part.whole * self.level
             return
@@ -486,24 +483,20 @@ class _Machine:
         self.heights: list[list[Any]] = [[] for _ in self.levels]
         self.known = casadi.vertcat(*[of.values[name] for name in self.trace.names])
         edges = self.trace.edges(self.events[: terms.cuts])
-        self.strokes = [(begin, end - begin, self._senses(begin, end)) for begin, end in itertools.pairwise(edges)]
-        self.at = self._traced()
+        self.strokes = []  # begin, rotation and senses of motion
+        for begin, end in itertools.pairwise(edges):
+            span = end - begin
+            self.strokes.append((begin, span, self.trace.sensed(casadi.vertcat(self.known, begin + 0.5 * span))))
+        inputs, place, known = of.inputs()
+        senses = casadi.SX.sym("senses", self.trace.at.size1_in(1))
+        signals = self.trace.at(casadi.vertcat(*[known[name] for name in self.trace.names], place), senses)
+        self.at = of.positions(casadi.Function("terms", [inputs, senses], [signals]))
         self.nodes = [
             (j, weight * span, self.at.at(begin + share * span, senses))
             for j, (begin, span, senses) in enumerate(self.strokes)
             for share, weight in zip(*terms.nodes, strict=True)
         ]
         self.there = [self.trace.at_event(casadi.vertcat(self.known, phi)) for phi in self.events]
-
-    def _traced(self) -> "_Positions":
-        """Trace the signals at one crank angle, with the senses of motion as further inputs."""
-        inputs, place, known = self.of.inputs()
-        senses = casadi.SX.sym("senses", self.trace.at.size1_in(1))
-        signals = self.trace.at(casadi.vertcat(*[known[name] for name in self.trace.names], place), senses)
-        return self.of.positions(casadi.Function("terms", [inputs, senses], [signals]))
-
-    def _senses(self, begin: Any, end: Any) -> Any:
-        return self.trace.sensed(casadi.vertcat(self.known, begin + 0.5 * (end - begin)))
 
     # --- rows
 
@@ -561,7 +554,10 @@ class _Machine:
             label = f"slow minus quick stroke of {name}"
             least = ROOM * LEAST_DIFFERENCE
             yield ConstraintRow(f"loads.{name}.stroke", label, self._slower(which), least, math.inf, DEGREES)
-        implied = {id(bound.term) for bound in self.of.problem.bounds if _keeps_slow(bound)}
+        implied = set()  # terms whose limit makes the slow stroke the longer one
+        for bound in self.of.problem.bounds:
+            if (bound.interval.high if bound.term.stroke == "quick" else bound.interval.low) is not None:
+                implied.add(id(bound.term))
         for term in self.trace.terms:
             if term.by_pace and id(term) not in implied:
                 label = f"slow minus quick stroke of {term.of}"
@@ -661,13 +657,6 @@ class _Machine:
         return self._duration(which, forward) / self._duration(which, not forward)
 
 
-def _keeps_slow(bound: Bound) -> bool:
-    """Return whether a limit of a time ratio by itself keeps the slow stroke slower."""
-    if bound.term.stroke == "quick":
-        return bound.interval.high is not None
-    return bound.interval.low is not None
-
-
 class _Positions:
     """Positions of a traced function, and symbols for its values there."""
 
@@ -696,11 +685,11 @@ def target_constants(problem: DesignProblem) -> list[Variable]:
     constants = []
     for k in range(len(problem.data.columns)):
         for axis, origin in zip("xy", problem.centre, strict=True):
-            constants.append(Variable(f"{TARGET}{k}.{axis}", size, Scale("mm", 1e3 * size, offset=1e3 * origin), origin))
+            constants.append(Variable(f"{TARGET}{k}.{axis}", size, millimetres(size, origin), origin))
         if problem.requirement.kind == "motion":
             constants += [Variable(f"{TARGET}{k}.{part}", 1.0, PLAIN) for part in ("cosine", "sine")]
     if problem.requirement.kind == "motion":
-        constants.append(Variable(f"{TARGET}radian", size, Scale("mm", 1e3 * size)))
+        constants.append(Variable(f"{TARGET}radian", size, millimetres(size)))
     return constants
 
 

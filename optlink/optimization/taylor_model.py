@@ -393,49 +393,15 @@ Rule = Callable[[Array, Array, Array], Derivatives]
 """(centre, low, high), arrays of one shape, to the derivatives of an elementary function."""
 
 
-def _sqrt(x: Array, low: Array, high: Array) -> Derivatives:
-    low = np.where(low > 0.0, low, np.nan)
-    root = np.sqrt(x)
-    return root, 0.5 / root, -0.25 / (root * x), 0.375 * UPWARD / (low * low * np.sqrt(low))
-
-
-def _reciprocal(x: Array, low: Array, high: Array) -> Derivatives:
-    inverse = 1.0 / x
-    least = np.where(low > 0.0, low, np.where(high < 0.0, -high, np.nan))
-    square = least * least
-    return inverse, -inverse * inverse, 2.0 * inverse * inverse * inverse, 6.0 * UPWARD / (square * square)
-
-
-def _sin(x: Array, low: Array, high: Array) -> Derivatives:
-    s, c = np.sin(x), np.cos(x)
-    return s, c, -s, np.ones_like(x)
-
-
-def _cos(x: Array, low: Array, high: Array) -> Derivatives:
-    s, c = np.sin(x), np.cos(x)
-    return c, -s, -c, np.ones_like(x)
-
-
-def _arctan(x: Array, low: Array, high: Array) -> Derivatives:
-    w = 1.0 / (1.0 + x * x)
-    return np.arctan(x), w, -2.0 * x * w * w, np.full_like(x, 2.0)
-
-
-def _exp(x: Array, low: Array, high: Array) -> Derivatives:
-    e = np.exp(x)
-    return e, e, e, np.exp(high) * (1.0 + LIBRARY) * UPWARD
-
-
-def _log(x: Array, low: Array, high: Array) -> Derivatives:
-    low, inverse = np.where(low > 0.0, low, np.nan), 1.0 / x
-    return np.log(x), inverse, -inverse * inverse, 2.0 * UPWARD / (low * low * low)
+def _positive(low: Array) -> Array:
+    return np.where(low > 0.0, low, np.nan)
 
 
 def power(p: float) -> Rule:
     """Return the rule of x**p."""
 
     def rule(x: Array, low: Array, high: Array) -> Derivatives:
-        f, low = np.power(x, p), np.where(low > 0.0, low, np.nan)
+        f, low = np.power(x, p), _positive(low)
         third = abs(p * (p - 1.0) * (p - 2.0)) * np.maximum(np.power(low, p - 3.0), np.power(high, p - 3.0))
         slope = p * f / x
         return f, slope, (p - 1.0) * slope / x, third * (1.0 + LIBRARY) * UPWARD
@@ -444,13 +410,28 @@ def power(p: float) -> Rule:
 
 
 DERIVATIVES: dict[np.ufunc, Rule] = {
-    np.sqrt: _sqrt,
-    np.reciprocal: _reciprocal,
-    np.sin: _sin,
-    np.cos: _cos,
-    np.arctan: _arctan,
-    np.exp: _exp,
-    np.log: _log,
+    np.sqrt: lambda x, low, high: (
+        root := np.sqrt(x),
+        0.5 / root,
+        -0.25 / (root * x),
+        0.375 * UPWARD / ((low := _positive(low)) * low * np.sqrt(low)),
+    ),
+    np.reciprocal: lambda x, low, high: (
+        inverse := 1.0 / x,
+        -inverse * inverse,
+        2.0 * inverse * inverse * inverse,
+        6.0 * UPWARD / ((square := (least := np.where(low > 0.0, low, _positive(-high))) * least) * square),
+    ),
+    np.sin: lambda x, low, high: (s := np.sin(x), np.cos(x), -s, np.ones_like(x)),
+    np.cos: lambda x, low, high: (c := np.cos(x), -np.sin(x), -c, np.ones_like(x)),
+    np.arctan: lambda x, low, high: (np.arctan(x), w := 1.0 / (1.0 + x * x), -2.0 * x * w * w, np.full_like(x, 2.0)),
+    np.exp: lambda x, low, high: (e := np.exp(x), e, e, np.exp(high) * (1.0 + LIBRARY) * UPWARD),
+    np.log: lambda x, low, high: (
+        np.log(x),
+        inverse := 1.0 / x,
+        -inverse * inverse,
+        2.0 * UPWARD / ((low := _positive(low)) * low * low),
+    ),
 }
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from optlink.linkage.dyad_types import RRR, Transmitting
+from optlink.linkage.dyads import RRR, Transmitting
 from optlink.linkage.fourbar import (
     LENGTHS,
     crank_rocker_conditions,
@@ -136,6 +136,11 @@ class SIScale(Scale):
         return self.shown.in_si
 
 
+def millimetres(size: float, origin: float = 0.0) -> Scale:
+    """Return the scale of lengths that count in units of `size` from `origin` [m]."""
+    return Scale("mm", 1e3 * size, offset=1e3 * origin)
+
+
 DEGREES = Scale("deg", math.degrees(1.0))
 COSINE = Scale("deg", cosine=True)
 SINE_SQUARED = SineSquared("deg")
@@ -176,15 +181,15 @@ def full_rotation_rows(problem: DesignProblem, values: Mapping[str, Value], reac
     named = dict(zip(LENGTHS, lengths, strict=True))
     full = problem.limits.crank == "full rotation"
     conditions = crank_rocker_conditions if full else double_crank_conditions
-    millimetres = Scale("mm", 1e3 * size)
+    scale = millimetres(size)
     for label, slack in conditions(*lengths).items():
         words = label.split()
         if "+" not in words:
-            yield ConstraintRow("limits.crank", label, slack / size, 0.0, math.inf, millimetres)
+            yield ConstraintRow("limits.crank", label, slack / size, 0.0, math.inf, scale)
             continue
         # margin as a share of the second link of the longer side: if another link is longest its own sum implies this row
         least = problem.limits.length_margin * named[words[2]]
-        yield ConstraintRow("limits.length_margin", label, (slack - least) / size, 0.0, math.inf, millimetres)
+        yield ConstraintRow("limits.length_margin", label, (slack - least) / size, 0.0, math.inf, scale)
 
 
 def dead_centres(problem: DesignProblem, values: Mapping[str, Value], reach: Reach, size: float) -> Iterator[ConstraintRow]:
@@ -197,14 +202,14 @@ def dead_centres(problem: DesignProblem, values: Mapping[str, Value], reach: Rea
     if problem.four_bar is None or problem.limits.crank != "span" or begin is None:
         return
     r, a, b, f = problem.four_bar.lengths(values)
-    key, millimetres, margin = "limits.length_margin", Scale("mm", 1e3 * size), problem.limits.length_margin
+    key, scale, margin = "limits.length_margin", millimetres(size), problem.limits.length_margin
     line = a + r if begin == DEAD_CENTRES[0] else magnitude(a - r)
     for longest in (r, a, b, f):  # one row each, as their maximum is not smooth
         least = margin * longest
-        yield ConstraintRow(key, "dead centre: C not too far from A", (b + f - line - least) / size, 0.0, math.inf, millimetres)
+        yield ConstraintRow(key, "dead centre: C not too far from A", (b + f - line - least) / size, 0.0, math.inf, scale)
         for difference in (b - f, f - b):
             row = (line - difference - least) / size
-            yield ConstraintRow(key, "dead centre: C not too near to A", row, 0.0, math.inf, millimetres)
+            yield ConstraintRow(key, "dead centre: C not too near to A", row, 0.0, math.inf, scale)
 
 
 @dataclass(frozen=True)
@@ -287,7 +292,7 @@ def registered(problem: DesignProblem, values: Mapping[str, Value], reach: Reach
         low, high = interval.bounds
         for label, value in term.values(problem, values, reach, interval):
             if interval.kind == "length":
-                yield ConstraintRow(term.key, label, value / size, low / size, high / size, Scale("mm", 1e3 * size))
+                yield ConstraintRow(term.key, label, value / size, low / size, high / size, millimetres(size))
             else:
                 yield ConstraintRow(term.key, label, value, low, high, DEGREES if interval.kind == "angle" else PLAIN)
 
@@ -304,7 +309,7 @@ def pivot_region_rows(problem: DesignProblem, values: Mapping[str, Value], reach
             if interval is not None:
                 low, high = interval.bounds
                 yield ConstraintRow(
-                    "limits.pivots", f"pivot {name}.{axis}", coordinate / size, low / size, high / size, Scale("mm", 1e3 * size)
+                    "limits.pivots", f"pivot {name}.{axis}", coordinate / size, low / size, high / size, millimetres(size)
                 )
 
 
@@ -315,16 +320,14 @@ def link_rows(problem: Problem, values: Mapping[str, Value], size: float) -> Ite
         low, high = quantity.bounds
         if quantity.low is None and (quantity.kind != "length" or link.positive):
             continue
-        unit, scale = (1.0, DEGREES) if quantity.kind == "angle" else (size, Scale("mm", 1e3 * size))
+        unit, scale = (1.0, DEGREES) if quantity.kind == "angle" else (size, millimetres(size))
         yield ConstraintRow(quantity_key(problem, name), name, values[name] / unit, low / unit, high / unit, scale)
 
 
-def linked(problem: DesignProblem, values: Mapping[str, Value], reach: Reach, size: float) -> Iterator[ConstraintRow]:
-    """Yield the bounds of the linked quantities."""
-    return link_rows(problem, values, size)
-
-
-TERMS: tuple[Term, ...] = (full_rotation_rows, dead_centres, transmission, registered, pivot_region_rows, linked)
+TERMS: tuple[Term, ...] = (
+    *(full_rotation_rows, dead_centres, transmission, registered, pivot_region_rows),
+    lambda problem, values, reach, size: link_rows(problem, values, size),
+)
 """Limits of the dimensions; the first three are those of four-bars."""
 
 
@@ -357,7 +360,7 @@ def region_rows(problem: DesignProblem, pose: Pose, *, over_span: bool) -> list[
     for name, region in problem.limits.regions.items():
         if ((region.over or required) == "span") is over_span:
             for distance in region.distances(pose.point(region.of), size):
-                label, scale = f"{region.of} {region.side} {name}", Scale("mm", 1e3 * size)
+                label, scale = f"{region.of} {region.side} {name}", millimetres(size)
                 row = ConstraintRow(f"limits.{name}.clearance", label, distance / size, region.margin / size, math.inf, scale)
                 rows.append(row)
     return rows

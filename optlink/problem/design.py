@@ -12,8 +12,8 @@ from pydantic import PrivateAttr, model_validator
 from pydantic.fields import FieldInfo
 
 from optlink.dynamics.machine import Inertia
-from optlink.linkage.dyad_types import transmitting
-from optlink.linkage.inner_four_bar import InnerFourBar, whole_four_bar
+from optlink.linkage.dyads import transmitting
+from optlink.linkage.fourbar import InnerFourBar, whole_four_bar
 from optlink.linkage.mechanism import Pose
 from optlink.linkage.vector2d import Array, Value
 from optlink.problem.limits import LIMITS, MARGIN_KEYS, Bound, Limits, LimitTerm, Reach, check_limits, four_bar_limits
@@ -508,6 +508,11 @@ class DesignProblem(Problem):
     def rotation(self) -> str:
         """Sense of crank rotation with free timing: "either", "counter-clockwise" or "clockwise"."""
         return self.requirement.rotation if self.pointed else "either"
+
+    @property
+    def ways(self) -> tuple[float, ...]:
+        """Signs of the senses of crank rotation that may pass the points: 1 counter-clockwise, -1 clockwise."""
+        return {"counter-clockwise": (1.0,), "clockwise": (-1.0,)}.get(self.rotation, (1.0, -1.0))
 
     @cached_property
     def closed(self) -> bool:

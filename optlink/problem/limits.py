@@ -13,9 +13,8 @@ import numpy as np
 from pydantic import BeforeValidator, ConfigDict, Discriminator, ModelWrapValidatorHandler, Tag, TypeAdapter, model_validator
 
 from optlink.io import Registry
-from optlink.linkage.dyad_types import transmitting
-from optlink.linkage.fourbar import LENGTHS, swing, time_ratio
-from optlink.linkage.inner_four_bar import InnerFourBar
+from optlink.linkage.dyads import transmitting
+from optlink.linkage.fourbar import LENGTHS, InnerFourBar, swing, time_ratio
 from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.motion import Motion
 from optlink.linkage.singular import LEAST_ALIGNMENT, LEAST_LENGTH_MARGIN, SMALLEST_ALIGNMENT, SMALLEST_LENGTH_MARGIN

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, Self, TypeA
 import numpy as np
 from pydantic import BeforeValidator, model_validator
 
-from optlink.dynamics.inverse import Reactions, RemainingWrenches, shaking
+from optlink.dynamics.inverse import ForceBalance, Reactions, shaking
 from optlink.dynamics.machine import Moving, slider_names
 from optlink.io import Registry
-from optlink.linkage.dyad_types import RPR, RRP, RRR, Transmitting, transmitting
+from optlink.linkage.dyads import RPR, RRP, RRR, Transmitting, transmitting
 from optlink.linkage.mechanism import FRAME, Mechanism
 from optlink.linkage.vector2d import TURN, Array, Value, Vector, cross, dot, magnitude, minus
 from optlink.problem.base_model import SPELLINGS, Section
@@ -200,8 +200,8 @@ def _pressure(moving: Moving, reactions: Reactions, term: ElementTerm) -> tuple[
 
 
 def _transmission_angle(moving: Moving, group: Transmitting) -> Value:
-    """Return the transmission angle of a dyad [rad], see `optlink.linkage.dyad_types.Transmitting`; 90 deg is best."""
-    p, q = RemainingWrenches(moving, {}).directions(group, {})
+    """Return the transmission angle of a dyad [rad], see `optlink.linkage.dyads.Transmitting`; 90 deg is best."""
+    p, q = ForceBalance(moving, {}).directions(group, {})
     return np.arctan2(magnitude(cross(p, q)), dot(p, q))
 
 

@@ -11,7 +11,7 @@ from optlink.dynamics.columns import MotionColumns
 from optlink.dynamics.machine import Machine
 from optlink.errors import InputError, OptlinkError, Status
 from optlink.io import Registry, finite
-from optlink.linkage.dyad_types import transmitting
+from optlink.linkage.dyads import transmitting
 from optlink.linkage.vector2d import Array
 from optlink.optimization.courses import TermCourse
 from optlink.optimization.cycle_signals import TracedCycle

@@ -12,12 +12,12 @@ import casadi
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.linkage.dyad_types import ModalDyad
+from optlink.linkage.dyads import ModalDyad
 from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.vector2d import TURN, Array, unit
 from optlink.optimization.programme import path_variable
-from optlink.optimization.terms import ConstraintRow, position_rows, region_rows, rows as limit_rows
+from optlink.optimization.terms import position_rows, region_rows, rows as limit_rows
 from optlink.problem.base_model import RESERVED
 from optlink.problem.design import DesignProblem
 from optlink.problem.limits import MARGIN_KEYS, Reach
@@ -119,7 +119,12 @@ class Batch:
                 values = each.complete(free)
                 if self.derived or k == 0:
                     self._trace_positions(each, x, values)
-                rows = self._limit_rows(each, x, values)
+                t, span = casadi.SX.sym("t"), casadi.SX.sym("span")
+                reach = Reach(t, span, casadi.sign(span))
+                rows = limit_rows(each, values, reach, each.size) if self.crank_turns or not each.four_bar else []
+                if rows:
+                    g = casadi.vertcat(*[row.value for row in rows])
+                    self._limits.append(NumpyEvaluator([*casadi.vertsplit(x), t, span], [g, casadi.jacobian(g, x)]))
                 self.bounds = np.array([(row.low + INSIDE * (row.limit in STRUCTURAL), row.high) for row in rows]).reshape(-1, 2)
         self.angles = np.linspace(0.0, TURN, GRID, endpoint=False)
         self.timed = 0.0 if problem.timing != "from start" else 1.0
@@ -145,16 +150,6 @@ class Batch:
             self.grid_bounds = np.array([(row.low + INSIDE, row.high) for row in required])
             g = casadi.vertcat(*[row.value for row in required])
             self._grid.append(NumpyEvaluator([*inputs, t, *sides], [g, casadi.jacobian(g, x)]))
-
-    def _limit_rows(self, problem: DesignProblem, x: Any, values: dict[str, Any]) -> list[ConstraintRow]:
-        """Trace the limits of a problem and return them."""
-        t, span = casadi.SX.sym("t"), casadi.SX.sym("span")
-        reach = Reach(t, span, casadi.sign(span))
-        rows = limit_rows(problem, values, reach, problem.size) if self.crank_turns or not problem.four_bar else []
-        g = casadi.vertcat(*[row.value for row in rows])
-        if rows:
-            self._limits.append(NumpyEvaluator([*casadi.vertsplit(x), t, span], [g, casadi.jacobian(g, x)]))
-        return rows
 
     def values(self, x: Array) -> dict[str, Array]:
         """Return the quantities [SI] of designs, each an array (designs, 1); those of the first assembly modes."""
@@ -224,7 +219,11 @@ class Batch:
         n = x.shape[1]
         parts = []
         if self._limits:
-            parts.append((self._limit_values(x, t, variant), self.bounds))
+            first, span = t[:, :1], t[:, -1:] - t[:, :1]
+            out = np.empty((self._limits[0].outputs, len(x)))
+            for chosen, k in self._groups(self._limits, len(x), variant):
+                out[:, chosen] = self._limits[k](*x[chosen].T[..., None], first[chosen], span[chosen])[..., 0]
+            parts.append((out, self.bounds))
         if self._grid:
             out = np.empty((self._grid[0].outputs, len(x), len(self.angles)))
             for chosen, k in self._groups(self._grid, len(x), variant):
@@ -236,14 +235,6 @@ class Batch:
             return np.zeros((len(x), 0)), np.zeros((len(x), 0, n))
         excesses = [self._excess(out, bounds, n) for out, bounds in parts]
         return np.concatenate([h for h, _ in excesses], axis=1), np.concatenate([s for _, s in excesses], axis=1)
-
-    def _limit_values(self, x: Array, t: Array, variant: Variant) -> Array:
-        """Return the limits and their derivatives (rows, designs)."""
-        first, span = t[:, :1], t[:, -1:] - t[:, :1]
-        out = np.empty((self._limits[0].outputs, len(x)))
-        for chosen, k in self._groups(self._limits, len(x), variant):
-            out[:, chosen] = self._limits[k](*x[chosen].T[..., None], first[chosen], span[chosen])[..., 0]
-        return out
 
     @staticmethod
     def _excess(out: Array, bounds: Array, n: int) -> tuple[Array, Array]:

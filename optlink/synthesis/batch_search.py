@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from optlink.execution.runner import ordered
 from optlink.execution.worker import Runs, built, packed
-from optlink.linkage.inner_four_bar import InnerFourBar, inner_four_bars
+from optlink.linkage.fourbar import InnerFourBar, inner_four_bars
 from optlink.linkage.vector2d import TURN, Array, unit
 from optlink.optimization.programme import path_variable
 from optlink.problem.design import STEP, DesignProblem
@@ -43,10 +43,14 @@ def random_designs(batch: Batch, count: int, rng: np.random.Generator) -> Array:
             near = fixed + size * SPREAD * rng.standard_normal(count)
             wide = rng.uniform(np.maximum(low, fixed - 3.0 * size), np.minimum(high, fixed + 3.0 * size), count)
             x[:, i] = np.where(rng.random(count) < 0.6, near, wide)
-    if problem.four_bar is not None:
-        _proportioned(batch, problem.four_bar, x, rng)
-    else:
+    loop = problem.four_bar
+    if loop is None:
         _turning(batch, x, rng)
+        return np.clip(x, batch.low, batch.high)
+    frame = _sized(batch, loop, x, rng)
+    if not loop.frame_length:  # the frame has any direction, or lies along x
+        tilts = {loop.ground[1], loop.ground[3]} & set(batch.names)
+        _spaced(batch, loop, x, frame, rng.uniform(0.0, TURN, count) if tilts else np.zeros(count))
     return np.clip(x, batch.low, batch.high)
 
 
@@ -62,17 +66,10 @@ def _turning(batch: Batch, x: Array, rng: np.random.Generator) -> None:
     _spaced(batch, loop, half, frame, direction)
 
 
-def _proportioned(batch: Batch, loop: InnerFourBar, x: Array, rng: np.random.Generator) -> None:
-    """Give the designs (count, n) random lengths of the four-bar that they are; the frame has any direction, or lies along x."""
-    frame = _sized(batch, loop, x, rng)
-    if not loop.frame_length:
-        tilts = {loop.ground[1], loop.ground[3]} & set(batch.names)
-        _spaced(batch, loop, x, frame, rng.uniform(0.0, TURN, len(x)) if tilts else np.zeros(len(x)))
-
-
 def _sized(batch: Batch, loop: InnerFourBar, x: Array, rng: np.random.Generator) -> Array:
     """Give the designs (count, n) random lengths of a four-bar, where they are free; return that of the frame (count,)."""
-    shape = _random_lengths(batch, len(x), rng)
+    size = math.log(0.5), math.log(4.0)
+    shape = random_proportions(batch, len(x), rng) * np.exp(rng.uniform(*size, (len(x), 1)))
     for k, name in enumerate((*loop.names, loop.frame_length)):
         if name in batch.names:
             x[:, batch.names.index(name)] = shape[:, k]
@@ -92,11 +89,6 @@ def _spaced(batch: Batch, loop: InnerFourBar, x: Array, frame: Array, direction:
             x[:, names.index(pair[1])] = one + frame * way
         elif pair[0] in names:
             x[:, names.index(pair[0])] = other - frame * way
-
-
-def _random_lengths(batch: Batch, count: int, rng: np.random.Generator) -> Array:
-    """Return lengths of random four-bars (count, 4) of different sizes."""
-    return random_proportions(batch, count, rng) * np.exp(rng.uniform(math.log(0.5), math.log(4.0), (count, 1)))
 
 
 def random_proportions(batch: Batch, count: int, rng: np.random.Generator) -> Array:
@@ -137,9 +129,8 @@ def random_crank_angles(batch: Batch, count: int, rng: np.random.Generator) -> A
         steps[:, -1] = 0.0
     span = np.full((count, 1), TURN) if problem.closed else TURN * rng.uniform(0.1, 0.97, (count, 1))
     steps = np.maximum(steps / steps.sum(axis=1, keepdims=True) * span, 2.0 * STEP * (steps > 0.0))
-    rotation = problem.rotation
-    way = {"counter-clockwise": 1.0, "clockwise": -1.0}.get(rotation)
-    ways = np.where(rng.random((count, 1)) < 0.5, 1.0, -1.0) if way is None else np.full((count, 1), way)
+    either = len(problem.ways) > 1
+    ways = np.where(rng.random((count, 1)) < 0.5, *problem.ways) if either else np.full((count, 1), problem.ways[0])
     turned = np.concatenate([np.zeros((count, 1)), np.cumsum(steps[:, : number - 1], axis=1)], axis=1)
     return np.asarray(rng.uniform(-math.pi, math.pi, (count, 1)) + ways * turned, dtype=float)
 
@@ -187,7 +178,7 @@ def assembles_everywhere(batch: Batch, x: Array, t: Array) -> NDArray[np.bool_]:
 
 FIRST_ROUND, PER_ROUND = 60, 240  # starting points per round over all assembly modes: doubled from the first to the second number
 POOL = 6  # samples per starting point; half of the starting points are the best samples, the others random ones
-STEPS = 60
+STEPS = 60  # of the first descent, with variable projection; twice as many without
 DISTINCT = 1e-3  # least difference of two designs, in scaled units and relative to variables above one
 PERFECT = 1e-20  # cost (square of a fraction of the curve size) of a design that passes all points
 MISSED = 1e-3  # weighted squares of limit violations up to which the NLP refines a design
@@ -463,9 +454,7 @@ def acceptable(batch: Batch, ends: FinalDesigns) -> tuple[NDArray[np.bool_], NDA
     whole = angles[:, -1] - angles[:, 0]
     way = np.where(whole >= 0.0, 1, -1)
     proper = np.all(steps * way[:, None] >= STEP, axis=1) & (np.abs(whole) <= TURN + 1e-9)
-    rotation = {"counter-clockwise": 1, "clockwise": -1}.get(batch.problem.rotation)
-    if rotation is not None and batch.free_timing:
-        proper &= way == rotation
+    proper &= np.isin(way, batch.problem.ways)
     return (ends.missed <= MISSED) & (proper | (not batch.free_timing)), way
 
 
@@ -477,9 +466,8 @@ def nearest_in_order(problem: DesignProblem, t: Array) -> Array:
     from scipy.optimize import isotonic_regression
 
     least = 2.0 * STEP * np.arange(len(t))
-    rotation = {"counter-clockwise": 1.0, "clockwise": -1.0}.get(problem.rotation)
     angles = []
-    for way in (1.0, -1.0) if rotation is None else (rotation,):
+    for way in problem.ways:
         rising = isotonic_regression(way * t - least).x + least
         most = TURN - 2.0 * STEP
         if rising[-1] - rising[0] > most:

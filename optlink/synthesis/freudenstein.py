@@ -48,11 +48,6 @@ def _cosine_range(low: Array, high: Array) -> tuple[Array, Array]:
     return bottom, top
 
 
-def _parts(k: Array) -> tuple[Array, Array, Array]:
-    """Return K1, K2, K3 of constants (..., 3), shaped to broadcast with positions (..., n)."""
-    return k[..., 0, None], k[..., 1, None], k[..., 2, None]
-
-
 def _opposite(angle: Array, where: NDArray[np.bool_]) -> Array:
     """Turn angles by half a turn towards zero where `where` is True."""
     return np.where(where, angle - np.copysign(np.pi, angle), angle)
@@ -80,11 +75,11 @@ class LoopEquation:
 
     def slope(self, x: Array, y: Array, k: Array) -> Array:
         """Return dF/dy."""
-        return -_parts(k)[0] * np.sin(y) - np.sin(x - y)
+        return -k[..., 0, None] * np.sin(y) - np.sin(x - y)
 
     def follow(self, x: Array, k: Array, side: Array) -> Array:
         """Return the output y (..., n) of the linkage; NaN where it cannot be assembled."""
-        k1, k2, k3 = _parts(k)
+        k1, k2, k3 = (k[..., i, None] for i in range(3))
         c, s = np.cos(x), np.sin(x)
         with np.errstate(invalid="ignore", divide="ignore"):
             inner = np.arccos((k2 * c - k3) / np.hypot(k1 - c, s))
@@ -135,7 +130,6 @@ Keep = Callable[[Array, Array, Array, Array, Array, Array], Any]
 """Admissible linkages, elementwise: (crank, coupler, rocker, phi0, psi0, side), all (m,), to (m,) bool."""
 
 BLOCK = 1 << 17  # numbers in one array of the scan, so that it fits in the cache
-FITS_PER_START = 2  # fits per start position, unweighted then weighted; a third has no measurable effect
 FLATTEST = 0.05  # of the largest slope: limits the weight of positions near a dead position
 SINGULAR = 1e-12  # squared sine between the columns of a fit below which its constants are not determined
 ZOOMS = 6  # successive grids around a start position, each of half the width
@@ -218,12 +212,11 @@ def fit(task: FitProblem, x0: Array, y0: Array) -> Cells:
     chain = task.chain
     x, y = x0[:, None] + task.x, y0[:, None] + task.y
     u, v, w = chain.terms(x, y)
-    k = _weighted(task, u, v, w, np.ones_like(w))
-    for _ in range(1, FITS_PER_START):
-        slope = np.abs(chain.slope(x, y, k))
-        floor = FLATTEST * np.max(slope, axis=-1, keepdims=True)
-        q = np.maximum(np.maximum(slope, floor), 1e-100) ** -2.0
-        k = _weighted(task, u, v, w, q / np.max(q, axis=-1, keepdims=True))
+    k = _weighted(task, u, v, w, np.ones_like(w))  # then weighted by the slopes; a third fit has no measurable effect
+    slope = np.abs(chain.slope(x, y, k))
+    floor = FLATTEST * np.max(slope, axis=-1, keepdims=True)
+    q = np.maximum(np.maximum(slope, floor), 1e-100) ** -2.0
+    k = _weighted(task, u, v, w, q / np.max(q, axis=-1, keepdims=True))
     return fit_error(task, x0, y0, k)
 
 
@@ -530,11 +523,6 @@ class FirstStep:
         return self.error - self.bound
 
 
-def _wrapped(angle: float) -> float:
-    """Wrap an angle to (-pi, pi]."""
-    return math.pi - (math.pi - angle) % (2.0 * math.pi)
-
-
 def first_steps(task: FitProblem, phi0: ArrayLike, psi0: ArrayLike, count: int = 5) -> list[FirstStep]:
     """Return at most `count` four-bars that fit a task as closely as possible, by increasing error: starting points of an NLP.
 
@@ -559,17 +547,12 @@ def first_steps(task: FitProblem, phi0: ArrayLike, psi0: ArrayLike, count: int =
     return [step for *_, step in sorted(designs, key=lambda one: one[:2])]
 
 
-def fit_pairs(task: FitProblem, phi0: Array, psi0: Array) -> list[FirstStep]:
-    """Return the fit at each pair of start angles (m,) [rad] that gives an admissible linkage, in order and without bounds."""
-    cells = fit(task, phi0, psi0)
-    cells = cells[np.isfinite(cells.error)]
-    return [_step(task, cells[i], math.nan, 0.0, False, "fit") for i in range(len(cells.error))]
-
-
 def _step(task: FitProblem, cell: Cells, residual: float, bound: float, proven: bool, status: str) -> FirstStep:
     """Return one cell with what is known of its error; see `FirstStep`."""
     sizes = [float(size) for size in task.chain.sizes(cell.k)]
-    start = [_wrapped(float(angle)) if task.shift else float(angle) for angle in (cell.x0, cell.y0)]
+    start = [float(cell.x0), float(cell.y0)]
+    if task.shift:  # to (-pi, pi]
+        start = [math.pi - (math.pi - angle) % TURN for angle in start]
     return FirstStep(int(cell.side), residual, float(cell.error), bound, proven, status, *sizes, *start)
 
 
@@ -617,9 +600,9 @@ def fits(problem: DesignProblem, seed: int) -> Iterator[dict[str, float]]:
     low = np.array([start[0] for start in ranges])
     size = np.array([math.pi if free else start[1] - start[0] for start in ranges])
     for _ in range(BLOCKS):
-        phi0, psi0 = (low + size * points.random(ANGLES_PER_BLOCK)).T
-        for step in fit_pairs(task, phi0, psi0):
-            yield values(problem, step)
+        cells = fit(task, *(low + size * points.random(ANGLES_PER_BLOCK)).T)
+        for i in np.flatnonzero(np.isfinite(cells.error)):
+            yield values(problem, _step(task, cells[i], math.nan, 0.0, False, "fit"))
 
 
 def _fit_problem(problem: DesignProblem, free: bool) -> FitProblem:

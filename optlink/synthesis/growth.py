@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.errors import InputError
-from optlink.linkage.dyad_types import RRR
-from optlink.linkage.inner_four_bar import InnerFourBar, inner_four_bars
+from optlink.linkage.dyads import RRR
+from optlink.linkage.fourbar import InnerFourBar, inner_four_bars
 from optlink.linkage.mechanism import FRAME, Link, Mechanism, Pose
 from optlink.linkage.vector2d import Array, unit
 from optlink.optimization.courses import limit_courses
@@ -212,15 +212,11 @@ def grow_from_four_bar(
     possible = _slack(batch, x, angles, COARSE) > -CURVE_ROUNDING
     x, angles = x[possible], angles[possible]
     for along, most in ((ALONG, MEASURED * count), (FINE, count)):
-        x, angles = _farthest(x, angles, _slack(batch, x, angles, along), most)
+        slack = _slack(batch, x, angles, along)
+        order = np.argsort(-slack, kind="stable")[:most]
+        order = order[slack[order] > -CURVE_ROUNDING]  # limits of the four-bar itself may be active
+        x, angles = x[order], angles[order]
     return x, angles
-
-
-def _farthest(x: Array, angles: Array, slack: Array, count: int) -> tuple[Array, Array]:
-    """Return the feasible designs with the largest slack."""
-    order = np.argsort(-slack, kind="stable")[:count]
-    order = order[slack[order] > -CURVE_ROUNDING]  # limits of the four-bar itself may be active
-    return x[order], angles[order]
 
 
 def _apart(part: ProblemFile, values: Mapping[str, float], t: Array, batch: Batch, x: Array, angles: Array) -> Array:

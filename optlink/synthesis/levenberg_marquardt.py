@@ -12,7 +12,6 @@ arXiv:1201.5885 (2012), section 4: the second-order correction of the step (geod
 from __future__ import annotations
 
 import copy
-import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
@@ -28,8 +27,8 @@ from optlink.synthesis.batch import Batch, Variant
 
 Fit = Callable[[Array, Array, NDArray[np.int_]], tuple[Array, Array]]
 
-FIRST_DAMPING = 1e-2
-LEAST_DAMPING, MOST_DAMPING = 1e-14, 1e9
+FIRST_DAMPING = 1e-2  # share of the diagonal of the normal equations
+LEAST_DAMPING, MOST_DAMPING = 1e-14, 1e9  # least: rounding error of that diagonal; at the largest a design ends
 SLOW = 1e-5  # relative decrease of the cost below which a step counts as slow
 PATIENCE = 4  # consecutive slow steps that terminate a design
 POOR, HOPELESS = 4.0, 1e-3  # times the cost of a good design: a poor one, and the decrease that counts as slow for it
@@ -169,15 +168,11 @@ def minimise(
             break
         if good is not None:
             every[state.index] = state.cost
-            poor = np.array([_poor(every[group == k], good) for k in range(len(members))])
+            for k in np.flatnonzero(members > good):
+                poor[k] = POOR * np.partition(every[group == k], good - 1)[good - 1]
         with np.errstate(all="ignore"):  # a step to an undefined position is rejected
             _advance(batch, state, weight, fit, np.where(state.cost > poor[state.group], HOPELESS, slow))
     return FinalDesigns(end_x, end_t, end_cost, end_missed, np.ones(len(x), dtype=int))
-
-
-def _poor(costs: Array, good: int) -> float:
-    """Return the cost beyond which a design of a group is poor."""
-    return POOR * float(np.partition(costs, good - 1)[good - 1]) if len(costs) > good else math.inf
 
 
 def _advance(batch: Batch, state: _State, weight: Array, fit: Fit | None, slow: Array) -> None:
@@ -298,7 +293,8 @@ class SimilarityFit:
         sizes = [
             name for name in quantities if name not in ground and name not in angles and (name not in marks or not self.point)
         ]
-        turning = [name for name in angles if self._on_frame(name)]
+        on_frame = {f"{guide.name}.direction" for guide in problem.linkage.guides if guide.on == FRAME}
+        turning = [name for name in angles if name in {"direction", *on_frame}]  # they turn with the frame
         self.lengths, self.turning = indices(sizes), indices(turning)
         bases = sorted({name.rpartition(".")[0] for name in ground})
         pivots = (indices((f"{base}.x", f"{base}.y")) for base in bases)
@@ -318,14 +314,6 @@ class SimilarityFit:
         other = copy.copy(self)
         other.batch = batch
         return other
-
-    def _on_frame(self, name: str) -> bool:
-        """Return whether an angle turns with the frame: the direction of the frame, or of a guide on it."""
-        mechanism = self.batch.problem.linkage
-        if name == "direction":
-            return True
-        base, _, key = name.rpartition(".")
-        return key == "direction" and any(guide.name == base and guide.on == FRAME for guide in mechanism.guides)
 
     def _trace(self) -> None:
         batch, problem = self.batch, self.batch.problem

@@ -12,8 +12,21 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from optlink.clearance.columns import MeasuredComparison, Output, measured_comparison
-from optlink.clearance.compiled.choice import INSTALL, IntegratorKind, chosen, installed, resumed
-from optlink.clearance.control import PID, ClosedLoop, Control, Controller, Gains, Inverse, leverage, vibration
+from optlink.clearance.control import (
+    INSTALL,
+    PID,
+    ClosedLoop,
+    Control,
+    Controller,
+    Gains,
+    IntegratorKind,
+    Inverse,
+    chosen,
+    installed,
+    leverage,
+    resumed,
+    vibration,
+)
 from optlink.clearance.equations import Drive, ReferenceSignal, Servo, Weightless
 from optlink.clearance.integration import TOO_DEEP, Stalled
 from optlink.clearance.joint import Gap

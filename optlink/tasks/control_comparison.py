@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from optlink.clearance.columns import Output
-from optlink.clearance.compiled.choice import resumed
-from optlink.clearance.control import Control
+from optlink.clearance.control import Control, resumed
 from optlink.errors import InputError
 from optlink.execution.runner import check as check_engine, pool
 from optlink.execution.worker import Runs

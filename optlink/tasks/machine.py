@@ -258,10 +258,9 @@ def pole_notes(machine: Machine, start: float, revolutions: float, speed: float,
     `steady`, loads that depend on speeds are left out.
     """
     loads = []
-    for load in machine.loads:
-        magnitude = getattr(load, "magnitude", None)
-        names = getattr(getattr(magnitude, "expression", None), "names", ())
-        if names and getattr(magnitude, "cornered", False) and (steady or set(RATES).isdisjoint(names)):
+    for load in machine.processes:
+        names = getattr(getattr(load.magnitude, "expression", None), "names", ())
+        if names and getattr(load.magnitude, "cornered", False) and (steady or set(RATES).isdisjoint(names)):
             loads.append(load)
     turned = TURN * min(revolutions, POLE_TURNS)
     if not loads or not turned:

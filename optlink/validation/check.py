@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from optlink.linkage.dyad_types import RPR, RRR
+from optlink.linkage.dyads import RPR, RRR
 from optlink.linkage.fourbar import LENGTHS, classify
 from optlink.linkage.mechanism import Dyad
 from optlink.linkage.motion import Motion
@@ -24,7 +24,7 @@ from optlink.problem.quantity import Interval
 POSITIONS = 1440  # per revolution: every quarter of a degree; dead centres and extremes are refined
 ANGLE_TOLERANCE = 1e-6  # deg; solvers satisfy limits to 1e-8 of a radian
 LENGTH_TOLERANCE = 1e-9  # of the frame, or of the size of a curve
-RATIO_TOLERANCE = 1e-7
+RATIO_TOLERANCE = 1e-7  # of ratios without unit
 LONG_STEP = math.tau / 3.0  # rad; a law with longer steps between its positions can be met by whole revolutions less
 FINE_STEP = math.radians(1.0)  # of the crank, at which an output is followed between positions
 SAME = 1e-6  # relative difference of objectives that are the same

@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from optlink.linkage.dyad_types import RRR, transmitting
+from optlink.linkage.dyads import RRR, transmitting
 from optlink.linkage.extrema import extremes_of_rows
-from optlink.linkage.inner_four_bar import inner_four_bars
+from optlink.linkage.fourbar import inner_four_bars
 from optlink.linkage.mechanism import FRAME, Mechanism
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.vector2d import TURN, Array, Value
@@ -358,7 +358,7 @@ class _Targets:
 
     def difference(self, one: Array, other: Array) -> Array:
         """Return the difference of two deviations (..., components)."""
-        return np.asarray(one - other)
+        return one - other
 
     def with_scatter(self, middle: Array, spread: Array) -> Array:
         """Return the squares of deviations (..., components) with their scatter: the largest ones, or the expected ones."""
@@ -441,9 +441,9 @@ class _Points(_Targets):
             yield Checks("points met in order", (least > 0.0) & (least >= gap * (1.0 - 1e-3)), least, "> 0", "deg")
             most = 360.0 if problem.meets_again else 360.0 - gap  # only a repeated point may lie there
             yield Checks("points met within one revolution", whole <= most + 1e-6, whole, f"<= {most:.6g}", "deg")
-        rotation = {"counter-clockwise": 1.0, "clockwise": -1.0}.get(problem.rotation)
-        if rotation is not None:
-            yield Checks(f"crank turns {problem.rotation}", tested.way == rotation, tested.way, f"= {rotation:g}", "")
+        if len(problem.ways) == 1:
+            right = tested.way == problem.ways[0]
+            yield Checks(f"crank turns {problem.rotation}", right, tested.way, f"= {problem.ways[0]:g}", "")
         yield from super().checks()
         if problem.robust is not None:
             yield self.robust_check(self.measured.objective)
@@ -544,7 +544,7 @@ class _Law(_Targets):
     def _shown(self, motion: Motion) -> Array:
         return np.asarray(motion.coordinate(self.name).value) if self.problem.slides else motion.wrapped_angle(self.name)
 
-    def _difference(self, one: Array, other: Array) -> Array:
+    def difference(self, one: Array, other: Array) -> Array:
         """Return the difference of two outputs [rad, of angles within half a turn, or m]."""
         return one - other if self.problem.slides else np.asarray(np.remainder(one - other + np.pi, TURN) - np.pi)
 
@@ -552,11 +552,7 @@ class _Law(_Targets):
         """Return actual minus prescribed output at crank rotations from the start [rad]."""
         with np.errstate(all="ignore"):
             target = np.asarray(self.law.target(at, tabulated, self.start, self.base) + 0.0 * at, dtype=float)
-        return self._difference(actual, target)
-
-    def difference(self, one: Array, other: Array) -> Array:
-        """Return the difference of two outputs."""
-        return self._difference(one, other)
+        return self.difference(actual, target)
 
     def _scattered(self, middle: Array, angles: Array) -> tuple[Array, Array]:
         """Return the mean error with tolerances at crank angles [rad] and its scatter to either side."""
@@ -600,7 +596,7 @@ class _Law(_Targets):
         yield from self._dead_centre()
         factor, unit = DISPLAYED[problem.unit]
         if problem.tied:
-            gap = np.abs(self._difference(self._output(self.start), self.base))[:, 0] * factor
+            gap = np.abs(self.difference(self._output(self.start), self.base))[:, 0] * factor
             near = BASE * problem.whole * factor
             name = f"{problem.base_name} is the {self.name} {'slide' if problem.slides else 'angle'} at {problem.start_name}"
             yield Checks(name, gap <= near, gap, f"<= {near:.0e}", unit)
@@ -659,8 +655,11 @@ class _Position(_Targets):
 
 
 TARGETS: Mapping[str, type[_Targets]] = {
-    **{"path": _Points, "motion": _Points, "function": _Law},
-    **{"position": _Position, "transmission": _Transmission},
+    "path": _Points,
+    "motion": _Points,
+    "function": _Law,
+    "position": _Position,
+    "transmission": _Transmission,
 }
 """What is measured, by the kind of the requirement."""
 

@@ -11,9 +11,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from optlink.linkage.dyad_types import RPR, RRP, RRR, transmitting
+from optlink.linkage.dyads import RPR, RRP, RRR, transmitting
 from optlink.linkage.extrema import POINTS, Function, extremes_of_rows, refined_minima, refined_roots
-from optlink.linkage.inner_four_bar import InnerFourBar, whole_four_bar
+from optlink.linkage.fourbar import InnerFourBar, whole_four_bar
 from optlink.linkage.mechanism import FRAME, Guide, Mechanism
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.stroke import travels
@@ -74,7 +74,26 @@ class _FourBarSurvey:
     samples: Array
 
 
-class FourBarMotion:
+class _Designs:
+    """Designs, each at its crank angles."""
+
+    sizes: Mapping[str, Array]
+    angles: Array
+    count: int
+    positions: int
+
+    def _sizes(self, designs: slice | Index) -> dict[str, Array]:
+        return {name: size[designs] for name, size in self.sizes.items()}
+
+    def _blocks(self) -> Iterator[tuple[slice, Array]]:
+        """Yield designs and their crank angles, so many that their positions fit the processor's cache."""
+        size = max(1, BLOCK // self.positions)
+        for first in range(0, self.count, size):
+            part = slice(first, min(first + size, self.count))
+            yield part, self.angles if self.angles.ndim == 1 else self.angles[part]
+
+
+class FourBarMotion(_Designs):
     """Motion of four-bars over evenly spaced crank angles, (angles,) or (designs, angles) [rad].
 
     `loop`: the prescribed four-bar; `mechanism`: the one that is measured, with the same names of joints. The sizes are arrays
@@ -102,7 +121,7 @@ class FourBarMotion:
         self.period = self.positions - (not closed) if whole else None
 
     def _joints(self, angles: Array, designs: slice | Index) -> _Joints:
-        sizes = {name: size[designs] for name, size in self.sizes.items()}
+        sizes = self._sizes(designs)
         shape = np.broadcast_shapes(angles.shape, next(iter(sizes.values())).shape)
         with np.errstate(all="ignore"):
             pose = self.mechanism.at(sizes, angles)
@@ -112,16 +131,10 @@ class FourBarMotion:
         full = [x if np.shape(x) == shape else np.broadcast_to(x, shape) for vector in vectors for x in vector]
         return _Joints(*zip(full[::2], full[1::2], strict=True))
 
-    def _blocks(self) -> Iterator[tuple[slice, _Joints]]:
-        size = max(1, BLOCK // self.positions)
-        for first in range(0, self.count, size):
-            part = slice(first, min(first + size, self.count))
-            yield part, self._joints(self.angles if self.angles.ndim == 1 else self.angles[part], part)
-
     @cached_property
     def survey(self) -> _FourBarSurvey:
         """Figures of the motion of each design."""
-        blocks = [vars(self._surveyed(part, joints)) for part, joints in self._blocks()]
+        blocks = [vars(self._surveyed(part, self._joints(angles, part))) for part, angles in self._blocks()]
         return _FourBarSurvey(**{name: np.concatenate([block[name] for block in blocks], axis=-1) for name in blocks[0]})
 
     def _surveyed(self, part: slice, joints: _Joints) -> _FourBarSurvey:
@@ -181,7 +194,7 @@ class FourBarMotion:
     def largest_jump(self) -> Array:
         """Longest step of C (designs,) as a multiple of 1.5 steps at its largest speed."""
         survey = self.survey
-        return np.asarray(survey.longest / (SPEEDUP * survey.fastest * np.abs(self.width) + ROUNDING * self.size))
+        return survey.longest / (SPEEDUP * survey.fastest * np.abs(self.width) + ROUNDING * self.size)
 
     @cached_property
     def _cosine_extremes(self) -> tuple[Array, Array]:
@@ -195,7 +208,7 @@ class FourBarMotion:
             designs = which % self.count
             diagonal = self._joints(points, designs).diagonal
             cosine = included_cosine(coupler[designs], rocker[designs], dot(diagonal, diagonal))
-            return np.asarray(signs[which // self.count] * cosine)
+            return signs[which // self.count] * cosine
 
         values, samples = signs * survey.cosine, (signs * survey.samples).reshape(POINTS, -1).T
         some = np.flatnonzero(np.isfinite(values))
@@ -221,8 +234,8 @@ class FourBarMotion:
     def dead_centres(self) -> tuple[Array, Array, Index]:
         """Crank and rocker angles (n,) [rad] at the sign changes of the rocker velocity, and the design (n,) of each."""
         crossings = []
-        for part, joints in self._blocks():
-            rate = joints.rate
+        for part, angles in self._blocks():
+            rate = self._joints(angles, part).rate
             after = np.roll(rate, -1, axis=1)
             row, place = np.nonzero((np.sign(rate) * np.sign(after) <= 0.0) & (rate != 0.0))
             crossings.append((row + part.start, self.angles[place], rate[row, place], after[row, place]))
@@ -261,7 +274,7 @@ class _Survey:
     jump: Array
 
 
-class LinkageMotion:
+class LinkageMotion(_Designs):
     """Motion of linkages over evenly spaced crank angles, (angles,) or (designs, angles) [rad]; see `FourBarMotion`.
 
     `linkage` is the prescribed one, `mechanism` the one that is measured, with the same names of bodies and joints. `point`: a
@@ -288,18 +301,10 @@ class LinkageMotion:
         self.joints = tuple(dict.fromkeys((*(group.joint for group in linkage.groups), point)))
         self.links = tuple(link for link in linkage.links if link.end)
 
-    def _blocks(self) -> Iterator[tuple[slice, dict[str, Array], Array]]:
-        """Yield designs, their sizes and their crank angles, so many that their positions fit the processor's cache."""
-        size = max(1, BLOCK // self.positions)
-        for first in range(0, self.count, size):
-            part = slice(first, min(first + size, self.count))
-            sizes = {name: values[part] for name, values in self.sizes.items()}
-            yield part, sizes, self.angles if self.angles.ndim == 1 else self.angles[part]
-
     @cached_property
     def survey(self) -> _Survey:
         """Figures of the motion of each design."""
-        blocks = [self._surveyed(sweep(self.mechanism, sizes, angles), part) for part, sizes, angles in self._blocks()]
+        blocks = [self._surveyed(sweep(self.mechanism, self._sizes(part), angles), part) for part, angles in self._blocks()]
         return _Survey(*(np.concatenate(figures, axis=-1) for figures in zip(*blocks, strict=True)))
 
     @np.errstate(all="ignore")
@@ -366,7 +371,8 @@ class LinkageMotion:
         """
         parts = [np.zeros((kinds, 0, len(signs)))]
         grid = np.linspace(0.0, 1.0, self.positions + self.closed)
-        for part, sizes, angles in self._blocks() if kinds else ():
+        for part, angles in self._blocks() if kinds else ():
+            sizes = self._sizes(part)
             samples = measure(placed(self.mechanism, sizes, angles))
             samples = np.concatenate([samples, samples[..., :1]], axis=-1) if self.closed else samples
             begin, span = angles[..., :1], self.span[part]

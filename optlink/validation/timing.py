@@ -16,8 +16,8 @@ from optlink.validation.motion import placed
 
 GRID = 720  # crank angles of the coarse search
 REFINED_ANGLES = 25  # crank angles per point and round of the refinement
-ROUNDS = 16
-SHRINK = 6.0
+ROUNDS = 16  # of the refinement: with `SHRINK` to 4e-13 of a step of the coarse search
+SHRINK = 6.0  # ratio of the ranges of two rounds: the next one reaches two of the last one's twelve steps to either side
 FAR = 1e3  # sizes of the curve: distance assigned to a position that does not exist
 
 
@@ -32,9 +32,7 @@ def passing(problem: DesignProblem, design: Mapping[str, float]) -> Array:
         return np.concatenate([passing(part, part.own(design)) for part in problem.parts])
     if problem.data.offsets is not None or not problem.pointed:
         return problem.crank_angles(design, None)
-    rotation = {"counter-clockwise": 1.0, "clockwise": -1.0}.get(problem.rotation)
-    directions = [_one_way(problem, design, way) for way in ((1.0, -1.0) if rotation is None else (rotation,))]
-    angles = min(directions, key=lambda each: each[1])[0]
+    angles = min((_one_way(problem, design, way) for way in problem.ways), key=lambda each: each[1])[0]
     return np.asarray(angles - TURN * np.round(angles[0] / TURN))
 
 
@@ -42,7 +40,7 @@ def _squares(problem: DesignProblem, design: Mapping[str, float], angles: Array)
     """Return the weighted squares of the deviations of every point (points, k) at crank angles (points, k) or (points,)."""
     data, motion = problem.data, placed(problem.linkage, design, np.atleast_2d(angles.T).T)
     squares, far = point_deviations(problem, motion, design, data.columns[:, None])[-1], (FAR * problem.size) ** 2
-    return np.asarray(np.where(np.isfinite(squares), squares, far) * data.roots[:, None] ** 2)
+    return np.where(np.isfinite(squares), squares, far) * data.roots[:, None] ** 2
 
 
 def _one_way(problem: DesignProblem, design: Mapping[str, float], way: float) -> tuple[Array, float]:
@@ -153,4 +151,4 @@ def sagittas(points: Array, *, closed: bool, around: bool) -> Array:
     turning, curvature = (np.fmax(one, np.roll(one, -1)) for one in (turning, curvature))
     half = np.maximum(0.5 * turning, np.arcsin(np.minimum(0.5 * curvature * chord, 1.0)))
     heights = np.where(repeated, 0.0, 0.5 * chord * np.tan(0.5 * half))
-    return np.asarray(heights if closed else heights[:-1])
+    return heights if closed else heights[:-1]

@@ -16,10 +16,9 @@ import pytest
 
 import optlink
 from optlink.clearance.compiled import choice, machine
-from optlink.clearance.compiled.choice import IntegratorKind, chosen
 from optlink.clearance.compiled.integration import CompiledIntegration
 from optlink.clearance.compiled.machine import LITERALS, OPERATIONS, Unsupported, written
-from optlink.clearance.control import ClosedLoop
+from optlink.clearance.control import ClosedLoop, IntegratorKind, chosen
 from optlink.dynamics.forward import Ending
 from optlink.errors import InputError
 from optlink.tasks.clearance import _setting, simulate_clearance

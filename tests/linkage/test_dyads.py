@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings, strategies as st
 
-from optlink.linkage import dyad_types as groups_module
+from optlink.linkage import dyads as groups_module
 from optlink.linkage.assur import Assembly, StructureError
 from optlink.linkage.mechanism import FRAME, BodyPoint, Guide, Link, Mechanism
 from optlink.linkage.motion import Motion, sweep

@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 from hypothesis import assume, example, given, settings, strategies as st
 
-from optlink.linkage import dyad_types as groups_module
-from optlink.linkage.dyad_types import RRR
-from optlink.linkage.dyads import rrr
+from optlink.linkage import dyads as groups_module
+from optlink.linkage.dyads import RRR, rrr
 from optlink.linkage.fourbar import (
     LENGTHS,
     Inversion,

@@ -788,7 +788,7 @@ def test_a_point_outside_its_cones_is_not_proven(monkeypatch):
     monkeypatch.setattr(certificate, "_certified", wrong)
     problem = programme_of(optlink.load("balance-six-bar"))
     cp = problem.cp
-    result = certificate.solved(cp, cp.Problem(cp.Minimize(problem.expression(term("force"))), problem.constraints()))
+    result = certificate.solved(cp.Problem(cp.Minimize(problem.expression(term("force"))), problem.constraints()))
     assert not result.proven
 
 

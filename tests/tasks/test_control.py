@@ -16,8 +16,7 @@ import pytest
 
 import optlink
 from optlink.clearance.columns import default_output
-from optlink.clearance.compiled.choice import installed
-from optlink.clearance.control import DENSE, PID, POINTS, ClosedLoop, Controller, Gains, Inverse, leverage, predicted
+from optlink.clearance.control import DENSE, PID, POINTS, ClosedLoop, Controller, Gains, Inverse, installed, leverage, predicted
 from optlink.clearance.equations import Drive, ReferenceSignal, Servo
 from optlink.dynamics.inverse import reactions
 from optlink.errors import InputError

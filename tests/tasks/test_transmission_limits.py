@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import optlink
-from optlink.linkage.dyad_types import transmitting
+from optlink.linkage.dyads import transmitting
 from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import unit
 from optlink.optimization.programme import build

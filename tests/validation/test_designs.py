@@ -10,10 +10,8 @@ import numpy as np
 import pytest
 
 import optlink
-from optlink.linkage.dyad_types import RRP, RRR
-from optlink.linkage.dyads import rrr
-from optlink.linkage.fourbar import LENGTHS
-from optlink.linkage.inner_four_bar import whole_four_bar
+from optlink.linkage.dyads import RRP, RRR, rrr
+from optlink.linkage.fourbar import LENGTHS, whole_four_bar
 from optlink.linkage.jet import Jet
 from optlink.linkage.mechanism import Link, Mechanism, Pose
 from optlink.linkage.vector2d import Value

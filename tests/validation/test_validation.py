@@ -12,8 +12,7 @@ import pytest
 from hypothesis import assume, given, settings, strategies as st
 
 import optlink
-from optlink.linkage.dyad_types import RRR
-from optlink.linkage.dyads import rrr
+from optlink.linkage.dyads import RRR, rrr
 from optlink.linkage.fourbar import LENGTHS, Inversion, dead_centre, four_bar, grashof, swing, time_ratio
 from optlink.linkage.jet import Jet
 from optlink.linkage.mechanism import Link, Mechanism

@@ -15,7 +15,7 @@ from llvmlite import ir
 from numba import njit, types
 from numba.extending import intrinsic
 
-from optlink.dynamics.runge_kutta import COEFFICIENTS
+from optlink.dynamics.runge_kutta import COEFFICIENTS, EXPONENT, LEAST, MOST, SAFETY, STAGES
 from optlink.linkage.vector2d import Array
 
 # One step of an explicit Runge-Kutta method of order 8, with error estimate and dense output of order 7, compiled by numba.
@@ -38,9 +38,7 @@ from optlink.linkage.vector2d import Array
 # estimate of orders 5 and 3 combined) and II.6 (dense output). The coefficients are those of their code DOP853.
 
 A, C, E5, E3, D = COEFFICIENTS
-STAGES = 12
 POWERS = 7  # of the dense output
-SAFETY, LEAST, MOST = 0.9, 0.2, 10.0  # of the change of the step size
 ABSOLUTE = 1e-3
 """Absolute tolerance as a share of the relative one [SI]."""
 
@@ -173,7 +171,7 @@ def change_of(error):
     """Return the factor of the next step size."""
     if not error < 1e300:
         return 0.1
-    return MOST if error == 0.0 else min(MOST, max(LEAST, SAFETY * error ** (-0.125)))
+    return MOST if error == 0.0 else min(MOST, max(LEAST, SAFETY * error**EXPONENT))
 
 
 @njit(**HELPER)

@@ -35,7 +35,7 @@ from optlink.units import KINDS, read_number, with_article
 if TYPE_CHECKING:
     from optlink.dynamics.counterweights import Counterweight, FreeSpring
 
-MAX_POSITIONS = 100_000
+MAX_POSITIONS = 100_000  # of a revolution
 MEASURES = ("rms", "peak")
 
 # --- terms in words ---------------------------------------------------------------------------------------------------------

@@ -49,8 +49,7 @@ def _read_centroid(raw: object) -> Any:
     return tuple(read_fixed(part, "coordinate") for part in parts)
 
 
-def _read_moment(raw: object) -> Any:
-    return raw if raw == "uniform bar" else read_positive(raw, "moment of inertia")
+_MOMENT = BeforeValidator(lambda raw: raw if raw == "uniform bar" else read_positive(raw, "moment of inertia"))
 
 
 class BodySection(Section):
@@ -60,7 +59,7 @@ class BodySection(Section):
     """Mass of the body."""
     centroid: Annotated[Any, BeforeValidator(_read_centroid)] = None
     """`middle`, a point of the body, or coordinates along and across; default: the middle, or the only joint."""
-    inertia: Annotated[Any, BeforeValidator(_read_moment)] = None
+    inertia: Annotated[Any, _MOMENT] = None
     """Moment of inertia about the centroid, or `uniform bar`; required for a link with a mass."""
 
     def inertia_of(self, body: str, mechanism: Mechanism, sizes: Mapping[str, Value]) -> Inertia:

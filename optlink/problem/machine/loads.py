@@ -343,7 +343,7 @@ class RevolutionSamples:
 
 def _near(angle: Array, reference: float) -> Array:
     """Return angles less whole revolutions: at most half a revolution from a reference, ahead of it in the case of a tie."""
-    return np.asarray(angle - TURN * np.ceil((angle - reference) / TURN - 0.5 - 1e-9))
+    return angle - TURN * np.ceil((angle - reference) / TURN - 0.5 - 1e-9)
 
 
 def _per_design(values: Array) -> Value:

@@ -448,7 +448,7 @@ class Problem(Section):
         """
         if machine.revolutions is not None and machine.revolutions <= MOST_REVOLUTIONS:
             return
-        sizes = {load.name: getattr(load, "magnitude", None) for load in machine.loads}
+        sizes = {load.name: load.magnitude for load in machine.processes}
         revolutions = {name: getattr(size, "revolutions", 1) for name, size in sizes.items()}
         if machine.revolutions is None:
             name = next(name for name, count in revolutions.items() if count is None)

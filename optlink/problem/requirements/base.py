@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Protocol
 
 import numpy as np
 
-from optlink.linkage.inner_four_bar import InnerFourBar
+from optlink.linkage.fourbar import InnerFourBar
 from optlink.linkage.mechanism import Mechanism, Pose
 from optlink.linkage.vector2d import Array, Value, Vector
 from optlink.problem.base_model import Name, Section

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import AliasChoices, BeforeValidator, Field
 
-from optlink.linkage.fourbar import DeadCentre
-from optlink.linkage.inner_four_bar import InnerFourBar, inner_four_bars
+from optlink.linkage.fourbar import DeadCentre, InnerFourBar, inner_four_bars
 from optlink.linkage.mechanism import Pose
 from optlink.linkage.vector2d import TURN, Value, angle, angle_from, unit
 from optlink.problem.base_model import in_folder

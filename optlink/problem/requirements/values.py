@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 import numpy as np
 from pydantic import BeforeValidator, model_validator
 
-from optlink.linkage.dyad_types import RRR, Transmitting, transmitting
+from optlink.linkage.dyads import RRR, Transmitting, transmitting
 from optlink.linkage.mechanism import Pose
 from optlink.linkage.vector2d import TURN, Value, angle_from, dot, minus, unit
 from optlink.problem.limits import Bound

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 from PIL import Image
 
-from optlink.linkage.dyad_types import transmitting
+from optlink.linkage.dyads import transmitting
 from optlink.linkage.vector2d import TURN
 from optlink.optimization.output_derivatives import ErrorResiduals
 from optlink.problem.targets.law import Function

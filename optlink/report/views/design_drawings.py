@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch, Polygon
 from matplotlib.path import Path as Outline
 
-from optlink.linkage.dyad_types import transmitting
+from optlink.linkage.dyads import transmitting
 from optlink.linkage.motion import Motion
 from optlink.linkage.stroke import travels, within_cycle
 from optlink.linkage.vector2d import TURN

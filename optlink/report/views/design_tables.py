@@ -7,7 +7,7 @@ import numpy as np
 
 from optlink.errors import Status
 from optlink.linkage.cognates import Cognate, CouplerLinkage
-from optlink.linkage.dyad_types import transmitting
+from optlink.linkage.dyads import transmitting
 from optlink.linkage.vector2d import TURN, Array
 from optlink.report.format import change, dimension, figure, fixed, number, precise, pretty, si, significant
 from optlink.report.table_spec import Line, Row, Summary, TableSpec, bad, noted, quiet, strong, summary, table

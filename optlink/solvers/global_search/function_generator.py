@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.execution import interrupts
-from optlink.linkage.inner_four_bar import InnerFourBar
+from optlink.linkage.fourbar import InnerFourBar
 from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.design import DesignProblem
 from optlink.problem.targets.law import Function

@@ -29,7 +29,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.linkage.inner_four_bar import InnerFourBar
+from optlink.linkage.fourbar import InnerFourBar
 from optlink.linkage.vector2d import TURN, Array
 from optlink.optimization.taylor_model import TINY, UNIT, UPWARD, TaylorModel, pairs
 from optlink.optimization.terms import transmission_sides

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from optlink.errors import InputError
-from optlink.linkage.dyad_types import transmitting
+from optlink.linkage.dyads import transmitting
 from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.vector2d import TURN, Array, Value, cross, dot, unit
 from optlink.problem.design import DesignProblem

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, PlainSerializer, PlainValidator, WithJsonSchema, computed_field
 
 from optlink.errors import Status
-from optlink.linkage.dyad_types import JointedDyad, ModalDyad
+from optlink.linkage.dyads import JointedDyad, ModalDyad
 from optlink.linkage.mechanism import Arm, Guide, Link, Mechanism
 from optlink.linkage.vector2d import Array
 from optlink.problem.design import DesignProblem

@@ -13,9 +13,8 @@ from dataclasses import dataclass
 from decimal import ROUND_CEILING, ROUND_FLOOR, Context
 from typing import NamedTuple
 
-from optlink.linkage.dyad_types import RRP
-from optlink.linkage.fourbar import LENGTHS
-from optlink.linkage.inner_four_bar import InnerFourBar, inner_four_bars, whole_four_bar
+from optlink.linkage.dyads import RRP
+from optlink.linkage.fourbar import LENGTHS, InnerFourBar, inner_four_bars, whole_four_bar
 from optlink.linkage.mechanism import FRAME, Link, Mechanism
 from optlink.linkage.singular import LEAST_LENGTH_MARGIN, SMALLEST_LENGTH_MARGIN
 from optlink.problem.file import ProblemFile

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from optlink.errors import InputError, Status
 from optlink.io import Summary, finite
 from optlink.linkage.cognates import Cognate, CouplerLinkage, cognates
-from optlink.linkage.dyad_types import transmitting
+from optlink.linkage.dyads import transmitting
 from optlink.linkage.extrema import extremes
 from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.mechanism import Pose
