@@ -1,4 +1,4 @@
-"""Conflicts are explained although the programmes of the search were dropped, and the nearest design lies beyond the bounds in conflict."""
+"""Conflicts are explained although programmes were dropped; the nearest design lies beyond the bounds in conflict."""
 
 import math
 
