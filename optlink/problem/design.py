@@ -305,8 +305,13 @@ class DesignProblem(Problem):
 
     @cached_property
     def lengths(self) -> tuple[str, ...]:
-        """Names of the lengths of the links; of a four-bar, the frame is one."""
+        """Names of the lengths of the links; of a four-bar by its lengths, the frame is one."""
         return tuple(name for name, quantity in self.mechanism.quantities.items() if quantity.kind == "length")
+
+    @property
+    def placed_frame(self) -> InnerFourBar | None:
+        """The four-bar that the linkage is, if coordinates of its pivots state the length of its frame."""
+        return None if self.four_bar is None or self.four_bar.frame_length in self.lengths else self.four_bar
 
     @cached_property
     def scales(self) -> tuple[float | None, ...]:
