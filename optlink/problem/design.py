@@ -168,8 +168,9 @@ class DesignProblem(Problem):
             with part.keyed():
                 _ = part.tolerance, part.worth
                 if part.robust is not None:
-                    message = "tolerances of dimensions count where the deviations of one requirement are all that is minimised"
-                    raise Unusable(message, "Leave robust out", "requirement.robust", str(part.robust))
+                    message = "a robust design minimises the deviations of a single requirement, and nothing else"
+                    remedy = "Leave robust out; `optlink study tolerance FILE` then shows what the tolerances do to the design"
+                    raise Unusable(message, remedy, "requirement.robust", str(part.robust))
         minimised = [part for part in self.parts if part.tolerance is None]
         for part in minimised if len(minimised) + len(self.goals) > 1 else ():
             if part.requirement.weight is None:
