@@ -352,6 +352,11 @@ def split_range(text: str) -> dict[str, str | float] | None:
     return {"min": _side(low, low_unit or high_unit), "max": _side(high, high_unit or low_unit)}
 
 
+def is_sweep(text: str) -> bool:
+    """Return whether a text is a range with a number of values, as `study sweep` has it: "450..550 mm:101"."""
+    return len(text) <= 200 and re.fullmatch(rf"\s*{_SIMPLE}[^.:]*\.\.\.?[^:]*:\s*\d+\s*(log)?\s*[^\s\d:]*", text) is not None
+
+
 def mistyped_range(text: str) -> str | None:
     """Return the range that "40-140 deg", "40 to 140 deg" or "40...140 deg" means, with two dots; None for any other text."""
     text = plain(text[:201]).strip()

@@ -22,7 +22,7 @@ from optlink.linkage.assur import DYADS
 from optlink.problem.design import DesignProblem
 from optlink.problem.file_errors import SECTIONS
 from optlink.problem.limits import LIMITS, Limits
-from optlink.problem.terms import QUANTITIES
+from optlink.problem.terms import QUANTITIES, QuantityType
 from optlink.report.registry import REGISTERED
 from optlink.solvers.contract import SOLVERS
 from optlink.studio import design as studio_design
@@ -253,3 +253,8 @@ def test_an_installed_package_extends_the_command_line(tmp_path, module):
     )
     assert ("trust-constr" in done.stdout) == (module == "tests.extending.back_end")
     assert ("Warning: the extension example" in done.stderr) == (module == "tests.extending.missing")
+
+
+def test_a_quantity_of_an_unknown_physical_kind_is_refused_at_its_registration():
+    with pytest.raises(ValueError, match=r"'charge' of a quantity is unknown\. Add it to KINDS"):
+        QuantityType("charge", ("peak",))

@@ -612,7 +612,8 @@ class _Machine:
         if term.quantity == "length":
             return self.of.values[str(term.of)]
         if term.quantity == "total length":
-            return sum(self.of.values[name] for name in self.of.problem.lengths)
+            total, loop = sum(self.of.values[name] for name in self.of.problem.lengths), self.of.problem.placed_frame
+            return total if loop is None else total + np.abs(loop.frame(self.of.values)[0])
         if term.quantity == "work":
             return self._work(term)
         return self._ratio(term) if term.quantity == "time ratio" else self._stroke(term)

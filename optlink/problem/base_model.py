@@ -14,7 +14,7 @@ from pydantic import (
 
 from optlink.linkage.mechanism import FRAME
 from optlink.problem.quantity import Unusable
-from optlink.units import split_range
+from optlink.units import is_sweep, split_range
 
 NAME = "[A-Za-z][A-Za-z0-9_]{0,39}"
 DEEPEST = 10
@@ -118,6 +118,11 @@ def with_ranges(raw: Any, path: tuple[str, ...] = (), skip: Collection[str] = ()
         Keys that lead to it.
     skip : collection of str
         Sections that are left as they are.
+
+    Raises
+    ------
+    Unusable
+        If a text is a range with a number of values, which only a sweep has.
     """
     if len(path) > DEEPEST or (path and path[0] in skip):
         return raw
@@ -125,6 +130,11 @@ def with_ranges(raw: Any, path: tuple[str, ...] = (), skip: Collection[str] = ()
         return {key: with_ranges(item, (*path, str(key)), skip) for key, item in raw.items()}
     if isinstance(raw, list):
         return raw if isinstance(raw, Ends) else [with_ranges(item, (*path, ""), skip) for item in raw]
+    if isinstance(raw, str) and is_sweep(raw):
+        vary = f'{".".join(path)}="{raw}"'
+        raise Unusable(
+            "one value or a range is needed here", f"To try several: optlink study sweep FILE --vary {vary}", ".".join(path), raw
+        )
     sides = split_range(raw) if isinstance(raw, str) else None
     if sides is None:
         return raw

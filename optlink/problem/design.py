@@ -168,8 +168,9 @@ class DesignProblem(Problem):
             with part.keyed():
                 _ = part.tolerance, part.worth
                 if part.robust is not None:
-                    message = "tolerances of dimensions count where the deviations of one requirement are all that is minimised"
-                    raise Unusable(message, "Leave robust out", "requirement.robust", str(part.robust))
+                    message = "a robust design minimises the deviations of a single requirement, and nothing else"
+                    remedy = "Leave robust out; `optlink study tolerance FILE` then shows what the tolerances do to the design"
+                    raise Unusable(message, remedy, "requirement.robust", str(part.robust))
         minimised = [part for part in self.parts if part.tolerance is None]
         for part in minimised if len(minimised) + len(self.goals) > 1 else ():
             if part.requirement.weight is None:
@@ -305,8 +306,13 @@ class DesignProblem(Problem):
 
     @cached_property
     def lengths(self) -> tuple[str, ...]:
-        """Names of the lengths of the links; of a four-bar, the frame is one."""
+        """Names of the lengths of the links; of a four-bar by its lengths, the frame is one."""
         return tuple(name for name, quantity in self.mechanism.quantities.items() if quantity.kind == "length")
+
+    @property
+    def placed_frame(self) -> InnerFourBar | None:
+        """The four-bar that the linkage is, if coordinates of its pivots state the length of its frame."""
+        return None if self.four_bar is None or self.four_bar.frame_length in self.lengths else self.four_bar
 
     @cached_property
     def scales(self) -> tuple[float | None, ...]:

@@ -17,7 +17,7 @@ from pydantic import BaseModel
 
 from optlink.problem.machine.model import Problem
 from optlink.problem.quantity import Unusable
-from optlink.problem.targets.target_points import enclosed, file_kind, read_file, split_enclosed
+from optlink.problem.targets.target_points import decoded, enclosed, read_file, split_enclosed
 from optlink.problem.tolerances import read_tolerance
 
 
@@ -53,29 +53,17 @@ def enclosing(raw: Mapping[str, Any], folder: Path, known: Mapping[str, str]) ->
         elif not content:
             try:
                 content = _text(read_file({suffix or "csv": name}, suffix or "csv", folder)[1])
-            except (Unusable, UnicodeDecodeError):
+            except (Unusable, ValueError):
                 continue
         contents[name], table[key] = content, enclosed(name, content)
     return tables, contents
 
 
 def _text(data: bytes) -> str:
-    """Return the text of a file; of one that is not UTF-8, with UTF-8 as the encoding that it declares.
-
-    Raises
-    ------
-    UnicodeDecodeError
-        If it is no text.
-    """
-    wide = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
-    if not wide and (file_kind(data) or b"\0" in data):
-        raise UnicodeDecodeError("utf-8", data[:1], 0, 1, "no text")
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        declared = re.match(rb"""\s*<\?xml[^>]*encoding=["']([\w.-]+)""", data)
-        text = data.decode("utf-16" if wide else _known(declared[1].decode()) if declared else "latin-1", errors="replace")
-        return re.sub(r"""(<\?xml[^>]*encoding=)["'][^"']*["']""", r'\1"UTF-8"', text, count=1)
+    """Return the text of a file, with UTF-8 as the encoding that it declares; see `decoded`."""
+    declared = re.match(rb"""\s*<\?xml[^>]*encoding=["']([\w.-]+)""", data)
+    text = decoded(data, _known(declared[1].decode()) if declared else "latin-1")
+    return re.sub(r"""(<\?xml[^>]*encoding=)["'][^"']*["']""", r'\1"UTF-8"', text, count=1)
 
 
 def _known(encoding: str) -> str:

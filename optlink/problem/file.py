@@ -511,7 +511,9 @@ def _assign(raw: dict[str, Any], key: str, value: object, file: str) -> None:
     if key.partition(".")[0] in SPELLED:
         key = written(".".join(SPELLINGS.get(step, step) for step in key.split(".")), raw)
     key = "balance.objective" if key == "balance.minimise" else key
-    key, value = _whole(raw, key, with_ranges(value, tuple(key.split(".")), WORDS), file)
+    with input_of(file):
+        value = with_ranges(value, tuple(key.split(".")), WORDS)
+    key, value = _whole(raw, key, value, file)
     section, _, name = key.partition(".")
     if section == "tolerances" and name and isinstance(raw.setdefault(section, {}), dict):
         with_tolerance(raw[section], name, value)

@@ -103,7 +103,7 @@ class QuantityType:
     Parameters
     ----------
     kind : str
-        Physical kind; empty for a plain number.
+        Physical kind, one of `KINDS` of `optlink.units`; empty for a plain number.
     measures : tuple of str
         Measures that reduce it to one value, the default first; empty for a quantity with a single value.
     of : str
@@ -122,6 +122,11 @@ class QuantityType:
         Whether `of` may be left out: the signal then has one component per element, and the worst of all counts.
     at : str
         Preposition before the element, for display.
+
+    Raises
+    ------
+    ValueError
+        If the physical kind is unknown.
     """
 
     kind: str
@@ -134,6 +139,11 @@ class QuantityType:
     vector: bool = False
     general: bool = False
     at: str = "of"
+
+    def __post_init__(self) -> None:
+        if self.kind and self.kind not in KINDS:
+            add = f"Add it to KINDS of optlink.units first, or choose one of: {', '.join(KINDS)}"
+            raise ValueError(f"the physical kind {self.kind!r} of a quantity is unknown. {add}")
 
     @property
     def cyclic(self) -> bool:

@@ -487,7 +487,8 @@ class SearchRounds:
             if outcome is None:
                 continue
             found = outcome.x if isinstance(outcome, Explanation) else outcome
-            x = nlp.x_of({v.name: v.value(float(y)) for v, y in zip(kept.variables, found, strict=True)})
+            values = {v.name: v.value(float(y)) for v, y in zip(kept.variables, found, strict=True)}
+            x = nlp.x_of(values, bounded=not isinstance(outcome, Explanation))  # a conflict may be about bounds: beyond them
             if isinstance(outcome, Explanation):
                 reason = outcome
                 self.collection.take(validated_design(self.files[k], multistart.infeasible_at(nlp, x, NEAREST)))

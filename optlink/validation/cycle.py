@@ -92,7 +92,11 @@ class Cycle:
 
     def _figure(self, term: Term) -> float:
         if term.quantity == "total length":
-            return math.fsum(self.design[name] for name in self.problem.lengths)
+            lengths, loop = [self.design[name] for name in self.problem.lengths], self.problem.placed_frame
+            if loop is not None:
+                pivots = (self.machine.moving([0.0]).position(pin) for pin in (self.mechanism.crank.start, loop.ground_pin))
+                lengths.append(math.dist(*([float(part) for part in pivot] for pivot in pivots)))
+            return math.fsum(lengths)
         if term.quantity == "length":
             return self.design[str(term.of)]
         if not self.full:

@@ -1,4 +1,6 @@
-"""Conflicts are explained although the programmes of the search were dropped meanwhile."""
+"""Conflicts are explained although programmes were dropped; the nearest design lies beyond the bounds in conflict."""
+
+import math
 
 import optlink
 from optlink.tasks import search
@@ -11,3 +13,17 @@ def test_an_infeasible_machine_is_explained_after_its_programmes_were_dropped(mo
     result = optlink.solve(machine.with_tables(raw), starts=1)
     assert not result.valid
     assert result.conflict
+
+
+def test_the_nearest_design_is_one_that_can_be_assembled_beyond_the_bounds():
+    """Crank 10 mm and frame 100 mm: coupler and rocker of 50 mm each do not reach, 55 mm each do."""
+    link = {"bounds": ["20 mm", "50 mm"]}
+    mechanism = {"type": "four-bar", "crank": "10 mm", "frame": "100 mm", "coupler": link, "rocker": link, "assembly": "left"}
+    requirement = {"kind": "function", "law": "psi0 + 0.3*(phi - phi0)", "from": "196 deg", "span": "134 deg", "points": 9}
+    result = optlink.solve(optlink.read({"mechanism": mechanism, "requirement": requirement}), starts=2)
+    assert not result.valid
+    assert {limit.name for limit in result.conflict} >= {"coupler", "rocker"}
+    assert result.nearest is not None
+    values = result.nearest.values
+    assert math.isfinite(result.objective)
+    assert values["coupler"] + values["rocker"] >= values["crank"] + values["frame"]

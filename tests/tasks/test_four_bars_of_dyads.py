@@ -252,3 +252,22 @@ def test_a_law_of_a_four_bar_with_a_frame_of_any_direction_is_searched_as_before
     assert coupler.spec.task == "path"
     assert file.spec.task == "function"
     assert np.isfinite(file.spec.frame_bounds).all()
+
+
+@pytest.mark.parametrize("angle", [0.0, 30.0, 180.0])
+def test_the_total_length_counts_the_frame_however_the_four_bar_is_written(angle: float) -> None:
+    objective: dict[str, Any] = {
+        "objective": {"quantity": "total length"},
+        "requirement.tolerance": "2.5 deg",
+        "requirement.measure": "max",
+        "requirement.points": 12,
+    }
+    section = optlink.load("crank-rocker", {**objective, "mechanism.frame": "500 mm"})
+    other = as_dyads(section)
+    x, y = 500.0 * math.cos(math.radians(angle)), 500.0 * math.sin(math.radians(angle))
+    other = other.override({"mechanism.ground.D": [f"{x!r} mm", f"{y!r} mm"]})
+    one, two = (optlink.solve(file, starts=1) for file in (section, other))
+    assert one.valid
+    assert two.valid, two.validation.failures
+    assert two.objective == pytest.approx(one.objective, rel=1e-6)
+    assert one.objective == pytest.approx(sum(one.design[name] for name in LENGTHS), rel=1e-9)

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 
 MAX_POSITIONS = 100_000  # of a revolution
 MEASURES = ("rms", "peak")
+MINIMISED = "[balance] makes forces and torques small: it maximises nothing"
 
 # --- terms in words ---------------------------------------------------------------------------------------------------------
 
@@ -62,7 +63,7 @@ def term_keys(text: str, guides: Collection[str]) -> dict[str, Any]:
     if keys is None:
         raise Unusable("not a term", remedy, "", text)
     if keys.pop("sense", "minimise") != "minimise":
-        raise Unusable("only minimisation is a convex problem", remedy, "", text)
+        raise Unusable(MINIMISED, remedy, "", text)
     if keys["quantity"] == "reaction" and keys.get("of") in guides:
         keys["quantity"] = "guide force"
     return keys if "measure" in keys or not QUANTITIES[keys["quantity"]].cyclic else {**keys, "measure": "rms"}
@@ -114,13 +115,14 @@ def check_convex(term: Term, machine: Machine) -> None:
     """
     if not term.nature.affine:
         known = ", ".join(name for name, quantity in QUANTITIES.items() if quantity.affine)
-        message = f"{with_article(term.quantity)} is not a convex function of the counterweights"
+        message = f"{with_article(term.quantity)} cannot be balanced: counterweights and springs reduce forces and torques"
         raise Unusable(message, f"Choose one of: {known}", "quantity", term.quantity)
     check_name(term.how, MEASURES, f"the {term.how} value is not supported in [balance]", "measure")
     check_term(term, machine.mechanism, {})
     if machine.friction and term.nature.forces:
         remedy = "Remove the friction of the guides, or choose the shaking force or moment"
-        raise Unusable("with friction it is no convex function of the counterweights", remedy, "quantity", term.quantity)
+        message = f"{with_article(term.quantity)} cannot be balanced in a machine with friction"
+        raise Unusable(message, remedy, "quantity", term.quantity)
 
 
 class BalanceLimit(Limit):
@@ -137,7 +139,7 @@ class BalanceLimit(Limit):
             )
         for key in ("min", "exactly"):
             if (value := getattr(self, key)) is not None:
-                raise Unusable("a magnitude is limited from above only: otherwise it is not convex", "Write max", key, value)
+                raise Unusable("[balance] limits forces and torques from above only", "Write max", key, value)
         self.bound(1.0)
         return self
 
@@ -172,7 +174,7 @@ class BalanceGoal(NamedTuple):
 
 _MASS = where(
     lambda mass: min(mass.bounds[1], mass.low or 0.0) >= 0.0,
-    "a counterweight cannot have negative mass: removing material from a body is not a convex problem",
+    "a counterweight cannot have negative mass: [balance] removes no material from a body",
     "Give zero or more, and remove material in [bodies]",
 )
 
@@ -263,7 +265,7 @@ class CounterweightSection(Section):
         if thickness is None:
             assert self.radius is not None
             if self.radius.low is None or self.radius.low != self.radius.high:
-                message = "radius and thickness are both free: the moment of inertia is then no convex function of the mass"
+                message = "radius and thickness of a counterweight cannot both be free"
                 raise Unusable(
                     message, 'Give one radius, or a thickness and density, or kind = "free"', "radius", str(self.radius)
                 )
@@ -437,7 +439,7 @@ class BalanceSection(Section):
             with below(f"objective.terms.{k}" if self.objective.terms else "objective"):
                 check_convex(goal, machine)
                 if goal.sense == "maximise":
-                    raise Unusable("only minimisation is a convex problem", "Leave it out", "sense", goal.sense)
+                    raise Unusable(MINIMISED, "Leave it out", "sense", goal.sense)
                 read_scale(goal, goal.nature.kind)
         for name, limit in self.limits.items():
             with below(f"limits.{name}"):

@@ -1,5 +1,7 @@
 """Target points of a path or poses of a body, and functions shared by their readers."""
 
+import codecs
+import contextlib
 import csv
 import io
 import itertools
@@ -164,6 +166,29 @@ def read_file(raw: Mapping[str, Any], key: str, folder: Path) -> tuple[str, byte
     return shortened(name), data
 
 
+SHIFTED = re.compile("[\0\ufffd" + "\r\n123456789".encode("utf-16-be").decode("utf-16-le") + "]")
+"""What UTF-16 contains where a byte is lost: line ends and digits whose two bytes are exchanged, and what is no character."""
+
+
+def decoded(data: bytes, encoding: str = "latin-1") -> str:
+    """Return the text of a file: UTF-8, UTF-16 with its byte order mark, else in an 8-bit encoding.
+
+    Raises
+    ------
+    ValueError
+        If it is no text; the message says what it is.
+    """
+    wide = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    if not wide and ((kind := file_kind(data)) or b"\0" in data):
+        raise ValueError(kind or "UTF-16 without its mark, or no text")
+    with contextlib.suppress(UnicodeDecodeError):
+        return data.decode("utf-8-sig")
+    text = data.decode("utf-16" if wide else encoding, errors="replace")
+    if wide and (len(data) % 2 or SHIFTED.search(text)):
+        raise ValueError("damaged UTF-16, or UTF-32")
+    return text
+
+
 def pairs(points: Array) -> tuple[tuple[float, float], ...]:
     """Return points (n, 2) as plain numbers."""
     return tuple((x, y) for x, y in points.tolist())
@@ -243,7 +268,10 @@ def read_csv(raw: Mapping[str, Any], folder: Path, most: int) -> CsvTable:
         If the file cannot be read or is not text; on reading its rows, if there are too many or one has more cells than titles.
     """
     name, data = read_file(raw, "csv", folder)
-    text = _text(data, name)
+    try:
+        text = decoded(data)
+    except ValueError as error:
+        raise Unusable(f"{name} is not a CSV text file: it is {error}", SAVE, "csv", name) from None
     separator_line = re.match(r"sep=([;,\t])[;,\t\s]*?\r?\n", text, re.IGNORECASE)  # Excel's own first line
     text = text[separator_line.end() :] if separator_line else text
     text = COMMENTS.sub("", text)
@@ -258,18 +286,6 @@ def read_csv(raw: Mapping[str, Any], folder: Path, most: int) -> CsvTable:
         remedy = "Separate its columns by commas, semicolons or tabs"
         raise Unusable(f"{name} has a single column", remedy, "csv", shortened(titles[0]))
     return CsvTable(name, titles, _checked(rows, name, len(titles), most))
-
-
-def _text(data: bytes, name: str) -> str:
-    wide = data.startswith((b"\xff\xfe", b"\xfe\xff"))
-    if not wide and ((kind := file_kind(data)) or b"\0" in data):
-        raise Unusable(f"{name} is not a CSV text file: it is {kind or 'UTF-16 without its mark, or no text'}", SAVE, "csv", name)
-    try:
-        return data.decode("utf-16" if wide else "utf-8-sig")
-    except UnicodeDecodeError:
-        if wide:
-            raise Unusable(f"{name} is not a CSV text file: it is damaged UTF-16", SAVE, "csv", name) from None
-        return data.decode("latin-1")
 
 
 def _filled(reader: Iterator[list[str]], name: str, first: int) -> Iterator[tuple[int, list[str]]]:

@@ -1,6 +1,7 @@
 """The sentence that states which limits exclude each other, and what is possible instead.
 
-Values that are possible are rounded away from the limit value, so that a limit with the printed value is feasible.
+Values that are called possible are rounded away from the limit value, so that a limit with the printed value is feasible; what
+is reached is rounded to the nearest.
 """
 
 from __future__ import annotations
@@ -92,9 +93,10 @@ class OpposedLimit:
     @property
     def possible(self) -> str:
         """Value with which the other limits can be met; of a condition the difference by which it is missed."""
-        values = (
-            [float(f"{self.sides[0].amount:.{DIGITS}g}")] if self.condition else [outward(side, DIGITS) for side in self.sides]
-        )
+        return self._about(lambda side: outward(side, DIGITS))
+
+    def _about(self, rounding: Callable[[Relaxation], float]) -> str:
+        values = [nearest(self.sides[0].amount, DIGITS)] if self.condition else [rounding(side) for side in self.sides]
         return f"{'about ' * self.sides[0].approximate}{self._words(values)}"
 
     @property
@@ -102,7 +104,7 @@ class OpposedLimit:
         """What is possible if the other limits hold."""
         if self.condition:
             return f"the condition {self.name} is missed by {self.possible}"
-        return self._phrases[1].replace("{}", self.possible)
+        return self._phrases[1].replace("{}", self._about(reached))
 
     @property
     def instead(self) -> str:
@@ -173,6 +175,17 @@ def outward(side: Relaxation, digits: int) -> float:
         return 0.0
     up = side.relaxed > side.bound
     return rounded(side.relaxed + (MARGIN if up else -MARGIN) * abs(side.relaxed), digits, up)
+
+
+def reached(side: Relaxation) -> float:
+    """Round a relaxed value to the nearest, with as many digits as tell it from its limit value."""
+    values = (nearest(side.relaxed, digits) for digits in range(DIGITS, 7))
+    return next((value for value in values if value != side.bound), outward(side, 6))
+
+
+def nearest(value: float, digits: int) -> float:
+    """Round a value to significant digits."""
+    return float(f"{value:.{digits}g}")
 
 
 def rounded(value: float, digits: int, up: bool) -> float:
