@@ -26,7 +26,7 @@ from optlink.problem.targets.expression import FUNCTIONS
 from optlink.problem.templates import templates
 from optlink.report.registry import json_schema
 from tests.crank_rocker_oracle import best_of_ratio, shortest_pair
-from tests.solved import once
+from tests.solved import once, shared_searches
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
@@ -50,7 +50,8 @@ def hook(name: str) -> ModuleType:
 def answer(name: str) -> Any:
     """The answer to a template as its recipe shows it."""
     recipes = hook("recipes")  # loaded before what is stored of it is read
-    return once(f"recipe {name}", lambda: recipes.answer(name))
+    with shared_searches():
+        return once(f"recipe {name}", lambda: recipes.answer(name))
 
 
 DRAWN = {DOCS / hook("sketches").FOLDER / f"{name}.svg" for name in hook("sketches").SKETCHES}
