@@ -4,18 +4,24 @@ from __future__ import annotations
 
 import contextlib
 import pickle
+import re
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import optlink
 from optlink.errors import InputError
 from optlink.io import locked
+from optlink.problem.file import ProblemFile
+from optlink.tasks.design import SynthesisTask
+from optlink.tasks.protocol import Search
 from optlink.tasks.results.balance import Balance
 
-Solution = optlink.SynthesisResult | optlink.SynthesisResult | optlink.CycleResult | Balance
+Solution = optlink.SynthesisResult | optlink.CycleResult | Balance
 FOLDER: list[Path] = []
 """Folder of this run that all its processes share; none if it has one process. Set by `conftest.py`."""
 
@@ -78,7 +84,38 @@ def folder_once(name: str, alone: Path, fill: Callable[[Path], None]) -> Path:
     return once(name, filled)
 
 
+@contextlib.contextmanager
+def shared_searches(changed: int | None = None) -> Iterator[None]:
+    """Search a problem with the same options once per test run, with its iterates, and a changed one once in this context.
+
+    Parameters
+    ----------
+    changed : int, optional
+        Starts of a changed problem for which none are given.
+    """
+    whole, found = SynthesisTask.search, dict[str, Any]()
+
+    def search(task: SynthesisTask, problem: ProblemFile, asked: Search) -> Any:
+        if asked.begin is not None:
+            return whole(task, problem, asked)
+        if problem.overrides:
+            asked = replace(asked, starts=asked.starts or changed)
+        key = f"search {problem.file} {problem.hash} {asked.backend} {asked.starts} {asked.seed} {asked.designs}"
+        if key not in found:
+            make = lambda: whole(task, problem, replace(asked, track=True))  # noqa: E731
+            found[key] = make() if problem.overrides else once(re.sub(r"\W+", "-", key), make)
+        return found[key]
+
+    with mock.patch.object(SynthesisTask, "search", search):
+        yield
+
+
 @cache
 def solution(name: str) -> Solution:
     """Return the solution of a shipped problem with default options."""
-    return once(f"solution of {name}", lambda: optlink.solve(optlink.load(name)))
+
+    def solved() -> Solution:
+        with shared_searches():
+            return optlink.solve(optlink.load(name))
+
+    return once(f"solution of {name}", solved)

@@ -26,7 +26,7 @@ from optlink.problem.templates import template, templates
 from optlink.report.registry import json_schema
 from tests.clearance.test_joint_clearance import ending_after
 from tests.crank_rocker_oracle import best_of_ratio, shortest_pair
-from tests.solved import once, solution
+from tests.solved import once, shared_searches, solution
 from tests.validation.test_clearance import simulate
 
 ROOT = Path(__file__).parent.parent
@@ -39,7 +39,8 @@ NAV = (ROOT / "mkdocs.yml").read_text(encoding="utf-8").partition("\nnav:\n")[2]
 @cache
 def answer(name: str) -> Any:
     """The answer to a template as its recipe shows it."""
-    return once(f"recipe {name}", lambda: recipes.answer(name))
+    with shared_searches():
+        return once(f"recipe {name}", lambda: recipes.answer(name))
 
 
 def named(path: Path) -> str:

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 import optlink
+from tests.conftest import FIRST
 
 ROOT = Path(__file__).parent.parent
 
@@ -72,6 +73,12 @@ def test_installed_wheel_works_in_a_clean_environment(unpacked, tmp_path):
     assert json.loads(done.stdout)["valid"] is True
     place = subprocess.run([python, "-c", "import optlink; print(optlink.__file__)"], check=False, **options).stdout.strip()
     assert Path(place).is_relative_to(site)
+
+
+def test_what_begins_a_run_exists():
+    """A name that no test has any longer would leave a long one to the end, when the other cores have no more work."""
+    text = "".join(path.name + path.read_text(encoding="utf-8") for path in ROOT.glob("tests/**/test_*.py"))
+    assert [name for name in FIRST if name not in text] == []
 
 
 def test_repository_speaks_of_the_project_alone():

@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Callable, Iterator
-from dataclasses import replace
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +19,8 @@ from optlink.cli.app import app
 from optlink.problem.file import ProblemFile
 from optlink.problem.templates import template, templates
 from optlink.report.views.search_tables import LINES
-from optlink.tasks.design import SynthesisTask
-from optlink.tasks.protocol import DesignTask, Search
 from optlink.tasks.run import design_task
+from tests.solved import shared_searches
 
 SHIPPED = [("problem", name) for name in optlink.shipped()] + [("template", name) for name in templates()]
 FEW = ("--starts", "3")
@@ -63,23 +61,10 @@ class Session:
 
 
 @pytest.fixture
-def cheap(monkeypatch):
-    """Search a problem with the same options once for all commands, and a changed one from few starts."""
-    found = dict[tuple[Any, ...], Any]()
-
-    def cheaper(whole: Callable[..., Any]) -> Callable[..., Any]:
-        def search(task: DesignTask[Any], problem: ProblemFile, asked: Search) -> Any:
-            if problem.overrides:
-                asked = replace(asked, starts=asked.starts or 3)
-            if asked.begin is not None:
-                return whole(task, problem, asked)
-            if (key := (problem.hash, asked.names, asked.starts, asked.seed, asked.designs)) not in found:
-                found[key] = whole(task, problem, replace(asked, track=True))
-            return found[key]
-
-        return search
-
-    monkeypatch.setattr(SynthesisTask, "search", cheaper(SynthesisTask.search))
+def cheap() -> Iterator[None]:
+    """Search a problem with the same options once for all commands and tests, and a changed one from few starts."""
+    with shared_searches(changed=3):
+        yield
 
 
 def design_of(folder: str) -> dict[str, float]:

@@ -15,6 +15,7 @@ import optlink
 from optlink.cli.app import app
 from optlink.linkage.motion import sweep
 from optlink.problem.templates import NEXT, template, templates
+from tests.solved import shared_searches
 from tests.test_docs import answer
 
 NAMES = sorted(templates())
@@ -75,7 +76,8 @@ def test_next_command_gives_a_valid_result(name, tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_foot_of_the_walker_is_level_between_the_points():
-    result = optlink.solve(optlink.read(tomllib.loads(template("walker").text), "walker"))
+    with shared_searches():
+        result = optlink.solve(optlink.read(template("walker").text, "walker", "walker.toml"))
     design, points = result.best, result.definite.raw["requirement"]["points"]
     stance = [row["y"] == points[0]["y"] for row in points].index(False) - 1
     first, last = design.crank_angles[[0, stance]]

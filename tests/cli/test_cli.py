@@ -66,15 +66,6 @@ def test_solve_json_has_the_documented_keys():
 
 
 @pytest.mark.slow
-def test_solve_prints_tables():
-    done = process("solve", "crank-rocker")
-    assert done.returncode == 0
-    for words in ("412.865", "232.246", "0.00759237", "largest transmission angle", "per deg", "checks passed", "optimal, valid"):
-        assert words in done.stdout
-    assert "FAIL" not in done.stdout
-
-
-@pytest.mark.slow
 def test_infeasible_problems_exit_with_1_and_list_the_conflict():
     changes = ("--set", 'limits.transmission_angle=["80 deg", "100 deg"]')
     for backend in ("slsqp", "ipopt"):
@@ -123,13 +114,6 @@ def test_out_writes_everything_and_can_be_validated_again(tmp_path):
     again = run("validate", "crank-rocker", "--design", str(out / "result.json"), "--json")
     assert again.exit_code == 0
     assert json.loads(again.stdout)["design"] == pytest.approx(json.loads(done.stdout)["design"], rel=1e-12)
-
-
-@pytest.mark.slow
-def test_infeasible_with_out_still_writes_the_result(tmp_path):
-    done = run("solve", "crank-rocker", "--set", "mechanism.crank=950 mm", "--out", str(tmp_path))
-    assert done.exit_code == 1
-    assert json.loads((tmp_path / "result.json").read_text())["status"] == "infeasible"
 
 
 LINUX = pytest.mark.skipif(not Path("/proc").exists(), reason="a folder of Linux that nobody can write to")

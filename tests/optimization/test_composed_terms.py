@@ -57,6 +57,7 @@ def test_derivatives_are_those_of_differences(speed: str) -> None:
     np.testing.assert_allclose(point.gradient, expected[-1], rtol=1e-6, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_derivatives_with_corners_of_a_load_are_those_of_designs() -> None:
     """With the crank angles at which the slider passes the rows of the table, at which a derivative by itself has no value."""
     nlp, h = programme(table=True), 1e-4

@@ -1,11 +1,8 @@
-"""Problem files: what is wrong is named with file, key, value and remedy; a fuzz of 5,000 mutated files never gets past that."""
+"""Problem files: what is wrong is named with file, key, value and remedy; spellings of keys and values that mean the same."""
 
 from __future__ import annotations
 
-import copy
 import math
-import random
-import string
 
 import numpy as np
 import pytest
@@ -24,17 +21,6 @@ def test_a_missing_suffix_is_suggested(tmp_path, monkeypatch, name, remedy):
     (tmp_path / "mine.toml").write_text("", encoding="utf-8")
     with pytest.raises(InputError, match=f"no such problem. Did you mean {remedy}"):
         load(name)
-
-
-def test_missing_file_and_folder_and_name(tmp_path):
-    with pytest.raises(InputError, match="no such file"):
-        load(tmp_path / "nothing.toml")
-    with pytest.raises(InputError, match="folder"):
-        load(tmp_path)
-    with pytest.raises(InputError, match='Did you mean "crank-rocker"'):
-        load("crank-roker")
-    with pytest.raises(InputError, match="cannot read"):
-        load("a\0b.toml")
 
 
 def test_table_from_csv(crank_rocker, tmp_path):
@@ -98,94 +84,6 @@ def test_values_that_are_nested_deep_are_refused(nest, crank_rocker, tmp_path):
         with pytest.raises(InputError, match=r"mechanism.*: nested more than 50 deep") as error:
             refused()
         assert len(str(error.value)) < 200
-
-
-JUNK = [
-    *(None, True, -1, 0, 1e308, -0.0, math.nan, math.inf, 10**30, "", " ", "mm", "1 mm", "-5 mm", "1e-300 m", "1e300 km"),
-    *("5 deg", "90 rpm", "\0", "phi", "__import__('os')", "((", "9" * 400, "9" * 400 + " mm", "5 mm mm", "5 m*m/m", "5 /mm"),
-    *("5 m**-1", "5 °", "5 m^9999", "٣ mm", "outer dead centre", "span", "max", [], {}, [[]], ["1 mm"], ["1 mm", "2 mm"]),
-    *(["2 deg", "1 deg"], [1, 2], {"start": "1 mm"}, {"bounds": []}, {"bounds": ["1 mm", "2 mm"], "start": "3 mm"}),
-    *("1..2 mm", "1 deg .. 2 deg", "<= 3", ">= 1 mm", "1,5 mm", "1-2 mm", "..", "1..", "5 Nm", "1..2..3", "2..1 m"),
-    *({"min": 1}, {"csv": ".."}, {"csv": "/dev/null"}, {"phi": ["0 deg"], "psi": [0]}),
-]
-
-
-def _mutate(tree: dict, rng: random.Random) -> None:
-    """One random change somewhere in nested tables and lists."""
-    node, key = tree, rng.choice(list(tree) or [""])
-    while isinstance(node.get(key), dict) and node[key] and rng.random() < 0.8:
-        node, key = node[key], rng.choice(list(node[key]))
-    action = rng.random()
-    if action < 0.55:
-        node[key] = copy.deepcopy(rng.choice(JUNK))
-    elif action < 0.7:
-        node.pop(key, None)
-    elif action < 0.8:
-        node["".join(rng.choices(string.printable, k=rng.randint(0, 12)))] = copy.deepcopy(rng.choice(JUNK))
-    elif isinstance(node.get(key), str) and node[key]:
-        text = list(node[key])
-        for _ in range(rng.randint(1, 4)):
-            text[rng.randrange(len(text))] = rng.choice(string.printable)
-        node[key] = "".join(text)
-    elif isinstance(node.get(key), list) and node[key]:
-        node[key][rng.randrange(len(node[key]))] = copy.deepcopy(rng.choice(JUNK))
-
-
-@pytest.mark.slow
-def test_five_thousand_mutated_problems_never_break_the_loader(crank_rocker):
-    """Every mutated problem either loads (and is usable) or is refused with faults; no other exception, ever."""
-    rng = random.Random(7)
-    loaded = refused = 0
-    table = {"phi": ["0 deg", "30 deg", "90 deg"], "psi": ["0 deg", "3 deg", "30 deg"], "measured_from": "start"}
-    for k in range(5000):
-        raw = copy.deepcopy(dict(crank_rocker.raw))
-        if k % 3 == 0:
-            raw["requirement"] = {
-                "law": dict(table),
-                "from": {"start": "40 deg", "bounds": ["0 deg", "90 deg"]},
-                "psi0": "100 deg",
-            }
-            raw["limits"] |= {"swing_angle": ["30 deg", "60 deg"], "time_ratio": {"max": 1.5}, "link_ratio": [0.1, 5]}
-        for _ in range(rng.randint(1, 3)):
-            _mutate(raw, rng)
-        try:
-            problem = read(raw)
-        except InputError as error:
-            refused += 1
-            assert error.faults
-            assert all(fault.remedy and fault.message for fault in error.faults)
-            continue
-        loaded += 1
-        assert all(math.isfinite(bound) for q in problem.model.quantities.values() for bound in (q.value, *q.bounds))
-        if "requirement" in raw:
-            assert len(problem.spec.law.offsets) >= 1
-            assert np.all(np.isfinite(problem.spec.law.tabulated))
-    assert loaded > 200
-    assert refused > 2000
-
-
-@pytest.mark.slow
-def test_mutated_bytes_never_break_the_loader(crank_rocker, tmp_path):
-    """The same for the text of the file: 1,000 files with random bytes changed, cut or doubled."""
-    original = (optlink.shipped()["crank-rocker"]).read_bytes()
-    rng = random.Random(11)
-    path = tmp_path / "mutated.toml"
-    for _ in range(1000):
-        data = bytearray(original)
-        for _ in range(rng.randint(1, 5)):
-            at = rng.randrange(len(data))
-            choice = rng.random()
-            if choice < 0.5:
-                data[at] = rng.randrange(256)
-            elif choice < 0.75:
-                del data[at : at + rng.randint(1, 40)]
-            else:
-                data[at:at] = data[at : at + rng.randint(1, 40)]
-        path.write_bytes(bytes(data))
-        try:
-            load(path)
-        except InputError as error:
-            assert "mutated.toml" in str(error)
 
 
 # --- spellings ------------------------------------------------------------------------------------------------------------------

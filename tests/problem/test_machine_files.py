@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import copy
 import json
 import math
-import random
 import re
-import string
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -17,7 +14,6 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-import optlink
 from optlink.cli.app import app
 from optlink.dynamics.columns import MotionColumns
 from optlink.errors import InputError
@@ -26,9 +22,6 @@ from optlink.tasks.analyze import analyze
 from optlink.tasks.machine import machine_of
 
 ROOT = Path(__file__).parents[2]
-
-
-N12 = ["1 N", "2 N"]
 
 
 # --- what only the motion shows -----------------------------------------------------------------------------------------
@@ -47,18 +40,6 @@ def test_start_that_cannot_be_assembled_lists_what_can_be_reached():
     assert high - 360.0 == pytest.approx(edge, abs=1e-3)
     assert low == pytest.approx(360.0 - edge, abs=1e-3)
     assert not analyze(problem.override({"drive.start": "0 deg"})).full
-
-
-def test_dimensions_that_never_assemble():
-    with pytest.raises(InputError, match="No crank angle can be reached: change the dimensions") as caught:
-        analyze(load("six-bar", {"mechanism.links.link2.length": "0.1 m"}))
-    assert "six-bar.toml: drive.start" in str(caught.value)
-
-
-@pytest.mark.parametrize("speed", ["1e9 rad/s", "1e-12 rad/s"])
-def test_absurd_speeds(speed):
-    with pytest.raises(InputError, match="out of range"):
-        analyze(load("six-bar", {"drive.speed": speed}))
 
 
 @pytest.mark.parametrize(
@@ -194,98 +175,3 @@ def test_the_reference_page_lists_all_keys():
 
 
 # --- fuzz ---------------------------------------------------------------------------------------------------------------------
-
-JUNK: list[Any] = [
-    *(None, True, -1, 0, 1e308, -0.0, math.nan, math.inf, 10**30, "", " ", "mm", "1 mm", "-5 mm", "1e-300 m", "1e300 km"),
-    *("5 deg", "90 rpm", "\0", "phi", "crank", "frame", "A", "B", "C", "E", "slider", "left of B-D", "forward", "backward"),
-    *("1 kg", "1e-200 kg", "5 N", "-5 kN", "3 N*m", "500 N/m", "20 N*s/m", "1 s", "slow", "opposing", "uniform bar", "middle"),
-    *("((", "9" * 400, "9" * 400 + " mm", [], {}, [[]], ["A"], ["A", "B"], ["B", "C"], ["E"], ["1 mm", "2 mm"], ["0 mm", "0 mm"]),
-    *({"mass": "1 kg"}, {"joints": ["B", "C"], "length": "1 m"}, {"joints": ["E"]}, {"slider": "slider", "through": "D"}),
-    *({"on": "slider", "force": "5 N"}, {"on": "slider", "damping": "5 N*s/m"}, {"between": ["A", "C"], "stiffness": "5 N/m"}),
-    *({"on": "link2", "torsional_stiffness": "5 N*m/rad"}, {"bounds": ["1 mm", "2 mm"]}, {"csv": ".."}),
-    {"start": "1 m", "bounds": ["0.1 m", "2 m"]},
-    *({"over": "s", "at": ["0 m", "1 m"], "values": N12}, {"over": "phi", "at": ["0 deg", "100 deg"], "values": N12}),
-    *({"over": "omega", "csv": "/dev/null"}, {"expression": "1/(s-0.5)", "unit": "N"}, {"expression": "log(phi)", "unit": "N*m"}),
-]
-
-
-def mutate(tree: dict[str, Any], rng: random.Random) -> None:
-    """One random change somewhere in nested tables and lists."""
-    node, key = tree, rng.choice(list(tree) or [""])
-    while isinstance(node.get(key), dict) and node[key] and rng.random() < 0.85:
-        node, key = node[key], rng.choice(list(node[key]))
-    action = rng.random()
-    if action < 0.55:
-        node[key] = copy.deepcopy(rng.choice(JUNK))
-    elif action < 0.65:
-        node.pop(key, None)
-    elif action < 0.75:
-        node["".join(rng.choices(string.printable, k=rng.randint(0, 12)))] = copy.deepcopy(rng.choice(JUNK))
-    elif action < 0.8:
-        node[rng.choice(list(node) or ["x"])] = copy.deepcopy(node.get(key))
-    elif isinstance(node.get(key), str) and node[key]:
-        text = list(node[key])
-        for _ in range(rng.randint(1, 4)):
-            text[rng.randrange(len(text))] = rng.choice(string.printable)
-        node[key] = "".join(text)
-    elif isinstance(node.get(key), list) and node[key]:
-        node[key][rng.randrange(len(node[key]))] = copy.deepcopy(rng.choice(JUNK))
-
-
-@pytest.mark.slow
-def test_fifteen_hundred_mutated_machines_never_break_the_loader():
-    """Every mutated machine either loads, and moves, or is refused with faults; no other exception (or warning), ever."""
-    rng = random.Random(23)
-    bases = [dict(load(name).raw) for name in ("six-bar", "shaper", "toggle-press")]
-    loaded = refused = analysed = 0
-    for k in range(1500):
-        raw = copy.deepcopy(bases[k % 3])
-        for _ in range(rng.randint(1, 3)):
-            mutate(raw, rng)
-        try:
-            problem = read(raw)
-        except InputError as error:
-            refused += 1
-            assert error.faults
-            assert all(fault.remedy and fault.message for fault in error.faults)
-            continue
-        loaded += 1
-        assert all(math.isfinite(q.value) for q in problem.model.quantities.values())
-        drive = problem.model.drive
-        MotionColumns(machine_of(problem).moving(np.linspace(drive.start.value, drive.start.value + 6.0, 7), drive.speed.value))
-        if loaded % 15 == 0:
-            try:
-                analysis = analyze(problem, points=12)
-            except InputError as error:
-                assert {fault.key for fault in error.faults} <= {"drive.start", "speed"}
-                continue
-            analysed += 1
-            json.dumps(analysis.to_dict(), allow_nan=False)
-    assert loaded > 150
-    assert refused > 750
-    assert analysed > 7
-
-
-def test_mutated_bytes_never_break_the_loader(tmp_path):
-    """The same for the text of the files: 600 with random bytes changed, cut or doubled."""
-    rng = random.Random(29)
-    originals = [optlink.shipped()[name].read_bytes() for name in ("six-bar", "shaper", "toggle-press")]
-    path = tmp_path / "mutated.toml"
-    loaded = 0
-    for k in range(600):
-        data = bytearray(originals[k % 3])
-        for _ in range(rng.randint(1, 5)):
-            at, choice = rng.randrange(len(data)), rng.random()
-            if choice < 0.5:
-                data[at] = rng.randrange(256)
-            elif choice < 0.75:
-                del data[at : at + rng.randint(1, 40)]
-            else:
-                data[at:at] = data[at : at + rng.randint(1, 40)]
-        path.write_bytes(bytes(data))
-        try:
-            load(path)
-            loaded += 1
-        except InputError as error:
-            assert "mutated.toml" in str(error)
-    assert loaded > 30

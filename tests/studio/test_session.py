@@ -389,7 +389,7 @@ def test_the_title_of_a_document_is_no_path() -> None:
     ("name", "handle", "value"),
     [
         ("stroke-crank-rocker", "mechanism.frame", 500.0),
-        ("stroke-crank-rocker", "mechanism.frame", 2.0),
+        pytest.param("stroke-crank-rocker", "mechanism.frame", 2.0, marks=pytest.mark.slow),
         pytest.param("crank-rocker", "mechanism.crank", 480.0, marks=pytest.mark.slow),
         pytest.param("crank-rocker", "limits.transmission_angle.min", 88.0, marks=pytest.mark.slow),
     ],

@@ -16,7 +16,6 @@ from optlink.tasks.design import solve, validate
 from optlink.tasks.results.design import SynthesisResult
 from optlink.validation import validate as validate_design
 from optlink.validation.cycle import Cycle
-from tests.cli.test_cli import run
 from tests.solved import once
 from tests.tasks.test_fit import drag_link, torque
 
@@ -217,24 +216,6 @@ def test_result_is_json_and_the_design_a_machine(tmp_path):
     assert peak(optlink.analyze(machine), "input.torque_Nm") == pytest.approx(
         peak(shaper().best.analysis, "input.torque_Nm"), rel=1e-12
     )
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("arguments", "code", "words"),
-    [
-        (["--backend", "slsqp", "--starts", "1"], 0, '"valid": true'),
-        (["--starts", "0"], 2, "starts"),
-        (["--set", 'limits.guide.max="5 kg"'], 2, "limits.guide.max"),
-        (["--set", 'limits.time_ratio.of="rokcer"'], 2, "rocker"),
-        (["--set", 'limits.guide.max="200 N"', "--starts", "1", "--backend", "slsqp"], 1, '"together": [\n'),
-    ],
-)
-def test_command_line(arguments, code, words):
-    done = run("solve", "shaper-design", "--json", *arguments)
-    assert done.exit_code == code, done.stderr[-2000:]
-    assert words in done.stdout
-    assert isinstance(done.exception, SystemExit | None)
 
 
 @pytest.mark.slow

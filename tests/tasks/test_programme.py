@@ -199,12 +199,6 @@ def test_what_has_no_single_programme_is_refused(name: str) -> None:
         assert part in str(error.value)
 
 
-def test_a_problem_without_design_variables_is_refused() -> None:
-    problem = optlink.load("crank-rocker").override({"mechanism.coupler": "412 mm", "mechanism.rocker": "232 mm"})
-    with pytest.raises(InputError, match="no design variables"):
-        optlink.build(problem)
-
-
 def test_a_machine_that_never_turns_is_refused() -> None:
     bounds = {"mechanism.links.rod.length": {"bounds": ["20 mm", "30 mm"]}}
     problem = optlink.load("stroke-slider-crank").override(bounds)

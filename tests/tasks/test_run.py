@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import json
-import math
-
 import pytest
 
 import optlink
 from optlink.errors import InputError, Status
-from tests.cli.test_cli import run
 from tests.solved import solution
 
 QUESTIONS = {name: optlink.load(name) for name in optlink.shipped()}
@@ -21,20 +17,6 @@ def test_every_kind_of_problem_is_shipped() -> None:
     assert {problem.task for problem in QUESTIONS.values()} == {"function", "path", "cycle", "balance", "analysis"}
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", SOLVED)
-def test_every_shipped_design_problem_is_solved(name: str) -> None:
-    result = solution(name)
-    assert result.valid
-    assert result.status in (Status.OPTIMAL, Status.FEASIBLE)
-    assert result.status == result.to_dict()["status"]
-    assert "optimal" in result.message or "optimum" in result.message
-    assert result.design
-    assert math.isfinite(result.objective)
-    assert result.to_dict()["problem"] == name
-    assert result.problem.hash == SOLVED[name].hash or result.problem.task == "function"  # of one assembly mode
-
-
 MEMBERS = {name for name in vars(optlink.DesignResult) if not name.startswith("_")}
 
 
@@ -44,21 +26,6 @@ def test_the_results_of_all_kinds_have_the_same_members(name: str) -> None:
     assert {"valid", "limits", "with_checks"} <= MEMBERS <= set(dir(result))
     assert len(result.limits) > 3
     assert result.limits == result.solution.limits
-
-
-@pytest.mark.parametrize("name", sorted(set(QUESTIONS) - set(SOLVED)))
-def test_a_machine_without_a_requirement_names_the_commands_that_fit(name: str) -> None:
-    with pytest.raises(InputError, match=r"nothing to solve.*optlink analyze"):
-        optlink.solve(QUESTIONS[name])
-
-
-@pytest.mark.slow
-def test_a_solved_design_validates() -> None:
-    for name in ("crank-rocker", "path-arc5", "shaper-design"):
-        result = solution(name)
-        assert optlink.validate(SOLVED[name], result.design).valid
-        other = optlink.validate(SOLVED[name], {key: value * 1.05 for key, value in result.design.items()})
-        assert not other.valid or other.objective > 1.01 * result.objective
 
 
 def test_balancing_is_solved_and_has_no_starting_points() -> None:
@@ -124,12 +91,6 @@ def test_a_machine_refuses_unknown_names_of_a_design(use) -> None:
         use(QUESTIONS["six-bar"], design={"crank": 0.1})
 
 
-@pytest.mark.parametrize("name", ["balance-four-bar", "shaper-design"])
-def test_several_designs_are_those_of_targets(name: str) -> None:
-    with pytest.raises(InputError, match="several designs"):
-        optlink.solve(SOLVED[name], designs=2)
-
-
 @pytest.mark.slow
 def test_progress_is_a_share_that_rises_to_one() -> None:
     for name, options in {
@@ -141,16 +102,6 @@ def test_progress_is_a_share_that_rises_to_one() -> None:
         optlink.solve(SOLVED[name], progress=seen.append, **options)
         assert seen == sorted(seen), name
         assert 0.0 < seen[0] <= seen[-1] == pytest.approx(1.0), name
-
-
-@pytest.mark.slow
-def test_the_command_solves_a_balancing_problem(tmp_path) -> None:
-    done = run("solve", "balance-four-bar", "--json", "--out", str(tmp_path / "out"))
-    assert done.exit_code == 0
-    document = json.loads(done.stdout)
-    assert document["valid"]
-    assert document["schema"].startswith("optlink/balance/")
-    assert (tmp_path / "out" / "result.json").exists()
 
 
 @pytest.mark.slow
