@@ -34,7 +34,7 @@ def cores() -> int:
 
 
 def check(engine: str, workers: int | None, scheduler: str | None) -> None:
-    """Check the execution options; see `run`.
+    """Check the execution options; see `pool`.
 
     Raises
     ------
@@ -52,27 +52,6 @@ def check(engine: str, workers: int | None, scheduler: str | None) -> None:
         except ImportError:
             remedy = 'Install it: pip install "optlink[dask]", or use --engine local'
             raise InputError("Dask is not installed", remedy, key="--engine", value="dask") from None
-
-
-def run(
-    task: ChunkTask, todo: Iterable[int], engine: str = "local", workers: int | None = None, scheduler: str | None = None
-) -> Iterator[tuple[int, ChunkResult]]:
-    """Run chunks of one task, neighbouring ones in one process, and yield each result with its number on completion.
-
-    Raises
-    ------
-    InputError
-        For an unknown engine, an invalid number of workers, a scheduler that does not answer; and as raised by the task.
-    SolverError
-        If a chunk breaks down.
-    """
-    check(engine, workers, scheduler)
-
-    def answers() -> Iterator[tuple[int, ChunkResult]]:
-        with pool(engine, workers, scheduler) as runs:
-            yield from runs(task, apart(list(todo), workers or cores()))
-
-    return answers()
 
 
 @contextlib.contextmanager

@@ -17,11 +17,11 @@ import tempfile
 import weakref
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Protocol, Self
 
 from optlink.errors import InputError
-from optlink.execution.runner import run
-from optlink.execution.worker import ChunkTask
+from optlink.execution.runner import apart, cores, pool
+from optlink.execution.worker import ChunkTask, Runs
 from optlink.io import LOCK, check_link, check_sum, folder, locked, read_object, whole
 
 STORE, JOURNAL, TABLE = "study.sqlite", "study.sqlite-journal", "sweep.csv"
@@ -36,6 +36,14 @@ ABOUT, TABLE_SUM, SUM = "definition", "table", "crc32"  # names of documents, an
 Rows = Iterator[list[str]]
 Progress = Callable[[int, int], None]
 """(done, all)"""
+
+
+class StudyTask(Protocol):
+    """The task of a study."""
+
+    def prepared(self, todo: list[int], runs: Runs) -> tuple[ChunkTask, float]:
+        """Return the task of some chunks with what they share, and the processor time for that [s]."""
+        ...
 
 
 class TemporaryFolder:
@@ -202,9 +210,14 @@ class Store:
         return text if text is not None and text.count("\n") == self.sizes(index) else None
 
     def fill(
-        self, task: ChunkTask, engine: str, workers: int | None, scheduler: str | None, progress: Progress | None
+        self,
+        task: StudyTask,
+        engine: str,
+        workers: int | None,
+        scheduler: str | None,
+        progress: Progress | None,
     ) -> tuple[int, float]:
-        """Run the missing chunks, see `optlink.execution.runner.run`.
+        """Run the missing chunks, see `optlink.execution.runner.pool`, neighbouring ones in one process.
 
         Return the rows completed by this call, and their processor time over all processes [s].
         """
@@ -212,12 +225,16 @@ class Store:
         before, mine, cpu = total - sum(map(self.sizes, todo)), 0, 0.0
         if progress is not None:
             progress(before, total)
+        if not todo:
+            return mine, cpu
         try:
-            for index, answer in run(task, todo, engine, workers, scheduler) if todo else ():
-                self.write(index, answer.value)
-                mine, cpu = mine + self.sizes(index), cpu + answer.cpu
-                if progress is not None:
-                    progress(before + mine, total)
+            with pool(engine, workers, scheduler) as runs:
+                chunks, cpu = task.prepared(todo, runs)
+                for index, answer in runs(chunks, apart(todo, workers or cores())):
+                    self.write(index, answer.value)
+                    mine, cpu = mine + self.sizes(index), cpu + answer.cpu
+                    if progress is not None:
+                        progress(before + mine, total)
         except InputError:
             if not self._has_entries:
                 self.withdraw()

@@ -33,7 +33,7 @@ ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_
 class ChunkTask(Protocol):
     """Maps the number of a chunk to its result; picklable, as is the result, and depends on its own state only."""
 
-    def __call__(self, index: int) -> Any:
+    def __call__(self, index: int, /) -> Any:
         """Return the result of a chunk."""
         ...
 

@@ -17,7 +17,7 @@ import copy
 import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any
 
@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.errors import InputError, Status
+from optlink.execution.worker import Runs
 from optlink.linkage.vector2d import Array
 from optlink.optimization.courses import course_again
 from optlink.optimization.nlp import ACTIVE, NLP, BatchNLP
@@ -54,6 +55,8 @@ from optlink.validation import validate, validate_batch
 Index = NDArray[np.intp]
 CHUNK, DESIGN_CHUNK = 100, 25  # points per chunk, of the programme of a law at fixed positions and of others
 FOLLOWED_CHUNK = 8  # points per chunk, and per block, if every point has its own programme
+DESIGN_CHUNKS = 8  # least number of chunks of larger grids than that, which several processes share
+MOST_AHEAD = 16  # searches whose results each process gets
 FOLLOWED_RATIO = 1.5  # of the best objective of a search, up to which its other designs are followed too
 FEWEST_BLOCKS = 1.5  # approximate least number of blocks, each with a search of the problem: two for three points
 LARGEST_CHUNK, CHUNKS = 10_000, 10  # points of the chunks of a large grid, and the least number of chunks
@@ -92,13 +95,17 @@ class FoundOptimum:
 
 @dataclass(frozen=True)
 class ReoptimiseTask(SweepTask):
-    """Optimum at every point; `starts`: starting points of each search; `anchors`: designs [SI] from which it begins too."""
+    """Optimum at every point; `starts`: starting points of each search; `anchors`: designs [SI] from which it begins too.
+
+    `found`: results of searches by their points.
+    """
 
     mode = OPTIMISE
 
     backend: str
     starts: int = 1
     anchors: tuple[tuple[tuple[str, float], ...], ...] = ()
+    found: tuple[tuple[int, SynthesisResult], ...] = field(default=(), compare=False)
 
     @property
     def options(self) -> dict[str, Any]:
@@ -190,6 +197,20 @@ class ReoptimiseTask(SweepTask):
         coarse = coarse_block(self.grid.count)
         return searches(None, searches(coarse) if coarse > MAX_BLOCK_POINTS else None)
 
+    def prepared(self, todo: list[int], runs: Runs) -> tuple[ReoptimiseTask, float]:
+        """Return the task with the searches in the middles of few blocks, each made once, not in every process."""
+        search = None if self.shared else self.grid_search
+        if search is None or search.coarse is not None:
+            return self, 0.0
+        homes = search.blocks.of(np.concatenate([self.span(index) for index in todo])).tolist()
+        around = {block for home in homes for block in (home, *search.blocks.neighbours(home))}
+        if len(around) > MOST_AHEAD:
+            return self, 0.0
+        points = [search.blocks.middle(block) for block in sorted(around)]
+        answers = list(runs(self.searched, points))
+        found = tuple((point, answer.value) for point, answer in answers)
+        return replace(self, found=found), sum(answer.cpu for _, answer in answers)
+
     def lines(self, index: int) -> list[list[str]]:
         """Return the rows of a chunk."""
         rows: dict[int, list[str]] = {}
@@ -226,20 +247,29 @@ class ReoptimiseTask(SweepTask):
             ends = [self._beside(design, point) for design in self._branches(search.blocks.middle(block))]
             if valid := [end for end in ends if end is not None and end.valid]:
                 return self._design_row(point, valid, FOLLOWED)
-        return self.result_row(point, self._found(point), SEARCHED)
+        return self.result_row(point, self.searched(point), SEARCHED)
 
-    def _found(self, point: int) -> SynthesisResult:
-        """Return the result of a search of a point, from the anchors if there are any; it is kept."""
+    def searched(self, point: int) -> SynthesisResult:
+        """Return the result of a search of a point, from the anchors if there are any; it is kept.
+
+        That of a machine is repeated once from its design if the peak exchange did not converge.
+        """
         if point not in self._results:
             file = self.problem.override(self.grid.changes(point))
             near = (near_design(file, dict(sizes), self.backend) for sizes in self.anchors)
-            result = min(near, key=lambda result: (not result.valid, result.objective), default=None)
-            keep(self._results, point, result if result is not None and result.valid else searched(file, self.backend), FILES)
+            result: Any = min(near, key=lambda result: (not result.valid, result.objective), default=None)
+            if result is None or not result.valid:
+                result = completed(solve(file, self.backend))
+                if file.task == "cycle" and not result.valid and result.status is Status.OPTIMAL:
+                    again = near_design(file, result.design, self.backend)
+                    result = again if again.valid else result
+                result = result.oriented
+            keep(self._results, point, result, FILES)
         return self._results[point]
 
     def _branches(self, point: int) -> list[LinkageDesign]:
         """Return the designs of a search that are followed, best first."""
-        designs = [design for design in self._found(point).designs if design.solution is not None]
+        designs = [design for design in self.searched(point).designs if design.solution is not None]
         room = (FOLLOWED_RATIO - 1.0) * abs(designs[0].objective) if designs else 0.0
         return [design for design in designs if design.objective <= designs[0].objective + room]
 
@@ -287,7 +317,7 @@ class ReoptimiseTask(SweepTask):
 
     @cached_property
     def _results(self) -> dict[int, SynthesisResult]:
-        return {}
+        return dict(self.found)
 
     @cached_property
     def _targets(self) -> dict[str, TargetProgramme]:
@@ -397,7 +427,7 @@ class ReoptimiseTask(SweepTask):
                 solution, how = end, SEARCHED
         scaled = 1.0 / MAX_SIZE_RATIO <= task.size / programme.size <= MAX_SIZE_RATIO
         doubtful = self.starts > 1 or not scaled or solution.status is not Status.INFEASIBLE
-        if solution.status is not Status.OPTIMAL and doubtful and (anew := self._found(point)).valid:
+        if solution.status is not Status.OPTIMAL and doubtful and (anew := self.searched(point)).valid:
             return self.result_row(point, anew, SEARCHED)
         failed = validate(task, task.design(solution.design), objective=solution.objective).failed
         valid = solution.status is Status.OPTIMAL and not failed
@@ -474,16 +504,8 @@ def optimum_task(
 ) -> ReoptimiseTask:
     """Return the task that optimises a problem at every point of a grid."""
     task = ReoptimiseTask(problem, grid, chunk, backend, anchors=tuple(tuple(sizes.items()) for sizes in anchors))
-    return task if task.shared else replace(task, chunk=DESIGN_CHUNK if task.parametric else FOLLOWED_CHUNK)
-
-
-def searched(file: ProblemFile, backend: str) -> SynthesisResult:
-    """Return the result of a search of one problem, of a machine repeated once from it if the peak exchange did not converge."""
-    result: SynthesisResult = completed(solve(file, backend))  # type: ignore[assignment]
-    if file.task == "cycle" and not result.valid and result.status is Status.OPTIMAL:
-        repeated = near_design(file, result.design, backend)
-        result = repeated if repeated.valid else result
-    return result.oriented
+    most = DESIGN_CHUNK if task.parametric else FOLLOWED_CHUNK
+    return task if task.shared else replace(task, chunk=min(most, -(-grid.count // DESIGN_CHUNKS)))
 
 
 def near_design(file: ProblemFile, design: Mapping[str, float], backend: str) -> SynthesisResult:

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import PlainSerializer, PlainValidator, WithJsonSchema
 
 from optlink.errors import InputError, Status
-from optlink.execution.runner import run
+from optlink.execution.runner import check
 from optlink.execution.store import TABLE, Progress, Store, TemporaryFolder
 from optlink.problem.arguments import typed
 from optlink.problem.document import Document, Source
@@ -287,7 +287,7 @@ def sweep(
     backend : "slsqp" or "ipopt"
         Local solver.
     engine, workers, scheduler
-        See `optlink.execution.runner.run`.
+        See `optlink.execution.runner.pool`.
     progress : function of (completed points, all points), optional
 
     Returns
@@ -318,7 +318,7 @@ def sweep(
     else:
         task = _reoptimising(problem, grid, design, backend)
     evaluated = task.mode != OPTIMISE
-    run(task, (), engine, workers, scheduler)  # raises if the options are invalid
+    check(engine, workers, scheduler)
     with Store(None if out is None else Path(str(out)), _about(task), resume=resume) as store:
         store.divide(task.size, task.chunks)
         mine, cpu = store.fill(task, engine, workers, scheduler, progress)

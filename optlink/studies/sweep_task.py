@@ -19,6 +19,7 @@ from optlink.dynamics.columns import MotionColumns, pin_columns
 from optlink.dynamics.forward import Ending
 from optlink.dynamics.machine import Machine, slider_names
 from optlink.errors import InputError
+from optlink.execution.worker import Runs
 from optlink.linkage.singular import positions_text
 from optlink.linkage.stroke import Ranges, failure, reachable
 from optlink.linkage.vector2d import TURN, Array
@@ -89,7 +90,7 @@ class SweepTask(ABC):
     @cached_property
     def mark(self) -> str:
         """Key that distinguishes tasks."""
-        text = repr([type(self).__name__, *(getattr(self, item.name) for item in fields(self))])
+        text = repr([type(self).__name__, *(getattr(self, item.name) for item in fields(self) if item.compare)])
         return hashlib.sha256(text.encode()).hexdigest()
 
     @property
@@ -105,6 +106,10 @@ class SweepTask(ABC):
     @abstractmethod
     def lines(self, index: int) -> list[list[str]]:
         """Return the rows of a chunk."""
+
+    def prepared(self, todo: list[int], runs: Runs) -> tuple["SweepTask", float]:
+        """Return the task with what some chunks share, and the processor time for that [s]; see `Store.fill`."""
+        return self, 0.0
 
     def row(self, point: int, figures: Iterable[float], *outcome: str) -> list[str]:
         """Return a row: the values of the axes in their own digits, the figures, and the outcome."""

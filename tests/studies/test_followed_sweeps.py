@@ -8,6 +8,7 @@ from dataclasses import replace
 import pytest
 
 import optlink
+from optlink.execution.runner import pool
 from optlink.studies import target_programme
 from optlink.studies.continuation import FOLLOWED
 from optlink.studies.grid import read_grid
@@ -59,6 +60,21 @@ def test_followed_rows_do_not_depend_on_workers():
     assert all(rows == one for rows in others)
 
 
+def test_few_points_are_shared_by_processes_and_each_search_is_made_once():
+    """Two blocks of six points: two searches in all, before eight chunks or fewer, and the same rows as without them."""
+    problem = optlink.load("crank-rocker", {"requirement.measure": "max"})
+    task = optimum_task(problem, read_grid(problem, ["limits.transmission_angle.max=125..140 deg:12"]), "ipopt", 100)
+    assert [task.size(index) for index in range(task.chunks)] == [2] * 6
+    with pool(workers=2) as runs:
+        shared, cpu = task.prepared([0, 5], runs)
+    assert [point for point, _ in sorted(shared.found)] == [2, 8]
+    assert cpu > 0.0
+    rows = [row for index in range(6) for row in task.lines(index)]
+    with pytest.MonkeyPatch.context() as refused:
+        refused.setattr("optlink.studies.reoptimise_task.solve", lambda *_: pytest.fail("a point is searched again"))
+        assert [row for index in range(6) for row in shared.lines(index)] == rows
+
+
 def test_a_point_without_a_neighbour_is_searched():
     """Short couplers have no transmission angle within the limits: these rows say so, and the design beside them is searched."""
     problem = optlink.load("crank-rocker", {"requirement.measure": "max", "mechanism.coupler": {"bounds": ["100 mm", "900 mm"]}})
@@ -85,7 +101,7 @@ def test_optima_of_a_batch_are_those_of_the_exchange(name, changes, vary, monkey
     The latter end at a largest error that is level within their tolerance.
     """
     problem = optlink.load(name, changes)
-    task = optimum_task(problem, read_grid(problem, [vary]), "ipopt", 12)
+    task = replace(optimum_task(problem, read_grid(problem, [vary]), "ipopt", 12), chunk=12)
     with monkeypatch.context() as refused:
         refused.setattr(target_programme.TargetProgramme, "optimum", lambda *_, **__: pytest.fail("a point is not in the batch"))
         rows = task.lines(0)
@@ -105,7 +121,7 @@ def test_optima_of_a_batch_are_those_of_the_exchange(name, changes, vary, monkey
 def test_rows_do_not_depend_on_the_batch(name, changes, vary):
     """One point at a time, five, and all at once, in any order of the chunks: the same text."""
     problem = optlink.load(name, changes)
-    whole = optimum_task(problem, read_grid(problem, [vary]), "ipopt", 12)
+    whole = replace(optimum_task(problem, read_grid(problem, [vary]), "ipopt", 12), chunk=12)
     rows = whole.lines(0)
     parts = replace(whole, chunk=5)
     assert [row for rows in [parts.lines(index) for index in (2, 1, 0)][::-1] for row in rows] == rows
