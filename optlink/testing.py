@@ -12,7 +12,6 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from optlink.dynamics.machine import Load
 from optlink.errors import InputError
 from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.document import Document
@@ -35,7 +34,9 @@ def _compared(what: str, one: Array, other: Array, tolerance: float, scale: floa
     error = float(np.nanmax(gaps, initial=0.0)) / size if size else 0.0
     if error > tolerance:
         at = np.unravel_index(int(np.nanargmax(gaps)), gaps.shape)
-        raise Disagreement(f"{what}: {one[at]:.9g}, by the other route {other[at]:.9g} (difference {error:.2g}, {tolerance:g} allowed)")
+        raise Disagreement(
+            f"{what}: {one[at]:.9g}, by the other route {other[at]:.9g} (difference {error:.2g}, {tolerance:g} allowed)"
+        )
     return error
 
 
@@ -81,12 +82,12 @@ def check_motion(problem: AnyProblem, design: Mapping[str, float] | None = None,
 
 
 def check_forces(problem: AnyProblem, design: Mapping[str, float] | None = None, tolerance: float = 1e-6) -> float:
-    """Compare the driving torque, which follows from all joint reactions, with the slope of the energy: of a dyad or a spring.
+    """Compare the driving torque, which follows from all joint reactions, with the slope of the energy: of a dyad.
 
     Parameters
     ----------
     problem : ProblemFile, str or Path
-        A machine with masses, without friction and loads other than springs.
+        A machine with masses, without friction and loads.
     design : mapping of str to float [SI], optional
         Values of design variables. Default: their starting values.
     tolerance : float
@@ -95,15 +96,14 @@ def check_forces(problem: AnyProblem, design: Mapping[str, float] | None = None,
     ------
     Disagreement
     InputError
-        If the machine has no masses, or friction or loads without an energy.
+        If the machine has no masses, or has friction or loads.
     """
     from optlink.tasks.analyze import analyze
     from optlink.tasks.machine import machine_of
 
     problem = problem_of(problem)
     machine = machine_of(problem, design)
-    sprung = all(type(load).potential is not Load.potential for load in machine.loads)
-    if machine.friction or not machine.inertias or not sprung:
+    if machine.friction or machine.loads or not machine.inertias:
         raise InputError("energies are compared for machines with masses, without friction and loads", "Give such a machine")
     cycle = analyze(problem, design=design)
     angles = np.radians(cycle["crank_angle_deg"])
