@@ -7,6 +7,7 @@
 """
 
 from optlink.namespace import namespace
+from optlink.version import VERSION as __version__
 
 _MOVED = dict.fromkeys(("four_bar", "grashof", "sweep"), "optlink.linkage") | dict.fromkeys(
     (

@@ -49,7 +49,12 @@ ACCEPTED = {
     sweep: {"problem": LAW, "vary": ["mechanism.frame=480..520 mm:2"]},
     tolerance: {"problem": LAW, "tolerances": ["coupler=0.1 mm"], "design": DESIGN},
     pareto: {"problem": LAW, "objectives": "error, limits.transmission_angle.max"},
-    optlink.studies.output_sensitivity: {"mechanism": optlink.four_bar(), "sizes": SIZES, "crank_angles": [0.1], "output": "rocker"},
+    optlink.studies.output_sensitivity: {
+        "mechanism": optlink.four_bar(),
+        "sizes": SIZES,
+        "crank_angles": [0.1],
+        "output": "rocker",
+    },
     optlink.synthesis.starts: {"problem": optlink.load("path-arc5")},
     optlink.motion: {"problem": MACHINE, "crank_angle": [0.1, 0.2]},
     optlink.report: {"source": MACHINE, "file": "page.html"},

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import graphlib
-import importlib
 import re
 import subprocess
 import sys

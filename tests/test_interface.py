@@ -59,7 +59,9 @@ def test_a_stub_without_a_module_is_a_namespace_below(tmp_path: Path) -> None:
     assert (names, get("turn")) == (["e", "pi", "turn"], 2 * np.pi)
 
 
-@pytest.mark.parametrize("given", ["slider-crank", ROOT / "problems" / "slider-crank.toml", str(ROOT / "problems" / "slider-crank.toml")])
+@pytest.mark.parametrize(
+    "given", ["slider-crank", ROOT / "problems" / "slider-crank.toml", str(ROOT / "problems" / "slider-crank.toml")]
+)
 def test_a_problem_is_given_by_name_path_or_object(given: str | Path) -> None:
     expected = optlink.analyze(optlink.load("slider-crank"), points=12)["input.torque_Nm"]
     np.testing.assert_array_equal(optlink.analyze(given, points=12)["input.torque_Nm"], expected)
@@ -144,7 +146,9 @@ def test_report_and_export_take_results_and_problems(tmp_path: Path) -> None:
     assert optlink.report("shaper", str(tmp_path / "two.html")).is_file()
     for suffix in ("dxf", "svg", "csv", "json"):
         assert optlink.export(result, tmp_path / f"shaper.{suffix}").stat().st_size > 100
-    one, other = (optlink.export(given, tmp_path / f"{k}.svg", at=0.5) for k, given in enumerate([optlink.analyze("shaper"), "shaper"]))
+    one, other = (
+        optlink.export(given, tmp_path / f"{k}.svg", at=0.5) for k, given in enumerate([optlink.analyze("shaper"), "shaper"])
+    )
     assert one.read_text() == other.read_text()
     with pytest.raises(InputError, match="not a single design"):
         optlink.export(RESULTS["sweep"](), tmp_path / "no.svg")

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import optlink
-from optlink.linkage import dyad_types
-from optlink.problem.terms import QUANTITIES
 from optlink.testing import (
     Disagreement,
     check_derivatives,

@@ -18,9 +18,9 @@ from optlink.dynamics.machine import Machine, slider_names
 from optlink.dynamics.strokes import StrokeLoad, acting_loads
 from optlink.dynamics.work import Flywheel, Work, flywheel
 from optlink.errors import InputError
+from optlink.linkage.arguments import sweep as checked_sweep
 from optlink.linkage.continuation import continue_through_singularities
 from optlink.linkage.extrema import distinct, extremes_of_rows
-from optlink.linkage.arguments import sweep as checked_sweep
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.singular import AlignedPosition, angles_text, near_singular, positions_text
 from optlink.linkage.stroke import Ranges, Travel, range_end_reason, reachable, travels, within_cycle
