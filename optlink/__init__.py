@@ -7,7 +7,7 @@
 """
 
 from optlink.namespace import namespace
-from optlink.version import VERSION as __version__
+from optlink.version import VERSION as __version__  # noqa: F401
 
 _MOVED = dict.fromkeys(("four_bar", "grashof", "sweep"), "optlink.linkage") | dict.fromkeys(
     (

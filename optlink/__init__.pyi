@@ -26,3 +26,5 @@ from optlink.tasks.results.common import DesignResult as DesignResult
 from optlink.tasks.results.design import LinkageDesign as LinkageDesign, SynthesisResult as SynthesisResult
 from optlink.tasks.run import read_design as read_design, solve as solve, validate as validate
 from optlink.tasks.simulate import Simulation as Simulation, simulate as simulate
+
+__version__: str

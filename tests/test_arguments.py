@@ -23,6 +23,7 @@ LAW, MACHINE, CLEARANCE = (optlink.load(name) for name in ("crank-rocker", "six-
 SPEEDS = ["drive.speed=100..200 rpm:2"]
 SIZES = {"crank": 0.2, "coupler": 0.7, "rocker": 0.6, "frame": 0.8}
 DESIGN = {"coupler": 0.4, "rocker": 0.23}
+SWEPT = {"mechanism": optlink.linkage.four_bar(), "sizes": SIZES}
 ACCEPTED = {
     optlink.solve: {"problem": LAW, "certify": False},
     optlink.validate: {"problem": LAW, "design": DESIGN},
@@ -44,7 +45,7 @@ ACCEPTED = {
     optlink.shipped: {},
     optlink.four_bar: {},
     optlink.grashof: SIZES,
-    optlink.sweep: {"mechanism": optlink.four_bar(), "sizes": SIZES, "crank_angle": [0.1, 0.2]},
+    optlink.linkage.sweep: {**SWEPT, "crank_angle": [0.1, 0.2]},
     sensitivities: {"problem": LAW},
     sweep: {"problem": LAW, "vary": ["mechanism.frame=480..520 mm:2"]},
     tolerance: {"problem": LAW, "tolerances": ["coupler=0.1 mm"], "design": DESIGN},

@@ -59,9 +59,10 @@ def test_a_stub_without_a_module_is_a_namespace_below(tmp_path: Path) -> None:
     assert (names, get("turn")) == (["e", "pi", "turn"], 2 * np.pi)
 
 
-@pytest.mark.parametrize(
-    "given", ["slider-crank", ROOT / "problems" / "slider-crank.toml", str(ROOT / "problems" / "slider-crank.toml")]
-)
+FILE = ROOT / "problems" / "slider-crank.toml"
+
+
+@pytest.mark.parametrize("given", ["slider-crank", FILE, str(FILE)])
 def test_a_problem_is_given_by_name_path_or_object(given: str | Path) -> None:
     expected = optlink.analyze(optlink.load("slider-crank"), points=12)["input.torque_Nm"]
     np.testing.assert_array_equal(optlink.analyze(given, points=12)["input.torque_Nm"], expected)
@@ -85,12 +86,12 @@ def test_what_is_no_problem_is_refused_in_a_sentence(call, message: str) -> None
 def test_motion_of_a_problem_is_that_of_its_linkage() -> None:
     angles = np.linspace(0.0, 6.0, 9)
     moved = optlink.motion("slider-crank", angles, speed=10.0)
-    cycle = optlink.analyze("slider-crank", points=360, speed=10.0)
-    at = np.interp(np.degrees(angles), cycle["crank_angle_deg"], np.arange(361))
-    whole = optlink.motion("slider-crank", np.radians(cycle["crank_angle_deg"]), speed=10.0)
-    np.testing.assert_allclose(whole.velocity("B")[:, 0] ** 2 + whole.velocity("B")[:, 1] ** 2, cycle["B.v_m_s"] ** 2, atol=1e-12)
     assert moved.position("B").shape == (9, 2)
-    assert at.shape == (9,)
+    cycle = optlink.analyze("slider-crank", speed=10.0)
+    whole = optlink.motion("slider-crank", np.radians(cycle["crank_angle_deg"]), speed=10.0)
+    for k, axis in enumerate("xy"):
+        np.testing.assert_allclose(whole.velocity("B")[:, k], cycle[f"B.v{axis}_m_s"], rtol=0, atol=1e-12)
+        np.testing.assert_allclose(whole.acceleration("B")[:, k], cycle[f"B.a{axis}_m_s2"], rtol=0, atol=1e-10)
 
 
 RESULTS = {
@@ -113,7 +114,7 @@ def test_every_result_is_plotted(result: Document) -> None:
 
     assert result.plots
     assert isinstance(result.plot(), Figure)
-    assert isinstance(result.plot(result.plots[-1]), Figure)
+    assert isinstance(result.plot(result.plots[0]), Figure)
     with pytest.raises(InputError, match=r"has no picture nothing\. Known: "):
         result.plot("nothing")
 
@@ -124,10 +125,10 @@ def test_every_result_is_a_frame(result: Document, tmp_path: Path) -> None:
     from optlink.report.registry import view_of
 
     frame = result.to_frame()
-    written = next(path for path in view_of(result.kind).write(result, tmp_path) if path.suffix == ".csv")
-    read = pandas.read_csv(written)
-    assert list(frame.columns) == list(read.columns)
-    assert len(frame) == len(read) > 0
+    assert len(frame) > 0
+    for path in view_of(result.kind).write(result, tmp_path):
+        if path.suffix == ".csv":
+            pandas.testing.assert_frame_equal(result.to_frame(path.stem), pandas.read_csv(path), check_dtype=False)
     with pytest.raises(InputError, match=r"has no table nothing\. Known: "):
         result.to_frame("nothing")
 
@@ -146,14 +147,13 @@ def test_report_and_export_take_results_and_problems(tmp_path: Path) -> None:
     assert optlink.report("shaper", str(tmp_path / "two.html")).is_file()
     for suffix in ("dxf", "svg", "csv", "json"):
         assert optlink.export(result, tmp_path / f"shaper.{suffix}").stat().st_size > 100
-    one, other = (
-        optlink.export(given, tmp_path / f"{k}.svg", at=0.5) for k, given in enumerate([optlink.analyze("shaper"), "shaper"])
-    )
+    sources = optlink.analyze("shaper"), "shaper"
+    one, other = (optlink.export(source, tmp_path / f"{k}.svg", at=0.5) for k, source in enumerate(sources))
     assert one.read_text() == other.read_text()
     with pytest.raises(InputError, match="not a single design"):
         optlink.export(RESULTS["sweep"](), tmp_path / "no.svg")
     invalid = optlink.validate("crank-rocker", {"coupler": 0.412, "rocker": 0.232})
-    with pytest.raises(InputError, match="Nothing was written. Set even_invalid"):
+    with pytest.raises(InputError, match="Nothing was written"):
         optlink.export(invalid, tmp_path / "no.svg")
     assert optlink.export(invalid, tmp_path / "yes.svg", even_invalid=True).is_file()
     with pytest.raises(InputError, match=r"unknown key|facts"):
@@ -170,4 +170,4 @@ def test_first_designs_of_a_search() -> None:
     checked = optlink.validate(problem, one[0].design)
     assert checked.objective < 1e-4  # [m]
     with pytest.raises(InputError, match="no targets"):
-        optlink.synthesis.starts("least-torque")
+        optlink.synthesis.starts("shaper-design")

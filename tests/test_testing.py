@@ -18,7 +18,6 @@ from optlink.testing import (
 )
 
 LAW = "crank-rocker"
-MACHINE = "slider-crank"
 
 
 @pytest.mark.parametrize("name", ["crank-rocker", "six-bar", "shaper", "slider-crank"])
@@ -42,13 +41,13 @@ def test_the_torque_agrees_with_the_energy(monkeypatch: pytest.MonkeyPatch) -> N
         check_forces("shaper")
     from optlink.dynamics.machine import Moving
 
-    kinetic = Moving.kinetic.fget  # type: ignore[attr-defined]
+    kinetic = Moving.__dict__["kinetic"].func
     monkeypatch.setattr(Moving, "kinetic", property(lambda self: 1.001 * kinetic(self)))
     with pytest.raises(Disagreement, match="driving torque"):
         check_forces(problem)
 
 
-@pytest.mark.parametrize("name", [LAW, "path-arc5"])
+@pytest.mark.parametrize("name", [LAW, "shaper-design"])
 def test_derivatives_agree_with_differences(name: str) -> None:
     assert check_derivatives(name) < 1e-5
 

@@ -100,7 +100,7 @@ class Document(Summary):
 
     @property
     def plots(self) -> tuple[str, ...]:
-        """Names of the pictures that `plot` draws."""
+        """Names of the pictures that `plot` draws of results of this kind; this one may lack some."""
         return tuple(_reports("interface").figures(self))
 
     def plot(self, name: str | None = None) -> Figure:

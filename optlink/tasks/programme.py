@@ -294,8 +294,8 @@ def build(problem: AnyProblem) -> Programme:
     ----------
     problem : ProblemFile, str or Path
         From `optlink.load`, the name of a shipped problem, or a file. It has a requirement or an objective over the cycle,
-        definite assembly modes, and for points or poses with free timing a definite rotation. With an objective over the cycle the
-        programme is that of the order of reversals and loads at the start.
+        definite assembly modes, and for points or poses with free timing a definite rotation. With an objective over the cycle
+        the programme is that of the order of reversals and loads at the start.
 
     Returns
     -------
