@@ -25,7 +25,5 @@ frame.to_csv("linkages.csv", index=False)
 
 least = frame["peak_torque_Nm"].idxmin()
 design = {name: float(values[least]) for name, values in designs.items()}
-cycle = optlink.analyze(problem, design=design)
-print(
-    f"least peak torque {frame['peak_torque_Nm'][least]:.4f} N m; between the rows {cycle.extremes['input.torque_Nm'].largest:.4f}"
-)
+between = optlink.analyze(problem, design=design).extremes["input.torque_Nm"].largest
+print(f"least peak torque {frame['peak_torque_Nm'][least]:.4f} N m; between the rows {between:.4f}")

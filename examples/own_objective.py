@@ -1,4 +1,4 @@
-"""An objective of your own: the shortest bars whose law deviates by at most 6 degrees (rms), found with SciPy, checked by optlink."""
+"""An objective of your own: the shortest bars whose law deviates by at most 6 degrees (rms), with SciPy."""
 
 import numpy as np
 from numpy.typing import NDArray

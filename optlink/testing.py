@@ -210,7 +210,7 @@ def check_stored(result: Document) -> None:
 
     with TemporaryDirectory() as name:
         folder = Path(name)
-        view_of(result.kind).write(result, folder)
+        result.write(folder)
         again = read_result(folder)
         if type(again) is not type(result) or again.to_dict() != result.to_dict():
             one, other = (json.dumps(item.to_dict(), indent=1).splitlines() for item in (result, again))

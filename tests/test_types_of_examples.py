@@ -1,4 +1,4 @@
-"""Whoever copies the Python of the README, the Python reference, a notebook or an example into a checked project meets no error."""
+"""The Python of the README, the Python reference, the notebooks and the examples has no error of types; the examples run."""
 
 from __future__ import annotations
 

@@ -124,6 +124,28 @@ class Document(Summary):
         figure: Figure = _reports("interface").plot(self, name)
         return figure
 
+    def write(self, folder: str | Path, pictures: str = "png") -> list[Path]:
+        """Write what `--out` writes: result.json, which `optlink.read_result` reads, tables, the design, pictures.
+
+        Parameters
+        ----------
+        folder : str or Path
+            Made if it does not exist.
+        pictures : str
+            Format of the pictures: "png", "svg" or "pdf".
+
+        Returns
+        -------
+        list of Path
+
+        Raises
+        ------
+        InputError
+            If the folder or a file cannot be written.
+        """
+        paths: list[Path] = _reports("interface").write(self, Path(folder), pictures)
+        return paths
+
     def to_frame(self, name: str | None = None) -> pandas.DataFrame:
         """Return a table of the result as a data frame of pandas, as `--out` writes it to CSV files.
 

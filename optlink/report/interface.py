@@ -8,9 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from optlink.errors import InputError, UnknownName, nearest
+from optlink.io import folder as made
 from optlink.problem.arguments import typed
 from optlink.problem.document import Document
 from optlink.problem.file import AnyProblem, problem_of
+from optlink.problem.quantity import check_choice
 from optlink.report.registry import stored_page, view_of
 
 if TYPE_CHECKING:
@@ -173,6 +175,12 @@ def plot(result: Document, name: str | None = None) -> Figure:
             return picture
     message = "there is no such picture of this result" if name else "there is no picture of this result"
     raise InputError(message, f"Plot one of: {', '.join(known)}" if name else "Write its page: optlink.report(result, file)")
+
+
+def write(result: Document, place: Path, pictures: str) -> list[Path]:
+    """Write the files of a result; see `Document.write`."""
+    check_choice("pictures", pictures, ("png", "svg", "pdf"), "no format of pictures")
+    return view_of(result.kind).write(result, made(place, "folder"), pictures)
 
 
 def to_frame(result: Document, name: str | None = None) -> pandas.DataFrame:

@@ -97,6 +97,13 @@ def output_sensitivity(
     ------
     InputError
         For an unknown output or quantity, or if a size is missing.
+
+    Examples
+    --------
+    >>> sizes = {"crank": 0.1, "coupler": 0.4, "rocker": 0.25, "frame": 0.5}  # [m]
+    >>> found = optlink.studies.output_sensitivity(optlink.linkage.four_bar(), sizes, [0.5], "rocker")
+    >>> found.unit, sorted(found.by), found.by["crank"].round(3)  # [rad/m]
+    ('rad', ['coupler', 'crank', 'frame', 'rocker'], array([-1.]))
     """
     check_choice("output", output, output_names(mechanism), "unknown output")
     if missing := [name for name in mechanism.parameters if name not in sizes]:
