@@ -103,7 +103,7 @@ def output_sensitivity(
     >>> sizes = {"crank": 0.1, "coupler": 0.4, "rocker": 0.25, "frame": 0.5}  # [m]
     >>> found = optlink.studies.output_sensitivity(optlink.linkage.four_bar(), sizes, [0.5], "rocker")
     >>> found.unit, sorted(found.by), found.by["crank"].round(3)  # [rad/m]
-    ('rad', ['coupler', 'crank', 'frame', 'rocker'], array([-1.]))
+    ('rad', ['coupler', 'crank', 'frame', 'rocker'], array([-4.133]))
     """
     check_choice("output", output, output_names(mechanism), "unknown output")
     if missing := [name for name in mechanism.parameters if name not in sizes]:
