@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import inspect
 import io
 import itertools
 import json
@@ -454,8 +455,10 @@ def test_the_command_reference_has_every_option():
 def test_public_names_have_a_page():
     shown = [block.what for block in MADE if block.kind == "api"]
     assert len(shown) == len(set(shown))
-    for name in set(optlink.__all__) - {"__version__"}:
-        assert f"optlink.{name}" in shown, name
+    for space in (optlink, optlink.control, optlink.linkage, optlink.studies, optlink.synthesis):
+        for name in set(space.__all__) - {"__version__"}:
+            if inspect.isfunction(getattr(space, name)) or inspect.isclass(getattr(space, name)):
+                assert f"{space.__name__}.{name}" in shown, name
     for path in shown:
         room, _, name = path.rpartition(".")
         try:

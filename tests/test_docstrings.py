@@ -19,10 +19,6 @@ import numpy as np
 import pytest
 
 import optlink
-from optlink.studies.pareto.epsilon_constraint import pareto
-from optlink.studies.sensitivity import sensitivities
-from optlink.studies.sweep import sweep
-from optlink.studies.tolerance.analysis import tolerance
 
 ROOT = Path(__file__).parent.parent
 SECTION = re.compile(r"^Parameters\n-+\n(.*?)(?=^\w[\w ]*\n-{3,}|\Z)", re.DOTALL | re.MULTILINE)
@@ -55,7 +51,7 @@ def reference() -> set[str]:
     found = set(EXTENSION_POINTS)
     for name in re.findall(r"^<!-- api: (optlink\.\S+) ", pages, re.MULTILINE):
         home, _, last = name.rpartition(".")
-        item = vars(optlink).get(last) or getattr(importlib.import_module(home), last, None) or importlib.import_module(name)
+        item = getattr(importlib.import_module(home), last, None) or importlib.import_module(name)
         if inspect.ismodule(item):
             found |= {f"{name}.{key}" for key, member in vars(item).items() if getattr(member, "__module__", "") == name}
         else:
@@ -119,7 +115,7 @@ def test_public_functions_describe_their_arguments() -> None:
 
 
 def test_the_reference_has_the_public_names() -> None:
-    assert {"optlink.tasks.run.solve", "optlink.linkage.fourbar.four_bar", "optlink.studies.sweep.sweep"} <= reference()
+    assert {"optlink.tasks.run.solve", "optlink.linkage.fourbar.four_bar", "optlink.studies.sweeps.sweep"} <= reference()
     assert len(reference()) > 90
 
 
@@ -148,17 +144,22 @@ def test_contributing_names_files_that_exist() -> None:
     assert {path for path in paths if not (ROOT / path).exists()} == set()
 
 
-TASKS = {name: getattr(optlink, name) for name in optlink.__all__ if inspect.isfunction(getattr(optlink, name))}
+SPACES = {"": optlink, "control.": optlink.control, "studies.": optlink.studies, "synthesis.": optlink.synthesis}
+TASKS = {
+    f"{space}{name}": getattr(package, name)
+    for space, package in SPACES.items()
+    for name in package.__all__
+    if inspect.isfunction(getattr(package, name))
+}
 READ = {"explore", "load", "new", "read", "read_design", "shipped"}  # their examples are those of all others
-STUDIES = {f"studies.{function.__name__}": function for function in (pareto, sensitivities, sweep, tolerance)}
-SLOW = ("tune",)
+SLOW = ("control.tune",)
 
 
 @pytest.mark.parametrize(
     ("name", "function"),
     [
         pytest.param(name, function, marks=pytest.mark.slow if name in SLOW else (), id=name)
-        for name, function in {**TASKS, **STUDIES}.items()
+        for name, function in TASKS.items()
         if name not in READ
     ],
 )

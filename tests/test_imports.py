@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import graphlib
-import importlib
 import re
 import subprocess
 import sys
@@ -113,13 +112,6 @@ def test_each_task_loads_only_what_it_needs(code, unwanted):
     assert loaded_after(code) & unwanted == set()
 
 
-def test_public_names_exist():
-    for name in optlink.__all__:
-        assert getattr(optlink, name) is not None
-    with pytest.raises(AttributeError, match="nonsense"):
-        _ = optlink.nonsense
-
-
 def test_version_is_that_of_the_package():
     """Stated once, in optlink/version.py: hatch reads it there, and tests/test_package.py looks at what it makes of it."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())
@@ -144,14 +136,3 @@ def test_no_module_evaluates_text():
                 assert node.func.id not in forbidden, f"{path}: {node.func.id}"
             if isinstance(node, ast.Import) and path.parent.name != "execution":
                 assert not {alias.name for alias in node.names} & {"pickle", "shelve", "marshal"}, path
-
-
-def test_the_package_completes_its_public_names_and_names_the_module_of_a_study() -> None:
-    assert set(optlink.__all__) <= set(dir(optlink))
-    assert "TYPE_CHECKING" not in dir(optlink)
-    for name, module in optlink.STUDIES.items():
-        assert callable(getattr(importlib.import_module(module), name))
-        with pytest.raises(AttributeError, match=f"from {module} import {name}"):
-            getattr(optlink, name)
-    with pytest.raises(AttributeError, match=r"has no attribute 'nothing'$"):
-        _ = optlink.nothing

@@ -1,4 +1,4 @@
-"""Whoever copies the Python of the README, of the Python reference or of a notebook into a checked project meets no error."""
+"""The Python of the README, the Python reference, the notebooks and the examples has no error of types; the examples run."""
 
 from __future__ import annotations
 
@@ -31,7 +31,12 @@ def of_notebook(path: Path) -> str:
     return "\n".join(line for line in lines if not line.lstrip().startswith(("%", "!"))) + "\n"
 
 
-EXAMPLES = {page.stem: of_page(page) for page in PAGES} | {path.stem: of_notebook(path) for path in NOTEBOOKS}
+SCRIPTS = sorted((ROOT / "examples").glob("*.py"))
+EXAMPLES = {
+    **{page.stem: of_page(page) for page in PAGES},
+    **{path.stem: of_notebook(path) for path in NOTEBOOKS},
+    **{path.stem: path.read_text(encoding="utf-8") for path in SCRIPTS},
+}
 
 
 @pytest.fixture(scope="module")
@@ -68,3 +73,20 @@ def test_an_example_has_the_types_that_it_assumes(name: str, errors: list[str]) 
 def test_a_function_without_annotations_is_detected(errors: list[str]) -> None:
     (error,) = of("planted", errors)
     assert "no-untyped-def" in error
+
+
+@pytest.mark.parametrize("path", SCRIPTS, ids=lambda path: path.stem)
+def test_an_example_runs_and_fits_on_a_screen(path: Path, tmp_path: Path) -> None:
+    text = path.read_text(encoding="utf-8")
+    assert len(text.splitlines()) <= 45
+    assert not re.search(r"^(from|import) optlink\.", text, re.MULTILINE)  # the public names alone
+    done = subprocess.run([sys.executable, str(path)], capture_output=True, text=True, cwd=tmp_path, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    expected = {
+        "batch_to_frame": r"max .*\nleast peak torque 0\.0118 N m; between the rows 0\.0118",
+        "own_objective": r"deviation 4\.9924 deg -> 6\.0000 deg\nlimits met: True",
+        "sweep_with_plots": r"33 of 33 optima are valid",
+    }
+    assert re.search(expected[path.stem], done.stdout), done.stdout
+    if path.stem == "sweep_with_plots":
+        assert {file.name for file in (tmp_path / "sweep").iterdir()} >= {"page.html", "table.csv", "objective.svg", "sweep.svg"}

@@ -87,15 +87,13 @@ def export(
     with console.working("Reading or solving the problem"):
         about = _report_model(source, output, (backend, starts, seed), changes, design)
         interrupts.check()
-    from optlink.report.report_model import ReportModel
+    from optlink.report.interface import single_design
 
-    if not isinstance(about, ReportModel):
-        remedy = f"Export the problem with one design:  optlink export {about.problem.name} --design NAME=VALUE"
-        raise InputError(f"a {about.kind} is not a single design, so it cannot be drawn", remedy, source)
-    if not (about.valid or even_invalid):
-        _refuse(about, as_json)
-    write(about, output, options)
-    _written(about, output, as_json)
+    model = single_design(about, source)
+    if not (model.valid or even_invalid):
+        _refuse(model, as_json)
+    write(model, output, options)
+    _written(model, output, as_json)
 
 
 def _report_model(

@@ -27,7 +27,7 @@ WRONG = {
     "mapping": ("not a mapping of names to values", "Give SI values by name, for example result.design"),
     "dict": ("not a mapping of names to values", "Give SI values by name, for example result.design"),
     "callable": ("not a function", "Give one, or leave it out"),
-    "is": ("not a problem", 'Load it: optlink.load("crank-rocker"), or optlink.load("mine.toml")'),
+    "is": ("not a problem", "Give what optlink.load returns, the name of a shipped problem, or the path of a file"),
 }
 """Message and remedy by the first word of the type of pydantic's error."""
 
@@ -98,8 +98,8 @@ def _fault(item: Any) -> Fault:
     kind = item["type"].partition("_")[0]
     kind = item["ctx"]["class"].lower() if kind == "is" and item["ctx"]["class"] != "ProblemFile" else kind
     message, remedy = WRONG.get(kind, (item["msg"], "See the description of the function"))
-    if isinstance(item["input"], str) and message == WRONG["is"][0]:
-        remedy = f'Load it: optlink.load("{item["input"]}")'
+    if message == WRONG["is"][0] and hasattr(item["input"], "problem"):
+        remedy = "Of a result give its problem, or its machine, which has the dimensions of the design"
     if isinstance(item["input"], dict) and item["type"].startswith("string"):
         remedy = "Give one in quotes, or nested tables to optlink.read"
     steps = [str(step) for step in item["loc"] if step not in ("str", "float")]  # members of unions are not keys

@@ -7,6 +7,7 @@ that ends the key; null where there is no finite value.
 
 from __future__ import annotations
 
+import importlib
 import json
 import math
 import re
@@ -15,7 +16,7 @@ from dataclasses import fields, is_dataclass, replace
 from operator import attrgetter
 from pathlib import Path
 from types import NoneType
-from typing import Annotated, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,10 @@ from optlink.io import SUM, Summary, checked, finite, head, with_check_sum
 from optlink.problem.enclosed import enclosing
 from optlink.problem.file import ProblemFile, read
 from optlink.version import VERSION
+
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.figure import Figure
 
 VERSION_OF_SCHEMAS = 4
 AGAIN = "Solve it again with this version, or use the version of optlink that wrote it"
@@ -72,6 +77,11 @@ Source = str | Callable[[Any], Any]
 """An attribute of a result, or a function of it."""
 
 
+def _reports(module: str) -> Any:
+    """Import a module of the reports, which are above the results and show every kind of them."""
+    return importlib.import_module(f"optlink.report.{module}")
+
+
 class Document(Summary):
     """Base class of results, dataclasses that write themselves as JSON documents and are read from them."""
 
@@ -81,13 +91,76 @@ class Document(Summary):
     """Computed entries by key; one whose key ends in "?" is left out if it is None."""
     stored: ClassVar[tuple[str, ...] | None] = None
     """Fields from which the others are computed again when it is read, see `_restored`. Default: all are stored."""
-    notebook: ClassVar[Callable[[Any], str | None] | None] = None
-    """Renderer of notebooks, which the package installs, as results do not depend on reports."""
 
     problem: ProblemFile
 
     def _repr_html_(self) -> str | None:
-        return None if Document.notebook is None else Document.notebook(self)
+        html: str | None = _reports("html.notebook").notebook_html(self)
+        return html
+
+    @property
+    def plots(self) -> tuple[str, ...]:
+        """Names of the pictures that `plot` draws of results of this kind; this one may lack some."""
+        return tuple(_reports("interface").figures(self))
+
+    def plot(self, name: str | None = None) -> Figure:
+        """Draw a picture of the result with matplotlib.
+
+        Parameters
+        ----------
+        name : str, optional
+            One of `plots`. Default: the first one that there is.
+
+        Returns
+        -------
+        Figure
+            Shown by a notebook; `figure.savefig(file)` writes it.
+
+        Raises
+        ------
+        InputError
+            If there is none of this name.
+        """
+        figure: Figure = _reports("interface").plot(self, name)
+        return figure
+
+    def write(self, folder: str | Path, pictures: str = "png") -> list[Path]:
+        """Write what `--out` writes: result.json, which `optlink.read_result` reads, tables, the design, pictures.
+
+        Parameters
+        ----------
+        folder : str or Path
+            Made if it does not exist.
+        pictures : str
+            Format of the pictures: "png", "svg" or "pdf".
+
+        Returns
+        -------
+        list of Path
+
+        Raises
+        ------
+        InputError
+            If the folder or a file cannot be written.
+        """
+        paths: list[Path] = _reports("interface").write(self, Path(folder), pictures)
+        return paths
+
+    def to_frame(self, name: str | None = None) -> pandas.DataFrame:
+        """Return a table of the result as a data frame of pandas, as `--out` writes it to CSV files.
+
+        Parameters
+        ----------
+        name : str, optional
+            File name of the table without ending. Default: the first one.
+
+        Raises
+        ------
+        InputError
+            If pandas is not installed, or there is no such table.
+        """
+        frame: pandas.DataFrame = _reports("interface").to_frame(self, name)
+        return frame
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as a JSON document: SI, or the unit that ends the key; null where there is no finite value."""

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import pydantic
@@ -224,6 +224,15 @@ WORDS = ("format", "title", "source", "about", "report", "expected")
 def shipped() -> dict[str, Path]:
     """Return names and files of the shipped problems."""
     return data_files("problems")
+
+
+AnyProblem: TypeAlias = ProblemFile | str | Path
+"""A problem: as `load` returns it, the name of a shipped one, or the path of a problem file."""
+
+
+def problem_of(problem: AnyProblem) -> ProblemFile:
+    """Return a problem, loaded if it is a name or a path."""
+    return problem if isinstance(problem, ProblemFile) else load(problem)
 
 
 @typed

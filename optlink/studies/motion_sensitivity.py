@@ -12,9 +12,12 @@ import casadi
 import numpy as np
 from numpy.typing import ArrayLike
 
+from optlink.errors import InputError
+from optlink.linkage.arguments import check_array
 from optlink.linkage.mechanism import FRAME, Mechanism
 from optlink.linkage.vector2d import Array, unit
 from optlink.optimization.output_derivatives import output_derivatives
+from optlink.problem.arguments import typed
 from optlink.problem.document import Document, Source
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import check_choice
@@ -74,6 +77,7 @@ def output_names(mechanism: Mechanism) -> list[str]:
     return [*bodies, *(f"{point}.{axis}" for point in points for axis in "xy")]
 
 
+@typed
 def output_sensitivity(
     mechanism: Mechanism, sizes: Mapping[str, float], crank_angles: ArrayLike, output: str, by: Sequence[str] = ()
 ) -> OutputSensitivity:
@@ -92,9 +96,18 @@ def output_sensitivity(
     Raises
     ------
     InputError
-        For an unknown output or quantity.
+        For an unknown output or quantity, or if a size is missing.
+
+    Examples
+    --------
+    >>> sizes = {"crank": 0.1, "coupler": 0.4, "rocker": 0.25, "frame": 0.5}  # [m]
+    >>> found = optlink.studies.output_sensitivity(optlink.linkage.four_bar(), sizes, [0.5], "rocker")
+    >>> found.unit, sorted(found.by), found.by["crank"].round(3)  # [rad/m]
+    ('rad', ['coupler', 'crank', 'frame', 'rocker'], array([-4.133]))
     """
     check_choice("output", output, output_names(mechanism), "unknown output")
+    if missing := [name for name in mechanism.parameters if name not in sizes]:
+        raise InputError(f"missing: {', '.join(missing)}", "Give SI values of all sizes by name", key="sizes")
     chosen = list(by or sizes)
     for name in chosen:
         check_choice("by", name, sizes, "unknown dimension")
@@ -103,7 +116,7 @@ def output_sensitivity(
     crank = casadi.SX.sym("crank angle")
     with symbols_in_numpy():
         value, slopes = output_derivatives(mechanism, symbols, unit(crank), output, chosen)
-    angles = np.atleast_1d(np.asarray(crank_angles, dtype=float))
+    angles = np.atleast_1d(check_array("crank_angles", crank_angles))
     tape = NumpyEvaluator([*symbols.values(), crank], [value, *slopes])
     values = np.asarray(tape(*[np.full(angles.shape, sizes[name]) for name in names], angles), dtype=float)
     return OutputSensitivity(

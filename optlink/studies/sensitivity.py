@@ -17,7 +17,7 @@ from pydantic import AfterValidator
 from optlink.errors import InputError, Status
 from optlink.problem.arguments import typed
 from optlink.problem.document import Document, Number, Source
-from optlink.problem.file import ProblemFile
+from optlink.problem.file import AnyProblem, ProblemFile, problem_of
 from optlink.solvers.solution import Solution
 from optlink.studies.optimum_parameters import (
     CycleParameters,
@@ -194,7 +194,7 @@ PARAMETERS: dict[str, type[OptimumParameters]] = {
 
 @typed
 def sensitivities(
-    problem: ProblemFile,
+    problem: AnyProblem,
     backend: str = "ipopt",
     starts: int | None = None,
     seed: int = 0,
@@ -206,8 +206,8 @@ def sensitivities(
 
     Parameters
     ----------
-    problem : ProblemFile
-        From `optlink.load`, with a requirement or an objective.
+    problem : ProblemFile, str or Path
+        From `optlink.load`, the name of a shipped problem, or a file, with a requirement or an objective.
     backend, starts, seed
         As in `optlink.solve`.
     check : bool
@@ -231,6 +231,7 @@ def sensitivities(
     >>> row.parameter.name, float(f"{row.objective:.4g}"), row.parameter.unit  # of the objective [rad^2] per unit
     ('largest transmission angle', -0.008392, 'rad')
     """
+    problem = problem_of(problem)
     if problem.task == "balance":
         remedy = "`optlink balance` lists the shadow prices of its limits"
         raise InputError("a balancing problem has no sensitivities to parameters", remedy, problem.file, "balance")

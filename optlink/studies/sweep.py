@@ -22,7 +22,7 @@ from optlink.execution.runner import check
 from optlink.execution.store import TABLE, Progress, Store, TemporaryFolder
 from optlink.problem.arguments import typed
 from optlink.problem.document import Document, Source
-from optlink.problem.file import ProblemFile
+from optlink.problem.file import AnyProblem, ProblemFile, problem_of
 from optlink.studies.grid import Grid, axes_of_arrays, read_grid
 from optlink.studies.reoptimise_task import SEARCHED, check_backend, chunk_of, optimum_task
 from optlink.studies.sweep_task import MAX_ANGLES, OPTIMISE, SweepTask, analysis_task, simulation_task
@@ -242,7 +242,7 @@ class Sweep(GridStudy):
 
 @typed
 def sweep(
-    problem: ProblemFile,
+    problem: AnyProblem,
     vary: Sequence[str] | Mapping[str, ArrayLike],
     out: Path | None = None,
     *,
@@ -262,8 +262,8 @@ def sweep(
 
     Parameters
     ----------
-    problem : ProblemFile
-        From `optlink.load`.
+    problem : ProblemFile, str or Path
+        From `optlink.load`, the name of a shipped problem, or a file.
     vary : sequence of str, or mapping of str to array [SI]
         Axes of the grid, each a key with its values, for example "mechanism.frame=450..550 mm:101" (101 values) or
         "mechanism.frame=450 mm, 500 mm"; or arrays of SI values by key, for example
@@ -307,6 +307,7 @@ def sweep(
     >>> result.columns["objective_rad2"].round(6).tolist()
     [0.007794, 0.007592]
     """
+    problem = problem_of(problem)
     begin = time.perf_counter()
     if not 2 <= points <= MAX_ANGLES:
         raise InputError("out of range", f"Give 2 to {MAX_ANGLES:,} crank angles", key="--points", value=points)

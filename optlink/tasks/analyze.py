@@ -18,15 +18,16 @@ from optlink.dynamics.machine import Machine, slider_names
 from optlink.dynamics.strokes import StrokeLoad, acting_loads
 from optlink.dynamics.work import Flywheel, Work, flywheel
 from optlink.errors import InputError
+from optlink.linkage.arguments import sweep as checked_sweep
 from optlink.linkage.continuation import continue_through_singularities
 from optlink.linkage.extrema import distinct, extremes_of_rows
-from optlink.linkage.motion import sweep
+from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.singular import AlignedPosition, angles_text, near_singular, positions_text
 from optlink.linkage.stroke import Ranges, Travel, range_end_reason, reachable, travels, within_cycle
 from optlink.linkage.vector2d import TURN, Array, Value
 from optlink.problem.arguments import typed
 from optlink.problem.document import Source, Tabled
-from optlink.problem.file import ProblemFile
+from optlink.problem.file import AnyProblem, ProblemFile, problem_of
 from optlink.problem.quantity import check_choice, check_range
 from optlink.tasks.machine import (
     MARGIN,
@@ -247,7 +248,7 @@ def reaction_conventions(machine: Machine) -> dict[str, str]:
 
 @typed
 def analyze(
-    problem: ProblemFile,
+    problem: AnyProblem,
     points: int = 360,
     step: float | None = None,
     speed: float | None = None,
@@ -257,8 +258,8 @@ def analyze(
 
     Parameters
     ----------
-    problem : ProblemFile
-        From `optlink.load`.
+    problem : ProblemFile, str or Path
+        From `optlink.load`, the name of a shipped problem, or a file.
     points : int
         Crank angle steps per revolution, or over the range of a crank that cannot turn fully; the table has one row more.
     step : float [rad], optional
@@ -286,6 +287,7 @@ def analyze(
     >>> result["crank_angle_deg"].shape, list(result.columns)[:3]
     ((361,), ['crank_angle_deg', 'time_s', 'crank.angle_rad'])
     """
+    problem = problem_of(problem)
     check_design(problem, design)
     model = problem.model
     speed = crank_speed(problem, speed)
@@ -556,6 +558,51 @@ SAMPLES = 360
 """Crank angles per revolution, at least, at which designs are examined for singular positions."""
 
 
+@typed
+def motion(
+    problem: AnyProblem,
+    crank_angle: ArrayLike,
+    *,
+    speed: float | None = None,
+    acceleration: float = 0.0,
+    design: Mapping[str, float] | None = None,
+) -> Motion:
+    """Compute the motion of a linkage at crank angles: positions, velocities and accelerations, without forces.
+
+    Parameters
+    ----------
+    problem : ProblemFile, str or Path
+        From `optlink.load`, the name of a shipped problem, or a file.
+    crank_angle : array (angles,) [rad]
+    speed : float [rad/s], optional
+        Crank speed, negative clockwise. Default: that of the problem.
+    acceleration : float [rad/s^2]
+    design : mapping of str to float [SI], optional
+        Values of design variables. Default: their starting values.
+
+    Returns
+    -------
+    Motion
+        By the names of points and bodies; NaN where the mechanism cannot be assembled.
+
+    Raises
+    ------
+    InputError
+        If an argument is out of range.
+
+    Examples
+    --------
+    >>> moved = optlink.motion("slider-crank", [0.0, 0.5 * np.pi], speed=10.0)
+    >>> moved.velocity("B").round(3) + 0.0  # [m/s]
+    array([[ 0.,  1.],
+           [-1.,  0.]])
+    """
+    problem = problem_of(problem)
+    check_design(problem, design)
+    machine = machine_of(problem, design)
+    return checked_sweep(machine.mechanism, machine.sizes, crank_angle, crank_speed(problem, speed), acceleration)
+
+
 class Columns(dict[str, Array]):
     """Columns by name, arrays (designs, points); `singular`: message by design index where the motion is not determined."""
 
@@ -566,7 +613,7 @@ class Columns(dict[str, Array]):
 
 @typed
 def analyze_batch(
-    problem: ProblemFile,
+    problem: AnyProblem,
     designs: Mapping[str, ArrayLike],
     columns: Sequence[str] = ("input.torque_Nm",),
     points: int = 360,
@@ -576,8 +623,8 @@ def analyze_batch(
 
     Parameters
     ----------
-    problem : ProblemFile
-        From `optlink.load`.
+    problem : ProblemFile, str or Path
+        From `optlink.load`, the name of a shipped problem, or a file.
     designs : mapping of str to array (designs,) [SI]
         Values by the name of the dimension, for example {"coupler.length": [0.14, 0.15]}; `optlink show` lists the names. Other
         dimensions keep the value of the problem.
@@ -609,6 +656,7 @@ def analyze_batch(
     >>> columns["input.torque_Nm"].shape
     (3, 360)
     """
+    problem = problem_of(problem)
     check_range("points", points, 1, MAX_POINTS)
     arrays = _read(problem, designs)
     count = len(next(iter(arrays.values())))

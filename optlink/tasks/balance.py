@@ -19,7 +19,7 @@ from optlink.errors import InputError, Status
 from optlink.linkage.vector2d import Array
 from optlink.optimization.pareto_front import knee
 from optlink.problem.arguments import typed
-from optlink.problem.file import ProblemFile, fixed_design
+from optlink.problem.file import AnyProblem, ProblemFile, fixed_design, problem_of
 from optlink.problem.quantity import check_range
 from optlink.problem.terms import Term
 from optlink.tasks.machine import (
@@ -120,7 +120,7 @@ class _Task:
 
 @typed
 def balance(
-    problem: ProblemFile,
+    problem: AnyProblem,
     minimise: str | None = None,
     trade: str | None = None,
     points: int = 25,
@@ -131,8 +131,8 @@ def balance(
 
     Parameters
     ----------
-    problem : ProblemFile
-        From `optlink.load`, with a section `[balance]`.
+    problem : ProblemFile, str or Path
+        From `optlink.load`, the name of a shipped problem, or a file, with a section `[balance]`.
     minimise : str, optional
         Term in words, for example "rms shaking force" or "peak reaction at D". Default: the objective of the problem.
     trade : str, optional
@@ -159,6 +159,7 @@ def balance(
     >>> result.valid, round(result.objective, 4), round(result.before, 3), [one.body for one in result.added]  # [N]
     (True, 93.7868, 339.668, ['crank', 'link3'])
     """
+    problem = problem_of(problem)
     check_design(problem, design)
     begin = time.perf_counter()
     importlib.import_module("cvxpy")

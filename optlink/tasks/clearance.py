@@ -39,7 +39,7 @@ from optlink.io import Summary
 from optlink.linkage.arguments import check_array
 from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.arguments import typed
-from optlink.problem.file import ProblemFile
+from optlink.problem.file import AnyProblem, ProblemFile, problem_of
 from optlink.problem.quantity import check_range, input_of, nearest
 from optlink.tasks.machine import (
     check_design,
@@ -143,7 +143,7 @@ class _Setting:
 
 @typed
 def simulate_clearance(
-    problem: ProblemFile,
+    problem: AnyProblem,
     revolutions: int = 20,
     points: int = 360,
     speed: float | None = None,
@@ -165,8 +165,8 @@ def simulate_clearance(
 
     Parameters
     ----------
-    problem : ProblemFile
-        From `optlink.load`; at least one joint has a clearance.
+    problem : ProblemFile, str or Path
+        From `optlink.load`, the name of a shipped problem, or a file; at least one joint has a clearance.
     revolutions : int
         Duration in revolutions at the nominal speed.
     points : int
@@ -217,6 +217,7 @@ def simulate_clearance(
     >>> round(1e3 * run.figures["rms_m"], 4), run.figures["contacts"]  # deviation of the slider [mm]
     (0.4436, 32.0)
     """
+    problem = problem_of(problem)
     setting = _setting(problem, points, speed, control, start, design, flywheel)
     _check(revolutions, points, tolerance)
     closed_loop = setting.closed_loop(tolerance)
@@ -366,7 +367,7 @@ class InverseMotion(Summary):
 
 @typed
 def inverse_model(
-    problem: ProblemFile,
+    problem: AnyProblem,
     displacement: ArrayLike | None = None,
     *,
     speed: float | None = None,
@@ -379,8 +380,8 @@ def inverse_model(
 
     Parameters
     ----------
-    problem : ProblemFile
-        From `optlink.load`; at least one joint has a clearance.
+    problem : ProblemFile, str or Path
+        From `optlink.load`, the name of a shipped problem, or a file; at least one joint has a clearance.
     displacement : array (n,) [m, rad], optional
         Output at n equal intervals of a revolution, the first at `drive.start`. Default: that of the machine without clearance.
     speed : float [rad/s], optional
@@ -399,6 +400,7 @@ def inverse_model(
     >>> [round(float(speed), 2) for speed in (motion.speed.min(), motion.speed.max())]  # 1200 rpm are 125.66 rad/s
     [118.9, 139.92]
     """
+    problem = problem_of(problem)
     setting = _setting(problem, 360, speed, "none", None, design, 0.0)
     if not setting.modelled:
         raise InputError("the inverse model includes no joint", 'Name one: known = ["C"]', problem.file, "control.known")

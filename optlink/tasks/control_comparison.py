@@ -14,7 +14,7 @@ from optlink.execution.worker import Runs
 from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.arguments import typed
 from optlink.problem.base_model import SPELLINGS
-from optlink.problem.file import ProblemFile
+from optlink.problem.file import AnyProblem, ProblemFile, problem_of
 from optlink.problem.quantity import check_choice, check_range
 from optlink.tasks.clearance import check_simulations
 from optlink.tasks.machine import machine_of
@@ -53,7 +53,7 @@ def _trials(runs: Sequence[RunResult]) -> Trials:
 
 @typed
 def compare(
-    problem: ProblemFile,
+    problem: AnyProblem,
     revolutions: int = 15,
     starts: int = 5,
     seed: int = 0,
@@ -76,8 +76,8 @@ def compare(
 
     Parameters
     ----------
-    problem : ProblemFile
-        From `optlink.load`, with joint clearance, `[drive] servo` and `[control]`.
+    problem : ProblemFile, str or Path
+        From `optlink.load`, the name of a shipped problem, or a file, with joint clearance, `[drive] servo` and `[control]`.
     revolutions : int
         Revolutions per run. With more than ten, the statistics omit the first five.
     starts : int
@@ -129,6 +129,7 @@ def compare(
     >>> round(result.gain("pid"), 3)  # share by which the mean error decreases
     0.124
     """
+    problem = problem_of(problem)
     angles = random_crank_angles(starts, seed)
     if not kinds:
         raise InputError("no control is compared", f"Give some of {', '.join(KINDS)}", key="kinds")
@@ -187,7 +188,7 @@ RANGES: dict[str, tuple[float, float]] = {
 
 @typed
 def tune(
-    problem: ProblemFile,
+    problem: AnyProblem,
     control: str = "inverse+pid",
     names: Sequence[str] = ("proportional", "integral"),
     *,
@@ -218,8 +219,8 @@ def tune(
 
     Parameters
     ----------
-    problem : ProblemFile
-        From `optlink.load`, with joint clearance, `[drive] servo` and `[control]`.
+    problem : ProblemFile, str or Path
+        From `optlink.load`, the name of a shipped problem, or a file, with joint clearance, `[drive] servo` and `[control]`.
     control : str
         Kind of control: "inverse", "pid" or "inverse+pid".
     names : sequence of str
@@ -261,6 +262,7 @@ def tune(
     >>> list(result.best), result.cost <= result.before
     (['proportional'], True)
     """
+    problem = problem_of(problem)
     from scipy.stats import qmc
 
     names = list(dict.fromkeys(SPELLINGS.get(name, name) for name in names))

@@ -17,7 +17,7 @@ from optlink.linkage.vector2d import Array
 from optlink.optimization.nlp import NLP, NLPValues
 from optlink.problem.arguments import typed
 from optlink.problem.design import EPIGRAPH
-from optlink.problem.file import ProblemFile
+from optlink.problem.file import AnyProblem, ProblemFile, problem_of
 from optlink.solvers.multistart import scaled_parameters
 from optlink.tasks.machine import check_design
 from optlink.tasks.run import check_complete, design_task
@@ -287,15 +287,15 @@ def _placed(problem: ProblemFile, nlp: NLP, y: Array, *, scaled: bool = False) -
 
 
 @typed
-def build(problem: ProblemFile) -> Programme:
+def build(problem: AnyProblem) -> Programme:
     """Return the nonlinear programme of a design problem.
 
     Parameters
     ----------
-    problem : ProblemFile
-        From `optlink.load`, with a requirement or an objective over the cycle, with definite assembly modes, and for points or
-        poses with free timing a definite rotation. With an objective over the cycle the programme is that of the order of
-        reversals and loads at the start.
+    problem : ProblemFile, str or Path
+        From `optlink.load`, the name of a shipped problem, or a file. It has a requirement or an objective over the cycle,
+        definite assembly modes, and for points or poses with free timing a definite rotation. With an objective over the cycle
+        the programme is that of the order of reversals and loads at the start.
 
     Returns
     -------
@@ -315,6 +315,7 @@ def build(problem: ProblemFile) -> Programme:
     >>> round(programme.f(x), 6), programme.f_unit, programme.gradient(x).round(3)  # [rad^2], [rad^2/m]
     (0.007592, 'rad^2', array([0.071, 0.065]))
     """
+    problem = problem_of(problem)
     task = design_task(problem)
     task.check(problem)
     if task.most_starts is not None:

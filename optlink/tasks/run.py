@@ -14,7 +14,7 @@ from optlink.io import Registry, checked
 from optlink.linkage.fourbar import LENGTHS
 from optlink.problem.arguments import typed
 from optlink.problem.assignment import parse_assignments
-from optlink.problem.file import ProblemFile
+from optlink.problem.file import AnyProblem, ProblemFile, problem_of
 from optlink.problem.file_errors import SECTIONS
 from optlink.problem.quantity import Quantity, check_choice, input_of, read_quantity
 from optlink.tasks.machine import UNKNOWN_QUANTITY
@@ -60,7 +60,7 @@ def design_task(problem: ProblemFile) -> DesignTask[Any]:
 
 @typed
 def solve(
-    problem: ProblemFile,
+    problem: AnyProblem,
     backend: str = "ipopt",
     starts: int | None = None,
     seed: int = 0,
@@ -80,9 +80,9 @@ def solve(
 
     Parameters
     ----------
-    problem : ProblemFile
-        From `optlink.load`, with a `[requirement]` (motion law, function, path, motion, transmission), an `[objective]` over
-        the cycle of a machine, or a section `[balance]`.
+    problem : ProblemFile, str or Path
+        From `optlink.load`, the name of a shipped problem, or a file, with a `[requirement]` (motion law, function, path, motion,
+        transmission), an `[objective]` over the cycle of a machine, or a section `[balance]`.
     backend : "ipopt", "slsqp" or "both"
         Local solver. With "both", each solver searches separately and the results must agree.
     starts : int, optional
@@ -128,6 +128,7 @@ def solve(
     >>> [limit.name for limit in result.limits if limit.active]
     ['largest transmission angle']
     """
+    problem = problem_of(problem)
     from optlink.execution.runner import check, pool
 
     task = design_task(problem)
@@ -170,13 +171,13 @@ def _default_boxes(problem: ProblemFile, result: Any) -> int:
 
 
 @typed
-def validate(problem: ProblemFile, design: Mapping[str, float]) -> DesignResult:
+def validate(problem: AnyProblem, design: Mapping[str, float]) -> DesignResult:
     """Check a design against all requirements and limits, without optimisation.
 
     Parameters
     ----------
-    problem : ProblemFile
-        From `optlink.load`, with a requirement or an objective.
+    problem : ProblemFile, str or Path
+        From `optlink.load`, the name of a shipped problem, or a file, with a requirement or an objective.
     design : mapping of str to float [SI]
         Value of every design variable by name, for example `result.design`; `optlink.read_design` reads them from text or
         from a result file.
@@ -197,6 +198,7 @@ def validate(problem: ProblemFile, design: Mapping[str, float]) -> DesignResult:
     >>> result.valid, [check.name for check in result.validation.checks if not check.passed]
     (False, ['largest transmission angle'])
     """
+    problem = problem_of(problem)
     from optlink.tasks.machine import check_design
 
     task = design_task(problem)
@@ -264,12 +266,12 @@ def _stored(text: str, quantities: Mapping[str, Quantity]) -> list[tuple[str, ob
 
 
 @typed
-def read_design(problem: ProblemFile, assignments: list[str], varied: Collection[str] = ()) -> dict[str, float]:
+def read_design(problem: AnyProblem, assignments: list[str], varied: Collection[str] = ()) -> dict[str, float]:
     """Read a design from texts such as "coupler=412.26 mm", or from the name of a result.json.
 
     Parameters
     ----------
-    problem : ProblemFile
+    problem : ProblemFile, str or Path
     assignments : list of str
         "NAME=VALUE", or the path of a result.json.
     varied : collection of str
@@ -284,6 +286,7 @@ def read_design(problem: ProblemFile, assignments: list[str], varied: Collection
     InputError
         For unknown or missing names, or values that are not quantities.
     """
+    problem = problem_of(problem)
     quantities = problem.model.quantities
     design: dict[str, float] = {}
     stored = [pair for text in assignments if text.endswith(".json") for pair in _stored(text, quantities)]

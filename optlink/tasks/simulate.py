@@ -18,7 +18,7 @@ from optlink.linkage.continuation import continue_through_singularities
 from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.arguments import typed
 from optlink.problem.document import Columns, Number, Source, Tabled
-from optlink.problem.file import ProblemFile
+from optlink.problem.file import AnyProblem, ProblemFile, problem_of
 from optlink.problem.quantity import check_range
 from optlink.tasks.machine import (
     MAX_DURATION,
@@ -86,7 +86,7 @@ class Simulation(Tabled):
 
 @typed
 def simulate(
-    problem: ProblemFile,
+    problem: AnyProblem,
     duration: float | None = None,
     rows: int = 1000,
     speed: float | None = None,
@@ -98,8 +98,8 @@ def simulate(
 
     Parameters
     ----------
-    problem : ProblemFile
-        From `optlink.load`.
+    problem : ProblemFile, str or Path
+        From `optlink.load`, the name of a shipped problem, or a file.
     duration : float [s], optional
         Simulated time. Default: that of the problem, else the time of one revolution at its speed.
     rows : int
@@ -129,6 +129,7 @@ def simulate(
     >>> float(run["time_s"][-1]), round(run.figures["input.work_J"], 3)
     (0.1, 220.81)
     """
+    problem = problem_of(problem)
     check_design(problem, design)
     if progress is not None:
         progress(0.0)  # the preparation of a long chain of links takes seconds

@@ -26,7 +26,7 @@ from optlink.linkage.vector2d import Array
 from optlink.optimization.pareto_front import ends, knee, undominated
 from optlink.problem.arguments import typed
 from optlink.problem.document import Source, entries
-from optlink.problem.file import ProblemFile
+from optlink.problem.file import AnyProblem, ProblemFile, problem_of
 from optlink.studies.pareto.design_objectives import OPTION, ParetoObjective
 from optlink.studies.pareto.epsilon_ranges import RANGES, EpsilonRanges, NoExtreme
 from optlink.studies.pareto.objectives import read_objectives
@@ -152,7 +152,7 @@ class Pareto(GridStudy):
 
 @typed
 def pareto(
-    problem: ProblemFile,
+    problem: AnyProblem,
     objectives: str,
     out: Path | None = None,
     *,
@@ -168,7 +168,7 @@ def pareto(
 
     Parameters
     ----------
-    problem : ProblemFile
+    problem : ProblemFile, str or Path
         A design for a requirement of any kind, or a machine with an objective over its cycle.
     objectives : str
         Objectives, separated by commas: "peak torque, guide force in F" for a machine, "error, limits.transmission_angle.max" or
@@ -198,6 +198,7 @@ def pareto(
     >>> [point.mark for point in front.points]
     ['least error', 'knee', 'best largest transmission angle']
     """
+    problem = problem_of(problem)
     begin = time.perf_counter()
     objective_list = read_objectives(problem, objectives)
     first = min(range(len(objective_list)), key=lambda k: _rank(objective_list[k], k))

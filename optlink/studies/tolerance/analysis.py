@@ -19,7 +19,7 @@ from optlink.execution.worker import Runs
 from optlink.linkage.vector2d import Array
 from optlink.problem.arguments import typed
 from optlink.problem.document import Document, Source, entries
-from optlink.problem.file import ProblemFile
+from optlink.problem.file import AnyProblem, ProblemFile, problem_of
 from optlink.problem.quantity import check_choice, nearest
 from optlink.problem.tolerances import CHOICES, NORMAL, SHAPES
 from optlink.studies.tolerance import robust_design
@@ -148,7 +148,7 @@ class Tolerance(LinearAnalysis, Document):
 
 @typed
 def tolerance(
-    problem: ProblemFile,
+    problem: AnyProblem,
     tolerances: Sequence[str] = (),
     output: str | None = None,
     crank_angles: Array | None = None,
@@ -170,8 +170,8 @@ def tolerance(
 
     Parameters
     ----------
-    problem : ProblemFile
-        From `optlink.load`. Without a `design`, it is optimised first.
+    problem : ProblemFile, str or Path
+        From `optlink.load`, the name of a shipped problem, or a file. Without a `design`, it is optimised first.
     tolerances : sequence of str
         Tolerances by name: "coupler=0.1 mm", "D.x=0.05 mm uniform", "C.clearance=0.02 mm", "rocker=parts.csv". Default: those of
         the file.
@@ -221,6 +221,7 @@ def tolerance(
     >>> round(result.monte_carlo.share, 3)  # the yield
     0.864
     """
+    problem = problem_of(problem)
     _check(samples, seed, shape, target_yield, limit)
     check_design(problem, design)
     with _processes(samples, engine, workers, scheduler) as runs:

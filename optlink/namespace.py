@@ -1,0 +1,43 @@
+"""Namespaces of the Python interface: the stub beside each, `__init__.pyi`, lists its names, which are imported at first use."""
+
+import importlib
+import re
+import sys
+import warnings
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+
+def namespace(
+    name: str, file: str, moved: Mapping[str, str] = MappingProxyType({})
+) -> tuple[list[str], Callable[[str], Any], Callable[[], list[str]]]:
+    """Return `__all__`, `__getattr__` and `__dir__` of a package.
+
+    Parameters
+    ----------
+    name, file : str
+        `__name__` and `__file__` of the package.
+    moved : mapping of str to str, optional
+        Former names by their present namespaces; they are still found there, with a DeprecationWarning.
+    """
+    text = Path(file).with_suffix(".pyi").read_text(encoding="utf-8")
+    homes: dict[str, tuple[str, str]] = {}
+    for module, names in re.findall(r"^from (\S+) import (\([^)]*\)|.*)$", text, re.MULTILINE):
+        homes |= {shown: (module, own) for own, shown in re.findall(r"(\w+) as (\w+)", names)}
+
+    def attribute(wanted: str) -> Any:
+        package = sys.modules[name]
+        if wanted in homes:
+            module, own = homes[wanted]
+            return importlib.import_module(f"{name}.{own}") if module == name else getattr(importlib.import_module(module), own)
+        if (home := moved.get(wanted)) is not None:
+            warnings.warn(f"{name}.{wanted} is now {home}.{wanted}", DeprecationWarning, stacklevel=2)
+            return getattr(importlib.import_module(home), wanted)
+        raise AttributeError(f"module {name!r} has no attribute {wanted!r}", name=wanted, obj=package)
+
+    def listed() -> list[str]:
+        return sorted({*homes, *(own for own in vars(sys.modules[name]) if own.startswith("__"))})
+
+    return sorted(homes), attribute, listed

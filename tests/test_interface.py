@@ -1,0 +1,172 @@
+"""The Python interface: namespaces with names that complete, problems by name or path, one interface of all results."""
+
+from __future__ import annotations
+
+import importlib
+import types
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import optlink
+from optlink.errors import InputError
+from optlink.namespace import namespace
+from optlink.problem.document import Document
+from tests.test_docs import ROOT
+
+NAMESPACES = ("control", "linkage", "studies", "synthesis", "testing")
+MOVED = {
+    **dict.fromkeys(("four_bar", "grashof", "sweep"), optlink.linkage),
+    **dict.fromkeys(("ClearanceSimulation", "Comparison", "InverseMotion", "Tuning"), optlink.control),
+    **dict.fromkeys(("compare", "inverse_model", "simulate_clearance", "tune"), optlink.control),
+}
+
+
+@pytest.mark.parametrize("name", ["", *NAMESPACES[:-1]])
+def test_a_namespace_lists_and_has_its_names(name: str) -> None:
+    package = importlib.import_module(f"optlink.{name}" if name else "optlink")
+    assert package.__all__
+    assert set(package.__all__) <= set(dir(package))
+    assert package.__all__ == sorted(package.__all__)
+    for item in package.__all__:
+        assert getattr(package, item) is not None
+    with pytest.raises(AttributeError, match="no attribute 'nonsense'") as missing:
+        _ = package.nonsense
+    assert (missing.value.name, missing.value.obj) == ("nonsense", package)
+
+
+def test_no_module_hides_a_function_of_its_name() -> None:
+    """Importing `package.name` sets that attribute, so that a public function must not have the name of a module beside it."""
+    for name in ("", *NAMESPACES[:-1]):
+        package = importlib.import_module(f"optlink.{name}" if name else "optlink")
+        folder = Path(str(package.__file__)).parent
+        modules = {path.stem for path in folder.iterdir() if path.suffix == ".py" or path.is_dir()}
+        assert {item for item in package.__all__ if not isinstance(getattr(package, item), types.ModuleType)} & modules == set()
+
+
+@pytest.mark.parametrize("name", MOVED)
+def test_former_names_are_found_with_a_warning(name: str) -> None:
+    with pytest.warns(DeprecationWarning, match=rf"optlink\.{name} is now optlink\.(control|linkage)\.{name}"):
+        found = getattr(optlink, name)
+    assert found is getattr(MOVED[name], name)
+    assert name not in optlink.__all__
+
+
+def test_a_stub_without_a_module_is_a_namespace_below(tmp_path: Path) -> None:
+    (tmp_path / "__init__.pyi").write_text("from math import (\n    pi as pi,\n    tau as turn,\n)\nfrom math import e as e\n")
+    names, get, _ = namespace("optlink", str(tmp_path / "__init__.py"))
+    assert (names, get("turn")) == (["e", "pi", "turn"], 2 * np.pi)
+
+
+FILE = ROOT / "problems" / "slider-crank.toml"
+
+
+@pytest.mark.parametrize("given", ["slider-crank", FILE, str(FILE)])
+def test_a_problem_is_given_by_name_path_or_object(given: str | Path) -> None:
+    expected = optlink.analyze(optlink.load("slider-crank"), points=12)["input.torque_Nm"]
+    np.testing.assert_array_equal(optlink.analyze(given, points=12)["input.torque_Nm"], expected)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: optlink.solve("crank-rokcer"), 'no such problem. Did you mean "crank-rocker"'),
+        (lambda: optlink.solve(3), "problem = 3: not a problem. Give what optlink.load returns"),
+        (lambda: optlink.simulate(optlink.analyze("six-bar", 12)), "not a problem. Of a result give its problem, or its machine"),
+        (lambda: optlink.studies.sweep("no.toml", ["a=1"]), "no.toml"),
+    ],
+)
+def test_what_is_no_problem_is_refused_in_a_sentence(call, message: str) -> None:
+    with pytest.raises(InputError, match=message) as caught:
+        call()
+    assert len(str(caught.value).splitlines()) == 1
+
+
+def test_motion_of_a_problem_is_that_of_its_linkage() -> None:
+    angles = np.linspace(0.0, 6.0, 9)
+    moved = optlink.motion("slider-crank", angles, speed=10.0)
+    assert moved.position("B").shape == (9, 2)
+    cycle = optlink.analyze("slider-crank", speed=10.0)
+    whole = optlink.motion("slider-crank", np.radians(cycle["crank_angle_deg"]), speed=10.0)
+    for k, axis in enumerate("xy"):
+        np.testing.assert_allclose(whole.velocity("B")[:, k], cycle[f"B.v{axis}_m_s"], rtol=0, atol=1e-12)
+        np.testing.assert_allclose(whole.acceleration("B")[:, k], cycle[f"B.a{axis}_m_s2"], rtol=0, atol=1e-10)
+
+
+RESULTS = {
+    "design": lambda: optlink.validate("crank-rocker", {"coupler": 0.412, "rocker": 0.232}),
+    "analysis": lambda: optlink.analyze("shaper", 36),
+    "simulation": lambda: optlink.simulate("six-bar", 0.05, 40),
+    "sweep": lambda: optlink.studies.sweep("crank-rocker", ["limits.transmission_angle.min=30..40 deg:2"], workers=1),
+    "sensitivity": lambda: optlink.studies.sensitivities("crank-rocker"),
+}
+
+
+@pytest.fixture(scope="module", params=RESULTS)
+def result(request: pytest.FixtureRequest) -> Document:
+    found: Document = RESULTS[request.param]()
+    return found
+
+
+def test_every_result_is_plotted(result: Document) -> None:
+    from matplotlib.figure import Figure
+
+    assert result.plots
+    assert isinstance(result.plot(), Figure)
+    assert isinstance(result.plot(result.plots[0]), Figure)
+    with pytest.raises(InputError, match=r"has no picture nothing\. Known: "):
+        result.plot("nothing")
+
+
+def test_every_result_is_a_frame(result: Document, tmp_path: Path) -> None:
+    import pandas
+
+    frame = result.to_frame()
+    assert len(frame) > 0
+    for path in result.write(tmp_path / "out"):
+        if path.suffix == ".csv":
+            there = result.to_frame(path.stem).replace([np.inf, -np.inf], np.nan)  # empty cells
+            pandas.testing.assert_frame_equal(there, pandas.read_csv(path), check_dtype=False)
+    with pytest.raises(InputError, match=r"has no table nothing\. Known: "):
+        result.to_frame("nothing")
+
+
+def test_a_missing_pandas_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    import sys
+
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(InputError, match=r'pip install "optlink\[frame\]"'):
+        optlink.analyze("shaper", 12).to_frame()
+
+
+def test_report_and_export_take_results_and_problems(tmp_path: Path) -> None:
+    result = RESULTS["analysis"]()
+    assert optlink.report(result, tmp_path / "one.html", {"author": "A. Designer"}).read_text().count("A. Designer") >= 1
+    assert optlink.report("shaper", str(tmp_path / "two.html")).is_file()
+    for suffix in ("dxf", "svg", "csv", "json"):
+        assert optlink.export(result, tmp_path / f"shaper.{suffix}").stat().st_size > 100
+    sources = optlink.analyze("shaper"), "shaper"
+    one, other = (optlink.export(source, tmp_path / f"{k}.svg", at=0.5) for k, source in enumerate(sources))
+    assert one.read_text() == other.read_text()
+    with pytest.raises(InputError, match="not a single design"):
+        optlink.export(RESULTS["sweep"](), tmp_path / "no.svg")
+    invalid = optlink.validate("crank-rocker", {"coupler": 0.412, "rocker": 0.232})
+    with pytest.raises(InputError, match="Nothing was written"):
+        optlink.export(invalid, tmp_path / "no.svg")
+    assert optlink.export(invalid, tmp_path / "yes.svg", even_invalid=True).is_file()
+    with pytest.raises(InputError, match=r"unknown key|facts"):
+        optlink.report("shaper", tmp_path / "no.html", {"autor": "x"})
+    assert not (tmp_path / "no.svg").exists()
+    assert not (tmp_path / "no.html").exists()
+
+
+def test_first_designs_of_a_search() -> None:
+    one, two = (optlink.synthesis.starts("path-arc5", rounds) for rounds in (1, 2))
+    assert [first.cost for first in one] == sorted(first.cost for first in one)
+    assert len(two) >= len(one)
+    problem = optlink.load("path-arc5", {"mechanism.assembly": one[0].assembly})
+    checked = optlink.validate(problem, one[0].design)
+    assert checked.objective < 1e-4  # [m]
+    with pytest.raises(InputError, match="no targets"):
+        optlink.synthesis.starts("shaper-design")
