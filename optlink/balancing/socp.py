@@ -401,7 +401,7 @@ def version() -> str:
     import clarabel
     import cvxpy
 
-    return f"Clarabel {clarabel.__version__}, cvxpy {cvxpy.__version__}"
+    return f"Clarabel {clarabel.__version__}, cvxpy {cvxpy.__version__}"  # type: ignore[attr-defined]
 
 
 # Certificate of a second-order cone programme, computed from its dual solution.
