@@ -37,6 +37,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 FIRST = (
     "test_the_site_builds",
+    "test_what_needs_solving",
     "test_notebooks.py",
     "test_every_command_ends_with_its_exit_code",
     "test_six_bars.py",

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import re
+import shutil
+import subprocess
 
 import pytest
 
@@ -63,6 +66,31 @@ def test_workflows_have_the_least_permissions():
         assert "\npermissions:\n  contents: read\n" in text, workflow.name
         assert text.count("uses: actions/checkout") == text.count("persist-credentials: false"), workflow.name
         assert len(re.findall(r": write\b", text)) == (workflow.name == "release.yml"), workflow.name
+
+
+@pytest.mark.skipif(os.name == "nt" or not (shutil.which("git") and shutil.which("bash")), reason="needs bash and git")
+def test_ci_tests_a_copy_of_the_tree_as_it_stands(tmp_path):
+    """What is changed, added and deleted counts; what git ignores is neither copied nor touched; nothing is left behind."""
+    tree, places = tmp_path / "tree", tmp_path / "places"
+    (tree / ".ci").mkdir(parents=True)
+    (tree / ".venv").mkdir()
+    places.mkdir()
+    head = (ROOT / ".ci" / "run").read_text(encoding="utf-8").partition("\nif ! {")[0]
+    (tree / ".ci" / "run").write_text(f"{head}\nls -A\ncat changed\nsleep 60 &\nfalse\necho never\n", encoding="utf-8")
+    files = {".gitignore": ".venv/\n", ".venv/mine": "mine", "gone": "", "changed": "before\n"}
+    for name, text in files.items():
+        (tree / name).write_text(text, encoding="utf-8")
+    for call in (["init", "-q"], ["add", "--all"]):
+        subprocess.run(["git", *call], cwd=tree, check=True, capture_output=True)
+    (tree / "gone").unlink()
+    (tree / "changed").write_text("after\n", encoding="utf-8")
+    (tree / "a new file").touch()
+    environment = {**os.environ, "TMPDIR": str(places), "LC_ALL": "C"}
+    call = ["bash", ".ci/run"]
+    done = subprocess.run(call, cwd=tree, env=environment, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout.split("\n")) == (1, [".ci", ".git", ".gitignore", "a new file", "changed", "after", ""])
+    assert (tree / ".venv" / "mine").read_text(encoding="utf-8") == "mine"
+    assert not any(places.iterdir())
 
 
 def test_readme_and_the_first_page_do_not_repeat_each_other():

@@ -9,7 +9,8 @@ from typing import Any
 
 FOLDER = Path(__file__).resolve().parents[2] / "notebooks"
 COLOURS = 32  # of a picture
-FIRST = 'import sys\nsys.modules["ipywidgets"] = None'  # as if it were not installed: sliders do not outlive their kernel
+NO_SLIDERS = 'import sys\nsys.modules["ipywidgets"] = None'  # as if it were not installed: then there is a picture in their place
+WIDGET = "application/vnd.jupyter.widget-view+json"
 
 
 def books() -> list[Path]:
@@ -23,7 +24,7 @@ def write(path: Path) -> None:
     from nbclient import NotebookClient
 
     book = nbformat.read(path, as_version=4)
-    first = nbformat.v4.new_code_cell(FIRST)
+    first = nbformat.v4.new_code_cell(NO_SLIDERS if any("= live(" in cell.source for cell in book.cells) else "")
     book.cells.insert(0, first)
     settings = {"metadata": {"path": str(FOLDER)}}
     NotebookClient(book, timeout=600, kernel_name="python3", resources=settings, record_timing=False).execute()
@@ -32,6 +33,7 @@ def write(path: Path) -> None:
     for count, cell in enumerate(code, start=1):
         cell.execution_count = count
         for output in cell.outputs:
+            output.get("data", {}).pop(WIDGET, None)  # does not outlive its kernel
             if "execution_count" in output:
                 output.execution_count = count
     book.metadata.pop("widgets", None)
