@@ -13,6 +13,7 @@ import grimp
 import pytest
 
 import optlink
+from optlink.io import write_json
 
 ROOT = Path(__file__).parent.parent
 NOT_FOR_A_LAW = {
@@ -24,7 +25,8 @@ NOT_FOR_A_LAW = {
     "optlink.dynamics.work",
     "optlink.tasks.analyze",
 }
-HEAVY = {"casadi", "matplotlib", "cvxpy", "plotly", "scipy.optimize", "scipy.stats", "pint"}
+HEAVY = {"casadi", "matplotlib", "cvxpy", "scipy.optimize", "scipy.stats", "pint"}
+LIBRARIES = {"casadi", "cvxpy", "matplotlib", "PIL", "scipy", "jinja2", "ezdxf"}
 
 
 def loaded_after(code: str) -> set[str]:
@@ -51,20 +53,35 @@ def test_no_module_imports_itself_through_others():
 
 
 def command(*words: str) -> str:
-    return f"import sys; sys.argv[1:] = {list(words)}\nfrom optlink.__main__ import main\ntry: main()\nexcept SystemExit: pass"
+    run = "from optlink.__main__ import main\ntry: main()\nexcept SystemExit as end: assert not end.code"
+    return f"import sys; sys.argv[1:] = {list(words)}\n{run}"
 
 
 @pytest.mark.parametrize(
     ("words", "unwanted"),
     [
         (("--help",), {"numpy", "pydantic", "markdown_it", "optlink.units", "pygments", "importlib.metadata"}),
+        (("list",), LIBRARIES | {"numpy", "optlink.problem.file"}),
+        (("show", "crank-rocker"), LIBRARIES | {"optlink.tasks"}),
+        (("new", "stroke", "-o", "mine.toml"), LIBRARIES),
+        (("export", "six-bar", "-o", "motion.csv"), LIBRARIES),
         (("analyze", "six-bar"), HEAVY | {"numpy.ma", "optlink.optimization", "optlink.synthesis", "optlink.tasks.design"}),
         (("simulate", "slider-crank"), HEAVY - {"casadi"} | {"scipy", "numpy.ma", "markdown_it"}),
         (("solve", "crank-rocker"), HEAVY - {"casadi"} | {"numpy.ma", "markdown_it"} | NOT_FOR_A_LAW),
     ],
 )
-def test_each_command_loads_only_what_it_needs(words, unwanted):
+def test_each_command_loads_only_what_it_needs(words, unwanted, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     assert loaded_after(command(*words)) & unwanted == set()
+
+
+def test_a_stored_design_is_exported_without_the_libraries_that_found_it(tmp_path):
+    result = optlink.solve(optlink.load("crank-rocker"))
+    write_json(tmp_path / "result.json", result.to_dict())
+    for suffix, used in (("csv", set()), ("json", set()), ("svg", set()), ("dxf", {"ezdxf"})):
+        drawn = tmp_path / f"motion.{suffix}"
+        assert loaded_after(command("export", str(tmp_path), "-o", str(drawn))) & LIBRARIES == used
+        assert drawn.stat().st_size > 1000
 
 
 def test_garbage_is_collected_late_at_first_and_then_as_usual():

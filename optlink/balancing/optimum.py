@@ -10,7 +10,7 @@ import numpy as np
 from optlink.balancing.socp import CONSTRAINT_TOLERANCE, GAP, BalanceBound, BalancingProgramme, ConeCertificate, Price, solved
 from optlink.errors import SolverError
 from optlink.linkage.vector2d import Array
-from optlink.optimization.nlp import MultiplierSet
+from optlink.optimization.multipliers import MultiplierSet
 from optlink.problem.terms import Term
 from optlink.units import percent
 

@@ -8,6 +8,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -398,10 +399,8 @@ class BalancingProgramme:
 
 def version() -> str:
     """Return the names and versions of the solver and of cvxpy."""
-    import clarabel
-    import cvxpy
-
-    return f"Clarabel {clarabel.__version__}, cvxpy {cvxpy.__version__}"  # type: ignore[attr-defined]
+    solver, modelling = map(import_module, ("clarabel", "cvxpy"))
+    return f"Clarabel {solver.__version__}, cvxpy {modelling.__version__}"
 
 
 # Certificate of a second-order cone programme, computed from its dual solution.

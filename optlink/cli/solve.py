@@ -132,7 +132,6 @@ def _validate(
     problem: str, design: list[str], changes: list[str] | None, as_json: bool, out: Path | None, *, details: bool = True
 ) -> None:
     from optlink.tasks.run import read_design, validate as check
-    from optlink.tasks.search import possible_modes
 
     file = console.load(problem, changes)
     own = None if design else console.given_design(file, problem, changes, design)
@@ -140,7 +139,7 @@ def _validate(
         design = [str(Path(problem) / "result.json" if Path(problem).is_dir() else problem)]
     values = read_design(file, design) if own is None else own
     hashes = [document.get("problem_hash") for _, document in _documents(design)]
-    file = next((mode for mode in possible_modes(file) if mode.hash in hashes), file)  # of a result file
+    file = next((mode for mode in file.variants() if mode.hash in hashes), file)  # of a result file
     result = check(_in_mode(file, design), values)
     failed = _contradictions(design, file, result)
     _show(result.with_checks(failed) if failed else result, as_json, out, details=details)

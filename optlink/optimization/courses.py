@@ -17,7 +17,7 @@ import numpy as np
 from optlink.linkage.mechanism import Pose
 from optlink.linkage.vector2d import TURN, Array, Value, unit
 from optlink.optimization.nlp import Variable
-from optlink.optimization.output_derivatives import ErrorResiduals
+from optlink.optimization.output_errors import ErrorResiduals
 from optlink.optimization.terms import (
     DEGREES,
     PLAIN,

@@ -144,9 +144,20 @@ class ProblemFile:
         return _at(self.raw, key)
 
     def variants(self) -> list[ProblemFile]:
-        """Return the problem with definite assembly modes, one for each combination that it leaves open."""
-        changes = [{**self.located, **change} for change in self.model.mechanism.variants(self.model.linkage)]
-        return [self.override(change) if change else self for change in changes]
+        """Return the problem with definite assembly modes, one for each combination in which its sections are consistent.
+
+        If there is none, the error of the first combination is raised.
+        """
+        variants, refused = list[ProblemFile](), list[InputError]()
+        for change in self.model.mechanism.variants(self.model.linkage):
+            try:
+                definite = {**self.located, **change}
+                variants.append(self.override(definite) if definite else self)
+            except InputError as error:
+                refused.append(error)
+        if not variants:
+            raise refused[0]
+        return variants
 
     @property
     def located(self) -> dict[str, str]:

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.linkage.vector2d import Array
-from optlink.report.style import short_name
 
 LETTER = 9.0 / 8.0
 """Height of a letter, as a share of the height of a ground pivot, and below its width as a share of its height."""
@@ -30,6 +29,13 @@ LINK, TRACE, NAME, POINT, WRONG, OUTSIDE, LATER, CHANGE = 1.0, 0.15, 4.0, 2.0, 4
 the drawing, the next side in the order, a change of side."""
 MOST = 4_000_000
 """Comparisons of samples with places, beyond which not every position is examined."""
+MAX_LETTERS = 12
+"""Most letters of the name of a point in a drawing."""
+
+
+def short_name(name: str) -> str:
+    """Return a name as drawings show it: without the middle if it is long, as the ends of similar names differ."""
+    return name if len(name) <= MAX_LETTERS else f"{name[:6]}\u2026{name[-5:]}"
 
 
 @dataclass(frozen=True, eq=False)

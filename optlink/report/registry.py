@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -39,6 +40,23 @@ KINDS = {
     "output sensitivity": "study sensitivity --quantity",
 }
 """Kinds of stored results, and the commands that write them."""
+RESULTS = {
+    "design": "optlink.tasks.results.design:SynthesisResult",
+    "analysis": "optlink.tasks.analyze:Analysis",
+    "simulation": "optlink.tasks.simulate:Simulation",
+    "clearance": "optlink.tasks.results.clearance:ClearanceSimulation",
+    "control comparison": "optlink.tasks.results.clearance:Comparison",
+    "tuning": "optlink.tasks.results.clearance:Tuning",
+    "balance": "optlink.tasks.results.balance:Balance",
+    "sensitivity": "optlink.studies.sensitivity:Sensitivities",
+    "sweep": "optlink.studies.sweep:Sweep",
+    "tolerance": "optlink.studies.tolerance.analysis:Tolerance",
+    "pareto": "optlink.studies.pareto.epsilon_constraint:Pareto",
+    "output sensitivity": "optlink.studies.motion_sensitivity:OutputStudy",
+}
+"""Classes of stored results by kind, read without the view of the kind, which draws."""
+ONE_MACHINE = ("design", "analysis")
+"""Kinds whose page is that of a machine."""
 
 
 def table_of(kind: str) -> Callable[[Any], Summary]:
@@ -104,9 +122,7 @@ def view_of(kind: str) -> View:
 
             return sensitivity.VIEW
         case "output sensitivity":
-            from optlink.studies.motion_sensitivity import OutputStudy
-
-            return View(result=OutputStudy, no_page="Read the derivatives of an output in the sensitivity.csv beside it")
+            return View(no_page="Read the derivatives of an output in the sensitivity.csv beside it")
         case "tolerance":
             from optlink.report.views import tolerance
 
@@ -125,7 +141,10 @@ def view_of(kind: str) -> View:
 
 def result_class(kind: str) -> type[Document] | None:
     """Import the class of the results of a kind; None if there are none."""
-    return view_of(kind).result if kind in KINDS or kind in REGISTERED else None
+    if kind in REGISTERED:
+        return REGISTERED[kind].result
+    module, _, name = RESULTS.get(kind, "").partition(":")
+    return getattr(import_module(module), name) if module else None
 
 
 def json_schema(kind: str) -> dict[str, Any]:
@@ -242,6 +261,8 @@ def stored_page(result: Document, facts: Mapping[str, Any], path: str) -> Report
 
     if facts:
         result = replace(result, problem=result.problem.override(facts))  # type: ignore[type-var]
+    if result.kind in ONE_MACHINE:
+        return report_model_of(result)  # type: ignore[arg-type]
     view = view_of(result.kind)
     if view.no_page:
         raise InputError("a result of this kind has no page", view.no_page, path, "schema", result.schema())

@@ -21,10 +21,10 @@ from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.vector2d import TURN, Array, Vector
 from optlink.problem.file import ProblemFile
 from optlink.problem.limits import RegionLimit
+from optlink.report.chart_spec import BODIES, CRANK, GROUND, LIMIT, MUTED
 from optlink.report.format import Scale, scale
 from optlink.report.names import LETTER, WIDTH, NamePlaces, place_names
 from optlink.report.shapes import Part, clipped, finite, hatching, hull, in_line, rectangle, spread, stem, strokes, zigzag
-from optlink.report.style import BODIES, CRANK, GROUND, LIMIT, MUTED
 from optlink.tasks.analyze import Analysis
 from optlink.validation.check import Check
 

@@ -166,7 +166,6 @@ STYLE: dict[Any, Any] = {
 
 P = ParamSpec("P")
 T = TypeVar("T")
-MAX_NAME_LETTERS = 12  # most letters of the name of a point in a drawing
 DPI = 150  # pixels per inch of a picture
 MAX_GIF_BYTES = 1_500_000  # largest size of an animation [bytes]
 
@@ -270,8 +269,3 @@ def one_palette(pictures: Sequence[NDArray[np.uint8]], colours: int = 160) -> li
 
 def _unpacked(colours: NDArray[Any]) -> NDArray[np.uint8]:
     return np.stack([colours >> 16, (colours >> 8) & 255, colours & 255], axis=-1).astype(np.uint8)
-
-
-def short_name(name: str) -> str:
-    """Return a name as drawings show it: without the middle if it is long, as the ends of similar names differ."""
-    return name if len(name) <= MAX_NAME_LETTERS else f"{name[:6]}\u2026{name[-5:]}"

@@ -35,7 +35,8 @@ from optlink.optimization.courses import (
 )
 from optlink.optimization.cycle_signals import EventOrder, Sample, TracedCycle
 from optlink.optimization.mapped_terms import MappedTerms
-from optlink.optimization.nlp import ACTIVE, LEAST_PRICE, NLP, Variable
+from optlink.optimization.multipliers import ACTIVE, LEAST_PRICE
+from optlink.optimization.nlp import NLP, Variable
 from optlink.optimization.programme import build, solved_values
 from optlink.optimization.terms import PLAIN, ConstraintRow
 from optlink.problem.design import EPIGRAPH, DesignProblem

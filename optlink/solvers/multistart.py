@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from optlink.errors import Status
 from optlink.linkage.vector2d import TURN, Array
-from optlink.optimization.nlp import ACTIVE, NLP, SMALLEST_SCALE, NLPValues
+from optlink.optimization.multipliers import ACTIVE
+from optlink.optimization.nlp import NLP, SMALLEST_SCALE, NLPValues
 from optlink.problem.design import EPIGRAPH
 from optlink.problem.tolerances import SMOOTHED
 from optlink.solvers.contract import MINIMAX, SOLVERS, backend

@@ -17,7 +17,7 @@ from pydantic import ConfigDict, Field, PlainSerializer, PlainValidator, Validat
 from optlink.errors import Status
 from optlink.io import Summary
 from optlink.linkage.vector2d import Array
-from optlink.optimization.nlp import ACTIVE, LEAST_PRICE, SAME_SUM, MultiplierSet, active_sides
+from optlink.optimization.multipliers import ACTIVE, LEAST_PRICE, SAME_SUM, MultiplierSet, active_sides
 from optlink.optimization.terms import Scale, SIScale
 from optlink.problem.document import Column, Never, Number
 from optlink.units import in_si

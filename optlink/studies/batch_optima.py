@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.linkage.vector2d import Array
-from optlink.optimization.nlp import ACTIVE, NLP, BatchValues, Evaluator
+from optlink.optimization.multipliers import ACTIVE
+from optlink.optimization.nlp import NLP, BatchValues, Evaluator
 from optlink.solvers.multistart import SAME_OBJECTIVE, newton
 from optlink.solvers.solution import FEASIBLE, Solution
 from optlink.studies.continuation import MAX_DISTANCE, MAX_RESIDUAL, MAX_STEPS

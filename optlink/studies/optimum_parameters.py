@@ -22,7 +22,8 @@ from optlink.errors import InputError
 from optlink.linkage.vector2d import TURN, Array, Value
 from optlink.optimization.courses import TermCourse, course_again
 from optlink.optimization.cycle_signals import TracedCycle
-from optlink.optimization.nlp import NLP, MultiplierSet
+from optlink.optimization.multipliers import MultiplierSet
+from optlink.optimization.nlp import NLP
 from optlink.optimization.programme import build
 from optlink.optimization.terms import Scale, SIScale
 from optlink.problem.design import EPIGRAPH, DesignProblem

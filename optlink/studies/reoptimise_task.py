@@ -28,7 +28,8 @@ from optlink.errors import InputError, Status
 from optlink.execution.worker import Runs
 from optlink.linkage.vector2d import Array
 from optlink.optimization.courses import course_again
-from optlink.optimization.nlp import ACTIVE, NLP, BatchNLP
+from optlink.optimization.multipliers import ACTIVE
+from optlink.optimization.nlp import NLP, BatchNLP
 from optlink.optimization.programme import build, constant_values
 from optlink.optimization.terms import rows as limit_rows
 from optlink.problem.design import DesignProblem, is_parameter

@@ -16,7 +16,7 @@ from optlink.linkage.vector2d import Array
 from optlink.optimization.courses import TermCourse
 from optlink.optimization.cycle_signals import TracedCycle
 from optlink.optimization.nlp import NLP
-from optlink.optimization.output_derivatives import error_at
+from optlink.optimization.output_errors import error_at
 from optlink.optimization.programme import solved_values
 from optlink.problem.design import DesignProblem
 from optlink.problem.file import WORDS as PROSE, ProblemFile

@@ -40,7 +40,6 @@ from optlink.tasks.search import (
     has_several_dyads,
     mode_of,
     no_stroke,
-    possible_modes,
     validated_design,
 )
 from optlink.validation import validate as validate_design
@@ -174,7 +173,7 @@ class SynthesisTask(DesignTask[SynthesisResult]):
         """
         clock = time.perf_counter()
         designs = []
-        for file in possible_modes(problem):
+        for file in problem.variants():
             task = file.spec
             values = task.design(design)
             angles = passing(task, values)
@@ -295,7 +294,7 @@ class SearchRounds:
     """Starts of all sources that a problem has, each followed by refinement, until the stopping criterion holds."""
 
     def __init__(self, problem: ProblemFile, options: Search) -> None:
-        self.files = possible_modes(problem)
+        self.files = problem.variants()
         self.collection = DesignCollection(Polisher(self.files, options.backend, len(options.names) > 1), options.designs)
         self.problem, self.options, self.interrupted = problem, options, False
         self.task = self.files[0].spec

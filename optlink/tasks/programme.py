@@ -21,7 +21,7 @@ from optlink.problem.file import AnyProblem, ProblemFile, problem_of
 from optlink.solvers.multistart import scaled_parameters
 from optlink.tasks.machine import check_design
 from optlink.tasks.run import check_complete, design_task
-from optlink.tasks.search import mode_of, possible_modes
+from optlink.tasks.search import mode_of
 
 
 @dataclass(frozen=True)
@@ -320,7 +320,7 @@ def build(problem: AnyProblem) -> Programme:
     task.check(problem)
     if task.most_starts is not None:
         task.check_free(problem)
-    variants = possible_modes(problem)
+    variants = problem.variants()
     if len(variants) > 1:
         message = (
             f"{len(variants)} assembly modes are left open ({'; '.join(map(mode_of, variants))}): each has its own programme"

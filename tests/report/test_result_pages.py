@@ -20,7 +20,7 @@ import optlink
 from optlink.errors import InputError
 from optlink.report.html.shell import MAX_BYTES, PageContent
 from optlink.report.html.study_page import content_of, study_page
-from optlink.report.registry import KINDS, read_result, stored_page, view_of
+from optlink.report.registry import KINDS, read_result, result_class, stored_page
 from optlink.report.view import StoredStudy
 from optlink.studies.pareto.design_objectives import ParetoObjective
 from optlink.studies.tolerance.robust_design import RobustDesign
@@ -437,7 +437,7 @@ def test_unknown_schemas_list_the_known_ones(tmp_path):
         read_result(tmp_path / "a.json")
     for kind, command in KINDS.items():
         assert command.partition(" --")[0] in str(caught.value)
-        assert view_of(kind).result.kind == kind
+        assert result_class(kind).kind == kind
 
 
 # --- in a browser --------------------------------------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import optlink
-from optlink.optimization.nlp import MultiplierSet
+from optlink.optimization.multipliers import MultiplierSet
 from optlink.report.views.search_tables import active
 from optlink.report.views.sensitivity import charts
 from optlink.solvers.solution import LimitState

@@ -11,7 +11,7 @@ import pytest
 
 import optlink
 from optlink.errors import Status
-from optlink.optimization.nlp import LEAST_PRICE
+from optlink.optimization.multipliers import LEAST_PRICE
 from optlink.synthesis.batch_search import Candidate
 from optlink.tasks.results.common import with_optimality
 from optlink.tasks.results.design import LinkageDesign, SynthesisResult

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -173,7 +174,7 @@ def test_a_poor_transmission_angle_is_not_explained_by_its_own_limit() -> None:
         limit("limits.swing_angle", "swing angle of the rocker", "="),
         limit("mechanism.rocker", "rocker", ">="),
     ]
-    fit = transmission_fit(math.radians(30.0), {}, {}, limits)
+    fit = transmission_fit(math.radians(30.0), {}, {}, SimpleNamespace(displayed_limits=limits))
     assert fit is not None
     assert {each.remedy for each in fit.reasons} == {"change limits.swing_angle", "widen mechanism.rocker"}
 

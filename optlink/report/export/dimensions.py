@@ -13,11 +13,11 @@ from optlink.linkage.jet import as_jet
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import TURN, Array
+from optlink.report.chart_spec import GROUND
 from optlink.report.export.svg import svg
 from optlink.report.html.theme import readable
 from optlink.report.scene import Scene, Shape, Text, scene
 from optlink.report.shapes import finite, hull, in_line
-from optlink.report.style import GROUND
 from optlink.tasks.analyze import Analysis
 
 # Placement of texts and their lines on a drawing: each where it covers least of the drawing and of the other ones.

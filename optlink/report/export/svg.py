@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from optlink.linkage.vector2d import Array
-from optlink.report.names import LETTER
+from optlink.report.chart_spec import GROUND
+from optlink.report.names import LETTER, short_name
 from optlink.report.scene import WHITE, Scene, Shape, Text
 from optlink.report.shapes import zigzag
-from optlink.report.style import GROUND, short_name
 
 POINT = 1.0 / 8.0  # size of a typographic point, as a share of the size of a ground pivot, as in the other figures
 FLIP = np.array([1.0, -1.0])

@@ -13,9 +13,8 @@ from optlink.io import finite
 from optlink.linkage.vector2d import Array
 from optlink.report.chart_spec import max_abs
 from optlink.report.export.svg import motion_data, svg
-from optlink.report.format import pretty
+from optlink.report.format import Scale, pretty, scale
 from optlink.report.scene import Region, Scene, scene
-from optlink.report.style import Scale, scale
 from optlink.tasks.analyze import Analysis
 
 STACKED_RATIO = 0.45  # ratio of height to width below which the quantities are shown below the drawing

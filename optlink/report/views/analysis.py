@@ -20,7 +20,6 @@ from optlink.report.style import figure, heading, panels, styled
 from optlink.report.view import View
 from optlink.report.views import analysis_charts, analysis_tables, conclusions
 from optlink.report.views.analysis_charts import ROUNDING, CycleCurves, output
-from optlink.tasks.analyze import Analysis
 
 FRAMES = 80
 
@@ -172,5 +171,4 @@ VIEW = View(
     drawings={"mechanism": mechanism},
     tables=lambda result: {"cycle": result.columns},
     frames=frames,
-    result=Analysis,
 )

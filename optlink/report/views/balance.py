@@ -453,5 +453,4 @@ VIEW = View(
     tables=_tables,
     design=_design,
     page=page,
-    result=Balance,
 )

@@ -441,5 +441,4 @@ VIEW = View(
     drawings={"mechanism": _mechanism},
     tables=lambda result: {"play": result.columns} if result.columns else {},
     page=page,
-    result=ClearanceSimulation,
 )

@@ -212,5 +212,5 @@ def conclusion(result: Comparison) -> str:
     return f"The best control is {best}: root mean square deviation {rms}{less}; peak {peak}.{tail}"
 
 
-VIEW = View(overview, charts=charts, page=page, result=Comparison)
-TUNING = View(tuning, result=Tuning, no_page="Read the best parameters in it, under best")
+VIEW = View(overview, charts=charts, page=page)
+TUNING = View(tuning, no_page="Read the best parameters in it, under best")

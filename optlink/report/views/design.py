@@ -145,5 +145,4 @@ VIEW = View(
     tables=tables,
     design=lambda result: with_verdict(result.best, result.refuted),
     frames=frames,
-    result=SynthesisResult,
 )

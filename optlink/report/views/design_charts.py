@@ -10,7 +10,7 @@ from PIL import Image
 
 from optlink.linkage.dyads import transmitting
 from optlink.linkage.vector2d import TURN
-from optlink.optimization.output_derivatives import ErrorResiduals
+from optlink.optimization.output_errors import ErrorResiduals
 from optlink.problem.targets.law import Function
 from optlink.report.chart_mpl import draw_into
 from optlink.report.chart_spec import (

@@ -250,4 +250,4 @@ def conclusion(result: Pareto) -> str:
     return text if result.complete else f"{text} Not every point is verified."
 
 
-VIEW = View(overview, charts=charts, tables=lambda result: {"front": result.columns}, page=page, result=Pareto)
+VIEW = View(overview, charts=charts, tables=lambda result: {"front": result.columns}, page=page)

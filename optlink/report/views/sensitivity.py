@@ -213,4 +213,4 @@ def conclusion(result: Sensitivities) -> str:
     return f"The optimum reacts most to {first.parameter.name}: {words} more changes the objective by {change.replace('-', '−')}."
 
 
-VIEW = View(overview, charts=charts, tables=lambda result: {"sensitivity": columns(result)}, page=page, result=Sensitivities)
+VIEW = View(overview, charts=charts, tables=lambda result: {"sensitivity": columns(result)}, page=page)

@@ -220,4 +220,4 @@ def conclusion(result: Simulation) -> str:
     return f"{text}." if result.finished else f"Not finished: {result.ending.text}. {text}."
 
 
-VIEW = View(analysis_tables.simulation, charts=charts, tables=lambda run: {"course": run.columns}, page=page, result=Simulation)
+VIEW = View(analysis_tables.simulation, charts=charts, tables=lambda run: {"course": run.columns}, page=page)

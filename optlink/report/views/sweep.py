@@ -551,4 +551,4 @@ def conclusion(result: Sweep) -> str:
     return f"The objective is {extreme}, {value}, at {joined(where)}; {verified}.{limits}"
 
 
-VIEW = View(overview, charts=charts, page=page, result=Sweep)
+VIEW = View(overview, charts=charts, page=page)

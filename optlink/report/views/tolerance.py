@@ -309,4 +309,4 @@ def conclusion(result: Tolerance) -> str:
     return f"{text}; {most}."
 
 
-VIEW = View(overview, charts=charts, tables=lambda result: {"tolerance": result.columns}, page=page, result=Tolerance)
+VIEW = View(overview, charts=charts, tables=lambda result: {"tolerance": result.columns}, page=page)

@@ -21,7 +21,7 @@ from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.mechanism import Pose
 from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import TURN, Array
-from optlink.optimization.output_derivatives import error_function
+from optlink.optimization.output_errors import error_function
 from optlink.problem.design import DesignProblem
 from optlink.problem.document import Column, Document, Number, Source, adapter, entries
 from optlink.problem.file import ProblemFile, fixed_design, started
@@ -166,17 +166,17 @@ class LinkageDesign(Summary):
     @cached_property
     def fit(self) -> Fit | None:
         """Error relative to the size of the task, or least transmission angle; None if neither is defined."""
-        graded, limits = self.task.requirement.kind == "transmission", self.displayed_limits
+        graded = self.task.requirement.kind == "transmission"
         if self.whole.of_cycle and self.whole.single:
             graded = self.whole.goals[0].quantity in ("transmission angle", "pressure angle")
         elif [goal.words for goal in self.whole.goals] == ["peak pressure angle"] and not self.alone:
             graded = all(part.requirement.limited for part in self.whole.parts)
         if graded:
             quantities = self.task.mechanism.quantities
-            return transmission_fit(self._optimised_transmission, quantities, self.values, limits, self.solution, self.task)
+            return transmission_fit(self._optimised_transmission, quantities, self.values, self.solution, self.task)
         if self.whole.composed:
             return None
-        return fit(self.problem, self.values, self.crank_angles, self.measured, self.between, limits, self.solution)
+        return fit(self.problem, self.values, self.crank_angles, self.measured, self.between, self.solution)
 
     @property
     def _optimised_transmission(self) -> float:

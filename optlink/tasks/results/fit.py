@@ -370,13 +370,12 @@ def transmission_fit(
     least: float,
     quantities: Mapping[str, Quantity],
     values: Mapping[str, float],
-    limits: Sequence[LimitState] = (),
     solution: Solution | None = None,
     task: Problem | None = None,
 ) -> TransmissionFit | None:
     """Grade a design by its least transmission angle [rad]; return None if it has none.
 
-    A given design has no optimum: no `limits` with multipliers, and no `solution`.
+    A given design has no `solution`, whose limits with their multipliers explain a poor fit.
     """
     if not math.isfinite(least):
         return None
@@ -384,6 +383,7 @@ def transmission_fit(
     fit = TransmissionFit(right - least, right, "rad", "a right angle")
     if fit.grade != "poor":
         return fit
+    limits = () if solution is None else solution.displayed_limits
     remaining = [limit for limit in limits if not any(words in f"{limit.key} {limit.name}" for words in TRANSMISSION_KEYS)]
     return replace(fit, reasons=(*active_reasons(remaining), *fixed_reasons(quantities, values, solution, task)))
 
@@ -394,12 +394,11 @@ def fit(
     crank_angles: Array,
     measured: MeasuredDeviations,
     between: Array | None = None,
-    limits: Sequence[LimitState] = (),
     solution: Solution | None = None,
 ) -> Fit | None:
     """Grade a design for points, poses or a law; return None for transmission (see `transmission_fit`) or without motion.
 
-    `between` are the excursions [m] of the curve between the points. A given design has no `limits` and no `solution`.
+    `between` are the excursions [m] of the curve between the points. A given design has no `solution`.
     """
     task = problem.spec
     targets, distances = task.data.columns, measured.distances
@@ -441,6 +440,7 @@ def fit(
         *(() if task.pointed else start_reasons(task, values, rms(distances))),
         *mode_reasons(problem, values, crank_angles, rms(distances), "m" if task.pointed else str(task.unit)),
     ]
+    limits = () if solution is None else solution.displayed_limits
     reasons += [*active_reasons(limits), *fixed_reasons(_quantities(task), values, solution, task), *_kind(task, values)]
     return Fit(worst.error, worst.size, worst.unit, worst.of, tuple(reasons))
 
