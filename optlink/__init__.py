@@ -120,6 +120,10 @@ STUDIES = {
 """Studies that are looked for here, by their modules."""
 
 
+_DEPRECATED: dict[str, str] = {}
+"""Successors of names that are no longer public, by these names; docs/stability.md states how long they still work."""
+
+
 def __dir__() -> list[str]:
     """Return the public names, for the completion of editors and notebooks."""
     return sorted({*__all__, *(name for name in globals() if name.startswith("__"))})
@@ -130,6 +134,11 @@ def __getattr__(name: str) -> Any:
     import importlib
     import sys
 
+    if name in _DEPRECATED:
+        import warnings
+
+        warnings.warn(f"optlink.{name} is deprecated: use optlink.{_DEPRECATED[name]}", DeprecationWarning, stacklevel=2)
+        name = _DEPRECATED[name]
     home = next((module for module, names in _NAMES.items() if name in names), None)
     if home is None:
         study = STUDIES.get(name)
