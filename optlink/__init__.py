@@ -9,7 +9,7 @@
 from optlink.namespace import namespace
 from optlink.version import VERSION as __version__  # noqa: F401
 
-_MOVED = dict.fromkeys(("four_bar", "grashof", "sweep"), "optlink.linkage") | dict.fromkeys(
+_DEPRECATED = dict.fromkeys(("four_bar", "grashof", "sweep"), "optlink.linkage") | dict.fromkeys(
     (
         "ClearanceSimulation",
         "Comparison",
@@ -22,5 +22,5 @@ _MOVED = dict.fromkeys(("four_bar", "grashof", "sweep"), "optlink.linkage") | di
     ),
     "optlink.control",
 )
-"""Names of version 0.1 by their present namespaces."""
-__all__, __getattr__, __dir__ = namespace(__name__, __file__, _MOVED)
+"""Names of version 0.1 by their present namespaces; docs/stability.md states how long they still work."""
+__all__, __getattr__, __dir__ = namespace(__name__, __file__, _DEPRECATED)

@@ -17,6 +17,15 @@ from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.document import Document
 from optlink.problem.file import AnyProblem, problem_of
 
+__all__ = [
+    "Disagreement",
+    "check_derivatives",
+    "check_forces",
+    "check_motion",
+    "check_optimum",
+    "check_prices",
+    "check_stored",
+]
 STEP = 1e-5  # rad, and share of a design variable: cube root of the rounding error of central differences
 NEAR = 0.02  # share by which designs differ at random from the start
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
-import types
 from pathlib import Path
 
 import numpy as np
@@ -11,53 +9,8 @@ import pytest
 
 import optlink
 from optlink.errors import InputError
-from optlink.namespace import namespace
 from optlink.problem.document import Document
 from tests.test_docs import ROOT
-
-NAMESPACES = ("control", "linkage", "studies", "synthesis", "testing")
-MOVED = {
-    **dict.fromkeys(("four_bar", "grashof", "sweep"), optlink.linkage),
-    **dict.fromkeys(("ClearanceSimulation", "Comparison", "InverseMotion", "Tuning"), optlink.control),
-    **dict.fromkeys(("compare", "inverse_model", "simulate_clearance", "tune"), optlink.control),
-}
-
-
-@pytest.mark.parametrize("name", ["", *NAMESPACES[:-1]])
-def test_a_namespace_lists_and_has_its_names(name: str) -> None:
-    package = importlib.import_module(f"optlink.{name}" if name else "optlink")
-    assert package.__all__
-    assert set(package.__all__) <= set(dir(package))
-    assert package.__all__ == sorted(package.__all__)
-    for item in package.__all__:
-        assert getattr(package, item) is not None
-    with pytest.raises(AttributeError, match="no attribute 'nonsense'") as missing:
-        _ = package.nonsense
-    assert (missing.value.name, missing.value.obj) == ("nonsense", package)
-
-
-def test_no_module_hides_a_function_of_its_name() -> None:
-    """Importing `package.name` sets that attribute, so that a public function must not have the name of a module beside it."""
-    for name in ("", *NAMESPACES[:-1]):
-        package = importlib.import_module(f"optlink.{name}" if name else "optlink")
-        folder = Path(str(package.__file__)).parent
-        modules = {path.stem for path in folder.iterdir() if path.suffix == ".py" or path.is_dir()}
-        assert {item for item in package.__all__ if not isinstance(getattr(package, item), types.ModuleType)} & modules == set()
-
-
-@pytest.mark.parametrize("name", MOVED)
-def test_former_names_are_found_with_a_warning(name: str) -> None:
-    with pytest.warns(DeprecationWarning, match=rf"optlink\.{name} is now optlink\.(control|linkage)\.{name}"):
-        found = getattr(optlink, name)
-    assert found is getattr(MOVED[name], name)
-    assert name not in optlink.__all__
-
-
-def test_a_stub_without_a_module_is_a_namespace_below(tmp_path: Path) -> None:
-    (tmp_path / "__init__.pyi").write_text("from math import (\n    pi as pi,\n    tau as turn,\n)\nfrom math import e as e\n")
-    names, get, _ = namespace("optlink", str(tmp_path / "__init__.py"))
-    assert (names, get("turn")) == (["e", "pi", "turn"], 2 * np.pi)
-
 
 FILE = ROOT / "problems" / "slider-crank.toml"
 

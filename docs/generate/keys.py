@@ -173,7 +173,7 @@ def _words(annotation: Any, metadata: typing.Iterable[Any] = ()) -> str:
         return "list of two names" if len(inside) == 2 and inside[1] is not Ellipsis else "list of names"
     plain = {str: "text", bool: "`true`, `false`", float: "number", int: "whole number"}
     if annotation not in plain:
-        raise LookupError(f"add the permitted values of {annotation} to FORMS")
+        raise LookupError(f"add the permitted values of {annotation} to FORMS of optlink/problem/schema.py")
     return plain[annotation]
 
 

@@ -1,0 +1,89 @@
+"""The names that a program may rely on: one is added in one line, and none disappears without a deprecation."""
+
+import importlib
+import inspect
+import types
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import optlink
+from optlink.namespace import namespace
+
+PUBLIC = {
+    "optlink": """
+        Analysis AnyProblem Balance DesignResult Document InputError LinkageDesign OptlinkError ProblemFile Programme Simulation
+        SolverError Status SynthesisResult UnknownName
+        analyze analyze_batch balance build explore export load motion new read read_design read_result report shipped simulate
+        solve validate
+        control linkage studies synthesis testing
+    """,
+    "optlink.control": """
+        ClearanceSimulation Comparison InverseMotion Tuning compare inverse_model simulate_clearance tune
+    """,
+    "optlink.linkage": """
+        Cognate CouplerLinkage GrashofClass Jet Mechanism Motion Pose Travel cognates four_bar grashof reachable sweep travels
+    """,
+    "optlink.studies": """
+        Allocation Derivatives MonteCarlo OutputSensitivity Pareto RobustDesign Sensitivities Sensitivity Sweep Tolerance
+        output_sensitivity pareto sensitivities sweep tolerance
+    """,
+    "optlink.synthesis": "FirstDesign starts",
+    "optlink.testing": """
+        Disagreement check_derivatives check_forces check_motion check_optimum check_prices check_stored
+    """,
+}
+"""Public names by namespace. One that goes stays in `optlink._DEPRECATED` for as long as docs/stability.md states."""
+DEPRECATED = {
+    **dict.fromkeys(("four_bar", "grashof", "sweep"), "optlink.linkage"),
+    **dict.fromkeys(("ClearanceSimulation", "Comparison", "InverseMotion", "Tuning"), "optlink.control"),
+    **dict.fromkeys(("compare", "inverse_model", "simulate_clearance", "tune"), "optlink.control"),
+}
+"""Former names by the namespaces in which they are now."""
+PACKAGES = [importlib.import_module(name) for name in PUBLIC]
+
+
+def names(package: types.ModuleType) -> list[str]:
+    return PUBLIC[package.__name__].split()
+
+
+@pytest.mark.parametrize("package", PACKAGES, ids=lambda package: package.__name__)
+def test_the_public_names_are_those_of_the_table(package: types.ModuleType) -> None:
+    """A new name is one word above; a name that goes is first deprecated."""
+    assert sorted(package.__all__) == sorted(names(package))
+    assert set(dir(package)) >= set(package.__all__)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", DeprecationWarning)
+        for name in package.__all__:
+            assert inspect.getdoc(getattr(package, name)) or name == "AnyProblem"
+    with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
+        _ = package.nonsense
+
+
+def test_no_module_hides_a_function_of_its_name() -> None:
+    """Importing `package.name` sets that attribute, so that a public function must not have the name of a module beside it."""
+    for package in PACKAGES:
+        place = Path(str(package.__file__))
+        if place.name == "__init__.py":
+            modules = {path.stem for path in place.parent.iterdir() if path.suffix == ".py" or path.is_dir()}
+            functions = {name for name in names(package) if not inspect.ismodule(getattr(package, name))}
+            assert functions & modules == set()
+
+
+@pytest.mark.parametrize("name", DEPRECATED)
+def test_a_deprecated_name_works_and_names_its_successor(name: str) -> None:
+    assert optlink._DEPRECATED == DEPRECATED
+    home = DEPRECATED[name]
+    with pytest.warns(DeprecationWarning, match=rf"optlink\.{name} is now {home}\.{name}") as caught:
+        found = getattr(optlink, name)
+    assert found is getattr(importlib.import_module(home), name)
+    assert caught[0].filename == __file__  # the line of the user
+    assert name not in dir(optlink)
+
+
+def test_a_namespace_reads_its_stub(tmp_path: Path) -> None:
+    (tmp_path / "__init__.pyi").write_text("from math import (\n    pi as pi,\n    tau as turn,\n)\nfrom math import e as e\n")
+    listed, get, _ = namespace("optlink", str(tmp_path / "__init__.py"))
+    assert (listed, get("turn")) == (["e", "pi", "turn"], 2 * np.pi)
