@@ -224,7 +224,11 @@ class ModalDyad(JointedDyad):
     def through(self, pose: Pose, formula: Callable[[Value], tuple[Vector, Value]]) -> tuple[Vector, Value]:
         """Return the result of the dyad formula and its assembly margin, near singular positions of its smooth continuation.
 
-        The formula maps the assembly mode to the joint, or the unit vector of the guide, and the margin.
+        Parameters
+        ----------
+        pose : Pose
+        formula : function
+            Of the assembly mode, to the joint, or the unit vector of the guide, and the margin.
         """
         return formula(self.side) if self.passages is None else self.passages.through(pose.angle, formula)
 

@@ -17,10 +17,10 @@ from optlink.linkage.vector2d import Value
 
 
 def _add(a: Value, b: Value) -> Jet:
-    if not isinstance(a, Jet):
-        a, b = b, a
     if not isinstance(b, Jet):
         return Jet(a.value + b, a.rate, a.acceleration)
+    if not isinstance(a, Jet):
+        return _add(b, a)
     return Jet(a.value + b.value, a.rate + b.rate, a.acceleration + b.acceleration)
 
 
@@ -33,10 +33,10 @@ def _subtract(a: Value, b: Value) -> Jet:
 
 
 def _multiply(a: Value, b: Value) -> Jet:
-    if not isinstance(a, Jet):
-        a, b = b, a
     if not isinstance(b, Jet):
         return Jet(a.value * b, a.rate * b, a.acceleration * b)
+    if not isinstance(a, Jet):
+        return _multiply(b, a)
     if a is b:
         return Jet(a.value * a.value, 2.0 * (a.value * a.rate), 2.0 * (a.rate * a.rate + a.value * a.acceleration))
     return Jet(

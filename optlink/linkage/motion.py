@@ -62,16 +62,16 @@ class Motion:
 
     def body_angle(self, body: str) -> Jet:
         """Return the angle of a body [rad], continuous along the sweep, and its first and second derivative [rad/s, rad/s^2]."""
-        jet = self._angle(body)
-        return Jet(continuous(jet.value), jet.rate, jet.acceleration)
+        value, rate, acceleration = map(self._full, self._angle(body).parts)
+        return Jet(continuous(value), rate, acceleration)
 
     def wrapped_angle(self, body: str) -> Array:
         """Return the angle of a body [rad] in (-pi, pi]."""
-        return np.asarray(self._angle(body).value)
+        return self._full(self._angle(body).value)
 
     def body_rate(self, body: str) -> Array:
         """Return the angular velocity of a body [rad/s]."""
-        return np.asarray(self._angle(body).rate)
+        return self._full(self._angle(body).rate)
 
     def slide(self, guide: str) -> Jet:
         """Return the slide in a guide [m], its velocity and acceleration [m/s, m/s^2]."""
@@ -133,7 +133,7 @@ class Motion:
     def _angle(self, body: str) -> Jet:
         with np.errstate(all="ignore"):
             direction = self.pose.direction(_known((FRAME, *self.mechanism.bodies), body, "body"))
-            return Jet(*map(self._full, as_jet(angle(direction)).parts))
+            return as_jet(angle(direction))
 
 
 def _known(names: Collection[str], name: str, what: str) -> str:
