@@ -69,7 +69,8 @@ def test_a_range_of_transmission_angles_is_one_angle_if_it_lies_around_90_deg() 
     name = "transmission angle at E"
     around = [limit(name, ">=", 50.0, 43.21, "deg", both=True), limit(name, "<=", 130.0, 136.79, "deg", both=True)]
     assert refutation(around) == (
-        "No such linkage: 50 deg of transmission angle at E cannot be met; the transmission angle at E falls to 43.21 deg at best."
+        "No such linkage: 50 deg of transmission angle at E cannot be met; "
+        "the transmission angle at E falls to 43.21 deg at best."
     )
     aside = [around[0], limit(name, "<=", 120.0, 126.79, "deg", both=True)]
     assert "covers 43.21 ... 126.8 deg at best" in refutation(aside)
