@@ -35,7 +35,7 @@ from optlink.report.scene import scene
 from optlink.report.style import BODIES, CRANK, LIMIT, MUTED, TARGET
 from optlink.report.views import conclusions, sensitivity
 from optlink.tasks.analyze import analyze
-from optlink.tasks.results.conflict import outward
+from optlink.tasks.results.conflict import reached
 from optlink.tasks.results.extremes import Extreme
 from tests.browser import colours, console, faults, opened, requests
 from tests.cli.test_cli import run
@@ -169,7 +169,7 @@ def test_a_page_begins_with_its_conclusion(crank_rocker_subject):
     assert f"{expected}. Active limit: largest transmission angle (≤\N{NO-BREAK SPACE}135°)." in page(crank_rocker_subject)
     infeasible = subject("crank-rocker", **{"limits.transmission_angle": ["80 deg", "100 deg"]})
     text = page(infeasible)
-    low = outward(infeasible.result.conflict[0], 4)
+    low = reached(infeasible.result.conflict[0])
     assert low == pytest.approx(infeasible.result.conflict[0].relaxed, abs=0.01)
     sentence = "No such linkage: 80° of transmission angle cannot be met; the transmission angle falls to"
     assert f"{sentence} {low:g}° at best." in text
