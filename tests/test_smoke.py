@@ -129,8 +129,8 @@ def simulations(session: Session, of: tuple[str, ...]) -> None:
 
 def exports(session: Session, designed: bool, of: tuple[str, ...]) -> None:
     """Write a page and every format, from the file and from the saved result."""
-    name, few = session.name, FEW if designed else ()
-    session.run(0, "report", name, *few, "-o", "file.html")
+    name = session.name
+    session.run(0, "report", name, "-o", "file.html")
     for suffix in ("dxf", "svg", "csv", "json"):
         session.run(0, "export", name, *of, "-o", f"file.{suffix}")
         if session.file.task != "analysis":  # a balancing is not a single design
@@ -141,7 +141,7 @@ def studies(session: Session, designed: bool, of: tuple[str, ...]) -> None:
     """Run every study, small."""
     file, name, run = session.file, session.name, session.run
     output = f"{file.model.linkage.crank.end}.x"  # it depends on the crank, the first length of every linkage
-    run(0 if designed else 2, "study", "sensitivity", name, *(("--out", "sensitivity", *FEW) if designed else ()))
+    run(0 if designed else 2, "study", "sensitivity", name, *(("--out", "sensitivity") if designed else ()))
     run(0, "study", "sensitivity", name, "--quantity", output, "--angles", "0 deg, 90 deg", *of)
 
     length = file.model.linkage.crank.length

@@ -112,6 +112,7 @@ def test_rows_before_the_counted_revolutions_are_left_out(tmp_path, slider):
     assert run.figures["measured.peak_m"] < 1e-12
 
 
+@pytest.mark.slow
 def test_a_sweep_finds_the_clearance_of_a_measured_series(tmp_path, slider, plain):
     phase, values = waved(plain)[0], last(plain, "slider.s_m")
     file = written(tmp_path / "slide.csv", time_s=phase / SPEED, displacement_mm=1e3 * values)
@@ -150,6 +151,7 @@ def test_wrong_series_are_refused_in_one_sentence(tmp_path, text, keys, words):
     assert len(caught.value.faults) == 1
 
 
+@pytest.mark.slow
 def test_the_command_compares_stores_and_draws(tmp_path, slider, plain):
     phase, values, wave = waved(plain)
     file = written(tmp_path / "slide.csv", time_s=phase / SPEED, displacement_mm=1e3 * values)

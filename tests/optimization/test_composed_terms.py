@@ -18,6 +18,7 @@ from optlink.solvers.exchange import _with_moving_peaks
 from optlink.validation.cycle import Cycle
 from tests.optimization.test_mapped_terms import same_derivatives
 from tests.optimization.test_terms import EVERY, differences
+from tests.tiers import mostly_slow
 
 PATH = {
     "kind": "path",
@@ -77,7 +78,9 @@ def test_derivatives_with_corners_of_a_load_are_those_of_designs() -> None:
         np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-6 * np.max(np.abs(expected)))
 
 
-@pytest.mark.parametrize(("speed", "table"), [("64 rpm", False), ("-40 rpm", False), ("64 rpm", True)])
+@pytest.mark.parametrize(
+    ("speed", "table"), mostly_slow([("64 rpm", False), ("-40 rpm", False), ("64 rpm", True)], ("64 rpm", False))
+)
 def test_values_are_those_of_the_analysis(speed: str, table: bool) -> None:
     """Figures are met; of what a single position decides no position exceeds the analysis, and the densest comes near."""
     nlp = programme(speed, table)

@@ -17,7 +17,7 @@ import optlink
 from optlink.dynamics.forward import Ending
 from tests.tiers import mostly_slow
 
-SEEDS = range(200)
+SEEDS = range(60)
 
 
 @dataclass

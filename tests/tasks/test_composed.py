@@ -123,6 +123,7 @@ def test_a_weight_favours_its_requirement(ratio):
     assert result.objective == pytest.approx(ratio * squares[0] / size**2 + squares[1], rel=1e-9)
 
 
+@pytest.mark.slow
 def test_the_smallest_machine_for_a_law():
     result, own = solution("law-smallest-machine"), composed.smallest_machine(2.5, positions=3000)
     assert result.valid
@@ -148,11 +149,13 @@ def test_two_wipers_on_one_crank_pin():
 # --- what a user does with them ---------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_both_back_ends_agree():
     for name in ("poses-and-law", "law-smallest-machine"):
         assert optlink.solve(optlink.load(name), "both").valid
 
 
+@pytest.mark.slow
 def test_the_terminal_states_every_demand(tmp_path):
     done = CliRunner().invoke(app, ["solve", "law-smallest-machine", "--out", str(tmp_path), "--quiet"])
     assert done.exit_code == 0
@@ -166,6 +169,7 @@ def test_the_terminal_states_every_demand(tmp_path):
     assert (tmp_path / "points.csv").exists()
 
 
+@pytest.mark.slow
 def test_each_requirement_has_its_pictures_and_points(tmp_path):
     done = CliRunner().invoke(
         app, ["solve", "poses-and-law", "--set", "mechanism.frame=123 mm", "--starts", "60", "--out", str(tmp_path)]

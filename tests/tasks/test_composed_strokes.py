@@ -41,6 +41,7 @@ def pressing(**changes: Any) -> optlink.ProblemFile:
     return optlink.read(raw | changes)
 
 
+@pytest.mark.slow
 def test_a_law_and_the_swing_of_its_output() -> None:
     result, own = optlink.solve(smallest(swing=SWING), "both"), composed.smallest_machine_of_swing(50.0)
     assert result.valid
@@ -62,6 +63,7 @@ def test_a_law_and_a_time_ratio_of_either_stroke() -> None:
     assert measured(result, "stroke.time_ratio: time ratio of rocker") == pytest.approx(1.1, abs=1e-8)
 
 
+@pytest.mark.slow
 def test_least_torque_of_a_law_with_a_force_in_one_stroke() -> None:
     result, own = optlink.solve(pressing(), "slsqp"), composed.slider_crank_against_a_force()
     assert result.valid

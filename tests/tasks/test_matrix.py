@@ -22,6 +22,7 @@ from optlink.studies.pareto.epsilon_constraint import pareto
 from optlink.studies.sensitivity import sensitivities
 from optlink.studies.sweep import sweep
 from optlink.studies.tolerance.analysis import tolerance
+from tests.solved import once
 
 pytestmark = pytest.mark.slow
 
@@ -135,7 +136,7 @@ def problem(row: str, changes: dict[str, Any] | None = None) -> optlink.ProblemF
 @functools.cache
 def solved(row: str) -> Any:
     """The result of a row."""
-    return optlink.solve(problem(row), starts=24)
+    return once(f"matrix, {row}", lambda: optlink.solve(problem(row), starts=24))
 
 
 def _back_ends(row: str, folder: Path) -> None:
@@ -245,7 +246,7 @@ def _export(row: str, folder: Path) -> None:
 
 def _certificate(row: str, folder: Path) -> None:
     try:
-        result = optlink.solve(problem(row), starts=24, certify=True, gap=0.5, time_limit=5.0)
+        result = optlink.solve(problem(row), starts=24, certify=True, gap=0.5, time_limit=1.0)
     except optlink.InputError as refusal:
         assert "certificate" in str(refusal)
         assert refusal.faults[0].remedy
