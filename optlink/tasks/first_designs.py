@@ -7,7 +7,7 @@ from optlink.errors import InputError
 from optlink.problem.arguments import typed
 from optlink.problem.file import AnyProblem, problem_of
 from optlink.problem.quantity import check_range
-from optlink.tasks.search import mode_of, possible_modes
+from optlink.tasks.search import mode_of
 
 MOST_ROUNDS = 1000
 
@@ -62,7 +62,7 @@ def starts(problem: AnyProblem, rounds: int = 1, seed: int = 0) -> list[FirstDes
     if not problem.model.parts:
         remedy = "Its searches begin at random designs within the bounds: `optlink.solve` draws them"
         raise InputError("this problem has no targets that first designs could meet", remedy, problem.file, "requirement")
-    modes = possible_modes(problem)
+    modes = problem.variants()
     tasks = [mode.spec.parts[0] for mode in modes]
     searcher = Searcher(tasks, seed)
     for _ in range(rounds):
