@@ -85,6 +85,7 @@ def test_every_page_is_in_the_navigation():
         "contributing.md",
         "changelog.md",
         "zh.md",
+        "overview.md",
         "security.md",
         "conduct.md",
         *(f"notebooks/{book.stem}.md" for book in (ROOT / "notebooks").glob("*.ipynb")),

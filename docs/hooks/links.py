@@ -24,7 +24,7 @@ ROOT = Path(__file__).resolve().parents[2]
 LINK = re.compile(r"(?<!\\)(?P<open>!?\[[^\]\n]*\]\()(?P<target>[^)\s]+)\)")
 FENCE = re.compile(r"^(```|~~~).*?^\1\s*$", re.DOTALL | re.MULTILINE)
 OUTSIDE = {
-    "README.md": "index.md",
+    "README.md": "overview.md",
     "README.zh.md": "zh.md",
     "CONTRIBUTING.md": "contributing.md",
     "CHANGELOG.md": "changelog.md",
@@ -163,7 +163,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
             files.append(File.generated(config, uri, content=content, inclusion=level))
 
     wanted = {"tests/validation"}
-    for path in [path for path in OUTSIDE if path != "README.md"]:
+    for path in OUTSIDE:
         text = (ROOT / path).read_text(encoding="utf-8")
         wanted |= set(outward(text, ""))
         add(page_of(path), rewritten(text, "", page_of(path)), listed=True)
