@@ -1137,52 +1137,6 @@ def test_stall_keeps_the_revolutions_before_it():
 
 C = "joints.C."
 NEAR = {"clearance": "0.5 mm", "bearing_radius": "10 mm", "modulus": "207 GPa"}
-REFUSED = {
-    "no clearance left": ({C + "clearance": "0 mm"}, C + "clearance", "positive", "ideal joint"),
-    "negative clearance": ({C + "clearance": "-0.5 mm"}, C + "clearance", "positive", "ideal joint"),
-    "clearance without a unit": ({C + "clearance": 0.5}, C + "clearance", "unit", "0.5 mm"),
-    "journal larger than its bearing": (
-        {C + "clearance": None, C + "journal_radius": "10.5 mm"},
-        C + "journal_radius",
-        "not smaller than the bearing",
-        "Exchange",
-    ),
-    "radii that contradict": ({C + "journal_radius": "9.4 mm"}, C + "clearance", "differ by 0.6 mm", "Remove one"),
-    "clearance as large as the bearing": ({C + "clearance": "10 mm"}, C + "clearance", "no journal is left", "Check"),
-    "no radius": ({C + "bearing_radius": None}, C + "bearing_radius", "are missing", "bearing_radius"),
-    "restitution of zero": ({C + "restitution": 0.0}, C + "restitution", "above 0", "0.9"),
-    "negative restitution": ({C + "restitution": -0.1}, C + "restitution", "above 0", "0.9"),
-    "restitution above one": ({C + "restitution": 1.2}, C + "restitution", "not above 1", "0.9"),
-    "no stiffness": ({C + "modulus": None}, C + "stiffness", "no material", "modulus"),
-    "stiffness and modulus": ({C + "stiffness": "6.6e10 N/m^1.5"}, C + "stiffness", "and a modulus", "one of the two"),
-    "stiffness of a spring": (
-        {C + "modulus": None, C + "stiffness": "6.6e10 N/m"},
-        C + "stiffness",
-        "not a unit",
-        "N/m^1.5",
-    ),
-    "modulus of zero": ({C + "modulus": "0 GPa"}, C + "modulus", "positive", "207 GPa"),
-    "three moduli": ({C + "modulus": ["1 GPa", "2 GPa", "3 GPa"]}, C + "modulus", "one value, or two", "one or two"),
-    "Poisson's ratio": ({C + "poisson": 0.7}, C + "poisson", "0.5", "0.3"),
-    "clearance at a guide": ({"joints.G": NEAR}, "joints.G", "guide", "A, B, C"),
-    "unknown joint": ({"joints.Q": NEAR}, "joints.Q", "no such pin", "A, B, C"),
-    "unknown journal": ({C + "journal": "piston"}, C + "journal", "not one of that body", "rod, slider"),
-    "journal of another pin": ({C + "journal": "crank"}, C + "journal", "not one of that body", "rod, slider"),
-    "a mechanism that comes apart": (
-        {C + "clearance": "71 mm", C + "bearing_radius": "90 mm"},
-        C + "clearance",
-        "too large for the mechanism: at a crank angle of 90 deg",
-        "smaller clearance",
-    ),
-    "friction without clearance": ({"joints.B.friction": 0.1}, "joints.B.friction", "not supported", "give its torque as a load"),
-    "radius without clearance": ({"joints.B.bearing_radius": "9 mm"}, "joints.B.bearing_radius", "no clearance", "clearance"),
-    "a key misspelt": ({C + "clearence": "0.5 mm"}, C + "clearence", "unknown key", 'Did you mean "clearance"'),
-    "unknown law": ({C + "law": "hertzian"}, C + "law", "no such contact law", 'Did you mean "hertz"'),
-    "negative friction": ({C + "friction": -0.1}, C + "friction", "out of range", "between 0 and 10"),
-    "friction without a width": ({C + "slip_speed": "0 m/s"}, C + "slip_speed", "changes its sign", "0.01 m/s"),
-    "negative damping": ({C + "damping": "-5 N*s/m"}, C + "damping", "negative", "zero or more"),
-    "torque and servo": ({"drive.torque": "1 N*m"}, "drive.servo", "torque and a servo", "one of the two"),
-}
 
 
 def machine(changes: Mapping[str, object]) -> optlink.ProblemFile:
@@ -1200,15 +1154,6 @@ def refused(fault, key: str, message: str, remedy: str) -> None:
     assert message in fault.message
     assert remedy in fault.remedy
     assert str(fault).startswith(f"machine.toml: {key}")
-
-
-@pytest.mark.parametrize("what", REFUSED)
-def test_unusable_joint_is_refused(what):
-    changes, *words = REFUSED[what]
-    with pytest.raises(optlink.InputError) as caught:
-        machine(changes)
-    (fault,) = caught.value.faults
-    refused(fault, *words)
 
 
 NOT_SIMULATED = {

@@ -123,34 +123,6 @@ def test_a_sweep_finds_the_clearance_of_a_measured_series(tmp_path, slider, plai
     assert rms[1] < 0.1 * min(rms[0], rms[2])
 
 
-@pytest.mark.parametrize(
-    ("text", "keys", "words"),
-    [
-        ("time_s,slide\n0,1\n1,2\n", {}, "has no column displacement_mm"),
-        ("s,displacement_mm\n0,1\n1,2\n", {}, "has no column time_s"),
-        ("time_s,displacement_mm\n0,100\n0.01,x\n", {}, "row 3"),
-        ("time_s,displacement_mm\n0.01,100\n0,101\n", {}, "row 3"),
-        ("time_s,displacement_mm\n0,100\n", {}, "a single row"),
-        ("time_s,displacement_deg\n0,100\n0.01,101\n", {}, "the output slider is a slide"),
-        ("time_s,voltage_V\n0,1\n0.01,2\n", {}, "per_volt"),
-        ("time_s,voltage_V\n0,1\n0.01,2\n", {"measured.per_volt": "12.5 mm"}, "at_zero"),
-        ("time_s,voltage_V\n0,1\n0.01,2\n", {"measured.per_volt": "0 mm", "measured.at_zero": "1 mm"}, "per volt is zero"),
-        ("time_s,voltage_V\n0,1\n0.01,2\n", {"measured.per_volt": "1 kg", "measured.at_zero": "1 mm"}, "measured.per_volt"),
-        ("time_s,displacement_mm\n0,1\n0.01,2\n", {"measured.at_zero": "1 mm"}, "needs no calibration"),
-        ("time_s,displacement_mm\n0,1\n0.01,2\n", {"measured.column": 3}, "measured.column"),
-        ("time_s,displacement_mm\n0,1\n0.01,2\n", {"measured.scale": 3}, "measured.scale"),
-        ("time_s,displacement_mm\n0,1\n0.01,2\n", {"drive.torque": "1 N*m", "drive.servo": None}, "under a driving torque"),
-    ],
-)
-def test_wrong_series_are_refused_in_one_sentence(tmp_path, text, keys, words):
-    file = tmp_path / "slide.csv"
-    file.write_text(text)
-    with pytest.raises(InputError) as caught:
-        optlink.load("slider-crank-clearance", {"measured.csv": str(file), **keys})
-    assert words in str(caught.value)
-    assert len(caught.value.faults) == 1
-
-
 @pytest.mark.slow
 def test_the_command_compares_stores_and_draws(tmp_path, slider, plain):
     phase, values, wave = waved(plain)

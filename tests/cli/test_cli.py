@@ -235,18 +235,8 @@ def test_overview_is_the_help_of_all_commands():
 @pytest.mark.parametrize(
     "line",
     [
-        "solve --help",
-        "analyse --help",
-        "study --help",
-        "study sweep --help",
-        "study swep",
-        "study",
-        "solv crank-rocker",
-        "--bogus solve",
-        "solve --bogus",
-        "list --json",
-        "show crank-rocker -q",
-        "studio --help",
+        *("solve --help", "analyse --help", "study --help", "study sweep --help", "study swep", "study", "solv crank-rocker"),
+        *("--bogus solve", "solve --bogus", "list --json", "show crank-rocker -q", "studio --help"),
     ],
 )
 def test_a_command_built_alone_behaves_as_in_the_full_program(line):

@@ -430,18 +430,12 @@ def test_turning_points_hold_the_extremes_of_every_function_of_the_cosine(start,
 # --- Grashof ---------------------------------------------------------------------------------------------------------
 
 TEXTBOOK = [  # crank, coupler, rocker, frame; in order of the definition s + l < p + q, > and =
-    ((40, 120, 80, 100), Inversion.CRANK_ROCKER, 20.0),
-    ((100, 120, 80, 40), Inversion.DOUBLE_CRANK, 20.0),
-    ((100, 40, 80, 120), Inversion.DOUBLE_ROCKER, 20.0),
-    ((80, 100, 40, 120), Inversion.ROCKER_CRANK, 20.0),
-    ((60, 120, 80, 70), Inversion.TRIPLE_ROCKER, -30.0),
-    ((50, 120, 50, 120), Inversion.PARALLELOGRAM, 0.0),
-    ((70, 70, 70, 70), Inversion.PARALLELOGRAM, 0.0),
-    ((50, 50, 120, 120), Inversion.KITE, 0.0),
-    ((120, 50, 50, 120), Inversion.KITE, 0.0),
-    ((40, 120, 70, 90), Inversion.CHANGE_POINT, 0.0),
-    ((40, 250, 70, 90), Inversion.IMPOSSIBLE, -130.0),
-    ((40, 70, 90, 201), Inversion.IMPOSSIBLE, -81.0),
+    *(((40, 120, 80, 100), Inversion.CRANK_ROCKER, 20.0), ((100, 120, 80, 40), Inversion.DOUBLE_CRANK, 20.0)),
+    *(((100, 40, 80, 120), Inversion.DOUBLE_ROCKER, 20.0), ((80, 100, 40, 120), Inversion.ROCKER_CRANK, 20.0)),
+    *(((60, 120, 80, 70), Inversion.TRIPLE_ROCKER, -30.0), ((50, 120, 50, 120), Inversion.PARALLELOGRAM, 0.0)),
+    *(((70, 70, 70, 70), Inversion.PARALLELOGRAM, 0.0), ((50, 50, 120, 120), Inversion.KITE, 0.0)),
+    *(((120, 50, 50, 120), Inversion.KITE, 0.0), ((40, 120, 70, 90), Inversion.CHANGE_POINT, 0.0)),
+    *(((40, 250, 70, 90), Inversion.IMPOSSIBLE, -130.0), ((40, 70, 90, 201), Inversion.IMPOSSIBLE, -81.0)),
 ]
 
 

@@ -222,19 +222,10 @@ def test_no_value_of_two_hundred_thousand_lies_outside() -> None:
 
 
 UNDEFINED: list[tuple[Formula, float, float]] = [
-    (np.sqrt, -2.0, -1.0),
-    (np.log, -0.1, 1.0),
-    (np.log10, 0.0, 1.0),
-    (lambda x: 1.0 / x, -1.0, 1.0),
-    (lambda x: x**-3, -1.0, 2.0),
-    (lambda x: x**0.5, -1.0, 1.0),
-    (lambda x: 2.0 / (x * x - 1.0), 0.5, 1.5),
-    (np.arcsin, 1.1, 1.5),
-    (np.arccos, -1.3, -1.1),
-    (np.tan, 1.0, 2.0),
-    (lambda x: np.arctan2(x, x), -1.0, 1.0),
-    (lambda x: np.arctan2(0.0 * x, x), -1.0, 0.5),
-    (lambda x: x**x, -0.5, 0.5),
+    *((np.sqrt, -2.0, -1.0), (np.log, -0.1, 1.0), (np.log10, 0.0, 1.0), (lambda x: 1.0 / x, -1.0, 1.0)),
+    *((lambda x: x**-3, -1.0, 2.0), (lambda x: x**0.5, -1.0, 1.0), (lambda x: 2.0 / (x * x - 1.0), 0.5, 1.5)),
+    *((np.arcsin, 1.1, 1.5), (np.arccos, -1.3, -1.1), (np.tan, 1.0, 2.0), (lambda x: np.arctan2(x, x), -1.0, 1.0)),
+    *((lambda x: np.arctan2(0.0 * x, x), -1.0, 0.5), (lambda x: x**x, -0.5, 0.5)),
     (lambda x: rrr((0.0, 0.0), (x, 0.0), 1.0, 1.0, 1)[0][1], 2.5, 3.5),
 ]
 

@@ -12,6 +12,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from optlink.report import style, style as fonts
 from optlink.report.html import notebook
 from tests.cli.test_cli import run
+from tests.tiers import mostly_slow
 
 TITLE = "牛头刨床: six bodies"
 
@@ -131,7 +132,7 @@ def test_a_notebook_leaves_the_letters_to_the_browser():
     assert TITLE in notebook._svg(titled(TITLE))  # without a warning
 
 
-@pytest.mark.parametrize("present", [True, False])
+@pytest.mark.parametrize("present", mostly_slow([True, False], True))
 def test_a_command_draws_all_pictures_and_the_film_of_a_chinese_title(tmp_path, present):
     if present:
         font_manager.fontManager.addfont(font_file(tmp_path, "Microsoft YaHei", "曲柄摇杆机构"))

@@ -60,6 +60,7 @@ def test_both_back_ends_agree() -> None:
     assert first.objective == pytest.approx(second.objective, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_an_angle_dwells_and_the_range_is_found() -> None:
     """The best 60 deg of the crank, of every start of a grid; about the limit position of the rocker."""
     free = solved(rocker(over="60 deg"), starts=60)
@@ -133,6 +134,7 @@ def test_a_band_that_is_left_between_the_positions_is_noticed() -> None:
         assert checks["largest breadth"].unit == "mm"
 
 
+@pytest.mark.slow
 def test_a_conflict_names_the_band() -> None:
     """The breadth of 0.0387 mm is the least one."""
     result = optlink.solve(optlink.load("straight-line", {"requirement.band": "0.03 mm"}), starts=30)

@@ -18,6 +18,7 @@ from optlink.synthesis.batch import Batch, ByLengths
 from optlink.synthesis.batch_search import random_crank_angles, random_designs
 from optlink.validation import validate
 from tests.as_dyads import FAR, as_dyads
+from tests.tiers import mostly_slow
 
 LENGTHS = ("crank", "coupler", "rocker", "frame")
 NAMES = {f"{name}.length": name for name in LENGTHS} | {"D.x": "frame", "start": "phi0", "zero": "psi0"}
@@ -36,7 +37,10 @@ def limits_of(result: optlink.SynthesisResult) -> dict[str, set[bool]]:
     return found
 
 
-@pytest.mark.parametrize("name", ["crank-rocker", "transmission-optimal", "path-closed18", "function-sin"])
+@pytest.mark.parametrize(
+    "name",
+    mostly_slow(["crank-rocker", "transmission-optimal", "path-closed18", "function-sin"], "crank-rocker", "path-closed18"),
+)
 def test_both_ways_to_write_a_four_bar_have_one_optimum_and_the_same_limits(name: str) -> None:
     section = optlink.load(name)
     one, other = (optlink.solve(file) for file in (section, as_dyads(section)))

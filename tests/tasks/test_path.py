@@ -195,16 +195,6 @@ def test_a_given_design_is_validated_at_independent_crank_angles(name):
     assert np.max(np.abs(turned)) < 1e-5
 
 
-@pytest.mark.slow
-def test_a_failed_given_design_names_the_failed_checks():
-    task = optlink.load("path-ellipse10")
-    result = solution("path-ellipse10").best
-    wrong = optlink.validate(task, {**result.values, "rocker": 0.09, "crank": 0.03})
-    assert not wrong.valid
-    failed = {check.name for check in wrong.best.validation.checks if not check.passed}
-    assert "rocker within its bounds" in failed
-
-
 PAGE = (Path(__file__).parents[2] / "docs" / "problem-files.md").read_text(encoding="utf-8")
 EXAMPLES = re.findall(r"```toml design\n(.*?)```", PAGE, re.DOTALL)
 

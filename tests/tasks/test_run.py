@@ -13,10 +13,6 @@ SOLVED = {name: problem for name, problem in QUESTIONS.items() if problem.task !
 LONG = {"function-exp", "function-log10", "path-stephenson-dwell", "path-watt-leg", "press-toggle", "crank-rocker-robust"}
 
 
-def test_every_kind_of_problem_is_shipped() -> None:
-    assert {problem.task for problem in QUESTIONS.values()} == {"function", "path", "cycle", "balance", "analysis"}
-
-
 MEMBERS = {name for name in vars(optlink.DesignResult) if not name.startswith("_")}
 
 
