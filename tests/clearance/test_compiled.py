@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 
 import optlink
-from optlink.clearance.compiled import choice, machine
+from optlink.clearance import control
+from optlink.clearance.compiled import machine
 from optlink.clearance.compiled.integration import CompiledIntegration
 from optlink.clearance.compiled.machine import LITERALS, OPERATIONS, Unsupported, written
 from optlink.clearance.control import ClosedLoop, IntegratorKind, chosen
@@ -236,7 +237,7 @@ def test_engine_is_chosen_by_the_work(monkeypatch):
     plant.integration.slow = False
     with pytest.raises(InputError, match="no such integrator"):
         chosen("fast", plant, 1)
-    monkeypatch.setattr(choice, "installed", lambda: False)
+    monkeypatch.setattr(control, "installed", lambda: False)
     assert chosen("auto", plant, 300) is IntegratorKind.CVODES
     with pytest.raises(InputError, match=r"numba is not installed.*optlink\[fast\]"):
         chosen("compiled", plant, 1)
