@@ -243,3 +243,4 @@ def test_a_pressure_angle_that_is_zero_in_every_design_is_said_to_be_the_best():
     assert "no design can be better: the peak pressure angle is 0 deg" in result.notes
     assert result.evidence.missed < 0.05
     assert not [note for note in result.notes if note.startswith("search incomplete")]
+    assert result.best.figures[0].result == 0.0

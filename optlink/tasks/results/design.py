@@ -226,7 +226,8 @@ class LinkageDesign(Summary):
         kind = self.whole.kind(term)
         unit = unit or (KINDS[kind].display if kind else "")
         size = 1.0 / factor(unit, kind) if kind else 1.0
-        initial, result = (math.nan if cycle is None else size * cycle.figure(term) for cycle in (self.first_cycle, self.cycle))
+        values = [math.nan if cycle is None else cycle.figure(term) for cycle in (self.first_cycle, self.cycle)]
+        initial, result = (0.0 if kind == "angle" and abs(value) <= NO_ANGLE else size * value for value in values)
         return TermFigure(name, term.words, initial, result, limit, unit)
 
     @property
