@@ -207,6 +207,8 @@ def _notes(task: DesignProblem, rounds: SearchRounds) -> Iterator[str]:
         none = () if task.parts or rounds.sampled else (NONE_TURNS.format(SAMPLES * (rounds.options.starts or STARTS)),)
         yield from reasons or none
         return
+    if best.perfect:
+        yield f"no design can be better: the {best.whole.goals[0].words} is 0 deg"
     yield from margin_notes(best.problem, best.values, best.limits, best.objective, collection.polisher.relaxed(best))
     if best.solution and _movable(best):
         equal = continuum(best.whole, best.solution, rounds.options.backend)

@@ -225,3 +225,26 @@ def test_lengths_are_not_called_arbitrary_beside_a_path():
     result = optlink.solve(read(raw | {"limits": {"transmission_angle": ["40 deg", "140 deg"]}}), starts=1)
     assert result.valid
     assert not any("scaled together" in note for note in result.notes)
+
+
+@pytest.mark.slow
+def test_a_pressure_angle_that_is_zero_in_every_design_is_said_to_be_the_best():
+    """A swinging guide: the force on it is always normal to the rocker."""
+    links = {
+        "crank": {"joints": ["A", "B"], "length": {"start": "100 mm", "bounds": ["50 mm", "140 mm"]}},
+        "block": {"joints": ["B"]},
+    }
+    mechanism = {
+        "type": "dyads",
+        "ground": {"A": ["0 mm", "0 mm"], "C": ["0 mm", "-250 mm"]},
+        "links": {**links, "rocker": {"joints": ["C", "D"], "length": "500 mm"}},
+        "guides": {"G": {"slider": "block", "on": "rocker", "through": "C"}},
+        "assembly": {"G": "forward"},
+    }
+    place = {"kind": "position", "output": "rocker", "at": "0 deg", "value": "60..75 deg"}
+    result = optlink.solve(optlink.read({"mechanism": mechanism, "requirement": place}), starts=2)
+    assert result.valid
+    assert "no design can be better: the peak pressure angle is 0 deg" in result.notes
+    assert result.evidence.missed < 0.05
+    assert not [note for note in result.notes if note.startswith("search incomplete")]
+    assert result.best.figures[0].result == 0.0

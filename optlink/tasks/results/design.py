@@ -60,6 +60,7 @@ ALONG = 2001  # positions along the span at which alternations are counted
 DISTINCT = 1e-2  # least relative difference of two distinct designs
 EQUALLY_GOOD = 1e-6  # relative difference of the errors of equally good designs
 NEARLY_TURNED = 1e-9  # difference [rad] of an angle from -180 deg that counts as rounding error
+NO_ANGLE = 1e-9  # rad; rounding errors of an angle that is zero
 LEVEL = 1e-9  # of the size: deviation that is shown as exact
 EXTREME_SHARE = 0.99  # fraction of the largest error that counts as an extreme value
 FINE = 721  # positions of a law at which its error is measured over the whole range
@@ -225,7 +226,8 @@ class LinkageDesign(Summary):
         kind = self.whole.kind(term)
         unit = unit or (KINDS[kind].display if kind else "")
         size = 1.0 / factor(unit, kind) if kind else 1.0
-        initial, result = (math.nan if cycle is None else size * cycle.figure(term) for cycle in (self.first_cycle, self.cycle))
+        values = [math.nan if cycle is None else cycle.figure(term) for cycle in (self.first_cycle, self.cycle)]
+        initial, result = (0.0 if kind == "angle" and abs(value) <= NO_ANGLE else size * value for value in values)
         return TermFigure(name, term.words, initial, result, limit, unit)
 
     @property
@@ -341,10 +343,19 @@ class LinkageDesign(Summary):
     @property
     def error(self) -> float:
         """The objective as a deviation [m, rad or 1]: the root of a sum of squares; what is maximised as its inverse."""
+        if self.perfect:
+            return 0.0
         if self.whole.composed and not self.alone:
             return self.objective if self.objective >= 0.0 else -1.0 / self.objective
         value = float(self.measured.objective) if self.alone else self.objective
         return math.sqrt(max(value, 0.0)) if self.task.measure == "sum of squares" else value
+
+    @property
+    def perfect(self) -> bool:
+        """Whether a pressure angle is all that is minimised, and zero but for rounding, as that of every swinging guide."""
+        task = self.whole
+        minimised = task.single and task.goals[0].quantity == "pressure angle" and not self.alone
+        return minimised and abs(self.objective) <= NO_ANGLE and all(part.tolerance is not None for part in task.parts)
 
     @property
     def level(self) -> float:
