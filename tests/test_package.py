@@ -7,9 +7,12 @@ import os
 import subprocess
 import sys
 import zipfile
+from collections.abc import Iterable
+from importlib import metadata
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
 
 import optlink
 from tests.conftest import FIRST
@@ -19,8 +22,9 @@ ROOT = Path(__file__).parent.parent
 
 @pytest.fixture(scope="module")
 def unpacked(tmp_path_factory) -> Path:
+    """The wheel that is built from the sdist, unpacked; both lie beside it."""
     folder = tmp_path_factory.mktemp("wheel")
-    build = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(folder), str(ROOT)]
+    build = [sys.executable, "-m", "build", "--no-isolation", "--outdir", str(folder), str(ROOT)]
     subprocess.run(build, check=True, capture_output=True)
     with zipfile.ZipFile(next(folder.glob("*.whl"))) as wheel:
         wheel.extractall(folder / "site")
@@ -49,30 +53,115 @@ def test_wheel_works_outside_the_checkout(unpacked, tmp_path):
     assert json.loads(done.stdout)["valid"] is True
 
 
-@pytest.mark.slow
-def test_installed_wheel_works_in_a_clean_environment(unpacked, tmp_path):
-    """With pip, and with the command that it makes; the libraries are those of this environment."""
-    subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(tmp_path / "new")], check=True, capture_output=True)
-    scripts = tmp_path / "new" / ("Scripts" if os.name == "nt" else "bin")
-    environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
-    options = {"capture_output": True, "encoding": "utf-8", "cwd": tmp_path, "env": environment}
-    wheel = next(unpacked.parent.glob("*.whl"))
-    python = str(scripts / "python")
-    into = [sys.executable, "-m", "pip", "--python", python, "install", "--no-index", "--no-deps", "--no-compile"]
-    done = subprocess.run([*into, str(wheel)], check=False, **options)
-    assert done.returncode == 0, done.stderr
-    site = Path(
-        subprocess.run(
-            [python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))"], check=False, **options
-        ).stdout.strip()
+def test_wheel_has_every_file_of_the_package_and_no_other(unpacked):
+    listing = subprocess.run(
+        ["git", "ls-files", "optlink", "problems", "templates"], cwd=ROOT, capture_output=True, text=True, check=False
     )
-    libraries = [path for path in sys.path if path.endswith("site-packages")]
-    (site / "libraries.pth").write_text("\n".join(libraries) + "\n", encoding="utf-8")
-    done = subprocess.run([str(scripts / "optlink"), "solve", "crank-rocker", "--json"], check=False, **options)
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout)["valid"] is True
-    place = subprocess.run([python, "-c", "import optlink; print(optlink.__file__)"], check=False, **options).stdout.strip()
-    assert Path(place).is_relative_to(site)
+    if listing.returncode != 0:
+        pytest.skip("not a git checkout")
+    tracked = {name if name.startswith("optlink/") else f"optlink/{name}" for name in listing.stdout.splitlines()}
+    packed = {path.relative_to(unpacked).as_posix() for path in (unpacked / "optlink").rglob("*") if path.is_file()}
+    assert packed == tracked
+
+
+def closure(requirements: Iterable[str]) -> dict[str, metadata.Distribution]:
+    """The installed packages that requirements name, and all that these need."""
+    found, todo = dict[str, metadata.Distribution](), [Requirement(text) for text in requirements]
+    while todo:
+        one = todo.pop()
+        if one.name in found or not (one.marker is None or one.marker.evaluate({"extra": ""})):
+            continue
+        try:
+            found[one.name] = metadata.distribution(one.name)
+        except metadata.PackageNotFoundError:
+            if one.name != "cvxpy-base":
+                raise
+            found[one.name] = metadata.distribution("cvxpy")  # has the same files
+        todo += map(Requirement, found[one.name].requires or ())
+    return found
+
+
+class Environment:
+    """A virtual environment with optlink and nothing but the packages that it declares: links to those of this environment."""
+
+    def __init__(self, folder: Path, wheel: Path) -> None:
+        self.folder, self.scripts = folder, folder / "new" / "bin"
+        subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(folder / "new")], check=True, capture_output=True)
+        into = [sys.executable, "-m", "pip", "--python", str(self.scripts / "python"), "install"]
+        done = self.run(*into, "--no-index", "--no-deps", "--no-compile", str(wheel))
+        assert done.returncode == 0, done.stderr
+        self.site = Path(self.python("import sysconfig; print(sysconfig.get_path('purelib'))").stdout.strip())
+        self.declared = next(iter(metadata.distributions(name="optlink", path=[str(self.site)]))).requires or []
+        self.add("")
+
+    def add(self, extra: str) -> None:
+        """Add the packages of an extra; of none, what optlink always needs."""
+        wanted = [one for one in map(Requirement, self.declared) if one.marker is None or one.marker.evaluate({"extra": extra})]
+        for package in closure(f"{one.name}{one.specifier}" for one in wanted).values():
+            for top in {file.parts[0] for file in package.files or ()} - {"..", "__pycache__"}:
+                if not (self.site / top).exists():
+                    (self.site / top).symlink_to(package.locate_file(top))
+
+    def run(self, *words: str) -> subprocess.CompletedProcess[str]:
+        """Run a program outside the checkout."""
+        environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+        return subprocess.run(words, capture_output=True, encoding="utf-8", cwd=self.folder, env=environment, check=False)
+
+    def optlink(self, *words: str) -> subprocess.CompletedProcess[str]:
+        """Run the command that the installation made."""
+        return self.run(str(self.scripts / "optlink"), *words)
+
+    def python(self, code: str) -> subprocess.CompletedProcess[str]:
+        """Run Python of the environment."""
+        return self.run(str(self.scripts / "python"), "-c", code)
+
+
+EXTRAS = {
+    "studio": ("optlink studio", "import optlink.studio.server"),
+    "dask": (
+        "optlink study sweep crank-rocker --vary mechanism.frame=450..550mm:2 --engine dask",
+        "from optlink.execution.runner import check; check('dask', 1, None)",
+    ),
+    "fast": (
+        "optlink simulate slider-crank-clearance --revolutions 1 --integrator compiled",
+        "from optlink.clearance.compiled.choice import installed; assert installed()",
+    ),
+    "notebook": ("import optlink; optlink.explore('crank-rocker')", "from optlink.studio.widget import Canvas"),
+}
+"""What needs an extra: how it is refused without it, and what works with it."""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name == "nt", reason="makes symbolic links")
+def test_installed_wheel_works_with_the_packages_that_it_declares(unpacked, tmp_path):
+    """With pip, and with the command that it makes. What needs an extra names it, and works with the packages of the extra."""
+    new = Environment(tmp_path, next(unpacked.parent.glob("*.whl")))
+    assert Path(new.python("import optlink; print(optlink.__file__)").stdout).is_relative_to(new.site)
+    for words in (
+        ("list",),
+        ("new", "stroke", "-o", "mine.toml"),
+        ("solve", "crank-rocker", "--out", "out"),
+        ("report", "out", "-o", "page.html"),
+        ("export", "out", "-o", "drawing.dxf"),
+        ("solve", "balance-four-bar"),
+        ("simulate", "slider-crank-clearance", "--revolutions", "1"),
+    ):
+        done = new.optlink(*words)
+        assert done.returncode == 0, (words, done.stderr)
+    assert json.loads((tmp_path / "out" / "result.json").read_text("utf-8"))["valid"] is True
+    assert "plotly.js" in (tmp_path / "page.html").read_text("utf-8")
+    for extra, (refused, works) in EXTRAS.items():
+        command = refused.startswith("optlink ")
+        done = new.optlink(*refused.split()[1:]) if command else new.python(refused)
+        assert done.returncode == (2 if command else 1), (extra, done.stderr)
+        assert f'pip install "optlink[{extra}]"' in done.stderr
+        assert not command or (done.stderr.count("\n") == 1 and done.stderr.startswith("Error: "))
+        try:
+            new.add(extra)
+        except metadata.PackageNotFoundError:
+            continue  # this environment has no such extra
+        done = new.python(works)
+        assert done.returncode == 0, (extra, done.stderr)
 
 
 def test_what_begins_a_run_exists():
