@@ -1,6 +1,7 @@
 """What-if studies of the crank-rocker: a sweep of optima against cold solves and on Dask, samples of its tolerances.
 
 `python benchmarks/studies.py`, or as a part of `benchmarks/run.py`. Dask is skipped where it is not installed.
+`python benchmarks/studies.py optima 100` compares sweeps of 10^4 paths and machines with separate searches.
 `python benchmarks/studies.py million [local|dask]` sweeps 10^5 and 10^6 points on 2 processes and prints time, memory, and
 the share of the time, the start included, for which both workers compute.
 """
@@ -10,10 +11,12 @@ from __future__ import annotations
 import importlib.util
 import itertools
 import os
+import random
 import statistics
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from timing import GROWTH, ROOT, Row
@@ -21,6 +24,11 @@ from timing import GROWTH, ROOT, Row
 SIDE, LARGE, MILLION = 100, 300, 1000  # points along each of the two axes of a grid
 COLD = 25  # points solved each from the start of the file
 RUNS = 3
+FEW, SEARCHED = 10, 5  # points along each axis of a grid of paths or machines, and of them those searched one by one
+DESIGNS = {
+    "path-crank-rocker": ("mechanism.crank=95..105 mm", "mechanism.frame=480..520 mm"),
+    "shaper-design": ("limits.guide.max=1450..1550 N", "limits.time_ratio.exactly=1.78..1.82"),
+}
 SAMPLES = 1_000_000
 SWEEPS = itertools.count()
 TOLERANCES = ("crank=0.05 mm", "coupler=0.1 mm", "rocker=0.1 mm", "D.x=0.1 mm", "D.y=0.05 mm")
@@ -81,6 +89,7 @@ def rows() -> list[Row]:
             figures={"ours": ours, "theirs": theirs, "wall": wall},
         )
     ]
+    result += optima()
     what = f"sweep of {LARGE**2:,} optima on 2 Dask workers of this machine ({os.cpu_count()} processors): efficiency"
     if importlib.util.find_spec("distributed"):
         cluster = {"workers": 2, "engine": "dask"}
@@ -100,6 +109,33 @@ def rows() -> list[Row]:
     return result
 
 
+def optima(side: int = FEW, searched: int = SEARCHED) -> list[Row]:
+    """Sweeps of paths and of machines against searches of a random sample of their points."""
+    import optlink
+    from optlink.studies.grid import read_grid
+    from optlink.studies.sweep import sweep
+
+    def alone(files: list[Any]) -> None:
+        for file in files:
+            optlink.solve(file, "ipopt", certify=False)
+
+    result = []
+    for name, axes in DESIGNS.items():
+        problem, vary = optlink.load(name), [f"{axis}:{side}" for axis in axes]
+        grid = read_grid(problem, vary)
+        alone([problem])  # what is compiled and imported once
+        files = [problem.override(grid.changes(point)) for point in random.Random(0).sample(range(grid.count), searched)]
+        theirs = taken(partial(alone, files), time.process_time) / searched
+        study = sweep(problem, vary, workers=1)
+        assert study.complete
+        ours = study.cpu / grid.count
+        what = f"sweep of {grid.count:,} optima of {name}: processor time each, against a search of one point"
+        note = f"{' and '.join(axes)}; {study.searched} points of the sweep searched"
+        figures = {"ours": ours, "theirs": theirs}
+        result.append(Row(what, f"{1e3 * ours:.1f} ms", f"{1e3 * theirs:.0f} ms", theirs / ours, ">= 5", note, figures=figures))
+    return result
+
+
 def million(engine: str = "local") -> None:
     """Print time, share of computing and peak resident memory of sweeps of 10^5 and 10^6 optima on 2 processes."""
     import resource
@@ -116,5 +152,5 @@ if __name__ == "__main__":
     if sys.argv[1:2] == ["million"]:
         million(*sys.argv[2:3])
         sys.exit()
-    for row in rows():
-        print(f"{row.what}: {row.ours} | {row.theirs} | {row.shown(row.ratio)} | {row.note}")
+    for row in optima(int(sys.argv[2]), 20) if sys.argv[1:2] == ["optima"] else rows():
+        print(f"{row.what}: {row.ours} | {row.theirs} | {row.shown(row.ratio)} | {row.note}", flush=True)

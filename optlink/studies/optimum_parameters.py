@@ -35,7 +35,7 @@ from optlink.solvers import multistart
 from optlink.solvers.contract import CLOSE
 from optlink.solvers.exchange import sharpened
 from optlink.solvers.solution import STATIONARY, Solution, Stationarity, stationarity
-from optlink.studies.continuation import follow_optimum
+from optlink.studies.batch_optima import follow_optimum
 from optlink.studies.grid import Axis, exact_text, read_figure
 from optlink.studies.target_programme import TargetProgramme, variables_of
 from optlink.symbolic import CompiledFunction
@@ -470,13 +470,8 @@ class OptimumParameters:
         """Return the change of the optimality system per unit of a parameter."""
         return self.system.push(parameter)
 
-    def optimum_at(
-        self, solution: Solution, parameter: Parameter, value: float, change: Mapping[str, float], backend: str
-    ) -> Optimum | None:
-        """Return the optimum with another value of a parameter; None if there is none, or a different one is found.
-
-        `change` [display units]: predicted change of the design variables.
-        """
+    def optimum_at(self, solution: Solution, parameter: Parameter, value: float, backend: str) -> Optimum | None:
+        """Return the optimum with another value of a parameter; None if there is none, or a different one is found."""
         nlp = solution.nlp
         try:
             parameter.place(nlp, value)
@@ -488,56 +483,31 @@ class OptimumParameters:
 
 
 class TargetParameters(OptimumParameters):
-    """The parameters of a design for targets, whose file is read, built and optimised again near it with another value.
+    """The parameters of a design, whose file is read, built and optimised again near it with another value.
 
-    The largest error and limits hold between the positions of the programme again.
+    The largest error and limits hold between the positions of the programme again. Where the programme has quantities of the
+    machine, masses, loads, speed and gravity are parameters too.
     """
 
-    def optimum_at(
-        self, solution: Solution, parameter: Parameter, value: float, change: Mapping[str, float], backend: str
-    ) -> Optimum | None:
+    @cached_property
+    def parameters(self) -> list[Parameter]:
+        """Parameters of the programme, then those that enter its formulas."""
+        own = [replace(parameter, key=key) for parameter in parameters(self.nlp) if (key := self._key(parameter))]
+        return [*own, *(_figures(self.problem) if self.nlp.terms is not None else ())]
+
+    def _key(self, parameter: Parameter) -> str:
+        return parameter.key
+
+    def optimum_at(self, solution: Solution, parameter: Parameter, value: float, backend: str) -> Optimum | None:
         """Return the optimum with another value; see `OptimumParameters.optimum_at`."""
         if not parameter.in_file:
-            return super().optimum_at(solution, parameter, value, change, backend)
+            return super().optimum_at(solution, parameter, value, backend)
         changed, recipe = self.changed(parameter, value).spec, solution.nlp.recipe
         programme = TargetProgramme(changed, recipe["direction"], backend, terms=course_again(changed, recipe))
         optimum = programme.optimum(changed, variables_of(solution), CLOSE_BY)
         optimum = optimum if optimum.usable else programme.optimum(changed, variables_of(solution))
         optimum = sharpened(changed, optimum, backend) if optimum.usable else optimum
         return (optimum.objective, displayed(programme.nlp, optimum.x)) if optimum.usable else None
-
-    def changed(self, parameter: Parameter, value: float) -> ProblemFile:
-        """Return the problem with another value of a parameter."""
-        stated, written = self.problem.at(parameter.key), exact_text(value, parameter.unit)
-        ends = stated if isinstance(stated, Mapping) else {}
-        sides = [f".{end}" for end in ("exactly", "min", "max") if end in ends and parameter.equal] or [""]
-        return self.problem.override({f"{parameter.key}{side}": written for side in sides})
-
-
-class CycleParameters(TargetParameters):
-    """Parameters of a machine, and their effect on the optimality system at its optimum.
-
-    Its optima are less accurate than those of other programmes, and more strongly curved.
-    """
-
-    share, most = 3e-4, 0.02
-
-    @staticmethod
-    def refined(solution: Solution) -> Solution:
-        """Return an optimum at the exact positions of its peaks."""
-        return sharpened(solution.nlp.terms.problem, solution, CLOSE)
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Note on the sign of a maximised quantity."""
-        maximised = any(goal.sense == "maximise" for goal in self.nlp.terms.problem.goals)
-        return ("a maximised quantity is listed with the opposite sign: its negative is minimised",) * maximised
-
-    @cached_property
-    def parameters(self) -> list[Parameter]:
-        """Dimensions and limits of the programme under their keys in the file, then the other parameters."""
-        programme_parameters = [replace(parameter, key=self._key(parameter)) for parameter in parameters(self.nlp)]
-        return [*(parameter for parameter in programme_parameters if parameter.key), *_figures(self.problem)]
 
     def push(self, parameter: Parameter) -> KKTPerturbation:
         """Return the change of the optimality system per unit of a parameter."""
@@ -555,11 +525,53 @@ class CycleParameters(TargetParameters):
         )
 
     def changed(self, parameter: Parameter, value: float) -> ProblemFile:
-        """Return the machine with another value of a parameter."""
-        if parameter.unit != TABLE_UNIT:
-            return super().changed(parameter, value)
-        pairs, share = [read_figure(text) for text in self.problem.at(parameter.key)], value / parameter.value
-        return self.problem.override({parameter.key: [exact_text(component * share, unit) for component, unit in pairs]})
+        """Return the problem with another value of a parameter."""
+        stated, written = self.problem.at(parameter.key), exact_text(value, parameter.unit)
+        if parameter.unit == TABLE_UNIT:
+            pairs, share = [read_figure(text) for text in stated], value / parameter.value
+            return self.problem.override({parameter.key: [exact_text(component * share, unit) for component, unit in pairs]})
+        ends = stated if isinstance(stated, Mapping) else {}
+        sides = [f".{end}" for end in ("exactly", "min", "max") if end in ends and parameter.equal] or [""]
+        return self.problem.override({f"{parameter.key}{side}": written for side in sides})
+
+    def _perturbed(self, parameter: Parameter, value: float) -> tuple[float, Array, Array]:
+        """Return the Lagrangian, its gradient by (x, p) and the rows at the optimum, with another value in the file."""
+        system, nlp = self.system, self.nlp
+        task, terms = self.changed(parameter, value).spec, nlp.terms
+        trace = terms.trace and TracedCycle(task, slow=terms.trace.slow)
+        course = TermCourse(task, nlp.design(system.x), trace, terms.structure, terms.count, terms.sizes)
+        perturbed = build(task, nlp.recipe["direction"], terms=course)
+        if [row.label for row in perturbed.rows] != [row.label for row in nlp.rows]:
+            message = "at a neighbouring value the motions reverse in another order"
+            raise InputError(message, "Change it with --set", self.problem.file, parameter.key)
+        prices = casadi.DM(system.multipliers[system.free :])
+        lagrangian = perturbed.f_expression + casadi.dot(prices, perturbed.g_expression)
+        variables = casadi.vertcat(perturbed.x_symbol, perturbed.p_symbol)
+        functions = CompiledFunction(
+            [perturbed.x_symbol, perturbed.p_symbol], [lagrangian, casadi.gradient(lagrangian, variables), perturbed.g_expression]
+        )
+        value_, gradient, rows = functions(system.x, system.p)
+        return float(value_[0]), gradient, rows
+
+
+class CycleParameters(TargetParameters):
+    """The parameters of a machine without a requirement.
+
+    Its optima are less accurate than those of other programmes, and more strongly curved.
+    """
+
+    share, most = 3e-4, 0.02
+
+    @staticmethod
+    def refined(solution: Solution) -> Solution:
+        """Return an optimum at the exact positions of its peaks."""
+        return sharpened(solution.nlp.terms.problem, solution, CLOSE)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Note on the sign of a maximised quantity."""
+        maximised = any(goal.sense == "maximise" for goal in self.nlp.terms.problem.goals)
+        return ("a maximised quantity is listed with the opposite sign: its negative is minimised",) * maximised
 
     def _key(self, parameter: Parameter) -> str:
         """Return the key in the problem file; empty for a row that the file does not state."""
@@ -576,25 +588,6 @@ class CycleParameters(TargetParameters):
         if name not in self.problem.model.mechanism.quantities:
             return f"{parameter.key}{side}"
         return file_key(self.problem.raw["mechanism"], name) + side
-
-    def _perturbed(self, parameter: Parameter, value: float) -> tuple[float, Array, Array]:
-        """Return the Lagrangian, its gradient by (x, p) and the rows at the optimum, with another value in the file."""
-        system, nlp = self.system, self.nlp
-        task, terms = self.changed(parameter, value).spec, nlp.terms
-        trace = TracedCycle(task, slow=terms.trace.slow)
-        course = TermCourse(task, nlp.design(system.x), trace, terms.structure, terms.count, terms.sizes)
-        perturbed = build(task, terms=course)
-        if [row.label for row in perturbed.rows] != [row.label for row in nlp.rows]:
-            message = "at a neighbouring value the motions reverse in another order"
-            raise InputError(message, "Change it with --set", self.problem.file, parameter.key)
-        prices = casadi.DM(system.multipliers[system.free :])
-        lagrangian = perturbed.f_expression + casadi.dot(prices, perturbed.g_expression)
-        variables = casadi.vertcat(perturbed.x_symbol, perturbed.p_symbol)
-        functions = CompiledFunction(
-            [perturbed.x_symbol, perturbed.p_symbol], [lagrangian, casadi.gradient(lagrangian, variables), perturbed.g_expression]
-        )
-        value_, gradient, rows = functions(system.x, system.p)
-        return float(value_[0]), gradient, rows
 
 
 def _figures(problem: ProblemFile) -> list[Parameter]:

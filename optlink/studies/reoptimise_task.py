@@ -39,8 +39,16 @@ from optlink.solvers import multistart
 from optlink.solvers.contract import selectable
 from optlink.solvers.exchange import with_peaks
 from optlink.solvers.solution import FEASIBLE, Attempt, Solution
-from optlink.studies.batch_optima import MAX_BLOCK_POINTS, BatchProblem, Blocks, GridSearch, coarse_block, keep
-from optlink.studies.continuation import FOLLOWED, follow_optimum
+from optlink.studies.batch_optima import (
+    FOLLOWED,
+    MAX_BLOCK_POINTS,
+    BatchProblem,
+    Blocks,
+    GridSearch,
+    coarse_block,
+    follow_optimum,
+    keep,
+)
 from optlink.studies.grid import Grid, column
 from optlink.studies.optimum_parameters import FastOverride
 from optlink.studies.sweep_task import FROM_KNOWN, OPTIMISE, OUTCOME, SweepTask
@@ -79,19 +87,6 @@ def check_backend(name: str) -> None:
 def chunk_of(grid: Grid) -> int:
     """Return the number of points per chunk of a grid with one programme: large grids have large chunks."""
     return CHUNK * max(1, min(LARGEST_CHUNK // CHUNK, -(-grid.count // (CHUNKS * CHUNK))))
-
-
-@dataclass(frozen=True)
-class FoundOptimum:
-    """Contents of a row: `design` [SI] by design variable, names of `failed` checks and of `active` limits, how it was found."""
-
-    design: Mapping[str, float]
-    objective: float
-    status: Status
-    valid: bool
-    failed: Iterable[str]
-    active: Iterable[str]
-    method: str
 
 
 @dataclass(frozen=True)
@@ -148,19 +143,17 @@ class ReoptimiseTask(SweepTask):
         near = near_design(file, design, self.backend)
         return self.result_row(point, near if near.valid else known, FROM_KNOWN)
 
-    def optimum(self, point: int, outcome: FoundOptimum) -> list[str]:
-        """Return the row of an optimum; design and objective are empty unless the search is optimal or stalled."""
-        usable = outcome.valid or outcome.status in (Status.OPTIMAL, Status.STALLED)
-        sizes = [outcome.design.get(name, math.nan) / q.si_per_unit for name, q in self.free.items()]
-        figures = [value if usable else math.nan for value in (*sizes, self.shown(outcome.objective))]
-        words = (
-            outcome.status.value,
-            str(outcome.valid).lower(),
-            "; ".join(outcome.failed),
-            "; ".join(outcome.active),
-            outcome.method,
-        )
-        return self.row(point, figures, *words)
+    def optimum(
+        self, point: int, end: SynthesisResult | Solution, how: str, valid: bool, failed: Iterable[str], limits: Iterable[str]
+    ) -> list[str]:
+        """Return the row of an optimum: names of failed checks and of active limits, how it was found.
+
+        Design and objective are empty unless the search is optimal or stalled.
+        """
+        usable = valid or end.status in (Status.OPTIMAL, Status.STALLED)
+        sizes = [end.design.get(name, math.nan) / q.si_per_unit for name, q in self.free.items()]
+        figures = [value if usable else math.nan for value in (*sizes, self.shown(end.objective))]
+        return self.row(point, figures, end.status.value, str(valid).lower(), "; ".join(failed), "; ".join(limits), how)
 
     @cached_property
     def shared(self) -> bool:
@@ -348,8 +341,7 @@ class ReoptimiseTask(SweepTask):
         failed = tuple(dict.fromkeys(item.name for item in result.conflict)) or result.validation.failed
         solution = result.solution
         limits = () if solution is None or not (result.problem.spec.parts or solution.usable) else active(solution)
-        found = FoundOptimum(result.design, result.objective, result.status, result.valid, failed, limits, how)
-        return self.optimum(point, found)
+        return self.optimum(point, result, how, result.valid, failed, limits)
 
     # --- the programme of a law at fixed positions ---------------------------------------------------------------------------
 
@@ -417,13 +409,22 @@ class ReoptimiseTask(SweepTask):
         programme, near, corners = self.programme, self.grid_search.nearest(point), self.grid_search.branches(point)
         task = self.model(point)
         programme.bind(task)
-        solution, how = programme.solve(near, self.backend)
+        nlp, how = programme.nlp, FOLLOWED
+        followed = None if near is None else follow_optimum(nlp, near)
+        if followed is None:
+            how, tries = SEARCHED, list[Solution]()
+            for x in [nlp.x_start] if near is None else [near.x, nlp.x_start]:
+                tries.append(multistart.solve_from(nlp, programme.within(x), self.backend))
+                if tries[-1].status is Status.OPTIMAL:
+                    break
+            followed = multistart.best(tries)
+        solution = followed
         if solution.usable and self.grid.count <= SMALL_GRID:
             corners.append(self._search_many(point))
         for rank, neighbour in (pair for corner in corners for pair in enumerate(corner)):
-            end = follow_optimum(programme.nlp, neighbour)
+            end = follow_optimum(nlp, neighbour)
             if end is None and rank == 0:
-                end = multistart.solve_from(programme.nlp, programme.within(neighbour.x), self.backend)
+                end = multistart.solve_from(nlp, programme.within(neighbour.x), self.backend)
             if end is not None and multistart.best([solution, end]) is end and not multistart.compare(solution, end).same:
                 solution, how = end, SEARCHED
         scaled = 1.0 / MAX_SIZE_RATIO <= task.size / programme.size <= MAX_SIZE_RATIO
@@ -433,8 +434,7 @@ class ReoptimiseTask(SweepTask):
         failed = validate(task, task.design(solution.design), objective=solution.objective).failed
         valid = solution.status is Status.OPTIMAL and not failed
         violated, limits = conflicting(solution) if solution.status is Status.INFEASIBLE else ((), active(solution))
-        found = FoundOptimum(solution.design, solution.objective, solution.status, valid, violated or failed, limits, how)
-        return self.optimum(point, found)
+        return self.optimum(point, solution, how, valid, violated or failed, limits)
 
 
 class ParametricProgramme:
@@ -483,21 +483,6 @@ class ParametricProgramme:
         """Return the point within the present bounds that is nearest to x (n,)."""
         nlp = self.nlp
         return nlp.lifted(np.clip(x, nlp.x_low, nlp.x_high))
-
-    def solve(self, near: Solution | None, backend: str) -> tuple[Solution, str]:
-        """Return the optimum for the present parameters, and how it was found."""
-        nlp = self.nlp
-        if near is not None:
-            solution = follow_optimum(nlp, near)
-            if solution is not None:
-                return solution, FOLLOWED
-        starts = [nlp.x_start] if near is None else [near.x, nlp.x_start]
-        tries = []
-        for x in starts:
-            tries.append(multistart.solve_from(nlp, self.within(x), backend))
-            if tries[-1].status is Status.OPTIMAL:
-                break
-        return multistart.best(tries), SEARCHED
 
 
 def optimum_task(

@@ -334,9 +334,8 @@ def _searched_again(
     step = min(optimum_parameters.share * size, optimum_parameters.most * room)
     if step <= 1e-9 * size:
         return None
-    change = {name: step * rate for name, rate in row.design.items()}
     sides = (parameter.value - step, parameter.value + step)
-    lower, upper = (optimum_parameters.optimum_at(solution, parameter, value, change, backend) for value in sides)
+    lower, upper = (optimum_parameters.optimum_at(solution, parameter, value, backend) for value in sides)
     if lower is None or upper is None:
         return None
     (low, below), (high, above) = lower, upper

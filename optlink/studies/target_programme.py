@@ -20,8 +20,7 @@ from optlink.solvers import multistart
 from optlink.solvers.contract import MINIMAX
 from optlink.solvers.exchange import INTEGRAL_TOLERANCE, MOST_NODES, RADIUS, at_edge, largest_excess, misfit, solve_semi_infinite
 from optlink.solvers.solution import Solution
-from optlink.studies.batch_optima import BatchProblem, keep
-from optlink.studies.continuation import FOLLOWED
+from optlink.studies.batch_optima import FOLLOWED, BatchProblem, keep
 from optlink.units import DISPLAYED, KINDS, factor
 
 OF_PROBLEM = ("courses", "forward", "backward")

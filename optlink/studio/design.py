@@ -33,7 +33,7 @@ from optlink.solvers import multistart
 from optlink.solvers.contract import CLOSE, MINIMAX
 from optlink.solvers.exchange import largest_excess, place_at_peaks, solve_semi_infinite
 from optlink.solvers.solution import LimitState, Solution, stationarity
-from optlink.studies.continuation import follow_optimum
+from optlink.studies.batch_optima import follow_optimum
 from optlink.studies.reoptimise_task import with_starting_values
 from optlink.studies.target_programme import TargetProgramme
 from optlink.studio.picture import Picture

@@ -8,6 +8,7 @@ R. Bellman, Dynamic Programming, Princeton University Press (1957).
 from collections.abc import Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 
 from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.design import STEP, DesignProblem
@@ -18,6 +19,8 @@ GRID = 720  # crank angles of the coarse search
 REFINED_ANGLES = 25  # crank angles per point and round of the refinement
 ROUNDS = 16  # of the refinement: with `SHRINK` to 4e-13 of a step of the coarse search
 SHRINK = 6.0  # ratio of the ranges of two rounds: the next one reaches two of the last one's twelve steps to either side
+PARTS = 24  # of the grid, the starts of which are tried at once
+ROUNDING = 1e-12  # relative
 FAR = 1e3  # sizes of the curve: distance assigned to a position that does not exist
 
 
@@ -54,12 +57,22 @@ def _one_way(problem: DesignProblem, design: Mapping[str, float], way: float) ->
     cost = _squares(problem, design, np.broadcast_to(way * grid, (count, GRID)))
     joined = np.maximum if problem.measure == "max" else np.add
 
-    ahead = (np.arange(GRID)[:, None] + np.arange(GRID)) % GRID  # (starts, steps from the start)
-    best = np.where(np.arange(GRID) == 0, cost[0][ahead], np.inf)
-    for row in cost[1:]:
-        cumulative = np.minimum.accumulate(best, axis=1)
-        best = joined(np.concatenate([np.full((GRID, 1), np.inf), cumulative[:, :-1]], axis=1), row[ahead])
-    start = int(np.argmin(np.min(best, axis=1)))
+    def least(starts: NDArray[np.intp]) -> Array:
+        """Return the least total from each start (starts,)."""
+        ahead = (starts[:, None] + np.arange(GRID)) % GRID  # (starts, steps from the start)
+        best = np.where(np.arange(GRID) == 0, cost[0][ahead], np.inf)
+        for row in cost[1:]:
+            cumulative = np.minimum.accumulate(best, axis=1)
+            best = joined(np.concatenate([np.full((len(starts), 1), np.inf), cumulative[:, :-1]], axis=1), row[ahead])
+        return np.asarray(np.min(best, axis=1))
+
+    bound = joined(cost[0], joined.reduce(np.min(cost[1:], axis=1), initial=0.0))  # of the total from each start
+    totals = np.full(GRID, np.inf)
+    for starts in np.array_split(np.argsort(bound, kind="stable"), PARTS):  # until no other start can be better
+        if bound[starts[0]] > np.min(totals) * (1.0 + ROUNDING):
+            break
+        totals[starts] = least(starts)
+    start = int(np.argmin(totals))
     rolled = np.roll(cost, -start, axis=1)
     rolled[0, 1:] = np.inf
     if problem.meets_again:  # the last point equals the first, and may be passed there

@@ -278,3 +278,14 @@ def test_one_per_cent_of_a_negative_speed_increases_its_magnitude(pump):
 def test_tilted_gravity_has_two_parameters():
     result = sensitivities(changed(gravity=["1 m/s^2", "-9.7 m/s^2"]), starts=1)
     assert {"gravity.x", "gravity.y"} <= {row.parameter.key for row in result.moving}
+
+
+@pytest.mark.slow
+def test_masses_are_parameters_of_a_path_with_a_limited_torque():
+    """With all masses and the limit of the torque in one ratio, the best path stays: the effects of a common factor vanish."""
+    found = sensitivities_in_si(optlink.load("path-within-torque"))
+    limit = found["limits.driving_torque.max"]
+    masses = [found[f"bodies.{body}.mass"] for body in ("crank", "coupler", "rocker")]
+    effect = limit.objective * limit.parameter.value
+    assert effect < 0.0
+    assert sum(row.objective * row.parameter.value for row in masses) == pytest.approx(-effect, rel=1e-6)

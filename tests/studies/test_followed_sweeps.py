@@ -10,7 +10,7 @@ import pytest
 import optlink
 from optlink.execution.runner import pool
 from optlink.studies import target_programme
-from optlink.studies.continuation import FOLLOWED
+from optlink.studies.batch_optima import FOLLOWED
 from optlink.studies.grid import read_grid
 from optlink.studies.reoptimise_task import SEARCHED, optimum_task
 from optlink.studies.sweep import sweep

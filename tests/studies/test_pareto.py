@@ -29,7 +29,7 @@ from optlink.report.views.pareto import charts
 from optlink.studies.pareto import epsilon_constraint, epsilon_ranges
 from optlink.studies.pareto.design_objectives import epsilon_problem
 from optlink.studies.pareto.epsilon_constraint import ENDS, Pareto, pareto
-from optlink.studies.pareto.objectives import read_objectives
+from optlink.studies.pareto.epsilon_ranges import read_objectives
 from optlink.studies.reoptimise_task import with_starting_values
 from optlink.studies.sweep import sweep
 from optlink.studies.target_programme import TargetProgramme

@@ -10,8 +10,7 @@ import pytest
 import optlink
 from optlink.studies.pareto.design_objectives import design_objective, design_problem
 from optlink.studies.pareto.epsilon_constraint import _with_known_designs, pareto
-from optlink.studies.pareto.epsilon_ranges import RANGES
-from optlink.studies.pareto.objectives import read_objectives
+from optlink.studies.pareto.epsilon_ranges import RANGES, read_objectives
 from optlink.studies.reoptimise_task import optimum_task
 from optlink.studies.sweep_task import FROM_KNOWN
 from tests.studies.test_robust_kinds import no_neighbour_is_better, slide_errors

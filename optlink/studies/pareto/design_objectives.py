@@ -331,10 +331,11 @@ def limited_figure(task: DesignProblem, objective: ParetoObjective, design: Mapp
     if objective.of:
         return design[objective.of] / factor(objective.unit, task.quantities[objective.of].kind)
     keys = {above} | ({"limits.alignment"} if above.startswith("limits.transmission") else set())  # which may be tighter
-    angles = passing(task, design)
-    begin, span = float(angles[0]), float(angles[-1] - angles[0])
+    begin, span = 0.0, TURN
+    if not has_position_limits(task) or task.limits.transmission_range == "span":
+        angles = passing(task, design)
+        begin, span = float(angles[0]), float(angles[-1] - angles[0])
     if has_position_limits(task):
-        begin, span = (begin, span) if task.limits.transmission_range == "span" else (0.0, TURN)
         rows = position_rows(task, task.linkage.pose(design, unit(begin + span * np.linspace(0.0, 1.0, POSITIONS))))
     else:
         reach = task.reach(design) if task.law_given else Reach(begin, span, 1.0 if span >= 0.0 else -1.0)

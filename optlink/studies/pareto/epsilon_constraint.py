@@ -28,8 +28,7 @@ from optlink.problem.arguments import typed
 from optlink.problem.document import Source, entries
 from optlink.problem.file import AnyProblem, ProblemFile, problem_of
 from optlink.studies.pareto.design_objectives import OPTION, ParetoObjective
-from optlink.studies.pareto.epsilon_ranges import RANGES, EpsilonRanges, NoExtreme
-from optlink.studies.pareto.objectives import read_objectives
+from optlink.studies.pareto.epsilon_ranges import RANGES, EpsilonRanges, NoExtreme, read_objectives
 from optlink.studies.reoptimise_task import CHUNK, ReoptimiseTask, check_backend, optimum_task
 from optlink.studies.sweep import GridStudy, TableFile
 from optlink.version import VERSION
@@ -172,7 +171,7 @@ def pareto(
         A design for a requirement of any kind, or a machine with an objective over its cycle.
     objectives : str
         Objectives, separated by commas: "peak torque, guide force in F" for a machine, "error, limits.transmission_angle.max" or
-        "error, total length" for a requirement; see `optlink.studies.pareto.objectives`.
+        "error, total length" for a requirement; see `optlink.studies.pareto.epsilon_ranges`.
     out : Path, optional
         Folder for completed chunks and for a table of all points (`sweep.csv`). Default: a temporary folder.
     points : int, optional

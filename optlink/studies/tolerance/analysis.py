@@ -1,6 +1,7 @@
 """Tolerance analysis: effect of deviations of the dimensions on an output, to first order and by quasi-random samples.
 
-Crank angles, and the start of a motion law, keep their nominal values; only dimensions deviate.
+Crank angles, and the start of a motion law, keep their nominal values; only dimensions deviate. A sample is moved,
+not optimised, so that there is no grid of optima; a sweep of a robust problem varies its tolerances.
 """
 
 from __future__ import annotations

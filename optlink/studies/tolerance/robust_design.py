@@ -196,25 +196,17 @@ class YieldSearchTask:
     def __call__(self, index: int) -> dict[str, float]:
         """Return the design [SI] that is found from a start."""
         nlp = build(self.file.override({"requirement.measure": "sum of squares"}).spec)
-        return _Search(self.file, nlp, self.deviations, self.limit, self.seed, self.starts[index]).end()
+        return _Search(self, nlp, self.starts[index]).end()
 
 
 class _Search:
     """Search from one design: x = x_start + steps @ z, where z = 1 changes the error by as much as it scatters."""
 
-    def __init__(
-        self,
-        file: ProblemFile,
-        nlp: NLP,
-        deviations: Sequence[Deviation],
-        limit: float,
-        seed: int,
-        start: Mapping[str, float],
-    ) -> None:
-        self.file, self.nlp, self.deviations, self.limit, self.seed = file, nlp, deviations, limit, seed
+    def __init__(self, task: YieldSearchTask, nlp: NLP, start: Mapping[str, float]) -> None:
+        self.file, self.nlp, self.deviations, self.limit, self.seed = task.file, nlp, task.deviations, task.limit, task.seed
         self.x = nlp.x_of(dict(start))
         self.bounded = np.isfinite(nlp.lower), np.isfinite(nlp.upper)
-        self.scatter = max(float(np.std(self._sizes(self.x, self._sampled_deviations(STAGES[0][0])))), 1e-3 * limit)
+        self.scatter = max(float(np.std(self._sizes(self.x, self._sampled_deviations(STAGES[0][0])))), 1e-3 * self.limit)
         slopes = nlp.residual_derivatives(self.x)
         _, size, axes = np.linalg.svd(slopes / math.sqrt(len(slopes)))
         self.steps = self.scatter * axes.T / np.maximum(np.pad(size, (0, len(axes) - len(size))), MIN_YIELD_SLOPE * size[0])
