@@ -19,7 +19,7 @@ from optlink.linkage.vector2d import TURN, Array
 from optlink.report.chart_mpl import draw_into
 from optlink.report.chart_spec import ChartSpec
 from optlink.report.labels import Label
-from optlink.report.names import short_name
+from optlink.report.placement import short_name
 from optlink.report.scene import LAYERS, Scene, Shape
 from optlink.report.shapes import finite
 from optlink.report.style import CRANK, GROUND, HALO, figure, heading, legible, one_palette, styled

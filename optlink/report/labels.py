@@ -1,4 +1,4 @@
-"""Placement of labels clear of lines and of one another."""
+"""Labels of pictures, placed clear of lines and of one another."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -8,16 +8,16 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import FancyArrowPatch, Polygon
+from matplotlib.text import Text
 from matplotlib.ticker import FixedLocator
-from numpy.typing import NDArray
 
-from optlink.linkage.vector2d import TURN, Array
+from optlink.linkage.vector2d import Array
+from optlink.report.placement import DIRECTIONS, Places, arrange, beside
 from optlink.report.style import HALO, TARGET
 
-DIRECTIONS = np.array([[np.cos(t), np.sin(t)] for t in np.linspace(0.0, TURN, 16, endpoint=False)])
 DISTANCES = np.array([2.0, 5.0, 9.0, 15.0, 24.0, 36.0])  # distances tried between point and label [pt]
 LEADER_DISTANCE = 14.0  # distance beyond which a leader line is drawn [pt]
-SAMPLING = 3.0  # sampling distance along lines [pixel]
+PRICE, PREFERENCE = 1.5, 1.0  # costs of a distance of one font size between point and label, and of another direction
 
 
 @dataclass(frozen=True)
@@ -77,83 +77,46 @@ def _place(axes: Axes, labels: list[Label]) -> None:
     assert figure is not None
     point = figure.dpi / 72.0
     area = axes.get_window_extent()
-    inside = np.array([area.x0, area.y0, area.x1, area.y1])
-    crowd, weights = _occupied_pixels(axes, inside, point)
-    occupied: list[Array] = []
-    for label in labels:
+    font = labels[0].size * point
+    anchors = np.array([axes.transData.transform(label.at) for label in labels])
+    written = [text for text in axes.texts if text.get_text()]
+    texts, places = list[Text](), list[Places]()
+    for k, label in enumerate(labels):
         text = axes.text(*label.at, label.text, ha="center", va="center", color=label.colour, fontsize=label.size, zorder=9)
         text.set_path_effects(HALO)
         text.set_in_layout(False)
-        extent = text.get_window_extent()
-        half = np.array([0.5 * extent.width, 0.5 * extent.height])
-        anchor = axes.transData.transform(label.at)
-        reach = (DISTANCES + label.clear) * point
-        # shift the box along each direction until its near side is `reach` away
-        centres = anchor + (DIRECTIONS * reach[:, None, None] + DIRECTIONS * half).reshape(-1, 2)
-        boxes = np.concatenate([centres - half, centres + half], axis=1)
-        outside = np.maximum(inside[:2] - boxes[:, :2], 0.0).sum(axis=1) + np.maximum(boxes[:, 2:] - inside[2:], 0.0).sum(axis=1)
-        hidden = _within(boxes, crowd, 1.0) @ weights
-        overlap = np.zeros(len(boxes))
-        for box in occupied:
-            low, high = np.maximum(boxes[:, :2], box[:2]), np.minimum(boxes[:, 2:], box[2:])
-            overlap += np.prod(np.maximum(high - low + 1.0, 0.0), axis=1)
-        misplaced = 1.0 - DIRECTIONS @ np.asarray(label.prefer) if any(label.prefer) else np.zeros(len(DIRECTIONS))
-        cost = (
-            40.0 * outside
-            + 5.0 * hidden
-            + 2.0 * overlap
-            + np.repeat(0.6 * reach, len(DIRECTIONS))
-            + 5.0 * np.tile(misplaced, len(reach))
-        )
-        best = int(np.argmin(cost))
-        occupied.append(boxes[best])
-        text.set_position(tuple(axes.transData.inverted().transform(centres[best])))
-        if np.repeat(reach, len(DIRECTIONS))[best] > LEADER_DISTANCE * point:  # too far to be attributed without a leader line
-            near = axes.transData.inverted().transform(np.clip(anchor, boxes[best, :2], boxes[best, 2:]))
-            leader = Line2D(*np.array([label.at, near]).T, color=label.colour, linewidth=0.6, alpha=0.7, zorder=8, gid="leader")
+        texts.append(text)
+        half = 0.5 * np.array(text.get_window_extent().size)
+        others = np.delete(anchors, k, axis=0)[:, None]
+        prefer = PREFERENCE * np.asarray(label.prefer)
+        places.append(beside(anchors[[k]], half, (DISTANCES + label.clear) * point, PRICE / font, others, prefer))
+    boxes = [text.get_window_extent().get_points() for text in written]
+    fixed = [Places(box.mean(axis=0)[None], np.zeros((1, 2)), 0.5 * np.ptp(box, axis=0), np.zeros((1, 1))) for box in boxes]
+    chosen = arrange([*fixed, *places], _lines_of(axes, point), font, area.bounds)[len(fixed) :]
+    for label, text, at, place, [choice] in zip(labels, texts, anchors, places, chosen, strict=True):
+        middle = at + place.middles[choice]
+        near = np.clip(at, middle - place.half, middle + place.half)
+        text.set_position(tuple(axes.transData.inverted().transform(middle)))
+        if np.linalg.norm(near - at) > LEADER_DISTANCE * point:  # too far to be attributed without a leader line
+            ends = np.array([label.at, axes.transData.inverted().transform(near)])
+            leader = Line2D(*ends.T, color=label.colour, linewidth=0.6, alpha=0.7, zorder=8, gid="leader")
             leader.set_in_layout(False)
             axes.add_artist(leader)
 
 
-def _within(boxes: Array, points: Array, room: float) -> NDArray[np.bool_]:
-    low, high = boxes[:, :2, None] - room, boxes[:, 2:, None] + room
-    in_columns, in_rows = ((places >= low[:, k]) & (places <= high[:, k]) for k, places in enumerate(points.T))
-    within: NDArray[np.bool_] = in_columns & in_rows
-    return within
-
-
-def _occupied_pixels(axes: Axes, inside: Array, point: float) -> tuple[Array, Array]:
-    """Return pixels covered by lines, outlines and markers, with weights for hiding them."""
-    points_list, weights = [np.empty((0, 2))], [np.empty(0)]
-
-    def add(points: Array, weight: float) -> None:
-        points_list.append(points)
-        weights.append(np.full(len(points), weight))
-
+def _lines_of(axes: Axes, point: float) -> list[tuple[Array, float]]:
+    """Return the lines, outlines and markers of a picture [pixel], with weights for hiding them."""
+    lines: list[tuple[Array, float]] = []
     for child in axes.get_children():
         if isinstance(child, Line2D) and child.get_visible():
             path = child.get_transform().transform(np.asarray(child.get_xydata(), dtype=float))
             if child.get_linestyle() not in ("None", "none", ""):
-                add(_sampled_line(path, inside), 1.0 if child.get_linewidth() > 1.35 else 0.4)
+                lines.append((path, 1.0 if child.get_linewidth() > 1.35 else 0.4))
             if child.get_marker() not in ("None", "none", "", None):
                 ring = 0.5 * child.get_markersize() * point * DIRECTIONS[::2]
-                add((path[:200, None, :] + ring).reshape(-1, 2), 1.0)
+                lines += [(at + ring, 1.0) for at in path[:200]]
         elif isinstance(child, FancyArrowPatch):
-            add(_sampled_line(axes.transData.transform(np.asarray(child.get_path().vertices)), inside), 1.0)
+            lines.append((axes.transData.transform(np.asarray(child.get_path().vertices)), 1.0))
         elif isinstance(child, Polygon) and child.get_gid() != "shade":
-            add(_sampled_line(child.get_transform().transform(child.get_xy()), inside), 0.7)
-    points = np.concatenate(points_list)
-    visible = np.all(np.isfinite(points), axis=1)
-    return points[visible], np.concatenate(weights)[visible]
-
-
-def _sampled_line(path: Array, inside: Array) -> Array:
-    """Return points every few pixels along a line with gaps."""
-    near = np.clip(path, inside[:2] - 50.0, inside[2:] + 50.0)  # points far outside do not matter
-    lengths = np.linalg.norm(np.diff(near, axis=0), axis=1)
-    finite_lengths = np.isfinite(lengths)
-    count = np.where(finite_lengths, np.ceil(np.where(finite_lengths, lengths, 0.0) / SAMPLING).astype(int), 0)
-    segment = np.repeat(np.arange(len(count)), count)
-    share = (np.arange(len(segment)) - np.repeat(np.cumsum(count) - count, count)) / np.maximum(count[segment], 1)
-    points: Array = near[segment] + share[:, None] * (near[segment + 1] - near[segment])
-    return points
+            lines.append((child.get_transform().transform(child.get_xy()), 0.7))
+    return [(line[None], 5.0 * weight) for line, weight in lines]

@@ -14,7 +14,7 @@ from typing import Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.dynamics.machine import Machine, Spring
+from optlink.dynamics.machine import Machine, Spring, TorsionSpring
 from optlink.linkage.jet import as_jet
 from optlink.linkage.mechanism import FRAME, Guide
 from optlink.linkage.motion import Motion, sweep
@@ -23,8 +23,8 @@ from optlink.problem.file import ProblemFile
 from optlink.problem.limits import RegionLimit
 from optlink.report.chart_spec import BODIES, CRANK, GROUND, LIMIT, MUTED
 from optlink.report.format import Scale, scale
-from optlink.report.names import LETTER, WIDTH, NamePlaces, place_names
-from optlink.report.shapes import Part, clipped, finite, hatching, hull, in_line, rectangle, spread, stem, strokes, zigzag
+from optlink.report.placement import Choice, Places, arrange, beside, short_name
+from optlink.report.shapes import Part, clipped, finite, hatching, hull, in_line, rectangle, spiral, spread, stem, strokes, zigzag
 from optlink.tasks.analyze import Analysis
 from optlink.validation.check import Check
 
@@ -173,6 +173,9 @@ LAYERS = {
 """What lies on what: layers and their heights."""
 LOOKS = {"slot": (1.1, 0.13), "plate": (2.2, 0.22), "bar": (3.0, 0.0), "block": (1.5, 0.35), "crank": (3.8, 0.0)}
 """Line width [pt] and opacity of the face of the parts of bodies."""
+LETTER, WIDTH = 9.0 / 8.0, 0.6  # height of a letter of names, in heights of a ground pivot, and its width in its height
+NEAR = np.array([0.42, 1.05, 1.7])  # distances of a name from its point, in heights of a ground pivot
+BEHIND, TRACE = 3.0, 0.45  # how much a link and a trace count that a name hides
 CROSS = np.array([[-1.0, 0.0], [1.0, 0.0], [np.nan, np.nan], [0.0, -1.0], [0.0, 1.0]])
 
 
@@ -242,6 +245,9 @@ class Scene:
         self.travel = {guide.name: self._travel(guide) for guide in self.mechanism.guides}
         self.parts = {body: self._parts(body) for body in self.mechanism.bodies}
         self.springs = [load for load in machine.loads if isinstance(load, Spring)] if machine else []
+        self.torsion_springs = (
+            [self._turned_at(load) for load in machine.loads if isinstance(load, TorsionSpring)] if machine else []
+        )
         inertias = machine.inertias if machine else {}
         self.centroids = {
             body: np.array([[i.along, i.across]], dtype=float) * self.scale.factor for body, i in inertias.items() if i.mass > 0.0
@@ -323,13 +329,30 @@ class Scene:
         return bodies[0 if bodies[0] == self.mechanism.crank.body else -1]
 
     @cached_property
-    def places_of_names(self) -> dict[str, NamePlaces]:
-        """Places of the names of the points."""
-        links = [self.located(shape, self.shown) for shape in self.moving_shapes if shape.layer in LOOKS]
-        links = [np.concatenate([line, line[:, :1]], axis=1) if len(line[0]) > 2 else line for line in links]
-        ground = [*(line for line, _, _ in self.ground), *(region.edge for region in self.outlines)]
-        still = frozenset(self.names).difference(self.moving)
-        return place_names(self.points, still, links, ground, self.moving, self.box, self.size)
+    def places_of_names(self) -> dict[str, tuple[Array, Choice]]:
+        """Places of the names of the points: relative to the point (places, 2), and the number of the place at each position."""
+        letter, lines = LETTER * self.size, []
+        for shape in self.moving_shapes:
+            if shape.layer != "joints":
+                line = self.located(shape, self.shown)
+                lines.append((np.concatenate([line, line[:, :1]], axis=1) if shape.fill else line, BEHIND))
+        lines += [(line[None], BEHIND) for line in (*(line for line, _, _ in self.ground), *(one.edge for one in self.outlines))]
+        points = self.points
+        lines += [(points[name][None], TRACE) for name in self.moving]
+        names = sorted(points, key=lambda name: name in self.moving)
+        texts = [Places(one.label[None], np.zeros((1, 2)), self._half(one.name), np.zeros((1, 1))) for one in self.outlines]
+        for name in names:
+            others, near = [points[other] for other in names if other != name], NEAR * self.size
+            half, moves = self._half(short_name(name)), name in self.moving
+            texts.append(beside(points[name], half, near[: 2 if moves else 3], 1.5 / letter, others, (0.3, 0.3), moves))
+        chosen = arrange(texts, lines, letter, self.box)
+        return {
+            name: (text.middles, at) for name, text, at in zip(names, texts[-len(names) :], chosen[-len(names) :], strict=True)
+        }
+
+    def _half(self, name: str) -> Array:
+        """Return half the size of a name in the drawing."""
+        return 0.5 * LETTER * self.size * np.array([WIDTH * len(name), 1.0])
 
     def _vector(self, vector: Vector) -> Array:
         return np.array([float(as_jet(part).value) for part in vector]) * self.scale.factor
@@ -353,6 +376,12 @@ class Scene:
         slides = np.asarray(self.motion.slide(guide.name).value) * self.scale.factor
         finite_slides = slides[np.isfinite(slides) & self.near]
         return (float(finite_slides.min()), float(finite_slides.max())) if finite_slides.size else (0.0, 0.0)
+
+    def _turned_at(self, spring: TorsionSpring) -> str:
+        """Return the point about which a torsion spring is drawn: the joint of its bodies, else the first point of one."""
+        pins = self.mechanism.pins.items()
+        shared = (name for name, bodies in pins if {spring.body, spring.against} <= {*bodies})
+        return next(shared, self.mechanism.bodies[spring.body].start)
 
     # --- shapes of the bodies ------------------------------------------------------------------------------------------
 
@@ -498,6 +527,7 @@ class Scene:
                 shapes.append(Shape(layer, body, part.outline, colour, width, "body", colour if face else "", face))
         zigzagged = np.array(zigzag(self.size))
         shapes += [Shape("springs", spring.name, zigzagged, MUTED, 1.2, "spring") for spring in self.springs]
+        shapes += [Shape("springs", point, spiral(self.size), MUTED, 1.2, "point") for point in self.torsion_springs]
         for body, at in self.centroids.items():
             colour, cross = self.colours[body], at + 0.35 * self.size * CROSS
             shapes.append(Shape("centroid", body, at, colour, 0.9, "body", WHITE, radius=2.75))

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.linkage.vector2d import Array
+from optlink.linkage.vector2d import TURN, Array
 
 
 @dataclass(frozen=True)
@@ -116,6 +116,12 @@ def zigzag(size: float) -> list[tuple[float, float]]:
     shares = [0.0, 0.18, *np.linspace(0.2, 0.8, 12).tolist(), 0.82, 1.0]
     sides = [0.0, 0.0, *(0.45 * size * (-1.0) ** i for i in range(12)), 0.0, 0.0]
     return list(zip(shares, sides, strict=True))
+
+
+def spiral(size: float) -> Array:
+    """Return a torsion spring about the origin (n, 2): two turns that widen from the ring of a joint."""
+    turns = np.linspace(0.0, 2.0 * TURN, 73)
+    return np.asarray(np.linspace(0.45, 1.1, 73)[:, None] * size * np.column_stack([np.cos(turns), np.sin(turns)]))
 
 
 def even(count: int, most: int) -> NDArray[np.intp]:

@@ -606,3 +606,25 @@ def test_names_are_readable_without_the_order_of_painting():
         texts = re.findall(r"<text [^>]*>", drawing)
         assert texts
         assert not [text for text in texts if "stroke=" in text and 'fill="none"' not in text]
+
+
+def test_the_springs_of_a_dxf_reach_their_ends(tmp_path):
+    """One between two points, and one about the joint of the two bodies that it turns against each other."""
+    raw = json.loads(
+        json.dumps({key: value for key, value in optlink.load("slotted-quick-return").raw.items() if key != "expected"})
+    )
+    raw["loads"]["leaf"] = {"on": "rocker", "torsional_stiffness": "5 N*m/rad"}
+    export(report_model_of(analyze(optlink.read(raw))), tmp_path / "springs.dxf", Options(at=math.radians(40.0)))
+    drawing = ezdxf.readfile(tmp_path / "springs.dxf")
+    tension, torsion = (np.array(one.get_points("xy")) for one in drawing.modelspace().query('LWPOLYLINE[layer=="SPRINGS"]'))
+    crank = 100.0 * np.array([math.cos(math.radians(40.0)), math.sin(math.radians(40.0))]) + [0.0, 250.0]
+    ram = 480.0 * crank[0] / crank[1]  # the rocker turns about the origin; the ram moves along y = 480 mm
+    np.testing.assert_allclose(tension[[0, -1]], [[700.0, 480.0], [ram + 150.0, 480.0]], atol=1e-6)
+    away = np.linalg.norm(torsion, axis=1)  # from the pivot of the rocker
+    assert np.all(np.diff(away) > 0.0)
+    turned = np.unwrap(np.arctan2(torsion[:, 1], torsion[:, 0]))
+    assert turned[-1] - turned[0] == pytest.approx(4.0 * math.pi)
+    bare = json.loads(json.dumps(raw))
+    bare["loads"] = {"cutting": raw["loads"]["cutting"]}
+    export(report_model_of(analyze(optlink.read(bare))), tmp_path / "bare.dxf")
+    assert "SPRINGS" not in {layer.dxf.name for layer in ezdxf.readfile(tmp_path / "bare.dxf").layers}

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.dynamics.machine import slider_names
 from optlink.linkage.jet import as_jet
@@ -16,109 +15,15 @@ from optlink.linkage.vector2d import TURN, Array
 from optlink.report.chart_spec import GROUND
 from optlink.report.export.svg import svg
 from optlink.report.html.theme import readable
+from optlink.report.placement import CELL, HIGH, LEVEL, Places, arrange, beside, sampled
 from optlink.report.scene import Scene, Shape, Text, scene
 from optlink.report.shapes import finite, hull, in_line
 from optlink.tasks.analyze import Analysis
 
-# Placement of texts and their lines on a drawing: each where it covers least of the drawing and of the other ones.
-#
-# The drawing is divided into cells. Two texts, or a text and a line, cost what they share of them; the places of all texts are
-# improved in turn until none has a cheaper one. Every share counts the same for both, so that each step lowers the total.
-
-CELL = 0.25  # side of a cell, in font sizes
-HIGH, ROOM = 0.45, 0.15  # half the height of a text and the space around it, in font sizes
-ON_TEXT, ON_LINK, ACROSS = 0.5, 0.35, 0.25  # costs of a cell that a text shares with another text, a link, a line
-LINE = 0.08  # that a line shares with a link or another line
-SWEEPS = 12
-
-Cells = NDArray[np.intp]
-
-
-@dataclass(frozen=True, eq=False)
-class Place:
-    """One possible place of a text with its lines.
-
-    `middle` (2,) and `along` (2,), a unit vector, are those of the text, `half` is half its width; `lines` are its lines, each
-    (n, 2); `cost` is small where the place is preferred.
-    """
-
-    middle: Array
-    along: Array
-    half: float
-    lines: tuple[Array, ...] = ()
-    cost: float = 0.0
-
-    def text(self, font: float, room: float = 0.0) -> Array:
-        """Return points (n, 2) of the box of the text, with room around it, in the unit of the drawing."""
-        wide, high = self.half + room, HIGH * font + room
-        across = np.array([-self.along[1], self.along[0]])
-        u, v = (np.linspace(-end, end, 2 + int(2.0 * end / (0.8 * CELL * font))) for end in (wide, high))
-        return np.asarray(self.middle + (u[:, None, None] * self.along + v[:, None] * across).reshape(-1, 2))
-
-
-def sampled(line: Array, step: float) -> Array:
-    """Return points (n, 2) along a line (m, 2), at most a step apart along it."""
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
-    at = np.linspace(0.0, along[-1], 1 + max(1, int(np.ceil(along[-1] / step))))
-    return np.stack([np.interp(at, along, line[:, k]) for k in (0, 1)], axis=1)
-
-
-def arrange(items: Sequence[Sequence[Place]], links: Sequence[Array], font: float) -> list[Place]:
-    """Return the place of every text from its possible ones, clear of links (n, 2) that are already drawn."""
-    cell = CELL * font
-    drawn = [sampled(line, cell) for line in links]
-    boxes = [[place.text(font, ROOM * font) for place in places] for places in items]
-    lines = [[[sampled(line, cell) for line in place.lines] for place in places] for places in items]
-    every = np.concatenate([*drawn, *(box for own in boxes for box in own), *(x for own in lines for each in own for x in each)])
-    low = every.min(axis=0) - cell
-    across, along = (int(n) + 1 for n in np.ceil((every.max(axis=0) + cell - low) / cell))
-
-    def cells(pieces: Sequence[Array]) -> Cells:
-        if not pieces:
-            return np.empty(0, dtype=np.intp)
-        column, row = np.floor((np.concatenate(pieces) - low) / cell).astype(np.intp).T
-        return np.unique(column * (along + 1) + row)
-
-    texts, rules, bars = np.zeros((3, (across + 1) * (along + 1)))
-    wide = np.array([(x, y) for x in (-cell, 0.0, cell) for y in (-cell, 0.0, cell)])  # a link is about three cells wide
-    bars[cells([(line[:, None] + wide).reshape(-1, 2) for line in drawn])] = 1.0
-    covered = [[(cells([box]), cells(own)) for box, own in zip(*both, strict=True)] for both in zip(boxes, lines, strict=True)]
-    fixed = [
-        [place.cost + ON_LINK * bars[text].sum() + LINE * bars[rule].sum() for place, (text, rule) in zip(*both, strict=True)]
-        for both in zip(items, covered, strict=True)
-    ]
-
-    def best(k: int) -> int:
-        costs = [
-            base + ON_TEXT * texts[text].sum() + ACROSS * (rules[text].sum() + texts[rule].sum()) + LINE * rules[rule].sum()
-            for base, (text, rule) in zip(fixed[k], covered[k], strict=True)
-        ]
-        return int(np.argmin(costs))
-
-    def put(k: int, choice: int, sign: float) -> None:
-        text, rule = covered[k][choice]
-        texts[text] += sign
-        rules[rule] += sign
-
-    chosen: list[int] = []
-    for k in range(len(items)):
-        chosen.append(best(k))
-        put(k, chosen[k], 1.0)
-    for _ in range(SWEEPS):
-        before = list(chosen)
-        for k in range(len(items)):
-            put(k, chosen[k], -1.0)
-            chosen[k] = best(k)
-            put(k, chosen[k], 1.0)
-        if chosen == before:
-            break
-    return [places[choice] for places, choice in zip(items, chosen, strict=True)]
-
-
 POSITIONS = 24  # positions from which the clearest is drawn
 OFFSETS = (1.2, 2.2, 3.3, 4.6, 6.0)  # distances of a dimension line from what it measures, in heights of a ground pivot
+REACHES = np.array([1.0, 1.8, 2.8])  # distances of a name from its point, in heights of a ground pivot
 LETTER_WIDTH = 0.62  # width of a letter in font sizes
-LEVEL = np.array([1.0, 0.0])
 COINCIDENT = 1e-6  # distance of coincident points, as a share of the extent
 
 
@@ -294,6 +199,16 @@ def _deg(angle: float) -> str:
 # --- drawing -----------------------------------------------------------------------------------------------------------------
 
 
+@dataclass(frozen=True, eq=False)
+class _Place:
+    """A place of a text with its lines: its middle, unit vector along it, its cost, and lines, each (n, 2)."""
+
+    middle: Array
+    along: Array
+    cost: float
+    lines: tuple[Array, ...]
+
+
 class _Sheet:
     """Dimension lines and labels placed clear of the links and of one another."""
 
@@ -302,7 +217,7 @@ class _Sheet:
         shapes = [one for one in drawn.moving_shapes if one.layer not in ("centroid", "joints")]
         lines = [drawn.located(one, drawn.shown)[0] for one in shapes] + [line for line, _, _ in drawn.ground]
         self.links = [piece for line in lines for piece in _pieces(line)]
-        self.items: list[tuple[Sequence[Place], Callable[[Place], None]]] = []  # possible places, and how one is drawn
+        self.items: list[tuple[Places, Callable[[int], None]]] = []  # possible places, and how one is drawn
         self.drawn: list[Shape | Text] = []
 
     def _half(self, text: str) -> float:
@@ -331,28 +246,29 @@ class _Sheet:
             for share in shares:
                 middle = a + share * (b - a)
                 parts = (np.array([a, middle - half * along]), np.array([middle + half * along, b]))
-                places.append(Place(middle, along, half, (*rays, *parts), 0.3 * offset + 0.4 * abs(share - 0.5)))
+                places.append(_Place(middle, along, 0.3 * offset + 0.4 * abs(share - 0.5), (*rays, *parts)))
             if not inside:
                 lines = (*rays, np.array([a, b]))
                 outside = 0.5 * (a + b) + 0.75 * self.font * side * normal
-                places.append(Place(outside, along, half, lines, 0.3 * offset))
+                places.append(_Place(outside, along, 0.3 * offset, lines))
                 for share in (-beyond, beyond):
                     end = 0.5 * (a + b) + share * (b - a)
-                    places.append(Place(end, along, half, lines, 0.3 * offset + 0.3))
+                    places.append(_Place(end, along, 0.3 * offset + 0.3, lines))
 
-        def drawn(place: Place) -> None:
+        def drawn(k: int) -> None:
+            place = places[k]
             a, b = place.lines[0][1], place.lines[1][1]
             over = 0.35 * self.size * (a - p) / np.linalg.norm(a - p)
             a, b = a - over, b - over
-            for k, line in enumerate(place.lines):
-                self._line(line, dimension.colour, 0.6 if k < 2 else 0.8)
+            for n, line in enumerate(place.lines):
+                self._line(line, dimension.colour, 0.6 if n < 2 else 0.8)
             self._arrow(a, -along if span > 1.6 * self.size else along, dimension.colour)
             self._arrow(b, along if span > 1.6 * self.size else -along, dimension.colour)
             angle = math.degrees(math.atan2(along[1], along[0]))
             upright = angle + 180.0 if angle < -90.0 else angle - 180.0 if angle >= 90.0 else angle
-            self._text(place, dimension.text, dimension.colour, upright)
+            self._text(place.middle, dimension.text, dimension.colour, upright)
 
-        self.items.append((places, drawn))
+        self.items.append((self._places(places, half), drawn))
 
     def angle(self, centre: Array, start: float, low: float, high: float, text: str, colour: str) -> None:
         """Add the range of an angle as an arc with arrows, from the direction `start` [rad] on."""
@@ -371,9 +287,10 @@ class _Sheet:
             arc = centre + radius * self.size * rays
             reach = np.array([0.5, radius + 0.6]) * self.size
             sides = () if full else tuple(centre + np.outer(reach, rays[at]) for at in (0, -1))
-            places.append(Place(middle, LEVEL, half, (arc, *sides), 0.25 * radius + 0.3 * abs(share - 0.5)))
+            places.append(_Place(middle, LEVEL[0], 0.25 * radius + 0.3 * abs(share - 0.5), (arc, *sides)))
 
-        def drawn(place: Place) -> None:
+        def drawn(k: int) -> None:
+            place = places[k]
             arc, *sides = place.lines
             self._line(arc, colour, 0.8)
             for side in sides:
@@ -381,28 +298,36 @@ class _Sheet:
             if not full:
                 self._arrow(arc[0], arc[0] - arc[1], colour)
             self._arrow(arc[-1], arc[-1] - arc[-2], colour)
-            self._text(place, text, colour, 0.0)
+            self._text(place.middle, text, colour, 0.0)
 
-        self.items.append((places, drawn))
+        self.items.append((self._places(places, half), drawn))
 
     def label(self, at: Array, text: str) -> None:
         """Add a text beside a point."""
-        half = self._half(text)
-        places = []
-        for reach, turn in itertools.product((1.0, 1.8, 2.8), np.linspace(TURN, 0.0, 24, endpoint=False)):
-            ray = np.array([math.cos(turn), math.sin(turn)])
-            middle = at + reach * self.size * ray + np.array([half, HIGH * self.font]) * np.clip(1.5 * ray, -1.0, 1.0)
-            places.append(Place(middle, LEVEL, half, (), 0.35 * reach))
-        self.items.append((places, lambda place: self._text(place, text, GROUND, 0.0)))
+        half = np.array([self._half(text), HIGH * self.font])
+        others = [path[:1] for path in self.scene.points.values()]
+        places = beside(at[None], half, REACHES * self.size, 0.35 / self.size, others, (0.0, 0.0))
+        self.items.append((places, lambda k: self._text(at + places.middles[k], text, GROUND, 0.0)))
+
+    def _places(self, places: Sequence[_Place], half: float) -> Places:
+        lines = [np.concatenate([sampled(line[None], CELL * self.font)[0] for line in place.lines]) for place in places]
+        table = np.full((len(lines), max(map(len, lines)), 2), np.nan)
+        for row, line in zip(table, lines, strict=True):
+            row[: len(line)] = line
+        size = np.array([half, HIGH * self.font])
+        middles, along = (np.array([getattr(place, name) for place in places]) for name in ("middle", "along"))
+        return Places(np.zeros((1, 2)), middles, size, np.array([[place.cost for place in places]]), along, table)
 
     def place(self) -> tuple[float, float, float, float]:
         """Place and draw all texts with their lines, and return the extent of links and dimensions."""
-        chosen = arrange([places for places, _ in self.items], self.links, self.font)
-        for place, (_, drawn) in zip(chosen, self.items, strict=True):
-            drawn(place)
+        wide = CELL * self.font * np.array([(x, y) for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0)])
+        thick = [((line + side)[None], 1.0) for line in self.links for side in wide]
+        chosen = arrange([places for places, _ in self.items], thick, self.font)
+        for [k], (_, drawn) in zip(chosen, self.items, strict=True):
+            drawn(int(k))
         self.drawn.sort(key=lambda one: isinstance(one, Text))  # texts above all lines
-        taken = [line for place in chosen for line in (place.text(self.font), *place.lines)]
-        every = finite(np.concatenate([*self.links, *taken]))
+        taken = [places.covered(0.0, CELL * self.font)[0, k] for [k], (places, _) in zip(chosen, self.items, strict=True)]
+        every = finite(np.concatenate([*self.links, *taken, *(one.line for one in self.drawn if isinstance(one, Shape))]))
         low, high = every.min(axis=0) - 0.8 * self.size, every.max(axis=0) + 0.8 * self.size
         return float(low[0]), float(low[1]), float(high[0] - low[0]), float(high[1] - low[1])
 
@@ -416,8 +341,8 @@ class _Sheet:
         corners = np.array([tip, back + 0.16 * self.size * left, back - 0.16 * self.size * left])
         self.drawn.append(Shape("dimensions", "", corners, colour, 0.0, fill=colour))
 
-    def _text(self, place: Place, text: str, colour: str, angle: float) -> None:
-        self.drawn.append(Text(text, place.middle, colour, self.font, angle))
+    def _text(self, at: Array, text: str, colour: str, angle: float) -> None:
+        self.drawn.append(Text(text, at, colour, self.font, angle))
 
 
 def _pieces(line: Array) -> Iterator[Array]:

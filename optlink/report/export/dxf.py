@@ -33,7 +33,7 @@ Vertex = tuple[float, float, float]
 """x and y [mm] of a corner, and the bulge of the edge that begins there: the tangent of a quarter of its arc."""
 
 ASSEMBLY, PARTS, NAMES, TRACES, MARKS = "ASSEMBLY", "PARTS", "NAMES", "TRACES", "MARKS"
-REGIONS = "REGIONS"
+REGIONS, SPRINGS = "REGIONS", "SPRINGS"
 HOLE = 0.03  # default hole diameter, as a share of the extent, before rounding
 MAX_HOLE_SHARE = 0.5  # default hole diameter, at most this share of the least distance of two holes of a link
 WIDTH = 2.5  # default link width in hole diameters
@@ -68,7 +68,7 @@ def document(
 ) -> Drawing:
     """Return the DXF document of the assembly at a reachable crank angle [rad], with hole diameter and link width [m].
 
-    Regions of the limits have a layer of their own, with their clearances as dashed lines.
+    Springs have a layer of their own, and regions of the limits another one, with their clearances as dashed lines.
 
     Raises
     ------
@@ -101,6 +101,11 @@ def document(
     for name in drawn.free:
         line = drawn.points[name]
         space.add_lwpolyline(line[np.all(np.isfinite(line), axis=1)].tolist(), dxfattribs={"layer": TRACES})
+    springs = [shape for shape in drawn.moving_shapes if shape.layer == "springs"]
+    if springs:
+        drawing.layers.add(SPRINGS, color=8)
+    for shape in springs:
+        space.add_lwpolyline(drawn.located(shape, motion)[0].tolist(), dxfattribs={"layer": SPRINGS})
     _mark_out(drawing, drawn.outlines, radius)
     x, y, wide, _ = drawn.box
     _lay_out(space, [plate for plate in parts if plate.body != FRAME], (x, y), radius, wide)

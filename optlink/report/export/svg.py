@@ -12,12 +12,13 @@ import numpy as np
 
 from optlink.linkage.vector2d import Array
 from optlink.report.chart_spec import GROUND
-from optlink.report.names import LETTER, short_name
-from optlink.report.scene import WHITE, Scene, Shape, Text
+from optlink.report.placement import short_name
+from optlink.report.scene import LETTER, WHITE, Scene, Shape, Text
 from optlink.report.shapes import zigzag
 
 POINT = 1.0 / 8.0  # size of a typographic point, as a share of the size of a ground pivot, as in the other figures
 FLIP = np.array([1.0, -1.0])
+DIGITS = np.array([*"0123456789abcdefghijklmnopqrstuvwxyz"])  # of the place of a name at each position
 GROUPS = {"regions": "region", "traces": "trace", "ground": ""}
 """Layers of what stands still, and what the name of one of their shapes is called."""
 ROUND = 'stroke-linecap="round" stroke-linejoin="round"'
@@ -137,7 +138,8 @@ class _Pen:
         at = self.points[name][k]
         if not np.all(np.isfinite(at)):
             return ""
-        beside = self.place(np.array(self.scene.places_of_names[name].at(k)))
+        places, chosen = self.scene.places_of_names[name]
+        beside = self.place(places[chosen[k]])
         drop, tooltip = self.number(0.35 * LETTER * self.scene.size), f"<title>{escape(name)}</title>"
         text = self.rimmed(f'y="{drop}"', short_name(name), GROUND, tooltip if short_name(name) != name else "")
         inner = f'<g{self.data("name", name)} transform="{beside}">{text}</g>'
@@ -158,7 +160,9 @@ def motion_data(scene: Scene) -> dict[str, Any]:
         "closed": scene.closed,
         "bodies": {name: columns(poses[:, :2], "xy") | columns(poses[:, 2:], "a", 5) for name, poses in bodies.items()},
         "points": {name: columns(scene.points[name] * FLIP, "xy") for name in scene.moving},
-        "names": {name: columns(places.middles * FLIP, "xy") | {"side": places.code} for name, places in names.items()},
+        "names": {
+            name: columns(places * FLIP, "xy") | {"side": "".join(DIGITS[chosen])} for name, (places, chosen) in names.items()
+        },
         "springs": {name: columns(both.reshape(len(both), 4), "xyuv") for name, both in ends.items()},
         "zigzag": zigzag(scene.size),
         "size": scene.size,

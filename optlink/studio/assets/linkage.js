@@ -347,7 +347,7 @@ export class Linkage {
   }
 }
 
-// The side of a joint for its name: that before, if it is clear of the links, else the first clear or the clearest one.
+// The side of a joint for its name, chosen here because each drag and zoom moves it against letters of fixed size: that before, if it is clear of the links, else the first clear or the clearest one.
 function side(before, directions) {
   const room = (turn) => Math.min(180, ...directions.map((way) => Math.abs(((((turn - way) % 360) + 540) % 360) - 180)));
   const clear = (turn) => turn !== undefined && room(turn) >= CLEAR;
