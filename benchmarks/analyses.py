@@ -46,7 +46,7 @@ def exact_law() -> ProblemFile:
 
     sizes = {"crank": 0.1, "coupler": 0.35, "rocker": 0.25, "frame": 0.4}
     phi = np.radians(np.linspace(40.0, 140.0, ROWS))
-    psi = optlink.sweep(optlink.four_bar(), sizes, phi).body_angle("rocker").value
+    psi = optlink.linkage.sweep(optlink.linkage.four_bar(), sizes, phi).body_angle("rocker").value
     angles = {"phi": [f"{angle!r} rad" for angle in phi.tolist()], "psi": [f"{angle!r} rad" for angle in psi.tolist()]}
     free = {"start": "300 mm", "bounds": ["100 mm", "600 mm"]}
     mechanism = {"crank": "100 mm", "frame": "400 mm", "coupler": free, "rocker": free}

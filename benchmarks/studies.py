@@ -47,7 +47,7 @@ def swept(side: int, **options: Any) -> tuple[Any, float]:
     Each call has a slightly larger grid: a process keeps the searches of the grid before, and repeats none of them.
     """
     import optlink
-    from optlink.studies.sweep import sweep
+    from optlink.studies import sweep
 
     vary = [
         f"mechanism.frame=450..{550 + 1e-6 * next(SWEEPS):.9g} mm:{side}",
@@ -62,7 +62,7 @@ def swept(side: int, **options: Any) -> tuple[Any, float]:
 def rows() -> list[Row]:
     """All comparisons."""
     import optlink
-    from optlink.studies.tolerance.analysis import tolerance
+    from optlink.studies import tolerance
 
     problem = optlink.load("crank-rocker")
 
@@ -112,8 +112,8 @@ def rows() -> list[Row]:
 def optima(side: int = FEW, searched: int = SEARCHED) -> list[Row]:
     """Sweeps of paths and of machines against searches of a random sample of their points."""
     import optlink
+    from optlink.studies import sweep
     from optlink.studies.grid import read_grid
-    from optlink.studies.sweep import sweep
 
     def alone(files: list[Any]) -> None:
         for file in files:

@@ -19,7 +19,7 @@ from PIL import Image, ImageDraw
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from optlink.report.style import one_palette
+from optlink.presentation.style import one_palette
 from tests.browser import browser, colours
 from tests.studio.browser import Page, studio
 

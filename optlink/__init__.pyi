@@ -6,6 +6,8 @@ from optlink.errors import (
     Status as Status,
     UnknownName as UnknownName,
 )
+from optlink.presentation.interface import export as export, report as report
+from optlink.presentation.registry import read_result as read_result
 from optlink.problem.document import Document as Document
 from optlink.problem.file import (
     AnyProblem as AnyProblem,
@@ -15,8 +17,6 @@ from optlink.problem.file import (
     shipped as shipped,
 )
 from optlink.problem.templates import new as new
-from optlink.report.interface import export as export, report as report
-from optlink.report.registry import read_result as read_result
 from optlink.studio import explore as explore
 from optlink.tasks.analyze import Analysis as Analysis, analyze as analyze, analyze_batch as analyze_batch, motion as motion
 from optlink.tasks.balance import balance as balance

@@ -214,8 +214,8 @@ def check_stored(result: Document) -> None:
     Disagreement
         If the document that is read back differs.
     """
-    from optlink.report.interface import report
-    from optlink.report.registry import read_result, view_of
+    from optlink.presentation.interface import report
+    from optlink.presentation.registry import read_result, view_of
 
     with TemporaryDirectory() as name:
         folder = Path(name)

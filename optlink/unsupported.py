@@ -18,8 +18,8 @@ class Unsupported(NamedTuple):
 UNSUPPORTED = {
     "crank acceleration": Unsupported(
         "an acceleration of the crank is",
-        "Leave it out: the speed is constant. `optlink simulate` computes accelerations under a torque, and `optlink.sweep` in "
-        "Python takes one of the crank",
+        "Leave it out: the speed is constant. `optlink simulate` computes accelerations under a torque, and "
+        "`optlink.linkage.sweep` in Python takes one of the crank",
         r"drive\.(acceleration|alpha|ramp|jerk|deceleration)",
     ),
     "varying speed": Unsupported(

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import optlink
+from optlink import control, linkage
 from optlink.errors import InputError, arguments_for_options
 from optlink.linkage.fourbar import classify
 from optlink.linkage.motion import sweep as sweep_unchecked
@@ -23,7 +24,7 @@ LAW, MACHINE, CLEARANCE = (optlink.load(name) for name in ("crank-rocker", "six-
 SPEEDS = ["drive.speed=100..200 rpm:2"]
 SIZES = {"crank": 0.2, "coupler": 0.7, "rocker": 0.6, "frame": 0.8}
 DESIGN = {"coupler": 0.4, "rocker": 0.23}
-SWEPT = {"mechanism": optlink.linkage.four_bar(), "sizes": SIZES}
+SWEPT = {"mechanism": linkage.four_bar(), "sizes": SIZES}
 ACCEPTED = {
     optlink.solve: {"problem": LAW, "certify": False},
     optlink.validate: {"problem": LAW, "design": DESIGN},
@@ -31,10 +32,10 @@ ACCEPTED = {
     optlink.analyze: {"problem": MACHINE},
     optlink.analyze_batch: {"problem": MACHINE, "designs": {"crank.length": [0.1]}},
     optlink.simulate: {"problem": MACHINE, "duration": 0.01},
-    optlink.simulate_clearance: {"problem": CLEARANCE},
-    optlink.inverse_model: {"problem": CLEARANCE},
-    optlink.compare: {"problem": CLEARANCE},
-    optlink.tune: {"problem": CLEARANCE},
+    control.simulate_clearance: {"problem": CLEARANCE},
+    control.inverse_model: {"problem": CLEARANCE},
+    control.compare: {"problem": CLEARANCE},
+    control.tune: {"problem": CLEARANCE},
     optlink.balance: {"problem": optlink.load("balance-six-bar")},
     optlink.load: {"problem": "crank-rocker"},
     optlink.new: {"name": "law"},
@@ -43,15 +44,15 @@ ACCEPTED = {
     optlink.read_design: {"problem": LAW, "assignments": ["coupler=400 mm", "rocker=230 mm"]},
     optlink.explore: {"problem": LAW},
     optlink.shipped: {},
-    optlink.four_bar: {},
-    optlink.grashof: SIZES,
+    optlink.linkage.four_bar: {},
+    optlink.linkage.grashof: SIZES,
     optlink.linkage.sweep: {**SWEPT, "crank_angle": [0.1, 0.2]},
     sensitivities: {"problem": LAW},
     sweep: {"problem": LAW, "vary": ["mechanism.frame=480..520 mm:2"]},
     tolerance: {"problem": LAW, "tolerances": ["coupler=0.1 mm"], "design": DESIGN},
     pareto: {"problem": LAW, "objectives": "error, limits.transmission_angle.max"},
     optlink.studies.output_sensitivity: {
-        "mechanism": optlink.four_bar(),
+        "mechanism": linkage.four_bar(),
         "sizes": SIZES,
         "crank_angles": [0.1],
         "output": "rocker",
@@ -122,24 +123,24 @@ def test_options_of_commands_become_arguments() -> None:
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: optlink.four_bar(7), "side = 7: not an assembly mode"),
-        (lambda: optlink.four_bar(0.5), "side = 0.5: not an assembly mode"),
-        (lambda: optlink.four_bar(0), "side = 0: not an assembly mode"),
-        (lambda: optlink.four_bar(points="P"), 'points = "P": not a list of names'),
-        (lambda: optlink.four_bar(points=["P", "C"]), 'points = "C": a name of the four-bar itself'),
-        (lambda: optlink.four_bar(points=["P", "Q", "P"]), 'points = "P": a name that is given twice'),
-        (lambda: optlink.grashof(-1, 3, 3, 3), "crank = -1: a length must be positive"),
-        (lambda: optlink.grashof(2, 3, 0, 3), "rocker = 0: a length must be positive"),
-        (lambda: optlink.grashof(0, 0, 0, 0), "crank = 0: a length must be positive"),
-        (lambda: optlink.grashof(2, 3, 4, math.inf), "frame = inf: not a finite number"),
-        (lambda: optlink.sweep(optlink.four_bar(), {**SIZES, "rocker": -0.6}, [0.0]), "sizes.rocker = -0.6: a length must be"),
-        (lambda: optlink.sweep(optlink.four_bar(), {**SIZES, "rokcer": 0.6}, [0.0]), 'sizes.rokcer: .* Did you mean "rocker"'),
-        (lambda: optlink.sweep(optlink.four_bar(points=["P"]), SIZES, [0.0]), r"sizes: missing: P\.along, P\.across"),
+        (lambda: linkage.four_bar(7), "side = 7: not an assembly mode"),
+        (lambda: linkage.four_bar(0.5), "side = 0.5: not an assembly mode"),
+        (lambda: linkage.four_bar(0), "side = 0: not an assembly mode"),
+        (lambda: linkage.four_bar(points="P"), 'points = "P": not a list of names'),
+        (lambda: linkage.four_bar(points=["P", "C"]), 'points = "C": a name of the four-bar itself'),
+        (lambda: linkage.four_bar(points=["P", "Q", "P"]), 'points = "P": a name that is given twice'),
+        (lambda: optlink.linkage.grashof(-1, 3, 3, 3), "crank = -1: a length must be positive"),
+        (lambda: optlink.linkage.grashof(2, 3, 0, 3), "rocker = 0: a length must be positive"),
+        (lambda: optlink.linkage.grashof(0, 0, 0, 0), "crank = 0: a length must be positive"),
+        (lambda: optlink.linkage.grashof(2, 3, 4, math.inf), "frame = inf: not a finite number"),
+        (lambda: linkage.sweep(linkage.four_bar(), {**SIZES, "rocker": -0.6}, [0.0]), "sizes.rocker = -0.6: a length must be"),
+        (lambda: linkage.sweep(linkage.four_bar(), {**SIZES, "rokcer": 0.6}, [0.0]), 'sizes.rokcer: .* Did you mean "rocker"'),
+        (lambda: linkage.sweep(linkage.four_bar(points=["P"]), SIZES, [0.0]), r"sizes: missing: P\.along, P\.across"),
         (
-            lambda: optlink.sweep(optlink.four_bar(), SIZES, [0.0, 1.0], [1.0, 2.0, 3.0]),
+            lambda: linkage.sweep(linkage.four_bar(), SIZES, [0.0, 1.0], [1.0, 2.0, 3.0]),
             r"speed: its shape \(3,\) does not match",
         ),
-        (lambda: optlink.sweep(optlink.four_bar(), SIZES, ["a"]), "crank_angle = .*: not a finite number or array"),
+        (lambda: linkage.sweep(linkage.four_bar(), SIZES, ["a"]), "crank_angle = .*: not a finite number or array"),
         (lambda: optlink.solve(LAW, gap=0), "^gap = 0"),
         (lambda: optlink.solve(LAW, time_limit=-5.0), "^time_limit = .*out of range"),
         (lambda: optlink.validate(LAW, {"coupler": 0.4}), 'Add for example design=."rocker": 0.4'),
@@ -187,21 +188,21 @@ def test_a_template_is_read_as_it_is() -> None:
 
 def test_inner_kinematics_take_any_values() -> None:
     """The checks stand at the boundary only: the formulas inside stay fast and take what a search gives them."""
-    motion = sweep_unchecked(optlink.four_bar(), {**SIZES, "coupler": -0.7, "other": 1.0}, [0.0, math.nan])
+    motion = sweep_unchecked(linkage.four_bar(), {**SIZES, "coupler": -0.7, "other": 1.0}, [0.0, math.nan])
     assert motion.position("C").shape == (2, 2)
     assert classify(math.nan, 2, 3, 4).inversion.value == "cannot be assembled"
 
 
 def test_a_batch_of_designs_moves_as_each_of_them() -> None:
     cranks, angles = np.array([0.1, 0.15, 0.2]), np.linspace(0.0, 6.0, 7)
-    together = optlink.sweep(optlink.four_bar(-1), {**SIZES, "crank": cranks[:, None]}, angles, speed=2)
+    together = linkage.sweep(linkage.four_bar(-1), {**SIZES, "crank": cranks[:, None]}, angles, speed=2)
     for crank, row in zip(cranks, together.velocity("C"), strict=True):
-        assert np.array_equal(row, optlink.sweep(optlink.four_bar(-1), {**SIZES, "crank": crank}, angles, speed=2).velocity("C"))
+        assert np.array_equal(row, linkage.sweep(linkage.four_bar(-1), {**SIZES, "crank": crank}, angles, speed=2).velocity("C"))
 
 
 @pytest.mark.parametrize("method", ["position", "velocity", "acceleration", "margin", "body_angle", "body_rate", "slide"])
 def test_an_unknown_part_of_a_motion_is_named(method) -> None:
-    motion = optlink.sweep(optlink.four_bar(), SIZES, [0.1])
+    motion = linkage.sweep(linkage.four_bar(), SIZES, [0.1])
     for error in (InputError, KeyError):
         with pytest.raises(error, match=r'= "Z": the mechanism has no such .*\. Known: '):
             getattr(motion, method)("Z")
@@ -225,10 +226,10 @@ def test_an_unknown_part_of_a_motion_is_named(method) -> None:
         (lambda: optlink.analyze_batch(MACHINE, {"crank.length": "x"}), "not an array of numbers"),
         (lambda: optlink.analyze_batch(MACHINE, {}, "input.torque_Nm"), "columns = .*not a list"),
         (lambda: optlink.simulate(MACHINE, "2 s"), 'duration = "2 s": not a number'),
-        (lambda: optlink.simulate_clearance(CLEARANCE, revolutions="2"), 'revolutions = "2": not a whole number'),
-        (lambda: optlink.simulate_clearance(CLEARANCE, progress=3), "progress = 3: not a function"),
-        (lambda: optlink.compare(CLEARANCE, kinds="none"), "kinds = .*not a list"),
-        (lambda: optlink.tune(CLEARANCE, starts=1.5), "starts = 1.5: not a whole number"),
+        (lambda: control.simulate_clearance(CLEARANCE, revolutions="2"), 'revolutions = "2": not a whole number'),
+        (lambda: control.simulate_clearance(CLEARANCE, progress=3), "progress = 3: not a function"),
+        (lambda: control.compare(CLEARANCE, kinds="none"), "kinds = .*not a list"),
+        (lambda: control.tune(CLEARANCE, starts=1.5), "starts = 1.5: not a whole number"),
         (lambda: optlink.balance(MACHINE, minimise=3), "minimise = 3: not a text"),
         (lambda: sweep(LAW, "mechanism.frame=480..520 mm:3"), "vary = .*not a list"),
         (lambda: sweep(MACHINE, SPEEDS, 3, analyze=True), "out = 3: not a file or folder"),
@@ -242,7 +243,7 @@ def test_an_unknown_part_of_a_motion_is_named(method) -> None:
         (lambda: optlink.load(3), "problem = 3: not a text"),
         (lambda: optlink.load("crank-rocker", {3: 3}), "overrides.3 = 3: not a text"),
         (lambda: optlink.load("crank-rocker", 3), "overrides = 3: not a mapping"),
-        (lambda: optlink.grashof("1", 2, 3, 4), 'crank = "1": not a number'),
+        (lambda: optlink.linkage.grashof("1", 2, 3, 4), 'crank = "1": not a number'),
         (lambda: LAW.override("x"), "changes = .*not a mapping"),
         (lambda: optlink.read(3), "raw = 3: not a mapping"),
         (lambda: optlink.read_design(LAW, "coupler=3"), "assignments = .*not a list"),
@@ -258,8 +259,8 @@ def test_an_argument_of_another_type_is_refused_in_one_sentence(call, message) -
 @pytest.mark.parametrize(
     "function",
     [
-        *(optlink.solve, optlink.analyze, optlink.simulate, optlink.simulate_clearance, optlink.compare, optlink.tune),
-        *(optlink.inverse_model, optlink.balance, sensitivities, sweep, tolerance, pareto, optlink.explore),
+        *(optlink.solve, optlink.analyze, optlink.simulate, control.simulate_clearance, control.compare, control.tune),
+        *(control.inverse_model, optlink.balance, sensitivities, sweep, tolerance, pareto, optlink.explore),
     ],
 )
 def test_every_argument_of_a_public_function_is_checked(function) -> None:

@@ -21,10 +21,10 @@ from typer.testing import CliRunner
 import optlink
 from docs.generate import api, commands as cli_page, keys, measurements, pages as made, recipes, validation
 from optlink.cli.app import app
+from optlink.presentation.registry import json_schema
 from optlink.problem.base_model import Section
 from optlink.problem.targets.expression import FUNCTIONS
 from optlink.problem.templates import template, templates
-from optlink.report.registry import json_schema
 from tests.clearance.test_joint_clearance import ending_after
 from tests.crank_rocker_oracle import best_of_ratio, shortest_pair
 from tests.solved import once, shared_searches, solution

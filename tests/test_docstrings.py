@@ -41,7 +41,7 @@ def described(docstring: str) -> list[str]:
     return [name.strip().lstrip("*") for entry in entries for name in entry]
 
 
-EXTENSION_POINTS = ("optlink.tasks.protocol.DesignTask", "optlink.tasks.run.add_task", "optlink.report.view.View")
+EXTENSION_POINTS = ("optlink.tasks.protocol.DesignTask", "optlink.tasks.run.add_task", "optlink.presentation.view.View")
 
 
 @cache

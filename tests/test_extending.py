@@ -19,11 +19,11 @@ from optlink.cli.app import app
 from optlink.dynamics.inverse import BALANCES
 from optlink.errors import InputError
 from optlink.linkage.assur import DYADS
+from optlink.presentation.registry import REGISTERED
 from optlink.problem.design import DesignProblem
 from optlink.problem.file_errors import SECTIONS
 from optlink.problem.limits import LIMITS, Limits
 from optlink.problem.terms import QUANTITIES, QuantityType
-from optlink.report.registry import REGISTERED
 from optlink.solvers.contract import SOLVERS
 from optlink.studio import design as studio_design
 from optlink.tasks.run import TASKS

@@ -10,7 +10,7 @@ import tomllib
 import pytest
 
 import optlink
-from optlink.report import report_model
+from optlink.presentation import report_model
 from optlink.tasks import run
 from tests.solved import solution
 from tests.test_docs import ROOT

@@ -14,10 +14,7 @@ import numpy as np
 import pytest
 
 import optlink
-from optlink.studies.pareto.epsilon_constraint import pareto
-from optlink.studies.sensitivity import sensitivities
-from optlink.studies.sweep import sweep
-from optlink.studies.tolerance.analysis import tolerance
+from optlink.studies import pareto, sensitivities, sweep, tolerance
 from optlink.units import in_si
 
 RESULTS = {
@@ -32,8 +29,8 @@ RESULTS = {
     "balance": lambda: optlink.balance(optlink.load("balance-six-bar"), trade="force,torque", points=4),
     "analysis": lambda: optlink.analyze(optlink.load("six-bar"), points=12),
     "simulation": lambda: optlink.simulate(optlink.load("six-bar"), duration=0.01, rows=3),
-    "clearance": lambda: optlink.simulate_clearance(optlink.load("slider-crank-clearance"), revolutions=1, points=12),
-    "comparison": lambda: optlink.compare(optlink.load("crank-rocker-clearance"), 2, 1, kinds=["none"], points=12),
+    "clearance": lambda: optlink.control.simulate_clearance(optlink.load("slider-crank-clearance"), revolutions=1, points=12),
+    "comparison": lambda: optlink.control.compare(optlink.load("crank-rocker-clearance"), 2, 1, kinds=["none"], points=12),
     "sensitivities": lambda: sensitivities(optlink.load("crank-rocker"), check=True),
     "sweep": lambda: sweep(optlink.load("crank-rocker"), ["mechanism.frame=480..520 mm:2"]),
     "tolerance": lambda: tolerance(optlink.load("crank-rocker"), ["coupler=0.1 mm"], limit="2.3 deg", samples=256),

@@ -16,9 +16,9 @@ from typer.testing import CliRunner
 
 import optlink
 from optlink.cli.app import app
+from optlink.presentation.views.search_tables import LINES
 from optlink.problem.file import ProblemFile
 from optlink.problem.templates import template, templates
-from optlink.report.views.search_tables import LINES
 from optlink.tasks.run import design_task
 from tests.solved import shared_searches
 

@@ -12,9 +12,9 @@ from pathlib import Path
 import matplotlib as mpl
 
 import optlink
-from optlink.report.chart_mpl import pictures
-from optlink.report.style import apply_style
-from optlink.report.views.design import charts
+from optlink.presentation.chart_mpl import pictures
+from optlink.presentation.style import apply_style
+from optlink.presentation.views.design import charts
 
 RECORD = Path(__file__).resolve().parents[2] / "benchmarks" / "certificates_record.json"
 PICTURE = "images/certificates/boxes.svg"

@@ -16,10 +16,10 @@ import numpy as np
 
 import optlink
 from optlink.linkage.motion import Motion, sweep
-from optlink.report.drawing import Sketch
-from optlink.report.report_model import report_model_of, solve_or_validate
-from optlink.report.style import TARGET, apply_style
-from optlink.report.views.design_view import DesignView, best
+from optlink.presentation.drawing import Sketch
+from optlink.presentation.report_model import report_model_of, solve_or_validate
+from optlink.presentation.style import TARGET, apply_style
+from optlink.presentation.views.design_view import DesignView, best
 from optlink.tasks.results.design import SynthesisResult
 
 FOLDER = "images/gallery"

@@ -19,9 +19,9 @@ from unittest import mock
 from typer.testing import CliRunner
 
 from optlink.cli.app import app
+from optlink.presentation import registry
+from optlink.presentation.view import View
 from optlink.problem.templates import Template, template, templates
-from optlink.report import registry
-from optlink.report.view import View
 
 PICTURES = ("mechanism.svg", "mechanisms.svg", "path.svg")
 """Pictures that show the machine; the first that the command has drawn is shown."""

@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 
 import optlink
 from optlink.linkage.motion import Motion, sweep
-from optlink.report.drawing import Sketch
-from optlink.report.labels import Label, place_labels
-from optlink.report.style import GROUND, HALO, MUTED, apply_style
+from optlink.presentation.drawing import Sketch
+from optlink.presentation.labels import Label, place_labels
+from optlink.presentation.style import GROUND, HALO, MUTED, apply_style
 
 Array = NDArray[np.float64]
 FOLDER = "images/sketches"

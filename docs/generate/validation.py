@@ -304,7 +304,8 @@ def clearance_run(rpm: int, revolutions: int, friction: float, tolerance: float)
     friction, tolerance : float
     """
     problem = optlink.load("slider-crank-clearance", {"joints.C.friction": friction})
-    return optlink.simulate_clearance(problem, revolutions, 72, rpm * RPM, tolerance=tolerance, check_predictability=False)
+    sure = False
+    return optlink.control.simulate_clearance(problem, revolutions, 72, rpm * RPM, tolerance=tolerance, check_predictability=sure)
 
 
 def first_impacts() -> Iterator[Row]:

@@ -23,8 +23,8 @@ from optlink.io import check_link, check_sum, locked, read_object, write_json, w
 if TYPE_CHECKING:
     from rich.progress import Progress, ProgressColumn, TaskID
 
+    from optlink.presentation.table_spec import Summary, TableSpec
     from optlink.problem.file import ProblemFile
-    from optlink.report.table_spec import Summary, TableSpec
 
 
 quiet = False  # whether only the verdict and errors are printed
@@ -145,10 +145,10 @@ def deliver(
     After an interrupt the folder gets result.json only. Without `details` a design is printed as its short text. `state` is the
     file in the folder from which the run can be resumed: it is removed when all files are written.
     """
-    from optlink.report.registry import table_of, view_of
+    from optlink.presentation.registry import table_of, view_of
 
     if csv is not None:
-        from optlink.report.files import write_csv
+        from optlink.presentation.files import write_csv
 
         write_csv(csv, result.columns)
     lacking = "contains result.json, but no pictures" if interrupts.interrupted() else ""
@@ -163,7 +163,7 @@ def deliver(
             lacking = "contains result.json, but not all pictures"
     if out is not None and lacking:
         from optlink.io import write_json
-        from optlink.report.files import CHECKPOINT
+        from optlink.presentation.files import CHECKPOINT
 
         write_json(out / "result.json", result.to_dict())
         begun = not getattr(result, "finished", True) and (out / CHECKPOINT).is_file()
@@ -180,7 +180,7 @@ def deliver(
 @contextlib.contextmanager
 def noted_letters() -> Iterator[None]:
     """Print warnings about letters that no font has as notes on standard error, in the end."""
-    from optlink.report.style import LettersNotDrawn
+    from optlink.presentation.style import LettersNotDrawn
 
     notes: list[str] = []
     others = warnings.showwarning
@@ -201,7 +201,7 @@ def noted_letters() -> Iterator[None]:
 
 def show(content: Summary | TableSpec) -> None:
     """Print a summary or a table on standard output; of a quiet command only its verdict."""
-    from optlink.report import terminal
+    from optlink.presentation import terminal
 
     terminal.show(content.verdict if quiet else content)
 
@@ -212,7 +212,7 @@ def show(content: Summary | TableSpec) -> None:
 @contextlib.contextmanager
 def working(what: str) -> Iterator[None]:
     """Show on standard error what is in progress, without an estimate of its duration."""
-    from optlink.report import terminal
+    from optlink.presentation import terminal
 
     with contextlib.nullcontext() if quiet else terminal.console(stderr=True).status(visible(what)):
         yield
@@ -256,7 +256,7 @@ def progress_bar(*columns: ProgressColumn, what: str, **options: Any) -> Iterato
     """
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    from optlink.report import terminal
+    from optlink.presentation import terminal
 
     bar_console = terminal.console(stderr=True)
     layout = (TextColumn("{task.description}"), BarColumn(), *columns, TimeRemainingColumn())
@@ -272,14 +272,14 @@ def load(problem: str, changes: list[str] | None, *, definite: bool = False) -> 
 
     With `definite`, the problem of a result has the assembly modes of its design.
     """
+    from optlink.presentation.files import is_result
     from optlink.problem.assignment import parse_assignments
     from optlink.problem.file import load as read
-    from optlink.report.files import is_result
 
     assignments = parse_assignments(changes or [])
     if not is_result(problem):
         return read(problem, assignments)
-    from optlink.report.registry import read_result
+    from optlink.presentation.registry import read_result
 
     result = read_result(problem)
     file: ProblemFile = getattr(result, "definite", result.problem) if definite else result.problem
@@ -293,13 +293,13 @@ def given_design(
 
     Quantities of a result that `--set` changes have the values stated there, and linked ones follow. None if there is no design.
     """
-    from optlink.report.files import is_result
+    from optlink.presentation.files import is_result
 
     if design or not is_result(problem):
         return read_design_option(file, design, varied)
+    from optlink.presentation.registry import read_result
     from optlink.problem.assignment import parse_assignments
     from optlink.problem.quantity import quantity_key
-    from optlink.report.registry import read_result
 
     result = read_result(problem)
     values = getattr(result, "design", None) or getattr(getattr(result, "solution", None), "design", {})
@@ -365,7 +365,7 @@ def places(out: Path | None, command: str, problem: str, csv: Path | None = None
     else:
         _kept[-1].enter_context(_result_folder(out, command, problem))
     if csv is not None:
-        from optlink.report.files import check_target
+        from optlink.presentation.files import check_target
 
         check_target(csv, (), "motion.csv", "--csv")
 
@@ -487,7 +487,7 @@ def _replaced(path: Path, before: Any, written: set[Path], about: dict[str, Any]
 
 def _writers(schema: str) -> list[str]:
     """Return the commands that write results of a schema: for folders without a manifest."""
-    from optlink.report.registry import KINDS
+    from optlink.presentation.registry import KINDS
 
     kind = schema.removeprefix("optlink/").rpartition("/")[0].replace("-", " ")
     command = KINDS.get(kind, "").partition(" --")[0].rpartition(" ")[2]

@@ -17,8 +17,8 @@ from optlink.execution import interrupts
 from optlink.io import head
 
 if TYPE_CHECKING:
-    from optlink.report.report_model import ReportModel
-    from optlink.report.view import StoredStudy
+    from optlink.presentation.report_model import ReportModel
+    from optlink.presentation.view import StoredStudy
 
 SCHEMA = "optlink/written/1"
 Words = list[str] | None
@@ -42,7 +42,7 @@ def report(
     quiet: Quiet = False,
 ) -> None:
     """Write a self-contained HTML page of a design, simulation or study: results, checks, charts, animation, sources."""
-    from optlink.report.files import check_target
+    from optlink.presentation.files import check_target
 
     check_target(output, (".html", ".htm"), "report.html")
     facts = {"title": title, "company": company, "author": author, "part": part, "revision": revision, "date": date}
@@ -50,7 +50,7 @@ def report(
     with console.working("Reading or solving the problem"):
         about = _report_model(source, output, (backend, starts, seed), changes, design)
         interrupts.check()
-    from optlink.report.html.page import write_page
+    from optlink.presentation.html.page import write_page
 
     with console.working(f"Writing {output}"):
         write_page(about, output)
@@ -78,8 +78,8 @@ def export(
     quiet: Quiet = False,
 ) -> None:
     """Export a design to DXF, SVG, CSV or JSON."""
-    from optlink.report.export.export import FORMATS, Options, export as write
-    from optlink.report.files import check_target
+    from optlink.presentation.export.export import FORMATS, Options, export as write
+    from optlink.presentation.files import check_target
 
     check_target(output, tuple(FORMATS), "drawing.dxf")
     angle = console.quantity(at, "angle", "--at")
@@ -87,7 +87,7 @@ def export(
     with console.working("Reading or solving the problem"):
         about = _report_model(source, output, (backend, starts, seed), changes, design)
         interrupts.check()
-    from optlink.report.interface import single_design
+    from optlink.presentation.interface import single_design
 
     model = single_design(about, source)
     if not (model.valid or even_invalid):
@@ -104,15 +104,15 @@ def _report_model(
     design: Words,
 ) -> ReportModel | StoredStudy:
     """Return the subject of the command: a stored result, or a problem with its solution."""
-    from optlink.report.files import is_result
-    from optlink.report.report_model import report_model_of, solve_or_validate
+    from optlink.presentation.files import is_result
+    from optlink.presentation.report_model import report_model_of, solve_or_validate
 
     place = os.path.join(text, "result.json") if os.path.isdir(text) else text
     if output.exists() and os.path.exists(place) and os.path.samefile(output, place):
         raise InputError("this would overwrite the input file", "Choose another name", key="--out", value=str(output))
     if is_result(text):
+        from optlink.presentation.registry import read_result, stored_page
         from optlink.problem.assignment import parse_assignments
-        from optlink.report.registry import read_result, stored_page
 
         remedy = "Leave it out, or name the problem instead of its result"
         facts = parse_assignments(changes or ())

@@ -58,7 +58,7 @@ def show(
     from optlink.problem.file import complete
 
     if schema:
-        from optlink.report.registry import json_schema
+        from optlink.presentation.registry import json_schema
 
         console.refuse({"PROBLEM": problem or None}, "a schema does not depend on the problem", "Leave it out", "show --schema")
         console.print_json(json_schema(schema))
@@ -76,17 +76,17 @@ def show(
     if as_toml:
         print(_template(file, problem), end="")
         return
-    from optlink.report.views import problem_tables
+    from optlink.presentation.views import problem_tables
 
     console.show(problem_tables.problem(file))
 
 
 def _template(problem: ProblemFile, name: str = "") -> str:
     """Return a problem with default limits as TOML text, with the comments and the spellings of its file."""
+    from optlink.presentation.files import is_result
+    from optlink.presentation.toml_text import rewritten, tables
     from optlink.problem.document import stored_problem
     from optlink.problem.file import complete
-    from optlink.report.files import is_result
-    from optlink.report.toml_text import rewritten, tables
 
     if is_result(name):
         text = stored_problem(problem)["toml"]
@@ -121,7 +121,7 @@ def new(
         if console.quiet:
             print("\n".join(templates()))
             return
-        from optlink.report.table_spec import table
+        from optlink.presentation.table_spec import table
 
         note = "Write one: optlink new NAME --out NAME.toml"
         rows_shown = ((item.name, item.summary, item.commands[0]) for item in choices)
@@ -148,7 +148,7 @@ def new(
 
 def _check(out: Path, force: bool) -> None:
     """Refuse a file that cannot be written, and one that exists unless it may be overwritten."""
-    from optlink.report.files import check_target
+    from optlink.presentation.files import check_target
 
     check_target(out, (".toml",), "mine.toml")
     if out.exists() and not force:

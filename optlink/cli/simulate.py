@@ -123,7 +123,7 @@ def simulate(
             ideal_run = run(file, time, progress=progress, flywheel=inertia, **common, **console.given(rows=points))
         _deliver(ideal_run, "simulation", ideal_run.ending.value, as_json, out, csv)
         return
-    from optlink.report.files import CHECKPOINT
+    from optlink.presentation.files import CHECKPOINT
 
     whole_revolutions = _revolutions(file, revolutions, time, common["speed"])
     compiling = functools.partial(console.working, "Compiling the equations of motion (cached for the next time)")
@@ -150,7 +150,7 @@ def simulate(
         _deliver(tuned, "tuning", tuned.status, as_json, out, state=CHECKPOINT)
     else:
         from optlink.io import write_json
-        from optlink.report.files import checkpoint, stream
+        from optlink.presentation.files import checkpoint, stream
         from optlink.tasks.clearance import simulate_clearance
 
         begun = checkpoint(out) if resume else None
@@ -195,7 +195,7 @@ def _deliver(
 def _kept(out: Path | None, resume: bool, parts: str, what: str) -> Iterator[dict[str, Any]]:
     """Provide a comparison or a tuning with a progress bar, a checkpoint, and a message on interruption."""
     from optlink.io import write_json
-    from optlink.report.files import CHECKPOINT, checkpoint
+    from optlink.presentation.files import CHECKPOINT, checkpoint
 
     place = None if out is None else out / CHECKPOINT
     begun = checkpoint(out) if resume else None

@@ -80,7 +80,7 @@ def sensitivity(
 
     with console.share("searching again" if check else "searching") as progress:
         result = sensitivities(file, backend, starts, seed, check=check, progress=progress)
-    from optlink.report.views.sensitivity import DERIVATIVE_TOLERANCE
+    from optlink.presentation.views.sensitivity import DERIVATIVE_TOLERANCE
 
     differs = result.gap is not None and result.gap > DERIVATIVE_TOLERANCE
     console.deliver(result, "sensitivity", as_json, out, code=1 if differs else 0)
@@ -123,7 +123,7 @@ def _output(
     found = result.derivatives
     if out is not None:
         from optlink.io import write_json
-        from optlink.report.files import write_csv
+        from optlink.presentation.files import write_csv
 
         write_json(out / "result.json", result.to_dict())
         columns = {f"per_{name}_SI": column for name, column in found.by.items()}
@@ -132,7 +132,7 @@ def _output(
     if as_json:
         console.print_json(result.to_dict())
         return
-    from optlink.report.views.sensitivity import outputs
+    from optlink.presentation.views.sensitivity import outputs
 
     console.show(outputs(found))
 
@@ -168,7 +168,7 @@ def sweep(
     out: StudyFolder = None,
 ) -> None:
     """Solve, analyse or simulate a problem at every point of a grid, on one machine or a cluster; resumable."""
-    from optlink.studies.sweep import sweep as run
+    from optlink.studies.sweeps import sweep as run
 
     file = console.load(problem, changes, definite=analyze or simulate)
     varied = {text.partition("=")[0].strip().removeprefix("mechanism.") for text in vary or []}
@@ -220,8 +220,8 @@ def tolerance(
 ) -> None:
     """Tolerance analysis: worst case, statistical scatter, yield, tolerance allocation, robust design."""
     console.places(out, "tolerance", problem)
-    from optlink.studies.tolerance.analysis import tolerance as run
-    from optlink.studies.tolerance.sampling import read_costs, read_sigmas, read_yield
+    from optlink.studies.tolerances.analysis import tolerance as run
+    from optlink.studies.tolerances.sampling import read_costs, read_sigmas, read_yield
 
     file = console.load(problem, changes, definite=True)
     values = None if robust is not None and not design else console.given_design(file, problem, changes, design)
@@ -256,7 +256,7 @@ def pareto(
     out: StudyFolder = None,
 ) -> None:
     """Pareto front of two or three objectives, with its ends and knee; every point is validated."""
-    from optlink.studies.pareto.epsilon_constraint import pareto as run
+    from optlink.studies.fronts.epsilon_constraint import pareto as run
 
     file = console.load(problem, changes)
     parallel: dict[str, Any] = {"backend": backend, "engine": engine, "workers": workers, "scheduler": scheduler}

@@ -123,12 +123,12 @@ def sweep(
     Examples
     --------
     >>> sizes = {"crank": 0.1, "coupler": 0.4, "rocker": 0.25, "frame": 0.5}  # [m]
-    >>> motion = optlink.sweep(optlink.four_bar(), sizes, np.radians([0.0, 90.0]), speed=10.0)
+    >>> motion = optlink.linkage.sweep(optlink.linkage.four_bar(), sizes, np.radians([0.0, 90.0]), speed=10.0)
     >>> motion.body_rate("rocker").round(3)  # [rad/s]
     array([-2.5  ,  3.884])
     """
     if not isinstance(mechanism, Mechanism):
-        raise InputError("not a mechanism", "Give one, for example optlink.four_bar()", key="mechanism", value=mechanism)
+        raise InputError("not a mechanism", "Give one, for example optlink.linkage.four_bar()", key="mechanism", value=mechanism)
     for group in mechanism.groups:
         check_side(getattr(group, "side", 1))
     values = _sizes(mechanism, sizes)

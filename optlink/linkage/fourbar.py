@@ -47,9 +47,9 @@ def four_bar(
 
     Examples
     --------
-    >>> mechanism = optlink.four_bar(points=["P"])
+    >>> mechanism = optlink.linkage.four_bar(points=["P"])
     >>> sizes = {"crank": 0.1, "coupler": 0.4, "rocker": 0.25, "frame": 0.5, "P.along": 0.2, "P.across": 0.1}  # [m]
-    >>> optlink.sweep(mechanism, sizes, np.radians([0.0, 90.0])).position("P").round(4)  # x, y [m]
+    >>> optlink.linkage.sweep(mechanism, sizes, np.radians([0.0, 90.0])).position("P").round(4)  # x, y [m]
     array([[0.2016, 0.1992],
            [0.1607, 0.2555]])
     """
@@ -159,7 +159,7 @@ def grashof(crank: float, coupler: float, rocker: float, frame: float, tolerance
 
     Examples
     --------
-    >>> result = optlink.grashof(crank=0.1, coupler=0.4, rocker=0.25, frame=0.5)
+    >>> result = optlink.linkage.grashof(crank=0.1, coupler=0.4, rocker=0.25, frame=0.5)
     >>> result.inversion.value, round(result.slack, 6)  # p + q - s - l [m]
     ('crank-rocker', 0.05)
     """

@@ -157,7 +157,7 @@ def continuous(angles: Array) -> Array:
 def sweep(
     mechanism: Mechanism, sizes: Mapping[str, Value], crank_angle: ArrayLike, speed: Value = 1.0, acceleration: Value = 0.0
 ) -> Motion:
-    """Compute the motion of a mechanism as `optlink.sweep`, without a check of the arguments.
+    """Compute the motion of a mechanism as `optlink.linkage.sweep`, without a check of the arguments.
 
     Parameters
     ----------

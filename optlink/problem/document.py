@@ -79,7 +79,7 @@ Source = str | Callable[[Any], Any]
 
 def _reports(module: str) -> Any:
     """Import a module of the reports, which are above the results and show every kind of them."""
-    return importlib.import_module(f"optlink.report.{module}")
+    return importlib.import_module(f"optlink.presentation.{module}")
 
 
 class Document(Summary):

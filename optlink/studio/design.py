@@ -18,6 +18,10 @@ from optlink.optimization.cycle_signals import TracedCycle
 from optlink.optimization.nlp import NLP
 from optlink.optimization.output_errors import error_at
 from optlink.optimization.programme import solved_values
+from optlink.presentation.chart_spec import max_abs
+from optlink.presentation.format import price_step, shown, single_units
+from optlink.presentation.style import scale
+from optlink.presentation.views import balance, conclusions
 from optlink.problem.design import DesignProblem
 from optlink.problem.file import WORDS as PROSE, ProblemFile
 from optlink.problem.limits import MARGINS, Limits
@@ -25,10 +29,6 @@ from optlink.problem.machine.model import ShownObjective
 from optlink.problem.mechanism import sizes_of
 from optlink.problem.quantity import Quantity, quantity_key
 from optlink.problem.targets.law import Function
-from optlink.report.chart_spec import max_abs
-from optlink.report.format import price_step, shown, single_units
-from optlink.report.style import scale
-from optlink.report.views import balance, conclusions
 from optlink.solvers import multistart
 from optlink.solvers.contract import CLOSE, MINIMAX
 from optlink.solvers.exchange import largest_excess, place_at_peaks, solve_semi_infinite

@@ -17,12 +17,12 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from optlink.errors import InputError
+from optlink.presentation import toml_text
 from optlink.problem.enclosed import references
 from optlink.problem.file import MAX_BYTES, ProblemFile, load, read, shipped
 from optlink.problem.quantity import check_choice, file_key, quantity_key
 from optlink.problem.targets.target_points import split_enclosed
 from optlink.problem.templates import template, templates
-from optlink.report import toml_text
 from optlink.studies.grid import exact_text
 from optlink.studio.design import Design
 from optlink.version import VERSION
@@ -267,9 +267,9 @@ def exported(design: Design, name: str, format: str) -> dict[str, Any]:
         raise InputError("unknown format", f"One of: {', '.join(MEDIA)}", key="format", value=format)
     if design.result is None:
         raise InputError("there is no verified design yet", "Release the handle, or wait for the search", key="export")
-    from optlink.report.export.export import export
-    from optlink.report.html.page import page
-    from optlink.report.report_model import report_model_of
+    from optlink.presentation.export.export import export
+    from optlink.presentation.html.page import page
+    from optlink.presentation.report_model import report_model_of
 
     model = report_model_of(design.result)
     if format == "html":

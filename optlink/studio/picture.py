@@ -10,8 +10,8 @@ from optlink.dynamics.machine import Machine
 from optlink.io import finite
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.vector2d import TURN, Array
-from optlink.report.scene import LOOKS, MM, Outline, Region, Scene
-from optlink.report.shapes import zigzag
+from optlink.presentation.scene import LOOKS, MM, Outline, Region, Scene
+from optlink.presentation.shapes import zigzag
 
 POSITIONS = 72  # positions per revolution
 END_MARGIN = 1e-8  # rad from the ends of a limited motion: there rounding decides

@@ -6,11 +6,11 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from optlink.errors import InputError, OptlinkError
+from optlink.presentation.format import pretty
+from optlink.presentation.scene import regions_of
 from optlink.problem.assignment import parse_assignment
 from optlink.problem.enclosed import references
 from optlink.problem.file import ProblemFile, load
-from optlink.report.format import pretty
-from optlink.report.scene import regions_of
 from optlink.studio import design as state
 from optlink.studio.design import (
     Design,

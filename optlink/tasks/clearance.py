@@ -213,7 +213,7 @@ def simulate_clearance(
 
     Examples
     --------
-    >>> run = optlink.simulate_clearance(optlink.load("slider-crank-clearance"), revolutions=2, points=36)
+    >>> run = optlink.control.simulate_clearance(optlink.load("slider-crank-clearance"), revolutions=2, points=36)
     >>> round(1e3 * run.figures["rms_m"], 4), run.figures["contacts"]  # deviation of the slider [mm]
     (0.4436, 32.0)
     """
@@ -396,7 +396,7 @@ def inverse_model(
 
     Examples
     --------
-    >>> motion = optlink.inverse_model(optlink.load("slider-crank-clearance"))
+    >>> motion = optlink.control.inverse_model(optlink.load("slider-crank-clearance"))
     >>> [round(float(speed), 2) for speed in (motion.speed.min(), motion.speed.max())]  # 1200 rpm are 125.66 rad/s
     [118.9, 139.92]
     """

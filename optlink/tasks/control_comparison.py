@@ -125,7 +125,7 @@ def compare(
     Examples
     --------
     >>> problem = optlink.load("crank-rocker-clearance")
-    >>> result = optlink.compare(problem, revolutions=2, starts=1, kinds=["none", "pid"], points=36)
+    >>> result = optlink.control.compare(problem, revolutions=2, starts=1, kinds=["none", "pid"], points=36)
     >>> round(result.gain("pid"), 3)  # share by which the mean error decreases
     0.124
     """
@@ -258,7 +258,7 @@ def tune(
     Examples
     --------
     >>> problem = optlink.load("crank-rocker-clearance")
-    >>> result = optlink.tune(problem, "pid", ["proportional"], evaluations=4, starts=1, revolutions=2, points=36)
+    >>> result = optlink.control.tune(problem, "pid", ["proportional"], evaluations=4, starts=1, revolutions=2, points=36)
     >>> list(result.best), result.cost <= result.before
     (['proportional'], True)
     """

@@ -129,7 +129,7 @@ def test_resumed_compiled_run_is_the_uninterrupted_one_to_the_last_digit():
 def test_comparison_with_the_compiled_engine_in_processes_is_the_same_to_the_bit():
     problem = optlink.load(SHIPPED[2])
     options = {"starts": 2, "seed": 7, "kinds": ("none", "pid"), "points": 60, "integrator": "compiled"}
-    alone, shared = (optlink.compare(problem, 2, workers=workers, **options) for workers in (None, 2))
+    alone, shared = (optlink.control.compare(problem, 2, workers=workers, **options) for workers in (None, 2))
     for kind in ("none", "pid"):
         np.testing.assert_array_equal(alone.trials[kind].rms, shared.trials[kind].rms)
         assert alone.examples[kind].integrator == "compiled"
@@ -277,7 +277,7 @@ def test_without_a_cache_nothing_is_compiled_already(tmp_path, monkeypatch):
 def test_short_run_does_not_import_numba():
     code = (
         "import sys, optlink; problem = optlink.load('slider-crank-clearance');"
-        "optlink.simulate_clearance(problem, 1, 12, check_predictability=False);"
+        "optlink.control.simulate_clearance(problem, 1, 12, check_predictability=False);"
         "assert 'numba' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
@@ -332,7 +332,7 @@ def test_processes_that_compile_at_the_same_time_agree(tmp_path):
     code = """
 import sys, optlink
 problem = optlink.load("slider-crank-clearance")
-found = optlink.simulate_clearance(problem, 1, 12, check_predictability=False, integrator="compiled")
+found = optlink.control.simulate_clearance(problem, 1, 12, check_predictability=False, integrator="compiled")
 from optlink.clearance.compiled import machine
 [equations] = [module for module in sys.modules.values() if hasattr(module, "rhs") and hasattr(module, "project")]
 print(repr(found.figures["rms_m"]), equations.rhs.cache_hits, sum(machine.engine().advance.stats.cache_hits.values()))

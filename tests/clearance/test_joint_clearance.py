@@ -35,7 +35,7 @@ from optlink.dynamics.forward import Ending
 from optlink.dynamics.inverse import acting_on
 from optlink.dynamics.machine import Acting
 from optlink.linkage.vector2d import cross, minus
-from optlink.report.views import clearance as clearance_view
+from optlink.presentation.views import clearance as clearance_view
 from optlink.tasks.clearance import simulate_clearance
 from optlink.tasks.machine import machine_of
 from optlink.tasks.results.clearance import ClearanceSimulation

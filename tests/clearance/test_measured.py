@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 import optlink
 from optlink.cli.app import app
 from optlink.errors import InputError
-from optlink.studies.sweep import sweep
+from optlink.studies import sweep
 
 POINTS, RPM = 72, 900.0
 SPEED = RPM * math.pi / 30.0
@@ -31,7 +31,7 @@ def written(path, **columns):
 
 
 def simulated(problem, revolutions=3, **options):
-    return optlink.simulate_clearance(
+    return optlink.control.simulate_clearance(
         problem, revolutions, POINTS, SPEED, tolerance=1e-8, check_predictability=False, integrator="cvodes", **options
     )
 
@@ -86,7 +86,7 @@ def test_a_known_difference_is_found_again_in_every_form_of_the_series(tmp_path,
 
 
 def test_between_rows_the_simulation_is_interpolated(tmp_path, slider, plain):
-    fine = optlink.simulate_clearance(slider, 3, 10 * POINTS, SPEED, tolerance=1e-8, check_predictability=False)
+    fine = optlink.control.simulate_clearance(slider, 3, 10 * POINTS, SPEED, tolerance=1e-8, check_predictability=False)
     rows = slice(-10 * POINTS + 5, None, 7)
     file = written(tmp_path / "slide.csv", time_s=fine["time_s"][rows], displacement_mm=1e3 * fine["slider.s_m"][rows])
     run = simulated(slider.override({"measured.csv": str(file)}))
@@ -165,7 +165,7 @@ def test_the_inverse_model_finds_the_crank_speed_of_a_displacement():
     keys = {"joints.C.clearance": "2e-6 mm", "control.regularisation": "1e-4 mm", "joints.C.friction": 0}
     problem = optlink.load("slider-crank-clearance", keys)
     phase = 2.0 * math.pi * np.arange(240) / 240
-    motion = optlink.inverse_model(problem, ideal(phase + 0.03 * np.sin(2.0 * phase)), speed=SPEED)
+    motion = optlink.control.inverse_model(problem, ideal(phase + 0.03 * np.sin(2.0 * phase)), speed=SPEED)
     wanted = SPEED * (1.0 + 0.06 * np.cos(2.0 * SPEED * motion.time))
     assert motion.speed == pytest.approx(wanted, rel=1e-4)
     assert motion.reached == pytest.approx(ideal(motion.angle), abs=1e-7)
@@ -182,9 +182,9 @@ def test_the_speed_of_the_command_is_the_derivative_of_its_angle(slider):
 @pytest.mark.parametrize("values", [[0.1, 0.2], [0.1, math.nan, 0.2], [[0.1, 0.2, 0.3]]])
 def test_a_displacement_that_is_no_series_is_refused(values):
     with pytest.raises(InputError, match="displacement"):
-        optlink.inverse_model(optlink.load("slider-crank-clearance"), values)
+        optlink.control.inverse_model(optlink.load("slider-crank-clearance"), values)
 
 
 def test_a_machine_without_clearance_has_no_inverse_model():
     with pytest.raises(InputError, match="clearance"):
-        optlink.inverse_model(optlink.load("slider-crank"))
+        optlink.control.inverse_model(optlink.load("slider-crank"))

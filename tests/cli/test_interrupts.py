@@ -18,7 +18,7 @@ from optlink.cli import console
 from optlink.cli.app import app
 from optlink.execution.store import Store
 from optlink.execution.worker import Processes
-from optlink.report.view import View
+from optlink.presentation.view import View
 from tests.tiers import mostly_slow
 
 COMMAND = (sys.executable, "-m", "optlink")

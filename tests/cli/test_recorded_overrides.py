@@ -8,8 +8,8 @@ import pytest
 from typer.testing import CliRunner
 
 from optlink.cli.app import app
+from optlink.presentation.registry import read_result
 from optlink.problem.file import load
-from optlink.report.registry import read_result
 
 FRAME = "mechanism.frame"
 

@@ -19,7 +19,7 @@ from optlink.cli.app import app
 from optlink.errors import InputError
 from optlink.execution.store import JOURNAL
 from optlink.io import LOCK, locked
-from optlink.studies.sweep import sweep
+from optlink.studies import sweep
 from tests.chunks import complete
 from tests.tiers import mostly_slow
 
@@ -94,7 +94,7 @@ STUDY = """
 import sys
 from pathlib import Path
 import optlink
-from optlink.studies.sweep import sweep
+from optlink.studies import sweep
 
 def slowly(done, wanted):
     import time

@@ -84,7 +84,7 @@ def in_another_unit(scale: float) -> float:
     lengths = dict(zip(("crank", "coupler", "rocker", "frame"), np.array([L1, l2, l3, L4]) * scale, strict=True))
     phi0, psi0 = start(l2, l3)
     turned = np.linspace(0.0, math.pi / 2, 31)
-    motion = optlink.sweep(optlink.four_bar(), lengths, phi0 + turned)
+    motion = optlink.linkage.sweep(optlink.linkage.four_bar(), lengths, phi0 + turned)
     error: NDArray[np.float64] = motion.body_angle("rocker").value - psi0 - 2 / (3 * math.pi) * turned**2
     return float(error @ error)
 
@@ -92,8 +92,8 @@ def in_another_unit(scale: float) -> float:
 def angle_of_lengths(phi: float) -> float:
     """The rocker angle [deg] of optlink's one formula at the optimum; the two branches of the document agree with it."""
     l2, l3 = best(math.sqrt(2.0))
-    moved = optlink.sweep(
-        optlink.four_bar(), {"crank": 0.1, "coupler": l2 / 1e3, "rocker": l3 / 1e3, "frame": 0.5}, np.array([phi])
+    moved = optlink.linkage.sweep(
+        optlink.linkage.four_bar(), {"crank": 0.1, "coupler": l2 / 1e3, "rocker": l3 / 1e3, "frame": 0.5}, np.array([phi])
     )
     psi = float(moved.body_angle("rocker").value[0])
     assert abs(psi - rocker_angle(l2, l3, phi)) < 1e-9

@@ -56,14 +56,14 @@ def ideal() -> optlink.Analysis:
 
 
 @functools.cache
-def inverse() -> optlink.InverseMotion:
-    return optlink.inverse_model(problem())
+def inverse() -> optlink.control.InverseMotion:
+    return optlink.control.inverse_model(problem())
 
 
 @functools.cache
-def late() -> optlink.ClearanceSimulation:
+def late() -> optlink.control.ClearanceSimulation:
     """Eight revolutions of the machine with one gap."""
-    return optlink.simulate_clearance(problem(), 8, 360, check_predictability=False)
+    return optlink.control.simulate_clearance(problem(), 8, 360, check_predictability=False)
 
 
 def largest(*remainders: NDArray[np.float64]) -> float:

@@ -1,9 +1,9 @@
 """What is shown of the kind of result of `kind.py`: a table in the terminal and on pages, files of --out, stored results."""
 
-from optlink.report.registry import REGISTERED
-from optlink.report.table_spec import summary
-from optlink.report.view import View
-from optlink.report.views.search_tables import checks
+from optlink.presentation.registry import REGISTERED
+from optlink.presentation.table_spec import summary
+from optlink.presentation.view import View
+from optlink.presentation.views.search_tables import checks
 from tests.extending.kind import ClearingResult
 
 

@@ -12,11 +12,11 @@ import pytest
 from hypothesis import assume, example, given, settings, strategies as st
 
 from optlink.errors import InputError
-from optlink.linkage.cognates import Cognate, Cognates, CouplerLinkage, cognates
 from optlink.linkage.fourbar import Inversion, four_bar, reachable
 from optlink.linkage.jet import Jet
 from optlink.linkage.mechanism import BodyPoint
 from optlink.linkage.motion import sweep
+from optlink.linkage.roberts import Cognate, Cognates, CouplerLinkage, cognates
 
 seeded = settings(derandomize=True, deadline=None, max_examples=80)
 

@@ -25,9 +25,7 @@ from optlink.problem.design import DesignProblem
 from optlink.problem.enclosed import identity
 from optlink.problem.file import WORDS, read
 from optlink.problem.machine.model import Problem
-from optlink.studies.pareto.epsilon_constraint import pareto
-from optlink.studies.sweep import sweep
-from optlink.studies.tolerance.analysis import tolerance
+from optlink.studies import pareto, sweep, tolerance
 from optlink.tasks.clearance import simulate_clearance
 from optlink.tasks.results.certificate import certificate_document
 

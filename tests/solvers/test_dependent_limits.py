@@ -10,11 +10,11 @@ import pytest
 
 import optlink
 from optlink.optimization.multipliers import MultiplierSet
-from optlink.report.views.search_tables import active
-from optlink.report.views.sensitivity import charts
+from optlink.presentation.views.search_tables import active
+from optlink.presentation.views.sensitivity import charts
 from optlink.solvers.solution import LimitState
 from optlink.studies.sensitivity import of_solution
-from tests.report.test_function_tables import words
+from tests.presentation.test_function_tables import words
 
 STEP = 1e-4  # mm, deg
 

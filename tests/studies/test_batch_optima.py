@@ -14,11 +14,10 @@ from optlink.optimization.nlp import BatchNLP
 from optlink.optimization.programme import build
 from optlink.solvers import multistart
 from optlink.solvers.exchange import solve_semi_infinite
-from optlink.studies import reoptimise_task
+from optlink.studies import reoptimise_task, sweep
 from optlink.studies.batch_optima import MAX_BLOCK_POINTS, Blocks, block_nodes
 from optlink.studies.grid import Axis, Grid, read_grid
 from optlink.studies.reoptimise_task import FOLLOWED, ReoptimiseTask, chunk_of
-from optlink.studies.sweep import sweep
 from optlink.validation import validate_batch
 
 LIMIT = "limits.transmission_angle.max"

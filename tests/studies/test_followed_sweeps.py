@@ -9,11 +9,10 @@ import pytest
 
 import optlink
 from optlink.execution.runner import pool
-from optlink.studies import target_programme
+from optlink.studies import sweep, target_programme
 from optlink.studies.batch_optima import FOLLOWED
 from optlink.studies.grid import read_grid
 from optlink.studies.reoptimise_task import SEARCHED, optimum_task
-from optlink.studies.sweep import sweep
 
 CASES = [
     ("crank-rocker", {"requirement.measure": "max"}, "limits.transmission_angle.max=125..140 deg:9"),

@@ -23,15 +23,15 @@ from optlink.cli.app import app
 from optlink.errors import InputError
 from optlink.optimization.courses import TermCourse
 from optlink.optimization.pareto_front import ends, knee, undominated
+from optlink.presentation.chart_mpl import draw
+from optlink.presentation.views.pareto import charts
 from optlink.problem.file import ProblemFile, load
-from optlink.report.chart_mpl import draw
-from optlink.report.views.pareto import charts
-from optlink.studies.pareto import epsilon_constraint, epsilon_ranges
-from optlink.studies.pareto.design_objectives import epsilon_problem
-from optlink.studies.pareto.epsilon_constraint import ENDS, Pareto, pareto
-from optlink.studies.pareto.epsilon_ranges import read_objectives
+from optlink.studies import sweep
+from optlink.studies.fronts import epsilon_constraint, epsilon_ranges
+from optlink.studies.fronts.design_objectives import epsilon_problem
+from optlink.studies.fronts.epsilon_constraint import ENDS, Pareto, pareto
+from optlink.studies.fronts.epsilon_ranges import read_objectives
 from optlink.studies.reoptimise_task import with_starting_values
-from optlink.studies.sweep import sweep
 from optlink.studies.target_programme import TargetProgramme
 from optlink.validation import validate as prove
 from tests import chunks

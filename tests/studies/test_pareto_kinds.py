@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import optlink
-from optlink.studies.pareto.design_objectives import design_objective, design_problem
-from optlink.studies.pareto.epsilon_constraint import _with_known_designs, pareto
-from optlink.studies.pareto.epsilon_ranges import RANGES, read_objectives
+from optlink.studies.fronts.design_objectives import design_objective, design_problem
+from optlink.studies.fronts.epsilon_constraint import _with_known_designs, pareto
+from optlink.studies.fronts.epsilon_ranges import RANGES, read_objectives
 from optlink.studies.reoptimise_task import optimum_task
 from optlink.studies.sweep_task import FROM_KNOWN
 from tests.studies.test_robust_kinds import no_neighbour_is_better, slide_errors

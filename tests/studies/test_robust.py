@@ -15,9 +15,7 @@ from optlink.cli.app import app
 from optlink.errors import InputError
 from optlink.optimization.programme import build
 from optlink.problem.tolerances import read_robust, with_tolerance
-from optlink.studies.sensitivity import sensitivities
-from optlink.studies.sweep import sweep
-from optlink.studies.tolerance.analysis import tolerance
+from optlink.studies import sensitivities, sweep, tolerance
 from optlink.tasks import design as task
 from optlink.tasks.design import validate
 from optlink.validation import validate as prove

@@ -15,7 +15,7 @@ import optlink
 from optlink.cli.app import app
 from optlink.errors import InputError
 from optlink.linkage.motion import sweep
-from optlink.report.views.sensitivity import charts, overview as summary
+from optlink.presentation.views.sensitivity import charts, overview as summary
 from optlink.studies.motion_sensitivity import output_names, output_sensitivity
 from optlink.studies.sensitivity import sensitivities as sensitivities_in_si
 

@@ -14,15 +14,11 @@ from typer.testing import CliRunner
 import optlink
 from optlink.cli.app import app
 from optlink.errors import InputError
+from optlink.presentation.html.page import write_page
+from optlink.presentation.registry import read_result, stored_page
 from optlink.problem.document import Document
-from optlink.report.html.page import write_page
-from optlink.report.registry import read_result, stored_page
-from optlink.studies import sweep as sweep_module
+from optlink.studies import pareto, sensitivities, sweep, sweeps as sweep_module, tolerance
 from optlink.studies.motion_sensitivity import OutputStudy
-from optlink.studies.pareto.epsilon_constraint import pareto
-from optlink.studies.sensitivity import sensitivities
-from optlink.studies.sweep import sweep
-from optlink.studies.tolerance.analysis import tolerance
 
 TOLERANCES = ["coupler=0.3 mm", "rocker=0.2 mm uniform"]
 ROD = "mechanism.links.rod.length"

@@ -28,11 +28,11 @@ from optlink import io
 from optlink.cli.app import app
 from optlink.errors import InputError, SolverError
 from optlink.execution import runner, store
-from optlink.report.chart_mpl import draw
-from optlink.report.views.sweep import charts
+from optlink.presentation.chart_mpl import draw
+from optlink.presentation.views.sweep import charts
 from optlink.studies.grid import read_axis, read_grid
 from optlink.studies.optimum_parameters import FastOverride
-from optlink.studies.sweep import CHANGED, sweep
+from optlink.studies.sweeps import CHANGED, sweep
 from optlink.validation import validate_batch as prove
 from tests import chunks
 from tests.solved import folder_once, once
@@ -576,7 +576,7 @@ def test_a_run_killed_before_its_first_entry_is_begun_again(tmp_path):
 
 @pytest.mark.slow
 def test_a_killed_run_without_a_folder_leaves_no_temporary_files(tmp_path):
-    code = "import optlink\nfrom optlink.studies.sweep import sweep\n"
+    code = "import optlink\nfrom optlink.studies import sweep\n"
     code += f"sweep(optlink.load('crank-rocker'), ['{FRAME}:9000'], workers=1, progress=lambda *at: print(*at, flush=True))"
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "TMPDIR": str(tmp_path), "TEMP": str(tmp_path)}
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, env=environment) as run:
@@ -684,7 +684,7 @@ DASK = """
 import os, signal, sys, time
 from pathlib import Path
 import optlink
-from optlink.studies.sweep import sweep
+from optlink.studies import sweep
 from tests.studies.test_sweep import children
 
 killed = []
@@ -808,7 +808,7 @@ def test_memory_is_flat():
     """Resident memory after 200 and after 1200 points, in a process of its own."""
     code = """
 import resource, optlink
-from optlink.studies.sweep import sweep
+from optlink.studies import sweep
 file = optlink.load("crank-rocker")
 peak = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 sweep(file, ["mechanism.frame=450..550 mm:200"], workers=1)

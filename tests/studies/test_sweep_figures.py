@@ -16,9 +16,9 @@ from typer.testing import CliRunner
 import optlink
 from optlink.cli.app import app
 from optlink.errors import InputError
-from optlink.report.views import sweep as sweep_view
-from optlink.report.views.sweep import charts
-from optlink.studies.sweep import sweep
+from optlink.presentation.views import sweep as sweep_view
+from optlink.presentation.views.sweep import charts
+from optlink.studies import sweep
 from optlink.tasks.analyze import batch_extremes
 
 PUMP = """

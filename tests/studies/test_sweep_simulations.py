@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 import optlink
 from optlink.cli.app import app
 from optlink.errors import InputError
-from optlink.studies.sweep import sweep
+from optlink.studies import sweep
 from optlink.tasks.clearance import simulate_clearance
 
 OPTIONS = {"revolutions": 1, "points": 60}

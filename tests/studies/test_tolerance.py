@@ -18,13 +18,13 @@ from optlink.cli.app import app
 from optlink.errors import InputError
 from optlink.execution.runner import pool
 from optlink.problem.tolerances import SHAPES, Deviation
-from optlink.studies.tolerance import allocation
-from optlink.studies.tolerance.allocation import least_cost
-from optlink.studies.tolerance.analysis import tolerance
-from optlink.studies.tolerance.monte_carlo import linear_analysis, monte_carlo
-from optlink.studies.tolerance.nominal import nominal_design
-from optlink.studies.tolerance.robust_design import RobustSearch, robust
-from optlink.studies.tolerance.sampling import read_costs, read_deviations, read_yield, sample_deviations, wilson
+from optlink.studies import tolerance
+from optlink.studies.tolerances import allocation
+from optlink.studies.tolerances.allocation import least_cost
+from optlink.studies.tolerances.monte_carlo import linear_analysis, monte_carlo
+from optlink.studies.tolerances.nominal import nominal_design
+from optlink.studies.tolerances.robust_design import RobustSearch, robust
+from optlink.studies.tolerances.sampling import read_costs, read_deviations, read_yield, sample_deviations, wilson
 from tests.solved import solution
 
 DESIGN = {"coupler": 0.412865417, "rocker": 0.23224617}
@@ -300,7 +300,7 @@ def test_processes_change_no_digit(problem, monkeypatch, engine):
     """Four pieces of work, the last one shorter; a block that is skipped wrongly would repeat or miss samples."""
     computed, done = study(problem, FOUR, "error", None, math.radians(2.32)), []
     whole = monte_carlo(computed, 3 * (1 << 13) + 700, 5)
-    monkeypatch.setattr("optlink.studies.tolerance.monte_carlo.CHUNK", 1 << 13)
+    monkeypatch.setattr("optlink.studies.tolerances.monte_carlo.CHUNK", 1 << 13)
     alone = monte_carlo(computed, whole.samples, 5)
     with pool(engine, 2) as runs:
         shared = monte_carlo(computed, whole.samples, 5, done.append, runs)
@@ -509,7 +509,7 @@ def test_the_margin_design_has_the_most_standard_deviations(monkeypatch, name, l
         assert file.hash == problem.hash
         return drawn
 
-    monkeypatch.setattr("optlink.studies.tolerance.robust_design.solve_nominal", known)
+    monkeypatch.setattr("optlink.studies.tolerances.robust_design.solve_nominal", known)
     best = tolerance(problem, texts, limit=f"{limit} deg", samples=1 << 10, robust="margin")
     assert best.robust.result.valid
     assert best.robust.result.problem.model.mechanism.assembly == mode

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 import optlink
 from optlink.cli.app import app
-from optlink.studies.tolerance.analysis import tolerance
+from optlink.studies import tolerance
 from tests.studies.test_robust_kinds import LINKS, PATH, SLIDE, SLIDE_TEXTS, differences, distances, slide_errors, texts
 
 COUNT = 20_000

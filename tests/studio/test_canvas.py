@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import optlink
-from optlink.report import style
-from optlink.report.html import theme
+from optlink.presentation import style
+from optlink.presentation.html import theme
 from tests.browser import colours, console, faults
 
 ASSETS = Path(optlink.__file__).parent / "studio" / "assets"

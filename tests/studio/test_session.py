@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 
 import optlink
+from optlink.presentation.toml_text import rewritten
 from optlink.problem.file import read
-from optlink.report.toml_text import rewritten
 from optlink.studies.grid import exact_text, knobs
 from optlink.studio import design as state
 from optlink.studio.curve import curve_problem

@@ -23,7 +23,7 @@ from optlink.dynamics.work import Work, jumps
 from optlink.linkage import stroke as cycle
 from optlink.linkage.extrema import SampledFunctions, extremes, zeros
 from optlink.linkage.fourbar import four_bar, grashof, reachable as four_bar_reachable
-from optlink.studies.sweep import sweep
+from optlink.studies import sweep
 from optlink.symbolic import symbols_in_numpy
 from optlink.tasks.machine import machine_of
 from tests.clearance.test_joint_clearance import ending_after
@@ -792,7 +792,7 @@ def test_immovable_outputs_are_refused():
 def test_table_is_written_into_a_pipe_and_through_a_link(tmp_path):
     import threading
 
-    from optlink.report.files import write_csv
+    from optlink.presentation.files import write_csv
 
     pipe, link, real = tmp_path / "pipe", tmp_path / "link.csv", tmp_path / "real.csv"
     os.mkfifo(pipe)

@@ -23,13 +23,13 @@ from optlink.dynamics import counterweights as effects_module
 from optlink.dynamics.columns import MotionColumns
 from optlink.dynamics.counterweights import Affine, Counterweight, Effects, with_counterweight
 from optlink.dynamics.machine import Inertia, Parameters
+from optlink.presentation.views import balance as balance_view
 from optlink.problem.machine.balance import term_keys
 from optlink.problem.terms import QUANTITIES, Term
-from optlink.report.views import balance as balance_view
 from optlink.tasks import balance
 from tests.bar_oracle import Body, Motion, bar, disc, rms
 from tests.oracle import External, Kinematics, Mass, newton_euler
-from tests.report.test_function_tables import words as words_of
+from tests.presentation.test_function_tables import words as words_of
 from tests.tiers import mostly_slow
 
 LENGTHS = (0.0508, 0.1524, 0.0762, 0.1397)

@@ -637,7 +637,7 @@ def test_singular_revolutions_are_refused_where_reactions_must_be_bounded(assemb
     with pytest.raises(optlink.InputError, match=r"singular position at crank angle 107 deg.*nothing can be balanced"):
         optlink.balance(optlink.read(raw))
     with pytest.raises(optlink.InputError, match=r"singular position at crank angle 107 deg.*clearance is not simulated"):
-        optlink.simulate_clearance(optlink.read(raw), revolutions=1)
+        optlink.control.simulate_clearance(optlink.read(raw), revolutions=1)
 
 
 # --- guides that become parallel ------------------------------------------------------------------------------------------------

@@ -13,8 +13,8 @@ from typer.testing import CliRunner
 import optlink
 from optlink.cli.app import app
 from optlink.errors import InputError
+from optlink.presentation.views import conclusions
 from optlink.problem.file import read
-from optlink.report.views import conclusions
 from optlink.validation.consistency import contradictions
 from tests.oracles import composed_problems as composed
 from tests.solved import solution

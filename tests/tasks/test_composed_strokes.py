@@ -11,7 +11,7 @@ import pytest
 import optlink
 from optlink.optimization.programme import build
 from optlink.solvers import exchange
-from optlink.studies.sensitivity import sensitivities
+from optlink.studies import sensitivities
 from optlink.studies.target_programme import TargetProgramme
 from optlink.tasks.search import DesignOrders
 from tests.oracles import composed_problems as composed

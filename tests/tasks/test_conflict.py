@@ -7,11 +7,11 @@ import re
 import pytest
 
 import optlink
-from optlink.report import terminal
-from optlink.report.registry import read_result, table_of
-from optlink.report.report_model import report_model_of
-from optlink.report.views import conclusions
-from optlink.report.views.design_view import best, title_of
+from optlink.presentation import terminal
+from optlink.presentation.registry import read_result, table_of
+from optlink.presentation.report_model import report_model_of
+from optlink.presentation.views import conclusions
+from optlink.presentation.views.design_view import best, title_of
 from optlink.solvers.solution import Relaxation
 from optlink.tasks.results.conflict import opposed_limits, refutation
 

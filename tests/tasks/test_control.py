@@ -20,8 +20,8 @@ from optlink.clearance.control import DENSE, PID, POINTS, ClosedLoop, Controller
 from optlink.clearance.equations import Drive, ReferenceSignal, Servo
 from optlink.dynamics.inverse import reactions
 from optlink.errors import InputError
-from optlink.report import files
-from optlink.report.views import control_comparison as comparison_view
+from optlink.presentation import files
+from optlink.presentation.views import control_comparison as comparison_view
 from optlink.tasks import control_comparison, parallel_runs
 from optlink.tasks.results.clearance import Comparison
 
@@ -103,7 +103,7 @@ def test_speed_command_is_the_derivative_of_the_angle_command():
 @pytest.mark.slow
 def test_servo_follows_the_inverse_model(problem):
     """The command is ahead of the servo's lag: the crank itself follows the required correction."""
-    run = optlink.simulate_clearance(problem, 3, 180, control="inverse", check_predictability=False)
+    run = optlink.control.simulate_clearance(problem, 3, 180, control="inverse", check_predictability=False)
     machine = run.machine
     inverse = Inverse(machine, run.gaps, run.output, 0.0, SPEED)
     order = int(0.5 * 300.0 / 20.0)
@@ -181,11 +181,11 @@ def test_leverage_stays_finite_at_the_dead_centres(parts):
 
 @pytest.mark.slow
 def test_inverse_command_follows_a_clockwise_crank(problem):
-    forward = optlink.simulate_clearance(problem, 8, 180, control="inverse", check_predictability=False, tolerance=1e-8)
-    back = optlink.simulate_clearance(
+    forward = optlink.control.simulate_clearance(problem, 8, 180, control="inverse", check_predictability=False, tolerance=1e-8)
+    back = optlink.control.simulate_clearance(
         problem, 8, 180, speed=-SPEED, control="inverse", check_predictability=False, tolerance=1e-8
     )
-    alone = optlink.simulate_clearance(problem, 8, 180, speed=-SPEED, check_predictability=False, tolerance=1e-8)
+    alone = optlink.control.simulate_clearance(problem, 8, 180, speed=-SPEED, check_predictability=False, tolerance=1e-8)
     for run in (forward, back):
         assert run.figures["rms_m"] < 0.7 * alone.figures["rms_m"]
 
@@ -196,21 +196,21 @@ def test_inverse_command_follows_a_clockwise_crank(problem):
 @pytest.mark.slow
 def test_resumed_run_is_the_uninterrupted_one_to_the_last_digit(problem):
     for control in ("none", "inverse+pid"):
-        whole = optlink.simulate_clearance(problem, 3, 100, control=control, tolerance=1e-8)
+        whole = optlink.control.simulate_clearance(problem, 3, 100, control=control, tolerance=1e-8)
         checkpoints: list[dict] = []
-        optlink.simulate_clearance(problem, 2, 100, control=control, tolerance=1e-8, checkpoint=checkpoints.append)
+        optlink.control.simulate_clearance(problem, 2, 100, control=control, tolerance=1e-8, checkpoint=checkpoints.append)
         saved = json.loads(json.dumps(checkpoints[-1]))
-        on = optlink.simulate_clearance(problem, 3, 100, control=control, tolerance=1e-8, resume=saved)
+        on = optlink.control.simulate_clearance(problem, 3, 100, control=control, tolerance=1e-8, resume=saved)
         assert dict(on.figures) == dict(whole.figures)
         assert on.prediction == whole.prediction
         np.testing.assert_array_equal(on["slider.s_m"], whole["slider.s_m"][200:])
         with pytest.raises(InputError, match="another command"):
-            optlink.simulate_clearance(problem, 3, 100, speed=100.0, control=control, tolerance=1e-8, resume=saved)
+            optlink.control.simulate_clearance(problem, 3, 100, speed=100.0, control=control, tolerance=1e-8, resume=saved)
 
 
 @pytest.mark.slow
 def test_compare_tabulates_all_kinds_of_control(problem):
-    result = optlink.compare(problem, 2, 2, seed=3, points=100)
+    result = optlink.control.compare(problem, 2, 2, seed=3, points=100)
     assert list(result.trials) == ["none", "inverse", "pid", "inverse+pid"]
     assert result.finished
     assert result.gain("none") == 0.0
@@ -228,11 +228,11 @@ def test_compare_tabulates_all_kinds_of_control(problem):
 
 @pytest.mark.slow
 def test_tuning_is_never_worse_than_reported(problem):
-    result = optlink.tune(problem, "inverse", ("regularisation", "bandwidth"), evaluations=4, starts=1, revolutions=2)
+    result = optlink.control.tune(problem, "inverse", ("regularisation", "bandwidth"), evaluations=4, starts=1, revolutions=2)
     assert result.cost == min(result.before, np.min(result.costs))
     assert bool(result.best) == (np.min(result.costs) < result.before)
     assert result.costs.shape == (4,)
-    again = optlink.simulate_clearance(
+    again = optlink.control.simulate_clearance(
         result.problem,
         2,
         200,
@@ -245,14 +245,14 @@ def test_tuning_is_never_worse_than_reported(problem):
     if result.best:
         assert result.to_dict()["other_starts"]["cost"] == result.check[1].mean
     with pytest.raises(InputError, match="no such parameter"):
-        optlink.tune(problem, names=("gain",))
+        optlink.control.tune(problem, names=("gain",))
 
 
 @pytest.mark.slow
 def test_shipped_gains_are_better_than_either_part_alone(problem):
     """The PID on top of the inverse model takes away more than the inverse model."""
     kinds = ("inverse", "inverse+pid")
-    result = optlink.compare(problem, 4, 1, seed=5, kinds=kinds, tolerance=1e-7)
+    result = optlink.control.compare(problem, 4, 1, seed=5, kinds=kinds, tolerance=1e-7)
     assert result.trials["inverse+pid"].mean < 0.97 * result.trials["inverse"].mean
 
 
@@ -271,7 +271,7 @@ def test_comparison_in_processes_is_the_same_to_the_bit(engine):
     if engine == "dask":
         pytest.importorskip("distributed")
     ways = ({}, {"workers": 2, "engine": engine})
-    alone, shared = (optlink.compare(rocker(), starts=2, seed=7, kinds=("none", "pid"), **way, **SHORT) for way in ways)
+    alone, shared = (optlink.control.compare(rocker(), starts=2, seed=7, kinds=("none", "pid"), **way, **SHORT) for way in ways)
     for kind in ("none", "pid"):
         for name in ("rms", "peak", "correction", "torque"):
             np.testing.assert_array_equal(getattr(alone.trials[kind], name), getattr(shared.trials[kind], name))
@@ -282,7 +282,7 @@ def test_comparison_in_processes_is_the_same_to_the_bit(engine):
 def test_interrupted_comparison_resumes_from_completed_runs(monkeypatch):
     checkpoints: list[dict] = []
     options = {"starts": 3, "seed": 2, "kinds": ("none", "inverse"), **SHORT, **QUICK}
-    whole = optlink.compare(rocker(), **options)
+    whole = optlink.control.compare(rocker(), **options)
 
     def stop(document: dict) -> None:
         checkpoints.append(json.loads(json.dumps(document, allow_nan=False)))
@@ -290,19 +290,19 @@ def test_interrupted_comparison_resumes_from_completed_runs(monkeypatch):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        optlink.compare(rocker(), checkpoint=stop, **options)
+        optlink.control.compare(rocker(), checkpoint=stop, **options)
     assert (checkpoints[-1]["complete"], checkpoints[-1]["total"]) == (4, 6)
     performed = []
     perform = parallel_runs.run_job
     monkeypatch.setattr(parallel_runs, "run_job", lambda job: performed.append((job.control, job.start)) or perform(job))
-    on = optlink.compare(rocker(), resume=checkpoints[-1], **options)
+    on = optlink.control.compare(rocker(), resume=checkpoints[-1], **options)
     assert len(performed) == 4  # the first start of each kind, for the pictures, and the two that were missing
     for kind, trials in whole.trials.items():
         np.testing.assert_array_equal(on.trials[kind].rms, trials.rms)
     with pytest.raises(InputError, match="another command"):
-        optlink.compare(rocker(), resume=checkpoints[-1], **{**options, "seed": 3})
+        optlink.control.compare(rocker(), resume=checkpoints[-1], **{**options, "seed": 3})
     with pytest.raises(InputError, match="was changed since it was written"):
-        optlink.compare(rocker(), resume={**checkpoints[-1], "runs": checkpoints[-1]["runs"][:3]}, **options)
+        optlink.control.compare(rocker(), resume={**checkpoints[-1], "runs": checkpoints[-1]["runs"][:3]}, **options)
 
 
 @pytest.mark.slow
@@ -310,7 +310,7 @@ def test_runs_that_stall_have_no_figures():
     """A run that stalls at once has no deviation: it must not count as one without deviation, which no control could beat."""
     sinking = {"joints.C.modulus": None, "joints.C.poisson": None, "joints.C.stiffness": "1 N/m^1.5"}
     problem = optlink.load("crank-rocker-clearance", sinking)
-    result = optlink.compare(problem, starts=1, kinds=("none", "pid"), **SHORT)
+    result = optlink.control.compare(problem, starts=1, kinds=("none", "pid"), **SHORT)
     assert (result.finished, result.status) == (False, "stalled")
     for trials in result.trials.values():
         assert math.isnan(trials.mean)
@@ -320,7 +320,7 @@ def test_runs_that_stall_have_no_figures():
     assert result.to_dict()["trials"]["pid"]["mean"] is None
     assert comparison_view.charts(result) == []
     assert comparison_view.conclusion(result) == "No controller completed its runs."
-    tuned = optlink.tune(problem, "pid", evaluations=4, starts=1, **SHORT)
+    tuned = optlink.control.tune(problem, "pid", evaluations=4, starts=1, **SHORT)
     assert (tuned.finished, tuned.status, dict(tuned.best)) == (False, "stalled", {})
     assert "No result: with every parameter set, that of the problem too, a run stalled" in str(comparison_view.tuning(tuned))
 
@@ -342,8 +342,8 @@ def test_one_run_of_several_that_stalls_leaves_its_control_without_a_mean():
 def saved():
     """The checkpoints of a simulation and of a comparison, as read from their files."""
     checkpoints: list[dict] = []
-    optlink.simulate_clearance(rocker(), 1, 60, tolerance=1e-6, checkpoint=checkpoints.append)
-    optlink.compare(rocker(), starts=1, kinds=("none",), checkpoint=checkpoints.append, **SHORT)
+    optlink.control.simulate_clearance(rocker(), 1, 60, tolerance=1e-6, checkpoint=checkpoints.append)
+    optlink.control.compare(rocker(), starts=1, kinds=("none",), checkpoint=checkpoints.append, **SHORT)
     return [json.loads(json.dumps(document)) for document in checkpoints]
 
 
@@ -351,7 +351,7 @@ def test_checkpoints_of_other_kinds_are_refused(saved):
     """Of another version, of another kind, or of another run: one sentence before any run."""
     options = {"starts": 1, "kinds": ("none",), **SHORT}
     simulation, comparison = saved
-    assert optlink.compare(rocker(), resume=comparison, **options).finished
+    assert optlink.control.compare(rocker(), resume=comparison, **options).finished
     for changes, message in (
         ({"schema": "optlink/trials/1"}, r"has another format: its schema is 'optlink/trials/1'.*resume"),
         ({"optlink": "0.0.1"}, r"is that of another version: its optlink is '0\.0\.1'"),
@@ -359,9 +359,9 @@ def test_checkpoints_of_other_kinds_are_refused(saved):
         (simulation, "has another format"),
     ):
         with pytest.raises(InputError, match=message):
-            optlink.compare(rocker(), resume={**comparison, **changes}, **options)
+            optlink.control.compare(rocker(), resume={**comparison, **changes}, **options)
     with pytest.raises(InputError, match="is that of another command: its check_predictability is True, not False"):
-        optlink.simulate_clearance(rocker(), 2, 60, tolerance=1e-6, check_predictability=False, resume=simulation)
+        optlink.control.simulate_clearance(rocker(), 2, 60, tolerance=1e-6, check_predictability=False, resume=simulation)
 
 
 @pytest.mark.slow
@@ -369,9 +369,9 @@ def test_a_complete_run_is_resumed_at_its_last_revolution():
     """Its results may not have been written: the statistics are those of the whole run, the rows those of its end."""
     kept: list[dict] = []
     for count, control in ((1, "none"), (3, "inverse+pid")):
-        whole = optlink.simulate_clearance(rocker(), count, 60, control=control, tolerance=1e-6, checkpoint=kept.append)
+        whole = optlink.control.simulate_clearance(rocker(), count, 60, control=control, tolerance=1e-6, checkpoint=kept.append)
         options = {"resume": json.loads(json.dumps(kept[-1])), "checkpoint": kept.append}
-        again = optlink.simulate_clearance(rocker(), count, 60, control=control, tolerance=1e-6, **options)
+        again = optlink.control.simulate_clearance(rocker(), count, 60, control=control, tolerance=1e-6, **options)
         one, other = whole.to_dict(), again.to_dict()
         rows, end = one["columns"], other["columns"]
         assert {**one, "columns": {}, "crc32": ""} == {**other, "columns": {}, "crc32": ""}
@@ -381,9 +381,9 @@ def test_a_complete_run_is_resumed_at_its_last_revolution():
 
 def test_a_longer_run_is_not_resumed():
     kept: list[dict] = []
-    optlink.simulate_clearance(rocker(), 3, 60, tolerance=1e-6, checkpoint=kept.append)
+    optlink.control.simulate_clearance(rocker(), 3, 60, tolerance=1e-6, checkpoint=kept.append)
     with pytest.raises(InputError, match=r"3 revolutions are already complete\. Request more, or leave out resume"):
-        optlink.simulate_clearance(rocker(), 2, 60, tolerance=1e-6, resume=kept[-1])
+        optlink.control.simulate_clearance(rocker(), 2, 60, tolerance=1e-6, resume=kept[-1])
 
 
 @pytest.mark.parametrize(
@@ -404,7 +404,7 @@ def test_checkpoint_that_was_changed_is_refused(saved, tmp_path, part, entry, va
     state = simulation["state"]
     simulation = {**simulation, "state": {**state, part: {**state[part], entry: value}}}
     with pytest.raises(InputError, match="was changed since it was written"):
-        optlink.simulate_clearance(rocker(), 2, 60, tolerance=1e-6, resume=simulation)
+        optlink.control.simulate_clearance(rocker(), 2, 60, tolerance=1e-6, resume=simulation)
     for document in (simulation, {**saved[0], "revolutions": "x"}, {}):
         (tmp_path / "checkpoint.json").write_text(json.dumps(document), encoding="utf-8")
         with pytest.raises(InputError, match="there is no checkpoint, or it is damaged"):
@@ -423,7 +423,7 @@ def test_parameter_without_effect_is_not_tuned(monkeypatch, control, names, idle
     """It would find that nothing is better."""
     monkeypatch.setattr(control_comparison, "run_jobs", None)
     with pytest.raises(InputError, match=f"{idle}.*: the parameter has no effect with control {control}"):
-        optlink.tune(rocker(), control, names, evaluations=4, **SHORT)
+        optlink.control.tune(rocker(), control, names, evaluations=4, **SHORT)
 
 
 def test_best_parameters_of_a_tuning_are_compared_from_other_starts(monkeypatch):
@@ -440,7 +440,7 @@ def test_best_parameters_of_a_tuning_are_compared_from_other_starts(monkeypatch)
             yield k, parallel_runs.RunResult(figures, "rad", True)
 
     monkeypatch.setattr(control_comparison, "run_jobs", run_jobs)
-    result = optlink.tune(rocker(), "pid", ("proportional",), evaluations=8, starts=2, seed=3, **SHORT)
+    result = optlink.control.tune(rocker(), "pid", ("proportional",), evaluations=8, starts=2, seed=3, **SHORT)
     assert result.best
     assert result.cost < result.before
     before, best = result.check
@@ -456,15 +456,16 @@ def test_best_parameters_of_a_tuning_are_compared_from_other_starts(monkeypatch)
 def test_tuning_resumes_and_stops_runs_that_cannot_win():
     checkpoints: list[dict] = []
     options = {"evaluations": 5, "starts": 2, "seed": 4, **SHORT, **QUICK}
-    whole = optlink.tune(rocker(), "pid", ("proportional",), checkpoint=checkpoints.append, **options)
+    whole = optlink.control.tune(rocker(), "pid", ("proportional",), checkpoint=checkpoints.append, **options)
     middle = json.loads(json.dumps(checkpoints[2], allow_nan=False))
-    on = optlink.tune(rocker(), "pid", ("proportional",), resume=middle, **options)
+    on = optlink.control.tune(rocker(), "pid", ("proportional",), resume=middle, **options)
     np.testing.assert_array_equal(on.costs, whole.costs)
     assert dict(on.best) == dict(whole.best)
     finite = np.isfinite(whole.costs)
     assert 0 < np.count_nonzero(finite) < len(finite)
     assert np.all(np.diff(whole.costs[finite]) <= 0.0)  # whatever is worse than the best so far was abandoned
-    np.testing.assert_array_equal(optlink.tune(rocker(), "pid", ("proportional",), workers=2, **options).costs, whole.costs)
+    shared = optlink.control.tune(rocker(), "pid", ("proportional",), workers=2, **options)
+    np.testing.assert_array_equal(shared.costs, whole.costs)
     job = parallel_runs.RunJob(rocker(), control="none", start=0.3, limit=1e-9, **SHORT)
     assert parallel_runs.run_job(job).hopeless
     assert not parallel_runs.run_job(replace(job, limit=1.0)).hopeless
@@ -504,11 +505,11 @@ def test_interrupt_stops_a_comparison_and_keeps_completed_runs(tmp_path):
 def test_control_compensates_three_clearances():
     """At 1200 rpm: the inverse model takes away a quarter at least, PID on top of it more; means of three starts and of one."""
     file = optlink.load("slider-crank-three-gaps")
-    result = optlink.compare(file, 11, 3, kinds=("none", "inverse"), tolerance=1e-6, **QUICK)
+    result = optlink.control.compare(file, 11, 3, kinds=("none", "inverse"), tolerance=1e-6, **QUICK)
     assert result.finished
     assert result.trials["none"].mean == pytest.approx(1.307e-3, rel=0.02)
     assert result.gain("inverse") > 0.25
-    both = optlink.compare(
+    both = optlink.control.compare(
         file, 11, 1, kinds=("inverse+pid",), tolerance=1e-6, **QUICK
     )  # seven times the work of a run without PID
     assert both.finished
@@ -523,7 +524,7 @@ def test_a_tuning_that_finds_nothing_better_is_written(monkeypatch):
             yield k, parallel_runs.RunResult(figures, "rad", True)
 
     monkeypatch.setattr(control_comparison, "run_jobs", run_jobs)
-    result = optlink.tune(rocker(), "pid", ("proportional",), evaluations=4, starts=1, **SHORT)
+    result = optlink.control.tune(rocker(), "pid", ("proportional",), evaluations=4, starts=1, **SHORT)
     assert not result.best
     assert result.check is None
     assert "other_starts" not in result.to_dict()

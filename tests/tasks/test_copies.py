@@ -18,15 +18,13 @@ import pytest
 import optlink
 from optlink import load
 from optlink.errors import Fault
+from optlink.presentation.html.page import page
+from optlink.presentation.registry import KINDS, read_result, result_class, view_of
+from optlink.presentation.report_model import report_model_of
 from optlink.problem.document import Document
-from optlink.report.html.page import page
-from optlink.report.registry import KINDS, read_result, result_class, view_of
-from optlink.report.report_model import report_model_of
+from optlink.studies import pareto, sweep, tolerance
 from optlink.studies.motion_sensitivity import OutputStudy, output_sensitivity
-from optlink.studies.pareto.epsilon_constraint import pareto
 from optlink.studies.sensitivity import of_solution, sensitivities
-from optlink.studies.sweep import sweep
-from optlink.studies.tolerance.analysis import tolerance
 from tests.tiers import mostly_slow
 
 
@@ -49,9 +47,9 @@ RESULTS: dict[str, Callable[[], Any]] = {
     "analysis": lambda: optlink.analyze(load("shaper")),
     "batch": lambda: optlink.analyze_batch(load("slider-crank"), {"rod.length": np.array([0.3, 0.4])}),
     "simulation": lambda: optlink.simulate(load("slider-crank"), rows=50),
-    "clearance": lambda: optlink.simulate_clearance(load("slider-crank-clearance"), 1),
-    "comparison": lambda: optlink.compare(load("crank-rocker-clearance"), 1, 1),
-    "tuning": lambda: optlink.tune(
+    "clearance": lambda: optlink.control.simulate_clearance(load("slider-crank-clearance"), 1),
+    "comparison": lambda: optlink.control.compare(load("crank-rocker-clearance"), 1, 1),
+    "tuning": lambda: optlink.control.tune(
         load("crank-rocker-clearance"), "pid", ("proportional",), evaluations=4, starts=1, revolutions=2, points=72
     ),
     "sensitivities": lambda: sensitivities(load("crank-rocker")),

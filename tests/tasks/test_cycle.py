@@ -204,7 +204,7 @@ def test_given_sizes_are_checked():
 
 @pytest.mark.slow
 def test_result_is_json_and_the_design_a_machine(tmp_path):
-    from optlink.report.registry import view_of
+    from optlink.presentation.registry import view_of
 
     files = view_of("design").write(shaper(), tmp_path)
     assert {path.name for path in files} == {"result.json", "design.toml", "cycle.csv", "courses.png", "mechanisms.png"}

@@ -10,8 +10,8 @@ import pytest
 from scipy.optimize import minimize
 
 import optlink
-from optlink.report.html.page import page
-from optlink.report.report_model import report_model_of
+from optlink.presentation.html.page import page
+from optlink.presentation.report_model import report_model_of
 from optlink.tasks.results.design import SynthesisResult
 from tests.oracles.composed_problems import straight_line, third
 from tests.solved import solution

@@ -13,11 +13,11 @@ from typer.testing import CliRunner
 
 import optlink
 from optlink.cli.app import app
+from optlink.presentation import terminal
+from optlink.presentation.html.page import page
+from optlink.presentation.report_model import ReportModel
+from optlink.presentation.views import design_tables
 from optlink.problem.file import dump
-from optlink.report import terminal
-from optlink.report.html.page import page
-from optlink.report.report_model import ReportModel
-from optlink.report.views import design_tables
 from optlink.solvers.solution import LimitState
 from optlink.tasks.design import solve, solve as solve_cycle, validate
 from optlink.tasks.results.fit import Fit, PathFit, TransmissionFit, fixed_effects, transmission_fit

@@ -11,9 +11,9 @@ import pytest
 import optlink
 from optlink.errors import InputError
 from optlink.optimization.terms import rows
+from optlink.studies import sweep
 from optlink.studies.grid import read_grid
 from optlink.studies.optimum_parameters import FastOverride
-from optlink.studies.sweep import sweep
 from optlink.synthesis.batch import Batch, ByLengths
 from optlink.synthesis.batch_search import random_crank_angles, random_designs
 from optlink.validation import validate

@@ -16,9 +16,9 @@ from optlink.optimization.taylor_model import TaylorModel
 from optlink.problem.file import read
 from optlink.problem.machine.model import Problem
 from optlink.problem.targets.expression import FUNCTIONS
+from optlink.studies import tolerance
 from optlink.studies.grid import Axis, Grid
 from optlink.studies.reoptimise_task import optimum_task
-from optlink.studies.tolerance.analysis import tolerance
 from optlink.synthesis.batch import Batch
 
 Array = NDArray[np.float64]

@@ -12,7 +12,7 @@ import pytest
 import optlink
 from optlink.errors import InputError
 from optlink.problem.targets.expression import parse, revolutions_of
-from optlink.studies.sweep import sweep
+from optlink.studies import sweep
 
 CRANK, ROD, MASS, SPEED = 0.04, 0.14, 0.4, 20.0
 ENGINE = """

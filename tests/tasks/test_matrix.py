@@ -17,11 +17,8 @@ import numpy as np
 import pytest
 
 import optlink
-from optlink.report.export.export import export
-from optlink.studies.pareto.epsilon_constraint import pareto
-from optlink.studies.sensitivity import sensitivities
-from optlink.studies.sweep import sweep
-from optlink.studies.tolerance.analysis import tolerance
+from optlink.presentation.export.export import export
+from optlink.studies import pareto, sensitivities, sweep, tolerance
 from tests.solved import once
 
 pytestmark = pytest.mark.slow
@@ -228,8 +225,8 @@ def _validate(row: str, folder: Path) -> None:
 
 
 def _report(row: str, folder: Path) -> None:
-    from optlink.report.html.page import page
-    from optlink.report.report_model import report_model_of
+    from optlink.presentation.html.page import page
+    from optlink.presentation.report_model import report_model_of
 
     text = page(report_model_of(solved(row)))
     assert row in text
@@ -237,7 +234,7 @@ def _report(row: str, folder: Path) -> None:
 
 
 def _export(row: str, folder: Path) -> None:
-    from optlink.report.report_model import report_model_of
+    from optlink.presentation.report_model import report_model_of
 
     for suffix in ("dxf", "svg", "csv", "json"):
         export(report_model_of(solved(row)), folder / f"file.{suffix}")

@@ -146,8 +146,8 @@ def test_the_objective_is_the_same_in_every_output() -> None:
 
 @pytest.mark.slow
 def test_every_result_states_its_assembly_mode() -> None:
-    from optlink.report import terminal
-    from optlink.report.registry import table_of
+    from optlink.presentation import terminal
+    from optlink.presentation.registry import table_of
 
     result = short_of_both_modes()
     document = result.to_dict()
@@ -170,8 +170,8 @@ def test_a_given_design_is_checked_in_the_assembly_mode_that_fits_it() -> None:
 @pytest.mark.slow
 def test_the_written_machine_moves_like_the_design(tmp_path: Path) -> None:
     """Law and function: loaded by `analyze`, from the same crank angle, the rocker turns as the result says."""
-    from optlink.report.view import View
-    from optlink.report.views.design import VIEW
+    from optlink.presentation.view import View
+    from optlink.presentation.views.design import VIEW
 
     for result in (optlink.solve(optlink.load("crank-rocker"), starts=1), short_of_both_modes()):
         View(design=VIEW.design).write(result, tmp_path)

@@ -15,9 +15,9 @@ import pytest
 
 import optlink
 from optlink.linkage.fourbar import LENGTHS
-from optlink.report.html.page import page
-from optlink.report.registry import read_result, view_of
-from optlink.report.report_model import report_model_of
+from optlink.presentation.html.page import page
+from optlink.presentation.registry import read_result, view_of
+from optlink.presentation.report_model import report_model_of
 from optlink.solvers.multistart import solve_from
 from optlink.tasks.design import solve
 from optlink.tasks.run import design_task

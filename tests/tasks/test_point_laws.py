@@ -11,8 +11,8 @@ from scipy.optimize import minimize
 
 import optlink
 from optlink.errors import InputError
-from optlink.report.html.page import page
-from optlink.report.report_model import report_model_of
+from optlink.presentation.html.page import page
+from optlink.presentation.report_model import report_model_of
 from optlink.tasks.certify import certify
 from optlink.tasks.design import solve
 from tests.solved import solution

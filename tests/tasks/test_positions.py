@@ -10,7 +10,7 @@ import pytest
 from scipy.optimize import minimize
 
 import optlink
-from optlink.studies.sensitivity import sensitivities
+from optlink.studies import sensitivities
 from tests.oracles.composed_problems import straight_line, third
 
 LINE = {

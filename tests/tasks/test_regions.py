@@ -11,7 +11,7 @@ import pytest
 
 import optlink
 from optlink.errors import InputError
-from optlink.studies.sensitivity import sensitivities
+from optlink.studies import sensitivities
 from tests.oracles.composed_problems import third
 
 CRANK, COUPLER, ROCKER, FRAME = 0.03, 0.1, 0.09, 0.1

@@ -11,13 +11,13 @@ from typing import Any
 import pytest
 
 import optlink
-from optlink.report.html.page import page
-from optlink.report.registry import read_result, table_of
-from optlink.report.report_model import report_model_of
+from optlink.presentation.html.page import page
+from optlink.presentation.registry import read_result, table_of
+from optlink.presentation.report_model import report_model_of
 from optlink.tasks import search
 from optlink.validation import Check, Validation
 from optlink.validation.check import MEASURED
-from tests.report.test_terminal import printed
+from tests.presentation.test_terminal import printed
 
 REACHED = Check("the cover is not reached", False, 3.25, "<= 2", "mm")
 

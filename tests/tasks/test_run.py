@@ -71,7 +71,7 @@ def test_another_value_of_a_fixed_dimension_is_a_failed_check() -> None:
         optlink.analyze,
         optlink.simulate,
         optlink.balance,
-        optlink.simulate_clearance,
+        optlink.control.simulate_clearance,
         lambda problem: optlink.validate(problem, {}),
         lambda problem: optlink.analyze_batch(problem, {"crank": [1.0]}),
     ],

@@ -321,7 +321,7 @@ def test_an_exact_law_is_met_to_rounding(crank_rocker):
     """A table taken from a known linkage: the optimum is that linkage, the objective zero, and both back ends agree."""
     known = {"crank": 0.1, "coupler": 0.36, "rocker": 0.25, "frame": 0.4}
     phi = np.radians(np.arange(0, 181, 20) + 30.0)
-    psi = optlink.sweep(optlink.four_bar(), known, phi).body_angle("rocker").value
+    psi = optlink.linkage.sweep(optlink.linkage.four_bar(), known, phi).body_angle("rocker").value
     raw = {
         "title": "recover a linkage",
         "mechanism": {

@@ -16,10 +16,10 @@ import pytest
 import optlink
 from optlink.dynamics.forward import Ending
 from optlink.errors import InputError
+from optlink.presentation.format import single_units
+from optlink.presentation.html.study_page import study_page
+from optlink.presentation.registry import read_result, table_of, view_of
 from optlink.problem.file import ProblemFile
-from optlink.report.format import single_units
-from optlink.report.html.study_page import study_page
-from optlink.report.registry import read_result, table_of, view_of
 from tests.tiers import mostly_slow
 
 ROTOR = {
@@ -38,7 +38,7 @@ def rotor(**changes: object) -> optlink.Simulation:
 
 
 def clearance(name: str, revolutions: int, changes: dict[str, Any] | None = None, **options: Any) -> Any:
-    return optlink.simulate_clearance(optlink.load(name, changes or {}), revolutions, **{**QUICK, **options})
+    return optlink.control.simulate_clearance(optlink.load(name, changes or {}), revolutions, **{**QUICK, **options})
 
 
 def interrupted() -> Any:
@@ -76,12 +76,12 @@ RESULTS: dict[str, Callable[[], Any]] = {
     "clearance that stalls at once": lambda: clearance(PLAY, 2, SOFT),
     "clearance that stalls later": pulled_through,
     "clearance, interrupted": interrupted,
-    "comparison": lambda: optlink.compare(optlink.load(ROCKER), 1, 2, **QUICK),
-    "comparison that stalls": lambda: optlink.compare(optlink.load(ROCKER, SOFT), 1, 1, kinds=("none", "pid"), **QUICK),
-    "tuning": lambda: optlink.tune(
+    "comparison": lambda: optlink.control.compare(optlink.load(ROCKER), 1, 2, **QUICK),
+    "comparison that stalls": lambda: optlink.control.compare(optlink.load(ROCKER, SOFT), 1, 1, kinds=("none", "pid"), **QUICK),
+    "tuning": lambda: optlink.control.tune(
         optlink.load(ROCKER), "pid", ("proportional",), evaluations=4, starts=1, revolutions=1, **QUICK
     ),
-    "tuning that stalls": lambda: optlink.tune(
+    "tuning that stalls": lambda: optlink.control.tune(
         optlink.load(ROCKER, SOFT), "pid", evaluations=4, starts=1, revolutions=1, **QUICK
     ),
 }

@@ -244,7 +244,7 @@ def test_the_worst_angle_of_several_dyads_counts() -> None:
     goal = {"quantity": "pressure angle", "sense": "minimise", "measure": "peak"}
     drive = {"body": "crank", "speed": "60 rpm"}
     cycle = optlink.solve(optlink.read({"title": "t", "mechanism": mechanism, "drive": drive, "objective": goal}))
-    assert isinstance(cycle, optlink.CycleResult)
+    assert isinstance(cycle, optlink.SynthesisResult)
     assert cycle.valid
     assert math.acos(best.objective) == pytest.approx(0.5 * math.pi - cycle.objective, abs=1e-9)
     assert best.best.least_transmission == pytest.approx(math.acos(best.objective), abs=1e-9)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import optlink
-from optlink.report.views.conclusions import design as conclusion
+from optlink.presentation.views.conclusions import design as conclusion
 from optlink.tasks.design import validate
 from optlink.tasks.results.design import LinkageDesign
 from optlink.validation.timing import sagittas

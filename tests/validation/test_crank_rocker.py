@@ -123,7 +123,7 @@ SENSITIVITIES = [
 @pytest.mark.parametrize(("phi", "psi", "d1", "d2", "d3", "d4"), SENSITIVITIES)
 def test_output_angle_and_its_sensitivities(phi, psi, d1, d2, d3, d4):
     lengths = {"crank": 1.0, "coupler": 4.12865417, "rocker": 2.3224617, "frame": 5.0}
-    linkage = optlink.four_bar()
+    linkage = optlink.linkage.four_bar()
     crank = (math.cos(math.radians(phi)), math.sin(math.radians(phi)))
 
     def angle(sizes):

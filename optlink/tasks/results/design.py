@@ -14,12 +14,12 @@ from numpy.typing import ArrayLike
 
 from optlink.errors import InputError, Status
 from optlink.io import Summary, finite
-from optlink.linkage.cognates import Cognate, CouplerLinkage, cognates
 from optlink.linkage.dyads import transmitting
 from optlink.linkage.extrema import extremes
 from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.mechanism import Pose
 from optlink.linkage.motion import sweep
+from optlink.linkage.roberts import Cognate, CouplerLinkage, cognates
 from optlink.linkage.vector2d import TURN, Array
 from optlink.optimization.output_errors import error_function
 from optlink.problem.design import DesignProblem

@@ -1,0 +1,175 @@
+"""Export of a design: DXF and SVG drawings at a crank angle, motion as CSV, geometry as JSON."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from optlink.errors import InputError
+from optlink.io import finite, head, whole, write_json
+from optlink.linkage.mechanism import FRAME
+from optlink.linkage.motion import sweep
+from optlink.linkage.stroke import failure
+from optlink.linkage.vector2d import Vector
+from optlink.presentation.files import check_target, write_csv
+from optlink.presentation.report_model import ReportModel
+from optlink.problem.quantity import LARGEST_ANGLE, LONGEST, SHORTEST, check_range
+from optlink.tasks.analyze import MAX_POINTS, Analysis, analyze
+
+SCHEMA = "optlink/geometry/1"
+FORCES = ("_N", "_Nm", "_J", "_W")
+"""Endings of columns that say nothing of a linkage without masses and loads."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """Export options: crank angle `at` [rad] (default: start of the motion), hole and width [m], rows of the table.
+
+    Raises
+    ------
+    InputError
+        If one is out of range.
+    """
+
+    at: float | None = None
+    hole: float | None = None
+    width: float | None = None
+    points: int = 360
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        if self.at is not None and not abs(self.at) <= LARGEST_ANGLE:
+            raise InputError("out of range", 'Give one such as "30 deg"', key="--at", value=f"{self.at:g} rad")
+        for name, size in (("hole", self.hole), ("width", self.width)):
+            if size is not None and not SHORTEST <= size <= LONGEST:
+                raise InputError("no link has such a size", 'Give one such as "8 mm"', key=f"--{name}", value=f"{size:g} m")
+        if self.hole is not None and self.width is not None and self.width <= self.hole:
+            remedy = "Give a width greater than the hole"
+            raise InputError("the link width is smaller than the hole", remedy, key="--width", value=f"{self.width:g} m")
+        check_range("--points", self.points, 1, MAX_POINTS)
+
+
+def export(model: ReportModel, path: Path, options: Options | None = None) -> None:
+    """Write a design in the format of the file extension.
+
+    Parameters
+    ----------
+    model : ReportModel
+    path : Path
+        Extension .dxf, .svg, .csv or .json.
+    options : Options or None, optional
+        Default: `Options()`.
+
+    Raises
+    ------
+    InputError
+        If the extension is unknown, the design cannot be assembled or an option is out of range; then no file is written.
+    """
+    options = options or Options()
+    check_target(path, tuple(FORMATS), "drawing.dxf")
+    if model.cycle is None:
+        remedy = "Check it with optlink validate, and export another design"
+        raise InputError(f"the design cannot be drawn: {model.unmoved}", remedy, model.problem.file)
+    FORMATS[path.suffix.lower()](model, model.cycle, path, options)
+
+
+def place_of(model: ReportModel, cycle: Analysis, at: float | None) -> float:
+    """Return a crank angle [rad] at which the mechanism can be assembled; None stands for the start of the motion.
+
+    Raises
+    ------
+    InputError
+        If the crank cannot reach the angle; the message contains the reachable ranges.
+    """
+    if at is None:
+        return math.radians(float(cycle["crank_angle_deg"][0]))
+    if cycle.full:
+        return at
+    if cycle.ranges.holding(at) is None:
+        failed = failure(cycle.machine.mechanism, cycle.machine.sizes, at)
+        message = str(failed) if failed else "the mechanism cannot be assembled there"
+        shown = f"{math.degrees(at):.6g} deg"
+        raise InputError(message, f"Give an angle within {cycle.ranges.text}", model.problem.file, "--at", shown)
+    return at
+
+
+def _dxf(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> None:
+    from optlink.presentation.export.dxf import document
+
+    at = place_of(model, cycle, options.at)
+    drawing = document(cycle, at, model.problem.model.title, options.hole, options.width, model.regions)
+    with whole(path) as temporary:
+        drawing.saveas(temporary)
+
+
+def _svg(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> None:
+    from optlink.presentation.export.svg import svg
+    from optlink.presentation.scene import scene
+
+    at = place_of(model, cycle, options.at)
+    title = f"{model.problem.model.title}: crank angle {math.degrees(at):.6g} deg"
+    text = svg(scene(cycle, at=at, regions=model.regions), title, true_size=True)
+    with whole(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def _csv(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> None:
+    """Write the motion as a table, without force columns if there are no masses and loads."""
+    rows = cycle if options.points == len(cycle["time_s"]) - 1 else analyze(cycle.problem, options.points, speed=cycle.speed)
+    columns = {name: values for name, values in rows.columns.items() if model.forces or not name.endswith(FORCES)}
+    write_csv(path, columns)
+
+
+def _json(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> None:
+    write_json(path, geometry(model, cycle, place_of(model, cycle, options.at)))
+
+
+def geometry(model: ReportModel, cycle: Analysis, at: float) -> dict[str, Any]:
+    """Return the linkage as a JSON document [SI]: points of the bodies in their own axes, and all positions at a crank angle."""
+    from optlink.presentation.export.dxf import travelled
+
+    machine = cycle.machine
+    mechanism = machine.mechanism
+    motion = sweep(mechanism, machine.sizes, [at])
+
+    def local(body: str) -> dict[str, list[float]]:
+        return {name: _plain(motion.pose.local(body, name)) for name, owners in mechanism.owners.items() if body in owners}
+
+    bodies = {}
+    for body, link in mechanism.bodies.items():
+        angle = float(np.asarray(motion.body_angle(body).value)[0])
+        bodies[body] = {"points_m": local(body), "at_m": motion.position(link.start)[0].tolist(), "angle_rad": angle}
+        if body in machine.inertias:
+            bodies[body] |= {"inertia": vars(machine.inertias[body]) | {}}
+    guides = {}
+    for guide in mechanism.guides:
+        point, direction = motion.pose.local_line(guide, guide.on)
+        record = {"slider": guide.slider, "on": guide.on, "through_m": _plain(point), "direction": _plain(direction)}
+        guides[guide.name] = record | {"travel_m": list(travelled(cycle, guide))}
+    document = {
+        **head(SCHEMA, model.problem, "valid" if model.valid else "not valid"),
+        "valid": model.valid,
+        "crank_angle_rad": at,
+        "full_rotation": cycle.full,
+        "reachable_rad": [list(range_) for range_ in cycle.ranges.ranges],
+        "crank": mechanism.crank.body,
+        "speed_rad_s": cycle.speed,
+        "ground_m": local(FRAME),
+        "bodies": bodies,
+        "pins": {name: list(owners) for name, owners in mechanism.pins.items()},
+        "guides": guides,
+        "points_m": {name: motion.position(name)[0].tolist() for name in mechanism.owners},
+    }
+    return finite(document)  # type: ignore[no-any-return]
+
+
+def _plain(vector: Vector) -> list[float]:
+    return [float(part) for part in vector]
+
+
+Writer = Callable[[ReportModel, Analysis, Path, Options], None]
+FORMATS: dict[str, Writer] = {".dxf": _dxf, ".svg": _svg, ".csv": _csv, ".json": _json}
+"""What can be written, by the ending of the file."""

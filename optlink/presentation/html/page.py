@@ -1,0 +1,133 @@
+"""HTML report of a design: linkage in motion, result and validation, sensitivities, charts, sources."""
+
+import functools
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from optlink.errors import Status
+from optlink.io import whole
+from optlink.presentation.chart_spec import ChartSpec
+from optlink.presentation.format import single_units
+from optlink.presentation.html.moving_linkage import Moving, turning
+from optlink.presentation.html.study_page import study_page
+from optlink.presentation.registry import view_of
+from optlink.presentation.report_model import ReportModel
+from optlink.presentation.table_spec import Paragraph, Span, Summary
+from optlink.presentation.view import PageSection, StoredStudy
+from optlink.presentation.views import analysis_charts, sensitivity
+from optlink.presentation.views.analysis_charts import CycleCurves
+from optlink.studies.sensitivity import Sensitivities, of_solution
+from optlink.tasks.analyze import Analysis
+
+
+def write_page(model: ReportModel | StoredStudy, path: Path) -> None:
+    """Write the HTML page of a report model or of a stored result.
+
+    Parameters
+    ----------
+    model : ReportModel or StoredStudy
+    path : Path
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written; then no file is left behind.
+    """
+    text = page(model)
+    with whole(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def page(model: ReportModel | StoredStudy) -> str:
+    """Return the HTML page of a report model or of a stored result."""
+    return study_page(model if isinstance(model, StoredStudy) else _report(model))
+
+
+def _report(model: ReportModel) -> StoredStudy:
+    outcome: Any = model.result
+    view, requested = view_of(outcome.kind), model.effects is not None
+    effects = model.effects or sensitivities_of(model)
+    with single_units():
+        shown = view.table(outcome)
+        sections = [PageSection(view.heading, (list(shown.parts),)), PageSection("Curves", charts(model))]
+        if effects is not None:
+            parts: list[Any] = [*sensitivity.charts(effects), tuple(sensitivity.parts(effects))]
+            sections.insert(0 if requested else 1, PageSection("Sensitivities", parts))
+        if model.cycle is None and model.unmoved:
+            unmoved = PageSection("Linkage", (Paragraph(f"It cannot be shown in motion: {model.unmoved}."),))
+            sections.insert(1 if requested else 0, unmoved)
+        if view.conclusion is not None:
+            conclusion = view.conclusion(outcome)
+        else:
+            conclusion = "".join(span.text for line in shown.status.lines[:1] for span in line)
+        if model.effects is not None:
+            conclusion = f"{sensitivity.conclusion(model.effects)} {conclusion}"
+        return StoredStudy(
+            problem=model.problem,
+            kind=model.problem.kind,
+            verdict=model.verdict,
+            valid=model.valid,
+            conclusion=conclusion,
+            status=_status(model, shown),
+            sections=sections,
+            moving=functools.partial(animation_of, model),
+            by=_method(model),
+            after=1 if requested else 0,  # the requested study comes first
+            notes=model.notes,
+        )
+
+
+def animation_of(model: ReportModel, steps: int) -> Moving | None:
+    """Return the animated machine of a report model for a number of positions per revolution; None if there is none."""
+    return None if model.cycle is None else turning(model.cycle, steps, model.regions)
+
+
+def sensitivities_of(model: ReportModel) -> Sensitivities | None:
+    """Return the sensitivities of an optimum to its parameters.
+
+    None if there was no optimisation, no optimum, an exact solution, or no parameter with an effect.
+    """
+    best = getattr(model.result, "best", None)
+    if best is None or best.solution is None or best.solution.status is not Status.OPTIMAL:
+        return None
+    if best.exact:
+        return None
+    result = of_solution(best.problem, best.solution)
+    return result if result.moving else None
+
+
+def _status(model: ReportModel, shown: Summary) -> Sequence[Sequence[Span]]:
+    """Return the lines of the status, without what the conclusion states: a conflict, the change of one objective."""
+    outcome = model.result
+    if getattr(outcome, "refuted", ""):
+        return shown.status.lines[1:]
+    comparison = getattr(getattr(outcome, "best", None), "comparison", "")
+    if not comparison or not (spec := outcome.problem.spec).single or not comparison.startswith(spec.goals[0].words):
+        return shown.status.lines
+    return [[span for span in line if span.text != f"; {comparison}"] for line in shown.status.lines]
+
+
+def charts(model: ReportModel) -> list[ChartSpec]:
+    """Return the charts of the result and, for a design, those of its machine over the cycle."""
+    outcome: Any = model.result
+    view = view_of(outcome.kind)
+    result = [*view.charts(view.model(outcome))]
+    if model.cycle is not None and model.cycle is not outcome:
+        curves, of_cycle = CycleCurves(model.cycle), outcome.problem.model.of_cycle
+        first = outcome.best.initial_analysis if of_cycle else None
+        initial = None if first is None else CycleCurves(first)
+        result += analysis_charts.motion(curves, initial) if of_cycle or model.forces else []
+        result += analysis_charts.transmission(curves) if of_cycle else []
+        result += analysis_charts.forces(curves, initial) if model.forces else []
+    return result
+
+
+def _method(model: ReportModel) -> str:
+    outcome = model.result
+    if isinstance(outcome, Analysis):
+        return "analysis of the machine; nothing was optimised"
+    if outcome.backend == "none":
+        return "check of a given design; nothing was optimised"
+    starts = f"{outcome.starts} start{'s' * (outcome.starts != 1)}, seed {outcome.seed}"
+    return f"{outcome.backend}, {starts}; verified by an independent sweep of the kinematics"

@@ -1,0 +1,124 @@
+"""The page of a result: its head, its sections with the linkage in motion, the problem and the sources."""
+
+import platform
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from optlink.errors import InputError
+from optlink.linkage.vector2d import Array
+from optlink.presentation.chart_spec import ChartSpec
+from optlink.presentation.export.dimensions import Drawing, dimensioned
+from optlink.presentation.format import Scale, single_units
+from optlink.presentation.html import chart_plotly, moving_linkage
+from optlink.presentation.html.chart_plotly import Chart
+from optlink.presentation.html.moving_linkage import Moving
+from optlink.presentation.html.shell import MAX_BYTES, STEPS, PageContent, arrange, plotly_version
+from optlink.presentation.scene import scene_at
+from optlink.presentation.shapes import even
+from optlink.presentation.table_spec import Paragraph
+from optlink.presentation.view import PageSection, StoredStudy
+from optlink.presentation.views import problem_tables
+from optlink.problem.file import ProblemFile, fixed_design
+from optlink.tasks.analyze import Analysis, analyze
+from optlink.version import VERSION
+
+MAX_DRAWINGS = 60  # largest number of selectable points with a drawing of their own
+
+
+def study_page(studied: StoredStudy) -> str:
+    """Return the HTML page of a result with the most positions per revolution that keep it below `MAX_BYTES`."""
+    with single_units():
+        studied = replace(studied, sections=drawn(studied.sections))
+        for steps in STEPS:
+            text = content_of(studied, steps).html()
+            if len(text.encode()) <= MAX_BYTES:
+                break
+    return text
+
+
+def content_of(studied: StoredStudy, steps: int) -> PageContent:
+    """Return the content of the page of a result for a number of positions per revolution."""
+    file, moving, sections = studied.problem, moving_of(studied, steps), drawn(studied.sections)
+    if moving is not None:
+        picked = any(isinstance(part, Chart) and part.draw for section in sections for part in section.parts)
+        shown = [] if picked else [PageSection("Dimensions", (dimensioned(moving.cycle, file.model.title),))]
+        caption = [Paragraph(studied.drawn, lead=True)] if studied.drawn else []
+        shown.append(PageSection("Linkage in motion", (*caption, moving)))
+        sections[studied.after : studied.after] = shown
+    return PageContent(studied, arrange(sections, closing_sections(file, studied.by)), moving)
+
+
+def moving_of(studied: StoredStudy, steps: int) -> Moving | None:
+    """Return the animated linkage of a result; None if it has none, or if it cannot be assembled."""
+    if studied.moving is not None:
+        return studied.moving(steps)
+    cycle = None if studied.design is None else cycle_of(*studied.design)
+    return None if cycle is None else moving_linkage.turning(cycle, steps)
+
+
+def drawn(sections: Iterable[PageSection]) -> list[PageSection]:
+    """Return sections with their charts as those of a page, without the charts that are pictures only."""
+    return [
+        replace(
+            section,
+            parts=[
+                _chart(part) if isinstance(part, ChartSpec) else part
+                for part in section.parts
+                if not isinstance(part, ChartSpec) or part.page
+            ],
+        )
+        for section in sections
+    ]
+
+
+def _chart(spec: ChartSpec) -> Chart:
+    """Return a chart; the dimensioned drawing of its selectable points, if they are designs, follows the selected one."""
+    chart = chart_plotly.chart(spec)
+    picks, designs = chart.picks, spec.designs
+    if picks is None or designs is None:
+        return chart
+    chosen = sorted({picks.first, *even(len(picks.rows), MAX_DRAWINGS).tolist()})
+
+    def draw() -> Mapping[int, Drawing]:
+        cycles = {k: cycle_of(*designs(picks.sources[k])) for k in chosen}
+        return {k: dimensioned(cycle, f"Point {k + 1}") for k, cycle in cycles.items() if cycle is not None}
+
+    return replace(chart, draw=draw)
+
+
+def cycle_of(file: ProblemFile, design: Mapping[str, float]) -> Analysis | None:
+    """Analyse the machine of a problem with a design [m, rad]; None if it cannot be assembled."""
+    try:
+        return analyze(fixed_design(file, file.model.sizes(design)))
+    except InputError:
+        return None
+
+
+def in_time(
+    file: ProblemFile, design: Mapping[str, float], time: Array, crank: Array, shown: Sequence[tuple[str, Scale, Array]]
+) -> Moving | None:
+    """Return the linkage of a design [m, rad] at crank angles [deg] over time [s]; None if it cannot be assembled.
+
+    `shown` are quantities that follow the slider: name, display unit, values [SI].
+    """
+    cycle = cycle_of(file, design)
+    return None if cycle is None else moving_linkage.in_time(cycle, scene_at(cycle, np.radians(crank)), time, shown)
+
+
+def closing_sections(file: ProblemFile, by: str) -> Iterable[PageSection]:
+    """Yield the last sections of the appendix: the problem, and sources, versions and the method of the result."""
+    about = (" ".join(piece.replace("`", "").split()) for piece in file.model.about.split("\n\n") if piece.strip())
+    yield PageSection("Problem", (Paragraph(*about), problem_tables.problem(file).parts))
+    expected = {} if file.model.expected is None else {"Expected values": file.model.expected.source}
+    sources = {
+        "Problem": file.model.source or "no source is given",
+        **expected,
+        "Problem file": file.file,
+        "Hash of the problem": file.hash,
+        "Found by": by,
+        "optlink": f"{VERSION}, with Python {platform.python_version()}, numpy {np.__version__}",
+        "Charts": f"plotly.js {plotly_version()}, in this page",
+    }
+    yield PageSection("Sources", (sources,))

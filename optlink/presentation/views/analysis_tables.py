@@ -1,0 +1,276 @@
+"""Tables of a machine, its analysis and its forward dynamics simulation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING
+
+from optlink.dynamics.machine import Machine
+from optlink.dynamics.strokes import StrokeLoad, acting_loads, named_travels, travels_by_use, use_of, working_stroke
+from optlink.linkage.stroke import Travel
+from optlink.linkage.vector2d import TURN
+from optlink.presentation.format import dimension, fixed, number
+from optlink.presentation.table_spec import (
+    Column,
+    Paragraph,
+    Part,
+    Row,
+    Summary,
+    TableSpec,
+    noted,
+    quiet,
+    strong,
+    summary,
+    table,
+    verdict,
+)
+from optlink.problem.file import ProblemFile
+from optlink.problem.machine.balance import BalanceSection
+from optlink.problem.mechanism import DyadsSection
+from optlink.units import percent
+
+if TYPE_CHECKING:
+    from optlink.tasks.analyze import Analysis
+    from optlink.tasks.simulate import Simulation
+
+
+def machine(file: ProblemFile) -> Iterator[TableSpec]:
+    """List the bodies, joints, Assur groups, masses, loads and drive of a machine, and the directions of its joint reactions."""
+    from optlink.tasks.analyze import reaction_conventions
+
+    model = file.model
+    built = model.machine(slow=model.slow_assumed)
+    mechanism = built.mechanism
+    dyads = isinstance(model.mechanism, DyadsSection)
+    if dyads:
+        yield table("[mechanism] dimensions", "<<", [(name, str(quantity)) for name, quantity in model.quantities.items()])
+    order: list[Row] = [("crank", mechanism.crank.body, f"pivot {mechanism.crank.start}", "")]
+    for group in mechanism.groups:
+        bodies = ", ".join(link.body for link in group.links)
+        order.append((group.kind, bodies, f"joint {group.joint}", quiet(file.mode(group.joint) if dyads else "")))
+    yield table("Order of solution", "<<<<", order)
+    if built.inertias:
+        masses = []
+        for name, inertia in built.inertias.items():
+            place = f"({number(inertia.along * 1e3)}, {number(inertia.across * 1e3)})"
+            masses.append((name, number(inertia.mass), place, number(inertia.moment)))
+        yield table("[bodies]", ["body", ">mass [kg]", ">centroid [mm]", ">inertia [kg·m^2]"], masses)
+    gravity = math.hypot(*built.gravity)
+    lasts = f", for {model.drive.duration}" if model.drive.duration is not None else ""
+    drive = [("drive", f"{mechanism.crank.body} at {model.drive.speed}, from {model.drive.start}{lasts}")]
+    if model.drive.torque is not None:
+        drive.append(("torque", f"{model.drive.torque}, for simulate"))
+    drive.append(("gravity", f"({built.gravity[0]:g}, {built.gravity[1]:g}) m/s^2" if gravity else "none"))
+    for name, section in model.loads.items():
+        explicit = {key: getattr(section, key) for key in type(section).model_fields if key in section.model_fields_set}
+        words = ", ".join(f"{key} {'-'.join(value) if isinstance(value, tuple) else value}" for key, value in explicit.items())
+        stroke = getattr(next(load for load in built.loads if load.name == name), "stroke", "both")
+        drive.append((name, words + (f" (the {stroke} one)" if section.by_pace and not model.free else "")))
+    drive += [(f"friction in {name}", number(coefficient)) for name, coefficient in built.friction.items()]
+    yield table("[drive] and loads", "<<", drive)
+    yield from _clearances(file, built)
+    if model.balance is not None:
+        yield balance_problem(model.balance)
+    yield table("Reactions: force of which body on which", "<<", reaction_conventions(built).items())
+
+
+def _clearances(file: ProblemFile, built: Machine) -> Iterator[TableSpec]:
+    """Yield the joints with clearance, the contact law and the controller."""
+    gaps, model = file.model.gaps(built), file.model
+    if not gaps:
+        return
+    rows = []
+    for gap in gaps:
+        sizes = [number(value) for value in (gap.clearance * 1e3, gap.radius * 1e3)]
+        law = [f"{gap.stiffness:.4g}", number(gap.restitution), number(gap.friction)]
+        rows.append((gap.point, gap.journal, gap.bearing, *sizes, *law))
+    columns = ["joint", "journal", "bearing", ">gap\n[mm]", ">journal\n[mm]", ">stiffness\n[N/m^1.5]", ">restit.", ">friction"]
+    yield table("Clearance, radius of the journal in mm, contact", columns, rows)
+    control = [("law", ", ".join(sorted({gap.law for gap in gaps})))]
+    if model.drive.servo is not None:
+        control.append(("servo", f"{model.drive.servo.bandwidth}, damping {model.drive.servo.damping:g}"))
+    for key in type(model.control).model_fields if model.control is not None else ():
+        value = getattr(model.control, key)
+        if value is not None:
+            control.append((key, ", ".join(value) if isinstance(value, tuple) else str(value)))
+    yield table("Contact law and [control]", "<<", control)
+
+
+def balance_problem(section: BalanceSection) -> TableSpec:
+    """List the settings of the `[balance]` section."""
+    rows = [("minimise", section.words)]
+    rows += [("limit", f"{term.words} at most {limit.max}") for term, limit in section.limited]
+    if section.mass is not None:
+        rows.append(("mass of all", str(section.mass)))
+    rows.append(("positions", str(section.positions)))
+    for weight in section.counterweights:
+        settings = {key: getattr(weight, key) for key in type(weight).model_fields if key != "body"}
+        rows.append((f"on {weight.body}", ", ".join(f"{key} {value}" for key, value in settings.items() if value is not None)))
+    for spring in section.springs:
+        rows.append((spring.name, f"spring {'-'.join(spring.between)}, stiffness {spring.stiffness or 'free'}"))
+    return table("[balance]", "<<", rows)
+
+
+def analysis(outcome: Analysis) -> Summary:
+    """Summarise an analysis: status, strokes, extremes, work and flywheel."""
+    turn = "the crank turns fully" if outcome.full else "the crank cannot turn fully"
+    ended = verdict(outcome.status, outcome.sound), f", {turn}; {_speed(outcome.speed)}"
+    title, status = outcome.problem.model.title, [ended, *noted(outcome.notes)]
+    if outcome.ranges.singular:
+        return summary(title, status)
+    loaded = outcome.machine.inertias or outcome.machine.loads
+    return summary(title, status, *_travels(outcome), _extremes(outcome), _work(outcome) if loaded else None)
+
+
+def _speed(speed: float) -> str:
+    sense = "" if speed > 0.0 else ", clockwise"
+    return f"{abs(speed):.6g} rad/s = {abs(speed) * 30.0 / math.pi:.6g} rpm{sense}"
+
+
+def _travels(outcome: Analysis) -> Iterator[Part | None]:
+    if not outcome.strokes and not outcome.swings:
+        yield Paragraph("No body swings and no slider moves to and fro")
+        return
+    outputs, others = travels_by_use(outcome.machine, outcome.swings, outcome.strokes)
+    rows = []
+    for name, travel in (outputs | others).items():
+        factor, unit = (1e3, "mm") if name.endswith(" slides") else (math.degrees(1.0), "deg")
+        centres = "\n".join(f"{math.degrees(at):z.3f}" for at in travel.dead_centres)
+        ends = (dimension(value * factor) for value in (travel.low, travel.high, travel.span))
+        rows.append((strong(name) if name in outputs else name, *ends, unit, centres, fixed(travel.time_ratio, 5)))
+    columns = ["", ">from", ">to", ">span", "", ">reverses\n[deg]", ">time ratio"]
+    yield table("Strokes of sliders, swings of bodies", columns, rows)
+    yield stroke_table(outputs, outcome.speed, outcome.acting)
+
+
+def machine_strokes(machine: Machine, speed: float) -> TableSpec | None:
+    """Tabulate the forward and return strokes of the outputs of a machine whose crank turns fully; None if there are none."""
+    return stroke_table(named_travels(machine)[0], speed, acting_loads(machine, speed))
+
+
+def stroke_table(travels: Mapping[str, Travel], speed: float, acting: tuple[StrokeLoad, ...]) -> TableSpec | None:
+    """Tabulate the forward and return strokes of outputs with their crank ranges; None if no output has two dead centres.
+
+    The sign of the crank speed gives the direction; `acting` are loads that act in one stroke only.
+    """
+    rows: list[tuple[str, ...]] = []
+    for name, travel in travels.items():
+        working, loads = working_stroke(travel, speed, acting)
+        for stroke in travel.strokes(speed):
+            use = use_of(stroke, working) + (f": {', '.join(loads)}" if loads and stroke.name == working else "")
+            begin, end, rotation = (f"{math.degrees(angle):z.3f}" for angle in (stroke.begin, stroke.end, stroke.rotation))
+            rows.append((name, stroke.name, f"{begin} to {end}", rotation, stroke.pace, use))
+    first = Column(unbroken=all(len(name) <= LONGEST for name in travels))
+    columns: list[str | Column] = [first, "stroke", ">crank range [deg]", ">rotation [deg]", "pace", "use"]
+    if not any(row[-1] for row in rows):
+        columns, rows = columns[:-1], [row[:-1] for row in rows]
+    return table("Working and return strokes", columns, rows, unbroken=True) if rows else None
+
+
+WORTH = {
+    ".v_m_s": ("velocity", "m/s"),
+    ".a_m_s2": ("acceleration", "m/s^2"),
+    ".transmission_rad": ("transmission angle", "deg"),
+    ".f_N": ("force", "N"),
+    ".normal_N": ("normal force", "N"),
+    ".moment_Nm": ("moment", "N m"),
+    "input.torque_Nm": ("torque", "N m"),
+    "input.power_W": ("power", "W"),
+    "frame.shaking_fx_N": ("shaking force x", "N"),
+    "frame.shaking_fy_N": ("shaking force y", "N"),
+    "frame.shaking_moment_Nm": ("shaking moment", "N m"),
+}
+"""Endings of the columns whose extremes are worth a line, with their names and display units."""
+
+LONGEST = 24
+"""Letters up to which the name of an output stays on one line."""
+
+ROUNDING = 1e-10
+"""Share of the largest amount of a column below which one of its extremes is shown as zero."""
+
+UNITS = ("s", "s2", "rad", "N", "Nm", "W")
+"""Last parts of the names of columns that share a scale."""
+
+
+def _extremes(outcome: Analysis) -> TableSpec:
+    worth = {name: shown for name in outcome.extremes for ending, shown in WORTH.items() if name.endswith(ending)}
+    amounts = outcome.extremes.amounts
+    scale = {unit: max((size for name, size in amounts.items() if name.endswith(f"_{unit}")), default=0.0) for unit in UNITS}
+    rows = []
+    for name, extreme in outcome.extremes.select(worth).items():
+        (word, unit), size = worth[name], max(abs(extreme.least), abs(extreme.largest))
+        if not size > 1e-9 * scale.get(name.rpartition("_")[2], 0.0) or not math.isfinite(extreme.least):  # else rounding
+            continue
+        factor = math.degrees(1.0) if unit == "deg" else 1.0
+        ends = ((extreme.least, extreme.least_at), (extreme.largest, extreme.largest_at))
+        cells = [
+            (number(factor * (0.0 if abs(value) <= ROUNDING * size else value), 7), fixed(math.degrees(at), 4))
+            for value, at in ends
+        ]
+        rows.append((f"{name.rpartition('.')[0]}: {word}", *cells[0], *cells[1], quiet(unit)))
+    columns = ["", ">least", ">at [deg]", ">largest", ">at [deg]", ""]
+    return table("Extremes over the motion, at their exact crank angles", columns, rows)
+
+
+def _work(outcome: Analysis) -> TableSpec:
+    scale = max((abs(v) for v in outcome.extremes.get("input.work_J", (0.0,))), default=0.0)
+    work = 0.0 if abs(outcome.work) <= 1e-12 * scale else outcome.work  # rounding error of cancelling terms
+    rows = [(outcome.extent, number(work, 9), "J")]
+    if outcome.full and math.isfinite(work):
+        torque, power = (mean if work else 0.0 for mean in (outcome.mean_torque, outcome.mean_power))
+        rows += [
+            ("mean torque", number(torque), "N m"),
+            ("rms torque", number(outcome.rms_torque), "N m"),
+            ("mean power", number(power), "W"),
+        ]
+    if "input.work_J" in outcome.extremes:
+        extreme = outcome.extremes["input.work_J"]
+        for word, amount, at in (("least", *extreme[:2]), ("largest", *extreme[2:])):
+            rows.append((f"{word} since the start", number(amount, 9), f"J at {math.degrees(at):z.4f} deg"))
+    wheel = outcome.flywheel
+    if wheel:
+        alone = "of the mean speed under it, without a flywheel"
+        rows += [
+            ("mean speed", number(wheel.mean_speed), "rad/s, mean over crank angle, not time"),
+            ("fluctuation", number(wheel.fluctuation), alone if wheel.fluctuation > 0.0 else "without a flywheel: it would stop"),
+            ("flywheel", number(wheel.inertia), f"kg·m^2, added to the crank: fluctuation {wheel.allowed:g}"),
+        ]
+    return table("Work of the drive", "<><", rows)
+
+
+def simulation(outcome: Simulation) -> Summary:
+    """Summarise a simulation in time: final state, energy balance, drift and speed fluctuation."""
+    figures = outcome.figures
+    speed, turns = figures["end.speed_rad_s"], figures["end.crank_angle_rad"] / TURN
+    end = [
+        ("time", number(figures["end.time_s"]), "s"),
+        ("crank angle", number(figures["end.crank_angle_rad"]), f"rad ({turns:z.4f} turns)"),
+        ("crank speed", number(speed), f"rad/s ({speed * 30.0 / math.pi:.6g} rpm)"),
+    ]
+    if "last_turn.mean_speed_rad_s" in figures:
+        mean, share = figures["last_turn.mean_speed_rad_s"], figures["last_turn.fluctuation"]
+        last = "cycle" if "last_turn.revolutions" in figures else "turn"
+        end.append((f"last {last}: mean speed", number(mean), f"rad/s, mean over time; fluctuation {percent(share, 4)}"))
+    works = {name.removesuffix(".work_J"): work for name, work in figures.items() if name.endswith(".work_J")}
+    account = [("work of the drive" if name == "input" else f"work of {name}", number(work), "J") for name, work in works.items()]
+    share = figures["imbalance_J"] / figures["turnover_J"] if figures["turnover_J"] > 0.0 else 0.0
+    account += [
+        ("gain of kinetic and potential energy", number(float(outcome["energy.gained_J"][-1])), "J"),
+        ("largest imbalance during the run", f"{figures['imbalance_J']:.1e}", f"J, {share:.1e} of the largest amount"),
+    ]
+    drift = f"{figures['drift_m']:.1e} m, {figures['drift_rad']:.1e} rad"
+    tail = Paragraph(
+        quiet(f"Drift of the twice integrated positions from the closed loops: at most {drift}"),
+        quiet(f"{outcome.steps} steps, {outcome.evaluations} evaluations"),
+    )
+    ended = verdict(outcome.ending.value, outcome.finished), f", driven by {outcome.driven}{unnoted(outcome)}"
+    status = [ended, *noted(outcome.notes)]
+    tables = table("At the end", "<><", end), table("Energy account", "<><", account)
+    return summary(outcome.problem.model.title, status, *tables, tail)
+
+
+def unnoted(outcome: Simulation) -> str:
+    """Return why a simulation ended, where no note says so."""
+    text = outcome.ending.text
+    return "" if any(note.startswith(text) for note in outcome.notes) else f"; {text}"

@@ -1,0 +1,100 @@
+"""Conclusion of a design or an analysis: verdict, main figures with their limits, and what limits them, in a sentence or two."""
+
+import math
+from collections.abc import Iterable
+
+from optlink.presentation.format import figure, joined, shown, si, why_invalid
+from optlink.presentation.views.design_tables import sentence
+from optlink.presentation.views.search_tables import clause
+from optlink.solvers.solution import LimitState
+from optlink.tasks.analyze import Analysis
+from optlink.tasks.results.design import LinkageDesign, SynthesisResult, TermFigure
+
+NO_BREAK = "\N{NO-BREAK SPACE}"
+
+
+# --- designs -----------------------------------------------------------------------------------------------------------------
+
+
+def design(outcome: SynthesisResult, limits: Iterable[LimitState]) -> str:
+    """Return the conclusion of a synthesis or of the validation of a given design; `limits` have the shadow prices."""
+    best, certified = outcome.best, clause(outcome.certificate)
+    if best is None or outcome.conflict:
+        return _sentences(shown(outcome.refuted) or "No design was found.", certified)
+    achieved = _compared(best) if best.whole.of_cycle else _sentences(_optimised(best), sentence(best))
+    if outcome.valid:
+        return _sentences(achieved, _limiting(limits), certified)
+    return f"Not valid: {why_invalid(best.validation.checks, best.status.text)}. {achieved}"
+
+
+def _sentences(*sentences: str) -> str:
+    return " ".join(filter(None, sentences))
+
+
+def _optimised(outcome: LinkageDesign) -> str:
+    """Return what is minimised or maximised beside targets; empty if only their deviations are."""
+    words = [f"{goal.words} {figure(goal.result, goal.unit)}" for goal in _goals(outcome)]
+    text = joined(words)
+    return f"{text[:1].upper()}{text[1:]}." if text else ""
+
+
+def _goals(outcome: LinkageDesign) -> list[TermFigure]:
+    return [goal for goal in outcome.figures if goal.limit in ("minimised", "maximised")]
+
+
+def _compared(outcome: LinkageDesign) -> str:
+    """Return the objective of a machine, compared with that of the initial one, and what is required of it."""
+    stroke, initial = [bound.name for bound in outcome.whole.required], outcome.initial
+    goals = _goals(outcome) or outcome.figures[:1]
+    words, feasible = [], initial is not None and initial.valid
+    for goal in goals:
+        compared = goal.initial and math.isfinite(goal.initial) and (not stroke or feasible)
+        change = goal.result / goal.initial - 1.0 if compared else math.nan
+        before = f" instead of {figure(goal.initial, goal.unit)} ({100.0 * change:+z.1f} %)" if math.isfinite(change) else ""
+        words.append(f"{goal.words} {figure(goal.result, goal.unit)}{before.replace('-', '−')}")
+    words += [f"{goal.words} {figure(goal.result, goal.unit)}" for goal in outcome.figures if goal.name in stroke]
+    text = joined(words)
+    unfair = "" if stroke or feasible else "; the initial design does not meet the limits"
+    return f"{text[:1].upper()}{text[1:]}{unfair}."
+
+
+def _limiting(limits: Iterable[LimitState]) -> str:
+    """Name the active constraint with the largest effect of one unit, and count the others."""
+    active = [limit for limit in limits if limit.active]
+    if not active:
+        return ""
+    first = max(active, key=lambda limit: limit.effect)
+    bound = f"{first.sense} {figure(first.bound, first.unit)}".strip()
+    others = len(active) - 1
+    more = f"; {others} more limits are active" if others > 1 else "; one more limit is active" * others
+    bound = bound.replace("<=", "≤").replace(">=", "≥").replace(" ", NO_BREAK)
+    return f"Active limit: {first.name} ({bound}){more}."
+
+
+# --- machines ----------------------------------------------------------------------------------------------------------------
+
+
+def analysis(outcome: Analysis) -> str:
+    """Return the conclusion of an analysis: drive torque, largest reaction, strokes."""
+    extremes, words = outcome.extremes, []
+    torque = extremes.get("input.torque_Nm")
+    if torque is not None and max(abs(torque.least), abs(torque.largest)) > 0.0:
+        low = abs(torque.least) > abs(torque.largest)
+        value, at = (torque.least, torque.least_at) if low else (torque.largest, torque.largest_at)
+        words.append(f"the drive needs up to {si(abs(value), 'N m')} (at a crank angle of {figure(math.degrees(at), 'deg')})")
+    pins = extremes.select(name for name in extremes if name.endswith(".f_N"))
+    forces = {name.removesuffix(".f_N"): extreme.largest for name, extreme in pins.items()}
+    if max(forces.values(), default=0.0) > 0.0 and not outcome.unbounded:
+        pin = max(forces, key=lambda name: forces[name])
+        words.append(f"the largest joint reaction is {si(forces[pin], 'N')} at {pin.replace('.', ' on ')}")
+    if not words:
+        word, unit, travels = ("stroke", "m", outcome.strokes) if outcome.strokes else ("swing", "rad", outcome.swings)
+        words = [f"the {word} of {name} is {si(travel.span, unit)}" for name, travel in list(travels.items())[:2]]
+    text = joined(words) if words else "the motion was computed"
+    if not outcome.sound:
+        text = f"not every position has finite reactions ({outcome.status}); {text}"
+    turn = "" if outcome.full else " The crank cannot turn fully."
+    return f"{text[:1].upper()}{text[1:]}.{turn}"
+
+
+# --- studies -----------------------------------------------------------------------------------------------------------------

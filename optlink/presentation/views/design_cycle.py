@@ -1,0 +1,166 @@
+"""Pictures of a machine over its cycle: minimised and limited quantities, and the initial mechanism beside the design."""
+
+import math
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from optlink.dynamics.columns import MotionColumns
+from optlink.linkage.motion import sweep
+from optlink.linkage.vector2d import TURN, Value
+from optlink.presentation import chart_spec
+from optlink.presentation.chart_spec import GROUND, LIMIT, MUTED, RESULT, Array, Axis, ChartSpec, Curve, Panel, crank_angle
+from optlink.presentation.drawing import Sketch
+from optlink.presentation.format import Scale, marked, scale
+from optlink.presentation.labels import place_labels
+from optlink.presentation.style import figure, heading, styled
+from optlink.problem.design import DesignProblem
+from optlink.problem.terms import Term
+from optlink.tasks.analyze import Analysis
+from optlink.tasks.results.design import LinkageDesign, SynthesisResult
+from optlink.units import KINDS
+from optlink.validation.cycle import Cycle
+
+INITIAL = MUTED
+STEPS = 720
+
+
+class Line(NamedTuple):
+    """A quantity over the revolution: crank angles [deg], values [SI] with NaN at jumps, its measure."""
+
+    angles: Array
+    values: Array
+    figure: float
+
+
+def _line(cycle: Cycle, term: Term) -> Line:
+    """Evaluate a cyclic term over the revolution, with one-sided values at load jumps."""
+    machine, read = cycle.history(term)
+    jumps = np.remainder(cycle.work.jumps, cycle.cycle)
+    even = np.linspace(0.0, cycle.cycle, STEPS * round(cycle.cycle / TURN) + 1)
+    angles = np.concatenate([even, jumps, jumps])
+    values = read(MotionColumns(machine.moving(np.concatenate([even, jumps]), cycle.speed)))
+    before = read(MotionColumns(machine.moving(jumps, cycle.speed, side=-1))) if jumps.size else np.zeros(0)
+    rank = np.concatenate([np.ones(len(even)), np.full(len(jumps), 2.0), np.zeros(len(jumps))])
+    rank = rank if cycle.speed > 0.0 else -rank
+    order = np.lexsort((rank, angles))
+    x, y = np.degrees(angles[order]), np.concatenate([values, before])[order]
+    gaps = np.flatnonzero(np.diff(x) == 0.0) + 1
+    return Line(np.insert(x, gaps, np.nan), np.insert(y, gaps, np.nan), cycle.figure(term))
+
+
+def _distinct_terms(problem: DesignProblem) -> Iterable[tuple[Term, float | None, float | None]]:
+    """Yield every cyclic term once, with its limits [SI]."""
+    terms: dict[tuple[object, ...], tuple[Term, float | None, float | None]] = {}
+    objectives = [(goal, None, None) for goal in problem.goals]
+    for term, low, high in [*objectives, *((b.term, b.interval.low, b.interval.high) for b in problem.bounds)]:
+        if term.nature.cyclic:
+            key = (term.quantity, term.of, term.on, term.static, term.about)
+            first, *merged = terms.get(key, (term, None, None))
+            bounds = (low, high) if term.extreme else (None, None)
+            terms[key] = (first, bounds[0] if merged[0] is None else merged[0], bounds[1] if merged[1] is None else merged[1])
+    yield from terms.values()
+
+
+def courses(design: LinkageDesign) -> list[ChartSpec]:
+    """Return the minimised and limited quantities over the revolution: initial machine grey, optimal in colour, limits red."""
+    shown, initial, optimal = list(_distinct_terms(design.whole)), design.first_cycle, design.cycle
+    if not shown or optimal is None or not optimal.full:
+        return []
+    cycles = {"result": optimal} if initial is None or not initial.full else {"initial": initial, "result": optimal}
+    panels = [_panel(design.whole, term, cycles, (low, high)) for term, low, high in shown]
+    jumps = [
+        chart_spec.Line(math.degrees(at % cycle.cycle), colour=RESULT if name == "result" else INITIAL, width=0.8)
+        for name, cycle in cycles.items()
+        for at in cycle.work.jumps
+    ]
+    x = crank_angle(limits=(0.0, math.degrees(optimal.cycle)))
+    if optimal.speed < 0.0:
+        x = Axis(f"{x.name}, turned clockwise: from right to left", x.limits, step=x.step)
+    title = f"Objectives and limits over the {'revolution' if optimal.cycle == TURN else 'cycle'}"
+    return [ChartSpec("courses", title, panels, x, heading=design.whole.title, lines=jumps)]
+
+
+def _panel(problem: DesignProblem, term: Term, cycles: dict[str, Cycle], limits: tuple[float | None, float | None]) -> Panel:
+    lines = {name: _line(cycle, term) for name, cycle in cycles.items()}
+    kind = problem.kind(term)
+    unit = "deg" if kind == "angle" else KINDS[kind].si.replace("**2", "²").replace("*", " ") if kind in KINDS else ""
+    shown = scale(max(np.nanmax(np.abs(line.values)) for line in lines.values()), unit)
+    styles = {"initial": (INITIAL, 1.3), "result": (RESULT, 1.8)}
+    curves = [
+        Curve(line.angles, line.values * shown.factor, f"{name}: {term.how} {shown.text(line.figure)}", *styles[name], gid=name)
+        for name, line in lines.items()
+    ]
+    low = min(np.nanmin(line.values) for line in lines.values())
+    return Panel(Axis(f"{term.subject} [{shown.unit}]"), curves, lines=list(_limits(term, limits, shown, low)))
+
+
+def _limits(term: Term, limits: tuple[float | None, float | None], shown: Scale, low: float) -> Iterable[chart_spec.Line]:
+    """Yield the limits as red lines; a peak is limited on both sides of zero."""
+    lines = [limit for limit in limits if limit is not None]
+    if term.how == "peak" and lines and not term.nature.vector and low < -0.6 * lines[0]:
+        lines.append(-lines[0])
+    for k, limit in enumerate(lines):
+        yield chart_spec.Line(limit * shown.factor, "" if k else "limit", LIMIT, dash="dashdot")
+
+
+@styled
+def beside_initial(result: SynthesisResult) -> Figure | None:
+    """Draw the initial machine grey and the optimal one in colour, with joint paths, at the crank angle of the largest torque.
+
+    None beside targets, and if the crank cannot turn fully.
+    """
+    if (design := result.best) is None or not design.whole.of_cycle or design.analysis is None:
+        return None
+    initial, optimal = design.initial_analysis, design.analysis
+    at = np.array([_largest_torque_angle(optimal)])
+    sketches = [(a, Sketch(_revolution(a), a.machine)) for a in (initial, optimal) if a is not None]
+    main = sketches[-1][1]
+    for _, sketch in sketches[:-1]:
+        factor = main.scale.factor / sketch.scale.factor
+        main.widen(np.array([sketch.low, sketch.high]) * factor)
+    width = 7.4
+    fig = figure(width, min(9.0, max(3.6, 0.9 * width * main.ratio + 1.1)))
+    axes = fig.subplots()
+    if initial is not None:
+        _draw_initial(axes, initial, main.scale, at)
+    names = main.show(axes, sweep(optimal.machine.mechanism, optimal.machine.sizes, at))
+    grey = {} if initial is None else {"initial_machine": Line2D([], [], color=INITIAL, linewidth=3.0)}
+    main.add_legend(fig, 5, **grey)
+    title = f"{design.whole.title}: at crank angle {math.degrees(float(at[0])):z.1f}°"
+    titles = marked(title, design, result.refuted)
+    fig.suptitle("\n".join(heading(line, width) for line in titles), color=None if design.valid else LIMIT)
+    place_labels(fig, names)
+    return fig
+
+
+def _largest_torque_angle(optimal: Analysis) -> float:
+    """Return the crank angle [rad] at which the absolute driving torque of the optimal machine is largest."""
+    extreme = optimal.extremes.get("input.torque_Nm")
+    if extreme is None or not math.isfinite(extreme.largest):
+        return 0.0
+    return extreme.largest_at if extreme.largest >= -extreme.least else extreme.least_at
+
+
+def _revolution(analysis: Analysis) -> Value:
+    return sweep(analysis.machine.mechanism, analysis.machine.sizes, np.linspace(0.0, TURN, STEPS + 1))
+
+
+def _draw_initial(axes: Axes, initial: Analysis, shown: Scale, at: Array) -> None:
+    """Draw the initial machine in grey: joint paths and bodies as lines."""
+    mechanism = initial.machine.mechanism
+    whole_turn, position = _revolution(initial), sweep(mechanism, initial.machine.sizes, at)
+    for name, bodies in mechanism.owners.items():
+        if set(bodies) != {"frame"}:
+            path = whole_turn.position(name) * shown.factor
+            axes.plot(path[:, 0], path[:, 1], color=INITIAL, linewidth=0.9, alpha=0.6, zorder=0.8, linestyle="--")
+    for link in mechanism.links:
+        if link.end:
+            ends = np.array([position.position(point)[0] for point in (link.start, link.end)]) * shown.factor
+            axes.plot(ends[:, 0], ends[:, 1], color=INITIAL, linewidth=3.0, alpha=0.55, zorder=1.2, solid_capstyle="round")
+    pins = np.array([position.position(name)[0] for name in mechanism.pins]) * shown.factor
+    axes.plot(pins[:, 0], pins[:, 1], linestyle="none", marker="o", markersize=5, mfc="white", mec=GROUND, alpha=0.6, zorder=1.4)

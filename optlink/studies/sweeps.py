@@ -1,0 +1,411 @@
+"""Parameter sweeps: optimise, analyse or simulate at every point of a grid; resumable, local or on a cluster."""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import math
+import time
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import PlainSerializer, PlainValidator, WithJsonSchema
+
+from optlink.errors import InputError, Status
+from optlink.execution.runner import check
+from optlink.execution.store import TABLE, Progress, Store, TemporaryFolder
+from optlink.problem.arguments import typed
+from optlink.problem.document import Document, Source
+from optlink.problem.file import AnyProblem, ProblemFile, problem_of
+from optlink.studies.grid import Grid, axes_of_arrays, read_grid
+from optlink.studies.reoptimise_task import SEARCHED, check_backend, chunk_of, optimum_task
+from optlink.studies.sweep_task import MAX_ANGLES, OPTIMISE, SweepTask, analysis_task, simulation_task
+
+CHANGED = "active_set_changed"
+MAX_ROWS = 200_000  # rows up to which a document contains the table, and a page shows all of it
+BLOCK_ROWS = 10_000  # rows of a table that are read at a time
+LISTED_CHANGES = 200  # active-set changes listed in a result; the table marks all
+TEXT = ("status", "failed", "active", "method", "reason")
+
+
+def _column(values: Sequence[Any]) -> NDArray[Any]:
+    """Return a column as an array: of texts, of booleans, or of numbers, with NaN for a missing one."""
+    return np.array(values, dtype=None if isinstance(values[0], str | bool) else float)
+
+
+def _read_column(name: str, texts: Sequence[str]) -> NDArray[Any]:
+    if name in TEXT:
+        return _column(texts)
+    return _column([text == "true" if name in ("valid", CHANGED) else float(text or "nan") for text in texts])
+
+
+TableColumn = Annotated[NDArray[Any], PlainValidator(_column), WithJsonSchema({"type": "array"})]
+
+
+@dataclass(frozen=True)
+class TableFile:
+    """The table of a study in its file, in a `temporary` folder if no other is given."""
+
+    path: Path
+    temporary: TemporaryFolder | None = None
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the columns."""
+        return tuple(next(self._rows(), ()))
+
+    @cached_property
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """The columns by name."""
+        try:
+            rows, parts = self._rows(), []
+            names = next(rows)
+            while portion := list(itertools.islice(rows, BLOCK_ROWS)):
+                parts.append([_read_column(*part) for part in zip(names, zip(*portion, strict=True), strict=True)])
+        except (OSError, ValueError, StopIteration, csv.Error) as error:
+            reason = getattr(error, "strerror", None) or "it is damaged"
+            raise InputError(f"cannot read the table of the sweep: {reason}", "Run the sweep again", str(self.path)) from None
+        return dict(zip(names, map(np.concatenate, zip(*parts, strict=True)), strict=True))
+
+    def _rows(self) -> Iterator[list[str]]:
+        with self.path.open(encoding="utf-8", newline="") as file:
+            yield from csv.reader(file)
+
+
+StoredTable = Annotated[
+    TableFile | None,
+    PlainValidator(lambda path: path and TableFile(Path(path))),
+    PlainSerializer(lambda table: None if table is None or table.temporary else str(table.path)),
+    WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "null"}]}),
+]
+"""The table of a study, in a document the name of its file; None if that was temporary."""
+
+
+@dataclass(frozen=True)
+class ActiveSetChange:
+    """Change of the active set: at a point `at`, relative to the preceding one."""
+
+    at: Mapping[str, float]
+    before: str
+    after: str
+
+
+@dataclass
+class _Summary:
+    """Summary of a table, accumulated row by row; see `Sweep`."""
+
+    valid: int = 0
+    statuses: Counter[str] = field(default_factory=Counter)
+    searched: int = 0
+    changed: int = 0
+    best: dict[str, str] | None = None
+    changes: tuple[ActiveSetChange, ...] = ()
+
+
+def _of_optima(name: str) -> Source:
+    """Return the source of a figure of optima, which other sweeps do not have."""
+    return lambda result: None if result.evaluated else getattr(result, name)
+
+
+@dataclass(frozen=True, repr=False, kw_only=True)
+class GridStudy(Document):
+    """Result of a study of all points of a grid.
+
+    `valid`: number of points with a validated optimum (or a complete analysis); `cpu` [s]: processor time of all processes for
+    the `done` points of this run.
+    """
+
+    shown: ClassVar[Mapping[str, Source]] = {
+        "valid_points": "valid",
+        "points_done_now": "done",
+        "processor_seconds": "cpu",
+    }
+
+    problem: ProblemFile
+    grid: Grid
+    table: StoredTable
+    valid: int
+    done: int
+    seconds: float
+    cpu: float
+    engine: str
+    workers: int | None
+
+    @property
+    def path(self) -> Path:
+        """File of the table."""
+        assert self.table is not None
+        return self.table.path
+
+
+@dataclass(frozen=True, repr=False, kw_only=True)
+class Sweep(GridStudy):
+    """Result of a sweep; its table is read from its file on demand, and contained in its document up to `MAX_ROWS` rows.
+
+    `searched`: number of points that were solved by a new search instead of continuation from a neighbour; `changed`: number of
+    points whose active set differs from that of the preceding point; `statuses`: number of points by status; `data`: the table
+    that was read from a document.
+    """
+
+    kind = "sweep"
+    shown: ClassVar[Mapping[str, Source]] = {
+        **GridStudy.shown,
+        "axes": "grid.axes",
+        "points": "grid.count",
+        "columns": "names",
+        "infeasible_points?": _of_optima("infeasible"),
+        "searched_points?": _of_optima("searched"),
+        "active_set_changes?": _of_optima("changed"),
+    }
+
+    mode: str
+    statuses: Mapping[str, int]
+    searched: int
+    changed: int
+    best: Mapping[str, str] | None
+    changes: tuple[ActiveSetChange, ...]
+    data: dict[str, TableColumn] | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the sweep as a JSON document, with its table unless that is too large."""
+        if self.data is None and self.grid.count <= MAX_ROWS:
+            return replace(self, data=self.columns).to_dict()
+        return super().to_dict()
+
+    @classmethod
+    def from_dict(cls, document: Mapping[str, Any], path: Path) -> Self:
+        """Return the sweep that a document holds; a large table is read from its file, which lies beside the document.
+
+        Parameters
+        ----------
+        document : mapping
+            From `to_dict`.
+        path : Path
+            File of the document.
+
+        Raises
+        ------
+        InputError
+            As `Document.from_dict`, and if a large table is missing.
+        """
+        result = super().from_dict(document, path)
+        if result.data is not None:
+            return result
+        places = [TableFile(path.parent / TABLE), *([result.table] if result.table else [])]
+        table = next((place for place in places if place.path.is_file()), None)
+        if table is None or list(table.names) != document["columns"]:
+            remedy = f"Keep {TABLE} and result.json of a large sweep in one folder"
+            raise InputError(f"the table of this sweep is missing: {TABLE}", remedy, str(path))
+        return replace(result, table=table)
+
+    @property
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """The table: arrays by name, of texts for columns of words."""
+        return self.table.columns if self.data is None and self.table is not None else self.data or {}
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the columns."""
+        return self.table.names if self.data is None and self.table is not None else tuple(self.data or ())
+
+    @property
+    def evaluated(self) -> bool:
+        """Whether designs were analysed or simulated instead of optimised."""
+        return self.mode != OPTIMISE
+
+    @property
+    def complete(self) -> bool:
+        """Whether every point has a validated optimum, or all requested figures."""
+        return self.valid == self.grid.count
+
+    @property
+    def successful(self) -> bool:
+        """Whether the sweep is usable: every optimum validated; for an analysis, at least one valid point."""
+        return self.complete or (self.evaluated and self.valid > 0)
+
+    @property
+    def infeasible(self) -> int:
+        """Number of points without a design."""
+        return self.statuses.get(Status.INFEASIBLE.value, 0)
+
+    @property
+    def status(self) -> str:
+        """Whether every point is valid, in words."""
+        return "complete" if self.complete else "not valid everywhere" if self.valid else "not valid anywhere"
+
+
+@typed
+def sweep(
+    problem: AnyProblem,
+    vary: Sequence[str] | Mapping[str, ArrayLike],
+    out: Path | None = None,
+    *,
+    resume: bool = False,
+    analyze: bool = False,
+    columns: Sequence[str] = ("input.torque_Nm",),
+    points: int = 360,
+    design: Mapping[str, float] | None = None,
+    simulate: Mapping[str, Any] | None = None,
+    backend: str = "ipopt",
+    engine: str = "local",
+    workers: int | None = None,
+    scheduler: str | None = None,
+    progress: Progress | None = None,
+) -> Sweep:
+    """Optimise, analyse or simulate a problem at every point of a grid.
+
+    Parameters
+    ----------
+    problem : ProblemFile, str or Path
+        From `optlink.load`, the name of a shipped problem, or a file.
+    vary : sequence of str, or mapping of str to array [SI]
+        Axes of the grid, each a key with its values, for example "mechanism.frame=450..550 mm:101" (101 values) or
+        "mechanism.frame=450 mm, 500 mm"; or arrays of SI values by key, for example
+        {"mechanism.frame": np.linspace(0.45, 0.55, 11)}. The last axis varies fastest.
+    out : Path, optional
+        Folder for completed chunks and for the final table `sweep.csv`. Default: a temporary folder.
+    resume : bool
+        Whether to resume the interrupted run in `out`.
+    analyze : bool
+        Whether to analyse the machine at every point instead of optimising it.
+    columns : sequence of str
+        With `analyze`: columns of the analysis, each with its exact least and largest value and its rms value, or single figures
+        such as "slider.stroke_m".
+    points : int
+        With `analyze`: number of crank angles per revolution for rms values.
+    design : mapping of str to float [SI], optional
+        Values of design variables that are not varied, for an analysis or simulation. Default: their starting values.
+    simulate : mapping, optional
+        Options of a simulation at every point, instead of an optimisation: revolutions, points, control, tolerance, integrator
+        or duration.
+    backend : "slsqp" or "ipopt"
+        Local solver.
+    engine, workers, scheduler
+        See `optlink.execution.runner.pool`.
+    progress : function of (completed points, all points), optional
+
+    Returns
+    -------
+    Sweep
+        Number of points by status, and the table, which is read from its file on demand.
+
+    Raises
+    ------
+    InputError
+        If an axis or argument is invalid, `out` contains another study, or the disk is full (completed chunks are kept).
+
+    Examples
+    --------
+    >>> from optlink.studies.sweeps import sweep
+    >>> result = sweep(optlink.load("crank-rocker"), ["mechanism.frame=480 mm, 500 mm"])
+    >>> result.columns["objective_rad2"].round(6).tolist()
+    [0.007794, 0.007592]
+    """
+    problem = problem_of(problem)
+    begin = time.perf_counter()
+    if not 2 <= points <= MAX_ANGLES:
+        raise InputError("out of range", f"Give 2 to {MAX_ANGLES:,} crank angles", key="--points", value=points)
+    grid = read_grid(problem, axes_of_arrays(problem, vary) if isinstance(vary, Mapping) else vary)
+    if simulate is not None:
+        task: SweepTask = simulation_task(problem, grid, simulate, design)
+    elif analyze:
+        task = analysis_task(problem, grid, columns, points, design)
+    else:
+        task = _reoptimising(problem, grid, design, backend)
+    evaluated = task.mode != OPTIMISE
+    check(engine, workers, scheduler)
+    with Store(None if out is None else Path(str(out)), _about(task), resume=resume) as store:
+        store.divide(task.size, task.chunks)
+        mine, cpu = store.fill(task, engine, workers, scheduler, progress)
+        names = [*task.columns, *(() if evaluated else (CHANGED,))]
+        summary, sense = _Summary(), problem.model.objective_display[0]
+        if store.finished:
+            store.drop()
+            rows = store.finished_rows(names)
+            for _ in _marked(rows if evaluated else (row[:-1] for row in rows), grid, names, summary, sense):
+                pass  # accumulates the summary
+        else:
+            store.finish(names, _marked(store.rows(), grid, names, summary, sense))
+        return Sweep(
+            problem=problem,
+            grid=grid,
+            mode=task.mode,
+            table=TableFile(store.table, store.temporary),
+            **vars(summary),
+            done=mine,
+            seconds=time.perf_counter() - begin,
+            cpu=cpu,
+            engine=engine,
+            workers=workers,
+        )
+
+
+def _reoptimising(problem: ProblemFile, grid: Grid, design: Mapping[str, float] | None, backend: str) -> SweepTask:
+    if design is not None:
+        raise InputError("--design has no effect on an optimisation", "Leave --design out, or add --analyze", key="--design")
+    check_backend(backend)
+    if problem.task == "balance":
+        remedy = "Run `optlink balance` with --set for each value, or add --analyze"
+        raise InputError("a sweep does not optimise a balancing problem", remedy, problem.file, "balance")
+    if problem.task not in ("path", "cycle"):
+        problem.spec  # noqa: B018 - raises if there is nothing to solve
+    task = optimum_task(problem, grid, backend, chunk_of(grid))
+    if not task.free:
+        raise InputError("no design variables: every dimension is fixed", "Add --analyze, or free a dimension", problem.file)
+    return task
+
+
+def _about(task: SweepTask) -> dict[str, Any]:
+    """Return the definition of a study."""
+    return {
+        "schema": "optlink/study/1",
+        "optlink": task.version,
+        "problem": task.source.name,
+        "problem_hash": task.hash,
+        "mode": task.mode,
+        "axes": [[axis.key, axis.unit, list(axis.values)] for axis in task.grid.axes],
+        "points_per_chunk": task.chunk,
+        "columns": task.columns,
+        **task.options,
+    }
+
+
+def _marked(rows: Iterator[list[str]], grid: Grid, names: list[str], summary: _Summary, sense: float) -> Iterator[list[str]]:
+    """Yield rows with a mark of active-set changes, if applicable, and accumulate the summary.
+
+    `sense`: negative if the objective is maximised.
+    """
+    status, valid = names.index("status"), names.index("valid")
+    if CHANGED not in names:
+        for row in rows:
+            summary.statuses[row[status]] += 1
+            summary.valid += row[valid] == "true"
+            yield row
+        return
+    active, method = names.index("active"), names.index("method")
+    objective = next(k for k, name in enumerate(names) if name.startswith("objective"))
+    before, length, least, infeasible = None, grid.row, math.inf, Status.INFEASIBLE.value
+    for number, row in enumerate(rows):
+        now = None if row[status] == infeasible else row[active]
+        changed = number % length != 0 and now is not None and before is not None and before != now
+        row = [*row, "true" if changed else "false"]
+        summary.statuses[row[status]] += 1
+        summary.searched += row[method] == SEARCHED
+        if changed:
+            summary.changed += 1
+            if len(summary.changes) < LISTED_CHANGES:
+                assert before is not None
+                at = {axis.column: value for axis, value in zip(grid.axes, grid.values(number), strict=True)}
+                summary.changes += (ActiveSetChange(at, before, row[active]),)
+        if row[valid] == "true":
+            summary.valid += 1
+            if sense * float(row[objective]) < least:
+                least, summary.best = sense * float(row[objective]), dict(zip(names, row, strict=True))
+        before = now
+        yield row

@@ -1,0 +1,70 @@
+"""Texts are placed clear of lines and of one another, in still drawings and in motion."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import optlink
+from optlink.presentation.placement import Places, arrange, beside
+from optlink.presentation.scene import scene
+
+HALF = np.array([2.0, 0.5])
+PLAIN = (0.3, 0.3)
+
+
+def place(at: list[list[float]], *others: list[float], moves: bool = False) -> Places:
+    points = np.array(at)
+    return beside(points, HALF, np.array([0.4, 1.5]), 0.5, [np.array([other] * len(points)) for other in others], PLAIN, moves)
+
+
+def box(places: Places, choice: np.ndarray, k: int = 0) -> np.ndarray:
+    middle = places.at[k if len(places.at) > 1 else 0] + places.middles[choice[k]]
+    return np.array([middle - places.half, middle + places.half])
+
+
+def test_every_place_beside_a_point_is_as_far_away_as_asked() -> None:
+    places = place([[3.0, -1.0]])
+    away = np.linalg.norm(np.maximum(np.abs(places.middles) - HALF, 0.0), axis=1)
+    np.testing.assert_allclose(away, np.repeat([0.4, 1.5], 16), rtol=1e-12)
+
+
+def test_a_text_keeps_clear_of_a_line_and_another_text() -> None:
+    """Above a level line through both points, where both have room only if one of them gives way."""
+    first, second = place([[0.0, 0.0]], [1.0, 0.0]), place([[1.0, 0.0]], [0.0, 0.0])
+    line = np.array([[[-20.0, 0.0], [20.0, 0.0]]])
+    one, other = (
+        box(places, choice) for places, choice in zip((first, second), arrange([first, second], [(line, 3.0)], 1.0), strict=True)
+    )
+    assert all(np.all(each[:, 1] > 0.0) or np.all(each[:, 1] < 0.0) for each in (one, other))
+    assert np.any(np.minimum(one[1], other[1]) < np.maximum(one[0], other[0]))
+
+
+def test_a_moving_text_changes_its_place_only_for_long() -> None:
+    """Left and right of its point: a line that passes one place is let pass, one that stays makes the text change once."""
+    sides = np.array([[-3.0, 0.0], [3.0, 0.0]])
+    places = Places(np.zeros((40, 2)), sides, HALF, np.array([[0.0, 0.1]]), moves=True)
+
+    def met(left: range, right: range) -> np.ndarray:
+        lines = np.full((2, 40, 2, 2), np.nan)
+        for line, positions, middle in zip(lines, (left, right), sides, strict=True):
+            line[positions] = middle + np.array([[-2.0, 0.0], [2.0, 0.0]])
+        [choice] = arrange([places], [(line, 1.0) for line in lines], 1.0)
+        return choice
+
+    assert np.all(met(range(10, 12), range(0)) == 1)  # without a line the other place is as good
+    assert np.all(met(range(10, 12), range(40)) == 0)
+    np.testing.assert_array_equal(met(range(15, 40), range(15)), np.arange(40) >= 15)
+
+
+@pytest.mark.parametrize("name", ["shaper", "watt-i", "whitworth", "slider-crank", "two-wipers"])
+def test_names_of_points_hide_no_joint_and_no_ground(name: str) -> None:
+    drawn = scene(optlink.analyze(optlink.load(name)), 90)
+    ground = np.concatenate([line for line, _, _ in drawn.ground])
+    for own, (middles, choice) in drawn.places_of_names.items():
+        half = 0.5 * 9.0 / 8.0 * drawn.size * np.array([0.6 * len(own), 0.8])
+        middle = drawn.points[own] + middles[choice]
+        hidden = [np.all(np.abs(path - middle) < half, axis=1) for path in drawn.points.values()]
+        assert np.mean(hidden) <= 0.02, own
+        if own not in drawn.moving:
+            assert not np.any(np.all(np.abs(ground - middle[0]) < half, axis=1)), own
