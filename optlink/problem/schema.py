@@ -24,6 +24,7 @@ from optlink.problem.base_model import NAME, SPELLINGS, Section
 from optlink.problem.design import DesignProblem
 from optlink.problem.file_errors import SECTIONS
 from optlink.problem.limits import OF_QUANTITY, OF_REGION
+from optlink.problem.machine.balance import BalanceSection
 from optlink.problem.machine.loads import OVER
 from optlink.problem.quantity import SIDES, STROKES, Quantity, range_example
 from optlink.problem.requirements.laws import DEAD_CENTRES, TIED
@@ -322,6 +323,11 @@ class _Generator(GenerateJsonSchema):
                 about["description"] = said
             for key in (*also, *(spelled for spelled, usual in SPELLINGS.items() if usual == name)):
                 keys[key] = form | about
+        if model is BalanceSection:  # its objective had another name
+            names = ("objective", "minimise", "minimize")
+            keys |= dict.fromkeys(names, keys["objective"])
+            result["anyOf"] = [{"required": [name]} for name in names]
+            del result["required"]
         return result
 
 

@@ -73,6 +73,19 @@ def test_what_loads_validates():
     assert {name: said for name, raw in found.items() if (said := fault(raw))} == {}
 
 
+def test_older_and_american_spellings_validate():
+    raw = dict(optlink.load("balance-four-bar").raw)
+    goal = {key: value for key, value in raw["balance"].items() if key != "objective"}
+    for key in ("objective", "minimise", "minimize"):
+        own = raw | {"balance": goal | {key: {"rms driving torque": 1.0}, "limits": {"peak torque": "90 %"}}}
+        assert optlink.read(own).task == "balance"
+        assert not fault(own)
+    law = optlink.load("crank-rocker").raw
+    own = {**law, "requirement": {**law["requirement"], "from": "outer dead center"}}
+    assert optlink.read(own).hash == optlink.load("crank-rocker").hash
+    assert not fault(own)
+
+
 STRUCTURAL = (
     UNKNOWN,
     MISSING,
