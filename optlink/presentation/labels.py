@@ -12,7 +12,7 @@ from matplotlib.text import Text
 from matplotlib.ticker import FixedLocator
 
 from optlink.linkage.vector2d import Array
-from optlink.presentation.placement import DIRECTIONS, Places, arrange, beside
+from optlink.presentation.placement import DIRECTIONS, Places, arrange, beside, written
 from optlink.presentation.style import HALO, TARGET
 
 DISTANCES = np.array([2.0, 5.0, 9.0, 15.0, 24.0, 36.0])  # distances tried between point and label [pt]
@@ -79,7 +79,7 @@ def _place(axes: Axes, labels: list[Label]) -> None:
     area = axes.get_window_extent()
     font = labels[0].size * point
     anchors = np.array([axes.transData.transform(label.at) for label in labels])
-    written = [text for text in axes.texts if text.get_text()]
+    former = [text for text in axes.texts if text.get_text()]
     texts, places = list[Text](), list[Places]()
     for k, label in enumerate(labels):
         text = axes.text(*label.at, label.text, ha="center", va="center", color=label.colour, fontsize=label.size, zorder=9)
@@ -90,8 +90,8 @@ def _place(axes: Axes, labels: list[Label]) -> None:
         others = np.delete(anchors, k, axis=0)[:, None]
         prefer = PREFERENCE * np.asarray(label.prefer)
         places.append(beside(anchors[[k]], half, (DISTANCES + label.clear) * point, PRICE / font, others, prefer))
-    boxes = [text.get_window_extent().get_points() for text in written]
-    fixed = [Places(box.mean(axis=0)[None], np.zeros((1, 2)), 0.5 * np.ptp(box, axis=0), np.zeros((1, 1))) for box in boxes]
+    boxes = [text.get_window_extent().get_points() for text in former]
+    fixed = [written(box.mean(axis=0), 0.5 * np.ptp(box, axis=0)) for box in boxes]
     chosen = arrange([*fixed, *places], _lines_of(axes, point), font, area.bounds)[len(fixed) :]
     for label, text, at, place, [choice] in zip(labels, texts, anchors, places, chosen, strict=True):
         middle = at + place.middles[choice]

@@ -67,6 +67,11 @@ class Places:
         return np.asarray(self.at[:, None, None] + around)
 
 
+def written(middle: Array, half: Array) -> Places:
+    """Return the only place of a text that is drawn already."""
+    return Places(middle[None], np.zeros((1, 2)), half, np.zeros((1, 1)))
+
+
 def beside(
     at: Array,
     half: Array,

@@ -49,7 +49,7 @@ RESULTS = {
     "tuning": "optlink.tasks.results.clearance:Tuning",
     "balance": "optlink.tasks.results.balance:Balance",
     "sensitivity": "optlink.studies.sensitivity:Sensitivities",
-    "sweep": "optlink.studies.sweep:Sweep",
+    "sweep": "optlink.studies.sweeps:Sweep",
     "tolerance": "optlink.studies.tolerances.analysis:Tolerance",
     "pareto": "optlink.studies.fronts.epsilon_constraint:Pareto",
     "output sensitivity": "optlink.studies.motion_sensitivity:OutputStudy",

@@ -21,7 +21,7 @@ from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.vector2d import TURN, Array, Vector
 from optlink.presentation.chart_spec import BODIES, CRANK, GROUND, LIMIT, MUTED
 from optlink.presentation.format import Scale, scale
-from optlink.presentation.placement import Choice, Places, arrange, beside, short_name
+from optlink.presentation.placement import Choice, arrange, beside, short_name, written
 from optlink.presentation.shapes import (
     Part,
     clipped,
@@ -140,7 +140,7 @@ class Region:
         It is in or above a region that nothing may enter; beside another edge it is on the forbidden side, rather below than
         beside it.
         """
-        half = 0.5 * LETTER * size * np.array([WIDTH * len(self.name), 1.0])
+        half = half_size(self.name, size)
         known = edge[np.all(np.isfinite(edge), axis=1)]
         if not len(known):
             return np.full(2, np.nan)
@@ -155,6 +155,11 @@ class Region:
         k = int(np.argmax(lengths + 2.0 * np.abs(along[:, 0])))
         left = np.array([-along[k, 1], along[k, 0]]) / max(float(lengths[k]), 1e-30)
         return np.asarray(0.5 * (edge[k] + edge[k + 1]) + (2.0 * HATCH * size + float(np.abs(left) @ half)) * left)
+
+
+def half_size(name: str, size: float) -> Array:
+    """Return half the size (2,) of a name in a drawing; `size` is the height of a ground pivot."""
+    return 0.5 * LETTER * size * np.array([WIDTH * len(name), 1.0])
 
 
 def regions_of(problem: ProblemFile, checks: Iterable[Check] = ()) -> tuple[Region, ...]:
@@ -353,19 +358,15 @@ class Scene:
         points = self.points
         lines += [(points[name][None], TRACE) for name in self.moving]
         names = sorted(points, key=lambda name: name in self.moving)
-        texts = [Places(one.label[None], np.zeros((1, 2)), self._half(one.name), np.zeros((1, 1))) for one in self.outlines]
+        texts = [written(one.label, half_size(one.name, self.size)) for one in self.outlines]
         for name in names:
             others, near = [points[other] for other in names if other != name], NEAR * self.size
-            half, moves = self._half(short_name(name)), name in self.moving
+            half, moves = half_size(short_name(name), self.size), name in self.moving
             texts.append(beside(points[name], half, near[: 2 if moves else 3], 1.5 / letter, others, (0.3, 0.3), moves))
         chosen = arrange(texts, lines, letter, self.box)
         return {
             name: (text.middles, at) for name, text, at in zip(names, texts[-len(names) :], chosen[-len(names) :], strict=True)
         }
-
-    def _half(self, name: str) -> Array:
-        """Return half the size of a name in the drawing."""
-        return 0.5 * LETTER * self.size * np.array([WIDTH * len(name), 1.0])
 
     def _vector(self, vector: Vector) -> Array:
         return np.array([float(as_jet(part).value) for part in vector]) * self.scale.factor

@@ -10,34 +10,20 @@ from optlink.presentation.placement import Places, arrange, beside
 from optlink.presentation.scene import scene
 
 HALF = np.array([2.0, 0.5])
-PLAIN = (0.3, 0.3)
-
-
-def place(at: list[list[float]], *others: list[float], moves: bool = False) -> Places:
-    points = np.array(at)
-    return beside(points, HALF, np.array([0.4, 1.5]), 0.5, [np.array([other] * len(points)) for other in others], PLAIN, moves)
-
-
-def box(places: Places, choice: np.ndarray, k: int = 0) -> np.ndarray:
-    middle = places.at[k if len(places.at) > 1 else 0] + places.middles[choice[k]]
-    return np.array([middle - places.half, middle + places.half])
 
 
 def test_every_place_beside_a_point_is_as_far_away_as_asked() -> None:
-    places = place([[3.0, -1.0]])
+    places = beside(np.array([[3.0, -1.0]]), HALF, np.array([0.4, 1.5]), 0.5, [], (0.3, 0.3))
     away = np.linalg.norm(np.maximum(np.abs(places.middles) - HALF, 0.0), axis=1)
     np.testing.assert_allclose(away, np.repeat([0.4, 1.5], 16), rtol=1e-12)
 
 
 def test_a_text_keeps_clear_of_a_line_and_another_text() -> None:
-    """Above a level line through both points, where both have room only if one of them gives way."""
-    first, second = place([[0.0, 0.0]], [1.0, 0.0]), place([[1.0, 0.0]], [0.0, 0.0])
+    """A line crosses the first of three places: of two texts, one gets the second place and the other the third."""
+    places = Places(np.zeros((1, 2)), np.array([[0.0, 0.0], [0.0, 2.0], [0.0, 4.0]]), HALF, np.array([[0.0, 0.1, 0.2]]))
     line = np.array([[[-20.0, 0.0], [20.0, 0.0]]])
-    one, other = (
-        box(places, choice) for places, choice in zip((first, second), arrange([first, second], [(line, 3.0)], 1.0), strict=True)
-    )
-    assert all(np.all(each[:, 1] > 0.0) or np.all(each[:, 1] < 0.0) for each in (one, other))
-    assert np.any(np.minimum(one[1], other[1]) < np.maximum(one[0], other[0]))
+    assert sorted(int(choice[0]) for choice in arrange([places, places], [(line, 3.0)], 1.0)) == [1, 2]
+    assert [choice[0] for choice in arrange([places], [], 1.0)] == [0]
 
 
 def test_a_moving_text_changes_its_place_only_for_long() -> None:
@@ -68,3 +54,12 @@ def test_names_of_points_hide_no_joint_and_no_ground(name: str) -> None:
         assert np.mean(hidden) <= 0.02, own
         if own not in drawn.moving:
             assert not np.any(np.all(np.abs(ground - middle[0]) < half, axis=1)), own
+
+
+def test_a_text_beside_a_point_does_not_seem_to_belong_to_another() -> None:
+    """The other point lies where the text is preferred: the text is nearer to its own, on the other side."""
+    own, other = np.array([[0.0, 0.0]]), np.array([[3.0, 0.5]])
+    places = beside(own, HALF, np.array([0.4, 1.5]), 0.5, [other], (0.3, 0.3))
+    [choice] = arrange([places], [], 1.0)
+    gaps = [np.linalg.norm(np.maximum(np.abs(point[0] - places.middles[choice[0]]) - HALF, 0.0)) for point in (own, other)]
+    assert gaps[0] < 0.8 * gaps[1]
