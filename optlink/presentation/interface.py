@@ -41,7 +41,7 @@ def report(source: AnyProblem | Document, file: str | Path, facts: Mapping[str, 
 
     Parameters
     ----------
-    source : result, ProblemFile, str or Path
+    source : Document, ProblemFile, str or Path
         Any result; or a problem, which is solved first, or analysed if it has nothing to design.
     file : str or Path
         HTML file to write.
@@ -89,7 +89,7 @@ def export(
 
     Parameters
     ----------
-    source : result, ProblemFile, str or Path
+    source : Document, ProblemFile, str or Path
         Result of `solve`, `validate` or `analyze`; or a problem, which is solved first, or analysed if it has nothing to design.
     file : str or Path
         File to write; its suffix selects the format: .dxf, .svg, .csv or .json.

@@ -69,10 +69,10 @@ class _Pen:
     """Writes the shapes of a scene."""
 
     def __init__(self, scene: Scene, *, moves: bool) -> None:
-        self.scene, self.moves, self.points = scene, moves, scene.points
+        self.scene, self.moves, self.points, self.decimals = scene, moves, scene.points, scene.decimals
 
     def number(self, value: float) -> str:
-        return f"{float(value):z.{self.scene.decimals}f}".rstrip("0").rstrip(".") or "0"
+        return f"{float(value):z.{self.decimals}f}".rstrip("0").rstrip(".") or "0"
 
     def wide(self, points: float) -> str:
         """Format a line width given in typographic points."""
