@@ -479,7 +479,7 @@ def test_plotly_is_the_published_one_with_its_licence():
 
 def test_assets_and_templates_belong_to_the_package():
     """Beside the modules, where the wheel takes them from."""
-    folder = Path(optlink.__file__).parent / "report"
+    folder = Path(optlink.__file__).parent / "presentation"
     assert {path.name for path in (folder / "assets").iterdir()} == {
         *("motion.js", "notebook.js", "page.css", "page.js"),
         *("plotly-cartesian.min.js.gz", "plotly-LICENSE.txt"),

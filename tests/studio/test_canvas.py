@@ -28,7 +28,7 @@ def variables(text: str, selector: str) -> dict[str, str]:
 
 def test_the_colours_are_those_of_the_report():
     css = (ASSETS / "studio.css").read_text()
-    report = (ASSETS.parents[1] / "report" / "assets" / "page.css").read_text()
+    report = (ASSETS.parents[1] / "presentation" / "assets" / "page.css").read_text()
     for selector in (":root {", ":root[data-theme=dark] {"):
         shared = variables(report, selector)
         assert len(shared) >= 9
