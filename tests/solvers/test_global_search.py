@@ -308,7 +308,7 @@ def wrong(monkeypatch, name):
 
 def objective_at(problem, points):
     """Return the objective of designs (k, 2); infinite where a limit is violated."""
-    from optlink.optimization.output_derivatives import ErrorResiduals
+    from optlink.optimization.output_errors import ErrorResiduals
     from optlink.optimization.terms import rows
 
     fixed = {name: quantity.value for name, quantity in problem.quantities.items()}
