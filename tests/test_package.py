@@ -124,7 +124,7 @@ EXTRAS = {
     ),
     "fast": (
         "optlink simulate slider-crank-clearance --revolutions 1 --integrator compiled",
-        "from optlink.clearance.compiled.choice import installed; assert installed()",
+        "from optlink.clearance.control import installed; assert installed()",
     ),
     "notebook": ("import optlink; optlink.explore('crank-rocker')", "from optlink.studio.widget import Canvas"),
 }

@@ -5,14 +5,14 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from optlink.errors import InputError, UnknownName, nearest
 from optlink.io import folder as made
 from optlink.presentation.registry import stored_page, view_of
 from optlink.problem.arguments import typed
 from optlink.problem.document import Document
-from optlink.problem.file import AnyProblem, problem_of
+from optlink.problem.file import AnyProblem, ProblemFile, problem_of
 from optlink.problem.quantity import check_choice
 
 if TYPE_CHECKING:
@@ -21,9 +21,14 @@ if TYPE_CHECKING:
 
     from optlink.presentation.report_model import ReportModel
     from optlink.presentation.view import StoredStudy
+    from optlink.tasks.results.common import DesignResult
+
+    Subject: TypeAlias = AnyProblem | Document | DesignResult
+else:
+    Subject = AnyProblem | Document  # designs are documents
 
 
-def content(source: AnyProblem | Document, facts: Mapping[str, Any], name: str = "") -> ReportModel | StoredStudy:
+def content(source: Subject, facts: Mapping[str, Any], name: str = "") -> ReportModel | StoredStudy:
     """Return what the page of a result shows; a problem is solved first, or analysed if it has nothing to design.
 
     `facts` are keys of `[report]`, such as the title, which stand at its head; `name` is the file of the result, for errors.
@@ -32,16 +37,17 @@ def content(source: AnyProblem | Document, facts: Mapping[str, Any], name: str =
         return stored_page(source, facts, name)
     from optlink.presentation.report_model import report_model_of, solve_or_validate
 
+    assert isinstance(source, ProblemFile | str | Path)
     return report_model_of(solve_or_validate(problem_of(source).override(facts)))
 
 
 @typed
-def report(source: AnyProblem | Document, file: str | Path, facts: Mapping[str, str] | None = None) -> Path:
+def report(source: Subject, file: str | Path, facts: Mapping[str, str] | None = None) -> Path:
     """Write a self-contained HTML page: results, checks, charts, animation, sources.
 
     Parameters
     ----------
-    source : Document, ProblemFile, str or Path
+    source : Document, DesignResult, ProblemFile, str or Path
         Any result; or a problem, which is solved first, or analysed if it has nothing to design.
     file : str or Path
         HTML file to write.
@@ -76,7 +82,7 @@ def report(source: AnyProblem | Document, file: str | Path, facts: Mapping[str, 
 
 @typed
 def export(
-    source: AnyProblem | Document,
+    source: Subject,
     file: str | Path,
     *,
     at: float | None = None,
@@ -89,7 +95,7 @@ def export(
 
     Parameters
     ----------
-    source : Document, ProblemFile, str or Path
+    source : Document, DesignResult, ProblemFile, str or Path
         Result of `solve`, `validate` or `analyze`; or a problem, which is solved first, or analysed if it has nothing to design.
     file : str or Path
         File to write; its suffix selects the format: .dxf, .svg, .csv or .json.

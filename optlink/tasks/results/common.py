@@ -1,8 +1,11 @@
 """Common interface of search results: validity, optimality checks, JSON document."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, Protocol, Self, TypeVar
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self, TypeVar
 
 from optlink.errors import Status
 from optlink.problem.document import Document, Number, Source
@@ -10,6 +13,10 @@ from optlink.problem.file import ProblemFile
 from optlink.solvers.solution import FEASIBLE, STATIONARY, LimitState, Relaxation, Solution
 from optlink.tasks.results.certificate import Certificate, message
 from optlink.validation.check import MEASURED, MEASURED_ROBUST, Check, Validation
+
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.figure import Figure
 
 ROUNDED = 2e-7
 """Root mean square of the deviations, as a share of the size of the curve or in rad, below which a design is as good as exact:
@@ -220,6 +227,23 @@ class DesignResult(Protocol):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as a JSON document."""
+        ...
+
+    @property
+    def plots(self) -> tuple[str, ...]:
+        """Names of the pictures that `plot` draws."""
+        ...
+
+    def plot(self, name: str | None = None) -> Figure:
+        """Draw a picture of the result with matplotlib."""
+        ...
+
+    def to_frame(self, name: str | None = None) -> pandas.DataFrame:
+        """Return a table of the result as a data frame of pandas."""
+        ...
+
+    def write(self, folder: str | Path, pictures: str = "png") -> list[Path]:
+        """Write the files that `--out` writes."""
         ...
 
 
