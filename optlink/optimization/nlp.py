@@ -255,7 +255,7 @@ class NLP:
 
     @property
     def around(self) -> NDArray[np.bool_]:
-        """Whether each component of x is an angle that may be any (n,): its bounds, a revolution apart, are no limits."""
+        """Whether each component of x is an angle free over a full turn (n,): its bounds, a revolution apart, are no limits."""
         return np.array([v.periodic for v in self.variables], dtype=bool) & (self.x_high - self.x_low >= TURN - 1e-9)
 
     @property
@@ -290,7 +290,7 @@ class NLP:
         self.upper[: len(high)] = self.x_high[:] = high
 
     def wrapped(self, x: Array) -> Array:
-        """Return x with every angle that may be any moved by a revolution towards its bounds."""
+        """Return x with every angle free over a full turn moved by a revolution towards its bounds."""
         return x - TURN * self.around * ((x > self.x_high) * 1.0 - (x < self.x_low))
 
     @cached_property

@@ -302,7 +302,7 @@ def solve_beside(nlp: NLP, x: Array, name: str, *, insist: bool) -> Solution:
 
 
 def _continued_around(nlp: NLP, solution: Solution, run: Backend) -> Solution:
-    """Return the optimum to which the objective decreases where an angle that may be any ended at one of its bounds."""
+    """Return the optimum to which the objective decreases where an angle free over a full turn ended at one of its bounds."""
     x, around = solution.x.copy(), nlp.around
     if solution.status is not Status.STALLED or solution.message == OUT_OF_STEPS or not np.any(around):
         return solution

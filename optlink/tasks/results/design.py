@@ -364,7 +364,7 @@ class LinkageDesign(Summary):
         return ROUNDED * math.sqrt(count) * self.task.whole
 
     def unwrapped(self, name: str) -> float:
-        """Return a quantity [SI]: of an angle that may be any, 180 deg instead of -180 deg."""
+        """Return a quantity [SI]: of an angle free over a full turn, 180 deg instead of -180 deg."""
         value, quantity = self.values[name], self.whole.quantities.get(name)
         if quantity is None or not quantity.free or not self.whole.is_periodic(name):
             return value
