@@ -286,8 +286,8 @@ def stationarity(nlp: NLP, x: Array, point: NLPValues, within: float = ACTIVE) -
     """Return multipliers of the active bounds and rows by least squares, and the remaining KKT residual.
 
     A multiplier is positive at an upper bound and negative at a lower bound; multipliers of the wrong sign are dropped, worst
-    first, and the rest solved again (an active-set nonnegative least-squares method). Those of an angle free over a full turn are none,
-    nor is that of the largest error of a minimax problem: its rows keep it above zero, near which it lies for a good design.
+    first, and the rest solved again (an active-set nonnegative least-squares method). Those of an angle free over a full turn are
+    none, nor is that of the largest error of a minimax problem: its rows keep it above zero, near which it lies for a good design.
 
     Parameters
     ----------
