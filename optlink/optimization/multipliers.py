@@ -27,8 +27,8 @@ SAME_SUM = 1e-4  # relative change of a sum of multipliers that counts as none: 
 def active_sides(nlp: NLP, x: Array, point: NLPValues, within: float = ACTIVE) -> tuple[Array, NDArray[np.bool_]]:
     """Return the side at which each bound and row is active (1: upper, -1: lower, 0: neither), and which are equalities.
 
-    The bounds of an angle free over a full turn do not limit, nor does that of the largest error of a minimax problem. `within` is
-    the distance (scaled) at which a limit counts as active.
+    The bounds of an angle free over a full turn do not limit, nor does that of the largest error of a minimax problem. `within`
+    is the distance (scaled) at which a limit counts as active.
     """
     values, low, high = np.concatenate([x, point.g]), nlp.lower, nlp.upper
     sign = (high - values <= within) * 1.0 - (values - low <= within)

@@ -287,7 +287,7 @@ def stationarity(nlp: NLP, x: Array, point: NLPValues, within: float = ACTIVE) -
 
     A multiplier is positive at an upper bound and negative at a lower bound; multipliers of the wrong sign are dropped, worst
     first, and the rest solved again (an active-set nonnegative least-squares method). Those of an angle free over a full turn are
-    none, nor is that of the largest error of a minimax problem: its rows keep it above zero, near which it lies for a good design.
+    none, nor is that of the largest error of a minimax problem: its rows keep it above zero, near which a good design has it.
 
     Parameters
     ----------
