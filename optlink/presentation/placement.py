@@ -21,6 +21,7 @@ ON_TEXT, ON_LINE, ACROSS = 0.5, 0.35, 0.25  # costs of a cell that a text shares
 LINES = 0.08  # that a line of a text shares with a line of the drawing or of a text
 OUTSIDE, WRONG, HIDDEN, CHANGE = 100.0, 20.0, 10.0, 25.0
 """Costs of a text that leaves the drawing, seems to belong to another point, hides a point, changes its place."""
+FIRST = 0.25  # share of the motion as which the first position counts for a text at rest: pages show and print it still
 SWEEPS = 12
 MOST = 3_000_000  # points of all possible places beyond which not every position is examined
 DIRECTIONS = np.array([[np.cos(t), np.sin(t)] for t in np.linspace(0.0, TURN, 16, endpoint=False)])
@@ -168,7 +169,8 @@ def arrange(
         word, rule = covered[k]
         shared = ON_TEXT * under(words, word) + ACROSS * (under(rules, word) + under(words, rule)) + LINES * under(rules, rule)
         costs = np.nan_to_num(fixed[k] + shared)
-        return _course(costs) if texts[k].moves else np.full(len(some), np.argmin(costs.sum(axis=0)))
+        at_rest = costs.sum(axis=0) + FIRST * len(costs) * costs[0]
+        return _course(costs) if texts[k].moves else np.full(len(some), np.argmin(at_rest))
 
     def put(k: int, choice: Choice, sign: float) -> None:
         for layer, places in zip((words, rules), covered[k], strict=True):
