@@ -69,7 +69,7 @@ class Fault:
 
     def in_python(self) -> Fault:
         """Return the fault with the arguments of functions in place of the options of commands."""
-        key = None if self.key is None else arguments_for_options(self.key)
+        key = "problem" if self.key == "PROBLEM" else None if self.key is None else arguments_for_options(self.key)
         return replace(self, message=arguments_for_options(self.message), remedy=arguments_for_options(self.remedy), key=key)
 
 

@@ -77,7 +77,7 @@ def test_another_value_of_a_fixed_dimension_is_a_failed_check() -> None:
     ],
 )
 def test_the_name_of_no_problem_is_refused_by_every_function(use) -> None:
-    with pytest.raises(InputError, match=r'PROBLEM = "six-ber": no such problem\. Did you mean "six-bar"'):
+    with pytest.raises(InputError, match=r'^problem = "six-ber": no such problem\. Did you mean "six-bar"'):
         use("six-ber")
 
 
