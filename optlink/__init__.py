@@ -9,18 +9,12 @@
 from optlink.namespace import namespace
 from optlink.version import VERSION as __version__  # noqa: F401
 
-_DEPRECATED = dict.fromkeys(("four_bar", "grashof", "sweep"), "optlink.linkage") | dict.fromkeys(
-    (
-        "ClearanceSimulation",
-        "Comparison",
-        "InverseMotion",
-        "Tuning",
-        "compare",
-        "inverse_model",
-        "simulate_clearance",
-        "tune",
-    ),
-    "optlink.control",
-)
-"""Names of version 0.1 by their present namespaces; docs/stability.md states how long they still work."""
+_DEPRECATED = {
+    **{name: f"optlink.linkage.{name}" for name in ("four_bar", "grashof", "sweep")},
+    **{name: f"optlink.control.{name}" for name in ("ClearanceSimulation", "Comparison", "InverseMotion", "Tuning")},
+    **{name: f"optlink.control.{name}" for name in ("compare", "inverse_model", "simulate_clearance", "tune")},
+    **dict.fromkeys(("CycleResult", "FunctionResult", "PathResult"), "optlink.SynthesisResult"),
+    "PathDesign": "optlink.LinkageDesign",
+}
+"""Names of version 0.1 by those that took their place; they work for as long as docs/stability.md states."""
 __all__, __getattr__, __dir__ = namespace(__name__, __file__, _DEPRECATED)

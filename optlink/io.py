@@ -333,8 +333,9 @@ class Summary:
     def __repr__(self) -> str:
         status = getattr(self, "status", getattr(self, "ending", ""))
         words = [str(getattr(status, "value", status))]
-        if isinstance(valid := getattr(self, "valid", getattr(self, "sound", None)), bool):
-            words.append("valid" if valid else "not valid")
+        for word in ("valid", "sound"):  # a design, and an analysis whose reactions are finite
+            if isinstance(holds := getattr(self, word, None), bool):
+                words.append(word if holds else f"not {word}")
         if isinstance(objective := getattr(self, "objective", None), float):
             words.append(f"objective {objective:.6g}")
         if (certificate := getattr(self, "certificate", None)) is not None:
@@ -375,8 +376,8 @@ def load_extensions() -> None:
     for entry in entry_points(group=GROUP):
         try:
             entry.load()
-        except (ImportError, AttributeError, ValueError) as error:
-            message = f"the extension {entry.name} ({entry.value}) cannot be loaded: {error}"
+        except Exception as error:  # noqa: BLE001 - it is code of others
+            message = f"the extension {entry.name} ({entry.value}) cannot be loaded: {type(error).__name__}: {error}"
             print(f"Warning: {message}. Repair or uninstall its package", file=sys.stderr)
 
 

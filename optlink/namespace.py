@@ -20,7 +20,7 @@ def namespace(
     name, file : str
         `__name__` and `__file__` of the package.
     moved : mapping of str to str, optional
-        Former names by their present namespaces; they are still found there, with a DeprecationWarning.
+        Former names by the full names that took their place; they are still found, with a DeprecationWarning.
     """
     text = Path(file).with_suffix(".pyi").read_text(encoding="utf-8")
     homes: dict[str, tuple[str, str]] = {}
@@ -32,9 +32,10 @@ def namespace(
         if wanted in homes:
             module, own = homes[wanted]
             return importlib.import_module(f"{name}.{own}") if module == name else getattr(importlib.import_module(module), own)
-        if (home := moved.get(wanted)) is not None:
-            warnings.warn(f"{name}.{wanted} is now {home}.{wanted}", DeprecationWarning, stacklevel=2)
-            return getattr(importlib.import_module(home), wanted)
+        if (successor := moved.get(wanted)) is not None:
+            warnings.warn(f"{name}.{wanted} is now {successor}", DeprecationWarning, stacklevel=2)
+            home, _, own = successor.rpartition(".")
+            return getattr(importlib.import_module(home), own)
         raise AttributeError(f"module {name!r} has no attribute {wanted!r}", name=wanted, obj=package)
 
     def listed() -> list[str]:

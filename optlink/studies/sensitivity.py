@@ -226,7 +226,7 @@ def sensitivities(
 
     Examples
     --------
-    >>> from optlink.studies.sensitivity import sensitivities
+    >>> from optlink.studies import sensitivities
     >>> row = sensitivities(optlink.load("crank-rocker")).moving[0]
     >>> row.parameter.name, float(f"{row.objective:.4g}"), row.parameter.unit  # of the objective [rad^2] per unit
     ('largest transmission angle', -0.008392, 'rad')

@@ -302,7 +302,7 @@ def sweep(
 
     Examples
     --------
-    >>> from optlink.studies.sweeps import sweep
+    >>> from optlink.studies import sweep
     >>> result = sweep(optlink.load("crank-rocker"), ["mechanism.frame=480 mm, 500 mm"])
     >>> result.columns["objective_rad2"].round(6).tolist()
     [0.007794, 0.007592]

@@ -15,8 +15,10 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import psutil
@@ -621,9 +623,14 @@ class Square:
         return index * index
 
 
+def answers_of(task: Square, count: int, workers: int) -> Iterator[tuple[int, Any]]:
+    with runner.pool(workers=workers) as runs:
+        yield from runs(task, runner.apart(list(range(count)), workers))
+
+
 @pytest.mark.slow
 def test_a_worker_that_dies_costs_only_its_chunk(tmp_path):
-    computed = {index: answer.value for index, answer in runner.run(Square(tmp_path, deadly=3), range(12), workers=2)}
+    computed = {index: answer.value for index, answer in answers_of(Square(tmp_path, deadly=3), 12, 2)}
     assert computed == {index: index * index for index in range(12)}
     done = {index: len((tmp_path / f"done-{index}").read_text()) for index in range(12)}
     assert done == {index: 2 if index == 3 else 1 for index in range(12)}
@@ -632,20 +639,20 @@ def test_a_worker_that_dies_costs_only_its_chunk(tmp_path):
 @pytest.mark.slow
 def test_a_chunk_that_kills_every_worker_is_named(tmp_path):
     with pytest.raises(SolverError, match=r"chunk 3 .* terminated 3 processes"):
-        list(runner.run(Square(tmp_path, deadly=3, always=True), range(6), workers=2))
+        list(answers_of(Square(tmp_path, deadly=3, always=True), 6, 2))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("workers", [1, 2])
 def test_a_failure_is_reported_with_its_point(tmp_path, workers):
     with pytest.raises(SolverError, match=r"(?s)chunk 2.*no inverse of zero"):
-        list(runner.run(Square(tmp_path, faulty=2), range(4), workers=workers))
+        list(answers_of(Square(tmp_path, faulty=2), 4, workers))
 
 
 @pytest.mark.slow
 def test_no_process_outlives_an_abandoned_run(tmp_path):
     before = threading.active_count()
-    answers = runner.run(Square(tmp_path), range(1000), workers=2)
+    answers = answers_of(Square(tmp_path), 1000, 2)
     next(answers)
     answers.close()
     assert threading.active_count() == before
@@ -683,6 +690,7 @@ def children() -> set[int]:
 DASK = """
 import os, signal, sys, time
 from pathlib import Path
+from typing import Any
 import optlink
 from optlink.studies import sweep
 from tests.studies.test_sweep import children

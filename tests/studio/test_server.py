@@ -99,7 +99,7 @@ async def _session() -> None:
             await ws.send(json.dumps({"type": "save", "id": 61}))
             text = (await until(ws, "file"))["text"]
             assert 'frame = "490.0 mm"' in text
-            assert text.startswith("title =")
+            assert text.startswith("format = 1\ntitle =")
         process.send_signal(signal.SIGINT)
         await asyncio.wait_for(process.wait(), 2.0)
         assert process.returncode == 0

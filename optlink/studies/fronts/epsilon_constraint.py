@@ -192,7 +192,7 @@ def pareto(
 
     Examples
     --------
-    >>> from optlink.studies.fronts.epsilon_constraint import pareto
+    >>> from optlink.studies import pareto
     >>> front = pareto(optlink.load("crank-rocker"), "error, limits.transmission_angle.max", points=3)
     >>> [point.mark for point in front.points]
     ['least error', 'knee', 'best largest transmission angle']

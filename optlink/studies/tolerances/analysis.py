@@ -217,7 +217,7 @@ def tolerance(
 
     Examples
     --------
-    >>> from optlink.studies.tolerances.analysis import tolerance
+    >>> from optlink.studies import tolerance
     >>> result = tolerance(optlink.load("crank-rocker"), ["coupler=0.1 mm"], limit="2.3 deg", samples=4096)
     >>> round(result.monte_carlo.share, 3)  # the yield
     0.864

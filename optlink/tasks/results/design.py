@@ -772,8 +772,3 @@ def of_designs(
     unusable = (Status.INFEASIBLE, Status.NON_FINITE)
     order = sorted(designs, key=lambda one: (one.status in unusable, one.objective if math.isfinite(one.objective) else math.inf))
     return SynthesisResult(problem, tuple(distinct[:count]), None if distinct else order[0], backend, seconds or {})
-
-
-FunctionResult = PathResult = CycleResult = SynthesisResult
-PathDesign = LinkageDesign
-"""Their names in earlier versions."""
