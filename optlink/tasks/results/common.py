@@ -243,7 +243,14 @@ class DesignResult(Protocol):
         ...
 
     def write(self, folder: str | Path, pictures: str = "png") -> list[Path]:
-        """Write the files that `--out` writes."""
+        """Write the files that `--out` writes.
+
+        Parameters
+        ----------
+        folder : str or Path
+        pictures : str
+            Format of the pictures: "png", "svg" or "pdf".
+        """
         ...
 
 
