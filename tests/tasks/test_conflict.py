@@ -106,10 +106,12 @@ def text_of(result: object) -> str:
 @pytest.mark.slow
 def test_the_sentence_leads_in_every_place(tmp_path) -> None:
     result = optlink.solve(optlink.read(PUMP), starts=20)
-    swing, angle = (limit.sides[0].amount for limit in opposed_limits(result.conflict))
+    swing, angle = opposed_limits(result.conflict)
+    short = [limit.sides[0].amount for limit in (swing, angle)]
     sentence = (
         "No such linkage: 110 deg of swing and 48 deg of transmission angle exclude each other. "
-        f"With 48 deg the rocker swings {swing:.4g} deg; with 110 deg the transmission angle falls to {angle:.4g} deg."
+        f"With 48 deg the rocker swings {110.0 - short[0]:.4g} deg; "
+        f"with 110 deg the transmission angle falls to {48.0 - short[1]:.4g} deg."
     )
     assert result.refuted == sentence
     assert result.to_dict()["message"] == sentence
