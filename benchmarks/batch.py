@@ -218,7 +218,7 @@ def rows() -> list[Row]:
     calls = f"{sum(count for _, count in OPERATIONS) + 1} calls, results thrown away at once: what numpy takes for them"
     loop = "the same formulas as one loop, compiled by numba, one thread: what a processor can do, and how far numpy is from it"
     fair = ">= 5" if peer is None or peer["compiled"] else ""
-    alone = "what the toolkit itself costs; both wait for memory handed back and forth"
+    alone = "overhead of the toolkit; both wait for memory handed back and forth"
     return [
         row("positions", "compiled", f"{of}, against a compiled loop", "", loop, True),
         row("positions", "bare", f"{of}, against bare numpy calls", ">= 0.5", calls, True),

@@ -1,10 +1,10 @@
 """Places of the texts of a drawing: each where it hides least of the drawing and of the other texts, still or in motion.
 
 Every text has possible places. The drawing is divided into cells, at each position of a motion: a place costs the lines and texts
-in the cells that it covers, and what it costs in itself because it is far away or seems to belong to another point. The texts are
-improved in turn until none has a cheaper place; of a text that moves, the cheapest course of places over the motion is taken,
-where a change of place costs as much as a few positions with a line behind the text. A cell that two texts share counts the same
-for both, so that each step lowers the total.
+in the cells that it covers, and more where it is far from its point or seems to belong to another one. The texts are improved in
+turn until none has a cheaper place; of a text that moves, the cheapest course of places over the motion is taken, where a change
+of place costs as much as a few positions with a line behind the text. A cell that two texts share counts the same for both, so
+that each step lowers the total.
 """
 
 from collections.abc import Iterable, Sequence
