@@ -155,13 +155,34 @@ def check_sum(data: bytes, begin: int = 0) -> str:
 
 def with_check_sum(document: Mapping[str, Any]) -> dict[str, Any]:
     """Return a JSON document with the check sum of its entries."""
-    return {**document, SUM: check_sum(json.dumps(document).encode())}
+    return {**document, SUM: check_sum(_canonical(document))}
 
 
 def checked(document: Mapping[str, Any]) -> dict[str, Any] | None:
-    """Return a document without its check sum; None if it was changed."""
+    """Return a document without its check sum; None if it was changed.
+
+    The check sum of its text is accepted too: documents were written with it before there was a canonical form.
+    """
     content = {name: value for name, value in document.items() if name != SUM}
-    return content if with_check_sum(content)[SUM] == document.get(SUM) else None
+    stated = document.get(SUM)
+    known = stated == check_sum(_canonical(content)) or stated == check_sum(json.dumps(content).encode())
+    return content if known else None
+
+
+def _canonical(document: Mapping[str, Any]) -> bytes:
+    """Return the text of a JSON document in a form that is the same for every order of its keys and spelling of its numbers."""
+    return json.dumps(_alike(document), sort_keys=True, separators=(",", ":")).encode()
+
+
+def _alike(value: Any) -> Any:
+    """Return a document with floats for all numbers, and 0.0 for -0.0: other programs write 1 for 1.0, and 0 for -0.0."""
+    if isinstance(value, float):
+        return value + 0.0
+    if isinstance(value, list | tuple):
+        return [_alike(item) for item in value]
+    if isinstance(value, Mapping):
+        return {str(key): _alike(item) for key, item in value.items()}
+    return float(str(value)) if type(value) is int else value
 
 
 @contextlib.contextmanager

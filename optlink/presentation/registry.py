@@ -18,7 +18,8 @@ from optlink.presentation.format import single_units
 from optlink.presentation.table_spec import Summary
 from optlink.presentation.view import View
 from optlink.problem.arguments import typed
-from optlink.problem.document import VERSION_OF_SCHEMAS, Document, read_document
+from optlink.problem.document import Document, read_document
+from optlink.problem.upgrades import OLDEST, VERSION_OF_SCHEMAS, kind_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -55,6 +56,12 @@ RESULTS = {
     "output sensitivity": "optlink.studies.motion_sensitivity:OutputStudy",
 }
 """Classes of stored results by kind, read without the view of the kind, which draws."""
+RULE = (
+    f"Results of number {VERSION_OF_SCHEMAS}, which ends the value of `schema`. Within a number keys may be added, except in "
+    "tables by name: pass over those that you do not know. Another number has another schema: there a key may be missing or mean "
+    "something else."
+)
+"""What the schema of results says to programs that read them."""
 ONE_MACHINE = ("design", "analysis")
 """Kinds whose page is that of a machine."""
 
@@ -169,9 +176,12 @@ def json_schema(kind: str) -> dict[str, Any]:
         return problem_schema()
     schemas = [one.json_schema() for name in KINDS if kind in ("result", name) and (one := result_class(name)) is not None]
     parts = {name: part for schema in schemas for name, part in schema.pop("$defs", {}).items()}
+    about = "" if kind == "result" else f":{kind.replace(' ', '-')}"
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "$id": f"urn:optlink:result{about}:{VERSION_OF_SCHEMAS}",
         "title": f"optlink {kind}",
+        "description": RULE,
         "$defs": dict(sorted(parts.items())),
         "anyOf": schemas,
     }
@@ -226,18 +236,17 @@ def read_result(path: str | Path) -> Document:
         raise InputError(message, "Give a stored result.json, the folder it is in, or a problem", key="path", value=text)
     document = read_document(place)
     load_extensions()
-    schema = document.get("schema")
-    kind = str(schema).removeprefix("optlink/").rpartition("/")[0].replace("-", " ")
+    kind, number = kind_of(document.get("schema"))
     known = result_class(kind)
-    if known is None or known.schema() != schema:
-        raise _unknown(schema, kind, place)
+    if known is None or not OLDEST <= number <= VERSION_OF_SCHEMAS:
+        raise _unknown(document.get("schema"), place)
     return known.from_dict(document, place)
 
 
-def _unknown(schema: object, kind: str, path: Path) -> InputError:
-    """Return the error for a document of another schema."""
-    number = str(schema).rpartition("/")[2]
-    if number.isdecimal() and int(number) > VERSION_OF_SCHEMAS and str(schema).startswith("optlink/"):
+def _unknown(schema: object, path: Path) -> InputError:
+    """Return the error for a document of a schema that is not read."""
+    kind, number = kind_of(schema)
+    if number > VERSION_OF_SCHEMAS:
         return InputError(
             "the result has a later format than this version of optlink reads", "Update optlink", str(path), "schema", schema
         )

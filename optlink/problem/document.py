@@ -26,13 +26,13 @@ from optlink.errors import InputError, UnknownName, nearest
 from optlink.io import SUM, Summary, checked, finite, head, with_check_sum
 from optlink.problem.enclosed import enclosing
 from optlink.problem.file import ProblemFile, read
+from optlink.problem.upgrades import ADDED, VERSION_OF_SCHEMAS, upgraded
 from optlink.version import VERSION
 
 if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure
 
-VERSION_OF_SCHEMAS = 4
 AGAIN = "Solve it again with this version, or use the version of optlink that wrote it"
 HEAD = ("schema", "optlink", "problem", "title", "problem_hash", "overrides")
 """First entries of a document, which follow from its problem."""
@@ -195,11 +195,12 @@ class Document(Summary):
         content = checked(document)
         if content is None:
             raise InputError("the result was changed since it was written", AGAIN, str(path), SUM, document.get(SUM))
-        hidden = hidden_fields(cls)
         try:
+            content = upgraded(content)
             problem = read_problem(content, path)
-            values = {name: content["state"][name] if name in hidden else content[name] for name in stored_fields(cls)}
-            return cls._restored(problem, values)
+            values = content | content["state"] if hidden_fields(cls) else content
+            lacking = set(ADDED.get(cls.kind, ())) - values.keys()
+            return cls._restored(problem, {name: values[name] for name in stored_fields(cls) if name not in lacking})
         except (KeyError, TypeError, AttributeError, ValueError) as error:  # of another version, whatever its check sum
             message = f"this is not what version {VERSION} writes: it lacks or misreads {_place(error)}"
             raise InputError(message, AGAIN, str(path)) from None
@@ -215,7 +216,7 @@ class Document(Summary):
         """Return the JSON schema of the documents: of their fields; computed entries may be anything."""
         whole = adapter(cls).json_schema(mode="serialization") if cls.stored is None else {}
         parts: dict[str, Any] = whole.get("properties", {name: {} for name in cls.stored or ()})
-        hidden = hidden_fields(cls)
+        hidden, added = hidden_fields(cls), ADDED.get(cls.kind, ())
         properties = {
             "schema": {"const": cls.schema()},
             **{name: {"type": "string"} for name in HEAD[1:5]},
@@ -224,14 +225,12 @@ class Document(Summary):
             "status": {"type": "string"},
             **{key.rstrip("?"): {} for key in cls.shown},
             **{name: part for name, part in parts.items() if name not in hidden and name != "problem"},
-            "state": _closed({name: part for name, part in parts.items() if name in hidden}),
-            "problem_file": _closed({key: {"type": "string"} for key in ("file", "toml")}),
+            **({"state": _object({name: part for name, part in parts.items() if name in hidden}, added)} if hidden else {}),
+            "problem_file": _object({key: {"type": "string"} for key in ("file", "toml")}),
             SUM: {"type": "string"},
         }
-        if not hidden:
-            del properties["state"]
-        optional = {key.rstrip("?") for key in cls.shown if key.endswith("?")}
-        schema = {"title": cls.__name__, **_closed(properties, optional), "$defs": whole.get("$defs", {})}
+        optional = {*added, *(key.rstrip("?") for key in cls.shown if key.endswith("?"))}
+        schema = {"title": cls.__name__, **_object(properties, optional), "$defs": whole.get("$defs", {})}
         return finite(schema)  # type: ignore[no-any-return]
 
     @classmethod
@@ -291,10 +290,10 @@ def plain(value: Any) -> Any:
     return [plain(part) for part in value] if isinstance(value, list | tuple) else value
 
 
-def _closed(properties: dict[str, Any], optional: Collection[str] = ()) -> dict[str, Any]:
-    """Return the schema of an object with these keys and no others."""
+def _object(properties: dict[str, Any], optional: Collection[str] = ()) -> dict[str, Any]:
+    """Return the schema of an object with these keys; later versions may add others."""
     required = [name for name in properties if name not in optional]
-    return {"type": "object", "properties": properties, "required": required, "additionalProperties": False}
+    return {"type": "object", "properties": properties, "required": required}
 
 
 def _place(error: Exception) -> str:

@@ -26,6 +26,7 @@ from optlink.problem.file_errors import SECTIONS
 from optlink.problem.limits import OF_QUANTITY, OF_REGION
 from optlink.problem.machine.balance import BalanceSection
 from optlink.problem.machine.loads import OVER
+from optlink.problem.machine.model import FORMAT
 from optlink.problem.quantity import SIDES, STROKES, Quantity, range_example
 from optlink.problem.requirements.laws import DEAD_CENTRES, TIED
 from optlink.problem.targets.law import KEYS as FUNCTION_KEYS
@@ -356,6 +357,7 @@ def problem_schema() -> Form:
     schema = _shared(TypeAdapter(models).json_schema(schema_generator=_Generator), forms)
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "$id": f"urn:optlink:problem:{FORMAT}",
         "title": "optlink problem",
         **schema,
         "$defs": dict(sorted((schema.pop("$defs") | forms).items())),

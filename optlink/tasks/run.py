@@ -17,6 +17,7 @@ from optlink.problem.assignment import parse_assignments
 from optlink.problem.file import AnyProblem, ProblemFile, problem_of
 from optlink.problem.file_errors import SECTIONS
 from optlink.problem.quantity import Quantity, check_choice, input_of, read_quantity
+from optlink.problem.upgrades import upgraded
 from optlink.tasks.machine import UNKNOWN_QUANTITY
 from optlink.tasks.protocol import DesignTask, Progress, Proving, Search
 from optlink.units import KINDS, show
@@ -246,7 +247,8 @@ def _stored(text: str, quantities: Mapping[str, Quantity]) -> list[tuple[str, ob
     """Return the assignments of a result.json, one per quantity (phi0 and psi0 only if not derived)."""
     try:
         document = json.loads(Path(text).read_text(encoding="utf-8"))
-        state = document.get("state", {}) if checked(document) is not None else {}  # of a changed file the displayed design
+        content = checked(document)
+        state = {} if content is None else upgraded(content).get("state", {})  # of a changed file the displayed design
         best = (state.get("designs") or [document.get("nearest") or {}])[0] if "designs" in state else {}
         exact = state.get("design") or best.get("values")  # [SI]
         if isinstance(exact, dict):
