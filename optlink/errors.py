@@ -51,6 +51,11 @@ def shown(value: object) -> str:
     return text if len(text) <= SHOWN else text[: SHOWN - 4] + " ..."
 
 
+def extra_remedy(extra: str) -> str:
+    """Return what to do where the packages of an extra are missing."""
+    return f'Install the extra {extra}: pip install ".[{extra}]" in a checkout of optlink, or its wheel with [{extra}]'
+
+
 @dataclass(frozen=True)
 class Fault:
     """One error in the input: its place (file, key, value), the message and the remedy."""

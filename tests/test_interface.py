@@ -89,7 +89,7 @@ def test_a_missing_pandas_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     import sys
 
     monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(InputError, match=r'pip install "optlink\[frame\]"'):
+    with pytest.raises(InputError, match=r'pip install "\.\[frame\]"'):
         optlink.analyze("shaper", 12).to_frame()
 
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
+import tomllib
 import zipfile
 from collections.abc import Iterable
 from importlib import metadata
@@ -15,6 +17,7 @@ import pytest
 from packaging.requirements import Requirement
 
 import optlink
+from optlink.errors import extra_remedy
 from tests.conftest import FIRST
 
 ROOT = Path(__file__).parent.parent
@@ -155,7 +158,7 @@ def test_installed_wheel_works_with_the_packages_that_it_declares(unpacked, tmp_
         command = refused.startswith("optlink ")
         done = new.optlink(*refused.split()[1:]) if command else new.python(refused)
         assert done.returncode == (2 if command else 1), (extra, done.stderr)
-        assert f'pip install "optlink[{extra}]"' in done.stderr
+        assert extra_remedy(extra) in done.stderr
         assert not command or (done.stderr.count("\n") == 1 and done.stderr.startswith("Error: "))
         try:
             new.add(extra)
@@ -163,6 +166,30 @@ def test_installed_wheel_works_with_the_packages_that_it_declares(unpacked, tmp_
             continue  # this environment has no such extra
         done = new.python(works)
         assert done.returncode == 0, (extra, done.stderr)
+
+
+def test_stability_states_the_versions_that_are_needed():
+    about = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    least = {one.name: str(one.specifier).removeprefix(">=") for one in map(Requirement, about["dependencies"])}
+    assert all(version.replace(".", "").isdecimal() for version in least.values())  # no other bounds
+    python = about["requires-python"].removeprefix(">=")
+    text = " ".join((ROOT / "docs" / "stability.md").read_text(encoding="utf-8").split())
+    assert f"Python {python}, numpy {least['numpy']}, scipy {least['scipy']} or newer" in text
+
+
+def test_what_is_advised_can_be_installed():
+    """There is no package index with optlink: an extra is one of a checkout or of a wheel."""
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
+    files = [path for folder in ("docs", "notebooks", "optlink", "examples") for path in (ROOT / folder).rglob("*")]
+    texts = [
+        path.read_text(encoding="utf-8") for path in (*files, *ROOT.glob("README*")) if path.suffix in (".py", ".md", ".ipynb")
+    ]
+    advised = [match for text in texts for match in re.findall(r"""pip install (?:-[qe] )*\\*["']([^"'\\]*)\[(\w+)\]""", text)]
+    assert {place for place, _ in advised} == {".", "optlink-VERSION-py3-none-any.whl"}
+    assert {extra for _, extra in advised} <= extras.keys()
+    named = {extra for text in texts for extra in re.findall(r"""extra_remedy\(["'](\w+)["']\)""", text)}
+    assert named == {"dask", "fast", "frame", "notebook", "studio"}
+    assert named <= extras.keys()
 
 
 def test_what_begins_a_run_exists():

@@ -16,7 +16,7 @@ from optlink.clearance.integration import Block, Impact, Integration
 from optlink.clearance.joint import EXPONENT, Gap
 from optlink.dynamics.inverse import reactions
 from optlink.dynamics.machine import Machine
-from optlink.errors import InputError
+from optlink.errors import InputError, extra_remedy
 from optlink.linkage.jet import Jet, as_jet
 from optlink.linkage.vector2d import TURN, Array, Value
 from optlink.symbolic import CompiledFunction, symbols_in_numpy
@@ -469,7 +469,7 @@ LOADED = 0.6
 REVOLUTION, ROW = 0.02, 2.5e-5
 """Seconds of CVODES for a revolution and for each of its rows, per joint with clearance (measured on the shipped machines)."""
 
-INSTALL = 'Install it: pip install "optlink[fast]", or leave the integrator to optlink'
+INSTALL = f"{extra_remedy('fast')}; or leave the integrator to optlink"
 
 
 def installed() -> bool:

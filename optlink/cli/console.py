@@ -488,9 +488,9 @@ def _replaced(path: Path, before: Any, written: set[Path], about: dict[str, Any]
 def _writers(schema: str) -> list[str]:
     """Return the commands that write results of a schema: for folders without a manifest."""
     from optlink.presentation.registry import KINDS
+    from optlink.problem.upgrades import kind_of
 
-    kind = schema.removeprefix("optlink/").rpartition("/")[0].replace("-", " ")
-    command = KINDS.get(kind, "").partition(" --")[0].rpartition(" ")[2]
+    command = KINDS.get(kind_of(schema)[0], "").partition(" --")[0].rpartition(" ")[2]
     return ["solve", "validate"] if command == "solve" else [command] if command else []
 
 

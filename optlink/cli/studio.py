@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 from optlink.cli.options import Quiet, flag, option, problem_names
-from optlink.errors import InputError
+from optlink.errors import InputError, extra_remedy
 
 PROBLEM_HELP = "Name of a shipped problem, or path of a .toml file. Default: choose on the page."
 ProblemName = Annotated[
@@ -29,8 +29,7 @@ def studio(
     """Open an interactive page: drag points, dimensions and limits, and the optimum follows."""
     missing = [name for name in NEEDED if importlib.util.find_spec(name) is None]
     if missing:
-        remedy = 'Install them: pip install "optlink[studio]"'
-        raise InputError(f"the studio needs packages that are not installed: {', '.join(missing)}", remedy)
+        raise InputError(f"the studio needs packages that are not installed: {', '.join(missing)}", extra_remedy("studio"))
     from optlink.studio.document import named
     from optlink.studio.server import serve
 

@@ -2,7 +2,7 @@
 
 A task (`optlink.execution.worker.ChunkTask`) maps the number of a chunk to its result, which depends on nothing else. Results
 arrive in any order. Every engine is an executor as of `concurrent.futures`: `optlink.execution.worker.Processes`, or that of a
-Dask client (`pip install "optlink[dask]"`). A Dask cluster of this machine opens no network port: scheduler and workers are
+Dask client (the extra `dask`). A Dask cluster of this machine opens no network port: scheduler and workers are
 threads of this process (`inproc://`), each worker has a process of its own, and there is neither a dashboard nor another server.
 """
 
@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
 from typing import Any
 
-from optlink.errors import InputError, SolverError
+from optlink.errors import InputError, SolverError, extra_remedy
 from optlink.execution import interrupts
 from optlink.execution.worker import ATTEMPTS, ChunkResult, ChunkTask, Processes, Runs, packed, run_chunk, run_packed
 from optlink.problem.quantity import check_choice
@@ -50,7 +50,7 @@ def check(engine: str, workers: int | None, scheduler: str | None) -> None:
         try:
             import distributed  # noqa: F401
         except ImportError:
-            remedy = 'Install it: pip install "optlink[dask]", or use --engine local'
+            remedy = f"{extra_remedy('dask')}; or use --engine local"
             raise InputError("Dask is not installed", remedy, key="--engine", value="dask") from None
 
 

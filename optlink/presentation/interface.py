@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from optlink.errors import InputError, UnknownName, nearest
+from optlink.errors import InputError, UnknownName, extra_remedy, nearest
 from optlink.io import folder as made
 from optlink.presentation.registry import stored_page, view_of
 from optlink.problem.arguments import typed
@@ -194,8 +194,7 @@ def to_frame(result: Document, name: str | None = None) -> pandas.DataFrame:
     try:
         import pandas
     except ImportError:
-        remedy = 'Install it: pip install "optlink[frame]"'
-        raise InputError("to_frame needs the package pandas, which is not installed", remedy) from None
+        raise InputError("to_frame needs the package pandas, which is not installed", extra_remedy("frame")) from None
     tables: dict[str, Mapping[str, Iterable[float | str]]] = dict(view_of(result.kind).tables(result))
     own = getattr(result, "columns", None)
     tables = tables or ({"columns": own} if own else {})

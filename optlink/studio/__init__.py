@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from optlink.errors import InputError
+from optlink.errors import InputError, extra_remedy
 from optlink.problem.arguments import typed
 from optlink.problem.file import ProblemFile, dump
 
@@ -35,8 +35,7 @@ def explore(problem: ProblemFile | str | Path) -> Canvas:
     try:
         from optlink.studio.widget import Canvas
     except ImportError:
-        remedy = 'Install it: pip install "optlink[notebook]"'
-        raise InputError("explore needs the package anywidget, which is not installed", remedy) from None
+        raise InputError("explore needs the package anywidget, which is not installed", extra_remedy("notebook")) from None
     from optlink.studio.document import Document, named
 
     if isinstance(problem, ProblemFile):

@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import tomli_w
-from click.testing import Result
-from typer.testing import CliRunner
+from typer.testing import CliRunner, Result
 
 from optlink.cli.app import app
 from tests.stated import SPOTS, document, four_bar_section, free

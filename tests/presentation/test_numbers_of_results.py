@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
+import zlib
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -239,6 +240,12 @@ def test_a_document_that_another_program_wrote_again_is_unchanged(design: dict[s
     assert checked(json.loads(again)) is not None
     (tmp_path / "result.json").write_text(json.dumps(change(with_check_sum(design))), encoding="utf-8")
     assert read_result(tmp_path).to_dict()[SUM]
+
+
+def test_the_check_sum_is_what_the_documentation_says(design: dict[str, Any]) -> None:
+    text = json.dumps({**design, "title": "Ω"})
+    plain = json.dumps(json.loads(text, parse_int=float), sort_keys=True, separators=(",", ":"), ensure_ascii=True)
+    assert f"{zlib.crc32(plain.encode('ascii')):08x}" == with_check_sum(json.loads(text))[SUM]
 
 
 @pytest.mark.parametrize("former", [False, True])

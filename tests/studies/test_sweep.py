@@ -678,7 +678,7 @@ def test_bad_engines(options, words, tmp_path):
 
 def test_missing_dask_is_reported_with_its_installation(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(InputError, match=r'pip install "optlink\[dask\]"'):
+    with pytest.raises(InputError, match=r'pip install "\.\[dask\]"'):
         sweep(problem(), [f"{FRAME}:3"], engine="dask")
 
 

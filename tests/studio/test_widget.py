@@ -136,7 +136,7 @@ def test_the_page_is_one_document() -> None:
 def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "anywidget", None)
     monkeypatch.delitem(sys.modules, "optlink.studio.widget", raising=False)
-    with pytest.raises(InputError, match=r'anywidget.*pip install "optlink\[notebook\]"'):
+    with pytest.raises(InputError, match=r'anywidget.*pip install "\.\[notebook\]"'):
         optlink.explore("crank-rocker")
 
 
