@@ -490,7 +490,7 @@ def _writers(schema: str) -> list[str]:
     from optlink.presentation.registry import KINDS
 
     kind = schema.removeprefix("optlink/").rpartition("/")[0].replace("-", " ")
-    command = KINDS.get(kind, "").partition(" --")[0].rpartition(" ")[2]
+    command = (KINDS[kind].command if kind in KINDS else "").partition(" --")[0].rpartition(" ")[2]
     return ["solve", "validate"] if command == "solve" else [command] if command else []
 
 
