@@ -84,9 +84,13 @@ def solve(
         Time limit of the proof. The lower bound reached by then is valid.
     proving : function of (completed fraction of the proof, current gap), optional
         Called with the progress of the proof.
-    engine, workers, scheduler
-        Execution of long searches and proofs, see `optlink.execution.runner.pool`; if one of them is set, of short searches too.
-        The result does not depend on them.
+    engine : "local" or "dask"
+        Where the work is done: in processes of this computer, or on a Dask cluster. The result does not depend on it.
+    workers : int, optional
+        Number of processes, or of workers of a local cluster. Default: as many as processor cores for long searches and proofs,
+        one, the present process, for short searches.
+    scheduler : str, optional
+        Address of a running Dask scheduler, such as "tcp://host:8786". Default: a cluster that is started on this computer.
 
     Returns
     -------
