@@ -1,4 +1,11 @@
-from optlink import control as control, linkage as linkage, studies as studies, synthesis as synthesis, testing as testing
+from optlink import (
+    control as control,
+    extending as extending,
+    linkage as linkage,
+    studies as studies,
+    synthesis as synthesis,
+    testing as testing,
+)
 from optlink.errors import (
     InputError as InputError,
     OptlinkError as OptlinkError,

@@ -1,4 +1,4 @@
-"""Atomic files, JSON documents, and registries of the parts that further modules can add.
+"""Atomic files, JSON documents, and `register`, by which further modules add to optlink.
 
 A file is written under a temporary name in its folder, then renamed. Only installed Python packages can extend optlink, through
 the entry-point group `optlink.extensions`: problem files cannot name code.
@@ -20,13 +20,12 @@ import threading
 import zlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, ClassVar
 
 from optlink.errors import InputError, UnknownName, nearest
 from optlink.version import VERSION
 
 GROUP = "optlink.extensions"
-Item = TypeVar("Item")
 
 SUM = "crc32"  # key of the check sum of a document
 LOCK = ".optlink.lock"
@@ -367,28 +366,60 @@ class Summary:
         return f"<{type(self).__name__}{name}{f': {summary}' if summary else ''}>"
 
 
-class Registry(dict[str, Item]):
-    """Parts by name, in the order of registration."""
+class Entry:
+    """Base class of what extends optlink: a dataclass with a `name`, which `register` puts into the `registry` of its kind."""
 
-    def add(self, name: str, item: Item) -> Item:
-        """Register a part.
+    name: Any
+    registry: ClassVar[dict[str, Any]]
 
-        Raises
-        ------
-        ValueError
-            if the name is already taken.
-        """
-        if name in self:
-            raise ValueError(f"{name!r} is already registered")
-        self[name] = item
-        return item
+    def __init_subclass__(cls) -> None:
+        if Entry in cls.__bases__:
+            cls.registry = {}
+
+    def fault(self) -> tuple[str, str] | None:
+        """Return what is wrong with the entry, and the remedy; None if nothing is."""
+        return None
+
+    def entered(self) -> None:
+        """Adapt what depends on the registry, once the entry is in it."""
+
+
+def register(*entries: Entry) -> None:
+    """Add entries to optlink: a limit, a quantity, a back end, a dyad, a kind of problem, a kind of result.
+
+    Parameters
+    ----------
+    *entries : Entry
+        Of the classes in `optlink.extending`.
+
+    Raises
+    ------
+    InputError
+        If an entry is faulty, or if its name is already taken.
+
+    Examples
+    --------
+    >>> from optlink.extending import QuantityType, register
+    >>> register(QuantityType("torque", "torque", ("peak",)))
+    Traceback (most recent call last):
+    optlink.errors.InputError: QuantityType = "torque": this name is already registered. Choose another name
+    """
+    for entry in entries:
+        kind = type(entry).__name__
+        if not isinstance(entry, Entry):
+            raise InputError("not an entry", "Register one of the classes of optlink.extending", key="register", value=kind)
+        fault = ("this name is already registered", "Choose another name") if entry.name in entry.registry else entry.fault()
+        if fault is not None:
+            raise InputError(*fault, key=kind, value=entry.name)
+        entry.registry[entry.name] = entry
+        entry.entered()
 
 
 @functools.cache
 def load_extensions() -> None:
     """Import the modules that installed packages name in the entry-point group `optlink.extensions`, once.
 
-    A module that cannot be imported, or registers a name that is taken, is reported on standard error.
+    A module that cannot be imported, or registers a faulty entry, is reported on standard error.
     """
     if not _extended():
         return

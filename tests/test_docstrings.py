@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 
 import optlink
+from docs.generate import extending
 
 ROOT = Path(__file__).parent.parent
 SECTION = re.compile(r"^Parameters\n-+\n(.*?)(?=^\w[\w ]*\n-{3,}|\Z)", re.DOTALL | re.MULTILINE)
@@ -41,7 +42,10 @@ def described(docstring: str) -> list[str]:
     return [name.strip().lstrip("*") for entry in entries for name in entry]
 
 
-EXTENSION_POINTS = ("optlink.tasks.protocol.DesignTask", "optlink.tasks.run.add_task", "optlink.presentation.view.View")
+EXTENSION_POINTS = {
+    *(extending.path_of(one.entry) for one in extending.ADDITIONS),
+    *(f"optlink.{name}" for one in extending.ADDITIONS for name in one.further),
+}
 
 
 @cache

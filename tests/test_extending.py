@@ -7,6 +7,7 @@ import json
 import os
 import subprocess
 import sys
+from itertools import chain
 from pathlib import Path
 
 import jsonschema
@@ -15,22 +16,16 @@ import pytest
 from typer.testing import CliRunner
 
 import optlink
+from docs.generate.extending import ADDITIONS
+from optlink import InputError
 from optlink.cli.app import app
-from optlink.dynamics.inverse import BALANCES
-from optlink.errors import InputError
-from optlink.linkage.assur import DYADS
-from optlink.presentation.registry import REGISTERED
-from optlink.problem.design import DesignProblem
-from optlink.problem.file_errors import SECTIONS
-from optlink.problem.limits import LIMITS, Limits
-from optlink.problem.terms import QUANTITIES, QuantityType
-from optlink.solvers.contract import SOLVERS
+from optlink.extending import DyadType, LimitTerm, ProblemKind, QuantityType, Solver, register
+from optlink.io import Entry
+from optlink.problem.limits import MODELS
 from optlink.studio import design as studio_design
-from optlink.tasks.run import TASKS
 
 FOLDER = Path(__file__).parent / "extending"
-REGISTRIES = (LIMITS, QUANTITIES, SOLVERS, DYADS, BALANCES, SECTIONS, TASKS, REGISTERED)
-MODELS = (Limits, DesignProblem)
+REGISTRIES = [one.entry.registry for one in ADDITIONS]
 LONGEST = 60  # lines of an extension
 
 
@@ -118,22 +113,23 @@ def test_a_new_constraint_of_a_path(extended):
 
 
 TURNING = {"objective": {"quantity": "turning", "of": "rocker", "measure": "peak"}}
+SLOW_ROCKER = {
+    "title": "Slow rocker",
+    "mechanism": {
+        "type": "four-bar",
+        "crank": "100 mm",
+        "coupler": {"start": "300 mm", "bounds": ["250 mm", "450 mm"]},
+        "rocker": {"start": "250 mm", "bounds": ["200 mm", "320 mm"]},
+        "frame": "350 mm",
+    },
+    "drive": {"body": "crank", "speed": "60 rpm"},
+    "limits": {"swing": {"quantity": "stroke", "of": "rocker", "exactly": "50 deg"}},
+    **TURNING,
+}
 
 
 def test_a_new_objective(extended, tmp_path):
-    raw = {
-        "title": "Slow rocker",
-        "mechanism": {
-            "type": "four-bar",
-            "crank": "100 mm",
-            "coupler": {"start": "300 mm", "bounds": ["250 mm", "450 mm"]},
-            "rocker": {"start": "250 mm", "bounds": ["200 mm", "320 mm"]},
-            "frame": "350 mm",
-        },
-        "drive": {"body": "crank", "speed": "60 rpm"},
-        "limits": {"swing": {"quantity": "stroke", "of": "rocker", "exactly": "50 deg"}},
-        **TURNING,
-    }
+    raw = SLOW_ROCKER
     with pytest.raises(InputError, match="not one of the choices"):
         optlink.read(raw)
     extended("objective")
@@ -166,7 +162,7 @@ def test_a_new_back_end(extended, tmp_path):
 
 def test_a_new_dyad(extended, tmp_path):
     reference = optlink.analyze(optlink.load("scotch-yoke"), points=180)
-    built_in = DYADS.pop("RPP")
+    built_in = DyadType.registry.pop("RPP")
     with pytest.raises(InputError):
         optlink.load("scotch-yoke")
     extended("dyad")
@@ -175,7 +171,7 @@ def test_a_new_dyad(extended, tmp_path):
     analysis = optlink.analyze(problem, points=180)
     for name, column in reference.columns.items():
         assert np.allclose(analysis.columns[name], column, rtol=1e-9, atol=1e-9 * max(1.0, float(np.max(np.abs(column))))), name
-    assert DYADS["RPP"] is not built_in
+    assert DyadType.registry["RPP"] is not built_in
     assert solved("analyze", "scotch-yoke")["groups"][0]["kind"] == "yoke"
     assert np.max(analysis.columns["input.torque_Nm"]) == pytest.approx(57.129, rel=1e-3)
     assert "Scotch yoke" in page(tmp_path, "scotch-yoke")
@@ -232,12 +228,74 @@ def test_the_schema_of_problem_files_has_what_is_registered(extended):
 
 
 def test_a_name_is_registered_once(extended):
-    extended("objective")
-    with pytest.raises(ValueError, match="already registered"):
-        QUANTITIES.add("turning", QUANTITIES["torque"])
     extended("constraint")
-    with pytest.raises(ValueError, match="already registered"):
+    with pytest.raises(InputError, match=r'^LimitTerm = "coupler_ratio": this name is already registered\. Choose another name$'):
         importlib.reload(sys.modules["tests.extending.constraint"])
+
+
+COURSE = {"signal": lambda moving, reactions, term: (0.0,), "history": lambda record, term: np.zeros(3)}
+FAULTY = {
+    'QuantityType = "torque": this name is already registered': QuantityType("torque", "torque", ("peak",), **COURSE),
+    'QuantityType = "field": the physical kind "charge" is unknown. Known: ': QuantityType(
+        "field", "charge", ("peak",), **COURSE
+    ),
+    'QuantityType = "x": the measure "peek" is unknown. Did you mean "peak"': QuantityType("x", "force", ("peek",), **COURSE),
+    'QuantityType = "half": only one of signal and history': QuantityType("half", "force", ("peak",), signal=COURSE["signal"]),
+    'LimitTerm = "crank": limits.crank is a key of problem files': LimitTerm("crank", None, None, None),
+    'Solver = "both": it stands for two back ends': Solver("both", lambda: None),
+    'DyadType = "slot": a dyad is named by its three joints': DyadType("slot", None),
+    'ProblemKind = "own": the section "mechanism" belongs to another kind': ProblemKind("own", None, "mechanism", object),
+    'ProblemKind = "own": the section "mine" has no model': ProblemKind("own", None, "mine"),
+    'register = "dict": not an entry': {"name": "torque"},
+}
+
+
+@pytest.mark.parametrize("message", FAULTY)
+def test_a_faulty_entry_is_refused_by_name(message):
+    before = [dict(registry) for registry in REGISTRIES]
+    with pytest.raises(InputError) as caught:
+        register(FAULTY[message])
+    assert str(caught.value).startswith(message)
+    assert [dict(registry) for registry in REGISTRIES] == before
+
+
+def test_the_reference_has_every_kind_of_entry():
+    assert {one.entry for one in ADDITIONS} == set(Entry.__subclasses__())
+    assert {one.example for one in ADDITIONS} == {path.stem for path in FOLDER.glob("[a-z]*.py")}
+    assert set(chain.from_iterable(one.oracles for one in ADDITIONS)) == {
+        name for name in optlink.testing.__all__ if name.startswith("check_")
+    }
+
+
+def clearing():
+    stated = {key: value for key, value in optlink.load("six-bar").raw.items() if key != "expected"}
+    return optlink.solve(optlink.read({**stated, "clearing": {"point": "C", "least": "10 mm"}}))
+
+
+def without_loads(name):
+    return optlink.read({key: value for key, value in optlink.load(name).raw.items() if key not in ("expected", "loads")})
+
+
+SUBJECTS = {
+    "constraint": lambda: optlink.load("crank-rocker", {"limits.coupler_ratio": [0.1, 2.5]}),
+    "objective": lambda: optlink.read(SLOW_ROCKER),
+    "back_end": lambda: "crank-rocker",
+    "dyad": lambda: without_loads("scotch-yoke"),
+    "kind": clearing,
+    "view": clearing,
+}
+"""What the oracles of an example take: a problem that uses it, or a result."""
+
+
+@pytest.mark.parametrize(("one", "oracle"), [(one.example, oracle) for one in ADDITIONS for oracle in one.oracles])
+def test_the_oracles_check_each_example(extended, one, oracle):
+    if one == "dyad":
+        DyadType.registry.pop("RPP")
+    for name in ("kind", "view") if one in ("kind", "view") else (one,):
+        extended(name)
+    options = ("trust-constr",) if one == "back_end" else ()
+    error = getattr(optlink.testing, oracle)(SUBJECTS[one](), *options)
+    assert error is None or error < 1e-3
 
 
 @pytest.mark.parametrize("module", ["tests.extending.back_end", "tests.extending.missing"])
@@ -253,8 +311,3 @@ def test_an_installed_package_extends_the_command_line(tmp_path, module):
     )
     assert ("trust-constr" in done.stdout) == (module == "tests.extending.back_end")
     assert ("Warning: the extension example" in done.stderr) == (module == "tests.extending.missing")
-
-
-def test_a_quantity_of_an_unknown_physical_kind_is_refused_at_its_registration():
-    with pytest.raises(ValueError, match=r"'charge' of a quantity is unknown\. Add it to KINDS"):
-        QuantityType("charge", ("peak",))

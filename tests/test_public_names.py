@@ -18,10 +18,15 @@ PUBLIC = {
         SolverError Status SynthesisResult UnknownName
         analyze analyze_batch balance build explore export load motion new read read_design read_result report shipped simulate
         solve validate
-        control linkage studies synthesis testing
+        control extending linkage studies synthesis testing
     """,
     "optlink.control": """
         ClearanceSimulation Comparison InverseMotion Tuning compare inverse_model simulate_clearance tune
+    """,
+    "optlink.extending": """
+        AngleInterval Attempt Check DesignTask Dyad DyadType Element FixedLength GroupForces Guide LengthInterval LimitTerm
+        NumberInterval Problem ProblemKind QuantityType ResultKind Section SingleResult Solver Validation View
+        checks register summary
     """,
     "optlink.linkage": """
         Cognate CouplerLinkage GrashofClass Jet Mechanism Motion Pose Travel cognates four_bar grashof reachable sweep travels

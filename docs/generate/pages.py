@@ -19,7 +19,19 @@ from functools import partial
 from pathlib import Path
 
 import optlink
-from docs.generate import api, certificates, commands, gallery, keys, measurements, outputs, recipes, sketches, validation
+from docs.generate import (
+    api,
+    certificates,
+    commands,
+    extending,
+    gallery,
+    keys,
+    measurements,
+    outputs,
+    recipes,
+    sketches,
+    validation,
+)
 from optlink.problem.templates import templates
 
 DOCS = Path(__file__).resolve().parents[1]
@@ -63,6 +75,7 @@ MAKERS: dict[str, Callable[[Block], str]] = {
     "gallery": lambda _: gallery.page(),
     "recipes": lambda _: recipes.listed(),
     "api": _api,
+    "extending": lambda _: extending.page(),
     "recipe": lambda block: recipes.recipe(block.page.stem),
     "output": lambda block: outputs.shown(block.what, block.options),
     "exit code": lambda block: outputs.exit_code(block.what),

@@ -490,7 +490,8 @@ def _writers(schema: str) -> list[str]:
     from optlink.presentation.registry import KINDS
     from optlink.problem.upgrades import kind_of
 
-    command = KINDS.get(kind_of(schema)[0], "").partition(" --")[0].rpartition(" ")[2]
+    kind = kind_of(schema)[0]
+    command = (KINDS[kind].command if kind in KINDS else "").partition(" --")[0].rpartition(" ")[2]
     return ["solve", "validate"] if command == "solve" else [command] if command else []
 
 

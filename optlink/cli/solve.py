@@ -85,9 +85,9 @@ def solve(
 
     file = console.load(problem, changes)
     if not (_automatic(file) if certify is None else certify):
-        task, searched = design_task(file), file.task != "analysis"
-        remedy = "Add --certify, or leave it out" if certify is None and searched and task.certifies(file) else "Leave it out"
-        if searched and not task.divisible:
+        task = design_task(file)
+        remedy = "Add --certify, or leave it out" if certify is None and task.certifies(file) else "Leave it out"
+        if not task.divisible:
             console.refuse(where, "only multistart searches and certificates use several processes", remedy, file.file)
         console.refuse(limits, "the option applies to a certificate of the global optimum only", remedy, file.file)
     seconds = console.quantity(time_limit, "time", "--time-limit")

@@ -14,13 +14,11 @@ import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import get_args
 
 import numpy as np
 
 from optlink.dynamics.machine import Machine, Moving, Wrench, wrench
-from optlink.io import Registry
-from optlink.linkage.dyads import JointedDyad, Transmitting
+from optlink.linkage.dyads import JointedDyad
 from optlink.linkage.mechanism import FRAME, Dyad, Guide, Joint, Link
 from optlink.linkage.vector2d import Array, Value, Vector, cross, dot, minus, plus
 
@@ -61,7 +59,13 @@ class GroupForces:
         )
 
     def where(self, which: Value, other: GroupForces) -> GroupForces:
-        """Return these forces where `which` is true, elementwise, and those of another solution elsewhere."""
+        """Return these forces where `which` is true, elementwise, and those of another solution elsewhere.
+
+        Parameters
+        ----------
+        which : bool or array of bool
+        other : GroupForces
+        """
         numbers: list[Value] = []
         other.each(lambda x: numbers.append(x) or x)  # type: ignore[func-returns-value]
         rest = iter(numbers)
@@ -145,17 +149,17 @@ class ForceBalance:
 
     def with_friction(self, group: Dyad) -> GroupForces:
         """Solve a group; with guide friction, for the consistent signs of the normal forces."""
-        solver = BALANCES[group.kind]
+        solver: Callable[..., GroupForces] = group.forces
         rough = [guide for guide in group.prismatic if guide.name in self.moving.machine.friction]
         if not rough:
-            return solver(self, group, {})
+            return solver(self, {})
         senses = {guide.name: self._slip(guide) for guide in rough}
         if self.normals is not None:
-            return solver(self, group, {name: self.normals[name] * sense for name, sense in senses.items()})
+            return solver(self, {name: self.normals[name] * sense for name, sense in senses.items()})
         balances = []
         for signs in itertools.product((1.0, -1.0), repeat=len(rough)):
             tilts = {guide.name: sign * senses[guide.name] for guide, sign in zip(rough, signs, strict=True)}
-            trial = solver(self, group, tilts)
+            trial = solver(self, tilts)
             least = -ROUNDING * sum(np.abs(force) for force in trial.components)
             fits: Value = np.True_
             for guide, sign in zip(rough, signs, strict=True):
@@ -187,6 +191,39 @@ class ForceBalance:
         """Coefficient of friction with the sign of the slider's velocity along the line."""
         sense = self.moving.sense(lambda source: source.slides[guide.name][1:], self.moving.machine.size)
         return self.moving.machine.friction[guide.name] * sense
+
+    def jointed_forces(self, group: JointedDyad, tilts: Mapping[str, Value]) -> GroupForces:
+        """Return the forces of a group from its three joints.
+
+        A pin exerts no moment about itself, a guide no force along its line. With an inner pin its force follows from one balance
+        of each body, with an inner guide that of the first body's outer pin from one balance of this body and one of both.
+        """
+        (first, second), (joint, other) = group.links, group.outer
+        of_first, of_second = (self.needed[link.body].force for link in group.links)
+        row, across = self.directions(group, tilts)
+        at, moment = self.at(group.inner), 0.0
+        pins: list[tuple[str, str, Vector]] = []
+        guides: list[tuple[Guide, str, Vector, Value]] = []
+        if isinstance(group.inner, Guide):
+            both = self.component(other, across, plus(of_first, of_second), first, second)
+            pin = solve_two_by_two(row, dot(row, of_first), across, -both)
+            inner, moment = minus(of_first, pin), self.about(first, at) - cross(minus(self.at(joint), at), pin)
+            guides.append((group.inner, first.body, inner, moment))
+        else:
+            component = self.component(joint, row, of_first, first)
+            inner = solve_two_by_two(row, -component, across, self.component(other, across, of_second, second))
+            pins.append((group.inner, first.body, inner))
+        outer = minus(of_first, inner), plus(of_second, inner)
+        for link, joint, force in zip(group.links, group.outer, outer, strict=True):
+            if isinstance(joint, Guide):
+                place = self.at(joint)
+                whole, passed = self.about(link, place), cross(minus(at, place), inner)
+                if isinstance(group.inner, Guide):
+                    passed = passed + moment
+                guides.append((joint, link.body, force, whole - passed if link is first else whole + passed))
+            else:
+                pins.append((joint, link.body, force))
+        return GroupForces(pins, guides, (row, across))
 
     # --- transmitted forces ----------------------------------------------------------------------------------------
 
@@ -221,47 +258,6 @@ class ForceBalance:
         if body != FRAME:
             start = self.moving.state(body).start
             self.needed[body] = self.needed[body] + Wrench(force, moment + cross(minus(point, start), force))
-
-
-def jointed_forces(balance: ForceBalance, group: JointedDyad, tilts: Mapping[str, Value]) -> GroupForces:
-    """Return the forces of a group from its three joints: a pin exerts no moment about itself, a guide no force along its line.
-
-    With an inner pin its force follows from one balance of each body, with an inner guide that of the first body's outer pin
-    from one balance of this body and one of both.
-    """
-    (first, second), (joint, other) = group.links, group.outer
-    of_first, of_second = (balance.needed[link.body].force for link in group.links)
-    row, across = balance.directions(group, tilts)
-    at, moment = balance.at(group.inner), 0.0
-    pins: list[tuple[str, str, Vector]] = []
-    guides: list[tuple[Guide, str, Vector, Value]] = []
-    if isinstance(group.inner, Guide):
-        both = balance.component(other, across, plus(of_first, of_second), first, second)
-        pin = solve_two_by_two(row, dot(row, of_first), across, -both)
-        inner, moment = minus(of_first, pin), balance.about(first, at) - cross(minus(balance.at(joint), at), pin)
-        guides.append((group.inner, first.body, inner, moment))
-    else:
-        component = balance.component(joint, row, of_first, first)
-        inner = solve_two_by_two(row, -component, across, balance.component(other, across, of_second, second))
-        pins.append((group.inner, first.body, inner))
-    outer = minus(of_first, inner), plus(of_second, inner)
-    for link, joint, force in zip(group.links, group.outer, outer, strict=True):
-        if isinstance(joint, Guide):
-            place = balance.at(joint)
-            whole, passed = balance.about(link, place), cross(minus(at, place), inner)
-            if isinstance(group.inner, Guide):
-                passed = passed + moment
-            guides.append((joint, link.body, force, whole - passed if link is first else whole + passed))
-        else:
-            pins.append((joint, link.body, force))
-    return GroupForces(pins, guides, (row, across))
-
-
-BALANCES: Registry[Callable[..., GroupForces]] = Registry()
-"""By the kind of the group: (remaining wrenches, group, tangents of friction angles of guides) -> forces."""
-
-for kind in get_args(Transmitting):
-    BALANCES.add(kind.kind, jointed_forces)
 
 
 ROUNDING = 1e-9

@@ -13,7 +13,7 @@ from functools import partial
 from typing import get_args
 
 from optlink.errors import InvalidValue
-from optlink.io import Registry
+from optlink.io import Entry, register
 from optlink.linkage.dyads import FORWARD, RPR, LineDyad, ModalDyad, Transmitting
 from optlink.linkage.mechanism import FRAME, BodyPoint, Dyad, Ground, Guide, Joint, Link, Mechanism, owners_of
 from optlink.unsupported import unsupported
@@ -167,9 +167,9 @@ class Assembly:
             raise self._one_body(first, second, [a, joint])
         letters = "".join("R" if isinstance(each, str) else "P" for each in (a, joint, b))
         if letters in DYADS:
-            return DYADS[letters](self, self.bodies[first], self.bodies[second], a, joint, b)
+            return DYADS[letters].form(self, self.bodies[first], self.bodies[second], a, joint, b)
         if letters[::-1] in DYADS:
-            return DYADS[letters[::-1]](self, self.bodies[second], self.bodies[first], b, joint, a)
+            return DYADS[letters[::-1]].form(self, self.bodies[second], self.bodies[first], b, joint, a)
         return None  # three prismatic joints determine no position
 
     def side(self, joint: str, *joints: Joint) -> int:
@@ -264,8 +264,29 @@ class Assembly:
 Former = Callable[[Assembly, Link, Link, Joint, Joint, Joint], Dyad]
 """(assembly, first body, second body, outer joint of the first, inner joint, outer joint of the second) -> group"""
 
-DYADS: Registry[Former] = Registry()
-"""Types of dyads by their outer joint, inner joint and other outer joint: R, given by the name of a pin, or P, a Guide."""
+
+@dataclass(frozen=True)
+class DyadType(Entry):
+    """A dyad of three joints, each R, a pin, or P, a guide.
+
+    Parameters
+    ----------
+    name : str
+        Letters of its outer joint, inner joint and other outer joint, such as "RPP".
+    form : function of (assembly, first body, second body, outer joint, inner joint, other outer joint)
+        Returns the `Dyad` of two bodies; a pin is given by its name, a guide as a `Guide`.
+    """
+
+    name: str
+    form: Former
+
+    def fault(self) -> tuple[str, str] | None:
+        """Refuse other names than three of the letters R and P."""
+        named = re.fullmatch("[RP]{3}", self.name)
+        return None if named else ("a dyad is named by its three joints", 'Write R for a pin and P for a guide, such as "RPP"')
+
+
+DYADS: dict[str, DyadType] = DyadType.registry
 
 
 def _formed(
@@ -279,5 +300,4 @@ def _formed(
     return kind(first, second, (p, q), inner, assembly.side(joint, p, inner, q), follow=_split(assembly.modes[joint])[1])
 
 
-for dyad in get_args(Transmitting):
-    DYADS.add(dyad.kind, partial(_formed, dyad))
+register(*(DyadType(dyad.kind, partial(_formed, dyad)) for dyad in get_args(Transmitting)))

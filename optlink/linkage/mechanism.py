@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -273,6 +273,18 @@ class Dyad:
         It is zero at a singular position and negative beyond it.
         """
         raise NotImplementedError
+
+    def forces(self, balance: Any, tilts: Mapping[str, Value]) -> Any:
+        """Return the `GroupForces` of the joints from what is required of the bodies, by default from the three joints.
+
+        Parameters
+        ----------
+        balance : ForceBalance
+            Wrenches that the joints must exert, and the motion.
+        tilts : mapping of str to float
+            Tangents of the friction angles of guides with friction.
+        """
+        return balance.jointed_forces(self, tilts)
 
 
 class Pose:

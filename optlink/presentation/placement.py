@@ -15,15 +15,19 @@ from numpy.typing import NDArray
 
 from optlink.linkage.vector2d import TURN, Array
 
-CELL = 0.25  # side of a cell, in font sizes
-HIGH, ROOM = 0.45, 0.15  # half the height of a text and the space around it, in font sizes
-ON_TEXT, ON_LINE, ACROSS = 0.5, 0.35, 0.25  # costs of a cell that a text shares with a text, with a line of the drawing or a text
-LINES = 0.08  # that a line of a text shares with a line of the drawing or of a text
+CELL = 0.25  # side of a cell, in font sizes: half the width of a letter, less than which is not seen
+HIGH, ROOM = 0.45, 0.15  # half the height of a text, from p to b, and the space around it, in font sizes
+ON_TEXT, ON_LINE, ACROSS = 0.5, 0.35, 0.25
+"""Costs of a cell that a text shares with a text, with a line of the drawing, with a line of a text: more if less is legible."""
+LINES = 0.08  # cost of a cell that a line of a text shares with another line: both remain visible
 OUTSIDE, WRONG, HIDDEN, CHANGE = 100.0, 20.0, 10.0, 25.0
-"""Costs of a text that leaves the drawing, seems to belong to another point, hides a point, changes its place."""
+"""Costs of a text that leaves the drawing, seems to belong to another point, hides a point, changes its place.
+
+To leave the drawing is by far the worst; a change costs as much as some positions on a line of the drawing.
+"""
 FIRST = 0.25  # share of the motion as which the first position counts for a text at rest: pages show and print it still
-SWEEPS = 12
-MOST = 3_000_000  # points of all possible places beyond which not every position is examined
+SWEEPS = 12  # most rounds in which the texts are improved: each lowers the total, the later ones by little
+MOST = 3_000_000  # points of all possible places, some 50 MB, beyond which not every position is examined
 DIRECTIONS = np.array([[np.cos(t), np.sin(t)] for t in np.linspace(0.0, TURN, 16, endpoint=False)])
 SIDES = np.clip(1.5 * DIRECTIONS, -1.0, 1.0)  # where the middle of a text lies in these directions, in halves of its size
 WAYS = np.where(np.abs(SIDES) == 1.0, DIRECTIONS, 0.0)
@@ -34,7 +38,7 @@ Choice = NDArray[np.intp]
 """The number of the place of a text at each position."""
 
 MAX_LETTERS = 12
-"""Most letters of the name of a point in a drawing."""
+"""Most letters of the name of a point in a drawing: six at its beginning, five at its end."""
 
 
 def short_name(name: str) -> str:

@@ -1,4 +1,4 @@
-"""Views by kind of result: the table of the terminal, the files of --out, the page of a stored result.
+"""Kinds of results, and what is shown of each: the table of the terminal, the files of --out, the page of a stored result.
 
 Each is imported when it is used: a table needs no plotting library.
 """
@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from optlink.errors import InputError
-from optlink.io import load_extensions
+from optlink.io import Entry, load_extensions, register
 from optlink.presentation.format import single_units
 from optlink.presentation.table_spec import Summary
 from optlink.presentation.view import View
@@ -28,34 +28,52 @@ if TYPE_CHECKING:
     from optlink.presentation.view import StoredStudy
 
 
-REGISTERED: dict[str, View] = {}
-"""Views of further kinds of results by the name of the kind."""
-KINDS = {
-    "design": "solve",
-    "analysis": "analyze",
-    **dict.fromkeys(("simulation", "clearance"), "simulate"),
-    "control comparison": "simulate --control compare",
-    "tuning": "simulate --tune",
-    "balance": "balance",
-    **{kind: f"study {kind}" for kind in ("sensitivity", "sweep", "tolerance", "pareto")},
-    "output sensitivity": "study sensitivity --quantity",
-}
-"""Kinds of stored results, and the commands that write them."""
-RESULTS = {
-    "design": "optlink.tasks.results.design:SynthesisResult",
-    "analysis": "optlink.tasks.analyze:Analysis",
-    "simulation": "optlink.tasks.simulate:Simulation",
-    "clearance": "optlink.tasks.results.clearance:ClearanceSimulation",
-    "control comparison": "optlink.tasks.results.clearance:Comparison",
-    "tuning": "optlink.tasks.results.clearance:Tuning",
-    "balance": "optlink.tasks.results.balance:Balance",
-    "sensitivity": "optlink.studies.sensitivity:Sensitivities",
-    "sweep": "optlink.studies.sweeps:Sweep",
-    "tolerance": "optlink.studies.tolerances.analysis:Tolerance",
-    "pareto": "optlink.studies.fronts.epsilon_constraint:Pareto",
-    "output sensitivity": "optlink.studies.motion_sensitivity:OutputStudy",
-}
-"""Classes of stored results by kind, read without the view of the kind, which draws."""
+@dataclass(frozen=True)
+class ResultKind(Entry):
+    """A kind of results: how a stored one is read, and how it is shown.
+
+    Parameters
+    ----------
+    name : str
+        `kind` of their class.
+    command : str
+        Command that writes them.
+    result : function
+        Imports and returns their class, a `Document`.
+    view : function
+        Imports and returns their `View`, which may need a plotting library.
+    """
+
+    name: str
+    command: str
+    result: Callable[[], type[Document]]
+    view: Callable[[], View]
+
+
+def _part(path: str) -> Callable[[], Any]:
+    """Return a function that imports a part of optlink, "module:name"."""
+    module, _, name = path.partition(":")
+    return lambda: getattr(import_module(f"optlink.{module}"), name)
+
+
+_BUILT_IN = (
+    ("design", "solve", "tasks.results.design:SynthesisResult", "design:VIEW"),
+    ("analysis", "analyze", "tasks.analyze:Analysis", "analysis:VIEW"),
+    ("simulation", "simulate", "tasks.simulate:Simulation", "simulation:VIEW"),
+    ("clearance", "simulate", "tasks.results.clearance:ClearanceSimulation", "clearance:VIEW"),
+    ("control comparison", "simulate --control compare", "tasks.results.clearance:Comparison", "control_comparison:VIEW"),
+    ("tuning", "simulate --tune", "tasks.results.clearance:Tuning", "control_comparison:TUNING"),
+    ("balance", "balance", "tasks.results.balance:Balance", "balance:VIEW"),
+    ("sensitivity", "study sensitivity", "studies.sensitivity:Sensitivities", "sensitivity:VIEW"),
+    ("sweep", "study sweep", "studies.sweeps:Sweep", "sweep:VIEW"),
+    ("tolerance", "study tolerance", "studies.tolerances.analysis:Tolerance", "tolerance:VIEW"),
+    ("pareto", "study pareto", "studies.fronts.epsilon_constraint:Pareto", "pareto:VIEW"),
+    ("output sensitivity", "study sensitivity --quantity", "studies.motion_sensitivity:OutputStudy", "sensitivity:OUTPUTS"),
+)
+for _name, _command, _result, _view in _BUILT_IN:
+    register(ResultKind(_name, _command, _part(_result), _part(f"presentation.views.{_view}")))
+KINDS: dict[str, ResultKind] = ResultKind.registry
+"""Kinds of stored results."""
 RULE = (
     f"Results of number {VERSION_OF_SCHEMAS}, which ends the value of `schema`. Within a number keys may be added, except in "
     "tables by name: pass over those that you do not know. Another number has another schema: there a key may be missing or mean "
@@ -93,65 +111,7 @@ def view_of(kind: str) -> View:
     KeyError
         if no view of that kind exists.
     """
-    if kind in REGISTERED:
-        return REGISTERED[kind]
-    match kind:
-        case "design":
-            from optlink.presentation.views import design
-
-            return design.VIEW
-        case "balance":
-            from optlink.presentation.views import balance
-
-            return balance.VIEW
-        case "analysis":
-            from optlink.presentation.views import analysis
-
-            return analysis.VIEW
-        case "simulation":
-            from optlink.presentation.views import simulation
-
-            return simulation.VIEW
-        case "clearance":
-            from optlink.presentation.views import clearance
-
-            return clearance.VIEW
-        case "control comparison":
-            from optlink.presentation.views import control_comparison
-
-            return control_comparison.VIEW
-        case "sweep":
-            from optlink.presentation.views import sweep
-
-            return sweep.VIEW
-        case "sensitivity":
-            from optlink.presentation.views import sensitivity
-
-            return sensitivity.VIEW
-        case "output sensitivity":
-            return View(no_page="Read the derivatives of an output in the sensitivity.csv beside it")
-        case "tolerance":
-            from optlink.presentation.views import tolerance
-
-            return tolerance.VIEW
-        case "pareto":
-            from optlink.presentation.views import pareto
-
-            return pareto.VIEW
-        case "tuning":
-            from optlink.presentation.views import control_comparison
-
-            return control_comparison.TUNING
-        case _:
-            raise KeyError(kind)
-
-
-def result_class(kind: str) -> type[Document] | None:
-    """Import the class of the results of a kind; None if there are none."""
-    if kind in REGISTERED:
-        return REGISTERED[kind].result
-    module, _, name = RESULTS.get(kind, "").partition(":")
-    return getattr(import_module(module), name) if module else None
+    return KINDS[kind].view()
 
 
 def json_schema(kind: str) -> dict[str, Any]:
@@ -174,7 +134,7 @@ def json_schema(kind: str) -> dict[str, Any]:
         from optlink.problem.schema import problem_schema
 
         return problem_schema()
-    schemas = [one.json_schema() for name in KINDS if kind in ("result", name) and (one := result_class(name)) is not None]
+    schemas = [one.result().json_schema() for name, one in KINDS.items() if kind in ("result", name)]
     parts = {name: part for schema in schemas for name, part in schema.pop("$defs", {}).items()}
     about = "" if kind == "result" else f":{kind.replace(' ', '-')}"
     return {
@@ -237,7 +197,7 @@ def read_result(path: str | Path) -> Document:
     document = read_document(place)
     load_extensions()
     kind, number = kind_of(document.get("schema"))
-    known = result_class(kind)
+    known = KINDS[kind].result() if kind in KINDS else None
     if known is None or not OLDEST <= number <= VERSION_OF_SCHEMAS:
         raise _unknown(document.get("schema"), place)
     return known.from_dict(document, place)
@@ -250,10 +210,10 @@ def _unknown(schema: object, path: Path) -> InputError:
         return InputError(
             "the result has a later format than this version of optlink reads", "Update optlink", str(path), "schema", schema
         )
-    if (command := KINDS.get(kind, "solve" if kind in FORMER else "")) != "":
+    if command := KINDS[kind].command if kind in KINDS else "solve" if kind in FORMER else "":
         remedy = f"Run `{command}` again, or use the version of optlink that wrote it"
         return InputError("the result has the format of another version", remedy, str(path), "schema", schema)
-    commands = ", ".join(dict.fromkeys(KINDS.values()))
+    commands = ", ".join(dict.fromkeys(one.command for one in KINDS.values()))
     remedy = f"Give what --out of one of these wrote: {commands}; or the problem itself"
     return InputError("not a result of optlink", remedy, str(path), "schema", schema)
 

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 from optlink.io import write_json
 from optlink.presentation.files import write_csv, write_design
 from optlink.presentation.table_spec import Line, Paragraph, Part, Summary
-from optlink.problem.document import Document
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -90,8 +89,6 @@ class View:
         Returns the frames of the animation motion.gif; none if there is nothing to move.
     page : function, optional
         Returns the page of a result. Default: the page of a design with the motion of its machine.
-    result : type of Document, optional
-        Class of the results, by which stored ones are read.
     no_page : str
         Where to read results of a kind without a page.
     """
@@ -106,7 +103,6 @@ class View:
     design: Callable[[Any], tuple[ProblemFile, str] | None] = lambda _: None
     frames: Callable[[Any], list[Image.Image]] = lambda _: []
     page: Callable[[Any], StoredStudy | ReportModel] | None = None
-    result: type[Document] | None = None
     no_page: str = ""
 
     def write(self, result: Any, folder: Path, pictures: str = "png", *, film: bool = False) -> list[Path]:

@@ -9,14 +9,13 @@ from typing import Any, Self
 
 import numpy as np
 from pydantic import PrivateAttr, model_validator
-from pydantic.fields import FieldInfo
 
 from optlink.dynamics.machine import Inertia
 from optlink.linkage.dyads import transmitting
 from optlink.linkage.fourbar import InnerFourBar, whole_four_bar
 from optlink.linkage.mechanism import Pose
 from optlink.linkage.vector2d import Array, Value
-from optlink.problem.limits import LIMITS, MARGIN_KEYS, Bound, Limits, LimitTerm, Reach, check_limits, four_bar_limits
+from optlink.problem.limits import MARGIN_KEYS, MODELS, Bound, Limits, Reach, check_limits, four_bar_limits
 from optlink.problem.linked import Link
 from optlink.problem.machine.model import Problem, ShownObjective
 from optlink.problem.mechanism import check_one_mode
@@ -731,6 +730,9 @@ class DesignProblem(Problem):
         return all(map(is_parameter, keys))
 
 
+MODELS.append(DesignProblem)
+
+
 def _forced(term: Term) -> bool:
     return term.nature.kind in ("torque", "force", "energy")
 
@@ -743,19 +745,3 @@ def _order(requirement: Requirement) -> tuple[bool, bool]:
 def is_parameter(key: str) -> bool:
     """Return whether the value of a key is a parameter of a programme."""
     return key.startswith(NUMBERS) and key not in CHOICES
-
-
-def add_limit(term: LimitTerm) -> None:
-    """Register a limit of a design problem from outside the package.
-
-    Raises
-    ------
-    ValueError
-        if the key is already taken.
-    """
-    if term.name in Limits.model_fields:
-        raise ValueError(f"{term.key} is already registered")
-    LIMITS.add(term.name, term)
-    Limits.model_fields[term.name] = FieldInfo(annotation=term.form | None, default=None, description=term.about)
-    for model in (Limits, DesignProblem):
-        model.model_rebuild(force=True)

@@ -26,7 +26,6 @@ from optlink.problem.base_model import DEEPEST, SPELLED, SPELLINGS, with_ranges,
 from optlink.problem.design import DesignProblem
 from optlink.problem.enclosed import enclosing, identity, references
 from optlink.problem.file_errors import (
-    SECTIONS,
     as_written,
     faults,
     keys_ending,
@@ -38,7 +37,7 @@ from optlink.problem.file_errors import (
 from optlink.problem.limits import MARGINS
 from optlink.problem.linked import states_links
 from optlink.problem.machine.balance import with_terms
-from optlink.problem.machine.model import FORMAT, Problem
+from optlink.problem.machine.model import FORMAT, Problem, marked_kinds
 from optlink.problem.mechanism import read_near
 from optlink.problem.overview import linkage_type
 from optlink.problem.quantity import input_of, nearest, write
@@ -357,7 +356,7 @@ def _tables(raw: Mapping[str, Any], file: str) -> dict[str, Any]:
 def _model(raw: Mapping[str, Any], file: str) -> type[Problem]:
     """Return the model of a file: that of a registered section, else of its requirement, objective or limits."""
     requirement: Any = raw.get("requirement")
-    registered = [model for section, model in SECTIONS.items() if section in raw]
+    registered = [model for section, model in marked_kinds().items() if section in raw]
     if "requirements" in raw:
         _check_requirements(raw["requirements"], file)
     kind = requirement.get("kind", DEFAULT_KIND) if isinstance(requirement, dict) else None

@@ -12,11 +12,10 @@ from typing import Any
 import pydantic
 
 from optlink.errors import Fault
-from optlink.io import Registry
 from optlink.problem.base_model import ALSO_WRITTEN, Ends, written
 from optlink.problem.design import DesignProblem
 from optlink.problem.limits import OF_QUANTITY, OF_REGION, Limits, RegionLimit, four_bar_limits
-from optlink.problem.machine.model import Problem
+from optlink.problem.machine.model import Problem, marked_kinds
 from optlink.problem.mechanism import DyadsSection, FourBarSection
 from optlink.problem.quantity import Unusable, nearest
 from optlink.problem.requirements.base import DEFAULT_KIND
@@ -51,9 +50,6 @@ def as_written(fault: Fault, raw: object) -> Fault:
 
 UNKNOWN, MISSING = "unknown key", "this key is missing"
 
-SECTIONS: Registry[type[Problem]] = Registry()
-"""Models of further kinds of problems by the section that marks them; their property `task` is the name of the kind."""
-
 
 def of_dyads(raw: Mapping[str, Any]) -> bool:
     """Return whether the linkage is defined by links and guides."""
@@ -62,7 +58,7 @@ def of_dyads(raw: Mapping[str, Any]) -> bool:
 
 def known_keys(path: tuple[str | int, ...], *kinds: type[Problem]) -> list[str]:
     """Return the keys that models of these kinds (default: any kind) have at a path of sections, the outermost first."""
-    models: list[Any] = list(kinds) or [DesignProblem, Problem, *SECTIONS.values()]
+    models: list[Any] = list(kinds) or [DesignProblem, Problem, *marked_kinds().values()]
     for step in path:
         fields = [field for model in models for name, field in model.model_fields.items() if step == name]
         if fields:  # otherwise the step is the name of a body, a point ...: the models stay the same

@@ -1,4 +1,4 @@
-"""Limits of design problems, and their crank range: one entry of `LIMITS` per key of `[limits]` on the dimensions.
+"""Limits of design problems, and their crank range: one `LimitTerm` per key of `[limits]` on the dimensions.
 
 An entry contains the formula of the optimiser (`values`, elementwise on floats, arrays and symbols) and, written separately, the
 measurement of the validator in motion (`measure`).
@@ -11,8 +11,9 @@ from typing import Annotated, Any, Literal, Protocol, Self
 
 import numpy as np
 from pydantic import BeforeValidator, ConfigDict, Discriminator, ModelWrapValidatorHandler, Tag, TypeAdapter, model_validator
+from pydantic.fields import FieldInfo
 
-from optlink.io import Registry
+from optlink.io import Entry
 from optlink.linkage.dyads import transmitting
 from optlink.linkage.fourbar import LENGTHS, InnerFourBar, swing, time_ratio
 from optlink.linkage.mechanism import Mechanism
@@ -510,15 +511,15 @@ class Moved(Protocol):
 
 
 @dataclass(frozen=True)
-class LimitTerm:
-    """A key of `[limits]`.
+class LimitTerm(Entry):
+    """A limit of a design problem: a key of `[limits]`.
 
     Parameters
     ----------
     name : str
         The key.
     form : AngleInterval, LengthInterval, NumberInterval or RatioOfStrokes
-        Type of its value, which determines unit and scaling.
+        Type of its value, which says its unit.
     values : function of (problem, sizes [m, rad], reach, interval)
         Yields the label and the value [rad, m or -] of each row, elementwise.
     measure : function of (design in motion, interval)
@@ -527,8 +528,10 @@ class LimitTerm:
         Description for the reference of problem files.
     possible : (float, float) [rad, m or -]
         Range outside which no limit makes sense, with an `example` for the error message.
-    four_bar, crank_rocker : bool
-        Whether only a four-bar, or only a crank-rocker, has it.
+    four_bar : bool
+        Whether only a four-bar has it.
+    crank_rocker : bool
+        Whether only a crank-rocker has it.
     """
 
     name: str
@@ -546,8 +549,20 @@ class LimitTerm:
         """Key in the problem file."""
         return f"limits.{self.name}"
 
+    def fault(self) -> tuple[str, str] | None:
+        """Refuse a key that `[limits]` has."""
+        return (f"{self.key} is a key of problem files", "Choose another name") if self.name in Limits.model_fields else None
 
-LIMITS: Registry[LimitTerm] = Registry()
+    def entered(self) -> None:
+        """Add the key to the models of problem files."""
+        Limits.model_fields[self.name] = FieldInfo(annotation=self.form | None, default=None, description=self.about)
+        for model in MODELS:
+            model.model_rebuild(force=True)
+
+
+LIMITS: dict[str, LimitTerm] = LimitTerm.registry
+MODELS: list[type[Section]] = [Limits]
+"""Models whose schema contains the limits, the inner ones first."""
 
 
 def limits_in_file(limits: Limits) -> Iterator[tuple[LimitTerm, Interval]]:
@@ -600,7 +615,7 @@ def _ratio_label(limit: Any) -> str:
     return f"time ratio, {strokes}".removesuffix(", ")
 
 
-for built_in in (
+_BUILT_IN = (  # their keys, with their descriptions, are those of `Limits`
     LimitTerm(
         "swing_angle",
         AngleInterval,
@@ -631,5 +646,5 @@ for built_in in (
         possible=(0.0, math.inf),
         example="[0.2, 5.0]",
     ),
-):
-    LIMITS.add(built_in.name, built_in)
+)
+LIMITS |= {term.name: term for term in _BUILT_IN}

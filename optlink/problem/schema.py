@@ -22,11 +22,10 @@ from optlink.clearance.joint import DAMPING
 from optlink.io import load_extensions
 from optlink.problem.base_model import NAME, SPELLINGS, Section
 from optlink.problem.design import DesignProblem
-from optlink.problem.file_errors import SECTIONS
 from optlink.problem.limits import OF_QUANTITY, OF_REGION
 from optlink.problem.machine.balance import BalanceSection
 from optlink.problem.machine.loads import OVER
-from optlink.problem.machine.model import FORMAT
+from optlink.problem.machine.model import FORMAT, marked_kinds
 from optlink.problem.quantity import SIDES, STROKES, Quantity, range_example
 from optlink.problem.requirements.laws import DEAD_CENTRES, TIED
 from optlink.problem.targets.law import KEYS as FUNCTION_KEYS
@@ -352,7 +351,7 @@ def _shared(part: Any, parts: Form) -> Any:
 def problem_schema() -> Form:
     """Return the JSON schema (draft 2020-12) of problem files, with what extensions have registered."""
     load_extensions()
-    models: Any = functools.reduce(operator.or_, SECTIONS.values(), DesignProblem)
+    models: Any = functools.reduce(operator.or_, marked_kinds().values(), DesignProblem)
     forms: Form = {}
     schema = _shared(TypeAdapter(models).json_schema(schema_generator=_Generator), forms)
     return {

@@ -13,7 +13,7 @@ from pydantic import BeforeValidator, model_validator
 
 from optlink.dynamics.inverse import ForceBalance, Reactions, shaking
 from optlink.dynamics.machine import Moving, slider_names
-from optlink.io import Registry
+from optlink.io import Entry, register
 from optlink.linkage.dyads import RPR, RRP, RRR, Transmitting, transmitting
 from optlink.linkage.mechanism import FRAME, Mechanism
 from optlink.linkage.vector2d import TURN, Array, Value, Vector, cross, dot, magnitude, minus
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from optlink.dynamics.columns import MotionColumns
 
 
-# Quantities of a machine cycle that can be optimised or limited: one entry of `QUANTITIES` per value of the key `quantity`.
+# Quantities of a machine cycle that can be optimised or limited: one `QuantityType` per value of the key `quantity`.
 #
 # An entry contains the formula of the optimiser (`signal`, elementwise on floats, arrays and symbols) and, written separately,
 # the columns from which the validator reads it (`history`).
@@ -91,17 +91,20 @@ PIN = Element(lambda mechanism: mechanism.pins, "no such pin joint")
 GUIDE = Element(lambda mechanism: [guide.name for guide in mechanism.guides], "no such guide")
 POINT = Element(moving_points, "no moving body has such a point")
 JOINT = Element(lambda mechanism: [group.joint for group in transmitting(mechanism)], "no dyad has its transmission angle there")
-_SIGNED = ("peak", "rms", "mean", "largest", "least")
+Measure = Literal["peak", "rms", "mean", "largest", "least"]
+_SIGNED = get_args(Measure)
 _SIZE = ("peak", "rms")
 _EXTREMES = ("least", "largest")
 
 
 @dataclass(frozen=True)
-class QuantityType:
-    """Properties of a quantity.
+class QuantityType(Entry):
+    """A quantity of the cycle of a machine, as objective or limit: a value of the key `quantity`.
 
     Parameters
     ----------
+    name : str
+        As it stands in a file.
     kind : str
         Physical kind, one of `KINDS` of `optlink.units`; empty for a plain number.
     measures : tuple of str
@@ -122,13 +125,9 @@ class QuantityType:
         Whether `of` may be left out: the signal then has one component per element, and the worst of all counts.
     at : str
         Preposition before the element, for display.
-
-    Raises
-    ------
-    ValueError
-        If the physical kind is unknown.
     """
 
+    name: str
     kind: str
     measures: tuple[str, ...]
     of: str = ""
@@ -140,10 +139,15 @@ class QuantityType:
     general: bool = False
     at: str = "of"
 
-    def __post_init__(self) -> None:
+    def fault(self) -> tuple[str, str] | None:
+        """Refuse unknown physical kinds and measures, and a course that the optimiser or the validator lacks."""
         if self.kind and self.kind not in KINDS:
-            add = f"Add it to KINDS of optlink.units first, or choose one of: {', '.join(KINDS)}"
-            raise ValueError(f"the physical kind {self.kind!r} of a quantity is unknown. {add}")
+            return f'the physical kind "{self.kind}" is unknown', nearest(self.kind, KINDS)
+        if unknown := sorted(set(self.measures) - set(get_args(Measure))):
+            return f'the measure "{unknown[0]}" is unknown', nearest(unknown[0], get_args(Measure))
+        if (self.signal is None) != (self.history is None):
+            return "only one of signal and history is given", "Give both: what one optimises, the other validates"
+        return None
 
     @property
     def cyclic(self) -> bool:
@@ -156,7 +160,7 @@ class QuantityType:
         return self.cyclic and self.kind in ("force", "torque")
 
 
-QUANTITIES: Registry[QuantityType] = Registry()
+QUANTITIES: dict[str, QuantityType] = QuantityType.registry
 
 
 def _guide(moving: Moving, term: ElementTerm) -> str:
@@ -238,15 +242,17 @@ def _lever_arm(record: MotionColumns, term: ElementTerm) -> Array:
     return np.asarray(np.abs(_column("v_m_s", of_slider=True)(record, term) / record.moving.motion.speed))
 
 
-QUANTITIES |= {
-    "torque": QuantityType(
+register(
+    QuantityType(
+        "torque",
         "torque",
         _SIGNED,
         signal=lambda moving, reactions, term: (reactions.torque,),
         history=lambda record, term: record["input.torque_Nm"],
         forces=True,
     ),
-    "reaction": QuantityType(
+    QuantityType(
+        "reaction",
         "force",
         _SIZE,
         "pin joint",
@@ -257,7 +263,8 @@ QUANTITIES |= {
         vector=True,
         at="at",
     ),
-    "guide force": QuantityType(
+    QuantityType(
+        "guide force",
         "force",
         _SIGNED,
         "guide",
@@ -267,7 +274,8 @@ QUANTITIES |= {
         forces=True,
         at="in",
     ),
-    "guide moment": QuantityType(
+    QuantityType(
+        "guide moment",
         "torque",
         _SIGNED,
         "guide",
@@ -277,20 +285,23 @@ QUANTITIES |= {
         forces=True,
         at="in",
     ),
-    "shaking force": QuantityType(
+    QuantityType(
+        "shaking force",
         "force",
         _SIZE,
         signal=lambda moving, reactions, term: shaking(moving).force,
         history=_size("frame.shaking_fx_N", "frame.shaking_fy_N"),
         vector=True,
     ),
-    "shaking moment": QuantityType(
+    QuantityType(
+        "shaking moment",
         "torque",
         _SIGNED,
         signal=_shaking_moment,
         history=_shaking_moment_measured,
     ),
-    "velocity": QuantityType(
+    QuantityType(
+        "velocity",
         "velocity",
         _SIZE,
         "moving point",
@@ -299,7 +310,8 @@ QUANTITIES |= {
         _size("{}.vx_m_s", "{}.vy_m_s"),
         vector=True,
     ),
-    "acceleration": QuantityType(
+    QuantityType(
+        "acceleration",
         "acceleration",
         _SIZE,
         "moving point",
@@ -308,7 +320,8 @@ QUANTITIES |= {
         _size("{}.ax_m_s2", "{}.ay_m_s2"),
         vector=True,
     ),
-    "transmission angle": QuantityType(
+    QuantityType(
+        "transmission angle",
         "angle",
         _EXTREMES,
         "joint of a dyad",
@@ -317,10 +330,11 @@ QUANTITIES |= {
         lambda record, term: _measured(record, _groups(record.moving, term)[0]),
         at="at",
     ),
-    "pressure angle": QuantityType(
-        "angle", ("peak",), "joint of a dyad", JOINT, _pressure, _pressure_measured, general=True, at="at"
+    QuantityType(
+        "pressure angle", "angle", ("peak",), "joint of a dyad", JOINT, _pressure, _pressure_measured, general=True, at="at"
     ),
-    "slide": QuantityType(
+    QuantityType(
+        "slide",
         "coordinate",
         _EXTREMES,
         "guide",
@@ -329,7 +343,8 @@ QUANTITIES |= {
         _column("s_m", of_slider=True),
         at="in",
     ),
-    "lever arm": QuantityType(
+    QuantityType(
+        "lever arm",
         "length",
         _SIZE,
         "guide",
@@ -337,16 +352,13 @@ QUANTITIES |= {
         lambda moving, reactions, term: (moving.slides[_guide(moving, term)][1] / moving.motion.speed,),
         _lever_arm,
     ),
-    "stroke": QuantityType("length", (), "slider, body or point"),
-    "end": QuantityType("coordinate", (), "slider or point"),
-    "time ratio": QuantityType("", (), "slider, body or point"),
-    "work": QuantityType("energy", (), "slider", GUIDE),
-    "length": QuantityType("coordinate", (), "size"),
-    "total length": QuantityType("length", ()),
-}
-
-
-Measure = Literal["peak", "rms", "mean", "largest", "least"]
+    QuantityType("stroke", "length", (), "slider, body or point"),
+    QuantityType("end", "coordinate", (), "slider or point"),
+    QuantityType("time ratio", "", (), "slider, body or point"),
+    QuantityType("work", "energy", (), "slider", GUIDE),
+    QuantityType("length", "coordinate", (), "size"),
+    QuantityType("total length", "length", ()),
+)
 
 
 def _check_quantity(raw: object) -> object:

@@ -1,4 +1,4 @@
-"""Registry of back ends: local solvers by name, each imported when it is first used."""
+"""Back ends: local solvers by name, each imported when it is first used."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from optlink.io import Registry
+from optlink.io import Entry, register
 
 if TYPE_CHECKING:
     from optlink.optimization.nlp import NLP
@@ -21,15 +21,32 @@ CLOSE = "ipopt, close"  # IPOPT with a small barrier parameter, for a start near
 
 
 @dataclass(frozen=True)
-class Solver:
-    """A back end: `load` imports and returns it, `compile` builds what it needs for an NLP; `selectable` by a user."""
+class Solver(Entry):
+    """A back end: a local solver that `--backend` names.
 
+    Parameters
+    ----------
+    name : str
+        As it is selected.
+    load : function
+        Imports and returns the back end, a function of (programme, x, p, *, track, tight) that returns an `Attempt`.
+    compile : function of (programme), optional
+        Builds what the back end needs for a programme.
+    selectable : bool
+        Whether a user can select it.
+    """
+
+    name: str
     load: Callable[[], Backend]
     compile: Callable[[NLP], object] | None = None
     selectable: bool = True
 
+    def fault(self) -> tuple[str, str] | None:
+        """Refuse the word that stands for two back ends."""
+        return ("it stands for two back ends", "Choose another name") if self.name == "both" else None
 
-SOLVERS: Registry[Solver] = Registry()
+
+SOLVERS: dict[str, Solver] = Solver.registry
 
 
 def selectable() -> tuple[str, ...]:
@@ -75,7 +92,9 @@ def _minimax() -> Backend:
     return minimax
 
 
-SOLVERS.add("slsqp", Solver(_slsqp))
-SOLVERS.add("ipopt", Solver(_ipopt, _compiled))
-SOLVERS.add(CLOSE, Solver(_ipopt_close, selectable=False))
-SOLVERS.add(MINIMAX, Solver(_minimax, selectable=False))
+register(
+    Solver("slsqp", _slsqp),
+    Solver("ipopt", _ipopt, _compiled),
+    Solver(CLOSE, _ipopt_close, selectable=False),
+    Solver(MINIMAX, _minimax, selectable=False),
+)

@@ -286,8 +286,12 @@ def sweep(
         or duration.
     backend : "slsqp" or "ipopt"
         Local solver.
-    engine, workers, scheduler
-        See `optlink.execution.runner.pool`.
+    engine : "local" or "dask"
+        Where the work is done: in processes of this computer, or on a Dask cluster. The result does not depend on it.
+    workers : int, optional
+        Number of processes, or of workers of a local cluster. Default: as many as processor cores; 1 is the present process.
+    scheduler : str, optional
+        Address of a running Dask scheduler, such as "tcp://host:8786". Default: a cluster that is started on this computer.
     progress : function of (completed points, all points), optional
 
     Returns

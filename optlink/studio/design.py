@@ -10,7 +10,7 @@ import numpy as np
 from optlink.dynamics.columns import MotionColumns
 from optlink.dynamics.machine import Machine
 from optlink.errors import InputError, OptlinkError, Status
-from optlink.io import Registry, finite
+from optlink.io import finite
 from optlink.linkage.dyads import transmitting
 from optlink.linkage.vector2d import Array
 from optlink.optimization.courses import TermCourse
@@ -309,8 +309,7 @@ class _CycleOptimisation(_Searched):
         return [_without_numbers(requirement)]
 
 
-KINDS: Registry[Kind] = Registry()
-KINDS |= {"function": _Synthesis(), "path": _Synthesis(), "cycle": _CycleOptimisation(), "balance": _Balancing()}
+KINDS: dict[str, Kind] = {"function": _Synthesis(), "path": _Synthesis(), "cycle": _CycleOptimisation(), "balance": _Balancing()}
 """Kinds by the name of the task; all others are analysed."""
 
 

@@ -97,9 +97,9 @@ def compare(
     workers : int, optional
         Number of processes. Default: the calling process only. The results do not depend on it.
     engine : "local" or "dask"
-        Processes of this machine, or a Dask cluster.
+        Where the work is done: in processes of this computer, or on a Dask cluster.
     scheduler : str, optional
-        Address of a Dask scheduler. Default: a local cluster.
+        Address of a running Dask scheduler, such as "tcp://host:8786". Default: a cluster that is started on this computer.
     integrator : str
         As in `simulate_clearance`; "auto" counts all runs.
     progress : function of the completed fraction, optional

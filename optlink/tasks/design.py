@@ -95,10 +95,6 @@ class SynthesisTask(DesignTask[SynthesisResult]):
         """Return whether there are targets, the deviations from which have a lower bound."""
         return not problem.model.of_cycle
 
-    def check(self, problem: ProblemFile) -> None:
-        """Refuse a problem without a requirement."""
-        _ = problem.spec
-
     def search(self, problem: ProblemFile, search: Search) -> SynthesisResult:
         """Return the best distinct designs; see `DesignTask.search`."""
         if search.backend == "both":

@@ -317,7 +317,6 @@ def build(problem: AnyProblem) -> Programme:
     """
     problem = problem_of(problem)
     task = design_task(problem)
-    task.check(problem)
     if task.most_starts is not None:
         task.check_free(problem)
     variants = problem.variants()

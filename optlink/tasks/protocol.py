@@ -1,4 +1,4 @@
-"""`DesignTask`, which each kind of design problem registers, and common parts of searches: checked options, stages, progress."""
+"""`DesignTask`, which each kind of design problem has, and common parts of searches: checked options, stages, progress."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from optlink.errors import InputError
 from optlink.execution import interrupts
 from optlink.execution.worker import Runs
 from optlink.problem.file import ProblemFile
-from optlink.problem.machine.model import Problem
 from optlink.problem.quantity import check_choice, check_range
 from optlink.solvers import contract
 from optlink.validation.check import Check
@@ -104,10 +103,6 @@ class DesignTask(ABC, Generic[R]):
     The results are `DesignResult`s, or a `Balance`; on their page they show the motion of their `machine`.
     """
 
-    section: ClassVar[str]
-    """Section of a problem file that marks a kind from outside the package, see `optlink.tasks.run.add_task`."""
-    model: ClassVar[type[Problem]]
-    """Model of such a file; its property `task` is the name of the kind."""
     most_starts: ClassVar[int | None] = None
     """Largest number of starting points; None for a kind without starting points and design variables."""
     no_starts: ClassVar[str] = "this kind of problem has no starting points"
@@ -193,9 +188,6 @@ class DesignTask(ABC, Generic[R]):
         """
         return False
 
-    def check(self, problem: ProblemFile) -> None:
-        """Refuse a problem that has nothing to solve."""
-
     def solve(
         self,
         problem: ProblemFile,
@@ -240,7 +232,6 @@ class DesignTask(ABC, Generic[R]):
             If there are no design variables, or an option is out of range or does not apply.
         """
         interrupts.check()
-        self.check(problem)
         default = 1 if problem.model.of_cycle else self.designs
         if designs is not None and (self.designs is None or problem.model.of_cycle):
             message = "only laws, points, poses and transmissions have several designs"

@@ -5,17 +5,17 @@ from __future__ import annotations
 import contextlib
 import json
 import math
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from optlink.errors import OPTIONS_NAMED, InputError
-from optlink.io import Registry, checked
+from optlink.io import checked
 from optlink.linkage.fourbar import LENGTHS
 from optlink.problem.arguments import typed
 from optlink.problem.assignment import parse_assignments
 from optlink.problem.file import AnyProblem, ProblemFile, problem_of
-from optlink.problem.file_errors import SECTIONS
+from optlink.problem.machine.model import TASKS, ProblemKind
 from optlink.problem.quantity import Quantity, check_choice, input_of, read_quantity
 from optlink.problem.upgrades import upgraded
 from optlink.tasks.machine import UNKNOWN_QUANTITY
@@ -31,32 +31,12 @@ if TYPE_CHECKING:
 
 INCOMPLETE_BOXES, MAX_UNKNOWNS = 10_000, 3  # boxes, and most design variables, of a certificate after an incomplete search
 
-TASKS: Registry[Callable[[], DesignTask[Any]]] = Registry()
-"""Functions that import and return the tasks, by the kind of problem (`ProblemFile.task`)."""
-
-
-def add_task(kind: str, task: type[DesignTask[Any]]) -> None:
-    """Register a kind of problem from outside the package.
-
-    Parameters
-    ----------
-    kind : str
-        Its name, that of the property `task` of its model.
-    task : type
-        With `section` and `model`.
-
-    Raises
-    ------
-    ValueError
-        if the name or the section is already taken.
-    """
-    SECTIONS.add(task.section, task.model)
-    TASKS.add(kind, task)
-
 
 def design_task(problem: ProblemFile) -> DesignTask[Any]:
-    """Return the task of a problem."""
-    return TASKS[problem.task]()
+    """Return the task of a problem; an error says that a machine to be analysed states nothing to solve."""
+    kind = TASKS.get(problem.task) or TASKS[problem.spec.task]
+    task: DesignTask[Any] = kind.load()
+    return task
 
 
 @typed
@@ -105,9 +85,13 @@ def solve(
         Time limit of the proof. The lower bound reached by then is valid.
     proving : function of (completed fraction of the proof, current gap), optional
         Called with the progress of the proof.
-    engine, workers, scheduler
-        Execution of long searches and proofs, see `optlink.execution.runner.pool`; if one of them is set, of short searches too.
-        The result does not depend on them.
+    engine : "local" or "dask"
+        Where the work is done: in processes of this computer, or on a Dask cluster. The result does not depend on it.
+    workers : int, optional
+        Number of processes, or of workers of a local cluster. Default: as many as processor cores for long searches and proofs,
+        one, the present process, for short searches.
+    scheduler : str, optional
+        Address of a running Dask scheduler, such as "tcp://host:8786". Default: a cluster that is started on this computer.
 
     Returns
     -------
@@ -236,8 +220,8 @@ class _BalanceTask(DesignTask["Balance"]):
         raise InputError("a balancing problem has no design to validate", remedy, problem.file, "balance")
 
 
-TASKS |= dict.fromkeys(("function", "path", "cycle", "analysis"), _synthesis)  # an analysis is refused: it has no requirement
-TASKS["balance"] = _BalanceTask
+_BUILT_IN = {**dict.fromkeys(("function", "path", "cycle"), _synthesis), "balance": _BalanceTask}
+TASKS |= {name: ProblemKind(name, load) for name, load in _BUILT_IN.items()}  # their sections are those of `DesignProblem`
 
 
 # Designs that a user gives: read from texts or result files, and checked for completeness.

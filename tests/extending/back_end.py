@@ -3,8 +3,7 @@
 import numpy as np
 from scipy.optimize import Bounds, NonlinearConstraint, minimize
 
-from optlink.solvers.contract import SOLVERS, Solver
-from optlink.solvers.solution import Attempt
+from optlink.extending import Attempt, Solver, register
 
 
 def trust_constr(nlp, x, p, *, track=False, tight=False):
@@ -32,4 +31,4 @@ def trust_constr(nlp, x, p, *, track=False, tight=False):
     return Attempt(end, int(result.nit), str(result.message), np.array(path) if track else None)
 
 
-SOLVERS.add("trust-constr", Solver(lambda: trust_constr))
+register(Solver("trust-constr", lambda: trust_constr))

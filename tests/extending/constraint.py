@@ -2,9 +2,7 @@
 
 import numpy as np
 
-from optlink.problem.design import add_limit
-from optlink.problem.limits import LimitTerm
-from optlink.problem.quantity import NumberInterval
+from optlink.extending import LimitTerm, NumberInterval, register
 
 
 def values(problem, sizes, reach, limit):
@@ -18,7 +16,7 @@ def measure(moved, limit):
     yield "coupler / crank", float(np.median(np.linalg.norm(c - b, axis=1)) / np.median(np.linalg.norm(b - a, axis=1)))
 
 
-add_limit(
+register(
     LimitTerm(
         "coupler_ratio",
         NumberInterval,

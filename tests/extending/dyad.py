@@ -2,9 +2,8 @@
 
 from dataclasses import dataclass
 
-from optlink.dynamics.inverse import BALANCES, GroupForces, solve_two_by_two
-from optlink.linkage.assur import DYADS
-from optlink.linkage.mechanism import Dyad, Guide
+from optlink.dynamics.inverse import solve_two_by_two
+from optlink.extending import Dyad, DyadType, GroupForces, Guide, register
 from optlink.linkage.vector2d import cross, dot, minus, plus, turn, turn_back
 
 
@@ -37,20 +36,18 @@ class Yoke(Dyad):
     gap = property(lambda self: lambda pose: 0.0 * pose.margins[self.joint])
     alignment = property(lambda self: lambda pose: pose.margins[self.joint])
 
+    def forces(self, balance, tilts):
+        """Return the pin force from the forces of the block along the slot and of both along the rail; the others follow."""
+        block, yoke = self.links
+        p, at, rest = balance.moving.position(self.pin), balance.at(self.slot), balance.at(self.rail)
+        slot, rail = balance.across(self.slot, tilts), balance.across(self.rail, tilts)
+        own, total = balance.needed[block.body].force, balance.total(self)
+        pin = solve_two_by_two(slot, dot(slot, own), rail, dot(rail, total))
+        inner = minus(own, pin)
+        moment = balance.about(block, at) - cross(minus(p, at), pin)
+        held = balance.about(yoke, rest) + cross(minus(at, rest), inner) + moment
+        guides = [(self.slot, block.body, inner, moment), (self.rail, yoke.body, minus(total, pin), held)]
+        return GroupForces([(self.pin, block.body, pin)], guides, (slot, rail))
 
-def forces(balance, group, tilts):
-    """Return the pin force from the forces of the block along the slot and of both along the rail; the others follow."""
-    block, yoke = group.links
-    p, at, rest = balance.moving.position(group.pin), balance.at(group.slot), balance.at(group.rail)
-    slot, rail = balance.across(group.slot, tilts), balance.across(group.rail, tilts)
-    own, total = balance.needed[block.body].force, balance.total(group)
-    pin = solve_two_by_two(slot, dot(slot, own), rail, dot(rail, total))
-    inner = minus(own, pin)
-    moment = balance.about(block, at) - cross(minus(p, at), pin)
-    held = balance.about(yoke, rest) + cross(minus(at, rest), inner) + moment
-    guides = [(group.slot, block.body, inner, moment), (group.rail, yoke.body, minus(total, pin), held)]
-    return GroupForces([(group.pin, block.body, pin)], guides, (slot, rail))
 
-
-DYADS.add("RPP", lambda assembly, block, yoke, pin, slot, rail: Yoke(block, yoke, slot, pin, rail))
-BALANCES.add("yoke", forces)
+register(DyadType("RPP", lambda assembly, block, yoke, pin, slot, rail: Yoke(block, yoke, slot, pin, rail)))

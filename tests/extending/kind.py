@@ -5,15 +5,20 @@ from typing import ClassVar
 
 import numpy as np
 
-from optlink.errors import Status
+from optlink import Status
+from optlink.extending import (
+    Check,
+    DesignTask,
+    FixedLength,
+    Problem,
+    ProblemKind,
+    Section,
+    SingleResult,
+    Validation,
+    register,
+)
+from optlink.linkage import sweep
 from optlink.linkage.extrema import extremes
-from optlink.linkage.motion import sweep
-from optlink.problem.base_model import Section
-from optlink.problem.machine.model import Problem
-from optlink.problem.quantity import FixedLength
-from optlink.tasks.results.common import SingleResult
-from optlink.tasks.run import DesignTask, add_task
-from optlink.validation.check import Check, Validation
 
 
 class Clearing(Section):
@@ -41,8 +46,6 @@ def distances(problem, angles):
 
 
 class ClearingTask(DesignTask):
-    section, model = "clearing", ClearingProblem
-
     def search(self, problem, search):
         computed = float(extremes(lambda at: distances(problem, at)[None, :], np.linspace(0.0, 2.0 * np.pi, 361))[1][0, 0])
         swept, least = float(np.min(distances(problem, np.linspace(0.0, 2.0 * np.pi, 20001)))), problem.model.clearing.least.value
@@ -53,4 +56,4 @@ class ClearingTask(DesignTask):
         return ClearingResult(problem, Status.NOT_SEARCHED, "none", {}, computed, Validation(checks, swept), {})
 
 
-add_task("clearing", ClearingTask)
+register(ProblemKind("clearing", ClearingTask, "clearing", ClearingProblem))

@@ -1,6 +1,6 @@
 """The angular velocity of a body over the cycle of a machine: `quantity = "turning"`, `of = "rocker"`."""
 
-from optlink.problem.terms import QUANTITIES, Element, QuantityType
+from optlink.extending import Element, QuantityType, register
 
 BODY = Element(lambda mechanism: mechanism.bodies, "no such body")
 
@@ -15,4 +15,4 @@ def history(record, term):
     return record[f"{term.of}.omega_rad_s"]
 
 
-QUANTITIES.add("turning", QuantityType("angular velocity", ("peak", "rms", "largest", "least"), "body", BODY, signal, history))
+register(QuantityType("turning", "angular velocity", ("peak", "rms", "largest", "least"), "body", BODY, signal, history))

@@ -1,9 +1,6 @@
 """What is shown of the kind of result of `kind.py`: a table in the terminal and on pages, files of --out, stored results."""
 
-from optlink.presentation.registry import REGISTERED
-from optlink.presentation.table_spec import summary
-from optlink.presentation.view import View
-from optlink.presentation.views.search_tables import checks
+from optlink.extending import ResultKind, View, checks, register, summary
 from tests.extending.kind import ClearingResult
 
 
@@ -13,4 +10,4 @@ def table(result):
     return summary("Clearing", status, checks(result.validation.checks))
 
 
-REGISTERED["clearing"] = View(table, result=ClearingResult)
+register(ResultKind("clearing", "solve", lambda: ClearingResult, lambda: View(table)))

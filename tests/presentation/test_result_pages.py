@@ -20,7 +20,7 @@ import optlink
 from optlink.errors import InputError
 from optlink.presentation.html.shell import MAX_BYTES, PageContent
 from optlink.presentation.html.study_page import content_of, study_page
-from optlink.presentation.registry import KINDS, read_result, result_class, stored_page
+from optlink.presentation.registry import KINDS, read_result, stored_page
 from optlink.presentation.view import StoredStudy
 from optlink.studies.fronts.design_objectives import ParetoObjective
 from optlink.studies.tolerances.robust_design import RobustDesign
@@ -435,9 +435,9 @@ def test_unknown_schemas_list_the_known_ones(tmp_path):
     (tmp_path / "a.json").write_text(json.dumps({"schema": "optlink/other/1"}))
     with pytest.raises(InputError, match="study pareto") as caught:
         read_result(tmp_path / "a.json")
-    for kind, command in KINDS.items():
-        assert command.partition(" --")[0] in str(caught.value)
-        assert result_class(kind).kind == kind
+    for name, kind in KINDS.items():
+        assert kind.command.partition(" --")[0] in str(caught.value)
+        assert kind.result().kind == kind.name == name
 
 
 # --- in a browser --------------------------------------------------------------------------------------------------------------

@@ -214,3 +214,4 @@ def conclusion(result: Sensitivities) -> str:
 
 
 VIEW = View(overview, charts=charts, tables=lambda result: {"sensitivity": columns(result)}, page=page)
+OUTPUTS = View(no_page="Read the derivatives of an output in the sensitivity.csv beside it")

@@ -2,8 +2,8 @@
 
 import copy
 import datetime
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, Self
 
@@ -12,6 +12,7 @@ from pydantic import AfterValidator, BeforeValidator, Field
 
 from optlink.clearance.joint import Gap
 from optlink.dynamics.machine import Machine
+from optlink.io import Entry
 from optlink.linkage.continuation import continue_through_singularities
 from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.stroke import Direction
@@ -493,3 +494,39 @@ class Problem(Section):
         if gaps:
             RevolutionSamples(machine).check_clearances(gaps)
         return tuple(gaps)
+
+
+@dataclass(frozen=True)
+class ProblemKind(Entry):
+    """A kind of design problem: what is searched for, and how.
+
+    Parameters
+    ----------
+    name : str
+        That of the property `task` of its model.
+    load : function
+        Imports its `DesignTask` and returns one.
+    section : str, optional
+        Section of problem files that marks the kind.
+    model : type of Problem, optional
+        Model of such files.
+    """
+
+    name: str
+    load: Callable[[], Any]
+    section: str = ""
+    model: type[Problem] | None = None
+
+    def fault(self) -> tuple[str, str] | None:
+        """Refuse a section that another kind has, and one without a model."""
+        if self.section in Problem.model_fields or any(self.section == kind.section for kind in self.registry.values()):
+            return f'the section "{self.section}" belongs to another kind', "Choose another one"
+        return None if self.model else (f'the section "{self.section}" has no model', "Give a subclass of Problem")
+
+
+TASKS: dict[str, ProblemKind] = ProblemKind.registry
+
+
+def marked_kinds() -> dict[str, type[Problem]]:
+    """Return the models of kinds of problems by the section of a file that marks them."""
+    return {kind.section: kind.model for kind in TASKS.values() if kind.model is not None}

@@ -1,4 +1,4 @@
-"""The kinds of requirement: one class per kind in a registry."""
+"""The kinds of requirement: one class per kind."""
 
 import functools
 import operator
@@ -7,15 +7,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import Discriminator, Tag
 
-from optlink.io import Registry
 from optlink.problem.requirements.base import DEFAULT_KIND, Requirement
 from optlink.problem.requirements.laws import FunctionRequirement
 from optlink.problem.requirements.points import MotionRequirement, PathRequirement
 from optlink.problem.requirements.values import DwellRequirement, PositionRequirement, StrokeRequirement, TransmissionRequirement
 
-REQUIREMENTS: Registry[type[Requirement]] = Registry()
-"""Classes of requirements by their kind."""
-_KINDS = (
+_KINDS: tuple[type[Requirement], ...] = (
     FunctionRequirement,
     PathRequirement,
     MotionRequirement,
@@ -24,8 +21,8 @@ _KINDS = (
     PositionRequirement,
     StrokeRequirement,
 )
-for _kind in _KINDS:
-    REQUIREMENTS.add(_kind.__annotations__["kind"].__args__[0], _kind)
+REQUIREMENTS = {kind.__annotations__["kind"].__args__[0]: kind for kind in _KINDS}
+"""Classes of requirements by their kind."""
 
 
 def _kind_of(raw: object) -> str:
@@ -33,7 +30,7 @@ def _kind_of(raw: object) -> str:
 
 
 if TYPE_CHECKING:
-    AnyRequirement = Any  # one of the registered classes
+    AnyRequirement = Any  # one of these classes
 else:
     _tagged = [Annotated[requirement, Tag(kind)] for kind, requirement in REQUIREMENTS.items()]
     AnyRequirement = Annotated[functools.reduce(operator.or_, _tagged), Discriminator(_kind_of)]

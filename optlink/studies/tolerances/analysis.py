@@ -202,8 +202,13 @@ def tolerance(
         number of standard deviations within the limit ("margin") or the largest yield ("yield"). The result also contains the
         nominal optimum; see `optlink.studies.tolerances.robust_design`.
     progress : function of the completed fraction of the samples, optional
-    engine, workers, scheduler
-        See `optlink.execution.runner.pool`; they change nothing in the result. By default few samples take one process.
+    engine : "local" or "dask"
+        Where the work is done: in processes of this computer, or on a Dask cluster. The result does not depend on it.
+    workers : int, optional
+        Number of processes, or of workers of a local cluster. Default: as many as processor cores for half a million samples or
+        more, otherwise one, the present process.
+    scheduler : str, optional
+        Address of a running Dask scheduler, such as "tcp://host:8786". Default: a cluster that is started on this computer.
 
     Returns
     -------

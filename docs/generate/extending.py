@@ -1,0 +1,59 @@
+"""Reference of what an extension can add: each kind of entry with its fields, an example that a test runs, and its oracles."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from docs.generate.api import ROOT, reference
+from optlink.io import Entry
+from optlink.linkage.assur import DyadType
+from optlink.presentation.registry import ResultKind
+from optlink.problem.limits import LimitTerm
+from optlink.problem.machine.model import ProblemKind
+from optlink.problem.terms import QuantityType
+from optlink.solvers.contract import Solver
+
+EXAMPLES = ROOT / "tests" / "extending"
+
+
+class Addition(NamedTuple):
+    """What can be added: the class of its entries, a module of `tests/extending`, its oracles, other classes that it needs."""
+
+    words: str
+    entry: type[Entry]
+    example: str
+    oracles: tuple[str, ...]
+    further: tuple[str, ...] = ()
+
+
+ADDITIONS = (
+    Addition("limit", LimitTerm, "constraint", ("check_derivatives", "check_prices")),
+    Addition("quantity", QuantityType, "objective", ("check_derivatives",), ("problem.terms.Element",)),
+    Addition("back end", Solver, "back_end", ("check_optimum",), ("solvers.solution.Attempt",)),
+    Addition("dyad", DyadType, "dyad", ("check_motion", "check_forces"), ("dynamics.inverse.GroupForces",)),
+    Addition("kind of problem", ProblemKind, "kind", ("check_stored",), ("tasks.protocol.DesignTask",)),
+    Addition("kind of result", ResultKind, "view", ("check_stored",), ("presentation.view.View",)),
+)
+
+
+def path_of(entry: type[Entry]) -> str:
+    """Return the full name of a class of entries."""
+    return f"{entry.__module__}.{entry.__qualname__}"
+
+
+def page() -> str:
+    """Return a table of all kinds of entries, then a section for each."""
+    rows = []
+    for one in ADDITIONS:
+        oracles = ", ".join(f"[`{name}`](testing.md#{name})" for name in one.oracles)
+        rows.append(f"| {one.words} | [`{one.entry.__name__}`](#{one.entry.__name__.lower()}) | {oracles} |")
+    parts = ["\n".join(["| to add | register | check it by |", "|---|---|---|", *rows])]
+    for one in ADDITIONS:
+        example = EXAMPLES / f"{one.example}.py"
+        parts += [
+            reference(path_of(one.entry), ("fault", "entered")),
+            f"An example, `tests/extending/{example.name}`:",
+            f"```python\n{example.read_text(encoding='utf-8').strip()}\n```",
+            *(reference(f"optlink.{path}") for path in one.further),
+        ]
+    return "\n\n".join(parts)
