@@ -18,7 +18,7 @@ from optlink.presentation.format import single_units
 from optlink.presentation.table_spec import Summary
 from optlink.presentation.view import View
 from optlink.problem.arguments import typed
-from optlink.problem.document import VERSION_OF_SCHEMAS, Document, read_document
+from optlink.problem.document import VERSION_OF_SCHEMAS, Document, Result, read_document
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -185,7 +185,7 @@ FORMER = ("function", "path", "cycle")
 
 
 @typed
-def read_result(path: str | Path) -> Document:
+def read_result(path: str | Path) -> Result:
     """Read a stored result: the one that the command or the function returned which made it.
 
     The file alone suffices: it contains its problem.
@@ -197,7 +197,7 @@ def read_result(path: str | Path) -> Document:
 
     Returns
     -------
-    Document
+    Result
         `SynthesisResult`, `Analysis`, `Simulation`, ..., by the kind of result.
 
     Raises
@@ -249,7 +249,7 @@ def _unknown(schema: object, kind: str, path: Path) -> InputError:
     return InputError("not a result of optlink", remedy, str(path), "schema", schema)
 
 
-def stored_page(result: Document, facts: Mapping[str, Any], path: str) -> ReportModel | StoredStudy:
+def stored_page(result: Result, facts: Mapping[str, Any], path: str) -> ReportModel | StoredStudy:
     """Return the content of the page of a stored result, with further facts at its head.
 
     Raises
@@ -265,7 +265,7 @@ def stored_page(result: Document, facts: Mapping[str, Any], path: str) -> Report
         return report_model_of(result)  # type: ignore[arg-type]
     view = view_of(result.kind)
     if view.no_page:
-        raise InputError("a result of this kind has no page", view.no_page, path, "schema", result.schema())
+        raise InputError("a result of this kind has no page", view.no_page, path, "kind", result.kind)
     if view.page is None:
         return report_model_of(result)  # type: ignore[arg-type]
     with single_units():

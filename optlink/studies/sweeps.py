@@ -21,7 +21,7 @@ from optlink.errors import InputError, Status
 from optlink.execution.runner import check
 from optlink.execution.store import TABLE, Progress, Store, TemporaryFolder
 from optlink.problem.arguments import typed
-from optlink.problem.document import Document, Source
+from optlink.problem.document import Document, Renamed, Source
 from optlink.problem.file import AnyProblem, ProblemFile, problem_of
 from optlink.studies.grid import Grid, axes_of_arrays, read_grid
 from optlink.studies.reoptimise_task import SEARCHED, check_backend, chunk_of, optimum_task
@@ -100,7 +100,7 @@ class ActiveSetChange:
 class _Summary:
     """Summary of a table, accumulated row by row; see `Sweep`."""
 
-    valid: int = 0
+    valid_points: int = 0
     statuses: Counter[str] = field(default_factory=Counter)
     searched: int = 0
     changed: int = 0
@@ -117,12 +117,11 @@ def _of_optima(name: str) -> Source:
 class GridStudy(Document):
     """Result of a study of all points of a grid.
 
-    `valid`: number of points with a validated optimum (or a complete analysis); `cpu` [s]: processor time of all processes for
-    the `done` points of this run.
+    `valid_points`: number of points with a validated optimum (or a complete analysis); `cpu` [s]: processor time of all processes
+    for the `done` points of this run.
     """
 
     shown: ClassVar[Mapping[str, Source]] = {
-        "valid_points": "valid",
         "points_done_now": "done",
         "processor_seconds": "cpu",
     }
@@ -130,7 +129,7 @@ class GridStudy(Document):
     problem: ProblemFile
     grid: Grid
     table: StoredTable
-    valid: int
+    valid_points: int
     done: int
     seconds: float
     cpu: float
@@ -222,12 +221,14 @@ class Sweep(GridStudy):
     @property
     def complete(self) -> bool:
         """Whether every point has a validated optimum, or all requested figures."""
-        return self.valid == self.grid.count
+        return self.valid_points == self.grid.count
+
+    successful = Renamed("valid")
 
     @property
-    def successful(self) -> bool:
+    def valid(self) -> bool:
         """Whether the sweep is usable: every optimum validated; for an analysis, at least one valid point."""
-        return self.complete or (self.evaluated and self.valid > 0)
+        return self.complete or (self.evaluated and self.valid_points > 0)
 
     @property
     def infeasible(self) -> int:
@@ -237,7 +238,7 @@ class Sweep(GridStudy):
     @property
     def status(self) -> str:
         """Whether every point is valid, in words."""
-        return "complete" if self.complete else "not valid everywhere" if self.valid else "not valid anywhere"
+        return "complete" if self.complete else "not valid everywhere" if self.valid_points else "not valid anywhere"
 
 
 @typed
@@ -385,7 +386,7 @@ def _marked(rows: Iterator[list[str]], grid: Grid, names: list[str], summary: _S
     if CHANGED not in names:
         for row in rows:
             summary.statuses[row[status]] += 1
-            summary.valid += row[valid] == "true"
+            summary.valid_points += row[valid] == "true"
             yield row
         return
     active, method = names.index("active"), names.index("method")
@@ -404,7 +405,7 @@ def _marked(rows: Iterator[list[str]], grid: Grid, names: list[str], summary: _S
                 at = {axis.column: value for axis, value in zip(grid.axes, grid.values(number), strict=True)}
                 summary.changes += (ActiveSetChange(at, before, row[active]),)
         if row[valid] == "true":
-            summary.valid += 1
+            summary.valid_points += 1
             if sense * float(row[objective]) < least:
                 least, summary.best = sense * float(row[objective]), dict(zip(names, row, strict=True))
         before = now

@@ -75,7 +75,7 @@ def solve(
     engine: str = "local",
     workers: int | None = None,
     scheduler: str | None = None,
-) -> DesignResult | Balance:
+) -> DesignResult:
     """Find the best design for a problem and validate it.
 
     Parameters
@@ -110,9 +110,8 @@ def solve(
 
     Returns
     -------
-    DesignResult or Balance
-        `SynthesisResult` or `Balance`, by the kind of problem. All have `valid`, `status`, `design`,
-        `objective`, `limits`, `machine` and `to_dict()`.
+    DesignResult
+        `SynthesisResult` or `Balance`, by the kind of problem.
 
     Raises
     ------
@@ -142,7 +141,7 @@ def solve(
         proof.check_options(gap, time_limit)
     if certify:
         proof.check_problem(problem)
-    result: DesignResult | Balance
+    result: DesignResult
     shared = workers is not None or engine != "local"
     check(engine, workers, scheduler)
     with contextlib.ExitStack() as ends:

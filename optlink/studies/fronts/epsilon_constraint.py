@@ -25,7 +25,7 @@ from optlink.execution.store import Progress, Store
 from optlink.linkage.vector2d import Array
 from optlink.optimization.pareto_front import ends, knee, undominated
 from optlink.problem.arguments import typed
-from optlink.problem.document import Source, entries
+from optlink.problem.document import Renamed, Source, entries
 from optlink.problem.file import AnyProblem, ProblemFile, problem_of
 from optlink.studies.fronts.design_objectives import OPTION, ParetoObjective
 from optlink.studies.fronts.epsilon_ranges import RANGES, EpsilonRanges, NoExtreme, read_objectives
@@ -104,14 +104,14 @@ class Pareto(GridStudy):
     @property
     def status(self) -> str:
         """Whether every point is validated, in words."""
-        return "complete" if self.complete else "not valid everywhere"
+        return "complete" if self.valid else "not valid everywhere"
 
     @property
     def single_point(self) -> str:
         """Why the front has one point, in words; empty for other fronts."""
         if len(self.points) != 1:
             return ""
-        if self.valid < self.solved:
+        if self.valid_points < self.solved:
             return "Only one point has a verified design, so the front shows no trade-off"
         limited = [
             (objective, value)
@@ -134,10 +134,12 @@ class Pareto(GridStudy):
         """Objectives of the points (n, k), with the sign for minimisation."""
         return np.array([point.values for point in self.points]) * [objective.sense for objective in self.objectives]
 
+    complete = Renamed("valid")
+
     @property
-    def complete(self) -> bool:
+    def valid(self) -> bool:
         """Whether there is a front, and every point of the grid is validated or infeasible."""
-        return bool(self.points) and self.valid + self.infeasible == self.solved
+        return bool(self.points) and self.valid_points + self.infeasible == self.solved
 
     @property
     def columns(self) -> dict[str, list[Any]]:
@@ -258,7 +260,7 @@ def pareto(
             reference=reference,
             reference_label=words,
             solved=len(rows),
-            valid=len(designs),
+            valid_points=len(designs),
             infeasible=sum(row["status"] == Status.INFEASIBLE.value for row in rows),
             dominated=len(designs) - len(front),
             grid=grid,

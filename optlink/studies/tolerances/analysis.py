@@ -112,6 +112,12 @@ class Tolerance(LinearAnalysis, Document):
         return None if self.monte_carlo is None else self.monte_carlo.seed
 
     @property
+    def valid(self) -> bool:
+        """Whether the allocated tolerances reach their yield and the robust design is valid, where they were asked for."""
+        allocated = self.allocation is None or self.allocation.achieved
+        return allocated and (self.robust is None or self.robust.result.valid)
+
+    @property
     def scale(self) -> float:
         """Factor from SI to the display unit of the output."""
         return DISPLAYED[self.nominal.unit][0]
