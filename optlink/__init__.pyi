@@ -10,6 +10,7 @@ from optlink.errors import (
     Status as Status,
     UnknownName as UnknownName,
 )
+from optlink.execution.options import Execution as Execution
 from optlink.presentation.interface import export as export, report as report
 from optlink.presentation.registry import read_result as read_result
 from optlink.problem.document import Document as Document, Result as Result

@@ -15,14 +15,15 @@ from optlink.namespace import namespace
 
 PUBLIC = {
     "optlink": """
-        Analysis AnyProblem Balance DesignResult Document InputError LinkageDesign OptlinkError ProblemFile Programme Result
-        Simulation SolverError Status SynthesisResult UnknownName
+        Analysis AnyProblem Balance DesignResult Document Execution InputError LinkageDesign OptlinkError ProblemFile Programme
+        Result Simulation SolverError Status SynthesisResult UnknownName
         analyze analyze_batch balance build explore export load motion new read read_design read_result report shipped simulate
         solve validate
         control linkage studies synthesis testing
     """,
     "optlink.control": """
-        ClearanceSimulation Comparison InverseMotion Tuning compare inverse_model simulate_clearance tune
+        Checkpoints ClearanceSimulation Comparison InverseMotion ResumableExecution Tuning
+        compare inverse_model simulate_clearance tune
     """,
     "optlink.linkage": """
         Cognate CouplerLinkage GrashofClass Jet Mechanism Motion Pose Travel cognates four_bar grashof reachable sweep travels

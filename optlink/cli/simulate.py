@@ -126,8 +126,10 @@ def simulate(
     from optlink.presentation.files import CHECKPOINT
 
     whole_revolutions = _revolutions(file, revolutions, time, common["speed"])
-    compiling = functools.partial(console.working, "Compiling the equations of motion (cached for the next time)")
-    common |= {"compiling": compiling, **console.given(points=points, tolerance=tolerance, integrator=integrator)}
+    from optlink.tasks.clearance import COMPILING
+
+    COMPILING.set(functools.partial(console.working, "Compiling the equations of motion (cached for the next time)"))
+    common |= console.given(points=points, tolerance=tolerance, integrator=integrator)
     parallel = console.given(starts=starts, seed=seed, workers=workers, engine=engine, scheduler=scheduler)
     if comparing or tune:
         from optlink.execution.runner import cores

@@ -11,13 +11,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Self
+from typing import Annotated, Any, ClassVar, Self, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import PlainSerializer, PlainValidator, WithJsonSchema
 
 from optlink.errors import InputError, Status
+from optlink.execution.options import Execution
 from optlink.execution.runner import check
 from optlink.execution.store import TABLE, Progress, Store, TemporaryFolder
 from optlink.problem.arguments import typed
@@ -254,10 +255,8 @@ def sweep(
     design: Mapping[str, float] | None = None,
     simulate: Mapping[str, Any] | None = None,
     backend: str = "ipopt",
-    engine: str = "local",
-    workers: int | None = None,
-    scheduler: str | None = None,
     progress: Progress | None = None,
+    **execution: Unpack[Execution],
 ) -> Sweep:
     """Optimise, analyse or simulate a problem at every point of a grid.
 
@@ -287,9 +286,9 @@ def sweep(
         or duration.
     backend : "slsqp" or "ipopt"
         Local solver.
-    engine, workers, scheduler
-        See `optlink.execution.runner.pool`.
     progress : function of (completed points, all points), optional
+    **execution : Execution
+        Where the points are computed.
 
     Returns
     -------
@@ -320,10 +319,10 @@ def sweep(
     else:
         task = _reoptimising(problem, grid, design, backend)
     evaluated = task.mode != OPTIMISE
-    check(engine, workers, scheduler)
+    check(**execution)
     with Store(None if out is None else Path(str(out)), _about(task), resume=resume) as store:
         store.divide(task.size, task.chunks)
-        mine, cpu = store.fill(task, engine, workers, scheduler, progress)
+        mine, cpu = store.fill(task, progress, **execution)
         names = [*task.columns, *(() if evaluated else (CHANGED,))]
         summary, sense = _Summary(), problem.model.objective_display[0]
         if store.finished:
@@ -342,8 +341,8 @@ def sweep(
             done=mine,
             seconds=time.perf_counter() - begin,
             cpu=cpu,
-            engine=engine,
-            workers=workers,
+            engine=execution.get("engine", "local"),
+            workers=execution.get("workers"),
         )
 
 

@@ -7,9 +7,10 @@ import json
 import math
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, Unpack, cast
 
 from optlink.errors import OPTIONS_NAMED, InputError
+from optlink.execution.options import Execution
 from optlink.io import Registry, checked
 from optlink.linkage.fourbar import LENGTHS
 from optlink.problem.arguments import typed
@@ -72,9 +73,7 @@ def solve(
     gap: float = 1e-6,
     time_limit: float = math.inf,
     proving: Proving = None,
-    engine: str = "local",
-    workers: int | None = None,
-    scheduler: str | None = None,
+    **execution: Unpack[Execution],
 ) -> DesignResult:
     """Find the best design for a problem and validate it.
 
@@ -104,9 +103,8 @@ def solve(
         Time limit of the proof. The lower bound reached by then is valid.
     proving : function of (completed fraction of the proof, current gap), optional
         Called with the progress of the proof.
-    engine, workers, scheduler
-        Execution of long searches and proofs, see `optlink.execution.runner.pool`; if one of them is set, of short searches too.
-        The result does not depend on them.
+    **execution : Execution
+        Where long searches and proofs run; if an option is set, short searches too.
 
     Returns
     -------
@@ -142,10 +140,10 @@ def solve(
     if certify:
         proof.check_problem(problem)
     result: DesignResult
-    shared = workers is not None or engine != "local"
-    check(engine, workers, scheduler)
+    shared = any(value not in (None, "local") for value in execution.values())
+    check(**execution)
     with contextlib.ExitStack() as ends:
-        runs = ends.enter_context(pool(engine, workers, scheduler)) if task.divisible else None
+        runs = ends.enter_context(pool(**execution)) if task.divisible else None
         kept: dict[str, Any] = {"designs": designs, "track": track, "runs": runs, "shared": shared}
         result = task.solve(problem, backend, starts, seed, progress, **kept)
         if not certified or certify is False or result.interrupted:

@@ -15,11 +15,12 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, TypeVar, Unpack
 
 import numpy as np
 
 from optlink.errors import InputError, Status
+from optlink.execution.options import Execution
 from optlink.execution.runner import check
 from optlink.execution.store import Progress, Store
 from optlink.linkage.vector2d import Array
@@ -160,10 +161,8 @@ def pareto(
     points: int | None = None,
     resume: bool = False,
     backend: str = "ipopt",
-    engine: str = "local",
-    workers: int | None = None,
-    scheduler: str | None = None,
     progress: Progress | None = None,
+    **execution: Unpack[Execution],
 ) -> Pareto:
     """Compute the Pareto front of two or three objectives by the epsilon-constraint method.
 
@@ -178,9 +177,11 @@ def pareto(
         Folder for completed chunks and for a table of all points (`sweep.csv`). Default: a temporary folder.
     points : int, optional
         Number of points; with three objectives, along each of two axes. Default: 15; with three objectives 7.
-    resume, backend, engine, workers, scheduler
+    resume, backend
         As in `optlink.studies.sweeps.sweep`.
     progress : function of (completed points, all points), optional
+    **execution : Execution
+        Where the points are computed.
 
     Returns
     -------
@@ -218,7 +219,7 @@ def pareto(
     if (total := math.prod(ranges.shape)) > MAX_POINTS:
         size = " x ".join(f"{length:,}" for length in ranges.shape) + (f" = {total:,}" if len(ranges.shape) > 1 else "")
         raise InputError(f"{size} points exceed the limit of a front, {MAX_POINTS:,}", "Give fewer", key="--points")
-    check(engine, workers, scheduler)
+    check(**execution)
     with Store(None if out is None else Path(str(out)), _about(problem, objective_list, count, backend), resume=resume) as store:
         ahead = ranges.searches
         once = _Once(store, None if progress is None else lambda completed: progress(completed, ahead + total))
@@ -233,10 +234,8 @@ def pareto(
         store.divide(task.size, task.chunks)
         mine, cpu = store.fill(
             task,
-            engine,
-            workers,
-            scheduler,
             None if progress is None else lambda completed, total: progress(ahead + completed, ahead + total),
+            **execution,
         )
         if not store.finished:
             store.finish(task.columns, iter(_with_known_designs(task, ranges, list(store.rows()), anchors)))
@@ -268,8 +267,8 @@ def pareto(
             done=mine,
             seconds=time.perf_counter() - begin,
             cpu=cpu,
-            engine=engine,
-            workers=workers,
+            engine=execution.get("engine", "local"),
+            workers=execution.get("workers"),
         )
 
 
