@@ -48,7 +48,15 @@ class DifferenceCheck:
     gap: Number  # largest difference from the exact derivatives, relative to the largest of the kind
 
     def in_si(self, size: float, sizes: Mapping[str, float]) -> DifferenceCheck:
-        """Return the derivatives in SI."""
+        """Return the derivatives in SI.
+
+        Parameters
+        ----------
+        size : float
+            One unit of the parameter [SI].
+        sizes : mapping of str to float
+            One unit of each design variable [SI].
+        """
         design = {name: rate * sizes[name] / size for name, rate in self.design.items()}
         return DifferenceCheck(self.step * size, self.objective / size, design, self.gap)
 

@@ -63,7 +63,13 @@ class TableFile:
 
     @cached_property
     def columns(self) -> dict[str, NDArray[Any]]:
-        """The columns by name."""
+        """The columns by name.
+
+        Raises
+        ------
+        InputError
+            If the file cannot be read.
+        """
         try:
             rows, parts = self._rows(), []
             names = next(rows)
