@@ -2,7 +2,14 @@ from typing import Any
 
 from typing_extensions import deprecated
 
-from optlink import control as control, linkage as linkage, studies as studies, synthesis as synthesis, testing as testing
+from optlink import (
+    control as control,
+    linkage as linkage,
+    studies as studies,
+    style as style,
+    synthesis as synthesis,
+    testing as testing,
+)
 from optlink.errors import (
     InputError as InputError,
     OptlinkError as OptlinkError,

@@ -2,6 +2,7 @@
 
 import importlib
 import inspect
+import json
 import re
 import types
 import warnings
@@ -19,7 +20,7 @@ PUBLIC = {
         Result Simulation SolverError Status SynthesisResult UnknownName
         analyze analyze_batch balance build explore export load motion new read read_design read_result report shipped simulate
         solve validate
-        control linkage studies synthesis testing
+        control linkage studies style synthesis testing
     """,
     "optlink.control": """
         Checkpoints ClearanceSimulation Comparison InverseMotion ResumableExecution Tuning
@@ -27,11 +28,18 @@ PUBLIC = {
     """,
     "optlink.linkage": """
         Cognate CouplerLinkage GrashofClass Jet Mechanism Motion Pose Travel cognates four_bar grashof reachable sweep travels
+        dyads fourbar
+    """,
+    "optlink.linkage.dyads": "prp rpp rpr rrp rrr",
+    "optlink.linkage.fourbar": """
+        DeadCentre GrashofClass Inversion classify crank_rocker_conditions dead_centre diagonal_squared double_crank_conditions
+        four_bar grashof reachable swing time_ratio transmission_cosine turning_points
     """,
     "optlink.studies": """
         Allocation Derivatives MonteCarlo OutputSensitivity Pareto RobustDesign Sensitivities Sensitivity Sweep Tolerance
         output_sensitivity pareto sensitivities sweep tolerance
     """,
+    "optlink.style": "BODIES COUPLER CRANK GROUND LIMIT MUTED RESULT ROCKER SHADE STYLE TARGET",
     "optlink.synthesis": "FirstDesign starts",
     "optlink.testing": """
         Disagreement check_derivatives check_forces check_motion check_optimum check_prices check_stored
@@ -49,6 +57,34 @@ DEPRECATED = {
 PACKAGES = [importlib.import_module(name) for name in PUBLIC]
 
 
+ROOT = Path(__file__).resolve().parents[1]
+WRITTEN = [ROOT / "README.md", ROOT / "README.zh.md", *(ROOT / "docs").rglob("*.md"), *(ROOT / "examples").glob("*.py")]
+IMPORTED = re.compile(r"^[ >]*(?:from (optlink[\w.]*) import (\([^)]*\)|[^#\n]*)|import (optlink[\w.]*))", re.MULTILINE)
+NOT_YET = {
+    "balancing": "TradeOff",
+    "clearance": "DAMPING Inverse clearance clearance_joints control_comparison draw installed normal_force",
+    "crank_rocker": "build design_charts design_drawings design_view draw objective_map",
+    "draw_a_curve": "DesignProblem design design_drawings",
+    "shaper": "MotionColumns",
+    "six_bar": "Wrench reactions required_wrench",
+    "tolerance": "pictures tolerance wilson",
+    "tradeoff": "draw pareto validate",
+    "what_if": "draw sensitivity",
+    "what_if_clearance": "installed",
+}
+"""What notebooks import from inside the package; none is added here."""
+
+
+def internal(code: str) -> list[str]:
+    """Names that code imports from optlink although they are not public."""
+    found = []
+    for module, listed, whole in IMPORTED.findall(code):
+        own = re.findall(r"(\w+)(?: as \w+)?", listed)
+        found += [name for name in own if name not in PUBLIC.get(module, "").split()]
+        found += [whole] if whole and whole not in PUBLIC else []
+    return sorted(set(found))
+
+
 def names(package: types.ModuleType) -> list[str]:
     return PUBLIC[package.__name__].split()
 
@@ -64,6 +100,24 @@ def test_the_public_names_are_those_of_the_table(package: types.ModuleType) -> N
             assert inspect.getdoc(getattr(package, name)) or name == "AnyProblem"
     with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
         _ = package.nonsense
+
+
+@pytest.mark.parametrize("path", WRITTEN, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_pages_and_examples_import_public_names(path: Path) -> None:
+    assert internal(path.read_text(encoding="utf-8")) == []
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "notebooks").glob("*.ipynb")), ids=lambda path: path.stem)
+def test_notebooks_import_public_names(path: Path) -> None:
+    cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+    code = "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code")
+    assert internal(code) == NOT_YET.get(path.stem, "").split()
+
+
+def test_an_import_from_inside_is_found() -> None:
+    code = ">>> from optlink.tasks.run import solve\nfrom optlink.linkage import (\n    Jet,\n    jet as one,\n)\n"
+    code += "import optlink.io\nfrom optlink import load, studies\nimport optlink\n"
+    assert internal(code) == ["jet", "optlink.io", "solve"]
 
 
 def test_no_module_hides_a_function_of_its_name() -> None:

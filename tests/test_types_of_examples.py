@@ -19,7 +19,8 @@ from tests.test_docs import ROOT
 from tests.test_notebooks import NOTEBOOKS, code_cells, read
 from tests.test_public_names import DEPRECATED
 
-PAGES = [ROOT / "README.md", ROOT / "docs" / "api" / "index.md"]
+GUIDES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), ROOT / "docs" / "api" / "index.md"]
+PAGES = [page for page in GUIDES if "\n```python\n" in page.read_text(encoding="utf-8")]
 UNTYPED = "def double(length):\n    return 2.0 * length\n"
 FORMER = "import optlink\n\n" + "".join(f"print(optlink.{name})\n" for name in DEPRECATED)
 UNFIT = """
@@ -80,7 +81,7 @@ EXAMPLES = {
     "common": COMMON,
     "results": fulfils("Result", RESULTS.values()),
     "designs": fulfils("DesignResult", DESIGNS),
-    **{page.stem: of_page(page) for page in PAGES},
+    **{f"page_{page.stem.replace('-', '_')}": of_page(page) for page in PAGES},
     **{path.stem: of_notebook(path) for path in NOTEBOOKS},
     **{path.stem: path.read_text(encoding="utf-8") for path in SCRIPTS},
 }
