@@ -15,7 +15,7 @@ study = optlink.studies.sweep(
     ["limits.transmission_angle.max=130..150 deg:11", "mechanism.frame=480 mm, 500 mm, 520 mm"],
 )
 table = study.to_frame()
-print(f"{study.valid} of {len(table)} optima are valid; columns: {', '.join(table.columns[:6])}, ...")
+print(f"{study.valid_points} of {len(table)} optima are valid; columns: {', '.join(table.columns[:6])}, ...")
 
 figure, axes = plt.subplots(layout="constrained")
 for frame, rows in table.groupby("mechanism.frame_mm"):

@@ -1,8 +1,13 @@
+from typing import Any
+
+from typing_extensions import deprecated
+
 from optlink import (
     control as control,
     extending as extending,
     linkage as linkage,
     studies as studies,
+    style as style,
     synthesis as synthesis,
     testing as testing,
 )
@@ -13,9 +18,10 @@ from optlink.errors import (
     Status as Status,
     UnknownName as UnknownName,
 )
+from optlink.execution.options import Execution as Execution
 from optlink.presentation.interface import export as export, report as report
 from optlink.presentation.registry import read_result as read_result
-from optlink.problem.document import Document as Document
+from optlink.problem.document import Document as Document, Result as Result
 from optlink.problem.file import (
     AnyProblem as AnyProblem,
     ProblemFile as ProblemFile,
@@ -35,3 +41,44 @@ from optlink.tasks.run import read_design as read_design, solve as solve, valida
 from optlink.tasks.simulate import Simulation as Simulation, simulate as simulate
 
 __version__: str
+
+# Names of version 0.1, with those that took their place; docs/stability.md states how long they work.
+
+@deprecated("optlink.four_bar is now optlink.linkage.four_bar")
+def four_bar(*args: Any, **options: Any) -> linkage.Mechanism: ...
+@deprecated("optlink.grashof is now optlink.linkage.grashof")
+def grashof(*args: Any, **options: Any) -> linkage.GrashofClass: ...
+@deprecated("optlink.sweep is now optlink.linkage.sweep")
+def sweep(*args: Any, **options: Any) -> linkage.Motion: ...
+@deprecated("optlink.compare is now optlink.control.compare")
+def compare(*args: Any, **options: Any) -> control.Comparison: ...
+@deprecated("optlink.inverse_model is now optlink.control.inverse_model")
+def inverse_model(*args: Any, **options: Any) -> control.InverseMotion: ...
+@deprecated("optlink.simulate_clearance is now optlink.control.simulate_clearance")
+def simulate_clearance(*args: Any, **options: Any) -> control.ClearanceSimulation: ...
+@deprecated("optlink.tune is now optlink.control.tune")
+def tune(*args: Any, **options: Any) -> control.Tuning: ...
+
+@deprecated("optlink.ClearanceSimulation is now optlink.control.ClearanceSimulation")
+class ClearanceSimulation(control.ClearanceSimulation): ...
+
+@deprecated("optlink.Comparison is now optlink.control.Comparison")
+class Comparison(control.Comparison): ...
+
+@deprecated("optlink.InverseMotion is now optlink.control.InverseMotion")
+class InverseMotion(control.InverseMotion): ...
+
+@deprecated("optlink.Tuning is now optlink.control.Tuning")
+class Tuning(control.Tuning): ...
+
+@deprecated("optlink.CycleResult is now optlink.SynthesisResult")
+class CycleResult(SynthesisResult): ...
+
+@deprecated("optlink.FunctionResult is now optlink.SynthesisResult")
+class FunctionResult(SynthesisResult): ...
+
+@deprecated("optlink.PathResult is now optlink.SynthesisResult")
+class PathResult(SynthesisResult): ...
+
+@deprecated("optlink.PathDesign is now optlink.LinkageDesign")
+class PathDesign(LinkageDesign): ...

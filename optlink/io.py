@@ -351,11 +351,9 @@ class Summary:
                 object.__setattr__(self, item.name, Frozen({key: _read_only(entry) for key, entry in value.items()}))
 
     def __repr__(self) -> str:
-        status = getattr(self, "status", getattr(self, "ending", ""))
-        words = [str(getattr(status, "value", status))]
-        for word in ("valid", "sound"):  # a design, and an analysis whose reactions are finite
-            if isinstance(holds := getattr(self, word, None), bool):
-                words.append(word if holds else f"not {word}")
+        words = [str(getattr(self, "status", ""))]
+        if (valid := getattr(self, "valid", None)) is not None:
+            words.append("valid" if valid else "not valid")
         if isinstance(objective := getattr(self, "objective", None), float):
             words.append(f"objective {objective:.6g}")
         if (certificate := getattr(self, "certificate", None)) is not None:

@@ -4,25 +4,23 @@ import importlib
 import re
 import sys
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 
-def namespace(
-    name: str, file: str, moved: Mapping[str, str] = MappingProxyType({})
-) -> tuple[list[str], Callable[[str], Any], Callable[[], list[str]]]:
+def namespace(name: str, file: str) -> tuple[list[str], Callable[[str], Any], Callable[[], list[str]]]:
     """Return `__all__`, `__getattr__` and `__dir__` of a package.
+
+    Its stub declares former names as deprecated; they are still found, with a DeprecationWarning that names the successor.
 
     Parameters
     ----------
     name, file : str
         `__name__` and `__file__` of the package.
-    moved : mapping of str to str, optional
-        Former names by the full names that took their place; they are still found, with a DeprecationWarning.
     """
     text = Path(file).with_suffix(".pyi").read_text(encoding="utf-8")
+    moved: dict[str, str] = dict(re.findall(r'^@deprecated\("\S+\.(\w+) is now (\S+)"\)$', text, re.MULTILINE))
     homes: dict[str, tuple[str, str]] = {}
     for module, names in re.findall(r"^from (\S+) import (\([^)]*\)|.*)$", text, re.MULTILINE):
         homes |= {shown: (module, own) for own, shown in re.findall(r"(\w+) as (\w+)", names)}

@@ -14,7 +14,7 @@ import numpy as np
 
 from optlink.errors import InputError
 from optlink.linkage.vector2d import TURN, Array
-from optlink.problem.document import Document
+from optlink.problem.document import Result
 from optlink.problem.file import AnyProblem, problem_of
 
 __all__ = [
@@ -26,6 +26,12 @@ __all__ = [
     "check_prices",
     "check_stored",
 ]
+
+
+def __dir__() -> list[str]:
+    return __all__
+
+
 STEP = 1e-5  # rad, and share of a design variable: cube root of the rounding error of central differences
 NEAR = 0.02  # share by which designs differ at random from the start
 
@@ -202,7 +208,7 @@ def check_prices(problem: AnyProblem, tolerance: float = 1e-3) -> float:
     return gap or 0.0
 
 
-def check_stored(result: Document) -> None:
+def check_stored(result: Result) -> None:
     """Check that a result is read back as it was, that its files can be written, and that it has a page: of a view or a result.
 
     Parameters

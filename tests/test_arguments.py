@@ -8,6 +8,7 @@ import math
 import pickle
 import types
 from pathlib import Path
+from typing import Unpack
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ import pytest
 import optlink
 from optlink import control, linkage
 from optlink.errors import InputError, arguments_for_options
+from optlink.execution.options import Execution
 from optlink.linkage.fourbar import classify
 from optlink.linkage.motion import sweep as sweep_unchecked
 from optlink.problem.arguments import typed
@@ -287,6 +289,20 @@ def test_numbers_of_numpy_and_whole_floats_are_numbers() -> None:
     computed = used(np.int64(3), np.float32(0.5), np.bool_(True), "out", more=np.float64(2))
     assert computed == (3, 0.5, True, Path("out"), 2.0)
     assert [type(value) for value in computed] == [int, float, bool, type(Path()), float]
+
+
+def test_options_of_a_dictionary_are_arguments_that_keep_their_defaults_if_they_are_not_given() -> None:
+    @typed
+    def where(count: int, **execution: Unpack[Execution]) -> Execution:
+        return execution
+
+    assert where(1) == {}
+    assert where(1, workers=np.int64(2), scheduler=None) == {"workers": 2, "scheduler": None}
+    assert list(inspect.signature(where).parameters) == ["count", "engine", "workers", "scheduler"]
+    with pytest.raises(InputError, match=r'workers = "two": not a whole number'):
+        where(1, workers="two")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=r'worker = 2: unknown argument of where\. Did you mean "workers"'):
+        where(1, worker=2)  # type: ignore[call-arg]
 
 
 @pytest.mark.parametrize(

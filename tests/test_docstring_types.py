@@ -82,7 +82,7 @@ def annotated(node: ast.expr | None, path: Path) -> list[Words]:
         if name == "Literal":
             kinds = {type(ast.literal_eval(part)).__name__ for part in parts}
             return [(kinds, kinds)]
-        if name == "Annotated":
+        if name in ("Annotated", "Unpack"):
             return annotated(parts[0], path)
         inner = [words for part in parts for _, words in annotated(part, path)]
         return [(outer, words.union(*inner)) for outer, words in annotated(node.value, path)]

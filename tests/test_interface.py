@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,9 @@ import pytest
 
 import optlink
 from optlink.errors import InputError
-from optlink.problem.document import Document
+from optlink.presentation.registry import RESULTS as REGISTERED_RESULTS, result_class
+from optlink.problem.document import Document, Result
+from optlink.tasks.results.common import DesignResult
 from tests.test_docs import ROOT
 
 FILE = ROOT / "problems" / "slider-crank.toml"
@@ -60,6 +63,40 @@ RESULTS = {
 def result(request: pytest.FixtureRequest) -> Document:
     found: Document = RESULTS[request.param]()
     return found
+
+
+MEMBERS = {name for kind in (Result, DesignResult) for name in vars(kind) if not name.startswith("_")}
+
+
+def members_of(kind: str) -> set[str]:
+    """What a registered class of results has, as a field or otherwise."""
+    known = result_class(kind)
+    assert known is not None
+    return {*dir(known), *(item.name for item in dataclasses.fields(known))}  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("kind", REGISTERED_RESULTS)
+def test_every_kind_of_result_keeps_the_protocol(kind: str) -> None:
+    """`tests/test_types_of_examples.py` has a type checker compare the types too."""
+    expected = {name for name in vars(Result) if not name.startswith("_")} | {"kind"}
+    assert {"valid", "status", "plots"} <= expected
+    assert (MEMBERS if kind in ("design", "balance") else expected) - members_of(kind) == set()
+
+
+def test_every_result_is_valid_or_not_and_says_how_it_ended(result: Document) -> None:
+    assert type(result.valid) is bool
+    assert isinstance(result.status, str)
+    document = result.to_dict()
+    assert (document["valid"], document["status"]) == (result.valid, result.status)
+    assert ("not valid" in repr(result)) is not result.valid
+
+
+@pytest.mark.parametrize(("kind", "former"), [("analysis", "sound"), ("simulation", "finished"), ("sweep", "successful")])
+def test_a_member_of_a_former_name_warns(kind: str, former: str) -> None:
+    result = RESULTS[kind]()
+    with pytest.warns(DeprecationWarning, match=rf"\.{former} is now valid$") as caught:
+        assert getattr(result, former) == result.valid
+    assert caught[0].filename == __file__
 
 
 def test_every_result_is_plotted(result: Document) -> None:

@@ -2,6 +2,8 @@
 
 import importlib
 import inspect
+import json
+import re
 import types
 import warnings
 from pathlib import Path
@@ -14,14 +16,15 @@ from optlink.namespace import namespace
 
 PUBLIC = {
     "optlink": """
-        Analysis AnyProblem Balance DesignResult Document InputError LinkageDesign OptlinkError ProblemFile Programme Simulation
-        SolverError Status SynthesisResult UnknownName
+        Analysis AnyProblem Balance DesignResult Document Execution InputError LinkageDesign OptlinkError ProblemFile Programme
+        Result Simulation SolverError Status SynthesisResult UnknownName
         analyze analyze_batch balance build explore export load motion new read read_design read_result report shipped simulate
         solve validate
-        control extending linkage studies synthesis testing
+        control extending linkage studies style synthesis testing
     """,
     "optlink.control": """
-        ClearanceSimulation Comparison InverseMotion Tuning compare inverse_model simulate_clearance tune
+        Checkpoints ClearanceSimulation Comparison InverseMotion ResumableExecution Tuning
+        compare inverse_model simulate_clearance tune
     """,
     "optlink.extending": """
         AngleInterval Attempt Check DesignTask Dyad DyadType Element FixedLength GroupForces Guide LengthInterval LimitTerm
@@ -30,17 +33,24 @@ PUBLIC = {
     """,
     "optlink.linkage": """
         Cognate CouplerLinkage GrashofClass Jet Mechanism Motion Pose Travel cognates four_bar grashof reachable sweep travels
+        dyads fourbar
+    """,
+    "optlink.linkage.dyads": "prp rpp rpr rrp rrr",
+    "optlink.linkage.fourbar": """
+        DeadCentre GrashofClass Inversion classify crank_rocker_conditions dead_centre diagonal_squared double_crank_conditions
+        four_bar grashof reachable swing time_ratio transmission_cosine turning_points
     """,
     "optlink.studies": """
         Allocation Derivatives MonteCarlo OutputSensitivity Pareto RobustDesign Sensitivities Sensitivity Sweep Tolerance
         output_sensitivity pareto sensitivities sweep tolerance
     """,
+    "optlink.style": "BODIES COUPLER CRANK GROUND LIMIT MUTED RESULT ROCKER SHADE STYLE TARGET",
     "optlink.synthesis": "FirstDesign starts",
     "optlink.testing": """
         Disagreement check_derivatives check_forces check_motion check_optimum check_prices check_stored
     """,
 }
-"""Public names by namespace. One that goes stays in `optlink._DEPRECATED` for as long as docs/stability.md states."""
+"""Public names by namespace. One that goes stays in the stub, deprecated, for as long as docs/stability.md states."""
 DEPRECATED = {
     **{name: f"optlink.linkage.{name}" for name in ("four_bar", "grashof", "sweep")},
     **{name: f"optlink.control.{name}" for name in ("ClearanceSimulation", "Comparison", "InverseMotion", "Tuning")},
@@ -52,6 +62,34 @@ DEPRECATED = {
 PACKAGES = [importlib.import_module(name) for name in PUBLIC]
 
 
+ROOT = Path(__file__).resolve().parents[1]
+WRITTEN = [ROOT / "README.md", ROOT / "README.zh.md", *(ROOT / "docs").rglob("*.md"), *(ROOT / "examples").glob("*.py")]
+IMPORTED = re.compile(r"^[ >]*(?:from (optlink[\w.]*) import (\([^)]*\)|[^#\n]*)|import (optlink[\w.]*))", re.MULTILINE)
+NOT_YET = {
+    "balancing": "TradeOff",
+    "clearance": "DAMPING Inverse clearance clearance_joints control_comparison draw installed normal_force",
+    "crank_rocker": "build design_charts design_drawings design_view draw objective_map",
+    "draw_a_curve": "DesignProblem design design_drawings",
+    "shaper": "MotionColumns",
+    "six_bar": "Wrench reactions required_wrench",
+    "tolerance": "pictures tolerance wilson",
+    "tradeoff": "draw pareto validate",
+    "what_if": "draw sensitivity",
+    "what_if_clearance": "installed",
+}
+"""What notebooks import from inside the package; none is added here."""
+
+
+def internal(code: str) -> list[str]:
+    """Names that code imports from optlink although they are not public."""
+    found = []
+    for module, listed, whole in IMPORTED.findall(code):
+        own = re.findall(r"(\w+)(?: as \w+)?", listed)
+        found += [name for name in own if name not in PUBLIC.get(module, "").split()]
+        found += [whole] if whole and whole not in PUBLIC else []
+    return sorted(set(found))
+
+
 def names(package: types.ModuleType) -> list[str]:
     return PUBLIC[package.__name__].split()
 
@@ -60,13 +98,31 @@ def names(package: types.ModuleType) -> list[str]:
 def test_the_public_names_are_those_of_the_table(package: types.ModuleType) -> None:
     """A new name is one word above; a name that goes is first deprecated."""
     assert sorted(package.__all__) == sorted(names(package))
-    assert set(dir(package)) >= set(package.__all__)
+    assert [name for name in dir(package) if not name.startswith("__")] == sorted(package.__all__)
     with warnings.catch_warnings():
         warnings.simplefilter("error", DeprecationWarning)
         for name in package.__all__:
             assert inspect.getdoc(getattr(package, name)) or name == "AnyProblem"
     with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
         _ = package.nonsense
+
+
+@pytest.mark.parametrize("path", WRITTEN, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_pages_and_examples_import_public_names(path: Path) -> None:
+    assert internal(path.read_text(encoding="utf-8")) == []
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "notebooks").glob("*.ipynb")), ids=lambda path: path.stem)
+def test_notebooks_import_public_names(path: Path) -> None:
+    cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+    code = "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code")
+    assert internal(code) == NOT_YET.get(path.stem, "").split()
+
+
+def test_an_import_from_inside_is_found() -> None:
+    code = ">>> from optlink.tasks.run import solve\nfrom optlink.linkage import (\n    Jet,\n    jet as one,\n)\n"
+    code += "import optlink.io\nfrom optlink import load, studies\nimport optlink\n"
+    assert internal(code) == ["jet", "optlink.io", "solve"]
 
 
 def test_no_module_hides_a_function_of_its_name() -> None:
@@ -81,13 +137,20 @@ def test_no_module_hides_a_function_of_its_name() -> None:
 
 @pytest.mark.parametrize("name", DEPRECATED)
 def test_a_deprecated_name_works_and_names_its_successor(name: str) -> None:
-    assert optlink._DEPRECATED == DEPRECATED
     home, _, own = DEPRECATED[name].rpartition(".")
     with pytest.warns(DeprecationWarning, match=rf"optlink\.{name} is now {DEPRECATED[name]}$") as caught:
         found = getattr(optlink, name)
     assert found is getattr(importlib.import_module(home), own)
     assert caught[0].filename == __file__  # the line of the user
     assert name not in dir(optlink)
+
+
+def test_the_stub_declares_the_deprecated_names() -> None:
+    stub = Path(str(optlink.__file__)).with_suffix(".pyi").read_text(encoding="utf-8")
+    declared = re.findall(r'^@deprecated\("optlink\.(\w+) is now (\S+)"\)\n(?:def|class) (\w+)\(', stub, re.MULTILINE)
+    assert {name: successor for name, successor, _ in declared} == DEPRECATED
+    assert all(name == shown for name, _, shown in declared)
+    assert stub.count("@deprecated") == len(DEPRECATED)
 
 
 def test_a_namespace_reads_its_stub(tmp_path: Path) -> None:

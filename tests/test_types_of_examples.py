@@ -1,20 +1,64 @@
-"""The Python of the README, the Python reference, the notebooks and the examples has no error of types; the examples run."""
+"""The Python of the README, the pages, the notebooks and the examples has no error of types; the examples run.
+
+Every class of results has the members of `optlink.Result`, those of designs the members of `optlink.DesignResult`.
+"""
 
 from __future__ import annotations
 
 import re
 import subprocess
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 
 import pytest
 
+from optlink.presentation.registry import RESULTS
 from tests.solved import once
 from tests.test_docs import ROOT
 from tests.test_notebooks import NOTEBOOKS, code_cells, read
+from tests.test_public_names import DEPRECATED
 
-PAGES = [ROOT / "README.md", ROOT / "docs" / "api" / "index.md"]
-PLANTED = "def double(length):\n    return 2.0 * length\n"
+GUIDES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), ROOT / "docs" / "api" / "index.md"]
+PAGES = [page for page in GUIDES if "\n```python\n" in page.read_text(encoding="utf-8")]
+UNTYPED = "def double(length):\n    return 2.0 * length\n"
+FORMER = "import optlink\n\n" + "".join(f"print(optlink.{name})\n" for name in DEPRECATED)
+UNFIT = """
+import optlink
+
+
+class Judged:
+    kind = "judged"
+    status = "done"
+
+
+def result() -> optlink.Result:
+    return Judged()
+"""
+PLANTED = {"untyped": UNTYPED, "former": FORMER, "unfit": UNFIT}
+"""Modules with errors of types."""
+COMMON = """
+import optlink
+
+found = optlink.solve("crank-rocker")
+objective: float = found.objective
+prices: list[float] = [limit.multiplier for limit in found.limits]
+checks: list[str] = [check.name for check in found.validation.checks]
+for result in (found, optlink.analyze("shaper"), optlink.simulate("six-bar"), optlink.read_result("out")):
+    valid: bool = result.valid
+    status: str = result.status
+"""
+
+
+def fulfils(protocol: str, kinds: Iterable[str]) -> str:
+    """A module that returns each of these classes, given as in `RESULTS` of `optlink.presentation.registry`, as a protocol."""
+    homes = [home.split(":") for home in kinds]
+    return "".join(
+        f"import optlink\nimport {module}\n\n\ndef of_{name}(one: {module}.{name}) -> optlink.{protocol}:\n    return one\n\n\n"
+        for module, name in homes
+    )
+
+
 pytestmark = pytest.mark.slow
 
 
@@ -32,8 +76,12 @@ def of_notebook(path: Path) -> str:
 
 
 SCRIPTS = sorted((ROOT / "examples").glob("*.py"))
+DESIGNS = (RESULTS["design"], RESULTS["balance"])
 EXAMPLES = {
-    **{page.stem: of_page(page) for page in PAGES},
+    "common": COMMON,
+    "results": fulfils("Result", RESULTS.values()),
+    "designs": fulfils("DesignResult", DESIGNS),
+    **{f"page_{page.stem.replace('-', '_')}": of_page(page) for page in PAGES},
     **{path.stem: of_notebook(path) for path in NOTEBOOKS},
     **{path.stem: path.read_text(encoding="utf-8") for path in SCRIPTS},
 }
@@ -45,10 +93,18 @@ def errors(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
     folder = tmp_path_factory.mktemp("types")
 
     def run() -> list[str]:
-        for name, text in (EXAMPLES | {"planted": PLANTED}).items():
+        for name, text in (EXAMPLES | PLANTED).items():
             (folder / f"{name}.py").write_text(text, encoding="utf-8")
         done = subprocess.run(
-            [sys.executable, "-m", "mypy", "--strict", "--hide-error-context", str(folder)],
+            [
+                sys.executable,
+                "-m",
+                "mypy",
+                "--strict",
+                "--hide-error-context",
+                *("--enable-error-code", "deprecated"),
+                str(folder),
+            ],
             capture_output=True,
             text=True,
             cwd=ROOT,
@@ -71,8 +127,18 @@ def test_an_example_has_the_types_that_it_assumes(name: str, errors: list[str]) 
 
 
 def test_a_function_without_annotations_is_detected(errors: list[str]) -> None:
-    (error,) = of("planted", errors)
+    (error,) = of("untyped", errors)
     assert "no-untyped-def" in error
+
+
+def test_a_deprecated_name_is_reported_with_its_successor(errors: list[str]) -> None:
+    found = [re.search(r"optlink\.(\w+) is now (\S+) .*\[deprecated\]", error) for error in of("former", errors)]
+    assert {match[1]: match[2] for match in found if match} == DEPRECATED
+    assert len(found) == len(DEPRECATED)
+
+
+def test_a_result_without_its_members_is_detected(errors: list[str]) -> None:
+    assert any("return-value" in error for error in of("unfit", errors))
 
 
 @pytest.mark.parametrize("path", SCRIPTS, ids=lambda path: path.stem)

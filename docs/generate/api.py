@@ -26,6 +26,8 @@ ENTRIES = {"Parameters": (ENTRY, "{}"), "Returns": (RETURNED, "{} :"), "Yields":
 NAMED = r"(?:float|int|str|bool|None|object|mapping|sequence|list|tuple|iterable|collection|[A-Z]\w+)"
 PLAIN = re.compile(rf"{NAMED}(?:,? (?:or|of|to) {NAMED}|, {NAMED})*(?:, optional)?(?= \[|$) ?")
 """A type that the signature says as well, alone or before the unit."""
+TEXT = re.compile(r"Annotated\[(.+), '(.+)'\]")
+"""The annotation of an option, see `optlink.execution.options`: its type and what it is."""
 
 
 def spelled(text: str) -> str:
@@ -98,15 +100,23 @@ def _section(item: Any, level: str, owner: str, without: Collection[str] = ()) -
     if not item.is_module and not _is_enum(item):
         yield f"```python\n{_signature(item, owner)}\n```"
     yield from _told(item)
-    shown = [one for name, one in item.members.items() if not (one.is_alias or name.startswith("_")) and one.docstring]
+    shown = [one for name, one in item.members.items() if not (one.is_alias or name.startswith("_")) and _meaning(one)]
     shown = [one for one in shown if one.name not in ("to_dict", *without)]
     plain = [one for one in shown if one.is_attribute]
     if plain:
-        rows = [f"| `{one.name}` | {_cell(_code(one.annotation))} | {_cell(one.docstring.value)} |" for one in plain]
+        rows = [f"| `{one.name}` | {_cell(_code(one.annotation))} | {_cell(_meaning(one))} |" for one in plain]
         yield "\n".join(["| attribute | type | meaning |", "|---|---|---|", *rows])
     for one in shown:
         if one.is_function or one.is_class:
             yield from _section(one, level + "#", "" if item.is_module else f"{name}.")
+
+
+def _meaning(item: Any) -> str:
+    """The docstring of a member, or the text in its annotation."""
+    if item.docstring:
+        return str(item.docstring.value)
+    text = TEXT.fullmatch(str(item.annotation)) if item.is_attribute else None
+    return text[2] if text else ""
 
 
 def _is_enum(item: Any) -> bool:
@@ -150,16 +160,18 @@ def _told(item: Any) -> Iterator[str]:
 
 
 def _entry(one: Any) -> str:
-    default = f", default {_code(one.default)}" if getattr(one, "default", None) not in (None, "None") else ""
-    typed = f" ({_code(one.annotation)}{default})" if one.annotation is not None else ""
     name = getattr(one, "name", "")
+    default = getattr(one, "default", None)
+    stated = default not in (None, "None") and not name.startswith("**")
+    typed = f" ({_code(one.annotation)}{f', default {_code(default)}' if stated else ''})" if one.annotation is not None else ""
     if not name:
         name, typed = str(one.annotation), ""
     return f"- `{name}`{typed}: {' '.join(one.description.split())}".removesuffix(": ")
 
 
 def _type(text: Any) -> str:
-    return re.sub(r"\bAnnotated\[(\w+), .*\]", r"\1", str(text))  # without how it is read
+    plain = re.sub(r"\bUnpack\[(\w+)\]", r"\1", str(text))
+    return re.sub(r"\bAnnotated\[(\w+), .*\]", r"\1", TEXT.sub(r"\1", plain))  # without how it is read
 
 
 def _code(text: Any) -> str:

@@ -33,6 +33,7 @@ film = False  # whether --out has an animation
 printed = False  # whether the JSON document is printed
 _kept: list[contextlib.ExitStack] = []  # contexts held until the command ends
 
+FAILED = ("stalled", "non-finite")  # words of a status for which a solver or an integrator is the reason
 NO_OUTPUT = (errno.EPIPE, errno.ENOSPC, errno.EIO, errno.EFBIG)
 """Errors that make standard output or standard error unusable."""
 
@@ -131,16 +132,14 @@ def print_failure(message: str, faults: list[dict[str, Any]]) -> None:
 
 def deliver(
     result: Any,
-    kind: str,
     as_json: bool,
     out: Path | None,
     csv: Path | None = None,
     *,
-    code: int,
     details: bool = True,
     state: str = "",
 ) -> None:
-    """Write result files, print JSON or a table, and exit with `code` unless it is 0.
+    """Write result files, print JSON or a table, and exit with code 1 unless the result is valid, 3 if a solver failed.
 
     After an interrupt the folder gets result.json only. Without `details` a design is printed as its short text. `state` is the
     file in the folder from which the run can be resumed: it is removed when all files are written.
@@ -155,7 +154,7 @@ def deliver(
     if out is not None and not lacking:
         try:
             with noted_letters(), working(f"Drawing into {out}"):
-                view_of(kind).write(result, out, pictures, film=film)
+                view_of(result.kind).write(result, out, pictures, film=film)
             if state:
                 (out / state).unlink(missing_ok=True)
         except KeyboardInterrupt:
@@ -166,15 +165,15 @@ def deliver(
         from optlink.presentation.files import CHECKPOINT
 
         write_json(out / "result.json", result.to_dict())
-        begun = not getattr(result, "finished", True) and (out / CHECKPOINT).is_file()
+        begun = not result.valid and (out / CHECKPOINT).is_file()
         print(f"Interrupted: {out} {lacking}{'; add --resume to continue' if begun else ''}", file=sys.stderr)
     if as_json:
         print_json(result.to_dict())
     else:
-        shown = table_of(kind)(result)
+        shown = table_of(result.kind)(result)
         show(shown if details or shown.short is None else shown.short)
-    if code:
-        raise typer.Exit(code)
+    if not result.valid:  # of the several designs of a path one may stall
+        raise typer.Exit(3 if result.status in FAILED and result.problem.task != "path" else 1)
 
 
 @contextlib.contextmanager

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from optlink.cli import console
+from optlink.execution.options import Execution, meaning
 from optlink.io import data_files, load_extensions
 from optlink.solvers.contract import selectable
 
@@ -173,7 +174,7 @@ STARTS_HELP = (
 Starts = Annotated[int | None, number(STARTS_HELP, "--starts")]
 Seed = Annotated[int, number("Seed of the starting points.", "--seed", metavar="S")]
 
-Engine = Annotated[str | None, option("NAME", "local (default: processes of this computer) or dask.", "--engine")]
-Scheduler = Annotated[str | None, option("ADDRESS", "With --engine dask: address of a running scheduler.", "--scheduler")]
+Engine = Annotated[str | None, option("NAME", meaning(Execution, "engine"), "--engine")]
+Scheduler = Annotated[str | None, option("ADDRESS", meaning(Execution, "scheduler"), "--scheduler")]
 
 # --- reports and exports -----------------------------------------------------------------------------------------------------

@@ -121,13 +121,15 @@ def simulate(
 
         with console.share("simulating") as progress:
             ideal_run = run(file, time, progress=progress, flywheel=inertia, **common, **console.given(rows=points))
-        _deliver(ideal_run, "simulation", ideal_run.ending.value, as_json, out, csv)
+        console.deliver(ideal_run, as_json, out, csv)
         return
     from optlink.presentation.files import CHECKPOINT
 
     whole_revolutions = _revolutions(file, revolutions, time, common["speed"])
-    compiling = functools.partial(console.working, "Compiling the equations of motion (cached for the next time)")
-    common |= {"compiling": compiling, **console.given(points=points, tolerance=tolerance, integrator=integrator)}
+    from optlink.tasks.clearance import COMPILING
+
+    COMPILING.set(functools.partial(console.working, "Compiling the equations of motion (cached for the next time)"))
+    common |= console.given(points=points, tolerance=tolerance, integrator=integrator)
     parallel = console.given(starts=starts, seed=seed, workers=workers, engine=engine, scheduler=scheduler)
     if comparing or tune:
         from optlink.execution.runner import cores
@@ -138,7 +140,7 @@ def simulate(
 
         with _kept(out, resume, "runs", "comparing") as store:
             compared = compare(file, whole_revolutions, **common, **parallel, **store)
-        _deliver(compared, "control comparison", compared.status, as_json, out, state=CHECKPOINT)
+        console.deliver(compared, as_json, out, state=CHECKPOINT)
     elif tune:
         from optlink.tasks.control_comparison import tune as search
 
@@ -147,7 +149,7 @@ def simulate(
                 revolutions=None if revolutions is None and time is None else whole_revolutions, evaluations=evaluations
             )
             tuned = search(file, control or "inverse+pid", tuple(tune), **common, **parallel, **store)
-        _deliver(tuned, "tuning", tuned.status, as_json, out, state=CHECKPOINT)
+        console.deliver(tuned, as_json, out, state=CHECKPOINT)
     else:
         from optlink.io import write_json
         from optlink.presentation.files import checkpoint, stream
@@ -160,7 +162,7 @@ def simulate(
         table = contextlib.nullcontext() if csv is None else stream(csv, done)
         with table as rows, console.share("simulating") as progress:
             result = simulate_clearance(file, whole_revolutions, progress=progress, stream=rows, **common)
-        _deliver(result, "clearance", result.ending.value, as_json, out)
+        console.deliver(result, as_json, out)
 
 
 def _series(measured: Path | None) -> list[str]:
@@ -177,18 +179,10 @@ def _rows_done(begun: Mapping[str, Any], revolutions: int, out: Path | None) -> 
     from optlink.cli.console import earlier_result
 
     result = {} if out is None else earlier_result(out)
-    if result.get("finished") and (result.get("figures") or {}).get("revolutions") == revolutions == begun.get("revolutions"):
+    if result.get("valid") and (result.get("figures") or {}).get("revolutions") == revolutions == begun.get("revolutions"):
         message, remedy = f"{revolutions} revolutions are already complete", "Request more, or leave out --resume"
         raise InputError(message, remedy, key="--revolutions", value=revolutions)
     return min(int(begun.get("revolutions", 0)), revolutions - 1) * int(begun.get("points", 0))
-
-
-def _deliver(
-    result: Any, kind: str, ending: str, as_json: bool, out: Path | None, csv: Path | None = None, *, state: str = ""
-) -> None:
-    """Write and show simulations, and exit with the code of their ending."""
-    code = 0 if result.finished else 3 if ending == "stalled" else 1
-    console.deliver(result, kind, as_json, out, csv, code=code, state=state)
 
 
 @contextlib.contextmanager

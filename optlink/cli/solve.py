@@ -30,11 +30,9 @@ from optlink.cli.options import (
     option,
     share_number,
 )
-from optlink.errors import Status
 
 if TYPE_CHECKING:
     from optlink.problem.file import ProblemFile
-    from optlink.tasks.results.balance import Balance
     from optlink.tasks.results.common import DesignResult
     from optlink.validation.check import Check
 
@@ -99,7 +97,7 @@ def solve(
         result = search(file, backend, starts, seed, progress, designs=designs, track=out is not None, **certificate_options)
     if result.interrupted:
         print(f"Interrupted: {_interrupted(result)}.", file=sys.stderr)
-    _show(result, as_json, out, details=details)
+    console.deliver(result, as_json, out, details=details)
 
 
 def _automatic(file: ProblemFile) -> bool:
@@ -142,7 +140,7 @@ def _validate(
     file = next((mode for mode in file.variants() if mode.hash in hashes), file)  # of a result file
     result = check(_in_mode(file, design), values)
     failed = _contradictions(design, file, result)
-    _show(result.with_checks(failed) if failed else result, as_json, out, details=details)
+    console.deliver(result.with_checks(failed) if failed else result, as_json, out, details=details)
 
 
 def _in_mode(file: ProblemFile, design: list[str]) -> ProblemFile:
@@ -173,32 +171,17 @@ def _contradictions(design: list[str], file: ProblemFile, result: DesignResult) 
     return tuple(failed)
 
 
-def _interrupted(result: DesignResult | Balance) -> str:
+def _interrupted(result: DesignResult) -> str:
     """Describe what an interrupted search or proof has reached."""
     from optlink.tasks.results.certificate import NOT_CLOSED
 
-    certificate = getattr(result, "certificate", None)
-    if certificate is not None:
+    if (certificate := result.certificate) is not None:
         finding = certificate.text.removeprefix(f"{NOT_CLOSED}: ")
         complete = "complete" if certificate.closed else "incomplete"
         return f"the design is complete, the proof that it is the global optimum is {complete}: {finding}"
     if "certify" in result.seconds:
         return "the design is complete, the proof that it is the global optimum had not begun"
     return f"the result is that of the first {result.starts} starts"
-
-
-def _show(
-    result: DesignResult | Balance,
-    as_json: bool,
-    out: Path | None,
-    *,
-    details: bool,
-) -> None:
-    """Show a result, and exit with the code of its status."""
-
-    failed = result.status in (Status.STALLED, Status.NON_FINITE) and result.problem.task != "path"
-    code = 3 if failed else 0 if result.valid else 1  # of the several designs of a path one may stall
-    console.deliver(result, result.kind, as_json, out, code=code, details=details)
 
 
 def analyze(
@@ -225,7 +208,7 @@ def analyze(
     console.places(out, "analyze", problem, csv)
     turn, rate = console.quantity(step, "angle", "--step"), console.quantity(speed, "angular velocity", "--speed")
     result = run(file, step=turn, speed=rate, design=values, **console.given(points=points))
-    console.deliver(result, "analysis", as_json, out, csv, code=0 if result.sound else 1)
+    console.deliver(result, as_json, out, csv)
 
 
 MINIMISED = 'Term to minimise, instead of the objective of the problem: "rms force", "peak reaction at D".'
@@ -253,4 +236,4 @@ def balance(
     console.places(out, "balance", problem, csv)
     with console.share("balancing") as progress:
         result = run(file, minimise, trade, points, progress, values)
-    console.deliver(result, "balance", as_json, out, csv, code=0 if result.valid else 3 if result.status is Status.STALLED else 1)
+    console.deliver(result, as_json, out, csv)

@@ -80,10 +80,7 @@ def sensitivity(
 
     with console.share("searching again" if check else "searching") as progress:
         result = sensitivities(file, backend, starts, seed, check=check, progress=progress)
-    from optlink.presentation.views.sensitivity import DERIVATIVE_TOLERANCE
-
-    differs = result.gap is not None and result.gap > DERIVATIVE_TOLERANCE
-    console.deliver(result, "sensitivity", as_json, out, code=1 if differs else 0)
+    console.deliver(result, as_json, out)
 
 
 def _crank_angles(text: str) -> Any:
@@ -186,7 +183,7 @@ def sweep(
     parallel: dict[str, Any] = {"backend": backend, "engine": engine, "workers": workers, "scheduler": scheduler}
     with _resuming(out, "sweep", problem, "sweeping", resume=resume, **parallel) as options:
         result = run(file, vary or [], out, points=360 if points is None else points, **mode, **options)
-    console.deliver(result, "sweep", as_json, out, code=0 if result.successful else 1)
+    console.deliver(result, as_json, out)
 
 
 @study.command()
@@ -234,9 +231,7 @@ def tolerance(
     parallel = console.given(engine=engine, workers=workers, scheduler=scheduler)
     with console.share("building") as progress:
         result = run(file, tolerances or [], output, crank, limit, progress=progress, **sampling, **goals, **parallel)
-    not_achieved = result.allocation is not None and not result.allocation.achieved
-    failed = result.robust is not None and not result.robust.result.valid
-    console.deliver(result, "tolerance", as_json, out, code=1 if not_achieved or failed else 0)
+    console.deliver(result, as_json, out)
 
 
 @study.command()
@@ -262,7 +257,7 @@ def pareto(
     parallel: dict[str, Any] = {"backend": backend, "engine": engine, "workers": workers, "scheduler": scheduler}
     with _resuming(out, "pareto", problem, "computing the front", resume=resume, **parallel) as options:
         result = run(file, objectives, out, points=points, **options)
-    console.deliver(result, "pareto", as_json, out, code=0 if result.complete else 1)
+    console.deliver(result, as_json, out)
 
 
 @contextlib.contextmanager

@@ -1,3 +1,4 @@
+from optlink.execution.options import Checkpoints as Checkpoints, ResumableExecution as ResumableExecution
 from optlink.tasks.clearance import (
     InverseMotion as InverseMotion,
     inverse_model as inverse_model,

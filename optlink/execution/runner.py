@@ -33,7 +33,7 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def check(engine: str, workers: int | None, scheduler: str | None) -> None:
+def check(engine: str = "local", workers: int | None = None, scheduler: str | None = None) -> None:
     """Check the execution options; see `pool`.
 
     Raises

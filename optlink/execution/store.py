@@ -17,9 +17,10 @@ import tempfile
 import weakref
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, Protocol, Self
+from typing import Any, Protocol, Self, Unpack
 
 from optlink.errors import InputError
+from optlink.execution.options import Execution
 from optlink.execution.runner import apart, cores, pool
 from optlink.execution.worker import ChunkTask, Runs
 from optlink.io import LOCK, check_link, check_sum, folder, locked, read_object, whole
@@ -212,10 +213,8 @@ class Store:
     def fill(
         self,
         task: StudyTask,
-        engine: str,
-        workers: int | None,
-        scheduler: str | None,
         progress: Progress | None,
+        **execution: Unpack[Execution],
     ) -> tuple[int, float]:
         """Run the missing chunks, see `optlink.execution.runner.pool`, neighbouring ones in one process.
 
@@ -228,9 +227,9 @@ class Store:
         if not todo:
             return mine, cpu
         try:
-            with pool(engine, workers, scheduler) as runs:
+            with pool(**execution) as runs:
                 chunks, cpu = task.prepared(todo, runs)
-                for index, answer in runs(chunks, apart(todo, workers or cores())):
+                for index, answer in runs(chunks, apart(todo, execution.get("workers") or cores())):
                     self.write(index, answer.value)
                     mine, cpu = mine + self.sizes(index), cpu + answer.cpu
                     if progress is not None:

@@ -1,3 +1,4 @@
+from optlink.linkage import dyads as dyads, fourbar as fourbar
 from optlink.linkage.arguments import sweep as sweep
 from optlink.linkage.fourbar import GrashofClass as GrashofClass, four_bar as four_bar, grashof as grashof
 from optlink.linkage.jet import Jet as Jet

@@ -15,6 +15,12 @@ import numpy as np
 from optlink.linkage.mechanism import Dyad, GroupPassages, Guide, Joint, Mechanism, Pose
 from optlink.linkage.vector2d import Value, Vector, cross, dot, minus, plus, root, turn, turn_back
 
+__all__ = ["prp", "rpp", "rpr", "rrp", "rrr"]
+
+
+def __dir__() -> list[str]:
+    return __all__
+
 
 def rrr(p: Vector, q: Vector, a: Value, b: Value, side: Value) -> tuple[Vector, Value]:
     """Compute the joint of two links pinned at p and q (RRR dyad).

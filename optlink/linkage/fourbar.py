@@ -18,7 +18,28 @@ from optlink.linkage.dyads import RRR
 from optlink.linkage.mechanism import FRAME, Arm, BodyPoint, Ground, Link, Mechanism, Size
 from optlink.linkage.vector2d import Value, Vector, angle, angle_from, magnitude, root, turn
 
+__all__ = [
+    "DeadCentre",
+    "GrashofClass",
+    "Inversion",
+    "classify",
+    "crank_rocker_conditions",
+    "dead_centre",
+    "diagonal_squared",
+    "double_crank_conditions",
+    "four_bar",
+    "grashof",
+    "reachable",
+    "swing",
+    "time_ratio",
+    "transmission_cosine",
+    "turning_points",
+]
 LENGTHS = ("crank", "coupler", "rocker", "frame")
+
+
+def __dir__() -> list[str]:
+    return __all__
 
 
 def four_bar(

@@ -11,7 +11,7 @@ from optlink.errors import InputError, UnknownName, extra_remedy, nearest
 from optlink.io import folder as made
 from optlink.presentation.registry import stored_page, view_of
 from optlink.problem.arguments import typed
-from optlink.problem.document import Document
+from optlink.problem.document import Document, Result
 from optlink.problem.file import AnyProblem, ProblemFile, problem_of
 from optlink.problem.quantity import check_choice
 
@@ -21,11 +21,10 @@ if TYPE_CHECKING:
 
     from optlink.presentation.report_model import ReportModel
     from optlink.presentation.view import StoredStudy
-    from optlink.tasks.results.common import DesignResult
 
-    Subject: TypeAlias = AnyProblem | Document | DesignResult
+    Subject: TypeAlias = AnyProblem | Result
 else:
-    Subject = AnyProblem | Document  # designs are documents
+    Subject = AnyProblem | Document  # all results are documents
 
 
 def content(source: Subject, facts: Mapping[str, Any], name: str = "") -> ReportModel | StoredStudy:
@@ -47,7 +46,7 @@ def report(source: Subject, file: str | Path, facts: Mapping[str, str] | None = 
 
     Parameters
     ----------
-    source : Document, DesignResult, ProblemFile, str or Path
+    source : Result, ProblemFile, str or Path
         Any result; or a problem, which is solved first, or analysed if it has nothing to design.
     file : str or Path
         HTML file to write.
@@ -95,7 +94,7 @@ def export(
 
     Parameters
     ----------
-    source : Document, DesignResult, ProblemFile, str or Path
+    source : Result, ProblemFile, str or Path
         Result of `solve`, `validate` or `analyze`; or a problem, which is solved first, or analysed if it has nothing to design.
     file : str or Path
         File to write; its suffix selects the format: .dxf, .svg, .csv or .json.

@@ -18,7 +18,7 @@ from optlink.presentation.format import single_units
 from optlink.presentation.table_spec import Summary
 from optlink.presentation.view import View
 from optlink.problem.arguments import typed
-from optlink.problem.document import Document, read_document
+from optlink.problem.document import Document, Result, read_document
 from optlink.problem.upgrades import OLDEST, VERSION_OF_SCHEMAS, kind_of
 
 if TYPE_CHECKING:
@@ -155,7 +155,7 @@ FORMER = ("function", "path", "cycle")
 
 
 @typed
-def read_result(path: str | Path) -> Document:
+def read_result(path: str | Path) -> Result:
     """Read a stored result: the one that the command or the function returned which made it.
 
     The file alone suffices: it contains its problem.
@@ -167,7 +167,7 @@ def read_result(path: str | Path) -> Document:
 
     Returns
     -------
-    Document
+    Result
         `SynthesisResult`, `Analysis`, `Simulation`, ..., by the kind of result.
 
     Raises
@@ -218,7 +218,7 @@ def _unknown(schema: object, path: Path) -> InputError:
     return InputError("not a result of optlink", remedy, str(path), "schema", schema)
 
 
-def stored_page(result: Document, facts: Mapping[str, Any], path: str) -> ReportModel | StoredStudy:
+def stored_page(result: Result, facts: Mapping[str, Any], path: str) -> ReportModel | StoredStudy:
     """Return the content of the page of a stored result, with further facts at its head.
 
     Raises
@@ -234,7 +234,7 @@ def stored_page(result: Document, facts: Mapping[str, Any], path: str) -> Report
         return report_model_of(result)  # type: ignore[arg-type]
     view = view_of(result.kind)
     if view.no_page:
-        raise InputError("a result of this kind has no page", view.no_page, path, "schema", result.schema())
+        raise InputError("a result of this kind has no page", view.no_page, path, "kind", result.kind)
     if view.page is None:
         return report_model_of(result)  # type: ignore[arg-type]
     with single_units():

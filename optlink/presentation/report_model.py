@@ -41,8 +41,8 @@ class ReportModel:
 
     @property
     def valid(self) -> bool:
-        """Whether the design is valid; for an analysis, whether all reactions are finite."""
-        return self.result.sound if isinstance(self.result, Analysis) else self.result.valid
+        """Whether the design is valid, or the analysis sound."""
+        return self.result.valid
 
     @property
     def verdict(self) -> str:
@@ -53,7 +53,7 @@ class ReportModel:
         if self.valid:
             fit = getattr(getattr(outcome, "best", None), "fit", None)
             return f"Valid, {fit.text}" if fit is not None and fit.grade == "poor" else "Valid: every check passed"
-        checks = getattr(getattr(outcome, "validation", None), "checks", ())
+        checks = outcome.validation.checks
         if outcome.status is Status.INFEASIBLE:
             named = [] if getattr(outcome, "refuted", "") else causes(checks)[:1]
             return f"No feasible design found{''.join(f': {cause}' for cause in named)}"

@@ -4,7 +4,7 @@ import functools
 import inspect
 import types
 import typing
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, ParamSpec, TypeVar
 
@@ -37,15 +37,16 @@ def typed(function: Callable[P, R]) -> Callable[P, R]:
 
     Numbers of numpy are converted to those of Python. Errors name the arguments of functions, but options within a command.
     """
-    signature = inspect.signature(function)
+    signature, options = _with_options(function)
 
     @functools.cache
     def model() -> type[pydantic.BaseModel]:
         # the type of the result may be unknown here
-        annotations = {name: text for name, text in function.__annotations__.items() if name != "return"}
-        hints = typing.get_type_hints(types.SimpleNamespace(__annotations__=annotations), function.__globals__)
+        hints = _hints(function, (name for name in signature.parameters if name in function.__annotations__)) | options
         given = {name: Annotated[hint, pydantic.Strict(False)] if hint == Path | None else hint for name, hint in hints.items()}
-        fields: dict[str, Any] = {name: (hint, pydantic.Field()) for name, hint in given.items()}  # a path may be a text
+        fields: dict[str, Any] = {
+            name: (hint, pydantic.Field(default=None)) for name, hint in given.items()
+        }  # a path may be a text
         return pydantic.create_model("Arguments", __config__={"arbitrary_types_allowed": True, "strict": True}, **fields)
 
     @functools.wraps(function)
@@ -54,13 +55,16 @@ def typed(function: Callable[P, R]) -> Callable[P, R]:
             bound = signature.bind(*args, **kwargs)
         except TypeError:
             raise InputError(_faults_of_call(function.__name__, signature, args, kwargs)) from None
+        absent = options.keys() - bound.arguments.keys()
         bound.apply_defaults()
         arguments = {name: value.item() if isinstance(value, np.generic) else value for name, value in bound.arguments.items()}
+        for name in absent:  # their defaults are those of the functions that take them
+            del arguments[name], bound.arguments[name]
         try:
             checked = model().model_validate(arguments)
         except pydantic.ValidationError as error:
             raise InputError(list({item["loc"][0]: _fault(item) for item in reversed(error.errors())}.values())[::-1]) from None
-        bound.arguments.update(dict(checked))
+        bound.arguments.update({name: value for name, value in checked if name in arguments})
         try:
             return function(*bound.args, **bound.kwargs)
         except InputError as error:
@@ -68,7 +72,28 @@ def typed(function: Callable[P, R]) -> Callable[P, R]:
                 raise
             raise type(error)([fault.in_python() for fault in error.faults]).with_traceback(error.__traceback__) from None
 
+    vars(call)["__signature__"] = signature
     return call
+
+
+def _hints(function: Callable[..., Any], names: Iterable[str]) -> dict[str, Any]:
+    """Return the types of arguments of a function."""
+    annotations = {name: function.__annotations__[name] for name in names}
+    return typing.get_type_hints(types.SimpleNamespace(__annotations__=annotations), function.__globals__)
+
+
+def _with_options(function: Callable[..., Any]) -> tuple[inspect.Signature, dict[str, Any]]:
+    """Return the signature of a function with every option of a `**options: Unpack[...]`, and the types of these."""
+    signature = inspect.signature(function)
+    named = list(signature.parameters.values())
+    if not named or named[-1].kind is not inspect.Parameter.VAR_KEYWORD:
+        return signature, {}
+    name = named.pop().name
+    (dictionary,) = typing.get_args(_hints(function, [name])[name])
+    options = typing.get_type_hints(dictionary)
+    kind = inspect.Parameter.KEYWORD_ONLY
+    more = [inspect.Parameter(key, kind, default=..., annotation=hint) for key, hint in options.items()]
+    return signature.replace(parameters=[*named, *more]), options
 
 
 def _faults_of_call(

@@ -11,12 +11,13 @@ import importlib
 import json
 import math
 import re
+import warnings
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import fields, is_dataclass, replace
 from operator import attrgetter
 from pathlib import Path
 from types import NoneType
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,8 +83,75 @@ def _reports(module: str) -> Any:
     return importlib.import_module(f"optlink.presentation.{module}")
 
 
+class Result(Protocol):
+    """What every result of optlink has, whatever else its class adds."""
+
+    kind: ClassVar[str]
+    """Kind of result, by which its view is found."""
+
+    @property
+    def problem(self) -> ProblemFile:
+        """The problem that it is about."""
+        ...
+
+    @property
+    def valid(self) -> bool:
+        """Whether one can rely on it, as the class says: a command exits with code 0."""
+        ...
+
+    @property
+    def status(self) -> str:
+        """How it ended, in a word or a few."""
+        ...
+
+    @property
+    def plots(self) -> tuple[str, ...]:
+        """Names of the pictures that `plot` draws."""
+        ...
+
+    def plot(self, name: str | None = None) -> Figure:
+        """Draw a picture with matplotlib, by default the first one."""
+        ...
+
+    def to_frame(self, name: str | None = None) -> pandas.DataFrame:
+        """Return a table as a data frame of pandas, by default the first one."""
+        ...
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the JSON document, with all of this."""
+        ...
+
+    def write(self, folder: str | Path, pictures: str = "png") -> list[Path]:
+        """Write the files that `--out` writes.
+
+        Parameters
+        ----------
+        folder : str or Path
+            Made if it does not exist.
+        pictures : str
+            Format of the pictures: "png", "svg" or "pdf".
+        """
+        ...
+
+
+class Renamed:
+    """A member of a result that has another name now: it works, with a DeprecationWarning."""
+
+    def __init__(self, successor: str) -> None:
+        self.successor = successor
+
+    def __set_name__(self, owner: type[Any], name: str) -> None:
+        self.name = name
+
+    def __get__(self, result: Any, owner: type[Any]) -> Any:
+        if result is None:
+            return self
+        warnings.warn(f"{owner.__name__}.{self.name} is now {self.successor}", DeprecationWarning, stacklevel=2)
+        return getattr(result, self.successor)
+
+
 class Document(Summary):
-    """Base class of results, dataclasses that write themselves as JSON documents and are read from them."""
+    """Base class of results, dataclasses that write themselves as JSON documents and are read from them; see `Result`."""
 
     kind: ClassVar[str]
     """Name of the kind of result, in the schema of its documents."""
@@ -93,6 +161,15 @@ class Document(Summary):
     """Fields from which the others are computed again when it is read, see `_restored`. Default: all are stored."""
 
     problem: ProblemFile
+    if TYPE_CHECKING:  # fields of some classes, properties of others
+
+        @property
+        def valid(self) -> bool:
+            """See `Result`."""
+
+        @property
+        def status(self) -> str:
+            """See `Result`."""
 
     def _repr_html_(self) -> str | None:
         html: str | None = _reports("html.notebook").notebook_html(self)
@@ -169,7 +246,7 @@ class Document(Summary):
         else:
             state = adapter(type(self)).dump_python(self, context={"problem": self.problem}, exclude={"problem"}, warnings=False)
         hidden = hidden_fields(type(self))
-        about = head(self.schema(), self.problem, getattr(self, "status", "")) | {"seed": getattr(self, "seed", None)}
+        about = head(self.schema(), self.problem, self.status) | {"valid": self.valid, "seed": getattr(self, "seed", None)}
         document = about | dict(entries(self)) | {name: value for name, value in state.items() if name not in hidden}
         if below := {name: value for name, value in state.items() if name in hidden}:
             document["state"] = below
@@ -223,6 +300,7 @@ class Document(Summary):
             "overrides": {"type": "object"},
             "seed": {"anyOf": [{"type": "integer"}, {"type": "null"}]},
             "status": {"type": "string"},
+            "valid": {"type": "boolean"},
             **{key.rstrip("?"): {} for key in cls.shown},
             **{name: part for name, part in parts.items() if name not in hidden and name != "problem"},
             **({"state": _object({name: part for name, part in parts.items() if name in hidden}, added)} if hidden else {}),

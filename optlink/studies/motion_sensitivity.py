@@ -64,6 +64,11 @@ class OutputStudy(Document):
         """Return the study for the values in a document."""
         return cls(problem, values["output"], values["sizes"], np.array(values["crank_angles"]))
 
+    @property
+    def valid(self) -> bool:
+        """Whether the linkage can be assembled at every crank angle."""
+        return bool(np.all(np.isfinite(self.derivatives.value)))
+
     @cached_property
     def derivatives(self) -> OutputSensitivity:
         """The output and its derivatives."""

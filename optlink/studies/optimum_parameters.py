@@ -105,7 +105,14 @@ class Parameter:
         return value if exists else math.copysign(math.inf, change)
 
     def place(self, nlp: NLP, value: float) -> None:
-        """Set another value of the parameter in the programme."""
+        """Set another value of the parameter in the programme.
+
+        Parameters
+        ----------
+        nlp : NLP
+        value : float
+            In its unit.
+        """
         internal = self.scale.to_internal(value)
         if self.constant >= 0:
             nlp.p[1 + self.constant] = internal

@@ -250,7 +250,7 @@ class AnalysisTask(FiguresTask):
                 {}, "partial rotation" if ranges.ranges else "not assembled", _unreached(self.problem, machine, ranges)
             )
         analysis = analyze(self.problem, self.points, design=design)
-        if not analysis.sound:
+        if not analysis.valid:
             return MachineFigures(
                 {}, "singular position" if analysis.singular.size else "no finite reactions", _unsound(analysis)
             )
@@ -387,11 +387,11 @@ def simulate_machine(
     if has_clearances:
         settings = {"integrator": "cvodes", **settings}  # one for all points, whatever is compiled meanwhile
         simulation = simulate_clearance(problem, design=design, check_predictability=False, **settings)
-        return MachineFigures(simulation.figures, simulation.ending.value, "" if simulation.finished else simulation.message)
+        return MachineFigures(simulation.figures, simulation.ending.value, "" if simulation.valid else simulation.message)
     if "points" in settings:
         settings["rows"] = settings.pop("points")
     ideal = simulate(problem, design=design, **settings)
-    reason = "" if ideal.finished else f"{ideal.ending.text} (at {ideal.stopped:.9g} s)"
+    reason = "" if ideal.valid else f"{ideal.ending.text} (at {ideal.stopped:.9g} s)"
     return MachineFigures(ideal.figures, ideal.ending.value, reason)
 
 

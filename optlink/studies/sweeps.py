@@ -11,17 +11,18 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Self
+from typing import Annotated, Any, ClassVar, Self, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import PlainSerializer, PlainValidator, WithJsonSchema
 
 from optlink.errors import InputError, Status
+from optlink.execution.options import Execution
 from optlink.execution.runner import check
 from optlink.execution.store import TABLE, Progress, Store, TemporaryFolder
 from optlink.problem.arguments import typed
-from optlink.problem.document import Document, Source
+from optlink.problem.document import Document, Renamed, Source
 from optlink.problem.file import AnyProblem, ProblemFile, problem_of
 from optlink.studies.grid import Grid, axes_of_arrays, read_grid
 from optlink.studies.reoptimise_task import SEARCHED, check_backend, chunk_of, optimum_task
@@ -62,7 +63,13 @@ class TableFile:
 
     @cached_property
     def columns(self) -> dict[str, NDArray[Any]]:
-        """The columns by name."""
+        """The columns by name.
+
+        Raises
+        ------
+        InputError
+            If the file cannot be read.
+        """
         try:
             rows, parts = self._rows(), []
             names = next(rows)
@@ -100,7 +107,7 @@ class ActiveSetChange:
 class _Summary:
     """Summary of a table, accumulated row by row; see `Sweep`."""
 
-    valid: int = 0
+    valid_points: int = 0
     statuses: Counter[str] = field(default_factory=Counter)
     searched: int = 0
     changed: int = 0
@@ -117,12 +124,11 @@ def _of_optima(name: str) -> Source:
 class GridStudy(Document):
     """Result of a study of all points of a grid.
 
-    `valid`: number of points with a validated optimum (or a complete analysis); `cpu` [s]: processor time of all processes for
-    the `done` points of this run.
+    `valid_points`: number of points with a validated optimum (or a complete analysis); `cpu` [s]: processor time of all processes
+    for the `done` points of this run.
     """
 
     shown: ClassVar[Mapping[str, Source]] = {
-        "valid_points": "valid",
         "points_done_now": "done",
         "processor_seconds": "cpu",
     }
@@ -130,7 +136,7 @@ class GridStudy(Document):
     problem: ProblemFile
     grid: Grid
     table: StoredTable
-    valid: int
+    valid_points: int
     done: int
     seconds: float
     cpu: float
@@ -222,12 +228,14 @@ class Sweep(GridStudy):
     @property
     def complete(self) -> bool:
         """Whether every point has a validated optimum, or all requested figures."""
-        return self.valid == self.grid.count
+        return self.valid_points == self.grid.count
+
+    successful = Renamed("valid")
 
     @property
-    def successful(self) -> bool:
+    def valid(self) -> bool:
         """Whether the sweep is usable: every optimum validated; for an analysis, at least one valid point."""
-        return self.complete or (self.evaluated and self.valid > 0)
+        return self.complete or (self.evaluated and self.valid_points > 0)
 
     @property
     def infeasible(self) -> int:
@@ -237,7 +245,7 @@ class Sweep(GridStudy):
     @property
     def status(self) -> str:
         """Whether every point is valid, in words."""
-        return "complete" if self.complete else "not valid everywhere" if self.valid else "not valid anywhere"
+        return "complete" if self.complete else "not valid everywhere" if self.valid_points else "not valid anywhere"
 
 
 @typed
@@ -253,10 +261,8 @@ def sweep(
     design: Mapping[str, float] | None = None,
     simulate: Mapping[str, Any] | None = None,
     backend: str = "ipopt",
-    engine: str = "local",
-    workers: int | None = None,
-    scheduler: str | None = None,
     progress: Progress | None = None,
+    **execution: Unpack[Execution],
 ) -> Sweep:
     """Optimise, analyse or simulate a problem at every point of a grid.
 
@@ -286,13 +292,9 @@ def sweep(
         or duration.
     backend : "slsqp" or "ipopt"
         Local solver.
-    engine : "local" or "dask"
-        Where the work is done: in processes of this computer, or on a Dask cluster. The result does not depend on it.
-    workers : int, optional
-        Number of processes, or of workers of a local cluster. Default: as many as processor cores; 1 is the present process.
-    scheduler : str, optional
-        Address of a running Dask scheduler, such as "tcp://host:8786". Default: a cluster that is started on this computer.
     progress : function of (completed points, all points), optional
+    **execution : Execution
+        Where the points are computed.
 
     Returns
     -------
@@ -323,10 +325,10 @@ def sweep(
     else:
         task = _reoptimising(problem, grid, design, backend)
     evaluated = task.mode != OPTIMISE
-    check(engine, workers, scheduler)
+    check(**execution)
     with Store(None if out is None else Path(str(out)), _about(task), resume=resume) as store:
         store.divide(task.size, task.chunks)
-        mine, cpu = store.fill(task, engine, workers, scheduler, progress)
+        mine, cpu = store.fill(task, progress, **execution)
         names = [*task.columns, *(() if evaluated else (CHANGED,))]
         summary, sense = _Summary(), problem.model.objective_display[0]
         if store.finished:
@@ -345,8 +347,8 @@ def sweep(
             done=mine,
             seconds=time.perf_counter() - begin,
             cpu=cpu,
-            engine=engine,
-            workers=workers,
+            engine=execution.get("engine", "local"),
+            workers=execution.get("workers"),
         )
 
 
@@ -389,7 +391,7 @@ def _marked(rows: Iterator[list[str]], grid: Grid, names: list[str], summary: _S
     if CHANGED not in names:
         for row in rows:
             summary.statuses[row[status]] += 1
-            summary.valid += row[valid] == "true"
+            summary.valid_points += row[valid] == "true"
             yield row
         return
     active, method = names.index("active"), names.index("method")
@@ -408,7 +410,7 @@ def _marked(rows: Iterator[list[str]], grid: Grid, names: list[str], summary: _S
                 at = {axis.column: value for axis, value in zip(grid.axes, grid.values(number), strict=True)}
                 summary.changes += (ActiveSetChange(at, before, row[active]),)
         if row[valid] == "true":
-            summary.valid += 1
+            summary.valid_points += 1
             if sense * float(row[objective]) < least:
                 least, summary.best = sense * float(row[objective]), dict(zip(names, row, strict=True))
         before = now

@@ -472,9 +472,9 @@ def design_of(result: Any) -> Design:
 def _machine(result: Analysis | Balance) -> Design:
     """Return the machine of an analysis or of a balance, with its verdict."""
     if isinstance(result, Analysis):
-        status, conclusion = "verified" if result.sound else "not valid", conclusions.analysis(result)
-        unchecked = SOUND_TEXT if result.sound else NOT_VALIDATED_TEXT
-        if result.sound and result.problem.task != "analysis":  # a kind of another package, whose validation did not run
+        status, conclusion = "verified" if result.valid else "not valid", conclusions.analysis(result)
+        unchecked = SOUND_TEXT if result.valid else NOT_VALIDATED_TEXT
+        if result.valid and result.problem.task != "analysis":  # a kind of another package, whose validation did not run
             status, conclusion = UNVERIFIED, f"{ANALYSED_TEXT} {conclusion}"
     else:
         status = "verified" if result.valid else "infeasible" if result.conflict else "not valid"

@@ -26,7 +26,7 @@ from optlink.linkage.singular import AlignedPosition, angles_text, near_singular
 from optlink.linkage.stroke import Ranges, Travel, range_end_reason, reachable, travels, within_cycle
 from optlink.linkage.vector2d import TURN, Array, Value
 from optlink.problem.arguments import typed
-from optlink.problem.document import Source, Tabled
+from optlink.problem.document import Renamed, Source, Tabled
 from optlink.problem.file import AnyProblem, ProblemFile, problem_of
 from optlink.problem.quantity import check_choice, check_range
 from optlink.tasks.machine import (
@@ -79,7 +79,6 @@ class Analysis(Tabled):
     kind = "analysis"
     stored = ("asked", "speed", "design")
     shown: ClassVar[Mapping[str, Source]] = {
-        "sound": "sound",
         "notes": "notes",
         "groups": lambda result: [
             {"kind": group.kind, "joint": group.joint, "bodies": [link.body for link in group.links]}
@@ -174,9 +173,11 @@ class Analysis(Tabled):
         angles = [within_cycle(at, self.cycle) if self.full else float(at) for at in crank_angles]
         return sorted({round(math.degrees(at), 9) for at in angles})
 
+    sound = Renamed("valid")
+
     @property
-    def sound(self) -> bool:
-        """Whether the motion is determined and every position has finite reactions."""
+    def valid(self) -> bool:
+        """Whether it is sound: the motion is determined, and every position has finite reactions."""
         return self.singular.size == 0 and self.jammed.size == 0 and self.undefined.size == 0
 
     @property
@@ -184,7 +185,7 @@ class Analysis(Tabled):
         """Short verdict."""
         if self.ranges.singular:
             return "motion not determined beyond a singular position"
-        if not self.sound:
+        if not self.valid:
             return "no finite reactions at some positions"
         return "analysed, but for reactions at change points" if self.unbounded else "analysed"
 

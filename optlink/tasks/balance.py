@@ -312,7 +312,7 @@ SHOWN: dict[str, tuple[str, float, float]] = {
 def _shown(limit: Price | BalanceBound) -> tuple[str, str, float, float]:
     """Return sense, display unit, factor from SI to it, and step [SI] of a limit."""
     unit, factor, step = SHOWN[limit.kind]
-    return "at most" if limit.sense > 0 else "at least", unit, factor, step or 0.01 * abs(limit.bound)
+    return "<=" if limit.sense > 0 else ">=", unit, factor, step or 0.01 * abs(limit.bound)
 
 
 def _active_limit(price: Price, after: float, scale: float) -> ActiveLimit:
@@ -321,17 +321,20 @@ def _active_limit(price: Price, after: float, scale: float) -> ActiveLimit:
     `after` is the scaled objective of the balanced machine, `scale` the objective over the scaled one.
     """
     sense, unit, factor, step = _shown(price)
+    bound, value = price.bound * factor, price.value * factor
     return ActiveLimit(
-        price.name,
-        sense,
-        price.bound * factor,
-        price.value * factor,
-        unit,
-        abs(price.bound - price.value) <= ACTIVE * max(abs(price.bound), 1e-12),
-        price.price * scale / factor,
-        step * factor,
-        price.price * step / after if after > NOTHING else 0.0,
-        price.depends_on,
+        key=price.name,
+        name=price.name,
+        value=value,
+        bound=bound,
+        sense=sense,
+        unit=unit,
+        active=abs(price.bound - price.value) <= ACTIVE * max(abs(price.bound), 1e-12),
+        multiplier=-price.sense * price.price * scale / factor,
+        slack=price.sense * (bound - value),
+        step=step * factor,
+        buys=price.price * step / after if after > NOTHING else 0.0,
+        depends_on=price.depends_on,
     )
 
 
@@ -339,7 +342,8 @@ def _relaxed_limit(item: search.Conflict) -> RelaxedLimit:
     """Return a limit that conflicts with others, with the values that it would need."""
     sense, unit, factor, _ = _shown(item.bound)
     bound, single, together = (value * factor for value in (item.bound.bound, item.alone, item.together))
-    return RelaxedLimit(item.bound.name, sense, bound, single, together, unit)
+    alone, name = single if math.isfinite(single) else math.nan, item.bound.name
+    return RelaxedLimit(name, name, sense, bound, alone, abs(alone - bound), unit, together=together)
 
 
 # --- the trade-off -----------------------------------------------------------------------------------------------------------

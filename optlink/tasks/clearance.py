@@ -1,12 +1,13 @@
 """Simulate a machine with joint clearance over revolutions of the crank."""
 
 import contextlib
+import contextvars
 import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -35,6 +36,7 @@ from optlink.dynamics.forward import Ending
 from optlink.dynamics.machine import Machine
 from optlink.errors import InputError
 from optlink.execution import interrupts
+from optlink.execution.options import Checkpoints
 from optlink.io import Summary
 from optlink.linkage.arguments import check_array
 from optlink.linkage.vector2d import TURN, Array
@@ -57,6 +59,11 @@ from optlink.tasks.results.clearance import RUNNING_IN, ClearanceCheckpoint, Cle
 
 EVERY = 5.0
 """Seconds between checkpoints."""
+
+COMPILING: contextvars.ContextVar[Callable[[], contextlib.AbstractContextManager[None]]] = contextvars.ContextVar(
+    "compiling", default=contextlib.nullcontext
+)
+"""Function to a context manager that is open while equations are compiled; a command shows there that it works."""
 
 TOLERANCE_RATIO = 30.0
 """Ratio of the tolerances of the second run of the predictability check and of the run itself."""
@@ -155,11 +162,8 @@ def simulate_clearance(
     tolerance: float = 1e-10,
     check_predictability: bool = True,
     integrator: str = "auto",
-    progress: Callable[[float], None] | None = None,
     stream: Callable[[Mapping[str, Array]], None] | None = None,
-    checkpoint: Callable[[dict[str, Any]], None] | None = None,
-    resume: Mapping[str, Any] | None = None,
-    compiling: Callable[[], contextlib.AbstractContextManager[None]] = contextlib.nullcontext,
+    **checkpoints: Unpack[Checkpoints],
 ) -> ClearanceSimulation:
     """Simulate a machine with joint clearance; the initial state is that of the machine without clearance.
 
@@ -189,16 +193,11 @@ def simulate_clearance(
     integrator : str
         Integrator: "cvodes", "compiled" (needs numba), or "auto": compiled for long work, and where the machine is compiled
         already, if numba is installed; a run that resumes keeps its integrator.
-    progress : function of the completed fraction, optional
     stream : function of the rows of a revolution, optional
         Called after every revolution; memory does not grow with the number of revolutions.
-    checkpoint : function of a document, optional
-        Called every few seconds and on termination with a JSON-compatible document for `resume`.
-    resume : mapping, optional
-        Document of a checkpoint: the run continues from there, with results identical to those of an uninterrupted run. The
-        document does not contain earlier rows. If all revolutions are complete, the last one is simulated again.
-    compiling : function to a context manager, optional
-        Its context is open while the equations are compiled.
+    **checkpoints : Checkpoints
+        A checkpoint is made every few seconds and on termination. It does not contain earlier rows. If all revolutions are
+        complete, the last one is simulated again.
 
     Returns
     -------
@@ -218,6 +217,7 @@ def simulate_clearance(
     (0.4436, 32.0)
     """
     problem = problem_of(problem)
+    progress, checkpoint, resume = checkpoints.get("progress"), checkpoints.get("checkpoint"), checkpoints.get("resume")
     setting = _setting(problem, points, speed, control, start, design, flywheel)
     _check(revolutions, points, tolerance)
     closed_loop = setting.closed_loop(tolerance)
@@ -226,7 +226,7 @@ def simulate_clearance(
     pair = PredictabilityCheck(setting.closed_loop(tolerance * TOLERANCE_RATIO)) if check_predictability else None
     closed_loops = [closed_loop] if pair is None else [closed_loop, pair.closed_loop]
     if integrator is IntegratorKind.COMPILED:
-        with compiling():
+        with COMPILING.get()():
             for member in closed_loops:
                 member.compile()
     account = Statistics(closed_loop)
@@ -444,7 +444,6 @@ def check_simulations(
     design: Mapping[str, float] | None = None,
     integrator: str = "auto",
     runs: int = 1,
-    compiling: Callable[[], contextlib.AbstractContextManager[None]] = contextlib.nullcontext,
 ) -> tuple[Output, str]:
     """Check the options of `runs` simulations; return the output whose deviation they measure, and their integrator.
 
@@ -455,7 +454,7 @@ def check_simulations(
     closed_loop = setting.closed_loop(tolerance)
     integrator = chosen(integrator, closed_loop, revolutions * runs)
     if integrator is IntegratorKind.COMPILED:
-        with compiling():
+        with COMPILING.get()():
             closed_loop.compile()
     return setting.output, str(integrator)
 

@@ -1,14 +1,14 @@
 """Compare kinds of clearance control from several starts, and tune controller parameters."""
 
-import contextlib
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, Unpack
 
 import numpy as np
 
 from optlink.clearance.columns import Output
 from optlink.clearance.control import Control, resumed
 from optlink.errors import InputError
+from optlink.execution.options import Execution, ResumableExecution
 from optlink.execution.runner import check as check_engine, pool
 from optlink.execution.worker import Runs
 from optlink.linkage.vector2d import TURN, Array
@@ -51,6 +51,13 @@ def _trials(runs: Sequence[RunResult]) -> Trials:
     return Trials(rms, peak, correction, torque, all(run.finished for run in runs))
 
 
+def _where(options: ResumableExecution) -> Execution:
+    """Return where runs are computed: by default in the calling process."""
+    engine, workers = options.get("engine", "local"), options.get("workers")
+    workers = 1 if workers is None and engine == "local" else workers
+    return {"engine": engine, "workers": workers, "scheduler": options.get("scheduler")}
+
+
 @typed
 def compare(
     problem: AnyProblem,
@@ -63,14 +70,8 @@ def compare(
     points: int = 200,
     tolerance: float = 1e-8,
     design: Mapping[str, float] | None = None,
-    workers: int | None = None,
-    engine: str = "local",
-    scheduler: str | None = None,
     integrator: str = "auto",
-    progress: Callable[[float], None] | None = None,
-    checkpoint: Callable[[dict[str, Any]], None] | None = None,
-    resume: Mapping[str, Any] | None = None,
-    compiling: Callable[[], contextlib.AbstractContextManager[None]] = contextlib.nullcontext,
+    **execution: Unpack[ResumableExecution],
 ) -> Comparison:
     """Compare kinds of clearance control by simulations from several random initial crank angles.
 
@@ -94,21 +95,11 @@ def compare(
         Relative tolerance of the integrator.
     design : mapping of str to float [SI], optional
         Values of design variables. Default: their starting values.
-    workers : int, optional
-        Number of processes. Default: the calling process only. The results do not depend on it.
-    engine : "local" or "dask"
-        Where the work is done: in processes of this computer, or on a Dask cluster.
-    scheduler : str, optional
-        Address of a running Dask scheduler, such as "tcp://host:8786". Default: a cluster that is started on this computer.
     integrator : str
         As in `simulate_clearance`; "auto" counts all runs.
-    progress : function of the completed fraction, optional
-    checkpoint : function of a document, optional
-        Called after every run with a JSON-compatible document of all completed runs.
-    resume : mapping, optional
-        Document of a checkpoint; its runs are not repeated.
-    compiling : function to a context manager, optional
-        As in `simulate_clearance`.
+    **execution : ResumableExecution
+        Where the runs are computed, by default in the calling process only. A checkpoint is made after every run; its runs are
+        not repeated.
 
     Returns
     -------
@@ -135,14 +126,14 @@ def compare(
         raise InputError("no control is compared", f"Give some of {', '.join(KINDS)}", key="kinds")
     for kind in kinds:
         check_choice("kinds", kind, KINDS, "no such control")
-    check_engine(engine, workers, scheduler)
+    where, progress = _where(execution), execution.get("progress")
+    checkpoint, resume = execution.get("checkpoint"), execution.get("resume")
+    check_engine(**where)
     common: dict[str, Any] = {"revolutions": revolutions, "points": points, "tolerance": tolerance, "speed": speed}
     common["design"] = None if design is None else dict(design)
     integrator = resumed(integrator, resume)
     for kind in kinds:  # refuse options that no run accepts, before any process starts; and compile, once for all
-        _, integrator = check_simulations(
-            problem, control=kind, integrator=integrator, runs=starts * len(kinds), compiling=compiling, **common
-        )
+        _, integrator = check_simulations(problem, control=kind, integrator=integrator, runs=starts * len(kinds), **common)
     common["integrator"] = integrator
     label = {**common, "problem_hash": problem.hash, "kinds": list(kinds), "starts": starts, "seed": seed}
     kept = {} if resume is None else _runs(read_checkpoint(ComparisonCheckpoint, resume, label))
@@ -153,7 +144,7 @@ def compare(
     jobs = [RunJob(problem, control=kind, start=float(angles[k]), example=k == 0, **common) for kind, k in todo]
     if progress is not None:
         progress(len(runs) / len(order))
-    with pool(engine, workers or (1 if engine == "local" else None), scheduler) as work:
+    with pool(**where) as work:
         for index, ran in run_jobs(jobs, work):
             runs[todo[index]] = kept[todo[index]] = ran
             if checkpoint is not None:
@@ -200,14 +191,8 @@ def tune(
     points: int = 200,
     tolerance: float = 1e-8,
     design: Mapping[str, float] | None = None,
-    workers: int | None = None,
-    engine: str = "local",
-    scheduler: str | None = None,
     integrator: str = "auto",
-    progress: Callable[[float], None] | None = None,
-    checkpoint: Callable[[dict[str, Any]], None] | None = None,
-    resume: Mapping[str, Any] | None = None,
-    compiling: Callable[[], contextlib.AbstractContextManager[None]] = contextlib.nullcontext,
+    **execution: Unpack[ResumableExecution],
 ) -> Tuning:
     """Tune controller parameters: minimise the mean error over several initial crank angles.
 
@@ -233,14 +218,10 @@ def tune(
         Seed of the initial crank angles and of the search.
     revolutions : int
         Revolutions per run.
-    speed, points, tolerance, design
+    speed, points, tolerance, design, integrator
         As in `compare`.
-    workers, engine, scheduler, integrator, progress, compiling
-        As in `compare`.
-    checkpoint : function of a document, optional
-        Called after every evaluation with a JSON-compatible document of all completed evaluations.
-    resume : mapping, optional
-        Document of a checkpoint; its evaluations are not repeated.
+    **execution : ResumableExecution
+        As in `compare`; a checkpoint is made after every evaluation.
 
     Returns
     -------
@@ -270,7 +251,9 @@ def tune(
     if unknown or not names:
         raise InputError("no such parameter", f"Known: {', '.join(RANGES)}", key="--tune", value=", ".join(unknown))
     check_range("evaluations", evaluations, 4, 100_000)
-    check_engine(engine, workers, scheduler)
+    where, progress = _where(execution), execution.get("progress")
+    checkpoint, resume = execution.get("checkpoint"), execution.get("resume")
+    check_engine(**where)
     angles, verification_angles = random_crank_angles(starts, seed), random_crank_angles(starts, seed + 1)
     low, high = (np.log([RANGES[name][side] for name in names]) for side in (0, 1))
     generator = np.random.default_rng(seed)
@@ -279,9 +262,7 @@ def tune(
     common["design"] = None if design is None else dict(design)
     integrator = resumed(integrator, resume)
     runs = starts * (evaluations + 1)
-    output, integrator = check_simulations(
-        problem, control=control, integrator=integrator, runs=runs, compiling=compiling, **common
-    )
+    output, integrator = check_simulations(problem, control=control, integrator=integrator, runs=runs, **common)
     common["integrator"] = integrator
     idle = next((name for name in names if not _has_effect(name, Control(control))), None)
     if idle is not None:
@@ -293,7 +274,7 @@ def tune(
 
     tested: list[Array] = []
     costs: list[float] = []
-    together = workers or (1 if engine == "local" else starts)
+    together = where.get("workers") or starts
 
     def outcome(changed: ProblemFile, work: Runs) -> tuple[float, float]:
         """Return mean and scatter; infinite if a run stalls or the mean exceeds the best one, which stops it early."""
@@ -328,7 +309,7 @@ def tune(
         return _trials([ran[k] for k in range(starts)])
 
     size = _reference_values(problem, output, design)
-    with pool(engine, workers or (1 if engine == "local" else None), scheduler) as work:
+    with pool(**where) as work:
         before = cost(problem, work)
         for k in range(evaluations):
             if k < evaluations // 2:

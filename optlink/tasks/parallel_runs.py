@@ -79,7 +79,7 @@ def run_job(job: RunJob) -> RunResult:
         return RunResult({}, "", finished=False, hopeless=True)
     if run.ending is Ending.INTERRUPTED:
         raise KeyboardInterrupt
-    return RunResult(dict(run.figures), run.output.unit, run.finished, simulation=_charted(run) if job.example else None)
+    return RunResult(dict(run.figures), run.output.unit, run.valid, simulation=_charted(run) if job.example else None)
 
 
 def _charted(run: ClearanceSimulation) -> ClearanceSimulation:

@@ -20,10 +20,9 @@ if TYPE_CHECKING:
     from optlink.linkage.vector2d import Array
     from optlink.optimization.nlp import NLP
     from optlink.solvers.multistart import Agreement
-    from optlink.tasks.results.balance import Balance
     from optlink.tasks.results.common import DesignResult
 
-R = TypeVar("R", bound="DesignResult | Balance")
+R = TypeVar("R", bound="DesignResult")
 MAX_DESIGNS = 50
 Progress = Callable[[float], None] | None
 """Receives the share of the work that is done, from 0 to 1."""
@@ -100,7 +99,7 @@ class Search:
 class DesignTask(ABC, Generic[R]):
     """A kind of problem: how it is searched, and how a given design of it is validated.
 
-    The results are `DesignResult`s, or a `Balance`; on their page they show the motion of their `machine`.
+    The results are `DesignResult`s; on their page they show the motion of their `machine`.
     """
 
     most_starts: ClassVar[int | None] = None

@@ -7,9 +7,10 @@ import json
 import math
 from collections.abc import Collection, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, Unpack, cast
 
 from optlink.errors import OPTIONS_NAMED, InputError
+from optlink.execution.options import Execution
 from optlink.io import checked
 from optlink.linkage.fourbar import LENGTHS
 from optlink.problem.arguments import typed
@@ -53,10 +54,8 @@ def solve(
     gap: float = 1e-6,
     time_limit: float = math.inf,
     proving: Proving = None,
-    engine: str = "local",
-    workers: int | None = None,
-    scheduler: str | None = None,
-) -> DesignResult | Balance:
+    **execution: Unpack[Execution],
+) -> DesignResult:
     """Find the best design for a problem and validate it.
 
     Parameters
@@ -85,19 +84,13 @@ def solve(
         Time limit of the proof. The lower bound reached by then is valid.
     proving : function of (completed fraction of the proof, current gap), optional
         Called with the progress of the proof.
-    engine : "local" or "dask"
-        Where the work is done: in processes of this computer, or on a Dask cluster. The result does not depend on it.
-    workers : int, optional
-        Number of processes, or of workers of a local cluster. Default: as many as processor cores for long searches and proofs,
-        one, the present process, for short searches.
-    scheduler : str, optional
-        Address of a running Dask scheduler, such as "tcp://host:8786". Default: a cluster that is started on this computer.
+    **execution : Execution
+        Where long searches and proofs run; if an option is set, short searches too.
 
     Returns
     -------
-    DesignResult or Balance
-        `SynthesisResult` or `Balance`, by the kind of problem. All have `valid`, `status`, `design`,
-        `objective`, `limits`, `machine` and `to_dict()`.
+    DesignResult
+        `SynthesisResult` or `Balance`, by the kind of problem.
 
     Raises
     ------
@@ -127,11 +120,11 @@ def solve(
         proof.check_options(gap, time_limit)
     if certify:
         proof.check_problem(problem)
-    result: DesignResult | Balance
-    shared = workers is not None or engine != "local"
-    check(engine, workers, scheduler)
+    result: DesignResult
+    shared = any(value not in (None, "local") for value in execution.values())
+    check(**execution)
     with contextlib.ExitStack() as ends:
-        runs = ends.enter_context(pool(engine, workers, scheduler)) if task.divisible else None
+        runs = ends.enter_context(pool(**execution)) if task.divisible else None
         kept: dict[str, Any] = {"designs": designs, "track": track, "runs": runs, "shared": shared}
         result = task.solve(problem, backend, starts, seed, progress, **kept)
         if not certified or certify is False or result.interrupted:

@@ -17,7 +17,7 @@ from optlink.execution import interrupts
 from optlink.linkage.continuation import continue_through_singularities
 from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.arguments import typed
-from optlink.problem.document import Columns, Number, Source, Tabled
+from optlink.problem.document import Columns, Number, Renamed, Source, Tabled
 from optlink.problem.file import AnyProblem, ProblemFile, problem_of
 from optlink.problem.quantity import check_range
 from optlink.tasks.machine import (
@@ -47,9 +47,7 @@ class Simulation(Tabled):
 
     kind = "simulation"
     shown: ClassVar[Mapping[str, Source]] = {
-        "status": "ending",
         "message": "ending.text",
-        "finished": "finished",
         "sizes_SI": "sizes",
         "mean_speed_over": lambda _: "time",
         "stopped_s": "stopped",
@@ -68,10 +66,17 @@ class Simulation(Tabled):
     meanings: dict[str, str]
     columns: Columns
 
+    finished = Renamed("valid")
+
     @property
-    def finished(self) -> bool:
+    def valid(self) -> bool:
         """Whether the whole duration was simulated, or the machine came to rest."""
         return self.ending in (Ending.FINISHED, Ending.AT_REST)
+
+    @property
+    def status(self) -> str:
+        """Why the simulation ended, in words."""
+        return self.ending.value
 
     @cached_property
     def machine(self) -> Machine:

@@ -22,7 +22,7 @@ from optlink.clearance.compiled.machine import LITERALS, OPERATIONS, Unsupported
 from optlink.clearance.control import ClosedLoop, IntegratorKind, chosen
 from optlink.dynamics.forward import Ending
 from optlink.errors import InputError
-from optlink.tasks.clearance import _setting, simulate_clearance
+from optlink.tasks.clearance import COMPILING, _setting, simulate_clearance
 
 SHIPPED = ("slider-crank-clearance", "crank-rocker-clearance", "slider-crank-three-gaps")
 
@@ -293,7 +293,9 @@ def test_compilation_is_announced(monkeypatch):
         seen.append("ends")
 
     monkeypatch.setattr(ClosedLoop, "compile", lambda self: seen.append("compiles"))
-    simulate_clearance(optlink.load(SHIPPED[0]), 1, 12, check_predictability=False, integrator="compiled", compiling=compiling)
+    said = COMPILING.set(compiling)
+    simulate_clearance(optlink.load(SHIPPED[0]), 1, 12, check_predictability=False, integrator="compiled")
+    COMPILING.reset(said)
     assert seen == ["begins", "compiles", "ends"]
 
 

@@ -1056,7 +1056,7 @@ def test_interrupted_run_returns_what_was_computed():
             raise KeyboardInterrupt
 
     result = simulate(PERIODIC, 3, 90, progress=stop)
-    assert (result.ending, result.finished, result.revolutions) == (Ending.INTERRUPTED, False, 1)
+    assert (result.ending, result.valid, result.revolutions) == (Ending.INTERRUPTED, False, 1)
     assert result.message == "1 of 3 revolutions were simulated"
     whole = simulate(PERIODIC, 1, 90)
     assert np.array_equal(result["slider.s_m"][:90], whole["slider.s_m"])
@@ -1106,7 +1106,7 @@ print(found.ending.value, found.revolutions)
 def test_journal_that_falls_through_its_bearing_stalls_the_run():
     raw = edited(PERIODIC, {"joints.C.modulus": None, "joints.C.poisson": None, "joints.C.stiffness": "1 N/m^1.5"})
     result = simulate(raw, 3)
-    assert (result.ending, result.finished, result.revolutions) == (Ending.STALLED, False, 0)
+    assert (result.ending, result.valid, result.revolutions) == (Ending.STALLED, False, 0)
     for part in ("C", "deep in its bearing", " s, crank angle ", " deg, revolution 1"):
         assert part in result.message
     assert 0.0 < result.stopped < 0.012
@@ -1189,7 +1189,7 @@ def test_remedy_for_a_body_without_mass_helps():
         simulate_clearance(machine({"bodies.slider": None}), 1, check_predictability=False)
     advice = caught.value.faults[0].remedy
     body = {key: advice.split(f'{key} = "')[1].split('"')[0] for key in ("mass", "inertia") if f'{key} = "' in advice}
-    assert simulate_clearance(machine({"bodies.slider": body}), 1, 12, check_predictability=False).finished
+    assert simulate_clearance(machine({"bodies.slider": body}), 1, 12, check_predictability=False).valid
 
 
 @pytest.mark.parametrize(
@@ -1243,7 +1243,7 @@ def test_friction_needs_a_slip_speed_that_can_be_resolved():
         machine({"joints.C.slip_speed": "1e-300 m/s"})
     assert simulate_clearance(
         machine({"joints.C.slip_speed": "1e-6 m/s"}), 1, 36, tolerance=1e-6, check_predictability=False
-    ).finished
+    ).valid
 
 
 def test_progress_is_shown_within_a_revolution():

@@ -313,7 +313,7 @@ def test_a_comparison_accepts_tolerance_and_points(monkeypatch):
     taken = []
 
     def compare(*arguments, **options):
-        ignored = ("progress", "checkpoint", "resume", "workers", "compiling")  # of the command
+        ignored = ("progress", "checkpoint", "resume", "workers")  # of the command
         taken.append((arguments[1:], {key: value for key, value in options.items() if key not in ignored}))
         raise optlink.InputError(Fault("enough", "Stop"))
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+import typer
 from typer.testing import CliRunner
 
 import optlink
@@ -447,7 +448,9 @@ def test_an_interrupted_run_with_a_checkpoint_says_how_to_resume_it(tmp_path, mo
     if checkpoint:
         (tmp_path / "checkpoint.json").write_text("{}")
     monkeypatch.setattr(console.interrupts, "interrupted", lambda: True)
-    console.deliver(SimpleNamespace(finished=False, to_dict=dict), "clearance", True, tmp_path, code=0)
+    result = SimpleNamespace(valid=False, status="interrupted", to_dict=dict)
+    with pytest.raises(typer.Exit):
+        console.deliver(result, True, tmp_path)
     assert ("; add --resume to continue" in capsys.readouterr().err) is checkpoint
 
 

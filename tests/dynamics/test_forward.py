@@ -188,7 +188,7 @@ def test_dry_brake_stops_a_rotor_by_uniform_deceleration():
     )
     result = optlink.simulate(problem, rows=300)
     assert result.ending is Ending.AT_REST
-    assert result.finished
+    assert result.valid
     assert result.stopped == pytest.approx(5.0 / 3.0, abs=1e-9)
     assert result.figures["brake.work_J"] == pytest.approx(-3.0, abs=1e-9)
     figures = result.figures  # those of the rest, not of the last even row
@@ -358,7 +358,7 @@ def test_crank_that_cannot_turn_stops_at_its_dead_position():
     problem = optlink.load("six-bar").override({"mechanism.links.link3.length": "0.3 m"})
     result = optlink.simulate(problem, duration=1.0)
     assert result.ending is Ending.DEAD_POSITION
-    assert not result.finished
+    assert not result.valid
     end = math.acos((0.4**2 + 1.5**2 - 1.5**2) / (2.0 * 0.4 * 1.5))  # triangle A-B-D with B-D stretched to 1.2 + 0.3 m
     assert result["crank.angle_rad"][-1] < end
     assert result.stopped == pytest.approx((end - math.radians(62.0)) / 10.0, abs=1e-6)

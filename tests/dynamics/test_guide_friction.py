@@ -95,7 +95,7 @@ def test_resting_machine_starts_only_if_nothing_else_satisfies_coulombs_law(fric
                 slider_crank(friction, f"{torque} N*m", start=f"{degrees} deg", duration="1 ms", initial_speed="0 rad/s")
             )
             assert result.ending is expected, (torque, degrees)
-            assert result.finished is (expected is not Ending.UNDETERMINED)
+            assert result.valid is (expected is not Ending.UNDETERMINED)
             seen.add(expected)
     few = {Ending.FINISHED} if friction < 1.0 else {Ending.FINISHED, Ending.AT_REST}
     assert seen - {Ending.UNDETERMINED} == few

@@ -61,4 +61,4 @@ def test_a_force_without_a_value_at_the_start_is_no_rest(key):
     formula = {"expression": "log(omega)", "unit": "N*m"}
     value = {"on": "crank", "torque": formula} if key == "loads.work" else formula
     result = optlink.simulate(machine().override({key: value}))
-    assert (result.ending, result.finished) == (Ending.STALLED, False)
+    assert (result.ending, result.valid) == (Ending.STALLED, False)

@@ -137,8 +137,8 @@ def test_knee_of_a_sphere_lies_on_its_diagonal():
 @pytest.mark.slow
 def test_points_are_single_optima_and_verified():
     front = crank_rocker()
-    assert front.complete
-    assert (front.solved, front.valid, front.dominated) == (25, 25, 0)
+    assert front.valid
+    assert (front.solved, front.valid_points, front.dominated) == (25, 25, 0)
     for k in (1, 17):
         error, angle = front.points[k].values
         single = optlink.solve(
@@ -203,7 +203,7 @@ def test_knee_is_furthest_from_the_chord():
 
 def test_a_dimension_can_be_an_objective():
     front = pareto(optlink.load("crank-rocker"), "coupler=330..410 mm, error", points=5, workers=1)
-    assert front.complete
+    assert front.valid
     for point in front.points:
         assert point.values[0] == pytest.approx(point.design["coupler_mm"], rel=1e-12)
     assert [point.values[0] for point in front.points] == pytest.approx([330.0, 350.0, 370.0, 390.0, 410.0], rel=1e-6)
@@ -235,7 +235,7 @@ def test_points_of_a_law_are_no_poor_local_optima():
     law = {"requirement.law": "psi0 + 0.185*(phi - phi0)", "requirement.span": "60 deg"}
     problem = optlink.load("crank-rocker").override(sizes | law)
     front = pareto(problem, "error, rocker.min=300..680 mm", points=7, workers=1)
-    assert (front.valid, front.dominated) == (7, 0)
+    assert (front.valid_points, front.dominated) == (7, 0)
     for error, rocker in (point.values for point in front.points):
         assert error <= best_on_a_grid(rocker) * (1.0 + 1e-9)
 
@@ -256,7 +256,7 @@ def test_the_tight_end_of_a_narrow_region_is_no_poor_local_optimum():
         }
     )
     front = pareto(problem, "error, coupler.max=168..176.4 mm", points=4)
-    assert front.complete
+    assert front.valid
     single = optlink.solve(problem.override({"mechanism.coupler": {"bounds": ["100 mm", "168 mm"]}}), certify=True)
     assert single.certificate.proven
     assert front.points[-1].values == (pytest.approx(single.objective, rel=1e-6), pytest.approx(168.0))  # was 1.39972 for 0.64485
@@ -264,7 +264,7 @@ def test_the_tight_end_of_a_narrow_region_is_no_poor_local_optimum():
 
 def test_a_front_whose_best_error_lies_at_its_own_limit_is_one_design():
     front = pareto(load("crank-rocker", {"limits.swing_angle": {"max": "40 deg"}}), "error, swing_angle.min", points=4)
-    assert front.complete  # was empty
+    assert front.valid  # was empty
     assert front.single_point == "No trade-off: one of the designs found is best in every objective"
     assert front.points[0].values[1] == pytest.approx(40.0, rel=1e-4)
 
@@ -293,7 +293,7 @@ def test_the_end_of_a_front_is_found_where_its_limit_conflicts_with_several():
     """The least coupler: relaxed alone, its limit had no end; together with all others it has one."""
     problem = optlink.load("crank-rocker").override({"limits.time_ratio.min": 1.05})
     front = pareto(problem, "error, coupler", points=2, workers=1)
-    assert front.complete
+    assert front.valid
     assert 0.0 <= np.min(crank_rockers(1.05, 45)[0]) - front.points[-1].values[1] <= 2.0
 
 
@@ -308,7 +308,7 @@ def test_the_end_of_a_front_is_found_where_its_limit_conflicts_with_several():
 )
 def test_every_limit_can_be_an_objective(limit, sense, end):
     front = pareto(optlink.load("crank-rocker"), f"error, {limit}", points=5, workers=1)
-    assert front.complete
+    assert front.valid
     assert front.objectives[1].sense == sense
     error, other = np.array([point.values for point in front.points]).T
     assert np.all(np.diff(error) > 0.0)
@@ -322,7 +322,7 @@ def test_every_limit_can_be_an_objective(limit, sense, end):
 @pytest.mark.slow
 def test_three_objectives_leave_no_dominated_point():
     front = pareto(optlink.load("crank-rocker"), f"error, {ANGLE}, coupler", points=6, workers=1)
-    assert front.complete
+    assert front.valid
     assert front.solved == 36
     assert front.dominated > 0  # found on the way, and taken out
     assert front.infeasible + front.dominated + len(front.points) == 36
@@ -338,7 +338,7 @@ def test_three_objectives_leave_no_dominated_point():
 def test_front_of_a_slider_crank_is_its_closed_form(press):
     """With a stroke of 100 mm the rod of the least angle mu is 50 mm / cos(mu)."""
     front = pareto(press, f"rod.length, {LEAST}", points=4, workers=1)
-    assert front.complete
+    assert front.valid
     assert len(front.points) == 4
     assert [aim.sense for aim in front.objectives] == [1, -1]
     length, angle = np.array([point.values for point in front.points]).T
@@ -372,14 +372,14 @@ def test_the_end_of_a_front_is_no_local_optimum(press):
     problem = press.override(sizes | {"limits.stroke": None, "loads.pressing.stroke": "backward"})
     front = pareto(problem, "peak torque, maximise stroke of ram", points=3, workers=1)
     stroke = math.sqrt(170.0**2 - 30.0**2) - math.sqrt(70.0**2 - 30.0**2)  # with the shortest rod
-    assert front.complete
+    assert front.valid
     assert front.points[-1].values[1] == pytest.approx(stroke, rel=1e-4)
 
 
 @pytest.mark.slow
 def test_three_objectives_of_a_machine_lie_on_their_surface(press):
     front = pareto(press, f"rod.length, maximise stroke of ram=60..120 mm, {LEAST}=60..75 deg", points=3, workers=1)
-    assert front.complete
+    assert front.valid
     assert len(front.points) in (7, 8, 9)  # with the shortest rod the crank may be any within limits, so three points may be one
     for length, stroke, angle in (point.values for point in front.points):
         assert length == pytest.approx(max(120.0, 0.5 * stroke / math.cos(math.radians(angle))), rel=1e-6)
@@ -417,12 +417,12 @@ def test_a_programme_with_another_bound_is_the_one_that_is_built_for_it():
 def test_machines_are_swept_over_limits_and_sizes(press):
     """A stroke is twice the crank; the shortest rod is that of its bound, or that of the required least angle."""
     result = sweep(press, ["limits.stroke.exactly=80..120 mm:5"], workers=1)
-    assert result.complete
+    assert result.valid
     assert result.columns["crank.length_mm"] == pytest.approx(0.5 * result.columns["limits.stroke.exactly_mm"], rel=1e-8)
     assert result.columns["rod.length_mm"] == pytest.approx(np.full(5, 120.0), rel=1e-8)
     angled = press.override({"limits.angle": {"quantity": "transmission angle", "of": "E", "measure": "least", "min": "70 deg"}})
     result = sweep(angled, ["limits.angle.min=66..78 deg:7"], workers=1)
-    assert result.complete
+    assert result.valid
     angle = np.radians(result.columns["limits.angle.min_deg"])
     assert result.columns["rod.length_mm"] == pytest.approx(50.0 / np.cos(angle), rel=1e-8)
     assert result.columns["objective_mm"] == pytest.approx(50.0 / np.cos(angle), rel=1e-8)
@@ -441,7 +441,7 @@ def test_the_objective_without_a_range_is_minimised_and_both_choices_agree(press
     other = pareto(press, f"rod.length=150..300 mm, {LEAST}", points=3, workers=1)
     assert (one.minimised, other.minimised) == (0, 1)
     for front in (one, other):
-        assert front.complete
+        assert front.valid
         for length, angle in (point.values for point in front.points):
             assert length * math.cos(math.radians(angle)) == pytest.approx(50.0, rel=1e-6)
 

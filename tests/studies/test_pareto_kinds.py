@@ -35,7 +35,7 @@ def slider_figure(most):
 def test_a_front_of_a_law_of_dyads_over_the_total_length():
     """Every point is a local optimum of the law of the slider-crank with its length, by formulas of its own."""
     front = pareto(optlink.load(LAW), "error, total length=60..100 mm", points=3, workers=1)
-    assert front.complete
+    assert front.valid
     assert [objective.unit for objective in front.objectives] == ["mm^2", "mm"]
     assert len(front.points) == 3
     for point in front.points:
@@ -53,7 +53,7 @@ def test_a_front_of_a_law_of_dyads_over_the_total_length():
 def test_a_front_can_minimise_either_of_its_objectives():
     """The least total length with an rms error, and the least error with that length, are the same design."""
     front = pareto(optlink.load(LAW), "total length, error=0.3..0.6 mm", points=3, workers=1)
-    assert front.complete
+    assert front.valid
     assert front.objectives[front.minimised].name == "total length of the links"
     assert [(objective.name, objective.unit) for objective in front.objectives][1] == ("rms error", "mm")
     for length, rms in (point.values for point in front.points):
@@ -74,7 +74,7 @@ def test_a_front_can_minimise_either_of_its_objectives():
 def test_points_of_a_front_are_single_optima(name, objectives, key):
     problem = optlink.load(name)
     front = pareto(problem, objectives, points=2, workers=1)
-    assert front.complete
+    assert front.valid
     costs = front.costs
     assert np.all(np.diff(costs[:, 0]) > 0.0)
     assert np.all(np.diff(costs[:, 1]) < 0.0)
@@ -91,7 +91,7 @@ def test_the_ends_of_a_front_of_a_largest_error():
     """One end is the optimum without the limit, the other one the tightest limit, as for sums of squares."""
     problem = optlink.load("crank-rocker", {"requirement.measure": "max"})
     front = pareto(problem, "error, limits.transmission_angle.max", points=3, workers=1)
-    assert front.complete
+    assert front.valid
     free = optlink.solve(problem.override({"limits.transmission_angle": {"min": "45 deg"}}), certify=False)
     assert front.points[0].values[0] == pytest.approx(math.degrees(free.objective), rel=1e-5)
     squares = pareto(optlink.load("crank-rocker"), "error, limits.transmission_angle.max", points=2, workers=1)
@@ -106,7 +106,7 @@ def test_each_of_several_requirements_is_an_objective():
     read = read_objectives(several, "swing.error, push.error")
     assert [objective.key for objective in read] == ["requirements.0.tolerance", "requirements.1.tolerance"]
     front = pareto(several, "swing.error, push.error=0.6..0.7", points=2, workers=1)
-    assert front.complete
+    assert front.valid
     for point in front.points:  # the cosine of a crank-rocker is largest where crank and frame are in line
         coupler, rocker = point.design["coupler_mm"], point.design["rocker_mm"]
         cosines = [(coupler**2 + rocker**2 - far**2) / (2.0 * coupler * rocker) for far in (400.0, 600.0)]
@@ -118,7 +118,7 @@ def test_the_breadth_of_a_dwell_is_constrained_by_its_band():
     """The half breadth that is least for a length, and the length that is least for the breadth, belong to the same design."""
     problem = optlink.load("straight-line")
     front = pareto(problem, "total length, error=1..3 mm", points=2, workers=1)
-    assert front.complete
+    assert front.valid
     assert [objective.name for objective in front.objectives] == ["total length of the links", "breadth"]
     assert {axis.key for axis in front.grid.axes} == {"requirement.band"}
     for length, breadth in (point.values for point in front.points):
@@ -131,7 +131,7 @@ def test_a_limit_of_the_file_on_a_quantity_is_replaced_along_the_front():
     limits = {"limits.size": {"quantity": "total length", "max": "1230 mm"}}
     front = pareto(optlink.load("crank-rocker", limits), "error, limits.size=1235..1245 mm", points=2, workers=1)
     assert front.objectives[0].unit == "rad^2"
-    assert front.complete  # beyond the limit of the file, which one of them replaces
+    assert front.valid  # beyond the limit of the file, which one of them replaces
     for point in front.points:
         assert point.values[1] == pytest.approx(600.0 + point.design["coupler_mm"] + point.design["rocker_mm"], rel=1e-9)
     errors = [point.values[0] for point in front.points]
@@ -167,7 +167,7 @@ def test_the_bound_of_an_error_stands_at_its_requirement_in_any_order_of_the_fil
 def test_the_ends_of_a_front_are_feasible(name):
     """The front of an exact path of a fixed four-bar was "2 without a feasible design", and the tight end of a function too."""
     front = pareto(optlink.load(name), "error, limits.transmission_angle.max", points=3, workers=1)
-    assert (front.valid, front.infeasible) == (front.solved, 0)
+    assert (front.valid_points, front.infeasible) == (front.solved, 0)
 
 
 def test_a_point_without_a_design_gets_the_one_of_a_tighter_limit():

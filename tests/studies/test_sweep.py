@@ -235,7 +235,7 @@ def test_a_row_that_the_validator_rejects_is_not_valid(monkeypatch):
         reoptimise_task, "validate_batch", lambda _, designs, objective: prove(stricter, designs, None, objective)
     )
     result = sweep(problem(), ["mechanism.frame=500 mm, 510 mm"], workers=1)
-    assert result.valid == 0
+    assert result.valid_points == 0
     assert set(result.columns["status"]) == {"optimal"}
     assert "largest transmission angle" in result.columns["failed"][0]
     assert "frame" in result.columns["failed"][1]  # the sweep's own frame, not that of the file
@@ -372,7 +372,7 @@ def test_a_finished_run_is_read_again(undisturbed, tmp_path):
     sweep(problem(), [f"{FRAME}:{POINTS}"], tmp_path, workers=1)
     again = sweep(problem(), [f"{FRAME}:{POINTS}"], tmp_path, resume=True)
     assert again.done == 0
-    assert again.valid == POINTS
+    assert again.valid_points == POINTS
     assert (tmp_path / "sweep.csv").read_bytes() == undisturbed
 
 
@@ -382,7 +382,7 @@ def test_a_finished_run_reports_the_same_again(tmp_path):
     again = sweep(problem(), vary, tmp_path, resume=True)
     assert len(first.changes) == 1
     assert again.changes == first.changes
-    assert (again.valid, again.searched, again.changed, again.best) == (61, first.searched, 1, first.best)
+    assert (again.valid_points, again.searched, again.changed, again.best) == (61, first.searched, 1, first.best)
 
 
 @pytest.mark.parametrize(

@@ -247,7 +247,7 @@ def test_singular_positions_are_reported_not_divided_by():
         }
     )
     result = optlink.analyze(problem, points=8)
-    assert not result.sound
+    assert not result.valid
     assert 0.0 in np.round(np.degrees(result.singular) % 180.0, 6)
     assert np.isnan(result["input.torque_Nm"][0])
     assert np.isfinite(result["input.torque_Nm"][1])
@@ -437,7 +437,7 @@ def test_slider_that_stands_still_does_not_reverse_with_every_rounding():
 def test_friction_without_normal_force_does_not_jam():
     """A slider-crank without gravity: the guide is not loaded at its dead centres."""
     result = optlink.analyze(optlink.load("slider-crank").override({"mechanism.guides.F.friction": 0.1}), points=36)
-    assert result.sound
+    assert result.valid
     assert np.all(np.isfinite(result["input.work_J"]))
     np.testing.assert_allclose(np.abs(result["F.friction_N"]), 0.1 * np.abs(result["F.normal_N"]), rtol=1e-9, atol=1e-9)
     still = optlink.simulate(optlink.load("slider-crank").override({"mechanism.guides.F.friction": 0.1}), duration=0.2)
@@ -472,7 +472,7 @@ def test_friction_that_jams_between_the_rows_is_reported_and_has_no_extremes_of_
     expected = np.r_[np.arange(0.0, 360.0, 0.5)]
     expected = expected[np.abs(np.sin(np.radians(expected))) > np.sin(np.radians(edge))]
     np.testing.assert_allclose(inside, expected, atol=1e-9)
-    assert not result.sound
+    assert not result.valid
     text = " ".join(result.notes)
     assert "friction jams a guide: no forces satisfy its law at crank angle 252" in text
     assert "different forces satisfy the law of friction, so they are not determined, at crank angle 72" in text
@@ -481,7 +481,7 @@ def test_friction_that_jams_between_the_rows_is_reported_and_has_no_extremes_of_
     assert math.isnan(result.work)
     assert result.flywheel is None  # its search did not end
     smooth = optlink.analyze(optlink.read(raw).override({"mechanism.guides.F.friction": 2.8}), points=4)
-    assert smooth.sound
+    assert smooth.valid
     sine = 1 / 3.0
     cosine = math.sqrt(1.0 - sine * sine)
     normal = 100.0 * sine / (cosine - 2.8 * sine)
@@ -499,7 +499,7 @@ def test_load_without_a_value_between_the_rows_is_reported_and_has_no_extremes()
     assert "press has no finite value at crank angle 154.5, 155," in result.notes[0]
     assert {"input.torque_Nm", "press.fx_N", "B.f_N"}.isdisjoint(result.extremes)
     assert result.flywheel is None
-    assert not result.sound
+    assert not result.valid
 
 
 def on_the_crank(torque):
@@ -530,7 +530,7 @@ def test_load_with_a_pole_between_the_rows_is_reported_and_has_no_extremes(torqu
     assert result.notes[0] == f"brake grows without bound at crank angle {where} deg"
     assert {"input.torque_Nm", "brake.torque_Nm", "input.work_J"}.isdisjoint(result.extremes)
     assert {"slider.s_m", "B.f_N"} <= set(result.extremes)  # they do not depend on it
-    assert not result.sound
+    assert not result.valid
     assert math.isnan(result.work)
     assert result.flywheel is None
 
@@ -553,7 +553,7 @@ def test_sweep_of_a_machine_with_a_pole_in_a_load_has_no_figures():
 )
 def test_work_and_extremes_of_a_load_with_corners_jumps_and_peaks(torque, integral, largest):
     result = optlink.analyze(on_the_crank(torque).override({"bodies": {}}), points=8)
-    assert result.sound
+    assert result.valid
     assert result.work == pytest.approx(-integral, rel=1e-11)
     assert result.extremes["brake.torque_Nm"].largest == pytest.approx(largest, rel=1e-9)
 
@@ -626,7 +626,7 @@ def test_a_singular_start_ends_the_simulation():
     }
     result = optlink.simulate(optlink.read(raw), rows=5)
     assert result.ending.value == "singular position"
-    assert not result.finished
+    assert not result.valid
 
 
 def test_internal_force_pushes_on_the_body_that_carries_the_guide():

@@ -971,11 +971,11 @@ def test_conflicting_limits_are_listed_with_feasible_values():
     named = {item.name: item for item in result.conflict}
     assert "rms shaking force" in named
     for name, item in named.items():
-        if not math.isfinite(item.alone) or "measure" in name:
+        if not math.isfinite(item.relaxed) or "measure" in name:
             continue
         text = {"N": "N", "N m": "N*m", "kg": "kg"}[item.unit]
         for factor, status in ((1.0 + 1e-6, "optimal"), (1.0 - 1e-3, "infeasible")):
-            value = f"{item.alone * factor!r} {text}"
+            value = f"{item.relaxed * factor!r} {text}"
             changes = (
                 {"balance.limits": {**limits, name: value}}
                 if item.unit != "kg"

@@ -107,7 +107,7 @@ def test_every_joint_of_a_chain_follows_its_own_formula(seed):
     chain = drawn(seed)
     result = optlink.analyze(chain.problem(), points=72)
     assert result.full
-    assert result.sound
+    assert result.valid
     assert result.cycle == pytest.approx(2.0 * math.pi)
     phi = np.radians(result["crank_angle_deg"])
     first, second = chain.joints(phi)

@@ -89,7 +89,7 @@ def test_change_points_are_found_at_collinear_links_whatever_the_rounding(length
 def test_motion_that_is_not_determined_is_not_sound(tmp_path, lengths, unit, angles, start):
     problem = four_bar_problem(lengths, unit, start=start)
     result = optlink.analyze(problem, points=77)
-    assert not result.sound
+    assert not result.valid
     assert result.status != "analysed"
     assert not result.extremes
     assert not result.swings
@@ -116,7 +116,7 @@ def test_near_change_points_are_sound_and_name_the_peak(lengths):
     crank, coupler, rocker, frame = lengths
     reach = frame + crank
     angle = math.degrees(math.acos((coupler**2 + rocker**2 - reach**2) / (2.0 * coupler * rocker)))
-    assert result.sound
+    assert result.valid
     assert "C.f_N" in result.extremes
     assert any(f"at crank angle 180 deg the transmission angle at C is {angle:.6g} deg" in note for note in result.notes)
 
@@ -160,7 +160,7 @@ def slider_crank_problem(crank, rod, offset, **more):
 def test_slider_cranks_whose_rod_stands_across_the_guide_are_singular(crank, rod, offset, angles):
     """The rod is at a right angle to the guide where crank and offset together are as long as the rod."""
     result = optlink.analyze(slider_crank_problem(crank, rod, offset), points=50)
-    assert not result.sound
+    assert not result.valid
     assert np.degrees(result.singular) % 360.0 == pytest.approx(angles, abs=1e-9)
 
 
@@ -186,7 +186,7 @@ def test_guides_through_a_pin_are_singular_where_the_pins_are_as_near_as_the_off
         "drive": {"start": "100 deg"},
     }
     result = optlink.analyze(optlink.read(raw), points=90)
-    assert result.sound != singular
+    assert result.valid != singular
     assert list(np.degrees(result.singular) % 360.0) == ([0.0] if singular else [])
 
 
@@ -247,7 +247,7 @@ def test_motion_is_followed_smoothly_as_the_oracle_continues_it(lengths, assembl
     scale = np.max(np.abs(rocker.acceleration)) + 1.0
     np.testing.assert_allclose(rocker.rate[2:-2], five_point(rocker.value, step), atol=2e-6 * scale)
     np.testing.assert_allclose(rocker.acceleration[2:-2], five_point(rocker.rate, step), atol=2e-5 * scale)
-    assert result.sound
+    assert result.valid
     assert "input.torque_Nm" in result.extremes
 
 
@@ -272,7 +272,7 @@ def test_parallelogram_keeps_its_coupler_parallel(crank, frame, start):
     result = optlink.analyze(four_bar_problem(lengths, assembly="parallelogram", start=start), points=360)
     phi = np.radians(result["crank_angle_deg"])
     assert result.cycle == pytest.approx(2.0 * math.pi)
-    assert result.sound
+    assert result.valid
     np.testing.assert_allclose(result["C.x_m"], 1e-3 * (crank * np.cos(phi) + frame), atol=1e-12)
     np.testing.assert_allclose(result["C.y_m"], 1e-3 * crank * np.sin(phi), atol=1e-12)
     np.testing.assert_allclose(result["rocker.omega_rad_s"], 2.0, rtol=1e-10)
@@ -412,7 +412,7 @@ def test_two_parallelograms_in_series_pass_their_change_points_together():
     np.testing.assert_allclose(result["wheel2.omega_rad_s"], 1.0, rtol=1e-8)
     np.testing.assert_allclose(result["wheel2.alpha_rad_s2"], 0.0, atol=1e-6)
     raw["mechanism"]["assembly"]["E"] = "left of C-G"
-    assert not optlink.analyze(optlink.read(raw), points=90).sound
+    assert not optlink.analyze(optlink.read(raw), points=90).valid
 
 
 # --- where else it is said ---------------------------------------------------------------------------------------------------
@@ -424,7 +424,7 @@ def test_simulation_ends_at_a_singular_position(tmp_path, speed):
     problem = four_bar_problem((50.0, 150.0, 100.0, 200.0), drive={"start": "20 deg", "speed": speed, "duration": "3 s"})
     result = optlink.simulate(problem, rows=300)
     assert result.ending.value == "singular position"
-    assert not result.finished
+    assert not result.valid
     turned = math.radians(160.0 if speed[0] != "-" else 200.0)
     assert result.stopped == pytest.approx(turned / 3.0, abs=1e-5)
     assert any(("crank angle 180 deg" if speed[0] != "-" else "crank angle -180 deg") in note for note in result.notes)
@@ -451,7 +451,7 @@ def test_torque_drives_a_parallelogram_through_its_change_points():
         drive={"start": "30 deg", "torque": "0.2 N*m", "initial_speed": "12 rad/s", "duration": "1.5 s"},
     )
     result = optlink.simulate(problem, rows=200)
-    assert result.finished
+    assert result.valid
     inertia = 2.0 * 0.06**2 + 0.06**2 / 3.0
     turned = result["crank.angle_rad"] - math.radians(30.0)
     rise = 9.81 * 0.06 * 2.5 * (np.sin(result["crank.angle_rad"]) - 0.5)
@@ -534,7 +534,7 @@ def test_crank_alone_has_no_change_points():
         "bodies": {"crank": {"mass": "1 kg", "inertia": "uniform bar"}},
     }
     problem = optlink.read(raw)
-    assert optlink.analyze(problem, points=12).sound
+    assert optlink.analyze(problem, points=12).valid
     assert not optlink.analyze_batch(problem, {"crank.length": [0.1, 0.2]}, points=12).singular
 
 

@@ -212,7 +212,7 @@ def test_resumed_run_is_the_uninterrupted_one_to_the_last_digit(problem):
 def test_compare_tabulates_all_kinds_of_control(problem):
     result = optlink.control.compare(problem, 2, 2, seed=3, points=100)
     assert list(result.trials) == ["none", "inverse", "pid", "inverse+pid"]
-    assert result.finished
+    assert result.valid
     assert result.gain("none") == 0.0
     np.testing.assert_array_equal(result.starts, control_comparison.random_crank_angles(2, 3))
     assert not np.array_equal(result.starts, control_comparison.random_crank_angles(2, 4))
@@ -311,7 +311,7 @@ def test_runs_that_stall_have_no_figures():
     sinking = {"joints.C.modulus": None, "joints.C.poisson": None, "joints.C.stiffness": "1 N/m^1.5"}
     problem = optlink.load("crank-rocker-clearance", sinking)
     result = optlink.control.compare(problem, starts=1, kinds=("none", "pid"), **SHORT)
-    assert (result.finished, result.status) == (False, "stalled")
+    assert (result.valid, result.status) == (False, "stalled")
     for trials in result.trials.values():
         assert math.isnan(trials.mean)
         assert trials.stalled == 1
@@ -321,7 +321,7 @@ def test_runs_that_stall_have_no_figures():
     assert comparison_view.charts(result) == []
     assert comparison_view.conclusion(result) == "No controller completed its runs."
     tuned = optlink.control.tune(problem, "pid", evaluations=4, starts=1, **SHORT)
-    assert (tuned.finished, tuned.status, dict(tuned.best)) == (False, "stalled", {})
+    assert (tuned.valid, tuned.status, dict(tuned.best)) == (False, "stalled", {})
     assert "No result: with every parameter set, that of the problem too, a run stalled" in str(comparison_view.tuning(tuned))
 
 
@@ -351,7 +351,7 @@ def test_checkpoints_of_other_kinds_are_refused(saved):
     """Of another version, of another kind, or of another run: one sentence before any run."""
     options = {"starts": 1, "kinds": ("none",), **SHORT}
     simulation, comparison = saved
-    assert optlink.control.compare(rocker(), resume=comparison, **options).finished
+    assert optlink.control.compare(rocker(), resume=comparison, **options).valid
     for changes, message in (
         ({"schema": "optlink/trials/1"}, r"has another format: its schema is 'optlink/trials/1'.*resume"),
         ({"optlink": "0.0.1"}, r"is that of another version: its optlink is '0\.0\.1'"),
@@ -506,13 +506,13 @@ def test_control_compensates_three_clearances():
     """At 1200 rpm: the inverse model takes away a quarter at least, PID on top of it more; means of three starts and of one."""
     file = optlink.load("slider-crank-three-gaps")
     result = optlink.control.compare(file, 11, 3, kinds=("none", "inverse"), tolerance=1e-6, **QUICK)
-    assert result.finished
+    assert result.valid
     assert result.trials["none"].mean == pytest.approx(1.307e-3, rel=0.02)
     assert result.gain("inverse") > 0.25
     both = optlink.control.compare(
         file, 11, 1, kinds=("inverse+pid",), tolerance=1e-6, **QUICK
     )  # seven times the work of a run without PID
-    assert both.finished
+    assert both.valid
     assert both.trials["inverse+pid"].mean < 0.9 * result.trials["inverse"].mean
 
 

@@ -155,7 +155,7 @@ def test_the_cases_end_as_their_names_say():
     assert endings["clearance, interrupted"] is Ending.INTERRUPTED
     assert any(np.isnan(values).any() for values in made("simulation that stalls").columns.values())
     assert made("clearance that stalls at once").revolutions == 0 < made("clearance that stalls later").revolutions
-    assert not made("comparison that stalls").finished
+    assert not made("comparison that stalls").valid
     assert np.isinf(made("tuning that stalls").costs).all()
     assert made("tuning").check is not None
     assert np.isinf(made("tuning").costs).any()

@@ -218,6 +218,6 @@ def test_runs_at_two_tolerances_part_without_friction_only():
 def test_result_is_a_json_document():
     document = json.loads(json.dumps(simulate(5000, 0.1, 25).to_dict(), allow_nan=False))
     assert document["schema"] == "optlink/clearance/4"
-    assert (document["status"], document["finished"]) == ("finished", True)
+    assert (document["status"], document["valid"]) == ("finished", True)
     assert document["impacts"][0]["gap"] == "C"
     assert set(document["columns"]) == set(document["meanings"])

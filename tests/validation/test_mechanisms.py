@@ -361,7 +361,7 @@ def test_torque_is_that_of_virtual_power(name):
 def test_the_crank_turns_fully_and_nothing_is_singular(name):
     analysis = analysed(name)
     assert analysis.full
-    assert analysis.sound
+    assert analysis.valid
     assert analysis.notes == ()
 
 

@@ -92,7 +92,7 @@ class CycleCurves:
     @property
     def steady(self) -> bool:
         """Whether the crank turns fully and no quantity grows without bound."""
-        return self.result.sound and self.result.full
+        return self.result.valid and self.result.full
 
     def peak(self, *names: str) -> float:
         """Return the largest absolute value of the columns [SI], restricted to the range of values that is drawn."""

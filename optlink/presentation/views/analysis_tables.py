@@ -115,7 +115,7 @@ def balance_problem(section: BalanceSection) -> TableSpec:
 def analysis(outcome: Analysis) -> Summary:
     """Summarise an analysis: status, strokes, extremes, work and flywheel."""
     turn = "the crank turns fully" if outcome.full else "the crank cannot turn fully"
-    ended = verdict(outcome.status, outcome.sound), f", {turn}; {_speed(outcome.speed)}"
+    ended = verdict(outcome.status, outcome.valid), f", {turn}; {_speed(outcome.speed)}"
     title, status = outcome.problem.model.title, [ended, *noted(outcome.notes)]
     if outcome.ranges.singular:
         return summary(title, status)
@@ -264,7 +264,7 @@ def simulation(outcome: Simulation) -> Summary:
         quiet(f"Drift of the twice integrated positions from the closed loops: at most {drift}"),
         quiet(f"{outcome.steps} steps, {outcome.evaluations} evaluations"),
     )
-    ended = verdict(outcome.ending.value, outcome.finished), f", driven by {outcome.driven}{unnoted(outcome)}"
+    ended = verdict(outcome.ending.value, outcome.valid), f", driven by {outcome.driven}{unnoted(outcome)}"
     status = [ended, *noted(outcome.notes)]
     tables = table("At the end", "<><", end), table("Energy account", "<><", account)
     return summary(outcome.problem.model.title, status, *tables, tail)

@@ -58,6 +58,7 @@ from optlink.units import percent
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+SENSES = {"<=": "at most", ">=": "at least"}
 ROUNDING = 1e-9  # share of the initial value below which the remainder is rounding error
 
 MAX_POINTS = 15  # largest number of listed points of a trade-off
@@ -392,7 +393,7 @@ def _limits(outcome: Balance) -> Part:
         if limit.depends_on:
             names = (limit.name, *limit.depends_on)
             together.setdefault(frozenset(names), f"limits that gain less alone than together: {joined(names)}")
-        rows.append((limit.name, f"{limit.sense} {limit.bound:.6g} {limit.unit}", price))
+        rows.append((limit.name, f"{SENSES[limit.sense]} {limit.bound:.6g} {limit.unit}", price))
     if not rows:
         none = "none: only the permitted counterweights and springs determine this optimum"
         return Paragraph(strong("Active constraints"), none)
@@ -402,11 +403,12 @@ def _limits(outcome: Balance) -> Part:
 def _conflict(outcome: Balance) -> TableSpec:
     rows = []
     for item in outcome.conflict:
-        single = "never" if not math.isfinite(item.alone) else f"{item.sense} {item.alone:.6g} {item.unit}"
+        sense = SENSES[item.sense]
+        single = "never" if not math.isfinite(item.relaxed) else f"{sense} {item.relaxed:.6g} {item.unit}"
         off = item.together - item.bound
         kept = abs(off) <= 1e-6 * max(abs(item.bound), 1e-9)
         together = "unchanged" if kept else f"{item.together:.6g} {item.unit} ({off:+.4g})"
-        rows.append((item.name, f"{item.sense} {item.bound:.6g} {item.unit}", single, together))
+        rows.append((item.name, f"{sense} {item.bound:.6g} {item.unit}", single, together))
     columns = ["limit", "limit value", "feasible if relaxed alone", "together"]
     return table("Conflicting limits", columns, rows)
 

@@ -297,8 +297,8 @@ def page(result: ClearanceSimulation) -> StoredStudy:
     return StoredStudy(
         problem=result.problem,
         kind="simulation with clearance",
-        verdict="Finished" if result.finished else f"Not finished: {result.ending.value}",
-        valid=result.finished,
+        verdict="Finished" if result.valid else f"Not finished: {result.ending.value}",
+        valid=result.valid,
         conclusion=conclusion(result),
         status=shown.status.lines,
         sections=[PageSection("Figures", (shown.parts,)), PageSection("Curves", curves)],
@@ -350,7 +350,7 @@ def _status(outcome: ClearanceSimulation) -> Iterator[Line]:
     sense = "" if rpm > 0.0 else ", clockwise"
     free = outcome.problem.model.drive.torque is not None
     drive = "under a torque; a revolution counts as one of" if free else f"control: {outcome.control};"
-    yield verdict(outcome.ending.value, outcome.finished), f", {outcome.message}; {drive} {abs(rpm):.6g} rpm{sense}"
+    yield verdict(outcome.ending.value, outcome.valid), f", {outcome.message}; {drive} {abs(rpm):.6g} rpm{sense}"
     predicted = outcome.prediction
     if predicted is not None and not predicted.chaotic and predicted.watched:
         turns = "revolution" if predicted.watched == 1 else "revolutions"
@@ -432,7 +432,7 @@ def conclusion(result: ClearanceSimulation) -> str:
     first = max(figures[f"{gap.point}.normal_max_N"] for gap in result.gaps)
     text += f"; the contact force reaches {si(last[point], 'N')} at {point}"
     text += f" ({si(first, 'N')} while it runs in)." if first > last[point] else "."
-    return text if result.finished else f"Not finished: {result.message}. {text}"
+    return text if result.valid else f"Not finished: {result.message}. {text}"
 
 
 VIEW = View(

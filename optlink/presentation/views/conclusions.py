@@ -91,7 +91,7 @@ def analysis(outcome: Analysis) -> str:
         word, unit, travels = ("stroke", "m", outcome.strokes) if outcome.strokes else ("swing", "rad", outcome.swings)
         words = [f"the {word} of {name} is {si(travel.span, unit)}" for name, travel in list(travels.items())[:2]]
     text = joined(words) if words else "the motion was computed"
-    if not outcome.sound:
+    if not outcome.valid:
         text = f"not every position has finite reactions ({outcome.status}); {text}"
     turn = "" if outcome.full else " The crank cannot turn fully."
     return f"{text[:1].upper()}{text[1:]}.{turn}"

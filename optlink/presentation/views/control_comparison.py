@@ -138,8 +138,8 @@ def page(comparison: Comparison) -> StoredStudy:
     return StoredStudy(
         problem=comparison.problem,
         kind="comparison of control",
-        verdict="Finished" if comparison.finished else "Not every run was finished",
-        valid=comparison.finished,
+        verdict="Finished" if comparison.valid else "Not every run was finished",
+        valid=comparison.valid,
         conclusion=conclusion(comparison),
         status=shown.status.lines,
         sections=[PageSection("Figures", (shown.parts,)), PageSection("Charts", charts(comparison))],
@@ -177,7 +177,7 @@ def tuning(outcome: Tuning) -> Summary:
     tried += f", {stopped} of them stalled or stopped early as worse" if stopped else ""
     rows = [("parameters of the problem", fixed(outcome.before * factor, 4))]
     failed = bad("No result: with every parameter set, that of the problem too, a run stalled")
-    lines = ["No parameter set is better than that of the problem, which is kept" if outcome.finished else failed]
+    lines = ["No parameter set is better than that of the problem, which is kept" if outcome.valid else failed]
     if outcome.best:
         rows.append(("best parameters", fixed(outcome.cost * factor, 4)))
         rows.append(("scatter between starts", fixed(outcome.scatter * factor, 4)))

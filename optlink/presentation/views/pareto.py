@@ -47,8 +47,8 @@ def page(front: Pareto) -> StoredStudy:
     return StoredStudy(
         problem=file,
         kind=f"front of {len(front.objectives)} objectives",
-        verdict="Every point of the front is a verified local optimum" if front.complete else "Not every point is verified",
-        valid=front.complete,
+        verdict="Every point of the front is a verified local optimum" if front.valid else "Not every point is verified",
+        valid=front.valid,
         conclusion=conclusion(front),
         status=shown.status.lines,
         sections=[PageSection("Front", charts(front)), PageSection("Points and designs", (shown.parts,))],
@@ -174,7 +174,7 @@ def overview(result: Pareto) -> Summary:
 def _status(result: Pareto) -> Iterator[Line]:
     names = [objective.name for objective in result.objectives]
     yield f"Front of {', '.join(names[:-1])} and {names[-1]}"
-    missed = result.solved - result.valid - result.infeasible
+    missed = result.solved - result.valid_points - result.infeasible
     empty = f", {result.infeasible} without a feasible design" if result.infeasible else ""
     counted = f": {result.solved} solved, {result.dominated} dominated by others{empty}"
     left_out = bad(f", {missed} not verified and left out" if missed else "")
@@ -247,7 +247,7 @@ def conclusion(result: Pareto) -> str:
             [f"{objective.name} {figure(value, objective.unit)}" for objective, value in zip(result.objectives, at, strict=True)]
         )
         text += f" The knee of the front is point {result.knee[0] + 1}: {knee}."
-    return text if result.complete else f"{text} Not every point is verified."
+    return text if result.valid else f"{text} Not every point is verified."
 
 
 VIEW = View(overview, charts=charts, tables=lambda result: {"front": result.columns}, page=page)

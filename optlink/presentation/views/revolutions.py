@@ -138,7 +138,7 @@ class RevolutionCurves:
         parts = [f"{nominal}{abs(result.speed) * 30.0 / math.pi:.5g} rpm{sense}"]
         if result.control != "none":
             parts.append(f"control {result.control}")
-        if not result.finished:
+        if not result.valid:
             parts.append(f"{result.ending.value} after {self.last} revolution{'s' if self.last != 1 else ''}")
         return f"{result.problem.model.title}: {what}\n{', '.join([*parts, *filter(None, [more])])}"
 

@@ -27,7 +27,7 @@ from optlink.presentation.table_spec import (
 )
 from optlink.presentation.view import View
 from optlink.studies.motion_sensitivity import OutputSensitivity
-from optlink.studies.sensitivity import Derivatives, Sensitivities, Sensitivity
+from optlink.studies.sensitivity import DERIVATIVE_TOLERANCE, Derivatives, Sensitivities, Sensitivity
 from optlink.tasks.run import validate
 from optlink.units import percent
 
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from optlink.presentation.report_model import ReportModel
 
 
-DERIVATIVE_TOLERANCE = 1e-5  # relative tolerance between exact derivatives and those from solving again
 MIN_CHANGE = 5e-6  # relative change that vanishes with three decimals of a percentage
 MOST_CHANGE = 1e3  # share of the objective from which a change is shown in its unit
 MAX_VARIABLES = 3  # largest number of design variables with their own columns

@@ -195,7 +195,7 @@ def page(run: Simulation) -> StoredStudy:
         problem=run.problem,
         kind="simulation in time",
         verdict=VERDICTS.get(run.ending, f"Not finished: {run.ending.value}"),
-        valid=run.finished,
+        valid=run.valid,
         conclusion=conclusion(run),
         status=[f"{run.ending.value}, driven by {run.driven}{analysis_tables.unnoted(run)}", *run.notes],
         sections=[PageSection("Figures", (analysis_tables.simulation(run).parts,)), PageSection("Over time", curves)],
@@ -230,7 +230,7 @@ def conclusion(result: Simulation) -> str:
         text += f"; its speed fluctuates by {100.0 * figures['last_turn.fluctuation']:z.2f} % in the last {last}"
     if "input.work_J" in figures:
         text += f"; the drive has done {si(figures['input.work_J'], 'J')} of work"
-    return f"{text}." if result.finished else f"Not finished: {result.ending.text}. {text}."
+    return f"{text}." if result.valid else f"Not finished: {result.ending.text}. {text}."
 
 
 VIEW = View(analysis_tables.simulation, charts=charts, tables=lambda run: {"course": run.columns}, page=page)

@@ -141,14 +141,14 @@ def page(result: Sweep) -> StoredStudy:
         counted = ", ".join(f"{count:,} {status}" for status, count in result.statuses.items()) or "analysed"
         by = f"{'simulation' if result.mode == 'simulate' else 'analysis'} of every point"
     else:
-        counted_points = f"{result.valid:,} points verified, {result.grid.count - result.valid:,} not"
+        counted_points = f"{result.valid_points:,} points verified, {result.grid.count - result.valid_points:,} not"
         counted = "every point a verified local optimum" if result.complete else counted_points
         by = f"a local optimum at every point, verified by the validator; {searches(result)}"
     return StoredStudy(
         problem=problem,
         kind="sweep",
         verdict=counted[0].upper() + counted[1:],
-        valid=result.successful,
+        valid=result.valid,
         conclusion=conclusion(result),
         status=shown.status.lines,
         sections=[PageSection("Sweep", charts(result)), PageSection("Figures", (shown.parts,))],
@@ -447,8 +447,8 @@ def _point_counts(result: Sweep) -> str:
     if not result.evaluated:
         if result.complete:
             return "every point a verified local optimum"
-        missed = result.grid.count - result.valid - result.infeasible
-        counts = {"verified": result.valid, "without a feasible design": result.infeasible, "not verified": missed}
+        missed = result.grid.count - result.valid_points - result.infeasible
+        counts = {"verified": result.valid_points, "without a feasible design": result.infeasible, "not verified": missed}
     else:
         counts = dict(result.statuses)
     return ", ".join(f"{count:,} {words}" for words, count in counts.items() if count)
@@ -460,7 +460,7 @@ def _rows(result: Sweep) -> Iterator[TableSpec]:
     names = [name for name in result.names[len(axes) :] if name not in TEXT and name != "valid"]
     columns = result.columns
     all_points = result.grid.count <= MAX_LISTED and len(names) <= MAX_COLUMNS
-    if not all_points and result.valid:
+    if not all_points and result.valid_points:
         valid, rows = np.flatnonzero(columns["valid"]), []
         for name in names:
             if np.all(np.isnan(columns[name][valid])):
@@ -537,7 +537,7 @@ def conclusion(result: Sweep) -> str:
     """Return the conclusion of a sweep: number of valid points, and the best of them."""
     total = result.grid.count
     if result.evaluated or result.best is None:
-        done = result.statuses.get("analysed", result.valid) if result.evaluated else result.valid
+        done = result.statuses.get("analysed", result.valid_points) if result.evaluated else result.valid_points
         tail = "" if result.evaluated else " No point has a valid design: relax the limits or change the range."
         return f"{done:,} of {total:,} points have valid results.{tail}"
     name = next(column for column in result.best if column.startswith("objective"))
@@ -545,7 +545,7 @@ def conclusion(result: Sweep) -> str:
     where = [f"{axis.key} = {figure(float(result.best[axis.column]), axis.unit)}" for axis in result.grid.axes]
     value = figure(float(result.best[name]), unit.replace("2", "²"))
     extreme = "largest" if result.problem.model.objective_display[0] < 0.0 else "least"
-    verified = f"{result.valid:,} of {total:,} points have a verified design"
+    verified = f"{result.valid_points:,} of {total:,} points have a verified design"
     active = str(result.best.get("active", ""))
     limits = f" Active limits of the best: {active}." if active else ""
     return f"The objective is {extreme}, {value}, at {joined(where)}; {verified}.{limits}"

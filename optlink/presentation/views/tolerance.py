@@ -45,7 +45,7 @@ MAX_BINS = 60  # largest number of bars in a histogram
 
 def page(result: Tolerance) -> StoredStudy:
     """Return the page of a tolerance analysis."""
-    problem, sampled, robust = result.problem, result.monte_carlo, result.robust
+    problem, sampled = result.problem, result.monte_carlo
     shown = overview(result)
     by = "exact derivatives at the drawing"
     if sampled is not None:
@@ -55,7 +55,7 @@ def page(result: Tolerance) -> StoredStudy:
         problem=problem,
         kind="study of tolerances",
         verdict=_verdict(result),
-        valid=(result.allocation is None or result.allocation.achieved) and (robust is None or robust.result.valid),
+        valid=result.valid,
         conclusion=conclusion(result),
         status=shown.status.lines,
         sections=[PageSection("Scatter", charts(result)), PageSection("Figures", (shown.parts,))],

@@ -81,7 +81,13 @@ class ParetoObjective:
         return Term.model_validate(dict(self.term))
 
     def worsened(self, value: float, by: float) -> float:
-        """Return a value that is worse by an amount."""
+        """Return a value that is worse by an amount.
+
+        Parameters
+        ----------
+        value, by : float
+            In the unit of the objective.
+        """
         return value + self.sense * by
 
 

@@ -15,17 +15,18 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, TypeVar, Unpack
 
 import numpy as np
 
 from optlink.errors import InputError, Status
+from optlink.execution.options import Execution
 from optlink.execution.runner import check
 from optlink.execution.store import Progress, Store
 from optlink.linkage.vector2d import Array
 from optlink.optimization.pareto_front import ends, knee, undominated
 from optlink.problem.arguments import typed
-from optlink.problem.document import Source, entries
+from optlink.problem.document import Renamed, Source, entries
 from optlink.problem.file import AnyProblem, ProblemFile, problem_of
 from optlink.studies.fronts.design_objectives import OPTION, ParetoObjective
 from optlink.studies.fronts.epsilon_ranges import RANGES, EpsilonRanges, NoExtreme, read_objectives
@@ -104,14 +105,14 @@ class Pareto(GridStudy):
     @property
     def status(self) -> str:
         """Whether every point is validated, in words."""
-        return "complete" if self.complete else "not valid everywhere"
+        return "complete" if self.valid else "not valid everywhere"
 
     @property
     def single_point(self) -> str:
         """Why the front has one point, in words; empty for other fronts."""
         if len(self.points) != 1:
             return ""
-        if self.valid < self.solved:
+        if self.valid_points < self.solved:
             return "Only one point has a verified design, so the front shows no trade-off"
         limited = [
             (objective, value)
@@ -134,10 +135,12 @@ class Pareto(GridStudy):
         """Objectives of the points (n, k), with the sign for minimisation."""
         return np.array([point.values for point in self.points]) * [objective.sense for objective in self.objectives]
 
+    complete = Renamed("valid")
+
     @property
-    def complete(self) -> bool:
+    def valid(self) -> bool:
         """Whether there is a front, and every point of the grid is validated or infeasible."""
-        return bool(self.points) and self.valid + self.infeasible == self.solved
+        return bool(self.points) and self.valid_points + self.infeasible == self.solved
 
     @property
     def columns(self) -> dict[str, list[Any]]:
@@ -158,10 +161,8 @@ def pareto(
     points: int | None = None,
     resume: bool = False,
     backend: str = "ipopt",
-    engine: str = "local",
-    workers: int | None = None,
-    scheduler: str | None = None,
     progress: Progress | None = None,
+    **execution: Unpack[Execution],
 ) -> Pareto:
     """Compute the Pareto front of two or three objectives by the epsilon-constraint method.
 
@@ -176,9 +177,11 @@ def pareto(
         Folder for completed chunks and for a table of all points (`sweep.csv`). Default: a temporary folder.
     points : int, optional
         Number of points; with three objectives, along each of two axes. Default: 15; with three objectives 7.
-    resume, backend, engine, workers, scheduler
+    resume, backend
         As in `optlink.studies.sweeps.sweep`.
     progress : function of (completed points, all points), optional
+    **execution : Execution
+        Where the points are computed.
 
     Returns
     -------
@@ -216,7 +219,7 @@ def pareto(
     if (total := math.prod(ranges.shape)) > MAX_POINTS:
         size = " x ".join(f"{length:,}" for length in ranges.shape) + (f" = {total:,}" if len(ranges.shape) > 1 else "")
         raise InputError(f"{size} points exceed the limit of a front, {MAX_POINTS:,}", "Give fewer", key="--points")
-    check(engine, workers, scheduler)
+    check(**execution)
     with Store(None if out is None else Path(str(out)), _about(problem, objective_list, count, backend), resume=resume) as store:
         ahead = ranges.searches
         once = _Once(store, None if progress is None else lambda completed: progress(completed, ahead + total))
@@ -231,10 +234,8 @@ def pareto(
         store.divide(task.size, task.chunks)
         mine, cpu = store.fill(
             task,
-            engine,
-            workers,
-            scheduler,
             None if progress is None else lambda completed, total: progress(ahead + completed, ahead + total),
+            **execution,
         )
         if not store.finished:
             store.finish(task.columns, iter(_with_known_designs(task, ranges, list(store.rows()), anchors)))
@@ -258,7 +259,7 @@ def pareto(
             reference=reference,
             reference_label=words,
             solved=len(rows),
-            valid=len(designs),
+            valid_points=len(designs),
             infeasible=sum(row["status"] == Status.INFEASIBLE.value for row in rows),
             dominated=len(designs) - len(front),
             grid=grid,
@@ -266,8 +267,8 @@ def pareto(
             done=mine,
             seconds=time.perf_counter() - begin,
             cpu=cpu,
-            engine=engine,
-            workers=workers,
+            engine=execution.get("engine", "local"),
+            workers=execution.get("workers"),
         )
 
 

@@ -10,11 +10,12 @@ import contextlib
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Unpack
 
 import numpy as np
 
 from optlink.errors import InputError
+from optlink.execution.options import Execution
 from optlink.execution.runner import check, pool
 from optlink.execution.worker import Runs
 from optlink.linkage.vector2d import Array
@@ -112,6 +113,12 @@ class Tolerance(LinearAnalysis, Document):
         return None if self.monte_carlo is None else self.monte_carlo.seed
 
     @property
+    def valid(self) -> bool:
+        """Whether the allocated tolerances reach their yield and the robust design is valid, where they were asked for."""
+        allocated = self.allocation is None or self.allocation.achieved
+        return allocated and (self.robust is None or self.robust.result.valid)
+
+    @property
     def scale(self) -> float:
         """Factor from SI to the display unit of the output."""
         return DISPLAYED[self.nominal.unit][0]
@@ -163,9 +170,7 @@ def tolerance(
     costs: Mapping[str, float] | None = None,
     robust: float | str | None = None,
     progress: Progress | None = None,
-    engine: str = "local",
-    workers: int | None = None,
-    scheduler: str | None = None,
+    **execution: Unpack[Execution],
 ) -> Tolerance:
     """Analyse the effect of manufacturing tolerances on an output: worst case, scatter and yield.
 
@@ -202,13 +207,8 @@ def tolerance(
         number of standard deviations within the limit ("margin") or the largest yield ("yield"). The result also contains the
         nominal optimum; see `optlink.studies.tolerances.robust_design`.
     progress : function of the completed fraction of the samples, optional
-    engine : "local" or "dask"
-        Where the work is done: in processes of this computer, or on a Dask cluster. The result does not depend on it.
-    workers : int, optional
-        Number of processes, or of workers of a local cluster. Default: as many as processor cores for half a million samples or
-        more, otherwise one, the present process.
-    scheduler : str, optional
-        Address of a running Dask scheduler, such as "tcp://host:8786". Default: a cluster that is started on this computer.
+    **execution : Execution
+        Where the samples are moved. By default few samples take one process.
 
     Returns
     -------
@@ -230,7 +230,7 @@ def tolerance(
     problem = problem_of(problem)
     _check(samples, seed, shape, target_yield, limit)
     check_design(problem, design)
-    with _processes(samples, engine, workers, scheduler) as runs:
+    with _processes(samples, execution) as runs:
         file, robust_result = problem, None
         if robust is not None:
             check_targets(problem)
@@ -265,13 +265,13 @@ def tolerance(
 
 
 @contextlib.contextmanager
-def _processes(samples: int, engine: str, workers: int | None, scheduler: str | None) -> Iterator[Runs | None]:
+def _processes(samples: int, execution: Execution) -> Iterator[Runs | None]:
     """Provide processes, by default only for work that takes longer than their start."""
-    check(engine, workers, scheduler)
-    if engine == "local" and workers is None and samples < PARALLEL_SAMPLES:
+    check(**execution)
+    if all(value in (None, "local") for value in execution.values()) and samples < PARALLEL_SAMPLES:
         yield None
         return
-    with pool(engine, workers, scheduler) as runs:
+    with pool(**execution) as runs:
         yield runs
 
 

@@ -1,10 +1,11 @@
 """Result of balancing: counterweights and springs, measures before and after, shadow prices, trade-off; as data and JSON."""
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from operator import attrgetter
+from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
@@ -20,9 +21,10 @@ from optlink.problem.document import Column, Document, Never, Number, Source
 from optlink.problem.file import ProblemFile
 from optlink.problem.machine.balance import BalanceGoal, BalanceSection
 from optlink.problem.terms import Term, read_words
-from optlink.solvers.solution import Relaxation
+from optlink.solvers.solution import LimitState, Relaxation, Solution
 from optlink.tasks.machine import machine_of
 from optlink.tasks.results.conflict import refutation
+from optlink.validation.check import Check, Validation
 
 AGREES = 1e-8
 """Tolerance between the programme and the inverse dynamics of the balanced machine, relative to the largest amount."""
@@ -166,42 +168,24 @@ class MeasureChange:
         return self.after / self.before - 1.0 if self.before > 0.0 else math.nan
 
 
-@dataclass(frozen=True)
-class ActiveLimit:
-    """A limit at the optimum; `buys`: first-order relative reduction of the objective if it alone is relaxed by one `step`.
+@dataclass(frozen=True, kw_only=True)
+class ActiveLimit(LimitState):
+    """A limit at the optimum; `buys`: first-order relative reduction of the objective if it alone is relaxed by one `step`."""
 
-    `depends_on`: names of other limits that keep the optimum then.
-    """
-
-    name: str
-    sense: str
-    bound: float
-    value: float
-    unit: str
-    active: bool
-    price: Number
     step: float
     buys: Number
-    depends_on: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class RelaxedLimit:
-    """A limit that conflicts with others [display unit]: value required if relaxed alone (infinite: never) or together."""
-
-    name: str
-    sense: str
-    bound: float
-    alone: Never
-    together: float
-    unit: str
 
     @property
-    def relaxation(self) -> Relaxation:
-        """The limit relaxed alone."""
-        sense = {"at most": "<=", "at least": ">="}[self.sense]
-        alone = self.alone if math.isfinite(self.alone) else math.nan
-        return Relaxation(self.name, self.name, sense, self.bound, alone, abs(alone - self.bound), self.unit)
+    def price(self) -> float:
+        """Reduction of the objective per unit by which the limit is relaxed."""
+        return abs(self.multiplier)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RelaxedLimit(Relaxation):
+    """A limit that conflicts with others [display unit]: `relaxed` alone, or the value required if all are relaxed `together`."""
+
+    together: float
 
 
 @dataclass(frozen=True)
@@ -285,7 +269,7 @@ class Balance(Document):
 
     kind = "balance"
     shown: ClassVar[Mapping[str, Source]] = {
-        **{name: name for name in ("valid", "proven", "measure", "unit", "reduction", "verified")},
+        **{name: name for name in ("proven", "measure", "unit", "reduction", "verified")},
         "lower_bound": "lower",
         "duality_gap": "gap",
         "above_bound": "slack",
@@ -297,11 +281,20 @@ class Balance(Document):
         "springs": "springs",
         "measures": "rows",
         "trade?": "trade",
+        "validation": "validation.checks",
     }
     interrupted = False
     """A convex programme is never left early."""
     starts = 1
     """Number of searches."""
+    seed: ClassVar[None] = None
+    """It has no random starting points."""
+    solution: ClassVar[None] = None
+    """It is a cone programme, not a nonlinear one."""
+    certificate: ClassVar[None] = None
+    """The optimum of a convex programme is global: see `lower` and `gap`."""
+    backends: ClassVar[Mapping[str, Solution]] = MappingProxyType({})
+    """There is one solver."""
 
     problem: ProblemFile
     status: Status
@@ -327,6 +320,17 @@ class Balance(Document):
     exact: bool = False
     excess: float = 0.0
     seconds: Mapping[str, float] = field(default_factory=dict)
+    further: tuple[Check, ...] = ()
+
+    @property
+    def backend(self) -> str:
+        """The solver."""
+        return self.solver
+
+    @property
+    def definite(self) -> ProblemFile:
+        """The problem."""
+        return self.problem
 
     @cached_property
     def original(self) -> Machine:
@@ -367,7 +371,7 @@ class Balance(Document):
     @property
     def verified(self) -> bool:
         """Whether the inverse dynamics of the balanced machine agrees with the programme."""
-        return self.disagreement <= AGREES and all(p.disagreement <= AGREES for p in (self.trade.points if self.trade else ()))
+        return self.machine is not None and self.validation.checks[0].passed
 
     @property
     def proven(self) -> bool:
@@ -377,7 +381,7 @@ class Balance(Document):
     @cached_property
     def refuted(self) -> str:
         """Which limits exclude each other, in a sentence; empty if no limits conflict."""
-        return refutation([limit.relaxation for limit in self.conflict], "counterweights")
+        return refutation(self.conflict, "counterweights")
 
     @property
     def message(self) -> str:
@@ -387,8 +391,23 @@ class Balance(Document):
     @property
     def valid(self) -> bool:
         """Whether a design satisfies all limits and is verified, and one does at every point of a trade-off."""
-        excess = max([self.excess, *(p.excess for p in (self.trade.points if self.trade else ()))])
-        return self.status in (Status.OPTIMAL, Status.RELAXED) and self.verified and excess <= ACTIVE
+        return self.status in (Status.OPTIMAL, Status.RELAXED) and self.validation.valid
+
+    @cached_property
+    def validation(self) -> Validation:
+        """Checks of the design by inverse dynamics, with those of every point of a trade-off; none without a design."""
+        if self.machine is None:
+            return Validation(self.further, math.nan)
+        points = self.trade.points if self.trade else ()
+        gap = max([self.disagreement, *(point.disagreement for point in points)])
+        excess = max([self.excess, *(point.excess for point in points)])
+        agrees = Check("the programme agrees with inverse dynamics", gap <= AGREES, gap, f"<= {AGREES:.0e}", "")
+        within = Check("all limits met (relative)", excess <= ACTIVE, excess, f"<= {ACTIVE:.0e}", "")
+        return Validation((agrees, within, *self.further), self.objective)
+
+    def with_checks(self, checks: Sequence[Check]) -> Self:
+        """Return the result with further checks."""
+        return replace(self, further=(*self.further, *checks))
 
     @cached_property
     def columns(self) -> dict[str, Array]:

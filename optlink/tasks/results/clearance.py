@@ -18,7 +18,7 @@ from optlink.dynamics.forward import Ending
 from optlink.dynamics.machine import Machine
 from optlink.errors import InputError
 from optlink.io import checked, finite, with_check_sum
-from optlink.problem.document import Column, Columns, Document, Never, Number, Source, Tabled, adapter
+from optlink.problem.document import Column, Columns, Document, Never, Number, Renamed, Source, Tabled, adapter
 from optlink.problem.file import ProblemFile
 from optlink.tasks.machine import machine_of, with_flywheel
 from optlink.version import VERSION
@@ -52,8 +52,6 @@ class ClearanceSimulation(Tabled):
 
     kind = "clearance"
     shown: ClassVar[Mapping[str, Source]] = {
-        "status": "ending",
-        "finished": "finished",
         "output": "output.name",
         "speed_rad_s": "speed",
         "start_rad": "start",
@@ -87,10 +85,17 @@ class ClearanceSimulation(Tabled):
     integrator: str
     measured: Columns
 
+    finished = Renamed("valid")
+
     @property
-    def finished(self) -> bool:
+    def valid(self) -> bool:
         """Whether all revolutions were simulated."""
         return self.ending is Ending.FINISHED
+
+    @property
+    def status(self) -> str:
+        """Why the simulation ended, in words."""
+        return self.ending.value
 
     @cached_property
     def machine(self) -> Machine:
@@ -160,15 +165,17 @@ class Comparison(Document):
     examples: dict[str, ClearanceSimulation]
     unit: str
 
+    finished = Renamed("valid")
+
     @property
-    def finished(self) -> bool:
+    def valid(self) -> bool:
         """Whether every run finished."""
         return all(trials.finished for trials in self.trials.values())
 
     @property
     def status(self) -> str:
         """Whether every run finished, in a word."""
-        return "finished" if self.finished else "stalled"
+        return "finished" if self.valid else "stalled"
 
     def gain(self, kind: str) -> float:
         """Return the fraction of the uncompensated error (mean over the starts) that a kind of control removes."""
@@ -212,15 +219,17 @@ class Tuning(Document):
         before, best = self.check
         return {"before": before.mean, "before_scatter": before.scatter, "cost": best.mean, "scatter": best.scatter}
 
+    finished = Renamed("valid")
+
     @property
-    def finished(self) -> bool:
+    def valid(self) -> bool:
         """Whether the runs of some parameter set finished."""
         return math.isfinite(self.cost)
 
     @property
     def status(self) -> str:
         """Whether the runs of some parameter set finished, in a word."""
-        return "finished" if self.finished else "stalled"
+        return "finished" if self.valid else "stalled"
 
 
 # Checkpoints of clearance simulations, control comparisons and tunings: what an interrupted run needs to resume.

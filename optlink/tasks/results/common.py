@@ -4,19 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self, TypeVar
+from typing import Any, ClassVar, Protocol, Self, TypeVar
 
 from optlink.errors import Status
-from optlink.problem.document import Document, Number, Source
+from optlink.problem.document import Document, Number, Result, Source
 from optlink.problem.file import ProblemFile
 from optlink.solvers.solution import FEASIBLE, STATIONARY, LimitState, Relaxation, Solution
 from optlink.tasks.results.certificate import Certificate, message
 from optlink.validation.check import MEASURED, MEASURED_ROBUST, Check, Validation
-
-if TYPE_CHECKING:
-    import pandas
-    from matplotlib.figure import Figure
 
 ROUNDED = 2e-7
 """Root mean square of the deviations, as a share of the size of the curve or in rad, below which a design is as good as exact:
@@ -111,20 +106,12 @@ def _stationary(solution: Solution) -> Check:
     return Check(OPTIMALITY_CHECK, passed, solution.kkt, limit, "")
 
 
-class DesignResult(Protocol):
-    """What every kind of design problem has in its result, whatever else its class adds.
+class DesignResult(Result, Protocol):
+    """What every kind of design problem has in its result, with what every `Result` has.
 
     A type checker knows these members of what `solve` and `validate` return; `assert isinstance(result, optlink.SynthesisResult)`
     tells it the kind of the problem, and with it the others.
     """
-
-    kind: ClassVar[str]
-    """Kind of result, by which its view is found."""
-
-    @property
-    def problem(self) -> ProblemFile:
-        """The problem."""
-        ...
 
     @property
     def status(self) -> Status:
@@ -225,41 +212,13 @@ class DesignResult(Protocol):
         """Return the result with further checks."""
         ...
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the result as a JSON document."""
-        ...
-
-    @property
-    def plots(self) -> tuple[str, ...]:
-        """Names of the pictures that `plot` draws."""
-        ...
-
-    def plot(self, name: str | None = None) -> Figure:
-        """Draw a picture of the result with matplotlib."""
-        ...
-
-    def to_frame(self, name: str | None = None) -> pandas.DataFrame:
-        """Return a table of the result as a data frame of pandas."""
-        ...
-
-    def write(self, folder: str | Path, pictures: str = "png") -> list[Path]:
-        """Write the files that `--out` writes.
-
-        Parameters
-        ----------
-        folder : str or Path
-        pictures : str
-            Format of the pictures: "png", "svg" or "pdf".
-        """
-        ...
-
 
 def of_solution(name: str) -> Callable[[Any], Any]:
     """Return the source of a figure of the solution, which a design that was not searched lacks."""
     return lambda result: getattr(result.solution, name, None)
 
 
-SEARCHED: Mapping[str, Source] = {"message": "message", "valid": "valid", "notes": "notes"}
+SEARCHED: Mapping[str, Source] = {"message": "message", "notes": "notes"}
 """Computed entries of the document of every search."""
 FIGURES = ("status", "objective", "iterations", "kkt", "violation", "message")
 FOUND: Mapping[str, Source] = {

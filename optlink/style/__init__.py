@@ -1,0 +1,5 @@
+"""Colours of the pictures, and the style of their figures, for pictures of your own beside them."""
+
+from optlink.namespace import namespace
+
+__all__, __getattr__, __dir__ = namespace(__name__, __file__)
