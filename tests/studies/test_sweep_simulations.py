@@ -91,7 +91,7 @@ def test_the_command_simulates_a_sweep_and_refuses_options_without_it():
     assert "Add --simulate" in refused.output
     analysed = run("--analyze")
     assert analysed.exit_code == 2
-    assert "Write --simulate" in " ".join(analysed.output.split())
+    assert "Add --simulate" in " ".join(analysed.output.split())
 
 
 def test_an_analysis_refuses_a_requirement_and_names_what_varies_it():
