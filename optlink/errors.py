@@ -205,11 +205,11 @@ class Status(enum.StrEnum):
 _STATUS_TEXT = {
     Status.OPTIMAL: "a local optimum: feasible, and no small change of the design improves the objective",
     Status.RELAXED: "a design near the proven bound, which no design was found to reach",
-    Status.STALLED: "the search stopped at a feasible design that is not an optimum; try another start or --starts 20",
+    Status.STALLED: "the search stopped at a feasible design that is not an optimum; try another start, or 20 starts",
     Status.INFEASIBLE: "no design was found that meets all limits",
     Status.NON_FINITE: "the objective or a limit has no finite value or derivative at the design found; "
     "try another start or tighter bounds",
     Status.FEASIBLE: "a design that meets all limits but is not a local optimum: no local search from it ended at a better one; "
-    "try --starts N",
+    "try more starts",
     Status.NOT_SEARCHED: "the given design was checked, not optimised",
 }

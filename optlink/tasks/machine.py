@@ -77,7 +77,7 @@ def check_sizes(problem: ProblemFile, name: str, values: Value, key: str) -> Non
 def start_value_notes(problem: ProblemFile, design: Mapping[str, object] | None = None) -> list[str]:
     """Return a note that names the design variables without a given value, if there are any."""
     free = [name for name in problem.model.free if design is None or name not in design]
-    return [f"design variables are at their start values: {', '.join(free)} (--design takes a result)"] if free else []
+    return [f"design variables are at their start values: {', '.join(free)} (the design may be that of a result)"] if free else []
 
 
 def machine_of(problem: ProblemFile, design: Mapping[str, Value] | None = None) -> Machine:

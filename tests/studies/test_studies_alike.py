@@ -137,3 +137,10 @@ def test_large_values_have_texts_with_units():
     """A linkage a thousand times as large may be meant, and then has its unit."""
     assert LAW.override({"mechanism.frame": "500 m"}).model.quantities["frame"].value == 500.0
     assert LAW.override({"mechanism.frame": 8.9}).model.quantities["frame"].value == 8.9
+
+
+def test_statuses_and_notes_are_not_in_the_words_of_commands():
+    """They are attributes of results, which Python shows as they are."""
+    notes = optlink.analyze("crank-rocker").notes
+    assert any(note.startswith("design variables are at their start values") for note in notes)
+    assert not [text for text in (*(status.text for status in optlink.Status), *notes) if "--" in text]
