@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import matplotlib.pyplot as plt
+import numpy as np
 
 import optlink
 
@@ -12,14 +13,14 @@ OUT.mkdir(exist_ok=True)
 problem = optlink.load("crank-rocker")
 study = optlink.studies.sweep(
     problem,
-    ["limits.transmission_angle.max=130..150 deg:11", "mechanism.frame=480 mm, 500 mm, 520 mm"],
+    {"limits.transmission_angle.max": "130..150 deg:11", "mechanism.frame": np.array([0.48, 0.5, 0.52])},  # or SI values
 )
 table = study.to_frame()
 print(f"{study.valid_points} of {len(table)} optima are valid; columns: {', '.join(table.columns[:6])}, ...")
 
 figure, axes = plt.subplots(layout="constrained")
-for frame, rows in table.groupby("mechanism.frame_mm"):
-    axes.plot(rows["limits.transmission_angle.max_deg"], rows["objective_rad2"], label=f"frame {frame:.0f} mm")
+for frame, rows in table.groupby("mechanism.frame_m"):
+    axes.plot(np.degrees(rows["limits.transmission_angle.max_rad"]), rows["objective_rad2"], label=f"frame {1e3 * frame:.0f} mm")
 axes.set(xlabel="largest transmission angle [deg]", ylabel="objective [rad²]")
 axes.legend()
 figure.savefig(OUT / "objective.svg")

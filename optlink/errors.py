@@ -16,7 +16,7 @@ import contextvars
 import enum
 import json
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -72,10 +72,13 @@ class Fault:
             where += f" = {shown(self.value)}"
         return ": ".join(part for part in (on_one_line(self.file or ""), where, f"{self.message}. {self.remedy}") if part)
 
-    def in_python(self) -> Fault:
-        """Return the fault with the arguments of functions in place of the options of commands."""
-        key = "problem" if self.key == "PROBLEM" else None if self.key is None else arguments_for_options(self.key)
-        return replace(self, message=arguments_for_options(self.message), remedy=arguments_for_options(self.remedy), key=key)
+    def in_python(self, names: Collection[str] = ()) -> Fault:
+        """Return the fault with the arguments of a function, some of whose `names` are those of options, in place of options."""
+        message, remedy = (arguments_for_options(text, names) for text in (self.message, self.remedy))
+        key = "problem" if self.key == "PROBLEM" else self.key
+        if key is not None and key.startswith("--"):  # "--vary mechanism.frame" is vary.mechanism.frame
+            key = arguments_for_options(key, names).replace(" ", ".", 1)
+        return replace(self, message=message, remedy=remedy, key=key)
 
 
 OPTIONS_NAMED = contextvars.ContextVar("options named", default=False)
@@ -83,29 +86,36 @@ OPTIONS_NAMED = contextvars.ContextVar("options named", default=False)
 
 ARGUMENTS = {
     "allocate": "target_yield",
+    "angles": "crank_angles",
     "cost": "costs",
     "column": "columns",
     "distribution": "shape",
     "out": "folder",
     "quantity": "output",
-    "set": "override",
+    "set": "overrides",
     "tolerance": "tolerances",
     "tune": "names",
 }
 """Arguments of functions with another name than the option of the command."""
 
-_OPTION = re.compile(r'(`[^`]*`)|(?<![\w-])--([a-z][a-z-]*)(?: ("[^"]*"|[A-Z\d][\w.]*(?![\w=])))?')
+_OPTION = re.compile(
+    r'(`[^`]*`)|(?<![\w-])--([a-z][a-z-]*)(?: (?:([a-z][\w.]*)=)?("[^"]*"|\d[\w.]*(?![\w=])|(?<!=)[A-Z][\w.]*(?![\w=])))?'
+)
 
 
-def arguments_for_options(text: str) -> str:
-    """Replace the options of commands by arguments: `--time-limit` by time_limit; commands in backticks remain as they are."""
+def arguments_for_options(text: str, names: Collection[str] = ()) -> str:
+    """Replace the options of commands by arguments: `--time-limit` by time_limit; commands in backticks remain as they are.
+
+    `names` of arguments that are those of options.
+    """
 
     def argument(match: re.Match[str]) -> str:
-        command, option, value = match.groups()
+        command, option, key, value = match.groups()
         if command:
             return command
-        name = ARGUMENTS.get(option, option.replace("-", "_"))
-        return f"{name}={value}" if value else name
+        name = option.replace("-", "_")
+        name = name if name in names else ARGUMENTS.get(option, name)
+        return f'{name}={{"{key}": {value}}}' if key else f"{name}={value}" if value else name
 
     return _OPTION.sub(argument, text)
 
@@ -200,11 +210,11 @@ class Status(enum.StrEnum):
 _STATUS_TEXT = {
     Status.OPTIMAL: "a local optimum: feasible, and no small change of the design improves the objective",
     Status.RELAXED: "a design near the proven bound, which no design was found to reach",
-    Status.STALLED: "the search stopped at a feasible design that is not an optimum; try another start or --starts 20",
+    Status.STALLED: "the search stopped at a feasible design that is not an optimum; try another start, or 20 starts",
     Status.INFEASIBLE: "no design was found that meets all limits",
     Status.NON_FINITE: "the objective or a limit has no finite value or derivative at the design found; "
     "try another start or tighter bounds",
     Status.FEASIBLE: "a design that meets all limits but is not a local optimum: no local search from it ended at a better one; "
-    "try --starts N",
+    "try more starts",
     Status.NOT_SEARCHED: "the given design was checked, not optimised",
 }

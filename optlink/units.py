@@ -252,8 +252,11 @@ def kind_of_unit(unit: str) -> str | None:
 
 
 def in_si(unit: str) -> tuple[float, str]:
-    """Return the SI value of one `unit`, and the SI unit of its kind; any other text, as that of a ratio, remains with 1."""
+    """Return the SI value of one `unit`, and its SI unit, also of a square; any other text, as of a ratio, remains with 1."""
     kind = kind_of_unit(unit)
+    if kind is None and unit.endswith("^2"):
+        size, base = in_si(unit.removesuffix("^2"))
+        return size**2, f"{base}^2"
     return (1.0, unit) if kind is None else (factor(unit, kind), KINDS[kind].si.replace("**", "^"))
 
 

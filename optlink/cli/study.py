@@ -92,7 +92,7 @@ def _crank_angles(text: str) -> Any:
 
     remedy = 'Write for example "0 deg, 60 deg" or "0..330 deg:12"'
     try:
-        axis = read_axis(f"angles={text}")
+        axis = read_axis("angles", text)
         return np.asarray(axis.values) * factor(axis.unit, "angle")
     except (InputError, UnitProblem) as error:
         message = error.faults[0].message if isinstance(error, InputError) else error.message

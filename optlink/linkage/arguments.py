@@ -2,18 +2,72 @@
 
 from __future__ import annotations
 
+import functools
+import inspect
 import math
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from numbers import Real
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from optlink.errors import InputError, UnknownName, nearest
+from optlink.errors import Fault, InputError, UnknownName, nearest
 from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.motion import Motion, sweep as sweep_unchecked
 from optlink.linkage.vector2d import Array, Value
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def bind(name: str, signature: inspect.Signature, args: Sequence[object], kwargs: Mapping[str, object]) -> inspect.BoundArguments:
+    """Return the arguments of a call of the function `name`.
+
+    Raises
+    ------
+    InputError
+        If they are not those of the function.
+    """
+    try:
+        return signature.bind(*args, **kwargs)
+    except TypeError:
+        raise InputError(_faults_of_call(name, signature, args, kwargs)) from None
+
+
+def called(function: Callable[P, R]) -> Callable[P, R]:
+    """Refuse unknown and missing arguments of a function in a sentence; it checks their values itself."""
+    signature = inspect.signature(function)
+
+    @functools.wraps(function)
+    def call(*args: P.args, **kwargs: P.kwargs) -> R:
+        bind(function.__name__, signature, args, kwargs)
+        return function(*args, **kwargs)
+
+    return call
+
+
+def _faults_of_call(
+    function: str, signature: inspect.Signature, args: Sequence[object], kwargs: Mapping[str, object]
+) -> list[Fault]:
+    """Return the faults of a call whose arguments are not those of the function: unknown, given twice, too many, or missing."""
+    parameters = {name: parameter for name, parameter in signature.parameters.items() if name != "self"}
+    names, count = list(parameters), len(args) - (len(parameters) < len(signature.parameters))
+    places = sum(parameter.kind is not inspect.Parameter.KEYWORD_ONLY for parameter in parameters.values())
+    remedy = f"Known: {', '.join(names)}"
+    unknown = [
+        Fault(f"unknown argument of {function}", nearest(name, names), key=name, value=value)
+        for name, value in kwargs.items()
+        if name not in parameters
+    ]
+    twice = [Fault(f"given twice to {function}", "Give it once", key=name) for name in names[:count] if name in kwargs]
+    many = [Fault(f"{function} takes at most {places} arguments without a name", remedy)] if count > places else []
+    missing = [
+        Fault(f"{function} needs this argument", remedy, key=name)
+        for name in names[count:]
+        if name not in kwargs and parameters[name].default is inspect.Parameter.empty
+    ]
+    return [*unknown, *twice, *many] or missing
 
 
 def check_number(name: str, value: Any) -> float:
@@ -42,6 +96,18 @@ def check_length(name: str, value: Any) -> float:
     if length <= 0.0:
         raise InputError("a length must be positive", "Give it in metres, above 0", key=name, value=value)
     return length
+
+
+def check_flag(name: str, value: Any) -> None:
+    """Refuse what is neither True nor False.
+
+    Raises
+    ------
+    InputError
+        If it is anything else.
+    """
+    if not isinstance(value, bool | np.bool_):
+        raise InputError("neither True nor False", "Give one of them", key=name, value=value)
 
 
 def check_side(side: Any) -> None:
@@ -87,11 +153,12 @@ def check_array(name: str, value: Any) -> Array:
         array = np.asarray(value)
         if array.dtype.kind not in "iuf" or not np.all(np.isfinite(array)):
             raise ValueError
-    except ValueError:
+    except (TypeError, ValueError):
         raise InputError("not a finite number or array", "Give numbers in SI units", key=name, value=value) from None
     return array.astype(float)
 
 
+@called
 def sweep(
     mechanism: Mechanism,
     sizes: Mapping[str, ArrayLike],

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from optlink.errors import InputError
-from optlink.linkage.arguments import check_length, check_number, check_point_names, check_side
+from optlink.linkage.arguments import called, check_flag, check_length, check_number, check_point_names, check_side
 from optlink.linkage.dyads import RRR
 from optlink.linkage.mechanism import FRAME, Arm, BodyPoint, Ground, Link, Mechanism, Size
 from optlink.linkage.vector2d import Value, Vector, angle, angle_from, magnitude, root, turn
@@ -42,6 +42,7 @@ def __dir__() -> list[str]:
     return __all__
 
 
+@called
 def four_bar(
     side: int = 1, points: Iterable[str] = (), *, placed: bool = False, follow: bool = False, holds_at: float | None = None
 ) -> Mechanism:
@@ -64,7 +65,7 @@ def four_bar(
     Raises
     ------
     InputError
-        If `side` is neither +1 nor -1, or a point has no name of its own.
+        If an argument is none of these, or a point has no name of its own.
 
     Examples
     --------
@@ -75,6 +76,8 @@ def four_bar(
            [0.1607, 0.2555]])
     """
     check_side(side)
+    check_flag("placed", placed)
+    check_flag("follow", follow)
     names = check_point_names(points, ("A", "B", "C", "D", *LENGTHS))
     if holds_at is not None:
         check_number("holds_at", holds_at)
@@ -155,6 +158,7 @@ class GrashofClass:
     slack: float
 
 
+@called
 def grashof(crank: float, coupler: float, rocker: float, frame: float, tolerance: float = 1e-9) -> GrashofClass:
     """Classify a four-bar driven at its crank.
 

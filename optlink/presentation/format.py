@@ -187,6 +187,19 @@ def figure(value: float, unit: str = "") -> str:
     return shown.replace("-", "−") + ("°" if unit == "deg" else f" {pretty(unit)}" if unit else "")
 
 
+_UNIT = re.compile(r"(.+)_((?:rad|m)_s2?|(?:rad|mm|m|deg)2?|s|kg|N|Nm|W|J|Pa|percent|[A-Za-z]+\d?_per_[A-Za-z]+\d?)")
+
+
+def column_unit(column: str) -> tuple[str, str]:
+    """Return the name of a column without the unit that ends it, and that unit; empty if there is none."""
+    match = _UNIT.fullmatch(column)
+    if match is None:
+        return column, ""
+    name, unit = match.groups()
+    unit = unit.replace("_per_", "/").replace("_", "/").replace("Nm", "N m").replace("percent", "%")
+    return name, unit.removesuffix("2") + ("²" if unit.endswith("2") else "")
+
+
 def si(value: float, unit: str) -> str:
     """Format a value [SI] in its display unit."""
     shown = scale(abs(value), "deg" if unit == "rad" else unit)

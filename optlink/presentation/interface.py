@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from optlink.errors import InputError, UnknownName, extra_remedy, nearest
 from optlink.io import folder as made
+from optlink.presentation.format import column_unit
 from optlink.presentation.registry import stored_page, view_of
 from optlink.problem.arguments import typed
 from optlink.problem.document import Document, Result
@@ -25,6 +27,10 @@ if TYPE_CHECKING:
     Subject: TypeAlias = AnyProblem | Result
 else:
     Subject = AnyProblem | Document  # all results are documents
+
+
+MEASURE = re.compile(r"\.(min|max|rms)$")
+"""End of the columns of a sweep that are a figure of a column of an analysis."""
 
 
 def content(source: Subject, facts: Mapping[str, Any], name: str = "") -> ReportModel | StoredStudy:
@@ -201,4 +207,6 @@ def to_frame(result: Document, name: str | None = None) -> pandas.DataFrame:
         raise UnknownName(f"this {result.kind} has no table {name}", nearest(name, tables), key="name", value=name)
     if not tables:
         raise InputError(f"this {result.kind} has no table", "See its to_dict()")
-    return pandas.DataFrame({key: list(column) for key, column in tables[name or next(iter(tables))].items()})
+    frame = pandas.DataFrame({key: list(column) for key, column in tables[name or next(iter(tables))].items()})
+    frame.attrs["units"] = {key: unit for key in frame for unit in [column_unit(MEASURE.sub("", key))[1]] if unit}
+    return frame

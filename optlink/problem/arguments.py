@@ -4,14 +4,15 @@ import functools
 import inspect
 import types
 import typing
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Annotated, Any, ParamSpec, TypeVar
 
 import numpy as np
 import pydantic
 
-from optlink.errors import OPTIONS_NAMED, Fault, InputError, nearest
+from optlink.errors import OPTIONS_NAMED, Fault, InputError
+from optlink.linkage.arguments import bind
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -51,10 +52,7 @@ def typed(function: Callable[P, R]) -> Callable[P, R]:
 
     @functools.wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> R:
-        try:
-            bound = signature.bind(*args, **kwargs)
-        except TypeError:
-            raise InputError(_faults_of_call(function.__name__, signature, args, kwargs)) from None
+        bound = bind(function.__name__, signature, args, kwargs)
         absent = options.keys() - bound.arguments.keys()
         bound.apply_defaults()
         arguments = {name: value.item() if isinstance(value, np.generic) else value for name, value in bound.arguments.items()}
@@ -63,14 +61,19 @@ def typed(function: Callable[P, R]) -> Callable[P, R]:
         try:
             checked = model().model_validate(arguments)
         except pydantic.ValidationError as error:
-            raise InputError(list({item["loc"][0]: _fault(item) for item in reversed(error.errors())}.values())[::-1]) from None
+            told: dict[Any, Any] = {}  # by argument the error of the type that it is most likely meant to have
+            for item in error.errors():
+                before = told.setdefault(item["loc"][0], item)
+                told[item["loc"][0]] = max(before, item, key=lambda one: len(one["loc"]))
+            raise InputError([_fault(item) for item in told.values()]) from None
         bound.arguments.update({name: value for name, value in checked if name in arguments})
         try:
             return function(*bound.args, **bound.kwargs)
         except InputError as error:
             if OPTIONS_NAMED.get():
                 raise
-            raise type(error)([fault.in_python() for fault in error.faults]).with_traceback(error.__traceback__) from None
+            said = [fault.in_python(signature.parameters) for fault in error.faults]
+            raise type(error)(said).with_traceback(error.__traceback__) from None
 
     vars(call)["__signature__"] = signature
     return call
@@ -94,29 +97,6 @@ def _with_options(function: Callable[..., Any]) -> tuple[inspect.Signature, dict
     kind = inspect.Parameter.KEYWORD_ONLY
     more = [inspect.Parameter(key, kind, default=..., annotation=hint) for key, hint in options.items()]
     return signature.replace(parameters=[*named, *more]), options
-
-
-def _faults_of_call(
-    function: str, signature: inspect.Signature, args: Sequence[object], kwargs: Mapping[str, object]
-) -> list[Fault]:
-    """Return the faults of a call whose arguments are not those of the function: unknown, given twice, too many, or missing."""
-    parameters = {name: parameter for name, parameter in signature.parameters.items() if name != "self"}
-    names, count = list(parameters), len(args) - (len(parameters) < len(signature.parameters))
-    places = sum(parameter.kind is not inspect.Parameter.KEYWORD_ONLY for parameter in parameters.values())
-    remedy = f"Known: {', '.join(names)}"
-    unknown = [
-        Fault(f"unknown argument of {function}", nearest(name, names), key=name, value=value)
-        for name, value in kwargs.items()
-        if name not in parameters
-    ]
-    twice = [Fault(f"given twice to {function}", "Give it once", key=name) for name in names[:count] if name in kwargs]
-    many = [Fault(f"{function} takes at most {places} arguments without a name", remedy)] if count > places else []
-    missing = [
-        Fault(f"{function} needs this argument", remedy, key=name)
-        for name in names[count:]
-        if name not in kwargs and parameters[name].default is inspect.Parameter.empty
-    ]
-    return [*unknown, *twice, *many] or missing
 
 
 def _fault(item: Any) -> Fault:

@@ -226,6 +226,8 @@ class Document(Summary):
     def to_frame(self, name: str | None = None) -> pandas.DataFrame:
         """Return a table of the result as a data frame of pandas, as `--out` writes it to CSV files.
 
+        Columns are in SI, or in the unit that ends their name; `frame.attrs["units"]` has the unit of each column with one.
+
         Parameters
         ----------
         name : str, optional

@@ -45,7 +45,7 @@ from optlink.problem.requirements.base import DEFAULT_KIND, names_of
 from optlink.problem.requirements.kinds import REQUIREMENTS
 from optlink.problem.targets.target_points import split_enclosed
 from optlink.problem.tolerances import read_tolerance, with_tolerance
-from optlink.units import in_si, is_unit, split
+from optlink.units import in_si, is_unit, split, split_range
 
 MAX_BYTES = 1_000_000
 MOST_NESTED = 50
@@ -142,6 +142,10 @@ class ProblemFile:
         """Return the value of the file at a dotted key, also that of a coordinate; None if there is none."""
         return _at(self.raw, key)
 
+    def unit_at(self, key: str) -> str:
+        """Return the unit in which the file states the quantity at a dotted key, or a side of it; empty if it has none."""
+        return _unit(_at(self.raw, _whole_key(key))) or _linked_unit(self.raw, key)
+
     def variants(self) -> list[ProblemFile]:
         """Return the problem with definite assembly modes, one for each combination in which its sections are consistent.
 
@@ -198,8 +202,9 @@ class ProblemFile:
         changes : mapping of str to object
             Values by dotted key, for example {"mechanism.frame": "480 mm"}; None removes a key. One side of a range also has a
             key: "limits.transmission_angle.max", "mechanism.coupler.min". A float in place of a quantity that has a unit in
-            the problem is SI, as all numbers of results are: {"mechanism.coupler": result.design["coupler"]}. A change of any
-            key that affects the result removes `[expected]`.
+            the problem is SI, as all numbers of results are: {"mechanism.coupler": result.design["coupler"]}; one that must
+            have been meant in millimetres or degrees is refused, as a whole number is. A change of any key that affects the
+            result removes `[expected]`.
 
         Raises
         ------
@@ -207,7 +212,7 @@ class ProblemFile:
             If a key or value is invalid.
         """
         raw = copy.deepcopy(dict(self.raw))
-        changes = _with_units(raw, _without_arrays(changes))
+        changes = _with_units(raw, _without_arrays(changes), self.file)
         _change(raw, changes, self.file)
         earlier = {key: value for key, value in self.overrides.items() if key not in changes}
         anew = {split_enclosed(text)[0] for text in _texts(changes)}  # a file that is named anew is read anew
@@ -281,7 +286,7 @@ def load(problem: str | Path, overrides: Mapping[str, object] | None = None) -> 
             raise InputError("no such problem", similar_name(text, names), key="PROBLEM", value=text)
     file = shown_name(path.name if text in names else text)
     raw = _tables(_read_toml(path), file)
-    changes = _with_units(raw, _without_arrays(overrides or {}))
+    changes = _with_units(raw, _without_arrays(overrides or {}), file)
     _change(raw, changes, file)
     return replace(read(raw, name, file, path.parent), overrides=changes)
 
@@ -469,15 +474,62 @@ def _without_arrays(raw: Any, depth: int = 0) -> Any:
     return [_without_arrays(value, depth + 1) for value in raw] if type(raw) in (list, tuple) and depth < DEEPEST else raw
 
 
-def _with_units(raw: Mapping[str, Any], changes: Mapping[str, Any]) -> Mapping[str, Any]:
+IMPLAUSIBLE = {"m": 10.0, "rad": 2.0 * TURN}
+"""Numbers in SI from which on another unit was meant: of lengths by the largest one of the mechanism, angles beyond two turns."""
+INSTEAD = {"m": (1e-3, "mm"), "rad": (TURN / 360.0, "deg")}
+"""That unit, and its SI value."""
+
+
+def check_plausible(tables: Mapping[str, Any], values: Any, unit: str, file: str, key: str, *, texts: bool = True) -> None:
+    """Refuse numbers in SI that were meant in millimetres or degrees, by the lengths in the tables of a problem.
+
+    `texts`: whether a text with a unit is accepted in their place.
+
+    Raises
+    ------
+    InputError
+        If there is such a number.
+    """
+    if unit not in IMPLAUSIBLE or not np.size(values):
+        return
+    value = float(np.ravel(values)[np.argmax(np.abs(values))])
+    size = max(map(_length, _texts(tables.get("mechanism", {}))), default=0.0) if unit == "m" else 1.0
+    if not abs(value) > IMPLAUSIBLE[unit] * size > 0.0:
+        return
+    (per, meant), share = INSTEAD[unit], abs(value) / size
+    message = f"{share / TURN:.3g} turns" if unit == "rad" else f"{share:.3g} times the largest length of the mechanism"
+    remedy = f"Numbers are SI: {value:g} {meant} are {value * per:.6g}"
+    remedy += f', or the text "{value:g} {meant}"' if texts else ""
+    raise InputError(f"{value:g} {unit} are {message}", remedy, file, key, value)
+
+
+def _length(text: str) -> float:
+    """Return the length that a text of a file states, the larger one of a range [m]; 0 for any other text."""
+    sides = (text, *map(str, (split_range(text) or {}).values()))
+    parts = [parts for side in sides if (parts := split(side)) is not None]
+    return max((abs(value) * size for value, unit in parts for size, si in [in_si(unit)] if si == "m"), default=0.0)
+
+
+def _whole_key(key: str) -> str:
+    """Return the key of the range to whose side a key belongs, or the key itself."""
+    return key.removesuffix(".min").removesuffix(".max")
+
+
+def _with_units(raw: Mapping[str, Any], changes: Mapping[str, Any], file: str) -> Mapping[str, Any]:
     """Return changes with the SI unit after each float that replaces a quantity with a unit; a command has no numbers in SI.
 
     A whole number remains without a unit and is refused: it was meant in the unit of the file.
     """
     if OPTIONS_NAMED.get():
         return changes
-    present = {key: _at(raw, key.removesuffix(".min").removesuffix(".max")) for key in changes}
-    return {key: _stated(value, present[key], si_unit(present[key]) or _linked_unit(raw, key)) for key, value in changes.items()}
+    stated = {}
+    for key, value in changes.items():
+        present = _at(raw, _whole_key(key))
+        unit = si_unit(present) or _linked_unit(raw, key)
+        floats = [item for item in _items(value) if type(item) is float and math.isfinite(item)] if unit else []
+        check_plausible(raw, floats, unit, file, key)
+        stated[key] = _stated(value, present, unit)
+    return stated
 
 
 def _linked_unit(raw: Mapping[str, Any], key: str) -> str:
@@ -504,6 +556,11 @@ def _unit(value: Any) -> str:
 
 def _is_range(value: Any) -> bool:
     return isinstance(value, Mapping) and RANGE_KEYS.issuperset(value)
+
+
+def _items(value: Any) -> list[Any]:
+    """Return a value, or the values of a range or a list in place of one."""
+    return list(value.values()) if _is_range(value) else value if isinstance(value, list) else [value]
 
 
 def _stated(value: Any, present: Any, unit: str) -> Any:

@@ -1,9 +1,9 @@
-"""Read the axes of a sweep: `mechanism.frame=450..550 mm:101`, a list of values, or steps of equal ratio."""
+"""Read the axes of a sweep: SI values, or texts such as "450..550 mm:101", a list of values, or steps of equal ratio."""
 
 import contextlib
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar
@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from optlink.errors import InputError
 from optlink.problem.document import Source
-from optlink.problem.file import WORDS, ProblemFile, si_unit
+from optlink.problem.file import WORDS, ProblemFile, check_plausible
 from optlink.problem.quantity import file_key
-from optlink.units import is_unit, plain, split
+from optlink.units import in_si, is_unit, plain, split
 
 # Read and write values at keys of a problem file; the numbers of a file that can be changed by hand, with their ranges.
 
@@ -86,7 +86,9 @@ def _limits(problem: ProblemFile) -> Iterator[Knob]:
 
 MAX_POINTS = 10_000_000
 ROW_BYTES, POINTS_PER_SECOND = 160, 5000  # for the error message on too many points
-EXAMPLE = 'Write KEY=LOW..HIGH UNIT:N, for example mechanism.frame="450..550 mm:101", or a list: "450 mm, 500 mm"'
+EXAMPLE = 'Write LOW..HIGH UNIT:N, for example "450..550 mm:101", or a list: "450 mm, 500 mm"'
+VARY = "--vary"
+WITH_KEY = f'Give for example {VARY} mechanism.frame="450..550 mm:101"'
 
 _NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
 _RANGE = re.compile(
@@ -97,8 +99,9 @@ _ONE = re.compile(rf"\s*({_NUMBER})\s*((?:1\s*/)?[^\s\d,:][^,:]*?)?\s*")
 _ENDLESS = re.compile(r"(?<![\w/*^])[-+]?(?:nan|inf|infinity)(?![\w/*^])", re.IGNORECASE)
 
 
-def column(name: str, unit: str) -> str:
-    """Return the name of a table column."""
+def column_name(name: str, unit: str) -> str:
+    """Return the name of a table column of a quantity with a unit: its values are in SI."""
+    unit = in_si(unit)[1]
     return f"{name}_{unit.replace('/', '_per_').replace('*', '').replace('^', '')}" if unit else name
 
 
@@ -120,7 +123,17 @@ class Axis:
     @property
     def column(self) -> str:
         """Name of its column in the table."""
-        return column(self.key, self.unit)
+        return column_name(self.key, self.unit)
+
+    @property
+    def si_per_unit(self) -> float:
+        """Its unit [SI]."""
+        return in_si(self.unit)[0]
+
+    @cached_property
+    def si(self) -> NDArray[np.float64]:
+        """The values [SI], the same for a grid in any unit: without the last digit, which is that of the conversion."""
+        return np.array([_rounded(value * self.si_per_unit) for value in self.values])
 
     @cached_property
     def array(self) -> NDArray[np.float64]:
@@ -132,16 +145,37 @@ class Axis:
         return exact_text(self.values[index], self.unit)
 
 
-def read_axis(assignment: str) -> Axis:
-    """Read `KEY=VALUES`."""
-    key, equals, values = assignment.partition("=")
-    key, values = key.strip(), plain(values).strip().strip("\"'").strip()
+def axis_of(problem: ProblemFile, key: str, given: ArrayLike, unit: str, option: str = VARY) -> Axis:
+    """Return the axis of a key from values in SI, from a text, or from a list of texts.
+
+    `unit` is that of the quantity in the file: values in SI are stated in it, so that a grid is the same however it is given.
+    Whole numbers remain without it, and the file refuses them; see `ProblemFile.override`.
+    """
+    values = np.asarray(given)
+    if values.dtype.kind == "U":
+        texts = values.ravel().tolist()
+        if unit and values.ndim and not all(read_figure(text)[1] for text in texts):
+            raise InputError("a text without a unit", EXAMPLE, key=f"{option} {key}", value=given)
+        return read_axis(key, ", ".join(texts))
+    if values.ndim > 1 or not values.size or values.dtype.kind not in "iuf" or not np.all(np.isfinite(values)):
+        remedy = "Give SI values, for example np.linspace(0.45, 0.55, 11)"
+        raise InputError("not a list of finite numbers", remedy, problem.file, f"{option} {key}", given)
+    if values.dtype.kind != "f" and unit:
+        return Axis(key, "", tuple(map(float, values.ravel())))
+    size, si_unit = in_si(unit)
+    check_plausible(problem.raw, values, si_unit, problem.file, f"{option} {key}")
+    return Axis(key, unit, tuple(_rounded(value / size) for value in values.ravel().tolist()))
+
+
+def read_axis(key: str, text: str) -> Axis:
+    """Return the axis of a key from a text."""
+    values = plain(text).strip().strip("\"'").strip()
 
     def fault(message: str, remedy: str = EXAMPLE) -> InputError:
-        return InputError(message, remedy, key=f"--vary {key}".strip(), value=values or None)
+        return InputError(message, remedy, key=f"{VARY} {key}", value=values or None)
 
-    if not equals or not key or not values:
-        raise fault("expected KEY=VALUES")
+    if not values:
+        raise fault("no values")
     if _ENDLESS.search(values):
         raise fault("the values must be finite numbers")
     match = _RANGE.fullmatch(values)
@@ -198,7 +232,7 @@ def _value_list(key: str, values: str, fault: Callable[..., InputError]) -> Axis
     parts = [_ONE.fullmatch(part) for part in values.split(",")]
     groups = [match.groups() for match in parts if match is not None]
     if not any(map(str.isdigit, values)):
-        remedy = "Run the command once for each word, with --set and another --out"
+        remedy = "Run it once for each word, with --set and another --out"
         raise fault("this is not a list of numbers; a sweep does not vary words", remedy)
     if len(groups) != len(parts):
         raise fault("this is not a list of values")
@@ -248,6 +282,11 @@ class Grid:
         places = np.unravel_index(points, self.shape)
         return [axis.array[place] for axis, place in zip(self.axes, places, strict=True)]
 
+    def in_si(self, points: ArrayLike) -> list[NDArray[np.float64]]:
+        """Return the values (points,) of every axis at points [SI]."""
+        places = np.unravel_index(np.asarray(points), self.shape)
+        return [axis.si[place] for axis, place in zip(self.axes, places, strict=True)]
+
     def changes(self, index: int) -> dict[str, Raw]:
         """Return the changes of the problem file at a point."""
         return {axis.key: axis.raw(i) for axis, i in zip(self.axes, self.place(index), strict=True)}
@@ -260,31 +299,28 @@ def _of_axis(axis: Axis) -> Iterator[None]:
         yield
     except InputError as error:
         first = error.faults[0]
-        raise InputError(replace(first, key=f"--vary {first.key or axis.key}")) from None
+        raise InputError(replace(first, key=f"{VARY} {first.key or axis.key}")) from None
 
 
-def axes_of_arrays(problem: ProblemFile, arrays: Mapping[str, ArrayLike]) -> list[str]:
-    """Return axes as `KEY=VALUES` from arrays of SI values by key."""
-    axes = []
-    for key, values in arrays.items():
-        numbers = np.asarray(values)
-        if numbers.ndim > 1 or not numbers.size or numbers.dtype.kind not in "iuf" or not np.all(np.isfinite(numbers)):
-            remedy = "Give SI values, for example np.linspace(0.45, 0.55, 11)"
-            raise InputError("not a list of finite numbers", remedy, problem.file, f"vary.{key}", values)
-        unit = si_unit(problem.at(key.removesuffix(".min").removesuffix(".max")))
-        axes.append(f"{key}={', '.join(f'{float(value)!r} {unit}'.rstrip() for value in numbers.ravel())}")
-    return axes
+def assigned(assignments: Iterable[str]) -> dict[str, str]:
+    """Return values by key from texts `KEY=VALUES`, as they stand on the command line."""
+    values: dict[str, str] = {}
+    for assignment in assignments:
+        key, equals, text = (part.strip() for part in assignment.partition("="))
+        if not equals or not key or not text:
+            raise InputError("expected KEY=VALUES", WITH_KEY, key=VARY, value=assignment)
+        if key in values:
+            raise InputError("varied twice", "Give every key once", key=f"{VARY} {key}")
+        values[key] = text
+    return values
 
 
-def read_grid(problem: ProblemFile, vary: Sequence[str]) -> Grid:
+def read_grid(problem: ProblemFile, vary: Sequence[str] | Mapping[str, ArrayLike]) -> Grid:
     """Read the axes of a sweep, and check them against the problem."""
     if not vary:
-        raise InputError("no parameter is varied", EXAMPLE, key="--vary")
-    grid = Grid(tuple(read_axis(assignment) for assignment in vary))
-    keys = [axis.key for axis in grid.axes]
-    for key in keys:
-        if keys.count(key) > 1:
-            raise InputError("varied twice", "Give every key once", key=f"--vary {key}")
+        raise InputError("no parameter is varied", WITH_KEY, key=VARY)
+    axes = vary if isinstance(vary, Mapping) else assigned(vary)
+    grid = Grid(tuple(axis_of(problem, key, values, problem.unit_at(key)) for key, values in axes.items()))
     if grid.count > MAX_POINTS:
         days, size = grid.count / POINTS_PER_SECOND / 86400.0, grid.count * ROW_BYTES / 1e9
         shape = " x ".join(f"{size:,}" for size in grid.shape)
@@ -293,13 +329,13 @@ def read_grid(problem: ProblemFile, vary: Sequence[str]) -> Grid:
             f"about {days:z,.0f} days on one core and {size:z,.0f} GB",
             "Give fewer points, or vary fewer parameters at a time",
             problem.file,
-            "--vary",
+            VARY,
         )
     for axis in grid.axes:  # one by one, so that the error names the axis
         section = axis.key.partition(".")[0]
         if section in WORDS or (section == "tolerances" and problem.at("requirement.robust") is None):
             remedy = 'Vary a quantity, for example mechanism.frame="450..550 mm:101"'
-            raise InputError("no result depends on this key", remedy, problem.file, f"--vary {axis.key}")
+            raise InputError("no result depends on this key", remedy, problem.file, f"{VARY} {axis.key}")
         for at in {axis.values.index(end) for end in (min(axis.values), max(axis.values))}:
             with _of_axis(axis):
                 problem.override({axis.key: axis.raw(at)})

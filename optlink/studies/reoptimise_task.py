@@ -49,7 +49,7 @@ from optlink.studies.batch_optima import (
     follow_optimum,
     keep,
 )
-from optlink.studies.grid import Grid, column
+from optlink.studies.grid import Grid, column_name
 from optlink.studies.optimum_parameters import FastOverride
 from optlink.studies.sweep_task import FROM_KNOWN, OPTIMISE, OUTCOME, SweepTask
 from optlink.studies.target_programme import PeakProgramme, TargetProgramme, in_order, limit_key, variables_of
@@ -59,6 +59,7 @@ from optlink.tasks.protocol import completed
 from optlink.tasks.results.design import LinkageDesign, SynthesisResult, of_designs
 from optlink.tasks.run import design_task, solve
 from optlink.tasks.search import validated_design
+from optlink.units import in_si
 from optlink.validation import validate, validate_batch
 
 Index = NDArray[np.intp]
@@ -121,18 +122,19 @@ class ReoptimiseTask(SweepTask):
 
     @property
     def columns(self) -> list[str]:
-        """The axes, the design variables and the objective in display units, and the outcome."""
-        free = [f"{name}_{quantity.display[1]}" for name, quantity in self.free.items()]
+        """The axes, the design variables and the objective [SI], and the outcome."""
+        free = [column_name(name, quantity.display[1]) for name, quantity in self.free.items()]
         return [*(axis.column for axis in self.grid.axes), *free, self.objective_column, *OUTCOME]
 
     @property
     def objective_column(self) -> str:
         """Name of the column of the objective."""
-        return column("objective", self.template.model.shown_objective(0.0).unit)
+        return column_name("objective", self.template.model.shown_objective(0.0).unit)
 
     def shown(self, objective: float) -> float:
-        """Return the value of the column for a minimised value [SI]."""
-        return self.template.model.shown_objective(objective).value
+        """Return the value of the column [SI] for a minimised value, which is not always that of the objective."""
+        shown = self.template.model.shown_objective(objective)
+        return shown.value * in_si(shown.unit)[0]
 
     def from_known(self, point: int, design: Mapping[str, float]) -> list[str] | None:
         """Return the row of the optimum near a design [SI], or of the design itself; None if it is not valid at the point."""
@@ -151,7 +153,7 @@ class ReoptimiseTask(SweepTask):
         Design and objective are empty unless the search is optimal or stalled.
         """
         usable = valid or end.status in (Status.OPTIMAL, Status.STALLED)
-        sizes = [end.design.get(name, math.nan) / q.si_per_unit for name, q in self.free.items()]
+        sizes = [end.design.get(name, math.nan) for name in self.free]
         figures = [value if usable else math.nan for value in (*sizes, self.shown(end.objective))]
         return self.row(point, figures, end.status.value, str(valid).lower(), "; ".join(failed), "; ".join(limits), how)
 
@@ -387,9 +389,9 @@ class ReoptimiseTask(SweepTask):
         keys = list(map(tuple, sides.tolist()))
         labels = {key: "; ".join(_labels(nlp, np.flatnonzero(key), np.array(key))) for key in set(keys)}
         methods = np.where(optima.searched[solved], SEARCHED, FOLLOWED).tolist()
-        sizes = [values[name] / quantity.si_per_unit for name, quantity in self.free.items()]
+        sizes = [values[name] for name in self.free]
         figures, status = (
-            np.array([*self.grid.columns(points), *sizes, list(map(self.shown, objective.tolist()))]).T.tolist(),
+            np.array([*self.grid.in_si(points), *sizes, list(map(self.shown, objective.tolist()))]).T.tolist(),
             Status.OPTIMAL.value,
         )
         return {

@@ -30,7 +30,6 @@ from optlink.tasks.analyze import Analysis, analyze, analyze_batch, batch_extrem
 from optlink.tasks.clearance import check_simulations, simulate_clearance
 from optlink.tasks.machine import crank_speed, machine_of
 from optlink.tasks.simulate import simulate
-from optlink.units import factor
 from optlink.version import VERSION
 
 OPTIMISE = "optimise"  # mode of a sweep that optimises at every point
@@ -112,8 +111,8 @@ class SweepTask(ABC):
         return self, 0.0
 
     def row(self, point: int, figures: Iterable[float], *outcome: str) -> list[str]:
-        """Return a row: the values of the axes in their own digits, the figures, and the outcome."""
-        return [*map(repr, self.grid.values(point)), *map(number_text, figures), *outcome]
+        """Return a row: the values of the axes, the figures [SI], and the outcome."""
+        return [*map(number_text, map(float, self.grid.in_si(point))), *map(number_text, figures), *outcome]
 
     def __call__(self, index: int) -> str:
         """Return a chunk as lines of CSV."""
@@ -205,13 +204,11 @@ class AnalysisTask(FiguresTask):
 
     def machines(self, points: range) -> Iterator[MachineFigures]:
         """Yield the figures of the designs at points of the grid."""
-        values = [self.grid.values(point) for point in points]
         quantities = self.problem.model.mechanism.quantities
-        designs = {name: np.full(len(values), value) for name, value in self.design if name in quantities}  # none of a task alone
-        for name, axis, column in zip(self.quantities, self.grid.axes, np.array(values).T, strict=True):
-            designs[name] = column * factor(axis.unit, quantities[name].kind)
+        designs = {name: np.full(len(points), value) for name, value in self.design if name in quantities}  # none of a task alone
+        designs |= dict(zip(self.quantities, self.grid.in_si(points), strict=True))
         clear = self._batched(designs)
-        for i in range(len(values)):
+        for i in range(len(points)):
             outcome = clear.get(i) or self._alone({name: float(sizes[i]) for name, sizes in designs.items()})
             missing = [name for name in self.figures if not math.isfinite(outcome.figures.get(name, math.nan))]
             if outcome.status == ANALYSED and missing:
@@ -316,7 +313,7 @@ def quantity_of(problem: ProblemFile, axis: Axis) -> str:
     name = name.replace(".points.", ".").replace(".through.", ".")
     if name not in quantities:
         prescribed = axis.key.partition(".")[0] in ("requirement", "limits", "objective")
-        remedy = "Leave --analyze out, to optimise at every point" if prescribed else "Write --simulate, which varies every key"
+        remedy = "Leave --analyze out, to optimise at every point" if prescribed else "Add --simulate, which varies every key"
         remedy += f"; dimensions: {', '.join(quantities)}"
         raise InputError("an analysis varies dimensions of the mechanism only", remedy, problem.file, f"--vary {axis.key}")
     return name

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import itertools
 import math
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -24,7 +25,7 @@ from optlink.execution.store import TABLE, Progress, Store, TemporaryFolder
 from optlink.problem.arguments import typed
 from optlink.problem.document import Document, Renamed, Source
 from optlink.problem.file import AnyProblem, ProblemFile, problem_of
-from optlink.studies.grid import Grid, axes_of_arrays, read_grid
+from optlink.studies.grid import Grid, read_grid
 from optlink.studies.reoptimise_task import SEARCHED, check_backend, chunk_of, optimum_task
 from optlink.studies.sweep_task import MAX_ANGLES, OPTIMISE, SweepTask, analysis_task, simulation_task
 
@@ -46,6 +47,8 @@ def _read_column(name: str, texts: Sequence[str]) -> NDArray[Any]:
     return _column([text == "true" if name in ("valid", CHANGED) else float(text or "nan") for text in texts])
 
 
+Cell = float | bool | str
+"""An entry of a table: a number [SI], whether something holds, or words."""
 TableColumn = Annotated[NDArray[Any], PlainValidator(_column), WithJsonSchema({"type": "array"})]
 
 
@@ -59,30 +62,51 @@ class TableFile:
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of the columns."""
-        return tuple(next(self._rows(), ()))
+        with self._read():
+            return tuple(next(self._rows(), ()))
 
     @cached_property
     def columns(self) -> dict[str, NDArray[Any]]:
-        """The columns by name.
+        """The columns by name [SI].
 
         Raises
         ------
         InputError
             If the file cannot be read.
         """
-        try:
+        with self._read():
             rows, parts = self._rows(), []
             names = next(rows)
             while portion := list(itertools.islice(rows, BLOCK_ROWS)):
                 parts.append([_read_column(*part) for part in zip(names, zip(*portion, strict=True), strict=True)])
+            return dict(zip(names, map(np.concatenate, zip(*parts, strict=True)), strict=True))
+
+    def __reduce__(self) -> tuple[Callable[..., TableFile], tuple[Any, ...]]:
+        """Return what a copy or a pickle is made from: of a temporary table its content, since its file goes with this object."""
+        if self.temporary is None:
+            return TableFile, (self.path,)
+        with self._read():
+            return _in_temporary_folder, (self.path.read_bytes(),)
+
+    @contextlib.contextmanager
+    def _read(self) -> Iterator[None]:
+        try:
+            yield
         except (OSError, ValueError, StopIteration, csv.Error) as error:
             reason = getattr(error, "strerror", None) or "it is damaged"
             raise InputError(f"cannot read the table of the sweep: {reason}", "Run the sweep again", str(self.path)) from None
-        return dict(zip(names, map(np.concatenate, zip(*parts, strict=True)), strict=True))
 
     def _rows(self) -> Iterator[list[str]]:
         with self.path.open(encoding="utf-8", newline="") as file:
             yield from csv.reader(file)
+
+
+def _in_temporary_folder(content: bytes) -> TableFile:
+    """Return the table that a file holds, in a temporary folder of its own."""
+    folder = TemporaryFolder()
+    path = folder.path / TABLE
+    path.write_bytes(content)
+    return TableFile(path, folder)
 
 
 StoredTable = Annotated[
@@ -96,7 +120,7 @@ StoredTable = Annotated[
 
 @dataclass(frozen=True)
 class ActiveSetChange:
-    """Change of the active set: at a point `at`, relative to the preceding one."""
+    """Change of the active set: at a point, whose axes by column are `at` [SI], relative to the preceding one."""
 
     at: Mapping[str, float]
     before: str
@@ -111,7 +135,7 @@ class _Summary:
     statuses: Counter[str] = field(default_factory=Counter)
     searched: int = 0
     changed: int = 0
-    best: dict[str, str] | None = None
+    best: dict[str, Cell] | None = None
     changes: tuple[ActiveSetChange, ...] = ()
 
 
@@ -125,7 +149,7 @@ class GridStudy(Document):
     """Result of a study of all points of a grid.
 
     `valid_points`: number of points with a validated optimum (or a complete analysis); `cpu` [s]: processor time of all processes
-    for the `done` points of this run.
+    for the `done` points of this run; `best`: the row of the best point by column [SI], None if there is none.
     """
 
     shown: ClassVar[Mapping[str, Source]] = {
@@ -155,8 +179,8 @@ class Sweep(GridStudy):
     """Result of a sweep; its table is read from its file on demand, and contained in its document up to `MAX_ROWS` rows.
 
     `searched`: number of points that were solved by a new search instead of continuation from a neighbour; `changed`: number of
-    points whose active set differs from that of the preceding point; `statuses`: number of points by status; `data`: the table
-    that was read from a document.
+    points whose active set differs from that of the preceding point; `statuses`: number of points by status; `best`: the valid
+    point with the best objective, of a sweep of optima; `data`: the table that was read from a document.
     """
 
     kind = "sweep"
@@ -174,7 +198,7 @@ class Sweep(GridStudy):
     statuses: Mapping[str, int]
     searched: int
     changed: int
-    best: Mapping[str, str] | None
+    best: Mapping[str, Cell] | None
     changes: tuple[ActiveSetChange, ...]
     data: dict[str, TableColumn] | None = None
 
@@ -212,7 +236,7 @@ class Sweep(GridStudy):
 
     @property
     def columns(self) -> dict[str, NDArray[Any]]:
-        """The table: arrays by name, of texts for columns of words."""
+        """The table: arrays by name [SI], of texts for columns of words."""
         return self.table.columns if self.data is None and self.table is not None else self.data or {}
 
     @property
@@ -251,7 +275,7 @@ class Sweep(GridStudy):
 @typed
 def sweep(
     problem: AnyProblem,
-    vary: Sequence[str] | Mapping[str, ArrayLike],
+    vary: Mapping[str, ArrayLike] | Sequence[str],
     out: Path | None = None,
     *,
     resume: bool = False,
@@ -270,10 +294,10 @@ def sweep(
     ----------
     problem : ProblemFile, str or Path
         From `optlink.load`, the name of a shipped problem, or a file.
-    vary : sequence of str, or mapping of str to array [SI]
-        Axes of the grid, each a key with its values, for example "mechanism.frame=450..550 mm:101" (101 values) or
-        "mechanism.frame=450 mm, 500 mm"; or arrays of SI values by key, for example
-        {"mechanism.frame": np.linspace(0.45, 0.55, 11)}. The last axis varies fastest.
+    vary : mapping of str to array [SI] or str, or sequence of str
+        Axes of the grid: values by key, for example {"mechanism.frame": np.linspace(0.45, 0.55, 11)} in SI, or texts with units,
+        "450..550 mm:11" (11 values) or "450 mm, 500 mm"; also as on the command line, ["mechanism.frame=450..550 mm:11"]. The
+        last axis varies fastest.
     out : Path, optional
         Folder for completed chunks and for the final table `sweep.csv`. Default: a temporary folder.
     resume : bool
@@ -309,15 +333,15 @@ def sweep(
     Examples
     --------
     >>> from optlink.studies import sweep
-    >>> result = sweep(optlink.load("crank-rocker"), ["mechanism.frame=480 mm, 500 mm"])
-    >>> result.columns["objective_rad2"].round(6).tolist()
-    [0.007794, 0.007592]
+    >>> result = sweep(optlink.load("crank-rocker"), {"mechanism.frame": [0.48, 0.5]})
+    >>> result.columns["objective_rad2"].round(6).tolist(), result.best["mechanism.frame_m"]
+    ([0.007794, 0.007592], 0.5)
     """
     problem = problem_of(problem)
     begin = time.perf_counter()
     if not 2 <= points <= MAX_ANGLES:
         raise InputError("out of range", f"Give 2 to {MAX_ANGLES:,} crank angles", key="--points", value=points)
-    grid = read_grid(problem, axes_of_arrays(problem, vary) if isinstance(vary, Mapping) else vary)
+    grid = read_grid(problem, vary)
     if simulate is not None:
         task: SweepTask = simulation_task(problem, grid, simulate, design)
     elif analyze:
@@ -407,11 +431,12 @@ def _marked(rows: Iterator[list[str]], grid: Grid, names: list[str], summary: _S
             summary.changed += 1
             if len(summary.changes) < LISTED_CHANGES:
                 assert before is not None
-                at = {axis.column: value for axis, value in zip(grid.axes, grid.values(number), strict=True)}
+                at = {axis.column: float(value) for axis, value in zip(grid.axes, grid.in_si(number), strict=True)}
                 summary.changes += (ActiveSetChange(at, before, row[active]),)
         if row[valid] == "true":
             summary.valid_points += 1
             if sense * float(row[objective]) < least:
-                least, summary.best = sense * float(row[objective]), dict(zip(names, row, strict=True))
+                least = sense * float(row[objective])
+                summary.best = {name: _read_column(name, [text])[0].item() for name, text in zip(names, row, strict=True)}
         before = now
         yield row

@@ -33,6 +33,7 @@ from optlink.tasks.machine import (
     MARGIN,
     check_design,
     check_repeats,
+    check_sizes,
     crank_speed,
     machine_of,
     motion_range,
@@ -819,4 +820,5 @@ def _read(problem: ProblemFile, designs: Mapping[str, ArrayLike]) -> dict[str, A
             raise InputError("one value per design is needed", "Give arrays of one length", problem.file, name)
         if not np.all(np.isfinite(values)) or (quantities[name].kind == "length" and np.any(values <= 0.0)):
             raise InputError("not a size", "Give finite values, lengths above zero", problem.file, name)
+        check_sizes(problem, name, values, f"designs.{name}")
     return arrays

@@ -215,7 +215,7 @@ def _notes(task: DesignProblem, rounds: SearchRounds) -> Iterator[str]:
         yield from quick_stroke_notes(best.problem, best.cycle.machine, best.cycle.speed)
     if rounds.exploration.rounds and coverage.missed > MISSED_CHANCE:
         count = rounds.starts
-        yield f"{INCOMPLETE}: {count} starts, {coverage.chance}; use --starts {min(4 * count, SynthesisTask.most_starts)}"
+        yield f"{INCOMPLETE}: {count} starts, {coverage.chance}; search with {min(4 * count, SynthesisTask.most_starts)} starts"
 
 
 def _notes_on_sampling(rounds: SearchRounds, best: LinkageDesign) -> Iterator[str]:

@@ -13,8 +13,9 @@ from optlink.errors import InputError
 from optlink.linkage.singular import angles_text, positions_text
 from optlink.linkage.stroke import Ranges, failure
 from optlink.linkage.vector2d import TURN, Array, Value
-from optlink.problem.file import ProblemFile
+from optlink.problem.file import ProblemFile, check_plausible
 from optlink.problem.quantity import check_choice, input_of
+from optlink.units import KINDS
 
 _machines: dict[int, Machine] = {}
 """Machines at fixed and starting values by the identity of their problem, with their ranges and compiled functions."""
@@ -41,7 +42,7 @@ def turning_machine(problem: ProblemFile, design: Mapping[str, float]) -> Machin
 
 
 def check_design(problem: ProblemFile, design: Mapping[str, float] | None) -> None:
-    """Refuse a design with names that the problem does not know, or with a value that is not finite.
+    """Refuse a design with names that the problem does not know, or with a value that is not finite or not plausible in SI.
 
     The start angles of a motion law of a four-bar may be in it although they follow from the lengths, as in `result.design`.
 
@@ -63,12 +64,20 @@ def check_design(problem: ProblemFile, design: Mapping[str, float] | None) -> No
     for name, value in (design or {}).items():
         if not math.isfinite(value):
             raise InputError("not a finite number", "Give one in SI units", problem.file, f"design.{name}", value)
+        check_sizes(problem, name, value, f"design.{name}")
+
+
+def check_sizes(problem: ProblemFile, name: str, values: Value, key: str) -> None:
+    """Refuse values of a quantity [SI] that were meant in another unit; see `check_plausible`."""
+    if name in problem.model.quantities:
+        unit = KINDS[problem.model.quantities[name].kind].si
+        check_plausible(problem.raw, values, unit, problem.file, key, texts=False)
 
 
 def start_value_notes(problem: ProblemFile, design: Mapping[str, object] | None = None) -> list[str]:
     """Return a note that names the design variables without a given value, if there are any."""
     free = [name for name in problem.model.free if design is None or name not in design]
-    return [f"design variables are at their start values: {', '.join(free)} (--design takes a result)"] if free else []
+    return [f"design variables are at their start values: {', '.join(free)} (the design may be that of a result)"] if free else []
 
 
 def machine_of(problem: ProblemFile, design: Mapping[str, Value] | None = None) -> Machine:

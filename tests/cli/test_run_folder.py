@@ -126,7 +126,7 @@ def test_concurrent_resumes_of_a_study_are_refused(tmp_path):
         with pytest.raises(InputError, match=f"another run of optlink .process {first.pid}. is writing"):
             sweep(file, vary, out, resume=True, workers=1)
         first.kill()
-    assert sweep(file, vary, out, resume=True, workers=1).complete
+    assert sweep(file, vary, out, resume=True, workers=1).valid
     assert not (out / LOCK).exists()
 
 

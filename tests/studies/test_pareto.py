@@ -140,13 +140,13 @@ def test_points_are_single_optima_and_verified():
     assert front.valid
     assert (front.solved, front.valid_points, front.dominated) == (25, 25, 0)
     for k in (1, 17):
-        error, angle = front.points[k].values
+        error, angle = front.displayed(front.points[k].values)
         single = optlink.solve(
             optlink.load("crank-rocker", {"limits.transmission_angle": ["45 deg", f"{angle!r} deg"]}), starts=5
         )
         assert single.valid
         assert error == pytest.approx(single.objective, rel=1e-6)
-        design = {name: front.points[k].design[f"{name}_mm"] / 1e3 for name in ("coupler", "rocker")}
+        design = front.points[k].design
         assert prove(single.problem.spec, single.problem.spec.design(design), objective=error).valid
 
 
@@ -155,14 +155,14 @@ def test_angles_of_the_front_are_measured_in_motion():
         sizes = {
             "crank": 0.1,
             "frame": 0.5,
-            "coupler": point.design["coupler_mm"] / 1e3,
-            "rocker": point.design["rocker_mm"] / 1e3,
+            "coupler": point.design["coupler"],
+            "rocker": point.design["rocker"],
         }
         phi = np.linspace(0.0, 2.0 * np.pi, 3601)
         square = sizes["crank"] ** 2 + sizes["frame"] ** 2 - 2.0 * sizes["crank"] * sizes["frame"] * np.cos(phi)
         a, b = sizes["coupler"], sizes["rocker"]
-        angle = np.degrees(np.arccos((a * a + b * b - square) / (2.0 * a * b)))
-        assert point.values[1] == pytest.approx(float(np.max(angle)), abs=1e-6)
+        angle = np.arccos((a * a + b * b - square) / (2.0 * a * b))
+        assert point.values[1] == pytest.approx(float(np.max(angle)), abs=1e-8)
         assert float(np.min(angle)) >= 45.0 - 1e-6
 
 
@@ -205,8 +205,8 @@ def test_a_dimension_can_be_an_objective():
     front = pareto(optlink.load("crank-rocker"), "coupler=330..410 mm, error", points=5, workers=1)
     assert front.valid
     for point in front.points:
-        assert point.values[0] == pytest.approx(point.design["coupler_mm"], rel=1e-12)
-    assert [point.values[0] for point in front.points] == pytest.approx([330.0, 350.0, 370.0, 390.0, 410.0], rel=1e-6)
+        assert point.values[0] == pytest.approx(point.design["coupler"], rel=1e-12)
+    assert [point.values[0] for point in front.points] == pytest.approx([0.33, 0.35, 0.37, 0.39, 0.41], rel=1e-6)
     assert np.all(np.diff([point.values[1] for point in front.points]) < 0.0)
 
 
@@ -315,7 +315,7 @@ def test_every_limit_can_be_an_objective(limit, sense, end):
     assert np.all(np.diff(sense * other) < 0.0)
     if end is not None:
         assert other[-1] == pytest.approx(end, abs=1e-3)
-        sizes = [0.1, *(front.points[-1].design[f"{name}_mm"] / 1e3 for name in ("coupler", "rocker")), 0.5]
+        sizes = [0.1, *(front.points[-1].design[name] for name in ("coupler", "rocker")), 0.5]
         assert sizes[0] ** 2 + sizes[3] ** 2 == pytest.approx(sizes[1] ** 2 + sizes[2] ** 2, rel=2e-3)
 
 
@@ -418,21 +418,21 @@ def test_machines_are_swept_over_limits_and_sizes(press):
     """A stroke is twice the crank; the shortest rod is that of its bound, or that of the required least angle."""
     result = sweep(press, ["limits.stroke.exactly=80..120 mm:5"], workers=1)
     assert result.valid
-    assert result.columns["crank.length_mm"] == pytest.approx(0.5 * result.columns["limits.stroke.exactly_mm"], rel=1e-8)
-    assert result.columns["rod.length_mm"] == pytest.approx(np.full(5, 120.0), rel=1e-8)
+    assert result.columns["crank.length_m"] == pytest.approx(0.5 * result.columns["limits.stroke.exactly_m"], rel=1e-8)
+    assert result.columns["rod.length_m"] == pytest.approx(np.full(5, 0.12), rel=1e-8)
     angled = press.override({"limits.angle": {"quantity": "transmission angle", "of": "E", "measure": "least", "min": "70 deg"}})
     result = sweep(angled, ["limits.angle.min=66..78 deg:7"], workers=1)
     assert result.valid
-    angle = np.radians(result.columns["limits.angle.min_deg"])
-    assert result.columns["rod.length_mm"] == pytest.approx(50.0 / np.cos(angle), rel=1e-8)
-    assert result.columns["objective_mm"] == pytest.approx(50.0 / np.cos(angle), rel=1e-8)
+    angle = result.columns["limits.angle.min_rad"]
+    assert result.columns["rod.length_m"] == pytest.approx(0.05 / np.cos(angle), rel=1e-8)
+    assert result.columns["objective_m"] == pytest.approx(0.05 / np.cos(angle), rel=1e-8)
     longest = press.override({"objective": {"quantity": "stroke", "of": "ram", "sense": "maximise"}, "limits": None})
     result = sweep(longest, ["mechanism.links.crank.length.max=55..65 mm:3"], workers=1)
-    assert result.columns["objective_mm"] == pytest.approx([110.0, 120.0, 130.0], rel=1e-8)  # twice the crank
+    assert result.columns["objective_m"] == pytest.approx([0.11, 0.12, 0.13], rel=1e-8)  # twice the crank
     assert result.best is not None
-    assert float(result.best["objective_mm"]) == pytest.approx(130.0, rel=1e-8)
+    assert result.best["objective_m"] == pytest.approx(0.13, rel=1e-8)
     low = sweep(press, ["mechanism.links.rod.length.min=120..160 mm:3"], workers=1)
-    assert low.columns["rod.length_mm"] == pytest.approx([120.0, 140.0, 160.0], rel=1e-8)
+    assert low.columns["rod.length_m"] == pytest.approx([0.12, 0.14, 0.16], rel=1e-8)
 
 
 @pytest.mark.slow
@@ -614,7 +614,7 @@ def test_command_writes_table_document_and_picture(tmp_path):
     assert len(rows) == len(document["front"]) == 4
     for row, point in zip(rows, document["front"], strict=True):
         assert float(row["error_rad2"]) == point["objectives"]["error_rad2"]
-        assert float(row["coupler_mm"]) == point["design"]["coupler_mm"]
+        assert float(row["coupler_m"]) == point["design"]["coupler"]
         assert row["mark"] == (point["mark"] or "")
     assert (out / "front.png").read_bytes()[:4] == b"\x89PNG"
     shown = CliRunner().invoke(app, ["study", "pareto", "crank-rocker", "--objectives", f"error, {ANGLE}", "--points", "3"])
@@ -630,8 +630,8 @@ def test_picture_marks_ends_knee_and_reference():
     marked = {line.get_gid(): line.get_xydata() for line in axes[0].lines}
     front = crank_rocker()
     for k, name in ((0, "least error"), (24, "best largest transmission angle"), (front.knee[0], "knee")):
-        assert marked[name] == pytest.approx(np.array([front.points[k].values]))
-    assert marked["reference"] == pytest.approx(np.array([front.reference]))
+        assert marked[name] == pytest.approx(np.array([front.displayed(front.points[k].values)]))
+    assert marked["reference"] == pytest.approx(np.array([front.displayed(front.reference)]))
     three = pareto(optlink.load("crank-rocker"), f"error, {ANGLE}=100..150 deg, coupler=330..400 mm", points=4, workers=1)
     panels = [panel for panel in draw(charts(three)).axes if panel.get_label() != "<colorbar>"]
     assert len(panels) == 3

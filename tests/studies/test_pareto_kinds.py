@@ -11,6 +11,7 @@ import optlink
 from optlink.studies.fronts.design_objectives import design_objective, design_problem
 from optlink.studies.fronts.epsilon_constraint import _with_known_designs, pareto
 from optlink.studies.fronts.epsilon_ranges import RANGES, read_objectives
+from optlink.studies.grid import column_name
 from optlink.studies.reoptimise_task import optimum_task
 from optlink.studies.sweep_task import FROM_KNOWN
 from tests.studies.test_robust_kinds import no_neighbour_is_better, slide_errors
@@ -39,13 +40,11 @@ def test_a_front_of_a_law_of_dyads_over_the_total_length():
     assert [objective.unit for objective in front.objectives] == ["mm^2", "mm"]
     assert len(front.points) == 3
     for point in front.points:
-        keys = {"crank.length": "crank.length_mm", "rod.length": "rod.length_mm", "G.offset": "G.offset_mm", "zero": "zero_mm"}
-        design = {name: point.design[column] / 1e3 for name, column in keys.items()}
-        design["start"] = math.radians(point.design["start_deg"])
+        design = dict(point.design)
         error, length = point.values
-        assert length == pytest.approx(1e3 * (design["crank.length"] + design["rod.length"]), rel=1e-9)
-        figure = slider_figure(length / 1e3)
-        assert error == pytest.approx(1e6 * figure(design), rel=1e-6)
+        assert length == pytest.approx(design["crank.length"] + design["rod.length"], rel=1e-9)
+        figure = slider_figure(length)
+        assert error == pytest.approx(figure(design), rel=1e-6)
         no_neighbour_is_better(figure, design, figure(design))
 
 
@@ -78,7 +77,7 @@ def test_points_of_a_front_are_single_optima(name, objectives, key):
     costs = front.costs
     assert np.all(np.diff(costs[:, 0]) > 0.0)
     assert np.all(np.diff(costs[:, 1]) < 0.0)
-    for error, other in (point.values for point in front.points):
+    for error, other in (front.displayed(point.values) for point in front.points):
         raw = problem.at(key)
         pair = raw["bounds"] if isinstance(raw, dict) else raw or ["0 deg", "180 deg"]
         limited = [pair[0], f"{other!r} mm"] if key.startswith("mechanism") else [f"{other!r} deg", pair[1]]
@@ -93,7 +92,7 @@ def test_the_ends_of_a_front_of_a_largest_error():
     front = pareto(problem, "error, limits.transmission_angle.max", points=3, workers=1)
     assert front.valid
     free = optlink.solve(problem.override({"limits.transmission_angle": {"min": "45 deg"}}), certify=False)
-    assert front.points[0].values[0] == pytest.approx(math.degrees(free.objective), rel=1e-5)
+    assert front.points[0].values[0] == pytest.approx(free.objective, rel=1e-5)
     squares = pareto(optlink.load("crank-rocker"), "error, limits.transmission_angle.max", points=2, workers=1)
     assert front.points[-1].values[1] == pytest.approx(squares.points[-1].values[1], rel=1e-3)
 
@@ -108,8 +107,8 @@ def test_each_of_several_requirements_is_an_objective():
     front = pareto(several, "swing.error, push.error=0.6..0.7", points=2, workers=1)
     assert front.valid
     for point in front.points:  # the cosine of a crank-rocker is largest where crank and frame are in line
-        coupler, rocker = point.design["coupler_mm"], point.design["rocker_mm"]
-        cosines = [(coupler**2 + rocker**2 - far**2) / (2.0 * coupler * rocker) for far in (400.0, 600.0)]
+        coupler, rocker = point.design["coupler"], point.design["rocker"]
+        cosines = [(coupler**2 + rocker**2 - far**2) / (2.0 * coupler * rocker) for far in (0.4, 0.6)]
         assert max(map(abs, cosines)) == pytest.approx(point.values[1], rel=1e-6)
     assert front.points[0].values[0] < front.points[-1].values[0]
 
@@ -121,10 +120,10 @@ def test_the_breadth_of_a_dwell_is_constrained_by_its_band():
     assert front.valid
     assert [objective.name for objective in front.objectives] == ["total length of the links", "breadth"]
     assert {axis.key for axis in front.grid.axes} == {"requirement.band"}
-    for length, breadth in (point.values for point in front.points):
+    for length, breadth in (front.displayed(point.values) for point in front.points):
         other = pareto(problem, f"error, total length={length!r}..{length + 1.0!r} mm", points=2, workers=1)
         least = min(other.points, key=lambda point: point.values[1])
-        assert 2.0 * least.values[0] == pytest.approx(breadth, rel=1e-5)
+        assert 2.0 * other.displayed(least.values)[0] == pytest.approx(breadth, rel=1e-5)
 
 
 def test_a_limit_of_the_file_on_a_quantity_is_replaced_along_the_front():
@@ -133,7 +132,7 @@ def test_a_limit_of_the_file_on_a_quantity_is_replaced_along_the_front():
     assert front.objectives[0].unit == "rad^2"
     assert front.valid  # beyond the limit of the file, which one of them replaces
     for point in front.points:
-        assert point.values[1] == pytest.approx(600.0 + point.design["coupler_mm"] + point.design["rocker_mm"], rel=1e-9)
+        assert point.values[1] == pytest.approx(0.6 + point.design["coupler"] + point.design["rocker"], rel=1e-9)
     errors = [point.values[0] for point in front.points]
     for size, error in zip((1245.0, 1235.0), errors, strict=True):
         table = {"limits.size": {"quantity": "total length", "max": f"{size} mm"}}
@@ -182,7 +181,7 @@ def test_a_point_without_a_design_gets_the_one_of_a_tighter_limit():
         at = {name: k for k, name in enumerate(task.columns)}
         damaged[failed][at["valid"]], damaged[failed][at["status"]] = "false", "infeasible"
         for name in task.free:
-            damaged[failed][at[f"{name}_{task.free[name].display[1]}"]] = ""
+            damaged[failed][at[column_name(name, task.free[name].display[1])]] = ""
         ranges = RANGES["function"](problem, front.objectives, front.minimised, 3, "ipopt")
         mended = _with_known_designs(task, ranges, damaged, ())
         return [dict(zip(task.columns, row, strict=True)) for row in mended]

@@ -425,7 +425,7 @@ def test_the_command_writes_a_table_a_picture_and_json(tmp_path):
     assert (tmp_path / "tornado.png").stat().st_size > 5000
     with (tmp_path / "sensitivity.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
-    assert float(rows[0]["coupler_mm_per_unit"]) == pytest.approx(-2.3856, abs=1e-3)
+    assert float(rows[0]["coupler_m_per_unit"]) == pytest.approx(-2.3856e-3 * 180.0 / math.pi, abs=1e-4)
 
 
 def test_the_command_prints_the_sensitivities():

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import json
 import math
 import os
+import pickle
 import random
 import re
 import shutil
@@ -34,7 +36,8 @@ from optlink.presentation.chart_mpl import draw
 from optlink.presentation.views.sweep import charts
 from optlink.studies.grid import read_axis, read_grid
 from optlink.studies.optimum_parameters import FastOverride
-from optlink.studies.sweeps import CHANGED, sweep
+from optlink.studies.sweeps import CHANGED, TableFile, sweep
+from optlink.units import in_si
 from optlink.validation import validate_batch as prove
 from tests import chunks
 from tests.solved import folder_once, once
@@ -72,7 +75,7 @@ def problem(name: str = "crank-rocker", **overrides):
     ],
 )
 def test_ranges_lists_and_ratios(text, unit, values):
-    axis = read_axis(text)
+    axis = read_axis(*map(str.strip, text.split("=")))
     assert (axis.key, axis.unit) == ("a", unit)
     assert axis.values == pytest.approx(values, abs=1e-12)
     assert (axis.values[0], axis.values[-1]) == (values[0], values[-1])
@@ -89,7 +92,7 @@ def test_ranges_lists_and_ratios(text, unit, values):
 )
 def test_values_of_a_range_have_no_rounding_errors(text, values):
     """The table listed 0.39999999999999997."""
-    assert read_axis(text).values == values
+    assert read_axis(*text.split("=")).values == values
 
 
 def test_a_balancing_problem_is_not_swept():
@@ -125,20 +128,16 @@ def test_empty_and_duplicate_axes_are_refused():
 
 def test_rows_are_those_of_single_solves():
     result = sweep(problem(), [f"{FRAME}:21", f"{LIMIT}=125..140 deg:11"], workers=1)
-    assert result.complete
+    assert result.valid
     table = result.columns
     assert len(table["valid"]) == 231
     assert result.searched < 10
     for i in np.random.default_rng(3).choice(231, 6, replace=False):
-        angle = table[f"{LIMIT}_deg"][i]
-        overrides = {
-            "mechanism.frame": f"{float(table['mechanism.frame_mm'][i])!r} mm",
-            "limits.transmission_angle": ["45 deg", f"{float(angle)!r} deg"],
-        }
+        overrides = {"mechanism.frame": float(table["mechanism.frame_m"][i]), f"{LIMIT}": float(table[f"{LIMIT}_rad"][i])}
         single = optlink.solve(optlink.load("crank-rocker", overrides), certify=False)
         assert table["objective_rad2"][i] == pytest.approx(single.objective, rel=1e-9)
         for name in ("coupler", "rocker"):
-            assert table[f"{name}_mm"][i] == pytest.approx(1e3 * single.design[name], abs=1e-6)
+            assert table[f"{name}_m"][i] == pytest.approx(single.design[name], abs=1e-9)
 
 
 def test_a_small_grid_has_a_search_near_its_first_row():
@@ -151,13 +150,13 @@ def test_a_small_grid_has_a_search_near_its_first_row():
     problem = optlink.read({"mechanism": mechanism, "requirement": {"kind": "function", **requirement}, "limits": limits})
     table = sweep(problem, ["mechanism.rocker=222.6..348 mm:7"], workers=1).columns
     single = optlink.solve(problem.override({"mechanism.rocker": "222.6 mm"}), starts=1, certify=False)
-    assert math.radians(table["objective_deg"][0]) == pytest.approx(single.objective, rel=1e-9)
+    assert table["objective_rad"][0] == pytest.approx(single.objective, rel=1e-9)
 
 
 def test_the_last_axis_changes_fastest():
     columns = sweep(problem(), [f"{LIMIT}=130, 135 deg", f"{FRAME}:3"], workers=1).columns
-    assert columns["mechanism.frame_mm"].tolist() == [450.0, 500.0, 550.0] * 2
-    assert columns[f"{LIMIT}_deg"].tolist() == [130.0] * 3 + [135.0] * 3
+    assert columns["mechanism.frame_m"].tolist() == [0.45, 0.5, 0.55] * 2
+    assert np.degrees(columns[f"{LIMIT}_rad"]) == pytest.approx([130.0] * 3 + [135.0] * 3, rel=1e-14)
 
 
 def test_active_set_changes_are_marked():
@@ -165,12 +164,12 @@ def test_active_set_changes_are_marked():
     result = sweep(problem(), ["mechanism.coupler.max=405..420 mm:61"], workers=1)
     table = result.columns
     (mark,) = np.flatnonzero(table[CHANGED])
-    assert table["mechanism.coupler.max_mm"][mark - 1] < 412.865 < table["mechanism.coupler.max_mm"][mark]
+    assert table["mechanism.coupler.max_m"][mark - 1] < 0.412865 < table["mechanism.coupler.max_m"][mark]
     (change,) = result.changes
     assert "coupler" in change.before
     assert "coupler" not in change.after
     assert "largest transmission angle" in change.after
-    assert np.all(table["coupler_mm"][mark:] == pytest.approx(412.86542, abs=1e-5))
+    assert np.all(table["coupler_m"][mark:] == pytest.approx(0.41286542, abs=1e-8))
     assert result.searched == 4  # in the middle of each block; from there, Newton's method changes the active set itself
 
 
@@ -194,15 +193,14 @@ def test_rows_do_not_depend_on_sweeps_before_in_the_same_process():
 def test_points_without_a_design_are_rows_too():
     result = sweep(problem(), [f"{LIMIT}=70, 100 deg"], workers=1)
     table = result.columns
-    assert not result.complete
+    assert not result.valid
     assert set(table["status"]) >= {"infeasible"}
     bad = table["status"] == "infeasible"
     assert result.infeasible == np.count_nonzero(bad)
     assert not np.any(table[CHANGED][bad])  # nothing holds a design that is not there
     for point in np.flatnonzero(bad):  # limits alone, not what follows from them
         output = {*table["failed"][point].split("; "), *table["active"][point].split("; ")} - {""}
-        angle = f"{float(table[f'{LIMIT}_deg'][point])!r} deg"
-        single = optlink.solve(problem(**{"limits.transmission_angle": ["45 deg", angle]}), certify=False)
+        single = optlink.solve(problem(**{LIMIT: float(table[f"{LIMIT}_rad"][point])}), certify=False)
         assert {item.name for item in single.conflict} & output
     assert np.all(np.isnan(table["objective_rad2"][bad]))
     assert not np.any(table["valid"][bad])
@@ -221,7 +219,7 @@ def test_a_dimension_varied_by_decades_finds_every_design():
 
 def test_keys_outside_the_programme_are_rebuilt_at_each_point():
     result = sweep(problem(), ["requirement.span=60..90 deg:3"], workers=1)
-    assert result.complete
+    assert result.valid
     single = optlink.solve(optlink.load("crank-rocker", {"requirement.span": "75 deg"}))
     assert result.columns["objective_rad2"][1] == pytest.approx(single.objective, rel=1e-9)
 
@@ -392,8 +390,8 @@ def test_a_finished_run_reports_the_same_again(tmp_path):
         lambda b: b + b"1,2\n",
         lambda b: b.replace(b",", b";", 1),
         lambda b: b"",
-        lambda b: b.replace(b".0,", b".x,", 1),
-        lambda b: b.replace(b"\n4", b"\n5", 1),
+        lambda b: b.replace(b"0.", b"x.", 1),
+        lambda b: b.replace(b"\n0.4", b"\n0.5", 1),
     ],
 )
 def test_a_changed_table_is_rejected(tmp_path, damage):
@@ -573,7 +571,7 @@ def test_a_run_killed_before_its_first_entry_is_begun_again(tmp_path):
     (tmp_path / store.STORE).touch()
     with pytest.raises(InputError, match="no study to resume"):
         sweep(problem(), [f"{FRAME}:3"], tmp_path, resume=True)
-    assert sweep(problem(), [f"{FRAME}:3"], tmp_path, workers=1).complete
+    assert sweep(problem(), [f"{FRAME}:3"], tmp_path, workers=1).valid
 
 
 @pytest.mark.slow
@@ -841,7 +839,7 @@ def test_the_command_prints_and_writes(tmp_path):
     document = json.loads(done.stdout)
     assert document["schema"] == "optlink/sweep/4"
     assert document["valid_points"] == 11
-    assert float(document["best"]["mechanism.frame_mm"]) == 550.0
+    assert document["best"]["mechanism.frame_m"] == 0.55
     assert {"result.json", "study.sqlite", "sweep.csv", "sweep.png"} == {path.name for path in tmp_path.iterdir()}
     text = run("crank-rocker", "--vary", f"{FRAME}:5", "--vary", f"{LIMIT}=130, 135 deg")
     assert text.exit_code == 0
@@ -992,9 +990,9 @@ def test_an_interrupted_search_gives_no_row(monkeypatch):
 def test_rows_of_a_symmetric_path_do_not_alternate_between_mirror_images(tmp_path):
     """The bean is symmetric about the y axis: a search finds either of two mirror images first."""
     swept = sweep(optlink.load("path-bean"), ["limits.transmission_angle.min=34 deg, 36 deg"], tmp_path)
-    for name in ("P.across_mm", "A.x_mm", "direction_deg"):
+    for name in ("P.across_m", "A.x_m", "direction_rad"):
         first, second = swept.columns[name]
-        assert first == pytest.approx(second, abs=1e-4)
+        assert first == pytest.approx(second, abs=1e-6)
     result = optlink.solve(optlink.load("path-bean"))
     best, mirrored, *others = result.designs
     assert best.values["P.across"] == pytest.approx(-mirrored.values["P.across"], abs=1e-9)
@@ -1010,36 +1008,76 @@ def test_rows_of_a_symmetric_path_do_not_alternate_between_mirror_images(tmp_pat
     ("name", "vary", "unit"),
     [
         ("stroke-slider-crank", "requirement.stroke=100 mm, 110 mm", "deg"),
-        ("path-scott-russell", "limits.alignment=1 deg, 2 deg", "mm2"),
+        ("path-scott-russell", "limits.alignment=1 deg, 2 deg", "mm^2"),
         ("transmission-optimal", "limits.swing_angle=80 deg, 81 deg", "deg"),
     ],
 )
-def test_the_objective_of_a_sweep_has_the_unit_of_a_single_design(name, vary, unit, tmp_path):
+def test_the_objective_of_a_sweep_is_that_of_a_single_design_in_si(name, vary, unit, tmp_path):
     swept, single = sweep(optlink.load(name), [vary], tmp_path), optlink.solve(optlink.load(name))
     shown = single.problem.model.shown_objective(single.objective)
-    assert shown.unit.replace("^", "") == unit
-    column = f"objective_{unit}".rstrip("_")
-    assert swept.columns[column][0] == pytest.approx(shown.value, rel=1e-6, abs=1e-12)
+    assert shown.unit == unit
+    size, si = in_si(unit)
+    assert swept.columns[f"objective_{si.replace('^', '')}"][0] == pytest.approx(size * shown.value, rel=1e-6, abs=1e-12)
 
 
 def test_a_sweep_over_arrays_is_that_over_texts():
-    """Arrays are in SI, and so are their columns; the values may differ by rounding."""
-    problem, frames = optlink.load("crank-rocker"), np.linspace(0.48, 0.52, 3)
-    arrays = sweep(problem, {"mechanism.frame": frames, "limits.transmission_angle.max": np.radians([128.0, 135.0])}).columns
-    texts = sweep(problem, ["mechanism.frame=480..520 mm:3", "limits.transmission_angle.max=128 deg, 135 deg"]).columns
-    assert np.array_equal(arrays["mechanism.frame_m"], np.repeat(frames, 2))
-    assert np.allclose(np.degrees(arrays["limits.transmission_angle.max_rad"]), texts["limits.transmission_angle.max_deg"])
-    for name in ("objective_rad2", "coupler_mm", "rocker_mm"):
-        assert np.allclose(arrays[name], texts[name], rtol=1e-8)
-    assert list(arrays["status"]) == list(texts["status"])
+    """One grid has one table, in SI, whether its values are arrays, texts, or a text as on the command line, in any unit."""
+    problem, frames, angles = optlink.load("crank-rocker"), np.linspace(0.48, 0.52, 3), np.radians([128.0, 135.0])
+    arrays = sweep(problem, {"mechanism.frame": frames, LIMIT: angles})
+    texts = sweep(problem, {"mechanism.frame": "480..520 mm:3", LIMIT: ["128 deg", "135 deg"]})
+    metres = sweep(problem, ["mechanism.frame=0.48..0.52 m:3", f"{LIMIT}=128, 135 deg"])
+    assert np.array_equal(arrays.columns["mechanism.frame_m"], np.repeat(frames, 2))
+    assert arrays.columns[f"{LIMIT}_rad"] == pytest.approx(np.tile(angles, 3), rel=1e-14)
+    assert arrays.grid == texts.grid
+    for other in (texts, metres):
+        assert other.names == arrays.names
+        for name in arrays.names[:5]:
+            assert np.allclose(arrays.columns[name], other.columns[name], rtol=1e-9)
+        assert list(arrays.columns["status"]) == list(other.columns["status"])
+
+
+def test_the_best_point_is_a_row_with_the_types_of_the_columns():
+    result = sweep(optlink.load("crank-rocker"), {"mechanism.frame": [0.48, 0.5]})
+    assert result.best == {name: column[1] for name, column in result.columns.items()}
+    assert [type(value) for value in result.best.values()] == [float] * 4 + [str, bool, str, str, str, bool]
+
+
+def test_a_copied_sweep_without_a_folder_keeps_its_table():
+    """Its file is temporary and goes with the first object."""
+    result = sweep(optlink.load("crank-rocker"), {"mechanism.frame": [0.48, 0.5]})
+    columns, gone = result.columns, result.path
+    packed = pickle.dumps(result)
+    del result
+    gc.collect()
+    assert not gone.exists()
+    again = pickle.loads(packed)
+    assert again.names == tuple(columns)
+    assert all(np.array_equal(again.columns[name], column) for name, column in columns.items())
+    assert again.path.exists()
+    again.path.unlink()
+    with pytest.raises(InputError, match=r"cannot read the table of the sweep: No such file or directory\. Run the sweep again"):
+        _ = replace(again, table=TableFile(again.path)).names
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ([480, 500], 'vary.mechanism.frame = 480: a length needs a unit. Write "480 mm" or "480 m"'),
+        ([480.0, 500.0], "500 m are 556 times the largest length of the mechanism. Numbers are SI: 500 mm are 0.5, or the text "),
+        (["480 mm", "0.5"], "a text without a unit"),
+        ([0.48, math.nan], "not a list of finite numbers"),
+    ],
+)
+def test_values_of_an_axis_are_si_or_have_a_unit(values, message):
+    with pytest.raises(InputError, match=re.escape(message)):
+        sweep(optlink.load("crank-rocker"), {"mechanism.frame": values})
 
 
 @pytest.mark.slow
-def test_a_sweep_of_transmission_angles_has_degrees() -> None:
+def test_a_sweep_of_transmission_angles_has_angles() -> None:
     """The objective of the search is a cosine; the column is the angle that `solve` shows, and has its unit in its name."""
     problem = optlink.load("transmission-optimal")
     result = sweep(problem, ["limits.swing_angle=60 deg, 70 deg"], workers=1)
-    assert "objective_deg" in result.names
-    for swing, angle in zip((60.0, 70.0), result.columns["objective_deg"], strict=True):
+    for swing, angle in zip((60.0, 70.0), np.degrees(result.columns["objective_rad"]), strict=True):
         single = optlink.solve(problem.override({"limits.swing_angle": f"{swing} deg"}), starts=60)
         assert angle == pytest.approx(90.0 - math.degrees(single.best.least_transmission), abs=1e-6)

@@ -96,8 +96,8 @@ def test_extremes_of_a_sweep_are_exact_however_few_angles_are_sampled(pump, spee
     file = optlink.load(str(pump(speed=speed)))
     vary = ["mechanism.links.rod.length=95..160 mm:9"]
     table = sweep(file, vary, analyze=True, columns=["plunger.a_m_s2", "F.normal_N.max"], points=7, workers=1).columns
-    sampled = optlink.analyze_batch(file, {"rod.length": table["mechanism.links.rod.length_mm"] / 1e3}, ["plunger.a_m_s2"], 7)
-    for i, rod in enumerate(table["mechanism.links.rod.length_mm"] / 1e3):
+    sampled = optlink.analyze_batch(file, {"rod.length": table["mechanism.links.rod.length_m"]}, ["plunger.a_m_s2"], 7)
+    for i, rod in enumerate(table["mechanism.links.rod.length_m"]):
         for sign, kind in ((1.0, "min"), (-1.0, "max")):
             expected = exact(lambda phi, rod=rod: slide(phi, rod)[2], sign)
             assert table[f"plunger.a_m_s2.{kind}"][i] == pytest.approx(expected, rel=1e-9)
@@ -153,7 +153,7 @@ def test_loads_that_jump_have_one_sided_extremes_in_a_sweep(pump):
     file = optlink.load(str(pump('\n[loads]\ncut = { on = "plunger", force = "90 N", acts = "opposing" }\n')))
     result = sweep(file, ["mechanism.links.rod.length=120..150 mm:3"], analyze=True, workers=1)
     for i in range(3):
-        design = {"rod.length": float(result.columns["mechanism.links.rod.length_mm"][i]) / 1e3}
+        design = {"rod.length": float(result.columns["mechanism.links.rod.length_m"][i])}
         alone = optlink.analyze(file, design=design).extremes["input.torque_Nm"]
         assert result.columns["input.torque_Nm.min"][i] == alone.least
         assert result.columns["input.torque_Nm.max"][i] == alone.largest

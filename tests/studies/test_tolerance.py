@@ -563,7 +563,7 @@ def test_the_command_writes_everything(tmp_path, monkeypatch):
     with (tmp_path / "tolerance.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 31
-    assert float(rows[0]["rss_deg"]) == pytest.approx(math.degrees(document["linear"]["rss"][0]))
+    assert float(rows[0]["rss_rad"]) == pytest.approx(document["linear"]["rss"][0])
     for picture in ("contributions.png", "band.png", "histogram.png"):
         assert (tmp_path / picture).stat().st_size > 5000
     output = run(*words[:-2]).output

@@ -142,7 +142,7 @@ def test_the_command_judges_a_path(tmp_path):
     assert "yield, within 0.02 mm" in " ".join(done.stdout.split())
     assert (tmp_path / "band.png").stat().st_size > 5000
     columns = (tmp_path / "tolerance.csv").read_text().splitlines()[0].split(",")
-    assert "judged_mm" in columns
+    assert "judged_m" in columns
     arguments = [
         "study",
         "tolerance",

@@ -62,7 +62,7 @@ def test_seeds_agree_on_a_poor_fit_and_report_an_incomplete_search() -> None:
         assert each.evidence.missed > MISSED_CHANCE
         notes = [note for note in each.notes if note.startswith("search incomplete: ")]
         assert len(notes) == 1
-        assert f"use --starts {4 * each.starts}" in notes[0]
+        assert f"search with {4 * each.starts} starts" in notes[0]
 
 
 @pytest.mark.slow

@@ -24,7 +24,6 @@ from optlink.presentation.table_spec import (
     table,
 )
 from optlink.presentation.view import PageSection, StoredStudy, View
-from optlink.presentation.views.sweep import named_si
 from optlink.problem.file import ProblemFile
 from optlink.studies.fronts.design_objectives import ParetoObjective
 from optlink.studies.fronts.epsilon_constraint import Pareto, ParetoPoint
@@ -42,7 +41,7 @@ def page(front: Pareto) -> StoredStudy:
     """Return the page of a Pareto front."""
     file = front.problem
     shown = overview(front)
-    chosen = _initial_point(front)
+    chosen = front.chosen
     words = f"The design of point {chosen + 1}: {front.points[chosen].mark or 'the first'}." if chosen is not None else ""
     return StoredStudy(
         problem=file,
@@ -61,14 +60,7 @@ def page(front: Pareto) -> StoredStudy:
 
 def _design(front: Pareto, k: int) -> tuple[ProblemFile, dict[str, float]]:
     """Return the problem and the design [SI] of a point."""
-    return front.problem, named_si(front.problem, front.points[k].design)
-
-
-def _initial_point(front: Pareto) -> int | None:
-    """Return the index of the point whose machine is drawn: the knee, otherwise the best point of the first objective."""
-    if not front.points:
-        return None
-    return front.ends[0] if front.knee is None else front.knee[0]
+    return front.problem, dict(front.points[k].design)
 
 
 # --- charts ------------------------------------------------------------------------------------------------------------------
@@ -78,7 +70,7 @@ def charts(result: Pareto) -> list[ChartSpec]:
     """Return the front with its end points, its knee and the reference design; of three objectives, its three projections."""
     if len(result.points) < 2:
         return []
-    values = np.array([point.values for point in result.points])
+    values = np.array([result.displayed(point.values) for point in result.points])
     pairs = list(itertools.combinations(range(len(result.objectives)), 2))
     return [_front(result, values, x, y) for x, y in pairs]
 
@@ -106,10 +98,11 @@ def _front(result: Pareto, values: Array, x: int, y: int) -> ChartSpec:
         for k, point in enumerate(result.points)
         if point.mark
     ]
-    if result.reference is not None:
-        place = result.reference[x], result.reference[y]
+    reference = None if result.reference is None else result.displayed(result.reference)
+    if reference is not None:
+        place = reference[x], reference[y]
         marks.append(Mark(*place, result.reference_label, TARGET, "square", 6.0, written=True, gid="reference"))
-    every = values if result.reference is None else np.vstack([values, result.reference])
+    every = values if reference is None else np.vstack([values, reference])
     axes = [Axis(_objective_label(result.objectives[k]), _widened(every[:, k].tolist())) for k in (x, y)]
     title = f"{result.objectives[x].name} against {result.objectives[y].name}"
     panel, picks = Panel(axes[1], traces, 2.0, marks=marks), _picks(result, across, up) if first else None
@@ -145,19 +138,20 @@ def _picks(front: Pareto, x: Array, y: Array) -> Picks:
     for objective in front.objectives:
         names.append(_objective_label(objective))
         names += [f"{objective.name}: change"] if front.reference is not None else []
-    names += ["{} [{}]".format(*name.rpartition("_")[::2]) for name in front.points[0].design]
+    shown = {name: front.problem.model.display(name) for name in front.points[0].design}
+    names += [f"{name} [{unit}]" for name, (_, unit) in shown.items()]
     rows = []
     for point in front.points:
         texts: list[str] = []
-        for k, value in enumerate(point.values):
+        for k, value in enumerate(front.displayed(point.values)):
             texts.append(number(value, 7))
             if front.reference is not None:
-                texts.append(relative_change(value, front.reference[k]))
-        texts += [number(value, 7) for value in point.design.values()]
+                texts.append(relative_change(point.values[k], front.reference[k]))
+        texts += [number(value * shown[name][0], 7) for name, value in point.design.items()]
         rows.append((*texts, point.active or "nothing", point.mark or "–"))
     reference = REFERENCE_NAMES.get(front.reference_label, front.reference_label)
     what = f"point (changes relative to {reference})" if front.reference else "point"
-    return Picks(what, (*names, "active constraints", "mark"), tuple(rows), x, y, _initial_point(front) or 0, range(len(rows)))
+    return Picks(what, (*names, "active constraints", "mark"), tuple(rows), x, y, front.chosen or 0, range(len(rows)))
 
 
 def overview(result: Pareto) -> Summary:
@@ -205,9 +199,12 @@ def _points(result: Pareto) -> TableSpec:
 
 def _designs(result: Pareto) -> TableSpec:
     """Tabulate the design variables of the points."""
-    free = list(result.points[0].design)
-    rows = [(str(k + 1), *(number(result.points[k].design[name], 5) for name in free)) for k in _shown(result)]
-    return table("Designs", [">", *(">{}\n[{}]".format(*name.rpartition("_")[::2]) for name in free)], rows)
+    free = {name: result.problem.model.display(name) for name in result.points[0].design}
+    rows = [
+        (str(k + 1), *(number(result.points[k].design[name] * factor, 5) for name, (factor, _) in free.items()))
+        for k in _shown(result)
+    ]
+    return table("Designs", [">", *(f">{name}\n[{unit}]" for name, (_, unit) in free.items())], rows)
 
 
 def _compared(result: Pareto) -> bool:
@@ -216,10 +213,10 @@ def _compared(result: Pareto) -> bool:
 
 
 def _cells(result: Pareto, values: tuple[float, ...]) -> Iterator[Inline]:
-    for k, value in enumerate(values):
+    for k, value in enumerate(result.displayed(values)):
         yield number(value, 6)
         if result.reference is not None and _compared(result):
-            yield quiet("" if values is result.reference else relative_change(value, result.reference[k]))
+            yield quiet("" if values is result.reference else relative_change(values[k], result.reference[k]))
 
 
 def relative_change(value: float, before: float) -> str:
@@ -238,11 +235,11 @@ def conclusion(result: Pareto) -> str:
         return f"{result.single_point}."
     spans = []
     for k, objective in enumerate(result.objectives):
-        values = [point.values[k] for point in result.points]
+        values = [point.values[k] / objective.si_per_unit for point in result.points]
         spans.append(f"{objective.name} {figure(min(values))} ... {figure(max(values), objective.unit)}")
     text = f"{len(result.points)} verified designs trade {' against '.join(spans)}."
     if result.knee is not None:
-        at = result.points[result.knee[0]].values
+        at = result.displayed(result.points[result.knee[0]].values)
         knee = joined(
             [f"{objective.name} {figure(value, objective.unit)}" for objective, value in zip(result.objectives, at, strict=True)]
         )

@@ -79,8 +79,8 @@ def charts(result: Sensitivities) -> list[ChartSpec]:
 
 
 def columns(result: Sensitivities) -> Mapping[str, list[float | str]]:
-    """Return one row for each parameter by column."""
-    rows = result.displayed.rows
+    """Return one row for each parameter by column [SI]; `unit` is that of the parameter."""
+    rows = result.rows
     parameters = [row.parameter for row in rows]
     return {
         "key": [parameter.key for parameter in parameters],
@@ -89,7 +89,7 @@ def columns(result: Sensitivities) -> Mapping[str, list[float | str]]:
         "unit": [parameter.unit for parameter in parameters],
         "step": [parameter.step for parameter in parameters],
         "objective_per_unit": [row.objective for row in rows],
-        **{f"{name}_{unit}_per_unit": [row.design[name] for row in rows] for name, unit in result.displayed.units.items()},
+        **{f"{name}_{unit}_per_unit": [row.design[name] for row in rows] for name, unit in result.units.items()},
         "valid_from": [row.below.value for row in rows],
         "valid_to": [row.above.value for row in rows],
     }

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Literal
@@ -28,15 +27,13 @@ from optlink.presentation.chart_spec import (
     Span,
     cells,
     charts_per_row,
-    max_abs,
 )
 from optlink.presentation.format import (
-    Scale,
+    column_unit,
     figure,
     joined,
     number,
     points,
-    scale,
 )
 from optlink.presentation.shapes import even
 from optlink.presentation.table_spec import (
@@ -53,13 +50,14 @@ from optlink.presentation.table_spec import (
 from optlink.presentation.view import PageSection, StoredStudy, View
 from optlink.presentation.views.revolutions import runs
 from optlink.problem.file import ProblemFile
-from optlink.studies.grid import Axis
+from optlink.studies.grid import Axis, column_name
 from optlink.studies.sweep_task import FIGURES
 from optlink.studies.sweeps import CHANGED, MAX_ROWS, TEXT, Sweep
 
 MAX_LISTED = 12  # largest number of active-set changes and of points listed
 MAX_COLUMNS = 5  # largest number of quantities side by side
-_UNIT = re.compile(r"(.+)_((?:rad|m)_s2?|(?:rad|mm|m|deg)2?|N|Nm|W|J)")
+SHOWN_IN = {"m": (1e3, "mm"), "m²": (1e6, "mm²"), "rad": (math.degrees(1.0), "deg")}
+"""Factor from SI and display unit, by the SI unit of a column; others are shown in SI."""
 
 MAX_CURVE_POINTS = 4000  # largest number of points of a curve; larger sweeps are thinned evenly
 MAX_SELECTABLE = 1500  # largest number of selectable points
@@ -91,9 +89,10 @@ class SweepTable:
         return cls(tuple(Axis(a.key, a.unit, tuple(sorted(a.values))) for a in axes), tuple(fixed), numbers, result)
 
     def column(self, name: str) -> NDArray[Any]:
-        """Return a column of the table, shaped like the grid."""
+        """Return a column of the table in display units, shaped like the grid."""
         values: NDArray[Any] = self.result.columns[name][self.order]
-        return values
+        factor = _display(name)[1]
+        return values if factor == 1.0 else values * factor
 
     @property
     def states(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
@@ -161,17 +160,26 @@ def page(result: Sweep) -> StoredStudy:
 
 def _design(table: SweepTable, row: int) -> tuple[ProblemFile, dict[str, float]]:
     """Return the problem and the design [SI] of a row."""
-    problem = table.result.problem.override(table.result.grid.changes(row))
-    return problem, named_si(problem, {name: float(table.result.columns[name][row]) for name in table.designs})
+    problem, columns = table.result.problem.override(table.result.grid.changes(row)), table.result.columns
+    names = {name: column_name(name, quantity.display[1]) for name, quantity in problem.model.quantities.items()}
+    return problem, {name: float(columns[own][row]) for name, own in names.items() if own in table.designs}
 
 
 # --- labels ----------------------------------------------------------------------------------------------------------------
 
 
-def _column_text(column: str) -> str:
-    """Return the display name of a column with its measure and unit."""
-    stem, kind = _column_and_measure(column)
-    return " ".join(filter(None, [WORDS.get(kind, ""), column_label(stem)]))
+def _column_text(name: str) -> str:
+    """Return the display name of a column with its measure and display unit."""
+    words, _, unit = _display(name)
+    return with_unit(words, unit)
+
+
+def _display(name: str) -> tuple[str, float, str]:
+    """Return the display name of a column with its measure, the factor from SI to its display unit, and that unit."""
+    stem, kind = _column_and_measure(name)
+    words, unit = column_unit(stem)
+    factor, shown = SHOWN_IN.get(unit, (1.0, unit))
+    return f"{WORDS.get(kind, '')} {words}".strip(), factor, shown
 
 
 def _axis_of(axis: Axis, limits: tuple[float, float] | None = None) -> chart_spec.Axis:
@@ -223,16 +231,20 @@ def _heading(table: SweepTable, what: str) -> str:
 def _picks(table: SweepTable, rows: NDArray[np.intp], x: Array, y: Array) -> Picks:
     """Tabulate the design of every selectable row (n,) of the table of the sweep, with its place."""
     columns, result = table.result.columns, table.result
-    names = [*(axis.column for axis in result.grid.axes), *table.shown, *table.designs]
+    names = [*table.shown, *table.designs]
+    factors = [_display(name)[1] for name in names]
     heads = [with_unit(axis.key, axis.unit) for axis in result.grid.axes]
-    heads += map(_column_text, (*table.shown, *table.designs))
+    heads += map(_column_text, names)
     words = {"status": "status", "reason": "reason"} if result.evaluated else {ACTIVE: "active", "status": "status"}
     blank = np.full(result.grid.count, "")
     texts = [columns.get(name, blank) for name in words.values()]
     point_texts = []
     for k in rows:
-        values = (number(float(columns[name][k]), 7) for name in names)
-        point_texts.append((*values, *(str(column[k]) or "none" * (ACTIVE in words) for column in texts)))
+        values = [*result.grid.values(int(k))]
+        values += [float(columns[name][k]) * factor for name, factor in zip(names, factors, strict=True)]
+        point_texts.append(
+            (*(number(value, 7) for value in values), *(str(column[k]) or "none" * (ACTIVE in words) for column in texts))
+        )
     first = 0 if table.best is None else int(np.argmin(np.abs(rows - table.best)))
     return Picks("point", (*heads, *words), tuple(point_texts), x, y, first, [int(k) for k in rows])
 
@@ -293,7 +305,7 @@ def _design_panels(table: SweepTable) -> Iterator[tuple[str, dict[str, Array]]]:
     yield _column_text(table.shown[0]), {"objective": table.column(table.shown[0])}
     by_unit: dict[str, dict[str, Array]] = {}
     for column in table.designs:
-        name, unit = named(column)
+        name, _, unit = _display(column)
         by_unit.setdefault(unit, {})[name] = table.column(column)
     for unit, curves in by_unit.items():
         yield with_unit("design variables" if len(curves) > 1 else next(iter(curves)), unit), curves
@@ -302,11 +314,7 @@ def _design_panels(table: SweepTable) -> Iterator[tuple[str, dict[str, Array]]]:
 def _analysis_panels(table: SweepTable) -> Iterator[tuple[str, dict[str, Array]]]:
     for column, names in _measures_by_column(table).items():
         curves = {WORDS.get(_column_and_measure(name)[1], name): table.column(name) for name in names}
-        name, unit = named(column)
-        largest = max_abs(np.stack(list(curves.values())))
-        length = scale(math.sqrt(largest) if unit == "m²" else largest, "m")
-        shown = {"m": length, "m²": Scale(length.factor**2, f"{length.unit}²")}.get(unit, Scale(1.0, unit))
-        yield with_unit(name, shown.unit), {word: values * shown.factor for word, values in curves.items()}
+        yield _column_text(column), curves
 
 
 # --- two and three parameters ------------------------------------------------------------------------------------------------
@@ -416,13 +424,14 @@ def overview(result: Sweep) -> Summary:
         axes.append((axis.key, f"{' ... '.join(ends)} {axis.unit}".rstrip(), quiet(points(len(axis.values)))))
     parts = [table("Varied", "<<>", axes)]
     if result.best is not None:
-        omitted = ("status", "valid", "failed", "method", "active_set_changed")
-        best = {name: value for name, value in result.best.items() if name not in omitted}
-        rows = (
-            ("active constraints", value or "none") if name == "active" else (column_label(name), number(float(value)))
-            for name, value in best.items()
-        )
-        parts.append(table("Best", "<>", rows))
+        own = SweepTable.of(result)
+        rows: list[Row] = [
+            (with_unit(axis.key, axis.unit), number(float(result.best[axis.column]) / axis.si_per_unit))
+            for axis in result.grid.axes
+        ]
+        for name in (*own.designs, *own.shown):
+            rows.append((_column_text(name), number(float(result.best[name]) * _display(name)[1])))
+        parts.append(table("Best", "<>", [*rows, ("active constraints", str(result.best["active"]) or "none")]))
     if result.changes:
         parts.append(_changes(result))
     parts += _rows(result) if result.evaluated else []
@@ -488,26 +497,6 @@ def _values(result: Sweep, point: int) -> list[str]:
     return [f"{value:g}" for value in result.grid.values(point)]
 
 
-def named(column: str) -> tuple[str, str]:
-    """Return display name and unit of a column."""
-    match = _UNIT.fullmatch(column)
-    if match is None:
-        return column, ""
-    name, unit = match.groups()
-    return name, unit.replace("_", "/").replace("Nm", "N m").removesuffix("2") + ("²" if unit.endswith("2") else "")
-
-
-def column_label(column: str) -> str:
-    """Return the display name of a column with its unit."""
-    return with_unit(*named(column))
-
-
-def named_si(file: ProblemFile, columns: Mapping[str, float]) -> dict[str, float]:
-    """Return the quantities of a problem [SI] from columns with unit suffix such as "coupler_mm"; others are ignored."""
-    keys = {name: f"{name}_{quantity.display[1]}".removesuffix("_") for name, quantity in file.model.quantities.items()}
-    return {name: columns[key] * file.model.quantities[name].si_per_unit for name, key in keys.items() if key in columns}
-
-
 def with_unit(name: str, unit: str) -> str:
     """Return a name with its unit, if it has one."""
     return f"{name} [{unit}]" if unit else name
@@ -526,7 +515,11 @@ def _place(result: Sweep, point: int) -> str:
 
 def _changes(result: Sweep) -> TableSpec:
     rows = [
-        (*(f"{value:g}" for value in change.at.values()), change.before or "none", change.after or "none")
+        (
+            *(f"{change.at[axis.column] / axis.si_per_unit:g}" for axis in result.grid.axes),
+            change.before or "none",
+            change.after or "none",
+        )
         for change in result.changes[:MAX_LISTED]
     ]
     columns = [*(f">{_short(axis.key, axis.unit)}" for axis in result.grid.axes), "before", "from there on"]
@@ -541,9 +534,9 @@ def conclusion(result: Sweep) -> str:
         tail = "" if result.evaluated else " No point has a valid design: relax the limits or change the range."
         return f"{done:,} of {total:,} points have valid results.{tail}"
     name = next(column for column in result.best if column.startswith("objective"))
-    _, _, unit = name.partition("_")
-    where = [f"{axis.key} = {figure(float(result.best[axis.column]), axis.unit)}" for axis in result.grid.axes]
-    value = figure(float(result.best[name]), unit.replace("2", "²"))
+    _, factor, unit = _display(name)
+    where = [f"{axis.key} = {figure(float(result.best[axis.column]) / axis.si_per_unit, axis.unit)}" for axis in result.grid.axes]
+    value = figure(float(result.best[name]) * factor, unit)
     extreme = "largest" if result.problem.model.objective_display[0] < 0.0 else "least"
     verified = f"{result.valid_points:,} of {total:,} points have a verified design"
     active = str(result.best.get("active", ""))

@@ -17,9 +17,9 @@ from optlink.problem.file import SIDES, ProblemFile
 from optlink.problem.limits import Reach
 from optlink.problem.quantity import Interval, StrokeRatio, file_key, nearest, range_example
 from optlink.problem.terms import QUANTITIES, Limit, Term, read_words
-from optlink.studies.grid import Axis, Raw, column, exact_text, read_axis
+from optlink.studies.grid import Axis, Raw, column_name, exact_text, read_axis
 from optlink.studies.target_programme import limit_key
-from optlink.units import DISPLAYED, KINDS, factor
+from optlink.units import DISPLAYED, KINDS, factor, in_si
 from optlink.validation.cycle import Cycle
 from optlink.validation.design import validate_batch
 from optlink.validation.timing import passing
@@ -31,7 +31,7 @@ OPTION = "--objectives"
 
 @dataclass(frozen=True)
 class ParetoObjective:
-    """One objective of a Pareto front: its text, `text`, and its `name`.
+    """One objective of a Pareto front: its text, `text`, its `name`, and the `unit` in which it is shown.
 
     `sense`: 1 to minimise, -1 to maximise; `key`: the limit that constrains it in the problem file, with its side, empty for an
     objective that can only be minimised itself; `term`: of a machine, as in the file; `span`: the requested range, if any;
@@ -54,9 +54,14 @@ class ParetoObjective:
         return self.part >= 0 or bool(self.term) or not self.key
 
     @property
+    def si_per_unit(self) -> float:
+        """Its unit [SI]."""
+        return in_si(self.unit)[0]
+
+    @property
     def column(self) -> str:
-        """Name of its column in the table."""
-        return column(self.name, self.unit).replace(" ", "_")
+        """Name of its column in the table [SI]."""
+        return column_name(self.name, self.unit).replace(" ", "_")
 
     @property
     def best(self) -> str:
@@ -93,8 +98,8 @@ class ParetoObjective:
 
 def range_values(objective: ParetoObjective, count: int) -> Axis:
     """Return the values of the requested range of an objective."""
-    stated = ":" in objective.span or "step" in objective.span
-    return read_axis(f"{objective.key}={objective.span}" + ("" if stated else f":{count}"))
+    stated = any(mark in objective.span for mark in (":", "step", ","))
+    return read_axis(objective.key, objective.span + ("" if stated else f":{count}"))
 
 
 ERROR, SUM = "error", "objective"

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, ClassVar, TypeVar, Unpack
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from optlink.errors import InputError, Status
 from optlink.execution.options import Execution
@@ -30,8 +31,10 @@ from optlink.problem.document import Renamed, Source, entries
 from optlink.problem.file import AnyProblem, ProblemFile, problem_of
 from optlink.studies.fronts.design_objectives import OPTION, ParetoObjective
 from optlink.studies.fronts.epsilon_ranges import RANGES, EpsilonRanges, NoExtreme, read_objectives
+from optlink.studies.grid import column_name
 from optlink.studies.reoptimise_task import CHUNK, ReoptimiseTask, check_backend, optimum_task
-from optlink.studies.sweeps import GridStudy, TableFile
+from optlink.studies.sweeps import Cell, GridStudy, TableFile
+from optlink.units import in_si
 from optlink.version import VERSION
 
 T = TypeVar("T")
@@ -47,7 +50,7 @@ STARTS = 8  # starting points of each search of a law, if the designs at the end
 
 @dataclass(frozen=True)
 class ParetoPoint:
-    """A design of the front: values of the objectives in their order and units, design variables by column, active limits."""
+    """A design of the front: values of the objectives in their order [SI], design variables by name [SI], active limits."""
 
     values: tuple[float, ...]
     design: Mapping[str, float]
@@ -60,8 +63,8 @@ class Pareto(GridStudy):
     """A Pareto front, sorted from the best value of the first objective.
 
     `ends`: index of the best point of every objective; `knee`: its index and its distance from the chord of the ends, if any;
-    `reference`: the objectives of the initial machine, or of the optimum for the limits of the file. Of the `solved` points of
-    the grid, `valid` are validated, `infeasible` have no design, and `dominated` are dominated by others.
+    `reference`: the objectives [SI] of the initial machine, or of the optimum for the limits of the file. Of the `solved` points
+    of the grid, `valid` are validated, `infeasible` have no design, and `dominated` are dominated by others.
     """
 
     kind = "pareto"
@@ -120,6 +123,7 @@ class Pareto(GridStudy):
             if k != self.minimised
         ]
         for (objective, value), axis in zip(limited, self.grid.axes, strict=True):
+            value /= objective.si_per_unit
             if objective.sense * (axis.values[-1] - value) > RANGE_MARGIN * abs(value):
                 best = self.objectives[self.minimised].best
                 value_of_best = f"{objective.name} {value:.6g} {objective.unit}"
@@ -144,18 +148,36 @@ class Pareto(GridStudy):
 
     @property
     def columns(self) -> dict[str, list[Any]]:
-        """The front as a table: objectives, design variables, active limits, and marks."""
+        """The front as a table: objectives and design variables [SI], active limits, and marks."""
         columns: dict[str, list[Any]] = {
             objective.column: [p.values[k] for p in self.points] for k, objective in enumerate(self.objectives)
         }
-        columns |= {name: [p.design[name] for p in self.points] for name in (self.points[0].design if self.points else ())}
+        quantities = self.problem.model.quantities
+        for name in self.points[0].design if self.points else ():
+            columns[column_name(name, quantities[name].display[1])] = [p.design[name] for p in self.points]
         return columns | {key: [getattr(p, key) for p in self.points] for key in ("active", "mark")}
+
+    @property
+    def chosen(self) -> int | None:
+        """Index of the best point: the knee, without one the end of the first objective; None without points."""
+        if not self.points:
+            return None
+        return self.ends[0] if self.knee is None else self.knee[0]
+
+    @property
+    def best(self) -> Mapping[str, Cell] | None:
+        """Row of the best point, the knee or without one the end of the first objective, by column [SI]; None without points."""
+        return None if self.chosen is None else {name: cells[self.chosen] for name, cells in self.columns.items()}
+
+    def displayed(self, values: Sequence[float]) -> tuple[float, ...]:
+        """Return values of the objectives [SI] in the units of the objectives."""
+        return tuple(value / one.si_per_unit for value, one in zip(values, self.objectives, strict=True))
 
 
 @typed
 def pareto(
     problem: AnyProblem,
-    objectives: str,
+    objectives: Mapping[str, ArrayLike | None] | str,
     out: Path | None = None,
     *,
     points: int | None = None,
@@ -170,9 +192,11 @@ def pareto(
     ----------
     problem : ProblemFile, str or Path
         A design for a requirement of any kind, or a machine with an objective over its cycle.
-    objectives : str
-        Objectives, separated by commas: "peak torque, guide force in F" for a machine, "error, limits.transmission_angle.max" or
-        "error, total length" for a requirement; see `optlink.studies.fronts.epsilon_ranges`.
+    objectives : mapping of str to None, array [SI] or str; or str
+        Two or three objectives, each with the values of the limit that constrains it, or None for the range that the front
+        needs: {"peak torque": None, "guide force in F": np.linspace(1300.0, 1600.0, 7)} for a machine, {"error": None,
+        "limits.transmission_angle.max": "120..140 deg"} for a requirement; a text without a number of values has `points`. Also
+        as on the command line, "error, total length". See `optlink.studies.fronts.epsilon_ranges`.
     out : Path, optional
         Folder for completed chunks and for a table of all points (`sweep.csv`). Default: a temporary folder.
     points : int, optional
@@ -196,9 +220,9 @@ def pareto(
     Examples
     --------
     >>> from optlink.studies import pareto
-    >>> front = pareto(optlink.load("crank-rocker"), "error, limits.transmission_angle.max", points=3)
-    >>> [point.mark for point in front.points]
-    ['least error', 'knee', 'best largest transmission angle']
+    >>> front = pareto(optlink.load("crank-rocker"), {"error": None, "limits.transmission_angle.max": None}, points=3)
+    >>> [point.mark for point in front.points], front.best["mark"]
+    (['least error', 'knee', 'best largest transmission angle'], 'knee')
     """
     problem = problem_of(problem)
     begin = time.perf_counter()
@@ -208,7 +232,7 @@ def pareto(
         message, remedy = "all objectives have ranges", "One of them is minimised: leave its range out"
         if sum(objective.direct for objective in objective_list) == 1:
             message, remedy = f"{objective_list[first].name} has no range: it is minimised", "Leave the range out"
-        raise InputError(message, remedy, problem.file, OPTION, objectives)
+        raise InputError(message, remedy, problem.file, OPTION, _written(objective_list))
     limited = RANGES[problem.task].limited
     objective_list = tuple(one if k == first else limited(problem, one) for k, one in enumerate(objective_list))
     count = POINTS[len(objective_list) - 1] if points is None else points
@@ -249,6 +273,7 @@ def pareto(
         corner, bend = (ends(costs[non_dominated]), knee(costs[non_dominated])) if len(non_dominated) else ((), None)
         front = tuple(_marked(designs[i], j, objective_list, corner, bend) for j, i in enumerate(non_dominated))
         words, reference = ranges.reference(base, once)
+        reference = reference and _si(objective_list, reference)
         return Pareto(
             problem=problem,
             objectives=objective_list,
@@ -285,10 +310,20 @@ def _about(problem: ProblemFile, objectives: tuple[ParetoObjective, ...], count:
         "problem": problem.name,
         "problem_hash": problem.hash,
         "mode": "pareto",
-        "objectives": [f"{objective.text}={objective.span}" if objective.span else objective.text for objective in objectives],
+        "objectives": [_written([objective]) for objective in objectives],
         "points": count,
         "backend": backend,
     }
+
+
+def _written(objectives: Sequence[ParetoObjective]) -> str:
+    """Return objectives with their ranges as a text, as on the command line."""
+    return ", ".join(f"{one.text}={one.span}" if one.span else one.text for one in objectives)
+
+
+def _si(objectives: Sequence[ParetoObjective], values: Sequence[float]) -> tuple[float, ...]:
+    """Return values of objectives [SI] from those in their units."""
+    return tuple(value * one.si_per_unit for value, one in zip(values, objectives, strict=True))
 
 
 class _Once:
@@ -343,15 +378,15 @@ def _is_valid(task: ReoptimiseTask, row: Sequence[str]) -> bool:
 def _design(task: ReoptimiseTask, row: Sequence[str]) -> dict[str, float]:
     """Return the design variables [SI] of a row."""
     first = len(task.grid.axes)
-    return {name: float(row[first + k]) * quantity.si_per_unit for k, (name, quantity) in enumerate(task.free.items())}
+    return {name: float(row[first + k]) for k, name in enumerate(task.free)}
 
 
 def _point(task: ReoptimiseTask, ranges: EpsilonRanges, row: Mapping[str, str]) -> ParetoPoint | None:
     """Return a row with its objectives evaluated; None if they are not finite."""
-    objective = float(row[task.objective_column]) / task.template.model.objective_display[0]
-    measured = ranges.figures(task.template, _design(task, list(row.values())), objective)
-    design = {column: float(row[column]) for column in (f"{name}_{q.display[1]}" for name, q in task.free.items())}
-    return ParetoPoint(measured, design, row["active"], "") if np.all(np.isfinite(measured)) else None
+    factor, unit = task.template.model.objective_display
+    design = _design(task, list(row.values()))
+    measured = ranges.figures(task.template, design, float(row[task.objective_column]) / (factor * in_si(unit)[0]))
+    return ParetoPoint(_si(ranges.objectives, measured), design, row["active"], "") if np.all(np.isfinite(measured)) else None
 
 
 def _marked(

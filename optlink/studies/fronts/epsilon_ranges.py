@@ -17,6 +17,7 @@ from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from optlink.errors import InputError, Status
 from optlink.linkage.vector2d import Array
@@ -41,7 +42,7 @@ from optlink.studies.fronts.design_objectives import (
     tightest_bound,
     without_varied_limits,
 )
-from optlink.studies.grid import Axis, Grid, Raw, exact_text
+from optlink.studies.grid import Axis, Grid, Raw, axis_of, exact_text
 from optlink.studies.reoptimise_task import near_design, with_starting_values
 from optlink.tasks import design as targets
 from optlink.tasks.certify import automatic
@@ -429,13 +430,26 @@ EXAMPLES = (
 )
 
 
-def read_objectives(problem: ProblemFile, objectives: str) -> tuple[ParetoObjective, ...]:
-    """Read two or three objectives, separated by commas; `NAME=LOW..HIGH UNIT` restricts an objective to a range."""
-    if not objectives.strip():
+def assigned(problem: ProblemFile, objectives: str) -> dict[str, str | None]:
+    """Return ranges by objective, None without one, from a text `NAME, NAME=LOW..HIGH UNIT`, as on the command line."""
+    ranges: dict[str, str | None] = {}
+    for part in objectives.split(",") if objectives.strip() else ():
+        name, equals, span = (piece.strip() for piece in part.partition("="))
+        if not name:
+            raise InputError("an objective is empty", EXAMPLES, problem.file, OPTION, objectives)
+        if equals and not span:
+            raise InputError("the range is empty", "Write NAME=LOW..HIGH UNIT", problem.file, OPTION, part.strip())
+        if name in ranges:
+            raise InputError("the same objective twice", "Give each once", problem.file, OPTION, name)
+        ranges[name] = span or None
+    return ranges
+
+
+def read_objectives(problem: ProblemFile, objectives: str | Mapping[str, ArrayLike | None]) -> tuple[ParetoObjective, ...]:
+    """Read two or three objectives, each with the values of its limit or None; as a text, see `assigned`."""
+    parts = objectives if isinstance(objectives, Mapping) else assigned(problem, objectives)
+    if not parts:
         raise InputError("two or three objectives are missing", EXAMPLES, problem.file, OPTION)
-    parts = [part.strip() for part in objectives.split(",")]
-    if not all(parts):
-        raise InputError("an objective is empty", EXAMPLES, problem.file, OPTION, objectives)
     if not 2 <= len(parts) <= 3:
         what = "one objective has no trade-off" if len(parts) == 1 else f"{len(parts)} objectives are too many for a front"
         raise InputError(what, f"Give two or three. {EXAMPLES}", problem.file, OPTION, objectives)
@@ -443,7 +457,7 @@ def read_objectives(problem: ProblemFile, objectives: str) -> tuple[ParetoObject
         raise _no_front(problem)
     if not problem.model.free:
         raise InputError("no design variables: every dimension is fixed", "Free a dimension", problem.file, "mechanism")
-    parsed = tuple(_ranged(problem, part, k + 1) for k, part in enumerate(parts))
+    parsed = tuple(_ranged(problem, name, values, k + 1) for k, (name, values) in enumerate(parts.items()))
     for k, objective in enumerate(parsed):
         if any(objective.name == previous.name for previous in parsed[:k]):
             raise InputError("the same objective twice", "Give each once", problem.file, OPTION, objective.text)
@@ -462,13 +476,16 @@ def _no_front(problem: ProblemFile) -> InputError:
     return InputError("the problem has no [objective]", f"{whose}; add an [objective] and design variables", problem.file)
 
 
-def _ranged(problem: ProblemFile, part: str, number: int) -> ParetoObjective:
-    name, equals, span = (piece.strip() for piece in part.partition("="))
-    if equals and not span:
-        raise InputError("the range is empty", "Write NAME=LOW..HIGH UNIT", problem.file, OPTION, part)
+def _ranged(problem: ProblemFile, name: str, values: ArrayLike | None, number: int) -> ParetoObjective:
     objective = RANGES[problem.task].objective(problem, name, number)
-    if span and not objective.key:
-        raise InputError(f"{name} has no range: it is minimised", "Leave the range out", problem.file, OPTION, part)
+    if values is None:
+        return objective
+    if not objective.key:
+        raise InputError(f"{name} has no range: it is minimised", "Leave the range out", problem.file, OPTION, name)
+    span = str(values)
+    if not isinstance(values, str):
+        axis = axis_of(problem, name, values, objective.unit, OPTION)
+        span = ", ".join(f"{value!r} {axis.unit}".rstrip() for value in axis.values)
     objective = replace(objective, span=span)
     if objective.of:
         _check_bounds(problem, objective)

@@ -29,7 +29,7 @@ from optlink.studies.tolerances.allocation import Allocation, allocate
 from optlink.studies.tolerances.monte_carlo import CHUNK, LinearAnalysis, MonteCarlo, Progress, linear_analysis, monte_carlo
 from optlink.studies.tolerances.nominal import ERROR, nominal_design
 from optlink.studies.tolerances.robust_design import YIELD, RobustDesign, check_targets, maximise_yield
-from optlink.studies.tolerances.sampling import identified, read_deviations
+from optlink.studies.tolerances.sampling import identified, read_deviations, stated
 from optlink.tasks.machine import check_design
 from optlink.units import DISPLAYED, UnitProblem, parse, read_number
 
@@ -142,14 +142,14 @@ class Tolerance(LinearAnalysis, Document):
 
     @property
     def columns(self) -> dict[str, Array]:
-        """Table over crank angles, by name with unit."""
+        """Table over crank angles, by name with SI unit, but crank angles [deg]."""
         worst, columns = self.worst, {"crank_deg": self.nominal.degrees}
         named_columns = {"value": self.nominal.value, "judged": self.nominal.base, "worst_low": worst[0], "worst_high": worst[1]}
         named_columns |= {"rss": self.rss, "sigma": self.sigma, "shift": self.shift}
         if self.monte_carlo is not None:
             named_columns |= {"sampled_mean": self.monte_carlo.mean, "sampled_sigma": self.monte_carlo.sigma}
             named_columns |= {"sampled_least": self.monte_carlo.least, "sampled_most": self.monte_carlo.most}
-        columns |= {f"{name}_{self.display_unit}".rstrip("_"): self.scale * column for name, column in named_columns.items()}
+        columns |= {f"{name}_{self.nominal.unit}".rstrip("_"): column for name, column in named_columns.items()}
         shares = {f"{d.name}_percent": 100.0 * row for d, row in zip(self.deviations, self.contributions, strict=True)}
         return columns | shares
 
@@ -157,10 +157,10 @@ class Tolerance(LinearAnalysis, Document):
 @typed
 def tolerance(
     problem: AnyProblem,
-    tolerances: Sequence[str] = (),
+    tolerances: Mapping[str, float | str] | Sequence[str] = (),
     output: str | None = None,
     crank_angles: Array | None = None,
-    limit: str | None = None,
+    limit: float | str | None = None,
     *,
     samples: int = SAMPLES,
     seed: int = 0,
@@ -178,16 +178,16 @@ def tolerance(
     ----------
     problem : ProblemFile, str or Path
         From `optlink.load`, the name of a shipped problem, or a file. Without a `design`, it is optimised first.
-    tolerances : sequence of str
-        Tolerances by name: "coupler=0.1 mm", "D.x=0.05 mm uniform", "C.clearance=0.02 mm", "rocker=parts.csv". Default: those of
-        the file.
+    tolerances : mapping of str to float [SI] or str, or sequence of str
+        Tolerances by name, for example {"coupler": 1e-4} in SI, or texts with units, {"D.x": "0.05 mm uniform", "rocker":
+        "parts.csv"}; also as on the command line, ["coupler=0.1 mm"]. Default: those of the file.
     output : str, optional
         Name of a body (its angle), coordinate "P.x" or "P.y" of a point, or "error" of the requirement: of a motion law, the
         distance from the points or poses, the cosine of the transmission angle ("error at C" for one of several dyads;
         "walk.error" for the requirement "walk" of several). Default: the error.
     crank_angles : array (angles,) [rad], optional
         Crank angles of an output without target. Default: the points of a path, otherwise a revolution.
-    limit : str, optional
+    limit : float [SI] or str, optional
         Permitted absolute error, or permitted change of another output, at all crank angles, for the yield: "0.5 deg".
     samples : int
         Number of samples of the Monte Carlo analysis; 0: linear analysis only.
@@ -223,11 +223,12 @@ def tolerance(
     Examples
     --------
     >>> from optlink.studies import tolerance
-    >>> result = tolerance(optlink.load("crank-rocker"), ["coupler=0.1 mm"], limit="2.3 deg", samples=4096)
+    >>> result = tolerance(optlink.load("crank-rocker"), {"coupler": 1e-4}, limit="2.3 deg", samples=4096)
     >>> round(result.monte_carlo.share, 3)  # the yield
     0.864
     """
     problem = problem_of(problem)
+    tolerances = stated(problem, tolerances) if isinstance(tolerances, Mapping) else tolerances
     _check(samples, seed, shape, target_yield, limit)
     check_design(problem, design)
     with _processes(samples, execution) as runs:
@@ -279,7 +280,7 @@ def _robust_design(
     problem: ProblemFile,
     tolerances: Sequence[str],
     robust: float | str,
-    limit: str | None,
+    limit: float | str | None,
     samples: int,
     seed: int,
     shape: str,
@@ -298,7 +299,7 @@ def _robust_design(
     return maximise_yield(problem, tolerances, allowed, samples, seed, shape=shape, runs=runs)
 
 
-def _check(samples: int, seed: int, shape: str, target_yield: float | None, limit: str | None) -> None:
+def _check(samples: int, seed: int, shape: str, target_yield: float | None, limit: float | str | None) -> None:
     if not 0 <= samples <= MAX_SAMPLES or samples == 1:
         raise InputError("out of range", f"Give 0 (none), or 2 to {MAX_SAMPLES:,}", key="--samples", value=samples)
     if seed < 0:
@@ -311,10 +312,11 @@ def _check(samples: int, seed: int, shape: str, target_yield: float | None, limi
         raise InputError("a yield needs a limit", 'Add for example --limit "0.5 deg"', key="--allocate")
 
 
-def _limit(text: str | None, unit: str) -> float | None:
+def _limit(given: float | str | None, unit: str) -> float | None:
     """Return a limit of a value with an SI unit; of the cosine of a transmission angle, a number or an angle from 90 deg."""
-    if text is None:
+    if given is None:
         return None
+    text = given if isinstance(given, str) else f"{given!r} {unit}".rstrip()
     try:
         if unit:
             value, _ = parse(text, {"rad": "angle", "m": "length"}[unit])
@@ -322,7 +324,7 @@ def _limit(text: str | None, unit: str) -> float | None:
             number = read_number(text)
             value = number if math.isfinite(number) else math.sin(parse(text, "angle")[0])
     except UnitProblem as error:
-        raise InputError(error.message, error.remedy, key="--limit", value=text) from None
+        raise InputError(error.message, error.remedy, key="--limit", value=given) from None
     if not value > 0.0:
-        raise InputError("the limit must be positive; it applies to both sides", "Give a larger one", key="--limit", value=text)
+        raise InputError("the limit must be positive; it applies to both sides", "Give a larger one", key="--limit", value=given)
     return value

@@ -202,7 +202,7 @@ def _check_assembled(problem: ProblemFile, at: Array, value: Array) -> None:
     """Refuse crank angles that the linkage does not reach."""
     if not np.all(np.isfinite(value)):
         angle = math.degrees(float(at[int(np.argmin(np.isfinite(value)))]))
-        remedy = 'Give crank angles that it reaches: --angles "60..120 deg:13"'
+        remedy = "Give crank angles that it reaches with --angles"
         raise InputError(f"the linkage cannot be assembled at {angle:.4g} deg", remedy, problem.file, "--angles")
 
 

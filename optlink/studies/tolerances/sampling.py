@@ -1,7 +1,7 @@
 """Quasi-random samples of deviations, confidence intervals of a yield, and options of the tolerance command."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +12,7 @@ from optlink.linkage.vector2d import Array
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import Unusable
 from optlink.problem.tolerances import CLEARANCE, EXAMPLE, NORMAL, Deviation, ToleranceEntry, deviations, read_tolerance
+from optlink.studies.grid import axis_of
 from optlink.studies.tolerances.nominal import Nominal
 from optlink.units import read_number
 
@@ -119,6 +120,18 @@ def read_tolerances(problem: ProblemFile, texts: Sequence[str], shape: str = NOR
         name: entry.shape or (None if entry.measured or name.endswith(CLEARANCE) else shape) for name, entry in entries.items()
     }
     return {name: replace(entries[name], shape=distribution) for name, distribution in entry.items()}
+
+
+def stated(problem: ProblemFile, tolerances: Mapping[str, float | str]) -> list[str]:
+    """Return tolerances as texts `NAME=TOLERANCE`, numbers in SI with the display unit of the quantity."""
+    texts, quantities = [], problem.model.mechanism.quantities
+    for name, value in tolerances.items():
+        text = value
+        if not isinstance(value, str):
+            key = name.removeprefix("mechanism.")
+            text = str(axis_of(problem, key, value, quantities[key].display[1] if key in quantities else "mm", OPTION).raw(0))
+        texts.append(f"{name}={text}")
+    return texts
 
 
 def identified(problem: ProblemFile, texts: Sequence[str], shape: str, *, robust: bool) -> ProblemFile:
