@@ -86,7 +86,7 @@ def test_several_requirements_have_their_charts_figures_and_files(tmp_path) -> N
     largest, anywhere = (math.degrees(np.max(np.abs(alone.error(at)))) for at in (None, np.linspace(0.0, 0.5 * np.pi, 20_001)))
     assert [chart.file for chart in view_of("design").charts(result)] == ["law", "transmission"]
     text = words(table_of("design")(result))
-    stated = re.search(r"largest deviation of function ([\d.]+) deg error: .* at most 12 deg", text)
+    stated = re.search(r"largest error of function ([\d.]+) deg error: .* at most 12 deg", text)
     assert stated is not None, text
     assert float(stated[1]) == pytest.approx(anywhere, rel=1e-5)
     cosine = max(abs(SIZES["coupler"] ** 2 + SIZES["rocker"] ** 2 - r**2) for r in (400.0, 600.0))

@@ -30,7 +30,7 @@ def test_solve_prints_the_verdict_the_design_its_limits_and_the_proof():
     assert text.count("\n") <= search_tables.LINES
     for line in (
         "optimal, valid, fair fit: rms error is 3 % of the output range",
-        "objective: sum of squares 0.00759237 rad^2 (error: rms 0.9115, largest 2.29 \ndeg); transmission angle 45.00 deg",
+        "objective: sum of squares 0.00759237 rad^2 (error: rms 0.9115, largest 2.29 \ndeg); least transmission angle 45.00 deg",
         "globally optimal within the bounds: no design is better by more than 0.0001 %",
         "coupler   412.865  mm   free, 100 ... 900",
         "largest transmission angle  <= 135 deg  0.0001465 rad^2 per deg (1.93 %)",

@@ -249,7 +249,7 @@ def test_expression_evenly_in_t(tmp_path):
     np.testing.assert_allclose(mm(expected), np.stack([20 * np.cos(t), 10 * np.sin(t)], 1), atol=1e-12)
     assert expected.loop
     assert closed(expected)
-    assert "40 points evenly by t; closed" in expected.note
+    assert "40 points evenly by t; it is closed" in expected.note
     half = read_points({**raw, "t": ["pi", 0], "unit": "in"}, tmp_path)
     t = np.linspace(np.pi, 0.0, 40)
     np.testing.assert_allclose(mm(half), 25.4 * np.stack([20 * np.cos(t), 10 * np.sin(t)], 1), atol=1e-12)

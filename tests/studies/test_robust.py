@@ -582,7 +582,7 @@ def test_the_command_solves_reports_and_validates(problem, tmp_path):
     assert document["objective"]["largest_deg"] < math.degrees(document["objective"]["value"])
     command = run("solve", "crank-rocker-robust", "--set", "tolerances.coupler=2 mm")
     assert command.exit_code == 0, command.output
-    assert "max with 3 sigma" in command.output
+    assert "largest error with 3 sigma" in command.output
     checked = run("validate", "crank-rocker-robust", "--design", str(tmp_path / "result.json"))
     assert checked.exit_code == 0, checked.output
     shown = run("show", "crank-rocker-robust").output

@@ -456,7 +456,7 @@ def torque(cycle: CycleCurves, initial: CycleCurves | None = None) -> list[Chart
         lines.append(Line(mean * unit.factor, f"mean {unit.text(mean) if mean else 0}", TARGET, gid="mean"))
     name = f"torque on {result.machine.mechanism.crank.body} [{unit.unit}]"
     shown = panel(cycle, name, traces, 1.6, extremes(cycle, TORQUE, unit), lines)
-    speed = f"{abs(result.speed):.5g} rad/s = {abs(result.speed) * 30.0 / math.pi:.5g} rpm"
+    speed = f"{abs(result.speed):.5g} rad/s ({abs(result.speed) * 30.0 / math.pi:.5g} rpm)"
     speed += "" if result.speed > 0.0 else ", clockwise"
     return [chart(cycle, "torque", "Driving torque", [shown], remark=speed)]
 

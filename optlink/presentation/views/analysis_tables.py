@@ -125,7 +125,7 @@ def analysis(outcome: Analysis) -> Summary:
 
 def _speed(speed: float) -> str:
     sense = "" if speed > 0.0 else ", clockwise"
-    return f"{abs(speed):.6g} rad/s = {abs(speed) * 30.0 / math.pi:.6g} rpm{sense}"
+    return f"crank speed {abs(speed):.6g} rad/s ({abs(speed) * 30.0 / math.pi:.6g} rpm){sense}"
 
 
 def _travels(outcome: Analysis) -> Iterator[Part | None]:
@@ -227,7 +227,8 @@ def _work(outcome: Analysis) -> TableSpec:
     if "input.work_J" in outcome.extremes:
         extreme = outcome.extremes["input.work_J"]
         for word, amount, at in (("least", *extreme[:2]), ("largest", *extreme[2:])):
-            rows.append((f"{word} since the start", number(amount, 9), f"J at {math.degrees(at):z.4f} deg"))
+            shown = 0.0 if abs(amount) <= 1e-12 * scale else amount
+            rows.append((f"{word} since the start", number(shown, 9), f"J at {math.degrees(at):z.4f} deg"))
     wheel = outcome.flywheel
     if wheel:
         alone = "of the mean speed under it, without a flywheel"

@@ -342,7 +342,7 @@ def _added(outcome: Balance) -> TableSpec:
         size, what = (weight.gyration, "of gyration") if weight.radius is None else (weight.radius, "disc")
         thickness = weight.specification.thickness_of(weight.mass) if weight.specification.kind == "disc" else None
         if thickness is not None:
-            what += f" x {number(thickness * 1e3, 4)} mm"
+            what += f", {number(thickness * 1e3, 4)} mm thick"
         along = float(weight.parameters.along)
         across = _tiny(float(weight.parameters.across), along)
         moment = number(math.hypot(along, across)), fixed(math.degrees(math.atan2(across, along)), 2)

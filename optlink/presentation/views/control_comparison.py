@@ -147,12 +147,16 @@ def page(comparison: Comparison) -> StoredStudy:
     )
 
 
+def _revolutions(outcome: Comparison | Tuning) -> str:
+    return "1 revolution" if outcome.revolutions == 1 else f"{outcome.revolutions} revolutions"
+
+
 def overview(outcome: Comparison) -> Summary:
     """Tabulate all kinds of control of a comparison."""
     factor, displayed = DISPLAYED[outcome.unit]
     count = len(outcome.starts)
-    starts = "one crank angle at the start" if count == 1 else f"{count} crank angles at the start"
-    status: list[Inline] = [f"{outcome.revolutions} revolutions from each of {starts} (seed {outcome.seed})"]
+    starts = "one crank angle at the start" if count == 1 else f"each of {count} crank angles at the start"
+    status: list[Inline] = [f"{_revolutions(outcome)} from {starts} (seed {outcome.seed})"]
     rows: list[Row] = []
     for kind, trials in outcome.trials.items():
         gain = math.nan if kind == "none" or "none" not in outcome.trials else outcome.gain(kind)
@@ -170,8 +174,8 @@ def overview(outcome: Comparison) -> Summary:
 def tuning(outcome: Tuning) -> Summary:
     """Summarise a search for controller parameters and its best set."""
     factor, displayed = DISPLAYED[outcome.unit]
-    starts = "one crank angle" if outcome.starts == 1 else f"{outcome.starts} crank angles"
-    runs = f"{outcome.revolutions} revolutions from each of {starts} at the start (seed {outcome.seed})"
+    starts = "one crank angle" if outcome.starts == 1 else f"each of {outcome.starts} crank angles"
+    runs = f"{_revolutions(outcome)} from {starts} at the start (seed {outcome.seed})"
     stopped = int(np.sum(~np.isfinite(outcome.costs)))
     tried = f"{len(outcome.costs)} parameter sets tried"
     tried += f", {stopped} of them stalled or stopped early as worse" if stopped else ""

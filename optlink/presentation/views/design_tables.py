@@ -1,6 +1,7 @@
 """Tables of a synthesis result of any linkage: design, figures, limits, alternatives, cognates."""
 
 import math
+import re
 from collections.abc import Sequence
 
 import numpy as np
@@ -31,7 +32,6 @@ from optlink.units import DISPLAYED
 # Words of a synthesised design by kind of requirement: its figures, the table and the file of its positions, its conclusion.
 
 MIN_LENGTH = 1e-8  # m, least length that is shown
-LARGEST = "largest deviation"
 MAX_POINTS = 12  # largest number of points listed on a terminal; result.json and points.csv contain all
 
 
@@ -59,7 +59,7 @@ class Words:
 
     def captions(self, design: LinkageDesign) -> list[str]:
         """Return the captions of a picture: the measure of the deviations, and these."""
-        stated = design.exact or measure(design) in ("rms", "max", LARGEST)
+        stated = design.exact or measure(design) in ("rms", f"largest {self.deviation}")
         return [*([] if stated else [f"{measure(design)} {figure(*measured(design))}"]), *self.figures(design)]
 
     def targets(self, design: LinkageDesign) -> TableSpec | None:
@@ -89,7 +89,7 @@ class _Law(Words):
         rows, step, task = super().rows(design, outcome), outcome.first_step, design.task
         if task.everywhere and task.tolerance is None:
             remark = "times that the largest error occurs in the range, with alternating sign"
-            rows.append(("alternations", str(design.alternations), "", quiet(remark)))
+            rows.append(("equal extremes of the error", str(design.alternations), "", quiet(remark)))
         if step is not None:
             from optlink.synthesis.freudenstein import WIDER
 
@@ -269,7 +269,7 @@ def measured(design: LinkageDesign) -> tuple[float, str]:
 
 def measure(design: LinkageDesign) -> str:
     """Return the name of the measure of the deviations, with a note if it is weighted."""
-    name = LARGEST if design.whole.composed and design.measure == "max" else design.measure
+    name = re.sub("^max", f"largest {words_of(design).deviation}", design.measure)
     return name + (", weighted" if design.task.target_points.weights is not None else "")
 
 
@@ -360,7 +360,7 @@ def _figures(outcome: SynthesisResult, design: LinkageDesign) -> TableSpec:
     least, where = math.degrees(design.least_transmission), "revolution" if design.crank_turns else "range"
     if math.isfinite(least) and not any(part.task.requirement.by_angle for part in design.parts):
         remark = f"least distance from 0 or 180 deg over the {where}"
-        rows.append(("transmission angle", fixed(least, 2), "deg", quiet(remark)))
+        rows.append(("least transmission angle", fixed(least, 2), "deg", quiet(remark)))
     figures = design.figures[len(whole.goals) - len(goals) :]
     rows += [(figure.words, number(figure.result, 6), figure.unit, quiet(figure.limit)) for figure in figures]
     return table("Objective", "<><<", rows)

@@ -106,7 +106,7 @@ ABSENT = {
     "zero": "none",
     "start": "none",
     "mark": "none",
-    "name": "its kind",
+    "name": "as its kind",
     "tolerance": "none: it is minimised",
     "weight": "none",
     "scale": "none",
@@ -120,12 +120,12 @@ def _plain(name: str, value: object) -> str:
     if isinstance(value, Quantity | Interval | str | int | float):
         return str(value)
     if isinstance(value, dict):
-        written = ((key, ", ".join(map(str, item)) if isinstance(item, tuple) else item) for key, item in value.items())
+        written = ((key, " and ".join(map(str, item)) if isinstance(item, tuple) else item) for key, item in value.items())
         return "\n".join(f"{key}  {item}" for key, item in written) or "none"
     if isinstance(value, tuple):
         return ", ".join(map(str, value))
     if isinstance(value, RegionSection):
-        return ", ".join(f"{axis} {side or 'any'}" for axis, side in (("x", value.x), ("y", value.y)))
+        return ", ".join(f"{axis} {side}" if side else f"any {axis}" for axis, side in (("x", value.x), ("y", value.y)))
     if isinstance(value, TargetPoints):
         return _listed(value)
     text = getattr(value, "text", None)

@@ -80,7 +80,7 @@ def resample(pieces: Sequence[CurvePiece], count: int) -> tuple[Array, bool, flo
 def sampled_targets(points: Array, unit: str, loop: bool, note: str) -> TargetPoints:
     """Return points (n, 2) [m] sampled from a curve as targets; `loop`: the curve is closed."""
     check_apart(PointRows(dict(zip("xy", points.T, strict=True)), unit, key="points"))
-    return TargetPoints(pairs(points), unit=unit, note=f"{note}; closed, the first is not repeated" if loop else note, loop=loop)
+    return TargetPoints(pairs(points), unit=unit, note=f"{note}; it is closed" if loop else note, loop=loop)
 
 
 def expression_curve(raw: Mapping[str, Any]) -> TargetPoints:
@@ -121,7 +121,7 @@ def expression_curve(raw: Mapping[str, Any]) -> TargetPoints:
     points, loop, length = resample([CurvePiece(at, FINE)], count)
     if spacing == "t":
         points = at(np.linspace(0.0, 1.0, count, endpoint=not loop))
-    note = f"a curve {show(length, 'length', unit)} long, sampled at {count} points evenly by {spacing}"
+    note = f"the target is a curve {show(length, 'length', unit)} long, sampled at {count} points evenly by {spacing}"
     return sampled_targets(points, unit, loop, note)
 
 
