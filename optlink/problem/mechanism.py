@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, WrapValidator
 
 from optlink.linkage.assur import CONTINUE, EITHER, Assembly
+from optlink.linkage.elements import Drive
 from optlink.linkage.fourbar import LENGTHS, four_bar
 from optlink.linkage.mechanism import FRAME, BodyPoint, Dyad, Guide, Link, Mechanism, Pose, Size
 from optlink.linkage.vector2d import unit
@@ -236,7 +237,7 @@ class FourBarSection(Section):
             quantities["direction"] = self.direction or Quantity(0.0, "angle", "deg")
         return quantities
 
-    def linkage(self, name: str, driver: str | None) -> Mechanism:
+    def linkage(self, name: str, driver: str | None, drives: Sequence[Drive] = ()) -> Mechanism:
         """Return the kinematic model, driven at the body `driver`; an undetermined assembly mode counts as left.
 
         Raises
@@ -313,6 +314,17 @@ class GuideSection(Section):
     """Coulomb friction coefficient, below 10."""
 
 
+class CylinderSection(Section):
+    """A cylinder, spindle or gas strut between two joints: a link whose length lies between two values."""
+
+    joints: Annotated[tuple[Name, Name], BeforeValidator(_read_joints)]
+    """Names of the joint of the barrel and the joint of the rod."""
+    closed: Length
+    """Least distance of the joints."""
+    open: Length
+    """Largest distance of the joints."""
+
+
 class DyadsSection(Section):
     """Any linkage of a driving crank and dyads: points on the ground, links, guides, assembly modes."""
 
@@ -327,6 +339,8 @@ class DyadsSection(Section):
     """Every moving body."""
     guides: dict[Name, GuideSection] = Field(default_factory=dict)
     """Sliding joints."""
+    cylinders: dict[Name, CylinderSection] = Field(default_factory=dict)
+    """Links whose length is driven, or held."""
     assembly: dict[str, Annotated[str, AfterValidator(_check_place)]] = Field(default_factory=dict)
     """Assembly mode of each group: for an RRR joint `left of B-D` or `right of B-D`, for an RRP pin or an RPR guide `forward` or
     `backward`; for a pin also its place where the drive starts, `near [12 mm, 40 mm]`. With `left of B-D, continue` this is the
@@ -361,6 +375,8 @@ class DyadsSection(Section):
                 quantities[f"{name}.length"] = link.length
             for point, (along, across) in link.points.items():
                 quantities[f"{name}.{point}.along"], quantities[f"{name}.{point}.across"] = along, across
+        for name, cylinder in self.cylinders.items():
+            quantities[f"{name}.closed"], quantities[f"{name}.open"] = cylinder.closed, cylinder.open
         for name, guide in self.guides.items():
             if isinstance(guide.through, tuple):
                 quantities[f"{name}.x"], quantities[f"{name}.y"] = guide.through
@@ -388,8 +404,10 @@ class DyadsSection(Section):
                 ]
         return variants
 
-    def linkage(self, name: str, driver: str | None) -> Mechanism:
-        """Return the kinematic model, driven at the body `driver`; undetermined assembly modes count as left or forward.
+    def linkage(self, name: str, driver: str | None, drives: Sequence[Drive] = ()) -> Mechanism:
+        """Return the kinematic model, driven at the body `driver`, or by `drives` if it is empty.
+
+        Undetermined assembly modes count as left or forward.
 
         Raises
         ------
@@ -398,10 +416,11 @@ class DyadsSection(Section):
         """
         self._check_names()
         links = list(self._links())
-        body = driver or ("crank" if "crank" in self.links else None)
+        body = driver if drives else driver or ("crank" if "crank" in self.links else None)
         if body is None:
             raise Unusable("no body is driven", f"Add [drive] body, one of: {', '.join(self.links)}", "drive.body")
-        check_name(body, self.links, "no such body", "drive.body")
+        if body:
+            check_name(body, self.links, "no such body", "drive.body")
         points = [
             BodyPoint(point, name_of, f"{name_of}.{point}.along", f"{name_of}.{point}.across")
             for name_of, link in self.links.items()
@@ -411,7 +430,7 @@ class DyadsSection(Section):
         ground: dict[str, tuple[Size, Size]] = {point: (f"{point}.x", f"{point}.y") for point in self.ground}
         modes = {**self.assembly, **dict.fromkeys(self.near, EITHER)}
         with below("mechanism"):
-            return Assembly(ground, links, points, guides, body, modes).mechanism(name)
+            return Assembly(ground, links, points, guides, body or "", modes, drives).mechanism(name)
 
     def _links(self) -> Iterator[Link]:
         for name, link in self.links.items():
@@ -426,6 +445,11 @@ class DyadsSection(Section):
                 if names.count(point) > 1:
                     raise Unusable("the point is given twice", "Remove one of the two, or rename it", key, point)
             yield Link(name, start, end, f"{name}.length" if end else 0.0)
+        for name, cylinder in self.cylinders.items():
+            if cylinder.open.value <= cylinder.closed.value:
+                message = "a cylinder is longer when it is open"
+                raise Unusable(message, "Exchange closed and open", f"mechanism.cylinders.{name}.open", str(cylinder.open))
+            yield Link(name, *cylinder.joints, f"{name}.length")
 
     def _guides(self) -> Iterator[Guide]:
         for name, guide in self.guides.items():
@@ -456,7 +480,8 @@ class DyadsSection(Section):
     def _check_names(self) -> None:
         seen: dict[str, str] = {}
         points = dict.fromkeys([*self.ground, *(p for link in self.links.values() for p in (*link.joints, *link.points))])
-        for kind, names in (("body", self.links), ("point", points), ("guide", self.guides)):
+        points |= dict.fromkeys(joint for cylinder in self.cylinders.values() for joint in cylinder.joints)
+        for kind, names in (("body", self.links), ("body", self.cylinders), ("point", points), ("guide", self.guides)):
             for name in names:
                 if name in RESERVED:
                     raise Unusable(f"{name} is a reserved name", "Choose another", "mechanism", name)

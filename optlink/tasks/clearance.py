@@ -491,7 +491,7 @@ def _setting(
     if start is not None and not abs(start) <= 1e6:
         raise InputError("out of range", "Give an angle", key="start", value=f"{start} rad")
     drive, kind = model.drive, Control(control)
-    begin = drive.start.value if start is None else start
+    begin = problem.model.driving.first if start is None else start
     ranges, _, _ = motion_range(problem, machine, begin)
     check_regular(problem, ranges, "clearance is not simulated there")
     if not ranges.full:

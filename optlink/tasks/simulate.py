@@ -141,10 +141,10 @@ def simulate(
     speed = starting_speed(problem, speed)
     duration = duration_of(problem, duration)
     if duration is None:
-        if MAX_DURATION * abs(drive.speed.value) < TURN:
+        if MAX_DURATION * abs(problem.model.driving.pace) < TURN:
             message = "the duration is missing, and the speed is too low for a default"
             raise InputError(message, 'Give drive.duration = "2 s"', problem.file, "drive.duration")
-        duration = TURN / abs(drive.speed.value)
+        duration = TURN / abs(problem.model.driving.pace)
     check_range("rows", rows, 1, MAX_ROWS)
     ranges, low, high = motion_range(problem, machine, start)
     notes = [*begun, *start_value_notes(problem, design)]

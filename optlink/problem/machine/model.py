@@ -17,6 +17,7 @@ from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.stroke import Direction
 from optlink.linkage.vector2d import Array, Value
 from optlink.problem.base_model import RESERVED, Name, Section, in_folder
+from optlink.problem.driving import Driving, driven
 from optlink.problem.linked import Link, check_linked, links_of
 from optlink.problem.machine.balance import BalanceSection
 from optlink.problem.machine.bodies import BodySection, DriveSection, Gravity, JointSection
@@ -247,7 +248,7 @@ class Problem(Section):
     @property
     def sense(self) -> float:
         """Sense of crank rotation by its sign: the crank speed [rad/s]."""
-        return float(self.drive.speed.value) or 1.0
+        return self.driving.pace or 1.0
 
     def design(self, values: Mapping[str, float]) -> dict[str, float]:
         """Return every quantity [SI] for values of design variables; those not named have their value in the file."""
@@ -264,7 +265,7 @@ class Problem(Section):
 
     def start(self, values: Mapping[str, float]) -> float:
         """Return the crank angle [rad] at which the motion of a design begins."""
-        return float(self.drive.start.value)
+        return self.driving.first
 
     @property
     def parts(self) -> tuple[Any, ...]:
@@ -355,8 +356,9 @@ class Problem(Section):
         if not (places := self.mechanism.near):
             return self
         try:
-            mechanism = self.mechanism.linkage(self.title, self.drive.body)  # not cached: the copy has another
-            modes = nearest_modes(mechanism, sizes_of(self.mechanism.quantities), self.drive.start.value, places)
+            sizes = sizes_of(self.mechanism.quantities)
+            driving = driven(self.mechanism, self.title, self.drive, sizes)  # not cached: the copy has another
+            modes = nearest_modes(driving.mechanism, sizes, driving.first, places)
         except Unusable as error:
             error.key = "mechanism.assembly" + ("" if isinstance(self.mechanism, FourBarSection) else f".{error.key}")
             raise
@@ -365,7 +367,12 @@ class Problem(Section):
     @cached_property
     def linkage(self) -> Mechanism:
         """Kinematic model of the mechanism."""
-        return self.mechanism.linkage(self.title, self.drive.body)
+        return self.driving.mechanism
+
+    @cached_property
+    def driving(self) -> Driving:
+        """The mechanism as it is driven, the rate of the crank angle or cycle variable [rad/s], and its first value [rad]."""
+        return driven(self.mechanism, self.title, self.drive, sizes_of(self.mechanism.quantities))
 
     @cached_property
     def deviations(self) -> tuple[Deviation, ...]:
@@ -418,7 +425,7 @@ class Problem(Section):
                 inertias[name] = body.inertia_of(name, mechanism, sizes)
         if self.mechanism.follows and all(np.ndim(size) == 0 for size in sizes.values()):
             self.mechanism.check_mode(sizes)
-            mechanism = continue_through_singularities(mechanism, sizes, self.drive.start.value)
+            mechanism = continue_through_singularities(mechanism, sizes, self.driving.first)
         motion = RevolutionSamples(Machine(mechanism, sizes), slow or {})
         loads = []
         for name, load in self.loads.items():
