@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal, NamedTuple, Protocol
 import numpy as np
 
 from optlink.linkage.jet import Jet, as_jet
+from optlink.linkage.laws import MotionLaw
 from optlink.linkage.vector2d import Value, Vector, cross, dot, magnitude, minus, plus, sign, turn, turn_back, unit
 
 if TYPE_CHECKING:
@@ -25,11 +26,8 @@ PRESSURE = math.radians(20.0)
 """Pressure angle of involute teeth (ISO 53)."""
 
 
-class Law(Protocol):
-    """A function of one variable for every number type: floats, arrays, symbols, jets."""
-
-    def __call__(self, x: Value) -> Value:
-        """Return the value at x."""
+SMOOTH: tuple[Value, tuple[float, ...], float] = (0.0, (), 1.0)
+"""Knots of an element with a smooth law."""
 
 
 class Action(NamedTuple):
@@ -63,6 +61,10 @@ class Element(Protocol):
         """Name in the problem file."""
 
     @property
+    def bodies(self) -> tuple[str, ...]:
+        """The bodies whose motions it couples; none for a drive."""
+
+    @property
     def against(self) -> str:
         """The body relative to which it states the angle of a body on a pin."""
 
@@ -75,6 +77,9 @@ class Element(Protocol):
 
     def coordinate(self, pose: Pose, single: Single) -> Value:
         """Return the angle [rad] of a body relative to the body that carries it, or its slide [m]."""
+
+    def knots(self, pose: Pose) -> tuple[Value, tuple[float, ...], float]:
+        """Return the variable of its law at a pose, the knots of the law, and its period; no knots for a smooth element."""
 
     def actions(self, places: Places, single: Single, effort: Value) -> Iterator[Action]:
         """Yield the actions on all bodies, on that of `single` first.
@@ -131,7 +136,7 @@ class Drive:
     """A motor or a cylinder: it prescribes the angle of a body, its slide in a guide, or the length of a link.
 
     With a `law`, of time [s], the coordinate is `begin` + law(x * `rate`), x being the cycle variable [rad]; without one it goes
-    from `begin` to `end` in half a cycle, x from 0 to pi, or is `begin` + x if there is no end.
+    from `begin` to `end` in half a cycle, x from 0 to pi, or is `begin` + x * `rate` if there is no end.
     """
 
     name: str
@@ -140,10 +145,11 @@ class Drive:
     """The driven body; of a cylinder the link whose length is prescribed."""
     begin: Size = 0.0
     end: Size | None = None
-    law: Law | None = None
+    law: MotionLaw | None = None
     rate: float = 1.0
     against: str = FRAME
     """The body that carries the drive."""
+    bodies: ClassVar[tuple[str, ...]] = ()
     size: str = ""
     """Name of the length that a cylinder prescribes."""
     rod: str = ""
@@ -164,12 +170,16 @@ class Drive:
         if self.law is not None:
             return begin + self.law(pose.angle * self.rate)
         if self.end is None:
-            return begin + pose.angle
+            return begin + pose.angle * self.rate
         return begin + (pose.size(self.end) - begin) * (pose.angle * (1.0 / math.pi))
 
     def coordinate(self, pose: Pose, single: Single) -> Value:
         """Return the angle [rad] of the body relative to the body that carries it, or its slide [m]."""
         return self.value(pose)
+
+    def knots(self, pose: Pose) -> tuple[Value, tuple[float, ...], float]:
+        """Return the time at a pose, and the knots and the period of the law [s]; no knots without one."""
+        return SMOOTH if self.law is None else (pose.angle * self.rate, self.law.knots, self.law.period)
 
     def actions(self, places: Places, single: Single, effort: Value) -> Iterator[Action]:
         """Yield the actions on the driven body and on the one that carries the drive."""
@@ -225,6 +235,10 @@ class Gear:
             whole = arm + (pose.turned(second) - arm - phase) / ratio
         return whole - pose.turned(single.against)
 
+    def knots(self, pose: Pose) -> tuple[Value, tuple[float, ...], float]:
+        """Return no knots: the ratio is constant."""
+        return SMOOTH
+
     def actions(self, places: Places, single: Single, effort: Value) -> Iterator[Action]:
         """Yield the actions on both bodies, and on the arm if torques alone are passed on."""
         ratio, second = places.pose.size(self.ratio), single.link.body == self.bodies[1]
@@ -272,6 +286,11 @@ class Rack:
     against: ClassVar[str] = FRAME
 
     @property
+    def bodies(self) -> tuple[str, str]:
+        """The wheel and the bar."""
+        return self.pinion, self.guide.slider
+
+    @property
     def sizes(self) -> tuple[Size, ...]:
         """Radius and phase."""
         return self.radius, self.phase
@@ -286,6 +305,10 @@ class Rack:
         if single.guide is not None:
             return radius * (pose.turned(self.pinion) - carrier) + phase
         return (pose.slide(self.guide) - phase) / radius + carrier - pose.turned(single.against)
+
+    def knots(self, pose: Pose) -> tuple[Value, tuple[float, ...], float]:
+        """Return no knots: the ratio is constant."""
+        return SMOOTH
 
     def actions(self, places: Places, single: Single, effort: Value) -> Iterator[Action]:
         """Yield the actions on the bar and on the wheel."""
@@ -309,13 +332,18 @@ class Cam:
     cam: str
     follower: str
     pivot: str
-    law: Law
+    law: MotionLaw
     lift: Size = 1.0
     begin: Size = 0.0
     phase: Size = 0.0
     contact: str = ""
     against: str = FRAME
     """The body that carries the follower."""
+
+    @property
+    def bodies(self) -> tuple[str, str]:
+        """The cam and the follower."""
+        return self.cam, self.follower
 
     @property
     def sizes(self) -> tuple[Size, ...]:
@@ -328,14 +356,21 @@ class Cam:
 
     def coordinate(self, pose: Pose, single: Single) -> Value:
         """Return the slide [m] or the angle [rad] of the follower relative to the body that carries it."""
-        turned = pose.turned(self.cam) - pose.turned(single.against) - pose.size(self.phase)
-        return pose.size(self.begin) + pose.size(self.lift) * self.law(turned)
+        return pose.size(self.begin) + pose.size(self.lift) * self.law(self._turned(pose))
+
+    def _turned(self, pose: Pose) -> Value:
+        """Return the angle of the cam from the begin of its law [rad]."""
+        return pose.turned(self.cam) - pose.turned(self.against) - pose.size(self.phase)
+
+    def knots(self, pose: Pose) -> tuple[Value, tuple[float, ...], float]:
+        """Return the angle of the cam from the begin of its law, and the knots and the period of the law [rad]."""
+        return self._turned(pose), self.law.knots, self.law.period
 
     def actions(self, places: Places, single: Single, effort: Value) -> Iterator[Action]:
         """Yield the actions on the follower and on the cam."""
         pose, guide = places.pose, single.guide
         centre = places.place(self.pivot)
-        turned = as_jet(pose.turned(self.cam)).value - as_jet(pose.turned(single.against)).value - pose.size(self.phase)
+        turned = as_jet(self._turned(pose)).value
         slope = pose.size(self.lift) * as_jet(self.law(Jet(turned, 1.0))).rate  # per rotation of the cam
         if guide is not None:
             line = places.line(guide)

@@ -13,7 +13,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from optlink.linkage.elements import FRAME as FRAME, Drive, Single
+from optlink.linkage.elements import FRAME as FRAME, Drive, Element, Single
 from optlink.linkage.jet import Jet, as_jet
 from optlink.linkage.vector2d import Array, Value, Vector, angle, angle_from, cross, dot, minus, plus, turn, turn_back, unit
 
@@ -535,6 +535,11 @@ class Mechanism:
         return {drive.rod: self.bodies[drive.body] for drive in self.drives if drive.rod}
 
     @cached_property
+    def elements(self) -> tuple[Element, ...]:
+        """The drives and couplings."""
+        return tuple(dict.fromkeys((*self.drives, *(single.by for single in self.singles))))
+
+    @cached_property
     def driven_sizes(self) -> tuple[str, ...]:
         """Names of the lengths that drives prescribe."""
         return tuple(drive.size for drive in self.drives if drive.size)
@@ -577,7 +582,7 @@ class Mechanism:
         for guide in dict.fromkeys((*self.guides, *(guide for group in self.groups for guide in group.prismatic))):
             places += [guide.direction, guide.offset, guide.tilt]
             places += [] if isinstance(guide.through, str) else guide.through
-        for element in (*self.drives, *(single.by for single in self.singles)):
+        for element in self.elements:
             places += element.sizes
         return _names(*self.lengths, *places)
 

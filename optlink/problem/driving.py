@@ -5,13 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from fractions import Fraction
 
-from optlink.linkage.elements import FRAME, Drive
-from optlink.linkage.mechanism import Mechanism
+from optlink.linkage.elements import FRAME, Drive, Single
+from optlink.linkage.laws import MotionLaw
+from optlink.linkage.mechanism import Mechanism, Size
 from optlink.linkage.stroke import reachable
+from optlink.linkage.vector2d import TURN
+from optlink.problem.elements import geared
 from optlink.problem.machine.bodies import SLOWNESS, STATIC, DriveSection
+from optlink.problem.machine.drives import read_drive_law
 from optlink.problem.mechanism import DyadsSection, FourBarSection
-from optlink.problem.quantity import Unusable, check_name
+from optlink.problem.quantity import Unusable, below, check_name
+from optlink.units import show
 
 HALF = math.pi
 """Cycle variable [rad] from one end of the stroke of a slide or cylinder to the other."""
@@ -30,14 +36,24 @@ class Driving:
     first: float
 
 
-def driven(section: FourBarSection | DyadsSection, name: str, drive: DriveSection, sizes: Mapping[str, float]) -> Driving:
-    """Return the mechanism of a section as its drive moves it; `sizes` [m, rad] are those of the file.
+def driven(
+    section: FourBarSection | DyadsSection,
+    name: str,
+    drive: DriveSection,
+    drives: Mapping[str, DriveSection],
+    sizes: Mapping[str, float],
+) -> Driving:
+    """Return the mechanism of a section as its drive, or several `drives`, move it; `sizes` [m, rad] are those of the file.
 
     Raises
     ------
     Unusable
         with the full key of the cause.
     """
+    if drives:
+        return _several(section, name, drives, sizes)
+    if drive.law is not None and (drive.slide or drive.cylinder):
+        return _several(section, name, {INPUT: drive}, sizes)
     if drive.linear:
         return _along(section, name, drive, sizes)
     if drive.against != FRAME:
@@ -48,6 +64,15 @@ def driven(section: FourBarSection | DyadsSection, name: str, drive: DriveSectio
             drive.against,
         )
     mechanism = section.linkage(name, drive.body)
+    if drive.law is not None:
+        crank = mechanism.crank
+        law = law_of(drive, "drive", "angle")
+        pace, limits = _timed({INPUT: law})
+        element = Drive(INPUT, "angle", crank.body, mechanism.datum, None, law, 1.0 / pace)
+        singles = (Single(crank, crank.start, FRAME, element), *mechanism.singles)
+        mechanism = replace(mechanism, singles=singles, drives=(element,), limits=limits)
+        return Driving(geared(mechanism, sizes), pace, 0.0)
+    mechanism = geared(mechanism, sizes)
     pace = drive.speed.value
     if drive.range is None:
         return Driving(mechanism, pace, drive.start.value)
@@ -91,7 +116,7 @@ def _along(section: FourBarSection | DyadsSection, name: str, drive: DriveSectio
     if element.end is None:
         element = _reaching(section, name, drive, element, sizes)
     ends = [sizes[end] if isinstance(end, str) else float(end or 0.0) for end in (element.begin, element.end)]
-    mechanism = replace(section.linkage(name, "", (element,)), limits=(0.0, HALF))
+    mechanism = geared(replace(section.linkage(name, "", (element,)), limits=(0.0, HALF)), sizes)
     speed = drive.speed.value if "speed" in drive.model_fields_set else USUAL
     if drive.speed.kind not in ("velocity", STATIC) and "speed" in drive.model_fields_set:
         raise Unusable("the drive moves along a line", 'Give a speed such as "100 mm/s"', "drive.speed", str(drive.speed))
@@ -174,3 +199,117 @@ def _reaching(section: DyadsSection, name: str, drive: DriveSection, element: Dr
     ((low, high),) = places
     edge = ASIDE * (high - low)
     return replace(element, begin=low + edge, end=high - edge)
+
+
+# --- laws, and several drives -------------------------------------------------------------------------------------------------
+
+MOST_CYCLES = 1000
+"""Periods of a drive in the common period of several drives, at most."""
+SAME_PERIOD = 1e-9
+"""Share of a period, or of a range, that is rounding."""
+
+
+def law_of(drive: DriveSection, key: str, kind: str) -> MotionLaw | None:
+    """Return the law of a drive over the time [s]; None without one.
+
+    Raises
+    ------
+    Unusable
+        with the full key of the cause.
+    """
+    if drive.law is None:
+        return None
+    raw, folder = drive.law
+    with below(f"{key}.law"):
+        stated = "start" in drive.model_fields_set
+        law = read_drive_law(raw, folder, kind, start=drive.start.value if stated else None, unit=drive.unit)
+    if drive.range is not None:
+        low, high = (end.value for end in drive.range)
+        least, _, largest, _ = law.extremes()
+        slack = SAME_PERIOD * (high - low)
+        if least < low - slack or largest > high + slack:
+            message = f"the law moves from {show(least, kind)} to {show(largest, kind)}, beyond the range"
+            raise Unusable(message, "Change the law or the range", f"{key}.range", f"{drive.range[0]} ... {drive.range[1]}")
+    return law
+
+
+def _timed(
+    laws: Mapping[str, MotionLaw | None], turns: Mapping[str, float] | None = None
+) -> tuple[float, tuple[float, float] | None]:
+    """Return the rate of the cycle variable [rad/s], and its limits [rad] if the motion does not repeat.
+
+    `turns`: periods [s] of the drives at constant speed.
+    """
+    resting = [law.period for law in laws.values() if law is not None and not law.repeats]
+    if resting:
+        return TURN / max(resting), (0.0, TURN)
+    periods = {name: law.period for name, law in laws.items() if law is not None} | dict(turns or {})
+    if not periods:
+        return 1.0, None
+    first, one = next(iter(periods.items()))
+    shares = {name: Fraction(period / one).limit_denominator(MOST_CYCLES) for name, period in periods.items()}
+    numerators, denominators = zip(*(share.as_integer_ratio() for share in shares.values()), strict=True)
+    whole = Fraction(math.lcm(*numerators), math.gcd(*denominators))
+    for name, share in shares.items():
+        if abs(share * one - periods[name]) > SAME_PERIOD * periods[name] or whole / share > MOST_CYCLES:
+            message = f"its period of {periods[name]:.6g} s and that of {first}, {one:.6g} s, have no common multiple"
+            remedy = "Change one of the periods or speeds so that their ratio is one of small whole numbers"
+            raise Unusable(message, remedy, f"drives.{name}")
+    return TURN / (one * float(whole)), None
+
+
+def _several(
+    section: FourBarSection | DyadsSection, name: str, drives: Mapping[str, DriveSection], sizes: Mapping[str, float]
+) -> Driving:
+    """Return the mechanism that several drives move, each by its law, at constant speed, or held where it starts."""
+    if not isinstance(section, DyadsSection):
+        raise Unusable("a four-bar by its lengths has one drive", "Give its links under [mechanism.links]", "drives")
+    laws, turns, elements = {}, {}, {}
+    for of, drive in drives.items():
+        key = "drive" if of == INPUT else f"drives.{of}"
+        moving = "speed" in drive.model_fields_set
+        if moving and drive.law is not None:
+            raise Unusable("the drive has a law and a speed", "Give one of the two", f"{key}.speed", str(drive.speed))
+        for unused in ("torque", "servo", "initial_speed", "duration", "fluctuation"):
+            if of != INPUT and unused in drive.model_fields_set:
+                raise Unusable("several drives move by laws and constant speeds", "Leave it out", f"{key}.{unused}")
+        if drive.linear:
+            element = linear_drive(section, of, drive, key, sizes)
+            if moving:
+                remedy = 'Give a law: law = [{ time = "2 s", to = "1400 mm" }, { time = "2 s", to = "1000 mm" }]'
+                raise Unusable("a constant speed along a line has no cycle", remedy, f"{key}.speed", str(drive.speed))
+            stated = "start" in drive.model_fields_set
+            begin = drive.start.value if stated else element.begin
+            laws[of] = law_of(drive, key, "length" if element.size else "coordinate")
+            if element.size:
+                _check_stroke(element, laws[of], begin, sizes, key)
+            elements[of] = replace(element, begin=0.0 if laws[of] is not None else begin, end=None, rate=0.0)
+        else:
+            body = drive.body or ""
+            check_name(body, section.links, "no such body", f"{key}.body")
+            laws[of] = law_of(drive, key, "angle")
+            rate = drive.speed.value if moving else 0.0
+            if rate:
+                turns[of] = TURN / abs(rate)
+            begin = 0.0 if laws[of] is not None else drive.start.value
+            elements[of] = Drive(of, "angle", body, begin, None, None, rate, against=drive.against)
+    pace, limits = _timed(laws, turns)
+    timed = []
+    for of, element in elements.items():
+        rate = element.rate if laws[of] is None else 1.0
+        timed.append(replace(element, law=laws[of], rate=rate / pace))
+    mechanism = replace(section.linkage(name, "", timed), limits=limits)
+    return Driving(geared(mechanism, sizes), pace, 0.0)
+
+
+def _check_stroke(element: Drive, law: MotionLaw | None, begin: Size, sizes: Mapping[str, float], key: str) -> None:
+    """Refuse a law or a length beyond the stroke of a cylinder."""
+    low, high = (sizes[f"{element.body}.{end}"] for end in ("closed", "open"))
+    least = largest = sizes[begin] if isinstance(begin, str) else begin
+    if law is not None:
+        least, _, largest, _ = law.extremes()
+    slack = 1e-9 * high
+    if least < low - slack or largest > high + slack:
+        stroke, cylinder = (f"{show(one, 'length')} to {show(other, 'length')}" for one, other in ((least, largest), (low, high)))
+        message = f"the drive moves from {stroke}, and the cylinder from {cylinder}"
+        raise Unusable(message, "Change the law, or closed and open", f"{key}.{'start' if law is None else 'law'}")

@@ -10,12 +10,24 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, WrapValidator
 
+from optlink.dynamics.machine import Inertia
 from optlink.linkage.assur import CONTINUE, EITHER, Assembly
-from optlink.linkage.elements import Drive
+from optlink.linkage.elements import Drive, Single
 from optlink.linkage.fourbar import LENGTHS, four_bar
 from optlink.linkage.mechanism import FRAME, BodyPoint, Dyad, Guide, Link, Mechanism, Pose, Size
 from optlink.linkage.vector2d import unit
 from optlink.problem.base_model import RESERVED, Name, Section
+from optlink.problem.elements import (
+    ELEMENTS,
+    BeltSection,
+    CamSection,
+    CylinderSection,
+    GearSection,
+    Parts,
+    RackSection,
+    SlotSection,
+    couplings,
+)
 from optlink.problem.quantity import (
     Angle,
     Coordinate,
@@ -266,6 +278,11 @@ class FourBarSection(Section):
         return [{"mechanism.assembly": side} for side in ("left", "right")] if self.assembly == EITHER else [{}]
 
     @property
+    def inertias(self) -> dict[str, Inertia]:
+        """Mass properties of elements: none, as a four-bar has links alone."""
+        return {}
+
+    @property
     def friction(self) -> dict[str, float]:
         """Coefficients of friction: none, as a four-bar has no guides."""
         return {}
@@ -314,17 +331,6 @@ class GuideSection(Section):
     """Coulomb friction coefficient, below 10."""
 
 
-class CylinderSection(Section):
-    """A cylinder, spindle or gas strut between two joints: a link whose length lies between two values."""
-
-    joints: Annotated[tuple[Name, Name], BeforeValidator(_read_joints)]
-    """Names of the joint of the barrel and the joint of the rod."""
-    closed: Length
-    """Least distance of the joints."""
-    open: Length
-    """Largest distance of the joints."""
-
-
 class DyadsSection(Section):
     """Any linkage of a driving crank and dyads: points on the ground, links, guides, assembly modes."""
 
@@ -340,7 +346,17 @@ class DyadsSection(Section):
     guides: dict[Name, GuideSection] = Field(default_factory=dict)
     """Sliding joints."""
     cylinders: dict[Name, CylinderSection] = Field(default_factory=dict)
-    """Links whose length is driven, or held."""
+    """Links whose length is driven."""
+    slots: dict[Name, SlotSection] = Field(default_factory=dict)
+    """Pins in straight slots."""
+    gears: dict[Name, GearSection] = Field(default_factory=dict)
+    """Gears, and other fixed ratios of two angles."""
+    racks: dict[Name, RackSection] = Field(default_factory=dict)
+    """Racks and pinions."""
+    belts: dict[Name, BeltSection] = Field(default_factory=dict)
+    """Belts and chains."""
+    cams: dict[Name, CamSection] = Field(default_factory=dict)
+    """Disc cams and their followers."""
     assembly: dict[str, Annotated[str, AfterValidator(_check_place)]] = Field(default_factory=dict)
     """Assembly mode of each group: for an RRR joint `left of B-D` or `right of B-D`, for an RRP pin or an RPR guide `forward` or
     `backward`; for a pin also its place where the drive starts, `near [12 mm, 40 mm]`. With `left of B-D, continue` this is the
@@ -377,6 +393,9 @@ class DyadsSection(Section):
                 quantities[f"{name}.{point}.along"], quantities[f"{name}.{point}.across"] = along, across
         for name, cylinder in self.cylinders.items():
             quantities[f"{name}.closed"], quantities[f"{name}.open"] = cylinder.closed, cylinder.open
+        for name, slot in self.slots.items():
+            if slot.direction is not None:
+                quantities[f"{name}.direction"] = slot.direction
         for name, guide in self.guides.items():
             if isinstance(guide.through, tuple):
                 quantities[f"{name}.x"], quantities[f"{name}.y"] = guide.through
@@ -384,6 +403,11 @@ class DyadsSection(Section):
                 if getattr(guide, key) is not None:
                     quantities[f"{name}.{key}"] = getattr(guide, key)
         return quantities
+
+    @property
+    def inertias(self) -> dict[str, Inertia]:
+        """Mass properties of the parts of cylinders."""
+        return {body: part for name, one in self.cylinders.items() for body, part in one.inertias(name).items()}
 
     @property
     def friction(self) -> dict[str, float]:
@@ -430,7 +454,18 @@ class DyadsSection(Section):
         ground: dict[str, tuple[Size, Size]] = {point: (f"{point}.x", f"{point}.y") for point in self.ground}
         modes = {**self.assembly, **dict.fromkeys(self.near, EITHER)}
         with below("mechanism"):
-            return Assembly(ground, links, points, guides, body or "", modes, drives).mechanism(name)
+            elements = list(
+                couplings({kind: getattr(self, kind) for kind in ELEMENTS}, self._parts(name, ground, links, points, guides))
+            )
+            return Assembly(ground, links, points, guides, body or "", modes, drives, elements).mechanism(name)
+
+    def _parts(
+        self, name: str, ground: Mapping[str, tuple[Size, Size]], links: list[Link], points: list[BodyPoint], guides: list[Guide]
+    ) -> Parts:
+        """Return the parts of the linkage, to which elements refer."""
+        singles = tuple(Single(link, "", "", Drive("", "angle", link.body)) for link in links[1:])
+        bare = Mechanism("", ground, links[0], (), tuple(points), tuple(guides), singles=singles)
+        return Parts(Pose(bare, sizes_of(self.quantities)), bare.owners)
 
     def _links(self) -> Iterator[Link]:
         for name, link in self.links.items():
@@ -446,10 +481,10 @@ class DyadsSection(Section):
                     raise Unusable("the point is given twice", "Remove one of the two, or rename it", key, point)
             yield Link(name, start, end, f"{name}.length" if end else 0.0)
         for name, cylinder in self.cylinders.items():
-            if cylinder.open.value <= cylinder.closed.value:
-                message = "a cylinder is longer when it is open"
-                raise Unusable(message, "Exchange closed and open", f"mechanism.cylinders.{name}.open", str(cylinder.open))
-            yield Link(name, *cylinder.joints, f"{name}.length")
+            with below(f"mechanism.cylinders.{name}"):
+                yield cylinder.link(name)
+        for name, slot in self.slots.items():
+            yield Link(name, slot.pin)
 
     def _guides(self) -> Iterator[Guide]:
         for name, guide in self.guides.items():
@@ -471,6 +506,15 @@ class DyadsSection(Section):
             at = self._point(guide.at, guide.slider, f"{key}.at") if guide.at else ""
             sizes = {k: f"{name}.{k}" if getattr(guide, k) is not None else 0.0 for k in ("direction", "offset", "tilt")}
             yield Guide(name, guide.slider, guide.on, through, at=at, **sizes)
+        for name, slot in self.slots.items():
+            key = f"mechanism.slots.{name}"
+            check_name(slot.on, [*self.links, FRAME], "no such body", f"{key}.on")
+            if slot.through is None and slot.on == FRAME:
+                raise Unusable("a slot in the frame needs a point on its middle line", 'Add through = "D"', f"{key}.through")
+            through = (
+                self.links[slot.on].joints[0] if slot.through is None else self._point(slot.through, slot.on, f"{key}.through")
+            )
+            yield Guide(name, name, slot.on, through, 0.0 if slot.direction is None else f"{name}.direction")
 
     def _point(self, point: str, body: str, key: str) -> str:
         names = [*self.ground] if body == FRAME else [*self.links[body].joints, *self.links[body].points]
@@ -481,7 +525,14 @@ class DyadsSection(Section):
         seen: dict[str, str] = {}
         points = dict.fromkeys([*self.ground, *(p for link in self.links.values() for p in (*link.joints, *link.points))])
         points |= dict.fromkeys(joint for cylinder in self.cylinders.values() for joint in cylinder.joints)
-        for kind, names in (("body", self.links), ("body", self.cylinders), ("point", points), ("guide", self.guides)):
+        kinds = (
+            ("body", self.links),
+            ("cylinder", self.cylinders),
+            ("slot", self.slots),
+            ("point", points),
+            ("guide", self.guides),
+        )
+        for kind, names in kinds:
             for name in names:
                 if name in RESERVED:
                     raise Unusable(f"{name} is a reserved name", "Choose another", "mechanism", name)

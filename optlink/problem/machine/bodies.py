@@ -158,6 +158,11 @@ class DriveSection(Section):
     """Range of the driven angle, slide or length, to which all results refer; default: as far as it can move."""
     start: Position = Quantity(0.0, "angle", "deg")
     """Position of the drive in the first row; with a range, the default is the end from which it moves."""
+    law: Annotated[Any, in_folder(lambda raw, folder: (raw, folder))] = None
+    """Instead of a constant speed: the driven angle, slide or length over the time, segment by segment; an expression of t, or a
+    CSV file."""
+    unit: str | None = None
+    """Unit of an expression that is the law."""
     speed: Pace = Quantity(1.0, "angular velocity", "rad/s")
     """Constant speed of the crank, negative clockwise, or of a slide or cylinder; `static` is without inertia. For
     `optlink simulate` under a torque the speed at the start."""

@@ -139,6 +139,8 @@ class Problem(Section):
     """Forces, torques, springs and dampers, each under a name of your choice."""
     drive: DriveSection = DriveSection()
     """Driven body, speed, torque or servo of the drive."""
+    drives: dict[Name, DriveSection] = Field(default_factory=dict)
+    """Several drives by name, in place of `drive`; one without law and speed is held where it starts."""
     control: ControlSection | None = None
     """Controller of the crank that compensates joint clearance."""
     measured: Annotated[MeasuredSeries | None, in_folder(read_measured)] = None
@@ -313,6 +315,8 @@ class Problem(Section):
         if self.balance is not None:
             with below("balance"):
                 self.balance.build(machine)
+        if self.drives and self.drive.model_fields_set:
+            raise Unusable("the machine has a drive and several drives", "Give one of the two sections", "drive")
         if self.drive.servo is not None and self.drive.torque is not None:
             raise Unusable("the drive has a torque and a servo", "Give one of the two", "drive.servo")
 
@@ -357,7 +361,7 @@ class Problem(Section):
             return self
         try:
             sizes = sizes_of(self.mechanism.quantities)
-            driving = driven(self.mechanism, self.title, self.drive, sizes)  # not cached: the copy has another
+            driving = driven(self.mechanism, self.title, self.drive, self.drives, sizes)  # not cached: the copy has another
             modes = nearest_modes(driving.mechanism, sizes, driving.first, places)
         except Unusable as error:
             error.key = "mechanism.assembly" + ("" if isinstance(self.mechanism, FourBarSection) else f".{error.key}")
@@ -372,7 +376,7 @@ class Problem(Section):
     @cached_property
     def driving(self) -> Driving:
         """The mechanism as it is driven, the rate of the crank angle or cycle variable [rad/s], and its first value [rad]."""
-        return driven(self.mechanism, self.title, self.drive, sizes_of(self.mechanism.quantities))
+        return driven(self.mechanism, self.title, self.drive, self.drives, sizes_of(self.mechanism.quantities))
 
     @cached_property
     def deviations(self) -> tuple[Deviation, ...]:
@@ -419,9 +423,12 @@ class Problem(Section):
                 if joint.on is not None:
                     check_name(joint.on, mechanism.pins[name], "the joint is not one of that body", "on")
                 joint.check_unused(name, mechanism.pins[name])
-        inertias = {}
+        inertias = self.mechanism.inertias
         for name, body in self.bodies.items():
             with below(f"bodies.{name}"):
+                if name in mechanism.rods or any(name == drive.body and drive.size for drive in mechanism.drives):
+                    remedy = f"Give them to its parts: mechanism.cylinders.{name}.barrel and .rod"
+                    raise Unusable("a cylinder has the masses of barrel and rod", remedy)
                 inertias[name] = body.inertia_of(name, mechanism, sizes)
         if self.mechanism.follows and all(np.ndim(size) == 0 for size in sizes.values()):
             self.mechanism.check_mode(sizes)
