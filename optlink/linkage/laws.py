@@ -1,7 +1,8 @@
 """Motion laws: a position y over x (the time, or the angle of a cam), piece by piece, with all of its derivatives.
 
-Every piece is one formula, y = sum_k c_k u^k + a sin(w u + p) with u from 0 to 1 along the piece, so that polynomials, the
-sinusoidal laws of cams, constant speeds, dwells and cubic splines are numbers in one table, and their derivatives are exact.
+Every piece is one formula, y = sum_k c_k u^k + a sin(w u + p) + b (exp(g u) - 1) with u from 0 to 1 along the piece, so that
+polynomials, the sinusoidal laws of cams, constant speeds, dwells, cubic splines and speeds that are linear in the angle are
+numbers in one table, and their derivatives are exact.
 
 References
 ----------
@@ -137,27 +138,36 @@ class MotionLaw:
 
 @dataclass(frozen=True)
 class Piece:
-    """y = sum_k `coefficients`[k] u^k + `amplitude` sin(`frequency` u + `phase`) for u from 0 to 1; angles in [rad]."""
+    """y = sum_k `coefficients`[k] u^k + `amplitude` sin(`frequency` u + `phase`) + `growth` (exp(`exponent` u) - 1).
+
+    u goes from 0 to 1; angles in [rad].
+    """
 
     coefficients: tuple[Value, ...]
     amplitude: Value = 0.0
     frequency: float = 0.0
     phase: float = 0.0
+    growth: Value = 0.0
+    exponent: float = 0.0
 
     def __call__(self, u: Value, order: int = 0) -> Value:
         """Return a derivative with respect to u."""
         y = 0.0 * u
         for power in range(len(self.coefficients) - 1, order - 1, -1):
             y = y * u + math.perm(power, order) * self.coefficients[power]
-        if _zero(self.amplitude):
-            return y
-        angle = self.frequency * u + (self.phase + order * math.pi / 2.0)
-        return y + self.amplitude * self.frequency**order * np.sin(angle)
+        if not _zero(self.amplitude):
+            angle = self.frequency * u + (self.phase + order * math.pi / 2.0)
+            y = y + self.amplitude * self.frequency**order * np.sin(angle)
+        if not _zero(self.growth):
+            power = np.exp(self.exponent * u) if order else np.expm1(self.exponent * u)
+            y = y + self.growth * self.exponent**order * power
+        return y
 
     def scaled(self, factor: Value, offset: Value) -> Piece:
         """Return the piece offset + factor * y(u)."""
         first, *others = (factor * coefficient for coefficient in self.coefficients)
-        return replace(self, coefficients=(first + offset, *others), amplitude=factor * self.amplitude)
+        amplitude, growth = factor * self.amplitude, factor * self.growth
+        return replace(self, coefficients=(first + offset, *others), amplitude=amplitude, growth=growth)
 
 
 @dataclass(frozen=True)
@@ -200,6 +210,8 @@ class Law(MotionLaw):
                 piece.amplitude,
                 piece.frequency,
                 piece.phase,
+                piece.growth,
+                piece.exponent,
                 *piece.coefficients,
                 *[0.0] * (terms - len(piece.coefficients)),
             )
@@ -214,8 +226,8 @@ class Law(MotionLaw):
 
 
 def _on_piece(columns: Any, u: Value, order: int) -> Value:
-    _, width, amplitude, frequency, phase, *coefficients = columns
-    return Piece(tuple(coefficients), amplitude, frequency, phase)(u, order) / width**order
+    _, width, *others = columns
+    return Piece(tuple(others[5:]), *others[:5])(u, order) / width**order
 
 
 def _zero(value: Value) -> bool:
@@ -298,6 +310,18 @@ def joined(start: Value, segments: Iterable[Segment], *, begin: float = 0.0, rep
         pieces += [piece.scaled(way, value) for piece in shape.pieces]
         value = to if shape.advance else value
     return Law(tuple(knots), value - start, repeats, pieces=tuple(pieces))
+
+
+def paced(angles: Sequence[float], speeds: Sequence[float]) -> Law:
+    """Return the angle over the time of a crank whose speed is linear in its angle between rows of a table, all of one sign."""
+    knots, pieces = [0.0], list[Piece]()
+    for (a, b), (before, after) in zip(itertools.pairwise(angles), itertools.pairwise(speeds), strict=True):
+        exponent = math.log(after / before)
+        steady = abs(exponent) < 1e-12
+        duration = (b - a) / before if steady else (b - a) / (after - before) * exponent
+        pieces.append(Piece((a, b - a)) if steady else Piece((a,), growth=before * duration / exponent, exponent=exponent))
+        knots.append(knots[-1] + duration)
+    return Law(tuple(knots), angles[-1] - angles[0], pieces=tuple(pieces))
 
 
 def spline(x: Sequence[float], y: Sequence[float], *, repeats: bool) -> Law:

@@ -8,13 +8,14 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 
 from optlink.linkage.elements import FRAME, Drive, Single
-from optlink.linkage.laws import MotionLaw
+from optlink.linkage.laws import Law, MotionLaw, Piece, paced
 from optlink.linkage.mechanism import Mechanism, Size
 from optlink.linkage.stroke import reachable
 from optlink.linkage.vector2d import TURN
 from optlink.problem.elements import geared
 from optlink.problem.machine.bodies import SLOWNESS, STATIC, DriveSection
 from optlink.problem.machine.drives import read_drive_law
+from optlink.problem.machine.loads import read_size
 from optlink.problem.mechanism import DyadsSection, FourBarSection
 from optlink.problem.quantity import Unusable, below, check_name
 from optlink.units import show
@@ -64,9 +65,9 @@ def driven(
             drive.against,
         )
     mechanism = section.linkage(name, drive.body)
-    if drive.law is not None:
+    if drive.law is not None or drive.acceleration is not None:
         crank = mechanism.crank
-        law = law_of(drive, "drive", "angle")
+        law = law_of(drive, "drive", "angle") if drive.acceleration is None else _accelerated(drive)
         pace, limits = _timed({INPUT: law})
         element = Drive(INPUT, "angle", crank.body, mechanism.datum, None, law, 1.0 / pace)
         singles = (Single(crank, crank.start, FRAME, element), *mechanism.singles)
@@ -220,6 +221,9 @@ def law_of(drive: DriveSection, key: str, kind: str) -> MotionLaw | None:
     if drive.law is None:
         return None
     raw, folder = drive.law
+    if isinstance(raw, dict) and "over" in raw:
+        with below(f"{key}.speed"):
+            return _paced(read_size(raw, folder, "angular velocity", ("phi",)), kind)
     with below(f"{key}.law"):
         stated = "start" in drive.model_fields_set
         law = read_drive_law(raw, folder, kind, start=drive.start.value if stated else None, unit=drive.unit)
@@ -231,6 +235,40 @@ def law_of(drive: DriveSection, key: str, kind: str) -> MotionLaw | None:
             message = f"the law moves from {show(least, kind)} to {show(largest, kind)}, beyond the range"
             raise Unusable(message, "Change the law or the range", f"{key}.range", f"{drive.range[0]} ... {drive.range[1]}")
     return law
+
+
+def _paced(table: object, kind: str) -> Law:
+    """Return the law of a crank whose speed a table over its angle states."""
+    at: tuple[float, ...] = getattr(table, "at", ())
+    values: tuple[float, ...] = getattr(table, "values", ())
+    if kind != "angle" or not at:
+        raise Unusable("a speed over the angle is a table, of a crank", 'Give over = "phi", at = [...] and values = [...]')
+    if not (min(values) > 0.0 or max(values) < 0.0):
+        raise Unusable("the speed changes its sign or is zero, where the crank would rest for ever", "Give one sign", "values")
+    turn = at[-1] - at[0]
+    if turn > TURN * (1.0 + SAME_PERIOD):
+        raise Unusable("the table is longer than a revolution", "Give the rows of one revolution", "at")
+    forth = 1 if values[0] > 0.0 else -1
+    law = paced(at[::forth], values[::forth])
+    return law if abs(turn - TURN) < SAME_PERIOD else replace(law, repeats=False)
+
+
+def _accelerated(drive: DriveSection) -> Law:
+    """Return the law of a crank with constant acceleration, for one revolution or to the end of its range."""
+    assert drive.acceleration is not None
+    start, speed, rate = drive.start.value, drive.speed.value, drive.acceleration.value
+    way = TURN if drive.range is None else drive.range[1].value - start if speed > 0.0 else start - drive.range[0].value
+    if drive.law is not None or way <= 0.0:
+        key = "law" if drive.law is not None else "start"
+        raise Unusable("the crank has an acceleration, so it moves from its start at its speed", "Change it", f"drive.{key}")
+    square = speed * speed + 2.0 * math.copysign(rate, rate * speed) * way
+    if not square > 0.0:
+        angle = math.degrees(0.5 * speed * speed / abs(rate))
+        remedy = f"Give a higher speed, or a range that ends before: at most {angle:.6g} deg from the start"
+        raise Unusable(f"the crank comes to rest after {angle:.6g} deg", remedy, "drive.acceleration", str(drive.acceleration))
+    time = 2.0 * way / (abs(speed) + math.sqrt(square))
+    piece = Piece((start, speed * time, 0.5 * rate * time * time))
+    return Law((0.0, time), math.copysign(way, speed), repeats=False, pieces=(piece,))
 
 
 def _timed(

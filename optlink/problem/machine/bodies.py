@@ -120,8 +120,6 @@ def _either(raw: object, angular: str, linear: str) -> Quantity:
 def _read_speed(raw: object) -> Quantity:
     if isinstance(raw, str) and raw.strip() == STATIC:
         return Quantity(SLOWNESS, STATIC, "")
-    if isinstance(raw, dict) and {"over", "expression"} & set(raw):
-        raise Unusable(*unsupported("varying speed"), value=raw)
     return _either(raw, "angular velocity", "velocity")
 
 
@@ -139,6 +137,7 @@ def _read_range(raw: object) -> tuple[Quantity, Quantity]:
     return low, high
 
 
+Acceleration = Annotated[Quantity, BeforeValidator(partial(read_fixed, kind="angular acceleration"))]
 Pace = Annotated[Quantity, BeforeValidator(_read_speed)]
 Position = Annotated[Quantity, BeforeValidator(partial(_either, angular="angle", linear="coordinate"))]
 
@@ -163,6 +162,8 @@ class DriveSection(Section):
     CSV file."""
     unit: str | None = None
     """Unit of an expression that is the law."""
+    acceleration: Acceleration | None = None
+    """Constant angular acceleration of the crank, from `start` and `speed` on, for one revolution or to the end of its range."""
     speed: Pace = Quantity(1.0, "angular velocity", "rad/s")
     """Constant speed of the crank, negative clockwise, or of a slide or cylinder; `static` is without inertia. For
     `optlink simulate` under a torque the speed at the start."""
@@ -182,8 +183,12 @@ class DriveSection(Section):
     def _supported(cls, raw: object) -> object:
         for key, value in raw.items() if isinstance(raw, dict) else ():
             if key in ("body", "speed", "start") and isinstance(value, list):
-                message, remedy = unsupported("several drives")
-                raise Unusable(f"exactly one body must be driven: {message}", remedy, key, value)
+                remedy = 'Give each its section: [drives.left] body = "left", law = [...]; [drives.right] ...'
+                raise Unusable("a drive moves one body", remedy, key, value)
+        if isinstance(raw, dict) and isinstance(raw.get("speed"), dict):  # a speed over the angle is a law
+            if "law" in raw:
+                raise Unusable("the drive has a law and a speed", "Give one of the two", "speed", raw["speed"])
+            return {**{key: value for key, value in raw.items() if key != "speed"}, "law": raw["speed"]}
         return raw
 
     @model_validator(mode="after")
