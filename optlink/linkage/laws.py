@@ -13,7 +13,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple, Self
 
@@ -164,7 +164,7 @@ class Piece:
 class Law(MotionLaw):
     """A motion law of one piece from knot to knot. Coefficients and amplitudes of pieces may be any Values."""
 
-    pieces: tuple[Piece, ...] = ()
+    pieces: tuple[Piece, ...] = field(kw_only=True)
 
     def scaled(self, factor: Value, offset: Value = 0.0) -> Self:
         """Return the law offset + factor * y(x)."""
@@ -297,7 +297,7 @@ def joined(start: Value, segments: Iterable[Segment], *, begin: float = 0.0, rep
         knots += [knots[-1] + duration * knot for knot in shape.knots[1:]]
         pieces += [piece.scaled(way, value) for piece in shape.pieces]
         value = to if shape.advance else value
-    return Law(tuple(knots), value - start, repeats, tuple(pieces))
+    return Law(tuple(knots), value - start, repeats, pieces=tuple(pieces))
 
 
 def spline(x: Sequence[float], y: Sequence[float], *, repeats: bool) -> Law:
@@ -329,7 +329,7 @@ def spline(x: Sequence[float], y: Sequence[float], *, repeats: bool) -> Law:
     square = steps * steps / 6.0
     rows = values[:-1], ways - square * (2.0 * bends[:-1] + bends[1:]), 3.0 * square * bends[:-1], square * np.diff(bends)
     pieces = tuple(Piece(tuple(row)) for row in np.transpose(rows).tolist())
-    return Law(tuple(at.tolist()), float(values[-1] - values[0]), repeats, pieces)
+    return Law(tuple(at.tolist()), float(values[-1] - values[0]), repeats, pieces=pieces)
 
 
 def _tridiagonal(below: Array, diagonal: Array, above: Array, right: Array) -> Array:
