@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from optlink.dynamics.inverse import GuideForce, Reactions, acting_on, reactions, shaking, torque_parts
 from optlink.dynamics.machine import Machine, Moving, slider_names
 from optlink.linkage.dyads import RRR
+from optlink.linkage.elements import Drive
+from optlink.linkage.jet import as_jet
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.motion import continuous
 from optlink.linkage.singular import AlignedPosition
@@ -154,10 +156,27 @@ class MotionColumns:
                 (("s_m", "slide"), ("v_m_s", "sliding velocity"), ("a_m_s2", "sliding acceleration"))
             ):
                 yield f"{name}.{part}", f"{what} in the guide {guide}", _part(lambda guide: moving.slides[guide], k, guide)
+        for drive in mechanism.drives:
+            if drive.size:
+                course = as_jet(drive.value(moving.pose))
+                for part, what, value in zip(
+                    ("length_m", "v_m_s", "a_m_s2"), ("length", "speed", "acceleration"), course.parts, strict=True
+                ):
+                    yield f"{drive.body}.{part}", f"{what} of the cylinder {drive.body}", _constant(value)
         for group in mechanism.groups:
             if isinstance(group, RRR):
                 what = f"angle between the two links at {group.joint}"
                 yield f"{group.joint}.transmission_rad", what, partial(_transmission, moving, group)
+
+    def _driven(self, drive: Drive) -> Named:
+        """Yield the columns of one of several drives, or of one that does not turn a crank at constant speed."""
+        effort, name = self.reactions.efforts[drive.name], drive.name
+        if drive.kind == "angle":
+            yield f"{name}.torque_Nm", f"torque of the drive {name} on {drive.body}", _constant(effort)
+        else:
+            yield f"{name}.force_N", f"force of the drive {name} on {drive.body}, positive where it pushes", _constant(effort)
+        if name != "input":
+            yield f"{name}.power_W", f"power of the drive {name}", _constant(effort * as_jet(drive.value(self.moving.pose)).rate)
 
     def _turning(self, body: str) -> Named:
         moving = self.moving
@@ -181,9 +200,12 @@ class MotionColumns:
         moving, joint_reactions, torque = self.moving, self.reactions, self.reactions.torque
         parts, shaken = cache(lambda: torque_parts(moving, joint_reactions)), cache(lambda: shaking(moving))
         mechanism = self.machine.mechanism
-        yield "input.torque_Nm", f"torque of the drive on {mechanism.crank.body}", _constant(torque)
-        for part in ("inertia", "gravity", "load"):
-            yield f"input.torque_{part}_Nm", f"what of the driving torque goes into {part}", _part(parts, part)
+        for drive in mechanism.drives:
+            yield from self._driven(drive)
+        if not mechanism.drives:
+            yield "input.torque_Nm", f"torque of the drive on {mechanism.crank.body}", _constant(torque)
+            for part in ("inertia", "gravity", "load"):
+                yield f"input.torque_{part}_Nm", f"what of the driving torque goes into {part}", _part(parts, part)
         yield "input.power_W", "power of the drive", lambda: torque * moving.motion.speed
         for k, axis in enumerate("xy"):
             what = f"shaking force on the frame in {axis}: minus the rate of momentum"

@@ -19,7 +19,9 @@ import numpy as np
 
 from optlink.dynamics.machine import Machine, Moving, Wrench, wrench
 from optlink.linkage.dyads import JointedDyad
-from optlink.linkage.mechanism import FRAME, Dyad, Guide, Joint, Link
+from optlink.linkage.elements import Drive
+from optlink.linkage.jet import as_jet
+from optlink.linkage.mechanism import FRAME, Dyad, Guide, Joint, Link, Pose
 from optlink.linkage.vector2d import Array, Value, Vector, cross, dot, minus, plus
 
 # Force balances of dyads: the pin force that two balances determine, and the forces that follow from it.
@@ -80,6 +82,11 @@ class ForceBalance:
 
     def __init__(self, moving: Moving, needed: Mapping[str, Wrench], normals: Mapping[str, Value] | None = None) -> None:
         self.moving, self.mechanism, self.needed = moving, moving.machine.mechanism, dict(needed)
+        self.rods = {name: self.needed.pop(name) for name in self.mechanism.rods if name in self.needed}
+        for name, rod in self.rods.items():  # a part of the link, but for the force of the cylinder
+            link = self.mechanism.rods[name].body
+            start, end = self.moving.state(link).start, self.moving.state(name).start
+            self.needed[link] = self.needed[link] + Wrench(rod.force, rod.about(end, start))
         self._places: dict[str, Vector] = {}
         self.normals, self.result = normals, Reactions(np.nan, {}, {}, {})
         self.order = {body: k for k, body in enumerate((FRAME, *self.mechanism.bodies))}
@@ -138,12 +145,83 @@ class ForceBalance:
 
     def solve(self) -> Reactions:
         """Solve all groups, the last one first."""
-        for group in reversed(self.mechanism.groups):
+        mechanism = self.mechanism
+        for group in reversed(mechanism.groups):
+            self._commit_singles(group.joint)
             self._commit(group, self.with_friction(group))
-        crank = self.mechanism.crank
-        force, self.result.torque = self.needed[crank.body]
-        self._exert(crank.start, crank.body, force, FRAME)
+        self._commit_singles("")
+        if not mechanism.drives:
+            crank = mechanism.crank
+            force, self.result.torque = self.needed[crank.body]
+            self._exert(crank.start, crank.body, force, FRAME)
+            return self.result
+        efforts, speed = self.result.efforts, self.moving.motion.speed
+        for drive in mechanism.drives:
+            if drive.size:
+                efforts[drive.name] = self._push(drive)
+        rates = {drive.name: as_jet(drive.value(self.moving.pose)).rate for drive in mechanism.drives}
+        self.result.torque = sum(efforts[name] * rate for name, rate in rates.items()) / speed
         return self.result
+
+    # --- bodies placed alone ---------------------------------------------------------------------------------------
+
+    @property
+    def pose(self) -> Pose:
+        """Positions with their time derivatives."""
+        return self.moving.pose
+
+    def place(self, point: str) -> Vector:
+        """Return the position of a point [m]."""
+        return self.at(point)
+
+    def line(self, guide: Guide) -> Vector:
+        """Return the unit vector of a guide's line."""
+        return self.moving.line(guide.name)
+
+    def _commit_singles(self, after: str) -> None:
+        """Solve the bodies that are placed alone after a group, the last one first."""
+        for single in reversed(self.mechanism.placed_after.get(after, ())):
+            body, guide, needed = single.link.body, single.guide, self.needed[single.link.body]
+            if guide is None:
+                effort = self.about(single.link, self.at(str(single.joint)))
+            else:
+                way, (x, y) = 1.0 if body == guide.slider else -1.0, self.line(guide)
+                effort = way * dot((x, y), needed.force)
+                normal = cross((x, y), needed.force)
+                friction = 0.0
+                if guide.name in self.moving.machine.friction:  # against the sliding of this body on the other
+                    sense = np.abs(normal) if self.normals is None else normal * self.normals[guide.name]
+                    friction = -self._slip(guide) * sense * way
+                    effort = effort - way * friction
+            if isinstance(single.by, Drive):
+                self.result.efforts[single.by.name] = effort
+            rest = needed
+            for action in single.by.actions(self, single, effort):
+                if action.body == FRAME:
+                    continue
+                start = self.moving.state(action.body).start
+                exerted = Wrench(action.force, action.torque + cross(minus(action.point, start), action.force))
+                if action.body == body:
+                    rest = rest + -exerted
+                else:
+                    self.needed[action.body] = self.needed[action.body] + -exerted
+            if guide is None:
+                point = str(single.joint)
+                before = self.order[body]
+                carrier = next(holder for holder in self.mechanism.pins[point] if self.order[holder] < before)
+                self._exert(point, body, rest.force, carrier)
+                self._carry(carrier, self.at(point), rest.force, 0.0)
+            else:
+                place = self.at(guide)
+                moment = rest.about(self.moving.state(body).start, place)
+                self._guided(guide, body, rest.force, moment)
+
+    def _push(self, drive: Drive) -> Value:
+        """Return the force of a cylinder [N], positive where it pushes."""
+        link = self.mechanism.bodies[drive.body]
+        axis = self.moving.state(drive.body).axis
+        pins, rod = self.result.pins[link.end], self.rods.get(drive.rod, ZERO_WRENCH)
+        return dot(axis, minus(rod.force, pins[drive.body]))
 
     # --- one group -------------------------------------------------------------------------------------------------
 
@@ -239,13 +317,17 @@ class ForceBalance:
                 self._exert(point, body, force, carrier)
                 self._carry(carrier, self.moving.position(point), force, 0.0)
         for guide, body, force, moment in solved.guides:
-            other, at = guide.other(body), self.at(guide)
-            if other not in (first, second):
-                self._carry(other, at, force, moment)
-            sign = 1.0 if body == guide.slider else -1.0
-            line, on = self.moving.line(guide.name), (sign * force[0], sign * force[1])
-            self.result.guides[guide.name] = GuideForce(cross(line, on), dot(line, on), sign * moment, at, on)
+            self._guided(guide, body, force, moment, (first, second))
         self.result.rows[group.joint] = solved.rows
+
+    def _guided(self, guide: Guide, body: str, force: Vector, moment: Value, solved: tuple[str, ...] = ()) -> None:
+        """Store the force of a guide on one of its bodies, and apply its counterpart to the other, unless that is `solved`."""
+        other, at = guide.other(body), self.at(guide)
+        if other not in solved:
+            self._carry(other, at, force, moment)
+        sign = 1.0 if body == guide.slider else -1.0
+        line, on = self.moving.line(guide.name), (sign * force[0], sign * force[1])
+        self.result.guides[guide.name] = GuideForce(cross(line, on), dot(line, on), sign * moment, at, on)
 
     def _exert(self, point: str, body: str, force: Vector, by: str) -> None:
         """Add the force of one body on another at a pin."""
@@ -286,7 +368,8 @@ class Reactions:
 
     `pins`: point -> body -> force of the pin on that body [N] (they sum to zero); `guides` by name; `torque` of the
     drive on the crank [N m]; `jammed` where friction locks a guide, or (`several`) several solutions satisfy its law; `rows`: the
-    directions of the two balances of each group.
+    directions of the two balances of each group; `efforts` of drives by name: torque [N m] or force [N] on the driven body. With
+    several drives, or laws, `torque` is what a crank at the cycle variable would need: their power over its rate.
     """
 
     torque: Value
@@ -295,6 +378,7 @@ class Reactions:
     rows: dict[str, tuple[Vector, Vector]]
     jammed: Value = False
     several: Value = False
+    efforts: dict[str, Value] = field(default_factory=dict)
 
     @cached_property
     def singularity(self) -> dict[str, Value]:
@@ -318,6 +402,7 @@ def reported_on(machine: Machine) -> dict[str, str]:
     """
     mechanism = machine.mechanism
     bodies = {mechanism.crank.start: mechanism.crank.body}
+    bodies |= {single.joint: single.link.body for single in mechanism.singles if isinstance(single.joint, str)}
     for group in mechanism.groups:
         for body, pin in group.outer_pins:
             bodies.setdefault(pin, body)
@@ -338,7 +423,7 @@ def acting_on(machine: Machine) -> dict[str, tuple[str, str]]:
 def required_wrench(moving: Moving, *, inertia: bool = True, gravity: bool = True, loads: bool = True) -> dict[str, Wrench]:
     """Compute the wrench (about its start) that joints and drive together exert on each body, of the contributions chosen."""
     machine = moving.machine
-    wrenches = dict.fromkeys(machine.mechanism.bodies, ZERO_WRENCH)
+    wrenches = dict.fromkeys((*machine.mechanism.bodies, *machine.mechanism.rods), ZERO_WRENCH)
     for body, mass in machine.inertias.items():
         state = moving.state(body)
         if inertia:

@@ -225,7 +225,8 @@ class Machine:
     @cached_property
     def size(self) -> Value:
         """Sum of the link lengths [m], the reference length of the motion."""
-        lengths = [link.length for link in self.mechanism.links if link.end]
+        ends = {drive.size: drive.begin for drive in self.mechanism.drives if drive.size}
+        lengths = [ends.get(str(link.length), link.length) for link in self.mechanism.links if link.end]
         values = (as_jet(self.sizes[length] if isinstance(length, str) else length).value for length in lengths)
         return sum(values, 0.0) if lengths else 1.0
 
@@ -331,7 +332,8 @@ class Moving:
                 nothing = (0.0, 0.0)
                 self._states[body] = BodyMotion(nothing, nothing, nothing, (1.0, 0.0), 0.0, 0.0)
             else:
-                start = self.pose.points[self.machine.mechanism.bodies[body].start]
+                link = self.machine.mechanism.bodies.get(body)
+                start = self.pose.points[link.start if link else self.machine.mechanism.rods[body].end]
                 self._states[body] = body_motion(start, self.pose.direction(body))
         return self._states[body]
 

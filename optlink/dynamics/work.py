@@ -10,6 +10,7 @@ from optlink.dynamics.inverse import reactions
 from optlink.dynamics.machine import Machine
 from optlink.dynamics.runge_kutta import Step, between
 from optlink.dynamics.strokes import irregular
+from optlink.linkage.elements import Element
 from optlink.linkage.extrema import distinct, zeros
 from optlink.linkage.vector2d import TURN, Array
 
@@ -37,7 +38,7 @@ def _at_gauss_points(function: Callable[[Array], Array], a: Array, b: Array) -> 
 
 
 def jumps(machine: Machine, low: float, high: float) -> Array:
-    """Return the crank angles [rad] from `low` to below `high` at which a load or friction may jump, rising."""
+    """Return the crank angles [rad] from `low` to below `high` at which a load, friction or a prescribed motion may jump."""
     jump_angles: list[Array] = []
     switching = [load for load in machine.loads if load.switching]
     if switching or machine.friction:
@@ -50,7 +51,20 @@ def jumps(machine: Machine, low: float, high: float) -> Array:
 
         with np.errstate(all="ignore"):
             jump_angles += zeros(rates, _grid(low, high), still=True)
+    for element in machine.mechanism.elements:
+        jump_angles += _knots(machine, element, low, high)
     return _rising(jump_angles, low, high)
+
+
+def _knots(machine: Machine, element: Element, low: float, high: float) -> list[Array]:
+    """Return the crank angles at which an element passes a knot of its law, where its acceleration may jump."""
+
+    def distances(angles: Array) -> Array:
+        x, knots, period = element.knots(machine.mechanism.at(machine.sizes, angles))
+        return np.array([np.broadcast_to(np.sin(math.pi * (x - knot) / period), angles.shape) for knot in knots])
+
+    grid = _grid(low, high)
+    return zeros(distances, grid) if element.knots(machine.mechanism.at(machine.sizes, grid[:1]))[1] else []
 
 
 def corners(machine: Machine, low: float, high: float, speed: float) -> Array:

@@ -7,7 +7,7 @@ L. V. Assur (1914): classification of mechanisms; a mechanism is a driving crank
 
 import itertools
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import get_args
@@ -15,6 +15,7 @@ from typing import get_args
 from optlink.errors import InvalidValue
 from optlink.io import Entry, register
 from optlink.linkage.dyads import FORWARD, RPR, LineDyad, ModalDyad, Transmitting
+from optlink.linkage.elements import Drive, Element, Single
 from optlink.linkage.mechanism import FRAME, BodyPoint, Dyad, Ground, Guide, Joint, Link, Mechanism, owners_of
 from optlink.unsupported import unsupported
 
@@ -45,9 +46,10 @@ def _list(joints: Sequence[Joint]) -> str:
 class Assembly:
     """Decomposition of a mechanism into dyads, in an order in which the bodies can be placed two at a time.
 
-    The start of the body `driver` is its pivot on the frame. `modes` are by the name of the inner joint: "left of B-D" or "right
-    of B-D" for RRR groups; "forward" or "backward" along the guide for RRP and RPR groups. With ", continue" appended the group
-    is continued smoothly through its singular positions.
+    The start of the body `driver` is its pivot on the frame; it is empty where `drives` prescribe the motion instead. Bodies with
+    one joint that a drive or a coupling places are placed alone. `modes` are by the name of the inner joint: "left of B-D" or
+    "right of B-D" for RRR groups; "forward" or "backward" along the guide for RRP and RPR groups. With ", continue" appended the
+    group is continued smoothly through its singular positions.
     """
 
     ground: Mapping[str, Ground]
@@ -56,13 +58,16 @@ class Assembly:
     guides: Sequence[Guide]
     driver: str
     modes: Mapping[str, str]
+    drives: Sequence[Drive] = ()
+    couplings: Sequence[Element] = ()
 
     def __post_init__(self) -> None:
         self.bodies = {link.body: link for link in self.links}
         self.rank = {body: k for k, body in enumerate(self.bodies)}
         self.members = owners_of(self.ground, self.links, self.points)
-        self.placed = {FRAME, self.driver}
+        self.placed = {FRAME, self.driver} - {""}
         self.groups: list[Dyad] = []
+        self.singles: list[Single] = []
         self.used: set[str] = set()  # joints whose assembly mode is that of a group
         shared = {point: bodies for point, bodies in self.members.items() if len(bodies) > 1}
         everything = (FRAME, *self.bodies)
@@ -98,9 +103,14 @@ class Assembly:
             If the bodies do not form a chain of dyads (the message names those that are left), or a mode is that of no group.
         """
         self.check_joints()
-        connected = {body for start in (FRAME, self.driver) for body in self.neighbours(start)}
+        connected = {body for start in self.placed for body in self.neighbours(start)}
         while len(self.placed) <= len(self.bodies):
             rank = self.rank.__getitem__
+            if (single := next(self._alone(), None)) is not None:
+                self.singles.append(single)
+                self.placed.add(single.link.body)
+                connected = (connected | set(self.neighbours(single.link.body))) - self.placed
+                continue
             pairs = ((a, b) for a in sorted(connected, key=rank) for b in self.neighbours(a) if rank(a) < rank(b))
             group = next(filter(None, itertools.starmap(self._group, pairs)), None)  # the first one, in the order of the file
             if group is None:
@@ -116,7 +126,38 @@ class Assembly:
                 raise StructureError(
                     "no dyad has its inner joint there, or the dyad has only one assembly mode", remedy, f"assembly.{joint}"
                 )
-        return Mechanism(name, self.ground, self.bodies[self.driver], tuple(self.groups), tuple(self.points), tuple(self.guides))
+        idle = {element.name for element in (*self.drives, *self.couplings)} - {single.by.name for single in self.singles}
+        for element in self.couplings:
+            if element.name in idle:
+                raise StructureError(
+                    f"{element.name} couples bodies whose motions other joints and drives determine",
+                    "Remove it, or a drive or joint",
+                    f"couplings.{element.name}",
+                )
+        crank = self.bodies[self.driver or self.drives[0].body]
+        groups, points = tuple(self.groups), tuple(self.points)
+        return Mechanism(
+            name, self.ground, crank, groups, points, tuple(self.guides), singles=tuple(self.singles), drives=tuple(self.drives)
+        )
+
+    def _alone(self) -> Iterator[Single]:
+        """Yield the bodies that drives and couplings can place next: those with one joint with placed bodies."""
+        after = self.groups[-1].joint if self.groups else ""
+        for element in (*self.drives, *self.couplings):
+            body = element.places(self.placed)
+            if not body or body in self.placed:
+                continue
+            joints = self.placed_joints(body)
+            if len(joints) > 1:
+                raise StructureError(
+                    f"{body} cannot move by {element.name}: the joints {_list(joints)} already fix it",
+                    "Remove one of the joints, or the drive",
+                    f"links.{body}",
+                )
+            if joints:
+                joint = joints[0]
+                against = element.against if isinstance(joint, str) else joint.other(body)
+                yield Single(self.bodies[body], joint, against, element, after)
 
     def check_joints(self) -> None:
         """Refuse a driven body off the frame or fixed to it, and bodies without a joint.
@@ -126,6 +167,8 @@ class Assembly:
         StructureError
             If there is one of them.
         """
+        if not self.driver:
+            return self._check_bodies()
         crank = self.bodies[self.driver]
         if FRAME not in self.members[crank.start]:
             message = f"the driven body turns about its first joint, and {crank.start} of {crank.body} is not on the frame"
@@ -133,12 +176,25 @@ class Assembly:
             if FRAME in self.members.get(crank.end, []):
                 remedy = "Exchange its two joints"
             elif self.rails[self.driver]:
-                missing, remedy = unsupported("linear drive")
+                guide = self.rails[self.driver][0].name
+                missing, remedy = "it slides", f'Write slide = "{guide}" instead of body, or give range, start or speed in "mm"'
             elif len(self.members[crank.start]) > 1:
                 pinned = [body for body in self.bodies if any(FRAME in self.members[point] for point in self.pins[body])]
                 missing, remedy = unsupported("drive on a moving link", bodies=", ".join(pinned))
             message = f"{message}: {missing}" if missing else message
             raise StructureError(message, remedy, f"links.{crank.body}.joints", crank.start)
+        self._check_bodies()
+        fixed_at: list[Joint] = [p for p in self.pins[self.driver] if FRAME in self.members[p] and p != crank.start]
+        fixed_at += [guide for guide in self.rails[self.driver] if FRAME in guide.bodies]
+        if fixed_at:
+            raise StructureError(
+                f"{self.driver} cannot turn about its pivot {crank.start}: the frame also fixes it at {_list(fixed_at)}",
+                "Remove that joint",
+                f"links.{self.driver}",
+            )
+
+    def _check_bodies(self) -> None:
+        """Refuse bodies without a joint."""
         for body in self.bodies:
             if not self.pins[body] and not self.rails[body]:
                 points = [point for point, bodies in self.members.items() if body in bodies]
@@ -148,14 +204,6 @@ class Assembly:
                     "Give one of its joints the name of a joint of another body or of the ground, or remove it",
                     f"links.{body}",
                 )
-        fixed_at: list[Joint] = [p for p in self.pins[self.driver] if FRAME in self.members[p] and p != crank.start]
-        fixed_at += [guide for guide in self.rails[self.driver] if FRAME in guide.bodies]
-        if fixed_at:
-            raise StructureError(
-                f"{self.driver} cannot turn about its pivot {crank.start}: the frame also fixes it at {_list(fixed_at)}",
-                "Remove that joint",
-                f"links.{self.driver}",
-            )
 
     def _group(self, first: str, second: str) -> Dyad | None:
         """Return the dyad of two bodies, if each has one joint with the placed bodies and they share one inner joint."""
@@ -230,16 +278,19 @@ class Assembly:
                 return self._one_body(first, second, self._shared(first, second))
         joint_count = sum(len(bodies) - 1 for bodies in self.members.values()) + len(self.guides)
         free = 3 * len(self.bodies) - 2 * joint_count  # degrees of freedom, by Gruebler's formula
-        if free > 1:
+        driven = sum(drive.kind != "length" for drive in self.drives) + bool(self.driver) + len(self.couplings)
+        by = "one driver" if self.driver and not self.couplings else f"{driven} of them are driven or coupled"
+        if free > driven:
             ends = (point for body in left for point in (self.bodies[body].start, self.bodies[body].end))
             unshared = [point for point in ends if point and len(self.members[point]) == 1]
             check = f" (check the names of {_list(unshared)}, joints of one body alone)" if len(unshared) > 1 else ""
             missing, remedy = unsupported("free links", them="them" if len(left) > 1 else "it", check=check)
-            message = f"{_list(left)} cannot be placed: the mechanism has {free} degrees of freedom and one driver; {missing}"
+            message = f"{_list(left)} cannot be placed: the mechanism has {free} degrees of freedom and {by}; {missing}"
             return StructureError(message, remedy, f"links.{left[-1]}")
-        if free < 1:
+        if free < driven:
             return StructureError(
-                f"{_list(left)} cannot be placed: the mechanism has {free} degrees of freedom, it is a rigid structure",
+                f"{_list(left)} cannot be placed: the mechanism has {free} degrees of freedom"
+                + (", it is a rigid structure" if free < 1 else f" and {by}"),
                 "Remove a joint, or add a body",
                 f"links.{left[-1]}",
             )

@@ -75,10 +75,10 @@ def continue_through_singularities(
     ]
     if not any(at is not None for at in starts):
         return mechanism
-    course = _Course(mechanism, sizes)
+    course = _Course(replace(mechanism, limits=None), sizes)  # the limits may begin between change points
     for group, at in zip(mechanism.groups, starts, strict=True):
         course.add(group, at)
-    return course.mechanism
+    return replace(course.mechanism, limits=mechanism.limits)
 
 
 class _Course:
@@ -96,7 +96,7 @@ class _Course:
 
     def _sample(self) -> None:
         cycle = self.mechanism.cycle
-        self.moving, self.still = self._pose(Jet(alignment_grid(cycle), 1.0)), self._pose(range_grid(cycle))
+        self.moving, self.still = self._pose(Jet(alignment_grid(0.0, cycle), 1.0)), self._pose(range_grid(0.0, cycle))
 
     def _pose(self, angles: Value) -> Pose:
         return self._grown(self.mechanism.begin(self.sizes, unit(angles), angles), 0)
@@ -110,9 +110,10 @@ class _Course:
     def add(self, group: Dyad, start: float | None) -> None:
         """Add the next group, continued from its mode at the crank angle `start` unless that is None."""
         groups, k = self.mechanism.groups, self.count
-        bodies = {link.body for g in groups[: k + 1] for link in g.links} | {self.mechanism.crank.body}
-        points = tuple(point for point in self.mechanism.points if point.body in bodies)
-        part = replace(self.mechanism, groups=groups[: k + 1], points=points)
+        joints = {"", *(g.joint for g in groups[: k + 1])}
+        singles = tuple(single for single in self.mechanism.singles if single.after in joints)
+        part = replace(self.mechanism, groups=groups[: k + 1], points=(), singles=singles)
+        part = replace(part, points=tuple(point for point in self.mechanism.points if point.body in part.bodies))
         aligned = least_alignments(part, self.sizes, self.moving.with_group(group))
         if self.ranges.full and self._closes(part, aligned):
             self.ranges = Ranges(((0.0, part.cycle),), True)

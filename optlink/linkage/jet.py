@@ -159,4 +159,5 @@ _CHAIN: dict[np.ufunc, Callable[[Value, Value], tuple[Value, Value]]] = {
     np.log: lambda x, f: (1.0 / x, -1.0 / (x * x)),
     np.log10: lambda x, f: (1.0 / (x * np.log(10.0)), -1.0 / (x * x * np.log(10.0))),
     np.absolute: lambda x, f: (np.sign(x), 0.0),
+    np.sign: lambda x, f: (0.0, 0.0),
 }

@@ -13,8 +13,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from optlink.linkage.elements import FRAME as FRAME, Drive, Element, Single
 from optlink.linkage.jet import Jet, as_jet
-from optlink.linkage.vector2d import Array, Value, Vector, angle, cross, dot, minus, plus, turn, turn_back, unit
+from optlink.linkage.vector2d import Array, Value, Vector, angle, angle_from, cross, dot, minus, plus, turn, turn_back, unit
 
 # Sides of a group over the crank angle, and its Taylor series about singular positions.
 #
@@ -143,9 +144,6 @@ def _numeric(x: Value) -> bool:
 
 Size = str | float
 """The name of a parameter, or a number in SI."""
-
-FRAME = "frame"
-"""Name of the body that does not move; its own coordinates are those of the plane."""
 
 
 @dataclass(frozen=True)
@@ -290,25 +288,30 @@ class Dyad:
 class Pose:
     """Positions of all points and bodies of a mechanism, computed group by group.
 
-    `points` in [m], `directions` of bodies as unit vectors, `margins` by joint.
+    `points` in [m], `directions` of bodies as unit vectors, `turns`: angles [rad] of those that drives and couplings place,
+    `margins` by joint.
     """
 
-    __slots__ = ("angle", "directions", "margins", "mechanism", "points", "sizes")
+    __slots__ = ("angle", "directions", "margins", "mechanism", "points", "sizes", "turns")
 
     def __init__(self, mechanism: Mechanism, sizes: Mapping[str, Value], crank_angle: Value = None) -> None:
         self.mechanism, self.sizes, self.angle = mechanism, sizes, crank_angle
         self.points: dict[str, Vector] = {}
         self.directions: dict[str, Vector] = {FRAME: (1.0, 0.0)}
+        self.turns: dict[str, Value] = {FRAME: 0.0}
         self.margins: dict[str, Value] = {}
 
     def add(self, group: Dyad) -> None:
-        """Place the bodies of a group whose neighbours are placed."""
+        """Place the bodies of a group whose neighbours are placed, and those that couplings place after it."""
         self.margins[group.joint] = group.solve(self)
+        for single in self.mechanism.placed_after.get(group.joint, ()):
+            single.solve(self)
 
     def with_group(self, group: Dyad) -> Pose:
         """Return this pose with one more group; this one is unchanged."""
         pose = Pose(self.mechanism, self.sizes, self.angle)
         pose.points, pose.directions, pose.margins = dict(self.points), dict(self.directions), dict(self.margins)
+        pose.turns = dict(self.turns)
         pose.add(group)
         return pose
 
@@ -358,10 +361,26 @@ class Pose:
     def direction(self, body: str) -> Vector:
         """Return the unit vector of a body's x axis."""
         if body not in self.directions:
-            link = self.mechanism.bodies[body]
+            link = self.mechanism.bodies.get(body) or self.mechanism.rods[body]
             (x, y), length = minus(self.points[link.end], self.points[link.start]), self.size(link.length)
             self.directions[body] = x / length, y / length
         return self.directions[body]
+
+    def turned(self, body: str) -> Value:
+        """Return the angle of a placed body [rad], which grows by a revolution in each turn of the body.
+
+        A body of a group is taken to swing by less than a revolution, about its angle in `Mechanism.middles`.
+        """
+        if body not in self.turns:
+            middle = self.mechanism.middles.get(body, 0.0)
+            self.turns[body] = middle + angle_from(unit(middle), self.direction(body))
+        return self.turns[body]
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of the crank angles at which the pose is computed."""
+        known = self.directions[self.mechanism.crank.body][0] if self.angle is None else self.angle
+        return np.shape(as_jet(known).value)
 
     def line(self, guide: Guide, body: str) -> tuple[Vector, Vector]:
         """Return a point [m] and the unit vector of a guide's line, from the position of one of its bodies.
@@ -479,6 +498,10 @@ class Mechanism:
 
     `datum` [rad] is the direction from which crank angles are measured, itself measured from +x. `cycle` [rad] is the crank
     rotation after which the motion repeats: more than a revolution where groups are continued through change points.
+
+    With `drives`, the crank angle is the cycle variable of their laws, and `crank` the body that the first of them drives: one of
+    the `singles`, or the link whose length a cylinder prescribes. Couplings place further singles. `limits` [rad] of the crank
+    angle, if there are any, bound the motion that is asked for; `middles` [rad]: angles about which coupled bodies swing.
     """
 
     name: str
@@ -489,6 +512,10 @@ class Mechanism:
     guides: tuple[Guide, ...] = field(default=())
     datum: Size = 0.0
     cycle: float = 2.0 * np.pi
+    singles: tuple[Single, ...] = ()
+    drives: tuple[Drive, ...] = ()
+    limits: tuple[float, float] | None = None
+    middles: Mapping[str, float] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         return f"<Mechanism {self.name!r}: {', '.join(self.bodies)}>"
@@ -501,7 +528,33 @@ class Mechanism:
     @cached_property
     def links(self) -> tuple[Link, ...]:
         """All moving bodies, the crank first, in the order in which they are placed."""
-        return (self.crank, *(link for group in self.groups for link in group.links))
+        links = [] if self.drives else [self.crank]
+        links += [single.link for single in self.placed_after.get("", ())]
+        for group in self.groups:
+            links += [*group.links, *(single.link for single in self.placed_after.get(group.joint, ()))]
+        return tuple(links)
+
+    @cached_property
+    def placed_after(self) -> dict[str, tuple[Single, ...]]:
+        """The singles by the joint of the group after which they are placed; empty for those placed before all groups."""
+        return {
+            after: tuple(s for s in self.singles if s.after == after) for after in dict.fromkeys(s.after for s in self.singles)
+        }
+
+    @cached_property
+    def rods(self) -> dict[str, Link]:
+        """The rods of cylinders by name, with the links whose direction they have and at whose end they begin."""
+        return {drive.rod: self.bodies[drive.body] for drive in self.drives if drive.rod}
+
+    @cached_property
+    def elements(self) -> tuple[Element, ...]:
+        """The drives and couplings."""
+        return tuple(dict.fromkeys((*self.drives, *(single.by for single in self.singles))))
+
+    @cached_property
+    def driven_sizes(self) -> tuple[str, ...]:
+        """Names of the lengths that drives prescribe."""
+        return tuple(drive.size for drive in self.drives if drive.size)
 
     @cached_property
     def bodies(self) -> dict[str, Link]:
@@ -528,7 +581,7 @@ class Mechanism:
     def lengths(self) -> tuple[str, ...]:
         """Names of the lengths of links and of arms of the frame, which must be positive."""
         arms = [place.length for place in self.ground.values() if isinstance(place, Arm)]
-        return _names(*(link.length for link in self.links), *arms)
+        return _names(*(link.length for link in self.links if link.length not in self.driven_sizes), *arms)
 
     @cached_property
     def parameters(self) -> tuple[str, ...]:
@@ -541,6 +594,8 @@ class Mechanism:
         for guide in dict.fromkeys((*self.guides, *(guide for group in self.groups for guide in group.prismatic))):
             places += [guide.direction, guide.offset, guide.tilt]
             places += [] if isinstance(guide.through, str) else guide.through
+        for element in self.elements:
+            places += element.sizes
         return _names(*self.lengths, *places)
 
     def link(self, body: str) -> Link:
@@ -574,7 +629,8 @@ class Mechanism:
         Pose
             Coordinates in [m], NaN from the first group on that cannot be assembled (its margin is negative).
         """
-        pose = self.begin(sizes, crank, angle(crank) if crank_angle is None and self.followed else crank_angle)
+        known = not (self.followed or self.singles or self.drives)
+        pose = self.begin(sizes, crank, angle(crank) if crank_angle is None and not known else crank_angle)
         for group in self.groups:
             pose.add(group)
         for point in self.points:
@@ -590,11 +646,17 @@ class Mechanism:
             See `pose`.
         """
         pose = Pose(self, sizes, crank_angle)
+        if lengths := {drive.size: drive.value(pose) for drive in self.drives if drive.size}:
+            pose.sizes = {**sizes, **lengths}
         for name, place in self.ground.items():
             pose.points[name] = pose.fixed(place)
-        if isinstance(self.datum, str) or self.datum != 0.0:
-            crank = turn(crank, unit(pose.size(self.datum)))
-        pose.place(self.crank, crank, self.crank.start)
+        if not self.drives:
+            if isinstance(self.datum, str) or self.datum != 0.0:
+                crank = turn(crank, unit(pose.size(self.datum)))
+            pose.turns[self.crank.body] = None if crank_angle is None else pose.size(self.datum) + crank_angle
+            pose.place(self.crank, crank, self.crank.start)
+        for single in self.placed_after.get("", ()):
+            single.solve(pose)
         return pose
 
 

@@ -105,7 +105,7 @@ def angles_text(angles: Array) -> str:
 
 def squared_sines(pose: Pose, groups: Sequence[Dyad] | None = None) -> Array:
     """Return the alignment [-] of groups, by default all, array (groups, n); NaN for those that follow one that cannot close."""
-    shape = np.shape(as_jet(pose.directions[pose.mechanism.crank.body][0]).value)
+    shape = pose.shape
     with np.errstate(all="ignore"):
         alignments = [np.broadcast_to(as_jet(group.alignment(pose)).value, shape) for group in groups or pose.mechanism.groups]
     return np.array(alignments, dtype=float).reshape(-1, *shape)
@@ -122,29 +122,34 @@ def least_margin(pose: Pose, margins: Iterable[Array]) -> Array:
 
     The first that fails to close counts -1, its followers nothing.
     """
-    least = np.full(np.shape(as_jet(pose.directions[pose.mechanism.crank.body][0]).value), np.inf)
+    least = np.full(pose.shape, np.inf)
     for margin in margins:
         least = np.minimum(least, np.where(np.isnan(margin), np.where(least < 0.0, np.inf, -1.0), margin))
     return least
 
 
-def alignment_grid(cycle: float) -> Array:
-    """Return the crank angles [rad] between which the least alignments are bracketed, so that round ones lie between them."""
-    step = TURN / GRID
-    return np.arange(-0.37 * step, cycle + step, step)
+def alignment_grid(low: float, high: float) -> Array:
+    """Return the crank angles [rad] between which the least alignments are bracketed, so that round ones lie between them.
+
+    They go from before `low` to beyond `high`, and are `GRID` or more.
+    """
+    step = min(TURN, high - low) / GRID
+    return np.arange(low - 0.37 * step, high + step, step)
 
 
 @np.errstate(all="ignore")
 def least_alignments(mechanism: Mechanism, sizes: Mapping[str, Value], last: Pose | None = None) -> list[AlignedPosition]:
-    """Return the positions of one cycle in which a group comes within `NEAR_ALIGNMENT` of alignment, each at the least angle.
+    """Return the positions of one cycle, or within the limits of the motion, in which a group is near alignment.
 
-    They are in the order of the groups and of the crank angle. With `last`, the pose at the crank angles of `alignment_grid` at a
-    crank speed of 1 rad/s, only those of the last group are sought.
+    It then comes within `NEAR_ALIGNMENT` of it, at the least angle. They are in the order of the groups and of the crank angle.
+    With `last`, the pose at the crank angles of `alignment_grid` at a crank speed of 1 rad/s, only those of the last group are
+    sought.
     """
     groups = mechanism.groups if last is None else mechanism.groups[-1:]
     if not groups:
         return []
-    grid = alignment_grid(mechanism.cycle)
+    begin, end = mechanism.limits or (0.0, mechanism.cycle)
+    grid = alignment_grid(begin, end)
 
     def rates(angles: Array, pose: Pose | None = None) -> Array:
         moving = pose or mechanism.at(sizes, Jet(angles, 1.0))
@@ -161,7 +166,7 @@ def least_alignments(mechanism: Mechanism, sizes: Mapping[str, Value], last: Pos
     angles_by_group = zeros(rates, grid, still=True, rising=True, slope=None if last is None else slope, samples=samples)
     which = np.repeat(np.arange(len(angles_by_group)), [len(angles) for angles in angles_by_group])
     at = np.concatenate(angles_by_group)
-    valid = (at >= -1e-9) & (at < mechanism.cycle - 1e-9) & ~still[which]
+    valid = (at >= begin - 1e-9) & (at < end + (-1e-9 if mechanism.limits is None else 1e-9)) & ~still[which]
     at, which = at[valid], which[valid]
     if not at.size:
         return []

@@ -1,5 +1,6 @@
 """Characteristics of the whole motion: crank ranges, dead centres, strokes, swing angles, time ratios."""
 
+import itertools
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -72,12 +73,19 @@ def range_end_reason(mechanism: Mechanism, sizes: Mapping[str, Value], end: floa
 class Ranges:
     """Ranges of crank angle [rad] in which every group closes; `full` where that is the whole revolution.
 
-    `aligned`: positions within the ranges in which a group is near alignment, or in a singular position.
+    `aligned`: positions within the ranges in which a group is near alignment, or in a singular position; `limits`: the range that
+    is asked for, beyond which nothing is examined.
     """
 
     ranges: tuple[tuple[float, float], ...]
     full: bool
     aligned: tuple[AlignedPosition, ...] = ()
+    limits: tuple[float, float] | None = None
+
+    @property
+    def complete(self) -> bool:
+        """Whether the motion that is asked for is possible: every group closes in all of the range, or revolution."""
+        return self.full or (self.limits is not None and self.ranges == (self.limits,))
 
     @property
     def singular(self) -> tuple[AlignedPosition, ...]:
@@ -107,9 +115,9 @@ class Ranges:
         return None
 
 
-def range_grid(cycle: float) -> Array:
+def range_grid(low: float, high: float) -> Array:
     """Return the crank angles [rad] between which the ends of the ranges are bracketed."""
-    return np.linspace(0.0, cycle, GRID * round(cycle / TURN) + 1)
+    return np.linspace(low, high, GRID * max(1, round((high - low) / TURN)) + 1)
 
 
 @np.errstate(all="ignore")
@@ -123,8 +131,10 @@ def reachable(mechanism: Mechanism, sizes: Mapping[str, Value]) -> Ranges:
     """
     aligned = least_alignments(mechanism, sizes)
     lowest = [position.crank_angle for position in aligned if not position.singular]
-    cycle = mechanism.cycle
-    grid = distinct(np.concatenate([range_grid(cycle), lowest]))
+    limits, cycle = mechanism.limits, mechanism.cycle
+    begin, end = limits or (0.0, cycle)
+    grid = range_grid(begin, end)
+    grid = distinct(np.concatenate([grid, [angle for angle in lowest if limits is None or begin < angle < end]]))
     crossing = [group for group in mechanism.groups if isinstance(group, PRP)]  # its lines may become parallel within the motion
 
     def function(angles: Array) -> Array:
@@ -137,20 +147,22 @@ def reachable(mechanism: Mechanism, sizes: Mapping[str, Value]) -> Ranges:
         return bool(np.all(alignment_margin(mechanism.at(sizes, angles)) >= 0.0))
 
     failing = not closed(grid)
+    whole = Ranges(((begin, end),), limits is None, tuple(aligned), limits)
     if not failing and not crossing:
-        return Ranges(((0.0, cycle),), True, tuple(aligned))
+        return whole
     margin, *sines = zeros(function, grid)
     ends = distinct(np.concatenate([margin if failing else [], *sines]))  # a margin that only touches zero is not an end
     if len(ends) == 0:
-        return Ranges((), False) if failing else Ranges(((0.0, cycle),), True, tuple(aligned))
+        return replace(whole, ranges=(), full=False, aligned=()) if failing else whole
+    cuts = [*ends, ends[0] + cycle] if limits is None else distinct(np.concatenate([[begin], ends, [end]])).tolist()
     ranges = [
         (_inside(function, a, 1.0), _inside(function, b, -1.0))
-        for a, b in zip(ends, [*ends[1:], ends[0] + cycle], strict=True)
+        for a, b in itertools.pairwise(cuts)
         if function(np.array([0.5 * (a + b)]))[0, 0] >= 0.0
     ]
-    if not sines:
+    if not sines and limits is None:
         ranges = _joined(ranges, closed)
-    result = Ranges(tuple(ranges), False)
+    result = Ranges(tuple(ranges), False, limits=limits)
     held = [(position, result.holding(position.crank_angle)) for position in aligned]
     return replace(
         result,

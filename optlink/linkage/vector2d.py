@@ -31,6 +31,11 @@ def _complex(x: Value) -> bool:
     return isinstance(x, np.ndarray | np.generic | complex) and bool(np.iscomplexobj(x))
 
 
+def real(x: Value) -> Value:
+    """Return the real part of complex numbers, and any other value unchanged."""
+    return np.real(x) if _complex(x) else x
+
+
 def magnitude(x: Value) -> Value:
     """Return the absolute value; for a complex step its analytic continuation, because numpy's would drop the step."""
     return np.where(np.real(x) < 0.0, -x, x) if _complex(x) else np.abs(x)

@@ -143,7 +143,7 @@ class TracedCycle:
         slow: Mapping[str, Direction] | None = None,
     ) -> None:
         self.problem, self.mechanism, self.values = problem, problem.linkage, values
-        self.speed = problem.drive.speed.value
+        self.speed = problem.driving.pace
         self.direction = -1.0 if self.speed < 0.0 else 1.0
         self.names = list(problem.quantities)
         self.terms: tuple[Term, ...] = (*problem.goals, *(bound.term for bound in problem.bounds))

@@ -727,7 +727,7 @@ def started(machine: ProblemFile, begin: float, way: float) -> ProblemFile:
     """
     if not math.isfinite(begin):
         return machine
-    speed = math.copysign(machine.model.drive.speed.value, way) if way else machine.model.drive.speed.value
+    speed = math.copysign(machine.model.driving.pace, way) if way else machine.model.driving.pace
     return machine.override({"drive.start": f"{math.remainder(begin, TURN)!r} rad", "drive.speed": f"{speed!r} rad/s"})
 
 

@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
@@ -10,11 +10,24 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, WrapValidator
 
+from optlink.dynamics.machine import Inertia
 from optlink.linkage.assur import CONTINUE, EITHER, Assembly
+from optlink.linkage.elements import Drive, Single
 from optlink.linkage.fourbar import LENGTHS, four_bar
 from optlink.linkage.mechanism import FRAME, BodyPoint, Dyad, Guide, Link, Mechanism, Pose, Size
 from optlink.linkage.vector2d import unit
 from optlink.problem.base_model import RESERVED, Name, Section
+from optlink.problem.elements import (
+    ELEMENTS,
+    BeltSection,
+    CamSection,
+    CylinderSection,
+    GearSection,
+    Parts,
+    RackSection,
+    SlotSection,
+    couplings,
+)
 from optlink.problem.quantity import (
     Angle,
     Coordinate,
@@ -236,7 +249,7 @@ class FourBarSection(Section):
             quantities["direction"] = self.direction or Quantity(0.0, "angle", "deg")
         return quantities
 
-    def linkage(self, name: str, driver: str | None) -> Mechanism:
+    def linkage(self, name: str, driver: str | None, drives: Sequence[Drive] = ()) -> Mechanism:
         """Return the kinematic model, driven at the body `driver`; an undetermined assembly mode counts as left.
 
         Raises
@@ -263,6 +276,11 @@ class FourBarSection(Section):
     def variants(self, mechanism: Mechanism) -> list[dict[str, str]]:
         """Return changes of the file that determine the assembly modes left open, one per combination."""
         return [{"mechanism.assembly": side} for side in ("left", "right")] if self.assembly == EITHER else [{}]
+
+    @property
+    def inertias(self) -> dict[str, Inertia]:
+        """Mass properties of elements: none, as a four-bar has links alone."""
+        return {}
 
     @property
     def friction(self) -> dict[str, float]:
@@ -327,6 +345,18 @@ class DyadsSection(Section):
     """Every moving body."""
     guides: dict[Name, GuideSection] = Field(default_factory=dict)
     """Sliding joints."""
+    cylinders: dict[Name, CylinderSection] = Field(default_factory=dict)
+    """Links whose length is driven."""
+    slots: dict[Name, SlotSection] = Field(default_factory=dict)
+    """Pins in straight slots."""
+    gears: dict[Name, GearSection] = Field(default_factory=dict)
+    """Gears, and other fixed ratios of two angles."""
+    racks: dict[Name, RackSection] = Field(default_factory=dict)
+    """Racks and pinions."""
+    belts: dict[Name, BeltSection] = Field(default_factory=dict)
+    """Belts and chains."""
+    cams: dict[Name, CamSection] = Field(default_factory=dict)
+    """Disc cams and their followers."""
     assembly: dict[str, Annotated[str, AfterValidator(_check_place)]] = Field(default_factory=dict)
     """Assembly mode of each group: for an RRR joint `left of B-D` or `right of B-D`, for an RRP pin or an RPR guide `forward` or
     `backward`; for a pin also its place where the drive starts, `near [12 mm, 40 mm]`. With `left of B-D, continue` this is the
@@ -361,6 +391,11 @@ class DyadsSection(Section):
                 quantities[f"{name}.length"] = link.length
             for point, (along, across) in link.points.items():
                 quantities[f"{name}.{point}.along"], quantities[f"{name}.{point}.across"] = along, across
+        for name, cylinder in self.cylinders.items():
+            quantities[f"{name}.closed"], quantities[f"{name}.open"] = cylinder.closed, cylinder.open
+        for name, slot in self.slots.items():
+            if slot.direction is not None:
+                quantities[f"{name}.direction"] = slot.direction
         for name, guide in self.guides.items():
             if isinstance(guide.through, tuple):
                 quantities[f"{name}.x"], quantities[f"{name}.y"] = guide.through
@@ -368,6 +403,11 @@ class DyadsSection(Section):
                 if getattr(guide, key) is not None:
                     quantities[f"{name}.{key}"] = getattr(guide, key)
         return quantities
+
+    @property
+    def inertias(self) -> dict[str, Inertia]:
+        """Mass properties of the parts of cylinders."""
+        return {body: part for name, one in self.cylinders.items() for body, part in one.inertias(name).items()}
 
     @property
     def friction(self) -> dict[str, float]:
@@ -388,8 +428,10 @@ class DyadsSection(Section):
                 ]
         return variants
 
-    def linkage(self, name: str, driver: str | None) -> Mechanism:
-        """Return the kinematic model, driven at the body `driver`; undetermined assembly modes count as left or forward.
+    def linkage(self, name: str, driver: str | None, drives: Sequence[Drive] = ()) -> Mechanism:
+        """Return the kinematic model, driven at the body `driver`, or by `drives` if it is empty.
+
+        Undetermined assembly modes count as left or forward.
 
         Raises
         ------
@@ -398,10 +440,11 @@ class DyadsSection(Section):
         """
         self._check_names()
         links = list(self._links())
-        body = driver or ("crank" if "crank" in self.links else None)
+        body = driver if drives else driver or ("crank" if "crank" in self.links else None)
         if body is None:
             raise Unusable("no body is driven", f"Add [drive] body, one of: {', '.join(self.links)}", "drive.body")
-        check_name(body, self.links, "no such body", "drive.body")
+        if body:
+            check_name(body, self.links, "no such body", "drive.body")
         points = [
             BodyPoint(point, name_of, f"{name_of}.{point}.along", f"{name_of}.{point}.across")
             for name_of, link in self.links.items()
@@ -411,7 +454,18 @@ class DyadsSection(Section):
         ground: dict[str, tuple[Size, Size]] = {point: (f"{point}.x", f"{point}.y") for point in self.ground}
         modes = {**self.assembly, **dict.fromkeys(self.near, EITHER)}
         with below("mechanism"):
-            return Assembly(ground, links, points, guides, body, modes).mechanism(name)
+            elements = list(
+                couplings({kind: getattr(self, kind) for kind in ELEMENTS}, self._parts(name, ground, links, points, guides))
+            )
+            return Assembly(ground, links, points, guides, body or "", modes, drives, elements).mechanism(name)
+
+    def _parts(
+        self, name: str, ground: Mapping[str, tuple[Size, Size]], links: list[Link], points: list[BodyPoint], guides: list[Guide]
+    ) -> Parts:
+        """Return the parts of the linkage, to which elements refer."""
+        singles = tuple(Single(link, "", "", Drive("", "angle", link.body)) for link in links[1:])
+        bare = Mechanism("", ground, links[0], (), tuple(points), tuple(guides), singles=singles)
+        return Parts(Pose(bare, sizes_of(self.quantities)), bare.owners)
 
     def _links(self) -> Iterator[Link]:
         for name, link in self.links.items():
@@ -426,6 +480,11 @@ class DyadsSection(Section):
                 if names.count(point) > 1:
                     raise Unusable("the point is given twice", "Remove one of the two, or rename it", key, point)
             yield Link(name, start, end, f"{name}.length" if end else 0.0)
+        for name, cylinder in self.cylinders.items():
+            with below(f"mechanism.cylinders.{name}"):
+                yield cylinder.link(name)
+        for name, slot in self.slots.items():
+            yield Link(name, slot.pin)
 
     def _guides(self) -> Iterator[Guide]:
         for name, guide in self.guides.items():
@@ -447,6 +506,15 @@ class DyadsSection(Section):
             at = self._point(guide.at, guide.slider, f"{key}.at") if guide.at else ""
             sizes = {k: f"{name}.{k}" if getattr(guide, k) is not None else 0.0 for k in ("direction", "offset", "tilt")}
             yield Guide(name, guide.slider, guide.on, through, at=at, **sizes)
+        for name, slot in self.slots.items():
+            key = f"mechanism.slots.{name}"
+            check_name(slot.on, [*self.links, FRAME], "no such body", f"{key}.on")
+            if slot.through is None and slot.on == FRAME:
+                raise Unusable("a slot in the frame needs a point on its middle line", 'Add through = "D"', f"{key}.through")
+            through = (
+                self.links[slot.on].joints[0] if slot.through is None else self._point(slot.through, slot.on, f"{key}.through")
+            )
+            yield Guide(name, name, slot.on, through, 0.0 if slot.direction is None else f"{name}.direction")
 
     def _point(self, point: str, body: str, key: str) -> str:
         names = [*self.ground] if body == FRAME else [*self.links[body].joints, *self.links[body].points]
@@ -456,7 +524,15 @@ class DyadsSection(Section):
     def _check_names(self) -> None:
         seen: dict[str, str] = {}
         points = dict.fromkeys([*self.ground, *(p for link in self.links.values() for p in (*link.joints, *link.points))])
-        for kind, names in (("body", self.links), ("point", points), ("guide", self.guides)):
+        points |= dict.fromkeys(joint for cylinder in self.cylinders.values() for joint in cylinder.joints)
+        kinds = (
+            ("body", self.links),
+            ("cylinder", self.cylinders),
+            ("slot", self.slots),
+            ("point", points),
+            ("guide", self.guides),
+        )
+        for kind, names in kinds:
             for name in names:
                 if name in RESERVED:
                     raise Unusable(f"{name} is a reserved name", "Choose another", "mechanism", name)

@@ -586,6 +586,9 @@ def key_path(mechanism: Mapping[str, Any], name: str) -> list[str | int]:
         return ["links", parts[0], "points", parts[1], ("along", "across").index(parts[2])]
     if parts[1] == "length":
         return ["links", parts[0], "length"]
+    for table in ("cylinders", "slots"):
+        if parts[0] in mechanism.get(table, ()):
+            return [table, *parts]
     if parts[0] in mechanism["ground"]:
         return ["ground", parts[0], "xy".index(parts[1])]
     if parts[1] in ("x", "y"):

@@ -268,9 +268,9 @@ class AnalysisTask(FiguresTask):
 
 def available_figures(problem: ProblemFile) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return the columns of the analysis, whose extremes and rms values can be columns of a sweep, and its other figures."""
-    machine, drive = machine_of(problem), problem.model.drive
+    machine = machine_of(problem)
     mechanism = machine.mechanism
-    columns = list(MotionColumns(machine.moving(np.array([drive.start.value]), crank_speed(problem))).columns)
+    columns = list(MotionColumns(machine.moving(np.array([problem.model.driving.first]), crank_speed(problem))).columns)
     columns += [name for name, _, _ in pin_columns(machine)]
     sliders = set(slider_names(machine).values())
     single = [f"{name}.{kind}" for name in sliders for kind in ("stroke_m", "time_ratio")]
@@ -284,7 +284,7 @@ def _unreached(problem: ProblemFile, machine: Machine, ranges: Ranges) -> str:
     """Return where the crank can turn, and what stops it."""
     if ranges.ranges:
         return f"the crank does not turn fully; reachable: {ranges.text}"
-    failed = failure(machine.mechanism, machine.sizes, problem.model.drive.start.value)
+    failed = failure(machine.mechanism, machine.sizes, problem.model.driving.first)
     return f"no crank angle can be reached{f': {failed}' if failed else ''}"
 
 

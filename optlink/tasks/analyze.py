@@ -299,9 +299,9 @@ def analyze(
     ranges, low, high = motion_range(problem, machine, start)
     check_repeats(problem, machine)
     cycle = machine.cycle
-    angles = table_angles(start, low, high, speed, ranges.full, points, step)
+    angles = table_angles(start, low, high, speed, ranges, points, step)
     if not ranges.full:
-        edge = MARGIN * (high - low)
+        edge = 0.0 if ranges.complete else MARGIN * (high - low)
         low, high = low + edge, high - edge
         start = float(angles[0])
     elif speed < 0.0:
@@ -365,7 +365,7 @@ def analyze(
         ),
         flywheel(machine, speed, share, low) if share is not None and ranges.full else None,
         unbounded,
-        math.nan if unsound or not ranges.full else work.rms_torque,
+        math.nan if unsound or not ranges.complete else work.rms_torque,
         design or {},
         (points, step),
     )
@@ -460,7 +460,7 @@ def _notes(
     singular: Array,
 ) -> list[str]:
     notes = start_value_notes(problem, design)
-    if not ranges.full:
+    if not ranges.complete:
         notes.append(f"the crank cannot turn fully; reachable: {ranges.text} (without the last 0.1 % at either end)")
         for low, high in ranges.ranges[:1]:
             for end, direction in ((low, -1.0), (high, 1.0)):
@@ -662,19 +662,18 @@ def analyze_batch(
     check_range("points", points, 1, MAX_POINTS)
     arrays = _read(problem, designs)
     count = len(next(iter(arrays.values())))
-    drive = problem.model.drive
     direction = crank_speed(problem, speed)
     follows = problem.model.mechanism.follows
     given = machine_of(problem)
     check_repeats(problem, given)
     revolutions = math.lcm(_longest_cycle(problem, arrays) if follows else 1, given.revolutions or 1)
-    angles = drive.start.value + np.copysign(TURN, direction) * np.arange(revolutions * points) / points
+    angles = problem.model.driving.first + np.copysign(TURN, direction) * np.arange(revolutions * points) / points
     available = MotionColumns(given.moving(angles[:1], direction)).columns
     for name in columns:
         check_choice("columns", name, available, "no such column", problem.file)
     result = Columns()
     result.update({name: np.empty((count, len(angles))) for name in columns})
-    samples = angles if points >= SAMPLES else drive.start.value + TURN * np.arange(revolutions * SAMPLES) / SAMPLES
+    samples = angles if points >= SAMPLES else problem.model.driving.first + TURN * np.arange(revolutions * SAMPLES) / SAMPLES
     step = 1 if follows else max(1, BLOCK_SIZE // points)
     for first in range(0, count, step):
         for part, defined in _by_slow_stroke(problem, arrays, np.arange(first, min(first + step, count)), single=follows):
@@ -714,7 +713,7 @@ def _designs(arrays: Mapping[str, Array], part: NDArray[np.intp], *, single: boo
 def _longest_cycle(problem: ProblemFile, arrays: Mapping[str, Array]) -> int:
     """Return the number of revolutions of the longest cycle of all designs."""
     model, count = problem.model, len(next(iter(arrays.values())))
-    start, designs = model.drive.start.value, (_designs(arrays, np.array([k]), single=True) for k in range(count))
+    start, designs = model.driving.first, (_designs(arrays, np.array([k]), single=True) for k in range(count))
     turns = (continue_through_singularities(model.linkage, model.sizes(design), start).cycle / TURN for design in designs)
     return max(map(round, turns))
 
@@ -750,8 +749,7 @@ def batch_extremes(
     """
     arrays = _read(problem, designs)
     count = len(next(iter(arrays.values())))
-    drive = problem.model.drive
-    direction, start = crank_speed(problem), drive.start.value
+    direction, start = crank_speed(problem), problem.model.driving.first
     given = machine_of(problem)
     check_repeats(problem, given)
     step, revolutions = TURN / GRID, given.revolutions or 1

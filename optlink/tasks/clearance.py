@@ -45,6 +45,7 @@ from optlink.problem.file import AnyProblem, ProblemFile, problem_of
 from optlink.problem.quantity import check_range, input_of, nearest
 from optlink.tasks.machine import (
     check_design,
+    check_one_crank,
     check_pace,
     check_regular,
     crank_speed,
@@ -475,6 +476,7 @@ def _setting(
             "no such control", nearest(control, [*(str(kind) for kind in Control), "compare"]), key="control", value=control
         )
     machine = with_flywheel(machine_of(problem, design), flywheel)
+    check_one_crank(problem, machine, "joint clearance")
     with input_of(name):
         gaps = model.gaps(machine)
     if not gaps:
@@ -490,7 +492,7 @@ def _setting(
     if start is not None and not abs(start) <= 1e6:
         raise InputError("out of range", "Give an angle", key="start", value=f"{start} rad")
     drive, kind = model.drive, Control(control)
-    begin = drive.start.value if start is None else start
+    begin = problem.model.driving.first if start is None else start
     ranges, _, _ = motion_range(problem, machine, begin)
     check_regular(problem, ranges, "clearance is not simulated there")
     if not ranges.full:

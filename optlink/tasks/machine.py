@@ -100,7 +100,8 @@ def crank_speed(problem: ProblemFile, speed: float | None = None, key: str = "sp
     InputError
         If it is zero, as in a file that is simulated from rest, or out of range.
     """
-    value: float = getattr(problem.model.drive, key).value if speed is None else speed
+    stated = problem.model.driving.pace if key == "speed" else getattr(problem.model.drive, key).value
+    value: float = stated if speed is None else speed
     if not MIN_SPEED <= abs(value) <= MAX_SPEED:
         message = "the crank speed is zero" if value == 0.0 else "out of range"
         remedy = 'Give one between 1e-9 and 1e6 rad/s, for statics a low one such as "0.01 rpm"'
@@ -184,8 +185,8 @@ def starting_angle(problem: ProblemFile, machine: Machine, design: Mapping[str, 
     `drive.start`, and the default lies outside that range.
     """
     model, ranges = problem.model, machine.ranges
-    start = model.drive.start.value
-    if ranges.full or "start" in model.drive.model_fields_set:
+    start = model.driving.first
+    if ranges.full or ranges.limits or "start" in model.drive.model_fields_set:
         return start, []
     begin = model.start(model.design(design or {})) % TURN
     here, there = ranges.holding(start), ranges.holding(begin)
@@ -206,6 +207,9 @@ def motion_range(problem: ProblemFile, machine: Machine, start: float) -> tuple[
     ranges = machine.ranges
     if ranges.full:
         return ranges, start, start + machine.cycle
+    if ranges.limits is not None:
+        check_range_reached(problem, machine)
+        return ranges, *ranges.limits
     holding = ranges.holding(start)
     if holding is None:
         failed = failure(machine.mechanism, machine.sizes, start)
@@ -218,6 +222,55 @@ def motion_range(problem: ProblemFile, machine: Machine, start: float) -> tuple[
         raise InputError(message, remedy, problem.file, "drive.start", f"{math.degrees(start):.6g} deg")
     low, high = holding
     return ranges, low, high
+
+
+def check_range_reached(problem: ProblemFile, machine: Machine) -> None:
+    """Refuse a range of the drive in which the mechanism cannot be assembled, or that crosses a singular position.
+
+    Raises
+    ------
+    InputError
+        With the position.
+    """
+    ranges = machine.ranges
+    assert ranges.limits is not None
+    if not ranges.complete:
+        low, high = ranges.limits
+        ends = [end for reached in ranges.ranges for end in reached if low < end < high] or [low]
+        aside = 1e-6 * (high - low)
+        failed = next(
+            filter(
+                None, (failure(machine.mechanism, machine.sizes, at) for end in ends for at in (end - aside, end, end + aside))
+            ),
+            None,
+        )
+        reached = f"it can move in {ranges.text}" if ranges.ranges else "no position of it can be reached"
+        message = f"the range cannot be moved through: {failed or 'the mechanism cannot be assembled'}; {reached}"
+        raise InputError(message, "Change the range, or the dimensions", problem.file, "drive.range", problem.at("drive.range"))
+    if ranges.singular:
+        where = positions_text(ranges.singular)
+        message = f"the range crosses a singular position at crank angle {where}: the motion beyond it is not determined"
+        remedy = 'End the range before it, change the dimensions, or append ", continue" to the mode for the smooth motion'
+        raise InputError(message, remedy, problem.file, "drive.range", problem.at("drive.range"))
+
+
+def check_one_crank(problem: ProblemFile, machine: Machine, what: str, *, geared: bool = False) -> None:
+    """Refuse a machine whose drives prescribe its motion, or (unless `geared`) one with gears, racks, belts or cams.
+
+    Raises
+    ------
+    InputError
+        whose message says `what` is not supported.
+    """
+    mechanism = machine.mechanism
+    if mechanism.drives:
+        key = "drives" if problem.model.drives else "drive"
+        remedy = "`optlink analyze` computes its motion, forces and work; or drive one crank at constant speed"
+        raise InputError(f"{what} of a machine with a prescribed motion is not supported", remedy, problem.file, key)
+    if mechanism.singles and not geared:
+        names = ", ".join(element.name for element in mechanism.elements)
+        remedy = "`optlink analyze` computes its motion, forces and work; or leave them out"
+        raise InputError(f"{what} of a machine with {names} is not supported", remedy, problem.file, "mechanism")
 
 
 def check_repeats(problem: ProblemFile, machine: Machine) -> None:
@@ -242,14 +295,15 @@ def check_regular(problem: ProblemFile, ranges: Ranges, what: str) -> None:
         raise InputError(message, remedy, problem.file, "mechanism")
 
 
-def table_angles(start: float, low: float, high: float, speed: float, full: bool, points: int, step: float | None) -> Array:
+def table_angles(start: float, low: float, high: float, speed: float, ranges: Ranges, points: int, step: float | None) -> Array:
     """Return the crank angles [rad] of the table: one cycle from the start in the direction of rotation, or through the range.
 
-    There are `points` steps per revolution, or over the range, shortened by `MARGIN` at either end; else steps of `step`.
+    There are `points` steps per revolution, or over the range, shortened by `MARGIN` at either end unless the file states it;
+    else steps of `step`.
     """
     direction = 1.0 if speed > 0.0 else -1.0
-    if not full:
-        edge = MARGIN * (high - low)
+    if not ranges.full:
+        edge = 0.0 if ranges.complete else MARGIN * (high - low)
         first, last = (low + edge, high - edge) if direction > 0.0 else (high - edge, low + edge)
         count = points if step is None else max(1, round((high - low) / step))
         return np.asarray(first + (last - first) * (np.arange(count + 1) / count), dtype=float)

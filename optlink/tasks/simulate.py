@@ -23,6 +23,7 @@ from optlink.problem.quantity import check_range
 from optlink.tasks.machine import (
     MAX_DURATION,
     check_design,
+    check_one_crank,
     duration_of,
     machine_of,
     motion_range,
@@ -141,15 +142,16 @@ def simulate(
     drive = problem.model.drive
     torque = drive.torque
     machine = machine_of(problem, design)
+    check_one_crank(problem, machine, "simulation", geared=True)
     start, begun = starting_angle(problem, machine, design)
     machine = with_flywheel(machine, flywheel)
     speed = starting_speed(problem, speed)
     duration = duration_of(problem, duration)
     if duration is None:
-        if MAX_DURATION * abs(drive.speed.value) < TURN:
+        if MAX_DURATION * abs(problem.model.driving.pace) < TURN:
             message = "the duration is missing, and the speed is too low for a default"
             raise InputError(message, 'Give drive.duration = "2 s"', problem.file, "drive.duration")
-        duration = TURN / abs(drive.speed.value)
+        duration = TURN / abs(problem.model.driving.pace)
     check_range("rows", rows, 1, MAX_ROWS)
     ranges, low, high = motion_range(problem, machine, start)
     notes = [*begun, *start_value_notes(problem, design)]

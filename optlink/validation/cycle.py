@@ -44,7 +44,7 @@ class Cycle:
         self.problem = problem
         self.design: dict[str, float] = problem.complete(design)
         self.machine = problem.machine(self.design)
-        self.mechanism, self.speed = self.machine.mechanism, problem.drive.speed.value
+        self.mechanism, self.speed = self.machine.mechanism, problem.driving.pace
         ranges = reachable(self.mechanism, self.design)
         self.full, self.singular = ranges.full, ranges.singular
         self.cycle = self.machine.cycle

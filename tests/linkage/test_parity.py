@@ -326,6 +326,7 @@ def cases() -> Iterator[Case]:
     yield Case("minus", lambda *v: vector2d.minus(v[:2], v[2:]), vectors, (0.6, -0.8))
     yield Case("unit", lambda k, phi: vector2d.unit(k * phi), ((1.0,), (-3.0,)), (0.0, 1.0, 4.0))
     yield Case("magnitude", lambda k, x: [vector2d.magnitude(k * x)], ((1.0,), (-3.0,)), (0.2, 5.0))
+    yield Case("real", lambda k, x: [vector2d.real(k * x)], ((1.0,), (-3.0,)), (0.2, 5.0), complex_step=False)
     yield Case("sign", lambda k, x: [vector2d.sign(k * x) * x], ((1.0,), (-3.0,)), (0.2, 5.0), jet=False)
     yield Case("root", lambda k, x: [vector2d.root(k * x)], ((1.0,), (3.0,)), (0.2, 5.0), undefined=((-1.0,),))
     for name, rule in RULES.items():

@@ -27,7 +27,7 @@ def mechanism(result: Balance) -> Figure | None:
     for counterweight in result.added:
         corners = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]]) * _size(counterweight, sketch)
         sketch.widen((_centres(counterweight, sketch, sketch.motion)[:, None, :] + corners).reshape(-1, 2))
-    start = result.problem.model.drive.start.value
+    start = result.problem.model.driving.first
     turn = math.copysign(TURN, result.speed)
     full = len(result.angles) == (result.problem.model.balance.positions if result.problem.model.balance else 0)
     places = [start, start + 0.5 * turn] if full else [float(result.angles[0]), float(result.angles[-1])]

@@ -9,8 +9,8 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from optlink.clearance.joint import DAMPING, Gap, compliance, stiffness
 from optlink.dynamics.machine import Inertia
-from optlink.linkage.mechanism import Mechanism, Pose
-from optlink.linkage.vector2d import Value
+from optlink.linkage.mechanism import FRAME, Mechanism, Pose
+from optlink.linkage.vector2d import TURN, Value
 from optlink.problem.base_model import Section, in_folder
 from optlink.problem.machine.control import ServoSection
 from optlink.problem.machine.loads import read_size
@@ -19,7 +19,6 @@ from optlink.problem.quantity import (
     ContactStiffness,
     Damping,
     Duration,
-    FixedAngle,
     FixedLength,
     Friction,
     Mass,
@@ -107,8 +106,40 @@ _SMALL = where(
 )
 
 
-LINEAR = {"speed": "velocity", "initial_speed": "velocity", "start": "length"}
-"""Kinds of the values that a drive along a guide would have."""
+STATIC = "static"
+"""Speed of a drive that is so slow that inertia has no effect."""
+SLOWNESS = 1e-6
+"""Rate of the cycle variable of a static analysis [rad/s]: inertia forces are 1e-12 of those at 1 rad/s."""
+
+
+def _either(raw: object, angular: str, linear: str) -> Quantity:
+    """Read a fixed quantity of a drive that turns or slides; the unit decides."""
+    return read_fixed(raw, linear if isinstance(raw, str) and measures(raw, linear) else angular)
+
+
+def _read_speed(raw: object) -> Quantity:
+    if isinstance(raw, str) and raw.strip() == STATIC:
+        return Quantity(SLOWNESS, STATIC, "")
+    return _either(raw, "angular velocity", "velocity")
+
+
+def _read_range(raw: object) -> tuple[Quantity, Quantity]:
+    if isinstance(raw, dict) and set(raw) == {"min", "max"}:
+        raw = [raw["min"], raw["max"]]
+    remedy = 'Write range = ["15 deg", "60 deg"], for a slide or cylinder ["0 mm", "250 mm"]'
+    low, high = (_either(end, "angle", "coordinate") for end in check_pair(raw, "a range has two ends", remedy))
+    if low.kind != high.kind:
+        raise Unusable("the two ends have units of different kinds", remedy, "", raw)
+    if not low.value < high.value:
+        raise Unusable("the range must rise", 'Exchange its ends, or begin below zero: ["-10 deg", "30 deg"]', "", raw)
+    if low.kind == "angle" and high.value - low.value > TURN * (1.0 + 1e-12):
+        raise Unusable("the range is more than a revolution", "Leave it out for a crank that turns fully", "", raw)
+    return low, high
+
+
+Acceleration = Annotated[Quantity, BeforeValidator(partial(read_fixed, kind="angular acceleration"))]
+Pace = Annotated[Quantity, BeforeValidator(_read_speed)]
+Position = Annotated[Quantity, BeforeValidator(partial(_either, angular="angle", linear="coordinate"))]
 
 
 class DriveSection(Section):
@@ -116,10 +147,26 @@ class DriveSection(Section):
 
     body: str | None = None
     """The driven body; default: the body called `crank`."""
-    start: FixedAngle = Quantity(0.0, "angle", "deg")
-    """Crank angle of the first row."""
-    speed: Speed = Quantity(1.0, "angular velocity", "rad/s")
-    """Constant speed of the crank, negative clockwise; for `optlink simulate` under a torque the speed at the start."""
+    slide: str | None = None
+    """Instead of a body: the guide along which the drive acts."""
+    cylinder: str | None = None
+    """Instead of a body: the cylinder that drives."""
+    against: str = FRAME
+    """The body that carries the drive; default: the frame."""
+    range: Annotated[tuple[Quantity, Quantity], BeforeValidator(_read_range)] | None = None
+    """Range of the driven angle, slide or length, to which all results refer; default: as far as it can move."""
+    start: Position = Quantity(0.0, "angle", "deg")
+    """Position of the drive in the first row; with a range, the default is the end from which it moves."""
+    law: Annotated[Any, in_folder(lambda raw, folder: (raw, folder))] = None
+    """Instead of a constant speed: the driven angle, slide or length over the time, segment by segment; an expression of t, or a
+    CSV file."""
+    unit: str | None = None
+    """Unit of an expression that is the law."""
+    acceleration: Acceleration | None = None
+    """Constant angular acceleration of the crank, from `start` and `speed` on, for one revolution or to the end of its range."""
+    speed: Pace = Quantity(1.0, "angular velocity", "rad/s")
+    """Constant speed of the crank, negative clockwise, or of a slide or cylinder; `static` is without inertia. For
+    `optlink simulate` under a torque the speed at the start."""
     torque: Annotated[Any, in_folder(partial(read_size, kind="torque", names=("phi", "omega")))] = None
     """For `optlink simulate`, instead of the constant speed: a torque, or a table or expression over phi or omega."""
     servo: ServoSection | None = None
@@ -136,20 +183,28 @@ class DriveSection(Section):
     def _supported(cls, raw: object) -> object:
         for key, value in raw.items() if isinstance(raw, dict) else ():
             if key in ("body", "speed", "start") and isinstance(value, list):
-                message, remedy = unsupported("several drives")
-                raise Unusable(f"exactly one body must be driven: {message}", remedy, key, value)
-            if key in ("speed", "initial_speed") and isinstance(value, dict) and {"over", "expression"} & set(value):
-                raise Unusable(*unsupported("varying speed"), key, value)
-            if key in LINEAR and isinstance(value, str) and measures(value, LINEAR[key]):
-                raise Unusable(*unsupported("linear drive"), key, value)
+                remedy = 'Give each its section: [drives.left] body = "left", law = [...]; [drives.right] ...'
+                raise Unusable("a drive moves one body", remedy, key, value)
+        if isinstance(raw, dict) and isinstance(raw.get("speed"), dict):  # a speed over the angle is a law
+            if "law" in raw:
+                raise Unusable("the drive has a law and a speed", "Give one of the two", "speed", raw["speed"])
+            return {**{key: value for key, value in raw.items() if key != "speed"}, "law": raw["speed"]}
         return raw
 
     @model_validator(mode="after")
-    def _turns(self) -> Self:
+    def _moves(self) -> Self:
         if self.speed.value == 0.0 and self.torque is None:
-            remedy = 'Give a speed, for statics a low one such as "0.01 rpm"; from rest the drive needs a torque'
+            remedy = 'Give a speed, or "static" for statics; from rest the drive needs a torque'
             raise Unusable("the crank speed is zero", remedy, "speed", str(self.speed))
+        if sum(one is not None for one in (self.body, self.slide, self.cylinder)) > 1:
+            raise Unusable("the drive acts in one place", "Give one of body, slide and cylinder", "body", self.body)
         return self
+
+    @property
+    def linear(self) -> bool:
+        """Whether the file states a drive along a line: a slide or cylinder, or positions and speeds of one."""
+        stated = [self.speed, self.start, *(self.range or ())]
+        return bool(self.slide or self.cylinder) or any(one.kind in ("velocity", "coordinate") for one in stated)
 
 
 def _read_gravity(raw: object) -> Any:

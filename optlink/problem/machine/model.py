@@ -18,6 +18,7 @@ from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.stroke import Direction
 from optlink.linkage.vector2d import Array, Value
 from optlink.problem.base_model import RESERVED, Name, Section, in_folder
+from optlink.problem.driving import Driving, driven
 from optlink.problem.linked import Link, check_linked, links_of
 from optlink.problem.machine.balance import BalanceSection
 from optlink.problem.machine.bodies import BodySection, DriveSection, Gravity, JointSection
@@ -139,6 +140,8 @@ class Problem(Section):
     """Forces, torques, springs and dampers, each under a name of your choice."""
     drive: DriveSection = DriveSection()
     """Driven body, speed, torque or servo of the drive."""
+    drives: dict[Name, DriveSection] = Field(default_factory=dict)
+    """Several drives by name, in place of `drive`; one without law and speed is held where it starts."""
     control: ControlSection | None = None
     """Controller of the crank that compensates joint clearance."""
     measured: Annotated[MeasuredSeries | None, in_folder(read_measured)] = None
@@ -248,7 +251,7 @@ class Problem(Section):
     @property
     def sense(self) -> float:
         """Sense of crank rotation by its sign: the crank speed [rad/s]."""
-        return float(self.drive.speed.value) or 1.0
+        return self.driving.pace or 1.0
 
     def design(self, values: Mapping[str, float]) -> dict[str, float]:
         """Return every quantity [SI] for values of design variables; those not named have their value in the file."""
@@ -265,7 +268,7 @@ class Problem(Section):
 
     def start(self, values: Mapping[str, float]) -> float:
         """Return the crank angle [rad] at which the motion of a design begins."""
-        return float(self.drive.start.value)
+        return self.driving.first
 
     @property
     def parts(self) -> tuple[Any, ...]:
@@ -313,6 +316,8 @@ class Problem(Section):
         if self.balance is not None:
             with below("balance"):
                 self.balance.build(machine)
+        if self.drives and self.drive.model_fields_set:
+            raise Unusable("the machine has a drive and several drives", "Give one of the two sections", "drive")
         if self.drive.servo is not None and self.drive.torque is not None:
             raise Unusable("the drive has a torque and a servo", "Give one of the two", "drive.servo")
 
@@ -356,8 +361,9 @@ class Problem(Section):
         if not (places := self.mechanism.near):
             return self
         try:
-            mechanism = self.mechanism.linkage(self.title, self.drive.body)  # not cached: the copy has another
-            modes = nearest_modes(mechanism, sizes_of(self.mechanism.quantities), self.drive.start.value, places)
+            sizes = sizes_of(self.mechanism.quantities)
+            driving = driven(self.mechanism, self.title, self.drive, self.drives, sizes)  # not cached: the copy has another
+            modes = nearest_modes(driving.mechanism, sizes, driving.first, places)
         except Unusable as error:
             error.key = "mechanism.assembly" + ("" if isinstance(self.mechanism, FourBarSection) else f".{error.key}")
             raise
@@ -366,7 +372,12 @@ class Problem(Section):
     @cached_property
     def linkage(self) -> Mechanism:
         """Kinematic model of the mechanism."""
-        return self.mechanism.linkage(self.title, self.drive.body)
+        return self.driving.mechanism
+
+    @cached_property
+    def driving(self) -> Driving:
+        """The mechanism as it is driven, the rate of the crank angle or cycle variable [rad/s], and its first value [rad]."""
+        return driven(self.mechanism, self.title, self.drive, self.drives, sizes_of(self.mechanism.quantities))
 
     @cached_property
     def deviations(self) -> tuple[Deviation, ...]:
@@ -413,13 +424,16 @@ class Problem(Section):
                 if joint.on is not None:
                     check_name(joint.on, mechanism.pins[name], "the joint is not one of that body", "on")
                 joint.check_unused(name, mechanism.pins[name])
-        inertias = {}
+        inertias = self.mechanism.inertias
         for name, body in self.bodies.items():
             with below(f"bodies.{name}"):
+                if name in mechanism.rods or any(name == drive.body and drive.size for drive in mechanism.drives):
+                    remedy = f"Give them to its parts: mechanism.cylinders.{name}.barrel and .rod"
+                    raise Unusable("a cylinder has the masses of barrel and rod", remedy)
                 inertias[name] = body.inertia_of(name, mechanism, sizes)
         if self.mechanism.follows and all(np.ndim(size) == 0 for size in sizes.values()):
             self.mechanism.check_mode(sizes)
-            mechanism = continue_through_singularities(mechanism, sizes, self.drive.start.value)
+            mechanism = continue_through_singularities(mechanism, sizes, self.driving.first)
         motion = RevolutionSamples(Machine(mechanism, sizes), slow or {})
         loads = []
         for name, load in self.loads.items():

@@ -336,6 +336,8 @@ MOST_REVOLUTIONS = 24
 """Revolutions after which a cycle must end."""
 SAME_PHASE = 1e-9  # rad by which an angle may miss a whole multiple of half a turn
 ROUNDING = 1e-15  # of the sum of two slopes, below which they cancel one another
+MOST_HALVES = 1e9  # half turns of an argument, above which its phase has lost its digits
+PERIODIC = ("sin", "cos", "tan")
 ODD = ("sin", "tan", "asin", "atan", "sinh", "tanh")  # f(-x) = -f(x)
 EVEN = ("cos", "cosh", "abs")  # f(-x) = f(x)
 
@@ -364,20 +366,45 @@ def revolutions_of(expression: Expression) -> int | None:
     Its variable phi is the crank angle [rad]. It may repeat after a part of them already: parts that cancel one another are not
     recognised.
     """
+    part = _part_of(expression, "phi", 1.0, [])
+    if part is None or part.slope:
+        return None
+    revolutions = part.repeated().revolutions
+    return revolutions if revolutions <= MOST_REVOLUTIONS else None
+
+
+def period_of(expression: Expression, name: str) -> tuple[float, float] | None:
+    """Return the period of an expression in a variable, and the mean rate at which it grows; None if it does not repeat.
+
+    The period of a straight line is 0: it repeats after any. The slowest of its sines, cosines and tangents stands for the
+    crank in `revolutions_of`: at most `MOST_REVOLUTIONS` of its periods are one of the expression.
+    """
+    slopes: list[float] = []
+    _part_of(expression, name, 1.0, slopes)
+    slowest = min(slopes, default=1.0)
+    part = _part_of(expression, name, 1.0 / slowest, [])
+    if part is None or (part := part.repeated()).revolutions > MOST_REVOLUTIONS:
+        return None
+    return 2.0 * math.pi * part.revolutions / slowest if slopes else 0.0, part.slope * slowest
+
+
+def _part_of(expression: Expression, name: str, slope: float, slopes: list[float]) -> _Part | None:
+    """Return an expression as a part, its variable `name` with a slope; None if it does not repeat.
+
+    The slopes of the arguments of its sines, cosines and tangents are appended to `slopes`.
+    """
     stack: list[_Part | None] = []
     for kind, what in expression.program:
         if kind == "number":
             stack.append(_Part(constant=float(what)))
         elif kind == "name":
-            stack.append(_Part(slope=1.0 if what == "phi" else 0.0))
+            stack.append(_Part(slope=slope if what == name else 0.0))
         else:
             parts = [stack.pop() for _ in range(2 if kind == "binary" else 1)]
+            if what in PERIODIC and parts[0] is not None and parts[0].slope:
+                slopes.append(abs(parts[0].slope))
             stack.append(_result(kind, what, [part for part in reversed(parts) if part is not None], len(parts)))
-    part = stack.pop()
-    if part is None or part.slope:
-        return None
-    revolutions = part.repeated().revolutions
-    return revolutions if revolutions <= MOST_REVOLUTIONS else None
+    return stack.pop()
 
 
 def _result(kind: str, what: str, parts: list[_Part], count: int) -> _Part | None:
@@ -419,7 +446,7 @@ def _function(name: str, part: _Part) -> _Part | None:
     assert name in FUNCTIONS
     if part.slope:
         halves = 2.0 * part.revolutions * part.slope  # half turns of its argument in the revolutions of the part
-        for times in range(1, MOST_REVOLUTIONS // part.revolutions + 1) if name in ("sin", "cos", "tan") else ():
+        for times in range(1, MOST_REVOLUTIONS // part.revolutions + 1) if name in PERIODIC and abs(halves) < MOST_HALVES else ():
             whole = round(times * halves)
             if abs(times * halves - whole) * math.pi <= SAME_PHASE:
                 return _Part(times * part.revolutions, 1 if name == "tan" or whole % 2 == 0 else -1)

@@ -1,0 +1,397 @@
+"""Drives and couplings: laws by which one body moves on a placed one, and lengths that cylinders prescribe.
+
+All of them are functions of one cycle variable, the crank angle of a mechanism with one crank at constant speed. A body that has
+one joint with placed bodies is placed in closed form: its angle or slide is prescribed, or follows from bodies before it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, Literal, NamedTuple, Protocol
+
+import numpy as np
+
+from optlink.linkage.jet import Jet, as_jet
+from optlink.linkage.laws import MotionLaw
+from optlink.linkage.vector2d import Value, Vector, cross, dot, magnitude, minus, plus, sign, turn, turn_back, unit
+
+if TYPE_CHECKING:
+    from optlink.linkage.mechanism import Guide, Joint, Link, Pose, Size
+
+FRAME = "frame"
+"""Name of the body that does not move; its own coordinates are those of the plane."""
+PRESSURE = math.radians(20.0)
+"""Pressure angle of involute teeth (ISO 53)."""
+
+
+SMOOTH: tuple[Value, tuple[float, ...], float] = (0.0, (), 1.0)
+"""Knots of an element with a smooth law."""
+
+
+class Action(NamedTuple):
+    """What a drive or a coupling exerts on a body: a force [N] at a point [m], and a torque [N m]."""
+
+    body: str
+    force: Vector = (0.0, 0.0)
+    point: Vector = (0.0, 0.0)
+    torque: Value = 0.0
+
+
+class Places(Protocol):
+    """Positions and directions at which actions are computed, without derivatives."""
+
+    @property
+    def pose(self) -> Pose:
+        """The whole pose."""
+
+    def place(self, point: str) -> Vector:
+        """Return the position of a point [m]."""
+
+    def line(self, guide: Guide) -> Vector:
+        """Return the unit vector of the line of a guide."""
+
+
+class Element(Protocol):
+    """A drive or a coupling."""
+
+    @property
+    def name(self) -> str:
+        """Name in the problem file."""
+
+    @property
+    def bodies(self) -> tuple[str, ...]:
+        """The bodies whose motions it couples; none for a drive."""
+
+    @property
+    def against(self) -> str:
+        """The body relative to which it states the angle of a body on a pin."""
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        """The sizes on which its law depends."""
+
+    def places(self, placed: Collection[str]) -> str:
+        """Return the body that it can place once some bodies are placed; empty if there is none."""
+
+    def coordinate(self, pose: Pose, single: Single) -> Value:
+        """Return the angle [rad] of a body relative to the body that carries it, or its slide [m]."""
+
+    def knots(self, pose: Pose) -> tuple[Value, tuple[float, ...], float]:
+        """Return the variable of its law at a pose, the knots of the law, and its period; no knots for a smooth element."""
+
+    def actions(self, places: Places, single: Single, effort: Value) -> Iterator[Action]:
+        """Yield the actions on all bodies, on that of `single` first.
+
+        `effort` is their torque [N m] on this body about its pin, or their force [N] on it along the line of its guide.
+        """
+
+
+@dataclass(frozen=True)
+class Single:
+    """A body placed alone, on a joint with the placed body `against`; `after`: the joint of the last group placed before it."""
+
+    link: Link
+    joint: Joint
+    against: str
+    by: Element
+    after: str = ""
+
+    @property
+    def guide(self) -> Guide | None:
+        """The guide, if the joint is one."""
+        return None if isinstance(self.joint, str) else self.joint
+
+    def solve(self, pose: Pose) -> None:
+        """Add the body and its points to `pose`."""
+        link, guide, coordinate = self.link, self.guide, self.by.coordinate(pose, self)
+        if guide is None:
+            pin = str(self.joint)
+            pose.turns[link.body] = pose.turned(self.against) + coordinate
+            pose.point(pin)
+            pose.place(link, turn(pose.direction(self.against), unit(coordinate)), pin)
+            return
+        tilt, direction = pose.size(guide.tilt), pose.size(guide.direction)
+        if link.body == guide.slider:
+            (x, y), line = pose.line(guide, self.against)
+            at = guide.at or link.start
+            pose.points[at] = x + coordinate * line[0], y + coordinate * line[1]
+            pose.turns[link.body] = pose.turned(self.against) + direction + tilt
+            pose.place(link, turn(line, unit(tilt)), at)
+            return
+        (x, y), line = pose.line(guide, self.against)  # the line moves, and passes through a point of a placed body
+        axis = turn_back(line, unit(direction))
+        begin = turn(pose.local_line(guide, link.body)[0], axis)
+        pose.points[link.start] = minus((x - coordinate * line[0], y - coordinate * line[1]), begin)
+        pose.turns[link.body] = pose.turned(self.against) - direction - tilt
+        pose.place(link, axis, link.start)
+
+
+# --- drives ---------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A motor or a cylinder: it prescribes the angle of a body, its slide in a guide, or the length of a link.
+
+    With a `law`, of time [s], the coordinate is `begin` + law(x * `rate`), x being the cycle variable [rad]; without one it goes
+    from `begin` to `end` in half a cycle, x from 0 to pi, or is `begin` + x * `rate` if there is no end.
+    """
+
+    name: str
+    kind: Literal["angle", "slide", "length"]
+    body: str
+    """The driven body; of a cylinder the link whose length is prescribed."""
+    begin: Size = 0.0
+    end: Size | None = None
+    law: MotionLaw | None = None
+    rate: float = 1.0
+    against: str = FRAME
+    """The body that carries the drive."""
+    bodies: ClassVar[tuple[str, ...]] = ()
+    size: str = ""
+    """Name of the length that a cylinder prescribes."""
+    rod: str = ""
+    """Name of the rod of a cylinder: it has the direction of the link, and its origin at the end of it."""
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        """The ends of its stroke."""
+        return (self.begin,) if self.end is None else (self.begin, self.end)
+
+    def places(self, placed: Collection[str]) -> str:
+        """Return the driven body, once the one that carries the drive is placed; empty for a cylinder."""
+        return self.body if self.kind != "length" and self.against in placed else ""
+
+    def value(self, pose: Pose) -> Value:
+        """Return the angle [rad], slide or length [m]."""
+        begin = pose.size(self.begin)
+        if self.law is not None:
+            return begin + self.law(pose.angle * self.rate)
+        if self.end is None:
+            return begin + pose.angle * self.rate
+        return begin + (pose.size(self.end) - begin) * (pose.angle * (1.0 / math.pi))
+
+    def coordinate(self, pose: Pose, single: Single) -> Value:
+        """Return the angle [rad] of the body relative to the body that carries it, or its slide [m]."""
+        return self.value(pose)
+
+    def knots(self, pose: Pose) -> tuple[Value, tuple[float, ...], float]:
+        """Return the time at a pose, and the knots and the period of the law [s]; no knots without one."""
+        return SMOOTH if self.law is None else (pose.angle * self.rate, self.law.knots, self.law.period)
+
+    def actions(self, places: Places, single: Single, effort: Value) -> Iterator[Action]:
+        """Yield the actions on the driven body and on the one that carries the drive."""
+        guide = single.guide
+        for body, share in ((single.link.body, effort), (single.against, -effort)):
+            if guide is None:
+                yield Action(body, torque=share)
+            else:
+                x, y = places.line(guide)
+                share = share if single.link.body == guide.slider else -share
+                at = places.place(guide.at or places.pose.mechanism.bodies[guide.slider].start)
+                yield Action(body, (share * x, share * y), at)
+
+
+# --- couplings ------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Gear:
+    """Two bodies whose angles relative to a third one, the `arm`, are in a fixed ratio: gears, or a belt.
+
+    angle of second = `ratio` * angle of first + `phase` [rad]; two external gears have a negative ratio. Where both turn about
+    `pivots` on the arm, teeth press on each other at the pitch point, or the tight strand of a belt on wheels of `radii` pulls;
+    else torques alone are passed on.
+    """
+
+    name: str
+    bodies: tuple[str, str]
+    ratio: Size
+    phase: Size = 0.0
+    arm: str = FRAME
+    pivots: tuple[str, str] | None = None
+    pressure: float = PRESSURE
+    radii: tuple[Size, Size] | None = None
+    against: ClassVar[str] = FRAME
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        """Ratio, phase and radii."""
+        return self.ratio, self.phase, *(self.radii or ())
+
+    def places(self, placed: Collection[str]) -> str:
+        """Return the body whose angle follows from that of the other one; empty if there is none."""
+        return _other(self.bodies, placed) if self.arm in placed else ""
+
+    def coordinate(self, pose: Pose, single: Single) -> Value:
+        """Return the angle [rad] of one of the bodies relative to the body that carries it."""
+        (first, second), arm = self.bodies, pose.turned(self.arm)
+        ratio, phase = pose.size(self.ratio), pose.size(self.phase)
+        if single.link.body == second:
+            whole = arm + ratio * (pose.turned(first) - arm) + phase
+        else:
+            whole = arm + (pose.turned(second) - arm - phase) / ratio
+        return whole - pose.turned(single.against)
+
+    def knots(self, pose: Pose) -> tuple[Value, tuple[float, ...], float]:
+        """Return no knots: the ratio is constant."""
+        return SMOOTH
+
+    def actions(self, places: Places, single: Single, effort: Value) -> Iterator[Action]:
+        """Yield the actions on both bodies, and on the arm if torques alone are passed on."""
+        ratio, second = places.pose.size(self.ratio), single.link.body == self.bodies[1]
+        way = -1 if second else 1
+        own, other = self.bodies[::way]
+        speed = ratio if second else 1.0 / ratio  # of this body over that of the other, relative to the arm
+        if self.pivots is None:
+            for body, torque in ((own, effort), (other, -speed * effort), (self.arm, (speed - 1.0) * effort)):
+                yield Action(body, torque=torque)
+            return
+        centre, away = map(places.place, self.pivots[::way])
+        between = minus(away, centre)
+        distance = np.sqrt(dot(between, between))
+        u = between[0] / distance, between[1] / distance
+        if self.radii is None:
+            lever = distance / (1.0 - speed)  # along u, to the pitch point: there both have one velocity
+            tangent = effort / lever
+            force, arm = (sign(speed) * math.tan(self.pressure) * magnitude(tangent), tangent), (lever, 0.0)
+        else:
+            radius, opposite = map(places.pose.size, self.radii[::way])
+            sine = (radius - sign(speed) * opposite) / distance
+            cosine, side, pull = np.sqrt(1.0 - sine * sine), sign(effort), magnitude(effort) / radius
+            force, arm = (pull * cosine, side * pull * sine), (radius * sine, -side * radius * cosine)
+        whole, point = turn(force, u), plus(centre, turn(arm, u))
+        yield Action(own, whole, point)
+        yield Action(other, (-whole[0], -whole[1]), point)
+
+
+@dataclass(frozen=True)
+class Rack:
+    """A wheel that rolls on a bar: the slide of the bar is `side` * `radius` * angle of the wheel + `phase` [m].
+
+    The angle is relative to the body that carries the guide of the bar; `side` is +1 if the `pivot` of the wheel lies to the left
+    of the line of the guide, else -1.
+    """
+
+    name: str
+    pinion: str
+    guide: Guide
+    radius: Size
+    pivot: str
+    side: int = 1
+    phase: Size = 0.0
+    pressure: float = PRESSURE
+    against: ClassVar[str] = FRAME
+
+    @property
+    def bodies(self) -> tuple[str, str]:
+        """The wheel and the bar."""
+        return self.pinion, self.guide.slider
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        """Radius and phase."""
+        return self.radius, self.phase
+
+    def places(self, placed: Collection[str]) -> str:
+        """Return the bar or the wheel, whichever follows from the other one; empty if none does."""
+        return _other((self.pinion, self.guide.slider), placed) if self.guide.on in placed else ""
+
+    def coordinate(self, pose: Pose, single: Single) -> Value:
+        """Return the slide of the bar [m], or the angle of the wheel [rad] relative to the body that carries it."""
+        radius, phase, carrier = self.side * pose.size(self.radius), pose.size(self.phase), pose.turned(self.guide.on)
+        if single.guide is not None:
+            return radius * (pose.turned(self.pinion) - carrier) + phase
+        return (pose.slide(self.guide) - phase) / radius + carrier - pose.turned(single.against)
+
+    def knots(self, pose: Pose) -> tuple[Value, tuple[float, ...], float]:
+        """Return no knots: the ratio is constant."""
+        return SMOOTH
+
+    def actions(self, places: Places, single: Single, effort: Value) -> Iterator[Action]:
+        """Yield the actions on the bar and on the wheel."""
+        line, centre, radius = places.line(self.guide), places.place(self.pivot), places.pose.size(self.radius)
+        on_bar = effort if single.guide is not None else -self.side * effort / radius
+        force = turn((on_bar, -self.side * math.tan(self.pressure) * magnitude(on_bar)), line)
+        point = plus(centre, turn((0.0, -self.side * radius), line))
+        both = Action(self.guide.slider, force, point), Action(self.pinion, (-force[0], -force[1]), point)
+        yield from both if single.guide is not None else both[::-1]
+
+
+@dataclass(frozen=True)
+class Cam:
+    """A follower that slides or turns by a law of the angle of a cam [rad], both relative to the body that carries the follower.
+
+    The force acts along the common normal, which passes through the point of equal velocities of both, and through the centre of
+    the roller (or the knife edge) `contact`; without one the follower has a flat face across its slide.
+    """
+
+    name: str
+    cam: str
+    follower: str
+    pivot: str
+    law: MotionLaw
+    lift: Size = 1.0
+    begin: Size = 0.0
+    phase: Size = 0.0
+    contact: str = ""
+    against: str = FRAME
+    """The body that carries the follower."""
+
+    @property
+    def bodies(self) -> tuple[str, str]:
+        """The cam and the follower."""
+        return self.cam, self.follower
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        """Lift, its begin, and phase."""
+        return self.lift, self.begin, self.phase
+
+    def places(self, placed: Collection[str]) -> str:
+        """Return the follower, once the cam is placed."""
+        return self.follower if self.cam in placed else ""
+
+    def coordinate(self, pose: Pose, single: Single) -> Value:
+        """Return the slide [m] or the angle [rad] of the follower relative to the body that carries it."""
+        return pose.size(self.begin) + pose.size(self.lift) * self.law(self._turned(pose))
+
+    def _turned(self, pose: Pose) -> Value:
+        """Return the angle of the cam from the begin of its law [rad]."""
+        return pose.turned(self.cam) - pose.turned(self.against) - pose.size(self.phase)
+
+    def knots(self, pose: Pose) -> tuple[Value, tuple[float, ...], float]:
+        """Return the angle of the cam from the begin of its law, and the knots and the period of the law [rad]."""
+        return self._turned(pose), self.law.knots, self.law.period
+
+    def actions(self, places: Places, single: Single, effort: Value) -> Iterator[Action]:
+        """Yield the actions on the follower and on the cam."""
+        pose, guide = places.pose, single.guide
+        centre = places.place(self.pivot)
+        turned = as_jet(self._turned(pose)).value
+        slope = pose.size(self.lift) * as_jet(self.law(Jet(turned, 1.0))).rate  # per rotation of the cam
+        if guide is not None:
+            line = places.line(guide)
+            common = plus(centre, turn((0.0, -slope), line))  # its velocity on the cam is that of the follower
+            at = places.place(self.contact) if self.contact else plus(common, line)
+            normal = minus(at, common)
+            size = effort / dot(normal, line)
+        else:
+            pivot = places.place(str(single.joint))
+            between = minus(pivot, centre)
+            share = slope / (slope - 1.0)
+            common = centre[0] + share * between[0], centre[1] + share * between[1]
+            at = places.place(self.contact)
+            normal = minus(at, common)
+            size = effort / cross(minus(at, pivot), normal)
+        force = size * normal[0], size * normal[1]
+        yield Action(single.link.body, force, at)
+        yield Action(self.cam, (-force[0], -force[1]), at)
+
+
+def _other(bodies: tuple[str, str], placed: Collection[str]) -> str:
+    """Return the body of a pair that is not placed, if the other one is; else an empty string."""
+    one, other = bodies
+    return other if one in placed and other not in placed else one if other in placed and one not in placed else ""

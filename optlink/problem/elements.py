@@ -1,0 +1,448 @@
+"""Elements of a linkage beside links and guides: cylinders, pins in slots, gears, racks, belts and cams, as sections of a file.
+
+Each is an entry that builds its part of the mechanism, and says itself what a file must state for it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import replace
+from fractions import Fraction
+from typing import Annotated, Any, Literal, NamedTuple, Self
+
+import numpy as np
+from pydantic import BeforeValidator, model_validator
+
+from optlink.dynamics.machine import Inertia
+from optlink.linkage.elements import FRAME, PRESSURE, Cam, Element, Gear, Rack
+from optlink.linkage.mechanism import Guide, Link, Mechanism, Pose
+from optlink.linkage.motion import sweep
+from optlink.linkage.vector2d import TURN, cross, dot, minus
+from optlink.problem.base_model import Name, Section
+from optlink.problem.machine.drives import CamLaw, read_cam_law
+from optlink.problem.quantity import (
+    Angle,
+    FixedAngle,
+    FixedLength,
+    Length,
+    Mass,
+    Number,
+    Quantity,
+    Unusable,
+    below,
+    check_name,
+    check_pair,
+    read_positive,
+    read_scalar,
+    reader,
+    where,
+)
+
+PHASE = Quantity(0.0, "angle", "deg")
+_SLANT = where(
+    lambda angle: 0.0 <= angle < math.radians(60.0), "no teeth have such a pressure angle", 'Give for example "20 deg"'
+)
+PressureAngle = Annotated[FixedAngle, _SLANT]
+TEETH = Quantity(PRESSURE, "angle", "deg")
+
+
+class Parts(NamedTuple):
+    """The bodies, points and guides of a linkage, to which elements refer by name."""
+
+    pose: Pose
+    """Sizes of the file, without a position."""
+    members: Mapping[str, Collection[str]]
+    """Points with the bodies that share them."""
+
+    @property
+    def links(self) -> Mapping[str, Link]:
+        """The bodies."""
+        return self.pose.mechanism.bodies
+
+    @property
+    def guides(self) -> Mapping[str, Guide]:
+        """The guides."""
+        return {guide.name: guide for guide in self.pose.mechanism.guides}
+
+    def body(self, name: str, key: str) -> str:
+        """Return the name of a body or of the frame; refuse any other."""
+        check_name(name, [*self.links, FRAME], "no such body", key)
+        return name
+
+    def pin(self, one: str, other: str) -> str | None:
+        """Return the pin that joins two bodies; None if there is none."""
+        return next((point for point, bodies in self.members.items() if {one, other} <= set(bodies)), None)
+
+    def guide(self, slider: str, key: str) -> Guide:
+        """Return the guide in which a body slides; refuse a body without one."""
+        found = [guide for guide in self.guides.values() if guide.slider == slider]
+        if len(found) != 1:
+            message = f"{slider} slides in no guide" if not found else f"{slider} slides in several guides"
+            raise Unusable(message, "Give it one guide under [mechanism.guides]", key, slider)
+        return found[0]
+
+
+def _read_pair(raw: object) -> Any:
+    pair = check_pair(raw, "two bodies are needed", 'Write bodies = ["crank", "wheel"]')
+    if not all(isinstance(name, str) for name in pair) or pair[0] == pair[1]:
+        raise Unusable("two bodies are needed", 'Write bodies = ["crank", "wheel"]', "", raw)
+    return tuple(pair)
+
+
+Pair = Annotated[tuple[str, str], BeforeValidator(_read_pair)]
+
+
+def _read_joints(raw: object) -> Any:
+    pair = check_pair(raw, "two joints are needed", 'Write joints = ["D", "B"]: that of the barrel, then that of the rod')
+    return tuple(pair)
+
+
+class CylinderPart(Section):
+    """Mass properties of the barrel or the rod of a cylinder."""
+
+    mass: Mass
+    """Mass of the part."""
+    centroid: FixedLength | None = None
+    """Distance of its centroid from its own joint, towards the other one; default: 0."""
+    inertia: Annotated[Quantity | None, reader(read_positive, "moment of inertia")] = None
+    """Moment of inertia about its centroid; default: 0."""
+
+    def inertia_of(self, way: float) -> Inertia:
+        """Return the mass properties in axes that begin at its joint; `way` is 1 if x points to the other joint, else -1."""
+        along = 0.0 if self.centroid is None else way * self.centroid.value
+        return Inertia(self.mass.value, along, 0.0, 0.0 if self.inertia is None else self.inertia.value)
+
+
+class CylinderSection(Section):
+    """A cylinder, spindle or gas strut between two joints: a link whose length lies between two values."""
+
+    joints: Annotated[tuple[Name, Name], BeforeValidator(_read_joints)]
+    """Names of the joint of the barrel and the joint of the rod."""
+    closed: Length
+    """Least distance of the joints."""
+    open: Length
+    """Largest distance of the joints."""
+    barrel: CylinderPart | None = None
+    """Mass properties of the barrel; default: none."""
+    rod: CylinderPart | None = None
+    """Mass properties of the rod; default: none."""
+
+    def inertias(self, name: str) -> dict[str, Inertia]:
+        """Return the mass properties of barrel and rod by the names of the bodies."""
+        parts = ((name, self.barrel, 1.0), (f"{name}.rod", self.rod, -1.0))
+        return {body: part.inertia_of(way) for body, part, way in parts if part is not None}
+
+    def link(self, name: str) -> Link:
+        """Return the link of the cylinder.
+
+        Raises
+        ------
+        Unusable
+            with the key below the cylinder.
+        """
+        if self.open.value <= self.closed.value:
+            raise Unusable("an open cylinder is longer than a closed one", "Exchange the two", "open", str(self.open))
+        return Link(name, *self.joints, f"{name}.length")
+
+
+class SlotSection(Section):
+    """A pin of one body in a straight slot of another."""
+
+    pin: Name
+    """The pin, a joint or point of a body."""
+    on: str = FRAME
+    """The body with the slot."""
+    through: str | None = None
+    """A point of that body on the middle line of the slot; default: its first joint."""
+    direction: Angle | None = None
+    """Angle of the slot relative to the x axis of that body; default: 0."""
+
+
+class GearSection(Section):
+    """Two gears, or two bodies whose angles are in a fixed ratio in another way."""
+
+    bodies: Pair
+    """The two bodies; the frame for a fixed gear."""
+    teeth: tuple[int, int] | None = None
+    """Numbers of teeth of both."""
+    ratio: Number | None = None
+    """Instead of the teeth: speed of the second body over that of the first, negative if they turn in opposite senses."""
+    internal: bool = False
+    """Whether one of the gears is a ring with internal teeth: they turn in the same sense."""
+    arm: str = FRAME
+    """The body that carries both pivots: the frame, or the carrier of a planetary train."""
+    phase: FixedAngle = PHASE
+    """Angle of the second body where that of the first is zero, both relative to the arm."""
+    module: FixedLength | None = None
+    """Module: with the teeth it states the distance of the pivots, which is checked."""
+    pressure_angle: PressureAngle = TEETH
+    """Pressure angle of the teeth."""
+
+    @model_validator(mode="after")
+    def _determined(self) -> Self:
+        if (self.teeth is None) == (self.ratio is None):
+            raise Unusable("the ratio of the gears is not determined", "Give teeth = [20, 60], or ratio = -0.333", "teeth")
+        if self.teeth is not None and min(self.teeth) < 1:
+            raise Unusable("a gear has teeth", "Give two whole numbers above zero", "teeth", list(self.teeth))
+        if self.ratio is not None and not 1e-4 <= abs(self.ratio) <= 1e4:
+            raise Unusable("out of range", "Give a ratio from 0.0001 to 10000, negative for opposite senses", "ratio", self.ratio)
+        if self.ratio is not None and (self.internal or self.module is not None):
+            key = "internal" if self.internal else "module"
+            raise Unusable(f"{key} belongs to teeth", "Give teeth instead of ratio, or leave it out", key)
+        return self
+
+    def coupling(self, name: str, parts: Parts) -> Element:
+        """Return the coupling of the two bodies."""
+        for body in self.bodies:
+            parts.body(body, "bodies")
+        parts.body(self.arm, "arm")
+        ratio = self.ratio or 0.0
+        if self.teeth is not None:
+            ratio = self.teeth[0] / self.teeth[1] * (1.0 if self.internal else -1.0)
+        pivots = [parts.pin(body, self.arm) for body in self.bodies]
+        if self.arm != FRAME and FRAME in self.bodies:  # the axis of a fixed gear is the pivot of the arm
+            pivots[self.bodies.index(FRAME)] = parts.pin(self.arm, FRAME)
+        both = (pivots[0], pivots[1]) if pivots[0] and pivots[1] and pivots[0] != pivots[1] else None
+        if self.teeth is not None and both is None:
+            where_ = "the frame" if self.arm == FRAME else self.arm
+            message = f"both gears turn about pivots on {where_}, and {' and '.join(self.bodies)} have none there"
+            raise Unusable(
+                message, "Name the body that carries both pivots: arm = ..., or give ratio instead of teeth", "arm", self.arm
+            )
+        if self.teeth is not None and ratio == 1.0:
+            raise Unusable("a ring has more teeth than the gear in it", "Change the teeth", "teeth", list(self.teeth))
+        return Gear(
+            name, self.bodies, ratio, self.phase.value, self.arm, both if ratio != 1.0 else None, self.pressure_angle.value
+        )
+
+    def distance(self) -> float | None:
+        """Return the distance of the pivots [m] that module and teeth state; None without them."""
+        if self.module is None or self.teeth is None:
+            return None
+        first, second = self.teeth
+        return 0.5 * self.module.value * (abs(second - first) if self.internal else first + second)
+
+
+class RackSection(Section):
+    """A rack and its pinion, or a sector."""
+
+    pinion: str
+    """The body with the gear."""
+    rack: str
+    """The body with the rack, which slides in a guide."""
+    radius: FixedLength
+    """Pitch radius of the pinion."""
+    side: Literal["left", "right"] | None = None
+    """Side of the rack, seen along its guide, on which the pivot of the pinion lies; default: that of the drawn position."""
+    phase: FixedLength | None = None
+    """Slide of the rack where the angle of the pinion is zero; default: 0."""
+    pressure_angle: PressureAngle = TEETH
+    """Pressure angle of the teeth."""
+
+    def coupling(self, name: str, parts: Parts) -> Element:
+        """Return the coupling of rack and pinion."""
+        for key, body in (("pinion", self.pinion), ("rack", self.rack)):
+            check_name(body, parts.links, "no such body", key)
+        guide = parts.guide(self.rack, "rack")
+        pivot = parts.pin(self.pinion, guide.on)
+        if pivot is None:
+            message = f"the pinion turns about a pivot on the body with the guide of the rack, {guide.on}, and has none there"
+            raise Unusable(
+                message, "Pin it to that body, or guide the rack on the body that carries the pinion", "pinion", self.pinion
+            )
+        begin, line = parts.pose.local_line(guide, guide.on)
+        drawn = 1 if float(cross(line, minus(parts.pose.local(guide.on, pivot), begin))) >= 0.0 else -1
+        side = drawn if self.side is None else 1 if self.side == "left" else -1
+        phase = 0.0 if self.phase is None else self.phase.value
+        return Rack(name, self.pinion, guide, self.radius.value, pivot, side, phase, self.pressure_angle.value)
+
+
+class BeltSection(Section):
+    """A belt or chain on two wheels, without slip; its slack strand pulls nothing."""
+
+    bodies: Pair
+    """The two bodies with the wheels."""
+    diameters: Annotated[tuple[FixedLength, FixedLength] | None, BeforeValidator(lambda raw: raw)] = None
+    """Pitch diameters of the wheels."""
+    radii: tuple[FixedLength, FixedLength] | None = None
+    """Instead of the diameters: pitch radii."""
+    crossed: bool = False
+    """Whether the belt is crossed: the wheels turn in opposite senses."""
+    arm: str = FRAME
+    """The body that carries both pivots."""
+    phase: FixedAngle = PHASE
+    """Angle of the second body where that of the first is zero, both relative to the arm."""
+
+    def coupling(self, name: str, parts: Parts) -> Element:
+        """Return the coupling of the two bodies."""
+        if (self.diameters is None) == (self.radii is None):
+            raise Unusable("the wheels have no size", 'Give diameters = ["60 mm", "180 mm"], or radii', "diameters")
+        sizes = self.radii or self.diameters or ()
+        first, second = (size.value * (1.0 if self.radii else 0.5) for size in sizes)
+        for body in self.bodies:
+            parts.body(body, "bodies")
+        parts.body(self.arm, "arm")
+        one, other = (parts.pin(body, self.arm) for body in self.bodies)
+        if one is None or other is None:
+            raise Unusable("both wheels of a belt turn about pivots on one body", "Name it: arm = ...", "arm", self.arm)
+        ratio = first / second * (-1.0 if self.crossed else 1.0)
+        return Gear(name, self.bodies, ratio, self.phase.value, self.arm, (one, other), radii=(first, second))
+
+
+class CamSection(Section):
+    """A disc cam and the follower that it moves by a law of the cam angle."""
+
+    cam: str
+    """The body with the cam."""
+    follower: str
+    """The body that slides in a guide or turns about a pivot."""
+    law: Any
+    """Displacement of the follower over a revolution of the cam, segment by segment."""
+    base_radius: FixedLength | None = None
+    """Radius of the base circle, from which the displacement counts; default: it counts from `start`."""
+    start: Any = None
+    """Without a base circle: the slide or angle of the follower where its displacement is zero; default: 0."""
+    roller: FixedLength | None = None
+    """Radius of the roller of the follower; its centre is the point of the follower on its guide, or at the end of its link."""
+    flat: bool = False
+    """Whether the follower has a flat face, across its guide."""
+    phase: FixedAngle = PHASE
+    """Angle of the cam, relative to the body that carries the follower, at which the law begins."""
+    side: Literal["left", "right"] = "left"
+    """Of a swinging follower with a base circle: the side of the line from the pivot of the cam to that of the follower."""
+
+    @model_validator(mode="after")
+    def _one_face(self) -> Self:
+        if self.flat and self.roller is not None:
+            raise Unusable("the follower has a roller and a flat face", "Give one of the two", "roller", str(self.roller))
+        if self.start is not None and self.base_radius is not None:
+            raise Unusable("the base circle determines where the follower starts", "Give one of the two", "start", self.start)
+        return self
+
+    def coupling(self, name: str, parts: Parts) -> Element:
+        """Return the coupling of cam and follower."""
+        for key, body in (("cam", self.cam), ("follower", self.follower)):
+            check_name(body, parts.links, "no such body", key)
+        guide = next((guide for guide in parts.guides.values() if guide.slider == self.follower), None)
+        carriers = [FRAME, *parts.links] if guide is None else [guide.on]
+        carrier = next((one for one in carriers if parts.pin(self.cam, one) and (guide or parts.pin(self.follower, one))), None)
+        if carrier is None or carrier in (self.cam, self.follower):
+            message = f"{self.cam} and {self.follower} have no body on which both have a joint"
+            raise Unusable(message, "Pin the cam to the body that carries the follower", "cam", self.cam)
+        pivot, link = str(parts.pin(self.cam, carrier)), parts.links[self.follower]
+        law = self._law("angle" if guide is None else "length")
+        centre = parts.pose.local(carrier, pivot)
+        lift, contact = 1.0, "" if self.flat else link.start
+        if guide is not None:
+            begin = self._slide(parts, guide, centre)
+            contact = contact and (guide.at or link.start)
+        else:
+            contact = self._tip(parts, link, carrier)
+            begin, lift = self._angle(parts, link, carrier, centre)
+        return Cam(name, self.cam, self.follower, pivot, law.law(), lift, begin, self.phase.value, contact, carrier)
+
+    def _law(self, kind: str) -> CamLaw:
+        with below("law"):
+            return read_cam_law(self.law, kind)
+
+    def _reach(self) -> float:
+        """Return the distance of the follower's point from the axis of the cam where the displacement is zero [m]."""
+        assert self.base_radius is not None
+        return self.base_radius.value + (0.0 if self.roller is None else self.roller.value)
+
+    def _slide(self, parts: Parts, guide: Guide, centre: tuple[Any, Any]) -> float:
+        """Return the slide of the follower where the displacement is zero [m]."""
+        if self.base_radius is None:
+            return 0.0 if self.start is None else read_scalar(self.start, "coordinate", "start")[0]
+        begin, line = parts.pose.local_line(guide, guide.on)
+        away = minus(centre, begin)
+        offset, reach = float(cross(line, away)), self._reach()
+        if self.flat:
+            return float(dot(line, away)) + reach
+        if abs(offset) >= reach:
+            message = f"the line of the guide passes the axis of the cam at {1e3 * abs(offset):.6g} mm, outside the base circle"
+            raise Unusable(message, "Give a larger base circle, or a smaller offset", "base_radius", str(self.base_radius))
+        return float(dot(line, away)) + math.sqrt(reach * reach - offset * offset)
+
+    def _tip(self, parts: Parts, link: Link, carrier: str) -> str:
+        """Return the point of a swinging follower that follows the pitch curve: the end of its link."""
+        if self.flat:
+            raise Unusable("a swinging follower with a flat face is not supported", "Give it a roller", "flat", True)
+        if parts.pin(self.follower, carrier) != link.start or not link.end:
+            message = "a swinging follower turns about its first joint, and its second one touches the cam"
+            raise Unusable(message, 'Write joints = ["F", "R"] with the pivot first, and a length', "follower", self.follower)
+        return link.end
+
+    def _angle(self, parts: Parts, link: Link, carrier: str, centre: tuple[Any, Any]) -> tuple[float, float]:
+        """Return the angle of a swinging follower where the displacement is zero [rad], and the sense of its displacement."""
+        if self.base_radius is None:
+            return (0.0 if self.start is None else read_scalar(self.start, "angle", "start")[0]), 1.0
+        back = minus(centre, parts.pose.local(carrier, link.start))
+        length, distance, reach = float(parts.pose.size(link.length)), float(np.hypot(*back)), self._reach()
+        cosine = (length**2 + distance**2 - reach**2) / (2.0 * length * distance)
+        if not abs(cosine) < 1.0:
+            message = "the follower does not reach its base circle"
+            raise Unusable(message, "Change the base circle, or the length of the follower", "base_radius", str(self.base_radius))
+        way = -1.0 if self.side == "left" else 1.0
+        return float(np.arctan2(back[1], back[0])) + way * math.acos(cosine), way
+
+
+ELEMENTS = ("gears", "racks", "belts", "cams")
+"""Tables of a linkage whose entries couple two bodies."""
+
+
+def couplings(tables: Mapping[str, Mapping[str, Any]], parts: Parts) -> Iterator[Element]:
+    """Yield the couplings of the tables of `ELEMENTS`.
+
+    Raises
+    ------
+    Unusable
+        with the key below the linkage.
+    """
+    for kind, entries in tables.items():
+        for name, entry in entries.items():
+            with below(f"{kind}.{name}"):
+                yield entry.coupling(name, parts)
+
+
+MOST_TURNS = 1000
+"""Revolutions of the crank after which a geared mechanism must repeat."""
+
+
+def geared(mechanism: Mechanism, sizes: Mapping[str, float]) -> Mechanism:
+    """Return a mechanism with the angles about which its coupled bodies swing, and the rotation after which its motion repeats.
+
+    Raises
+    ------
+    Unusable
+        If a body of a group is coupled that turns fully, or the motion does not repeat.
+    """
+    if not mechanism.singles:
+        return mechanism
+    grouped = {link.body for group in mechanism.groups for link in group.links}
+    coupled = {body for single in mechanism.singles for body in single.by.bodies if body in grouped}
+    low, high = mechanism.limits or (0.0, TURN)
+    if coupled:
+        motion = sweep(mechanism, sizes, np.linspace(low, high, 361))
+        middles = {}
+        for body in coupled:
+            angles = motion.body_angle(body).value
+            if np.nanmax(angles) - np.nanmin(angles) >= TURN * 0.999:
+                message = f"{body} turns fully, and its angle is that of a group of two bodies: such gears are not supported"
+                raise Unusable(
+                    message, "Couple a body that the drive or another gear turns, or one that swings", "mechanism.gears"
+                )
+            middles[body] = float(0.5 * (np.nanmax(angles) + np.nanmin(angles)))
+        mechanism = replace(mechanism, middles=middles)
+    if mechanism.limits is not None:
+        return mechanism
+    turned = [mechanism.at(sizes, at).turns for at in (0.3, 0.3 + TURN)]
+    turns = [float(turned[1][s.link.body] - turned[0][s.link.body]) / TURN for s in mechanism.singles if s.link.body in turned[0]]
+    shares = [Fraction(turn).limit_denominator(MOST_TURNS) for turn in turns if np.isfinite(turn)]
+    for single, turn, share in zip(mechanism.singles, turns, shares, strict=False):
+        if abs(turn - share) > 1e-9:
+            message = f"{single.link.body} makes {turn:.9g} turns in one of the crank: the motion does not repeat"
+            raise Unusable(message, "Give whole numbers of teeth, or a range of the drive", "mechanism.gears")
+    count = math.lcm(*(share.denominator for share in shares))
+    return replace(mechanism, cycle=max(mechanism.cycle, count * TURN))
