@@ -20,7 +20,6 @@ from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 
-from optlink.io import Registry
 from optlink.linkage.jet import Jet
 from optlink.linkage.vector2d import Array, Value, real
 
@@ -264,9 +263,7 @@ def _polynomial(*coefficients: float) -> Law:
 
 _QUARTER = math.pi / 2.0
 
-SEGMENTS: Registry[Law] = Registry()
-"""Laws of one motion by name, from 0 to 1 over a duration of 1; a dwell stays at 0."""
-for _name, _law in {
+SEGMENTS: dict[str, Law] = {
     "dwell": _polynomial(0.0),
     "constant": _polynomial(0.0, 1.0),
     "3-4-5": _polynomial(0.0, 0.0, 0.0, 10.0, -15.0, 6.0),
@@ -288,8 +285,8 @@ for _name, _law in {
             (0.125, 3.0 * _QUARTER, 4.0 * _QUARTER),
         ]
     ),
-}.items():
-    SEGMENTS.add(_name, _law)
+}
+"""Laws of one motion by name, from 0 to 1 over a duration of 1; a dwell stays at 0."""
 
 
 class Segment(NamedTuple):
