@@ -29,7 +29,7 @@ PUBLIC = {
     "optlink.extending": """
         AngleInterval Attempt Check DesignTask Dyad DyadType Element FixedLength GroupForces Guide LengthInterval LimitTerm
         NumberInterval Problem ProblemKind QuantityType ResultKind Section SingleResult Solver Validation View
-        checks register summary
+        checks cross dot extremes minus plus register solve_two_by_two summary turn turn_back
     """,
     "optlink.linkage": """
         Cognate CouplerLinkage GrashofClass Jet Mechanism Motion Pose Travel cognates four_bar grashof reachable sweep travels

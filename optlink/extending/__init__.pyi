@@ -1,7 +1,16 @@
-from optlink.dynamics.inverse import GroupForces as GroupForces
+from optlink.dynamics.inverse import GroupForces as GroupForces, solve_two_by_two as solve_two_by_two
 from optlink.io import register as register
 from optlink.linkage.assur import DyadType as DyadType
+from optlink.linkage.extrema import extremes as extremes
 from optlink.linkage.mechanism import Dyad as Dyad, Guide as Guide
+from optlink.linkage.vector2d import (
+    cross as cross,
+    dot as dot,
+    minus as minus,
+    plus as plus,
+    turn as turn,
+    turn_back as turn_back,
+)
 from optlink.presentation.registry import ResultKind as ResultKind
 from optlink.presentation.table_spec import summary as summary
 from optlink.presentation.view import View as View

@@ -18,7 +18,7 @@ from optlink.extending import (
     register,
 )
 from optlink.linkage import sweep
-from optlink.linkage.extrema import extremes
+from optlink.extending import extremes
 
 
 class Clearing(Section):
