@@ -141,7 +141,7 @@ def test_ctrl_c_keeps_the_searches_of_a_law() -> None:
 def test_no_cluster_is_started_for_a_problem_that_cannot_use_it(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed")
 
-    def refused(*given: object) -> None:
+    def refused(**given: object) -> None:
         raise AssertionError(given)
 
     monkeypatch.setattr("optlink.execution.runner.pool", refused)
