@@ -13,6 +13,7 @@ from optlink.studies import sweep, target_programme
 from optlink.studies.batch_optima import FOLLOWED
 from optlink.studies.grid import read_grid
 from optlink.studies.reoptimise_task import SEARCHED, optimum_task
+from optlink.units import in_si
 
 CASES = [
     ("crank-rocker", {"requirement.measure": "max"}, "limits.transmission_angle.max=125..140 deg:9"),
@@ -45,8 +46,9 @@ def test_followed_rows_are_those_of_single_searches(name, changes, vary):
     for row in rows:
         assert row["valid"] == "true", row
         value, unit = next(iter(row.values())), vary.rpartition(" ")[2].partition(":")[0] if " " in vary else ""
-        single = optlink.solve(problem.override({key: f"{value} {unit}" if unit else float(value)}), certify=False)
-        shown = single.problem.model.shown_objective(single.objective).value
+        single = optlink.solve(problem.override({key: f"{value} {in_si(unit)[1]}" if unit else float(value)}), certify=False)
+        objective_shown = single.problem.model.shown_objective(single.objective)
+        shown = objective_shown.value * in_si(objective_shown.unit)[0]
         assert float(row[objective]) <= shown + 1e-6 * abs(shown) + 1e-9, (row, shown)
 
 
