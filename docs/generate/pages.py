@@ -19,7 +19,19 @@ from functools import partial
 from pathlib import Path
 
 import optlink
-from docs.generate import api, certificates, commands, gallery, keys, measurements, outputs, recipes, sketches, validation
+from docs.generate import (
+    api,
+    certificates,
+    commands,
+    constants,
+    gallery,
+    keys,
+    measurements,
+    outputs,
+    recipes,
+    sketches,
+    validation,
+)
 from optlink.problem.templates import templates
 
 DOCS = Path(__file__).resolve().parents[1]
@@ -59,6 +71,7 @@ MAKERS: dict[str, Callable[[Block], str]] = {
     "keys": lambda _: keys.reference(),
     "commands": lambda _: commands.reference(),
     "measurements": lambda _: measurements.page(),
+    "constants": lambda _: constants.page(),
     "certificates": lambda _: certificates.page(),
     "gallery": lambda _: gallery.page(),
     "recipes": lambda _: recipes.listed(),
