@@ -19,10 +19,10 @@ Function = Callable[[Array], Array]
 """Crank angles (n,) [rad] -> values (functions, n)."""
 POINTS = 9  # of a bracket, per round
 ROUNDS = 12  # each shrinks the brackets to two of the eight steps: 6e-8 of a grid step at the end
-EXACT, ROUNDING = 1e-9, 1e-13  # shares of the range of its samples, and of their size, by which an interpolant may be wrong
+EXACT = 1e-9  # share of the range of its samples by which an interpolant may be wrong
+ROUNDING = 1e-13  # share of the largest value of its kind that is rounding error
 SMOOTH = 1e-6  # share of that range which the last term of an interpolant may add half-way between samples
 BEFORE = 1e-9  # rad before a jump at which the value before it is sampled
-ZERO = 1e-13  # share of the largest value of its kind below which a function is rounding error
 RIVALS = 6  # further local extrema that are refined at most, where the samples do not decide
 ROWS = 16  # functions whose parabolas are computed at once, to keep memory small
 UNEVEN = 1e-3  # least ratio of two steps with a parabola
@@ -260,7 +260,7 @@ def _zero(values: Array, kinds: Sequence[Hashable] | None) -> NDArray[np.bool_]:
     largest = dict.fromkeys(kinds, 0.0)
     for kind, magnitude in zip(kinds, size, strict=True):
         largest[kind] = max(largest[kind], float(magnitude))
-    zero: NDArray[np.bool_] = size <= ZERO * np.array([largest[kind] for kind in kinds])
+    zero: NDArray[np.bool_] = size <= ROUNDING * np.array([largest[kind] for kind in kinds])
     return zero
 
 

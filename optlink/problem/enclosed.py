@@ -90,7 +90,7 @@ def identity(model: Problem, without: Collection[str] = ()) -> str:
     without : collection of str
         Sections that do not change the result.
     """
-    sections = {name: getattr(model, name) for name in type(model).model_fields if name not in without}
+    sections = {name: getattr(model, name) for name in _stated(model) if name not in without}
     measured = {deviation.name: deviation.values for deviation in model.deviations}
     text = json.dumps(_content([type(model), sections, measured]), sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:DIGITS]
@@ -123,13 +123,20 @@ def _content(value: Any) -> Any:
     raise TypeError(f"{type(value).__qualname__} is not part of the identity of a problem: make it a dataclass or a Section")
 
 
+def _stated(model: BaseModel) -> list[str]:
+    """Return the names of the fields that have another value than their default: a key that is added later changes no hash."""
+    fields = type(model).model_fields
+    values = ((name, getattr(model, name), field.get_default(call_default_factory=True)) for name, field in fields.items())
+    return [name for name, value, default in values if type(value) is not type(default) or value != default]
+
+
 def _fields(value: Any) -> list[str] | None:
     """Return the names of the fields of a model or dataclass, without its cached values; None for another object.
 
     Those of a model with keys of the user's choice include these.
     """
     if isinstance(value, BaseModel):
-        return [*type(value).model_fields, *(value.__pydantic_extra__ or ())]
+        return [*_stated(value), *(value.__pydantic_extra__ or ())]
     return [item.name for item in fields(value) if item.compare] if is_dataclass(value) and not isinstance(value, type) else None
 
 

@@ -10,12 +10,11 @@ from optlink.problem.design import DesignProblem
 from optlink.solvers import multistart
 from optlink.solvers.contract import CLOSE
 from optlink.solvers.exchange import solve_semi_infinite
-from optlink.solvers.solution import Solution, tangent_space
+from optlink.solvers.solution import SAME_OBJECTIVE, Solution, tangent_space
 
 STRONG = 1e-9  # share of the largest multiplier above which a limit counts as determining the design
 FLAT = 1e-6  # share of the largest curvature below which a direction is tried
 SHIFT = 0.05  # shift for the confirming search, as a share of the range of the quantity that changes most
-EQUAL = 1e-6  # relative difference of equal objectives
 MOVES = 1e-4  # scaled units: least change of a quantity that is reported
 
 
@@ -87,7 +86,7 @@ def _shifted(task: DesignProblem, solution: Solution, lead: int, name: str) -> S
     finally:
         nlp.limit(lead, low, high)
         nlp.set_exchange_points(places)
-    same = abs(other.objective - solution.objective) <= EQUAL * max(abs(solution.objective), 1e-300)
+    same = abs(other.objective - solution.objective) <= SAME_OBJECTIVE * max(abs(solution.objective), 1e-300)
     return other if other.usable and same else None
 
 

@@ -45,6 +45,9 @@ from optlink.solvers import contract, multistart as local
 from optlink.solvers.multistart import latin_hypercubes, polish
 from optlink.solvers.solution import Attempt, Solution
 
+# Constants of the exchange method.
+# What a search finds, and how much longer it takes, if one of them is halved or doubled: docs/constants.md.
+# Rounds:
 POSITIONS = 1441  # positions along the required motion at which limits are sampled
 PER_STROKE = 241  # those along a stroke, or along the revolution where quantities of the machine are all that counts
 EXCHANGES = 40  # rounds
@@ -58,11 +61,19 @@ REACH, FARTHEST = 0.02, 0.1  # share of the motion by which such a position may 
 PER_ROW = 2  # such positions of a row that the programme has at least
 EDGE = 1e-3  # share of the motion: this close to its ends the derivative at a peak need not vanish
 MOST_NODES, INTEGRAL_TOLERANCE = 400, 1e-8  # positions of integrals per revolution, and their relative accuracy
-PEAK = "place of a peak"
 ROUNDING = 1e-9  # scaled units: a shorter step is none
 PEAK_SEPARATION = 1e-4  # share of the motion; closer positions count as one
 VIOLATION_PENALTY = 1e3  # penalty of exceeding a limit by one, in multiples of the objective
 RESTORED = 0.5  # share of a violation: a step that leaves at most this much of it restores feasibility
+# Orders of the ends of strokes:
+STARTS = 16  # default number of random designs with which a search begins
+SAMPLES = 160  # random designs for each of them; only those with one order of events are used
+BLOCK = 32  # random designs whose events are determined together
+ORDERS = 2  # further orders of events searched while no feasible design is known
+STEPS = (1e-3, 1e-2)  # of the range of a design variable: from a design at the edge of its order of events to the next order
+NEIGHBOURS, CROSSINGS = 4, 12  # other orders searched from one such design; ends of searches from which others may be searched
+
+PEAK = "place of a peak"
 
 
 @dataclass(frozen=True)
@@ -516,12 +527,6 @@ def with_places(nlp: NLP, slots: int, heights: Mapping[int, Any], terms: tuple[M
 
 # Orders of the ends of strokes: random designs of one order, whether a design has that of its programme, orders beside it.
 
-STARTS = 16  # default number of random designs with which a search begins
-SAMPLES = 160  # random designs for each of them; only those with one order of events are used
-BLOCK = 32  # random designs whose events are determined together
-ORDERS = 2  # further orders of events searched while no feasible design is known
-STEPS = (1e-3, 1e-2)  # of the range of a design variable: from a design at the edge of its order of events to the next order
-NEIGHBOURS, CROSSINGS = 4, 12  # other orders searched from one such design; ends of searches from which others may be searched
 FURTHER = "an output has further dead centres"
 
 

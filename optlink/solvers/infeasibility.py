@@ -27,10 +27,19 @@ from optlink.solvers.contract import BACKENDS, backend
 from optlink.solvers.multistart import starts
 from optlink.solvers.solution import EXACTLY_MET, FEASIBLE, Relaxation, violation
 
-# The elastic programme of infeasibility analysis: every limit of an NLP, or both sides of a range, relaxed by a slack.
-
+# Constants of the search for the least slack.
+# What a search finds, and how much longer it takes, if one of them is halved or doubled: docs/constants.md.
 FEASIBLE_SLACK = 1e-6  # total slack, in scaled units, below which a set of limits counts as feasible
 FREE = 1e3  # upper bound of a slack, in scaled units
+STARTS, LOOKED_AT = 6, 256  # starting points used, of those sampled: the first at which every limit is finite
+FIRST_ORDER, ROUNDS = 1e-4, 4
+"""Amount [display unit] by which both sides of a range are relaxed first; largest number of corrections of their shares."""
+AGREEING = 3  # number of searches that end at the same least slack before it is accepted
+FEW_AGREEING = 2  # the same for the relaxation of one limit of a large NLP
+EQUAL_SLACKS = 1e-4  # relative difference of slacks, and of the amounts of both sides of a range, that count as equal
+EXCHANGES, FOLLOWED = 5, 1e-4  # rounds of the exchange method, and the violation (scaled) at the peaks that ends them
+
+# The elastic programme of infeasibility analysis: every limit of an NLP, or both sides of a range, relaxed by a slack.
 
 
 @dataclass(frozen=True)
@@ -190,15 +199,6 @@ def elastic_programme(nlp: NLP, limits: Sequence[Limit]) -> NLP:
     )
 
 
-STARTS, LOOKED_AT = 6, 256  # starting points used, of those sampled: the first at which every limit is finite
-FIRST_ORDER, EVEN, ROUNDS = 1e-4, 1e-4, 4
-"""Amount [display unit] by which both sides of a range are relaxed first; relative difference of their amounts at which the
-corrections of their shares end; largest number of corrections."""
-AGREEING = 3  # number of searches that end at the same least slack before it is accepted
-FEW_AGREEING = 2  # the same for the relaxation of one limit of a large NLP
-EQUAL_SLACKS = 1e-4  # relative difference of slacks that count as equal
-EXCHANGES, FOLLOWED = 5, 1e-4  # rounds of the exchange method, and the violation (scaled) at the peaks that ends them
-
 Follow = Callable[[Array], Array]
 
 
@@ -293,7 +293,7 @@ class _Search:
             slack, x = self.least(weights, FREE * weights)
             slacks = slack * self.shares[i]
             amounts = [side.relaxation(each).amount for side, each in zip(limit.sides, slacks.tolist(), strict=True)]
-            if not np.all(np.isfinite(amounts)) or np.ptp(amounts) <= EVEN * max(amounts):
+            if not np.all(np.isfinite(amounts)) or np.ptp(amounts) <= EQUAL_SLACKS * max(amounts):
                 break
             amount = float(np.mean(amounts))
         return slacks, x

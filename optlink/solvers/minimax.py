@@ -21,17 +21,18 @@ import numpy as np
 from optlink.linkage.vector2d import Array
 from optlink.optimization.nlp import NLP
 from optlink.problem.design import EPIGRAPH
-from optlink.solvers.solution import Attempt
+from optlink.solvers.solution import FEASIBLE, Attempt
 from optlink.symbolic import CompiledFunction
 
-MOST_STEPS = 100
+# Constants of the search for the least largest deviation.
+# What a search finds, and how much longer it takes, if one of them is halved or doubled: docs/constants.md.
+MOST_STEPS = 100  # cone programmes of a search
 FIRST_REACH, LEAST_REACH, MOST_REACH = 0.1, 1e-9, 1.0  # trust-region radius, in scaled units
 GOOD, POOR = 0.75, 0.25  # share of the predicted decrease above which the radius may grow, and below which it shrinks
 ACCEPTED_DECREASE = 1e-3  # share of the predicted decrease above which a step is accepted
 PRICE, DEAREST = 10.0, 1e6  # penalty of a violated limit (scaled) relative to the largest deviation, which is 1 at the start
 SPARE = 4.0  # times the multipliers: a sufficient penalty
 TOLERANCE = 1e-11  # tolerance of the cone programme
-FEASIBILITY_TOLERANCE = 1e-8  # scaled units: violation up to which a limit counts as satisfied
 CONVERGED = 1e-10  # predicted decrease, as a share of the deviation, that ends the search
 
 
@@ -160,7 +161,7 @@ def _priced(
     view: _View, here: _Linearisation, bend: Array, box: tuple[Array, Array], price: float, step: _Step
 ) -> tuple[float, _Step]:
     """Return a penalty weight that halves the reducible violation or is large enough, and the step for it."""
-    if here.violation <= FEASIBILITY_TOLERANCE:
+    if here.violation <= FEASIBLE:
         return min(price, max(PRICE, SPARE * float(np.sum(np.abs(step.by_g))))), step
     if step.violation > 0.5 * here.violation:
         most = _step(view, here, bend, box, DEAREST)

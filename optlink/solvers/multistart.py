@@ -18,6 +18,7 @@ from optlink.problem.tolerances import SMOOTHED
 from optlink.solvers.contract import MINIMAX, SOLVERS, backend
 from optlink.solvers.solution import (
     FEASIBLE,
+    SAME_OBJECTIVE,
     Attempt,
     Backend,
     Solution,
@@ -27,11 +28,34 @@ from optlink.solvers.solution import (
     violation,
 )
 
-# Feasibility repair of a starting point by Gauss-Newton steps on the violated limits.
-
+# Constants of local searches.
+# What a search finds, and how much longer it takes, if one of them is halved or doubled: docs/constants.md.
+# Repair of a starting point:
 INSIDE = 1e-3  # distance (scaled units) to aim for inside a limit: at the limit a dead centre may have no derivative
-REPAIR_STEPS = 60
-LONGEST_REPAIR = 0.5
+REPAIR_STEPS = 60  # at most
+LONGEST_REPAIR = 0.5  # scaled units; a longer step is shortened to it
+# Newton's method:
+NEAR = 1e-4  # a limit this close (scaled units), with a multiplier of the right sign, counts as active
+MAX_STEPS = 6  # at most; two or three reach rounding error
+TRIES = 3  # active sets: a limit violated at the end is added to the next set
+LONGEST_STEP = 1e-2  # a longer step is rejected: it leaves the neighbourhood of the optimum
+CONVERGED = 1e-10  # residual of the optimality conditions of an optimum
+ROUNDING = 1e-14  # residual at which no further step is made
+SHORTEST_STEP = 1e-9  # after a step this short the error is its square: rounding
+NOISE = 1e-14  # share of the largest second derivative: rounding error of the gradient
+# Comparison of two optima:
+SAME_ERROR = 1e-8  # rad; errors that differ by less count as equal
+SAME_DESIGN = 1e-5  # scaled units; designs that differ by less count as equal
+# Searches and their starting points:
+SMOOTHING = 1e-3, 1e-5, 1e-7  # rad; of successive searches for a robust design
+CONTINUATIONS = 3  # number of restarts, with tighter tolerances, from an end that is not optimal
+NEARLY = 1e-3  # a violation up to this, in scaled units, is attributed to the solver's tolerance and repaired
+CREEPING = 1e-3  # relative decrease of the objective by a search that ran out of steps, up to which a restart helps little
+SOBOL_BLOCK = 64  # Sobol points that are drawn at once; a power of two keeps them balanced
+HYPERCUBE = 64  # points of a Latin hypercube sample
+RESCALE = 1e-3  # if the objective fell below this share of its start, the search is repeated with a new scale
+
+# Feasibility repair of a starting point by Gauss-Newton steps on the violated limits.
 
 
 def repair(nlp: NLP, x: Array, p: Array, inside: float = INSIDE) -> Array | None:
@@ -88,15 +112,6 @@ def _shortest(jacobian: Array, miss: Array, low: Array, high: Array) -> Array:
 #
 # A back end stops within its tolerance of the optimum; two or three Newton steps on the system of the active limits reach
 # rounding error, which makes two back ends comparable to 1e-6 mm and the multipliers exact.
-
-NEAR = 1e-4  # a limit this close (scaled units), with a multiplier of the right sign, counts as active
-MAX_STEPS = 6
-TRIES = 3  # active sets: a limit violated at the end is added to the next set
-LONGEST_STEP = 1e-2  # a longer step is rejected: it leaves the neighbourhood of the optimum
-CONVERGED = 1e-10
-ROUNDING = 1e-14
-SHORTEST_STEP = 1e-9  # after a step this short the error is its square: rounding
-NOISE = 1e-14  # share of the largest second derivative: rounding error of the gradient
 
 
 class Refined(NamedTuple):
@@ -201,18 +216,8 @@ def newton(hessian: Array, jacobian: Array, residual: Array) -> Array | None:
     return np.asarray(np.linalg.lstsq(system, -residual, rcond=1e-12)[0], dtype=float)
 
 
-SAME_OBJECTIVE = 1e-6  # relative
-SAME_ERROR = 1e-8  # rad; errors that differ by less count as equal
-SAME_DESIGN = 1e-5  # in scaled units
-SMOOTHING = 1e-3, 1e-5, 1e-7  # rad; of successive searches for a robust design
-CONTINUATIONS = 3  # number of restarts, with tighter tolerances, from an end that is not optimal
-NEARLY = 1e-3  # a violation up to this, in scaled units, is attributed to the solver's tolerance and repaired
 LEAST_VIOLATION = "Infeasible_Problem_Detected"  # message of IPOPT at a locally least violation
 OUT_OF_STEPS = "Maximum_Iterations_Exceeded"  # message of IPOPT
-CREEPING = 1e-3  # relative decrease of the objective by a search that ran out of steps, up to which a restart helps little
-SOBOL_BLOCK = 64
-HYPERCUBE = 64  # points of a Latin hypercube sample
-RESCALE = 1e-3  # if the objective fell below this share of its start, the search is repeated with a new scale
 
 
 def prepare(nlp: NLP, name: str) -> None:

@@ -32,6 +32,7 @@ EXACTLY_MET = 1e-10  # violation, or total slack of an elastic programme, in sca
 STATIONARY = 1e-6  # largest KKT residual, for an objective scaled to 1 at the start, that counts as optimal
 NEXT_TO = 1e-9  # scaled units
 STEEPEST = 1e-3
+SAME_OBJECTIVE = 1e-6  # relative difference up to which two objectives are the same
 GAINED = 1e-3  # objective, 1 at the start: gain by limits exceeded within `FEASIBLE` that no optimum has
 
 

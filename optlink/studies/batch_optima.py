@@ -23,17 +23,42 @@ from optlink.errors import Status
 from optlink.linkage.vector2d import Array
 from optlink.optimization.multipliers import ACTIVE
 from optlink.optimization.nlp import NLP, BatchValues, Evaluator
-from optlink.solvers.multistart import SAME_OBJECTIVE, newton
-from optlink.solvers.solution import FEASIBLE, Attempt, Solution, verified_solution
+from optlink.solvers.multistart import newton
+from optlink.solvers.solution import FEASIBLE, SAME_OBJECTIVE, Attempt, Solution, verified_solution
 from optlink.studies.grid import Grid
 
-# Division of a grid into blocks of neighbouring points, each with one point in its middle.
-
-Index = NDArray[np.intp]
+# Constants of the optima at the points of a grid.
+# What a search finds, and how much longer it takes, if one of them is halved or doubled: docs/constants.md.
+# Blocks:
 MAX_BLOCK_POINTS = 100
 """Largest number of points of a block."""
 MIN_BLOCKS = 3
 """Approximate least number of blocks, so that a small grid does not depend on a single search."""
+# Newton's method:
+MAX_STEPS = 8  # at most, before a search is made instead
+MAX_DISTANCE = 0.3  # scaled units; largest distance of a neighbour
+MAX_RESIDUAL = 1e-10  # of the optimality conditions of an optimum
+ACTIVE_SETS = 5  # that are tried at each point
+LARGEST_STEP = 1.0  # of variables and multipliers; a larger one may come from dependent limits
+ROUNDING = 1e-12  # residual of the optimality conditions at which the iterations end
+MAX_RATIO = 0.1  # ratio of successive residuals above which a small one is rounding error
+DUPLICATE_LIMIT = 1e-9  # difference of the derivatives of limits that are the same one
+INDEPENDENT = 1e-9  # least diagonal element of the triangular factor of independent limits
+# Predictions:
+NODES = (7, 6, 5)  # along each axis, the first number for which a block has enough points
+POINTS_PER_NODE = 6  # least number of points of a block for each of its nodes
+# Searches:
+SHARES = (0.25, 0.5, 0.75, 1.0)  # of the way to a problem that Newton's method does not reach at once
+CACHED_SEARCHES = 4096  # searches that are kept for further blocks
+MAX_DEVIATION = 1e-2  # scaled distance from its prediction at which an optimum may be another one
+MIN_IMPROVEMENT = 1e-9  # share of the objective by which another optimum must be smaller
+MAX_BRANCHES = 8  # optima of a large block, the best ones
+CONTINUED_RATIO = 2.0
+"""Optima of a large block up to this many times the objective in a block's middle are continued to its points."""
+
+# Division of a grid into blocks of neighbouring points, each with one point in its middle.
+
+Index = NDArray[np.intp]
 
 
 def coarse_block(count: int) -> int:
@@ -113,9 +138,6 @@ class Blocks:
 # prediction by sensitivities, further steps remove the residual. If the neighbour has another active set, the final point
 # violates the optimality conditions; the caller detects this and starts a search.
 
-MAX_STEPS = 8
-MAX_DISTANCE = 0.3  # scaled units; largest distance of a neighbour
-MAX_RESIDUAL = 1e-10
 FOLLOWED = "followed from a neighbour"
 
 
@@ -156,13 +178,6 @@ def follow_optimum(nlp: NLP, near: Solution) -> Solution | None:
 # result does not depend on the others.
 
 Bools = NDArray[np.bool_]
-
-ACTIVE_SETS = 5  # that are tried at each point
-LARGEST_STEP = 1.0  # of variables and multipliers; a larger one may come from dependent limits
-ROUNDING = 1e-12  # residual of the optimality conditions at which the iterations end
-MAX_RATIO = 0.1  # ratio of successive residuals above which a small one is rounding error
-DUPLICATE_LIMIT = 1e-9  # difference of the derivatives of limits that are the same one
-INDEPENDENT = 1e-9  # least diagonal element of the triangular factor of independent limits
 
 
 @dataclass(frozen=True)
@@ -385,9 +400,6 @@ def _second_order(ended: _Ended, problem: BatchProblem, sides: NDArray[np.int8],
 
 # Polynomials through the optima at a few points of a block, for starting points of Newton's method at the others.
 
-NODES = (7, 6, 5)  # along each axis, the first number for which a block has enough points
-POINTS_PER_NODE = 6  # least number of points of a block for each of its nodes
-
 
 def block_nodes(ends: list[tuple[int, int]]) -> list[Index] | None:
     """Return the places of the nodes of a block along every axis, close to Chebyshev's; None if it has too few points."""
@@ -444,14 +456,6 @@ def _lagrange(nodes: Index, places: Index) -> list[Array]:
 
 K = TypeVar("K")
 T = TypeVar("T")
-
-SHARES = (0.25, 0.5, 0.75, 1.0)  # of the way to a problem that Newton's method does not reach at once
-CACHED_SEARCHES = 4096  # searches that are kept for further blocks
-MAX_DEVIATION = 1e-2  # scaled distance from its prediction at which an optimum may be another one
-MIN_IMPROVEMENT = 1e-9  # share of the objective by which another optimum must be smaller
-MAX_BRANCHES = 8  # optima of a large block, the best ones
-CONTINUED_RATIO = 2.0
-"""Optima of a large block up to this many times the objective in a block's middle are continued to its points."""
 
 
 class GridProgramme(Protocol):

@@ -19,9 +19,25 @@ from optlink.problem.design import STEP, DesignProblem
 from optlink.synthesis.batch import Batch, ByLengths
 from optlink.synthesis.levenberg_marquardt import ZERO, FinalDesigns, SimilarityFit, minimise
 
-# Random starting points of path synthesis: proportions that can turn and timing along the points.
-
+# Constants of the search of paths and poses in batches.
+# What a search finds, and how much longer it takes, if one of them is halved or doubled: docs/constants.md.
 SPREAD = 0.35  # relative standard deviation of a dimension about its value in the file
+FIRST_ROUND, PER_ROUND = 60, 240  # starting points per round over all assembly modes: doubled from the first to the second number
+POOL = 6  # samples per starting point; half of the starting points are the best samples, the others random ones
+STEPS = 60  # of the first descent, with variable projection; twice as many without
+DISTINCT = 1e-3  # least difference of two designs, in scaled units and relative to variables above one
+PERFECT = 1e-20  # cost (square of a fraction of the curve size) of a design that passes all points
+MISSED = 1e-3  # weighted squares of limit violations up to which the NLP refines a design
+COARSE_POINTS = 18  # points in the first descent; the second uses all
+NEAR, STRAGGLERS = 1e-17, 0.1  # cost from which full steps converge at once; share of designs that are left unconverged before
+FINISHED = 60  # best distinct designs of a round that are refined to full precision
+GOOD = 3  # of them must reach it; poorer ones may stop where they hardly improve
+FULL_STEPS = 200  # of a descent to full precision: first with variable projection, then without
+AFTER = 5  # remaining steps of all designs once one of them passes all points
+MAX_CANDIDATES = 200  # distinct candidates, best first
+REPAIRED = 12  # best distinct designs of a round that violate the order or a limit, reordered: they may still converge
+
+# Random starting points of path synthesis: proportions that can turn and timing along the points.
 
 
 def random_designs(batch: Batch, count: int, rng: np.random.Generator) -> Array:
@@ -174,22 +190,6 @@ def assembles_everywhere(batch: Batch, x: Array, t: Array) -> NDArray[np.bool_]:
                 margin = np.broadcast_to(pose.margins[group.joint], at.shape)
                 assembled &= np.all(margin > group.least, axis=1)
     return assembled
-
-
-FIRST_ROUND, PER_ROUND = 60, 240  # starting points per round over all assembly modes: doubled from the first to the second number
-POOL = 6  # samples per starting point; half of the starting points are the best samples, the others random ones
-STEPS = 60  # of the first descent, with variable projection; twice as many without
-DISTINCT = 1e-3  # least difference of two designs, in scaled units and relative to variables above one
-PERFECT = 1e-20  # cost (square of a fraction of the curve size) of a design that passes all points
-MISSED = 1e-3  # weighted squares of limit violations up to which the NLP refines a design
-COARSE_POINTS = 18  # points in the first descent; the second uses all
-NEAR, STRAGGLERS = 1e-17, 0.1  # cost from which full steps converge at once; share of designs that are left unconverged before
-FINISHED = 60  # best distinct designs of a round that are refined to full precision
-GOOD = 3  # of them must reach it; poorer ones may stop where they hardly improve
-VALLEY, FINISH = 200, 200  # steps with variable projection, then full steps
-AFTER = 5  # remaining steps of all designs once one of them passes all points
-MAX_CANDIDATES = 200  # distinct candidates, best first
-REPAIRED = 12  # best distinct designs of a round that violate the order or a limit, reordered: they may still converge
 
 
 @dataclass(eq=False)
@@ -373,12 +373,10 @@ class Searcher:
             counts.append(count)
         if self.fit.applies:
             designs = self._minimise(
-                self.batch, parts, VALLEY, self.fit, slow=1e-7, left=STRAGGLERS, after=AFTER, good=good, zero=zero
+                self.batch, parts, FULL_STEPS, self.fit, slow=1e-7, left=STRAGGLERS, after=AFTER, good=good, zero=zero
             )
             parts = [(ends.x, ends.t) for ends in designs]
-        designs = self._minimise(
-            self.batch, parts, FINISH if self.fit.applies else VALLEY, None, slow=1e-9, after=AFTER, good=good
-        )
+        designs = self._minimise(self.batch, parts, FULL_STEPS, None, slow=1e-9, after=AFTER, good=good)
         return [replace(ends, count=count) for ends, count in zip(designs, counts, strict=True)]
 
     def _repaired(self, variant: int, ends: FinalDesigns) -> Iterator[Candidate]:

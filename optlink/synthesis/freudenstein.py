@@ -27,6 +27,26 @@ from optlink.problem.design import DesignProblem
 from optlink.problem.quantity import Quantity
 from optlink.problem.targets.law import Function
 
+# Constants of the first designs of a function.
+# What a search finds, and how much longer it takes, if one of them is halved or doubled: docs/constants.md.
+EXACT = 1e-9  # negligible output error [rad]
+# Fits at all start positions:
+BLOCK = 1 << 17  # numbers in one array of the scan, so that it fits in the cache
+FLATTEST = 0.05  # of the largest slope: limits the weight of positions near a dead position
+SINGULAR = 1e-12  # squared sine between the columns of a fit below which its constants are not determined
+ZOOMS = 6  # successive grids around a start position, each of half the width
+FINE = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
+# Convex programmes:
+PROVEN_GAP = 1e-4  # relative gap of the output error at which it counts as proven optimal
+STEPS = 12  # convex programmes per start position
+# First designs:
+START_SEPARATION = 3.0  # least distance of two distinct start positions, in grid steps
+SPARE = 2  # `SPARE * count` start positions are refined, as some coincide afterwards
+UNLIMITED = (1e-3, 1e3)  # ratios beyond a thousand are not practical
+ANGLES_PER_BLOCK, BLOCKS = 1024, 8  # random start angles per block, and number of blocks
+GRID = 36  # start angles of crank and rocker that are scanned, each over half a turn
+WIDER = 2.0 * math.pi / 180.0  # relaxation of the transmission-angle limits: the nearest start may just violate them
+
 # Loop equation of a four-bar that is linear in three constants (conventions of `optlink.linkage.fourbar`, frame = 1).
 #
 #     F = K1 cos psi - K2 cos phi + K3 - cos(phi - psi)    K1 = 1/a, K2 = 1/c, K3 = (a^2 - b^2 + c^2 + 1) / (2 a c)
@@ -36,8 +56,6 @@ from optlink.problem.targets.law import Function
 #
 # References
 # ---------- F. Freudenstein, Approximate synthesis of four-bar linkages, Trans. ASME 77 (1955) 853-861.
-
-EXACT = 1e-9  # negligible output error [rad]
 
 
 def _cosine_range(low: Array, high: Array) -> tuple[Array, Array]:
@@ -128,12 +146,6 @@ def linear_form(chain: LoopEquation, x: Array, y: Array) -> tuple[Array, Array]:
 
 Keep = Callable[[Array, Array, Array, Array, Array, Array], Any]
 """Admissible linkages, elementwise: (crank, coupler, rocker, phi0, psi0, side), all (m,), to (m,) bool."""
-
-BLOCK = 1 << 17  # numbers in one array of the scan, so that it fits in the cache
-FLATTEST = 0.05  # of the largest slope: limits the weight of positions near a dead position
-SINGULAR = 1e-12  # squared sine between the columns of a fit below which its constants are not determined
-ZOOMS = 6  # successive grids around a start position, each of half the width
-FINE = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
 
 
 @dataclass(frozen=True)
@@ -316,8 +328,6 @@ def zoom(task: FitProblem, cells: Cells, grids: tuple[Array, Array]) -> Cells:
 # ---------- E. W. Cheney and H. L. Loeb, Numerische Mathematik 3 (1961) 72-75: differential correction, as used in the search
 # for t.
 
-PROVEN_GAP = 1e-4  # relative gap of the output error at which it counts as proven optimal
-STEPS = 12  # convex programmes per start position
 SHARES = 0.5 ** np.arange(6.0)  # trial fractions of a step: the error is quasi-convex, so a fraction of a descent step descends
 
 
@@ -489,10 +499,6 @@ def lower_bound(matrix: Array, vector: Array, rows: Array, room: Array, box: tup
     return float(p @ np.concatenate([vector, -room]) + np.sum(np.minimum(pull * box[0], pull * box[1])))
 
 
-START_SEPARATION = 3.0  # least distance of two distinct start positions, in grid steps
-SPARE = 2  # `SPARE * count` start positions are refined, as some coincide afterwards
-
-
 @dataclass(frozen=True)
 class FirstStep:
     """A four-bar with lengths relative to the frame and start angles [rad].
@@ -557,11 +563,6 @@ def _step(task: FitProblem, cell: Cells, residual: float, bound: float, proven: 
 
 
 # Starting points of function synthesis: Freudenstein fits and convex first designs (`optlink.synthesis.freudenstein`).
-
-UNLIMITED = (1e-3, 1e3)  # ratios beyond a thousand are not practical
-ANGLES_PER_BLOCK, BLOCKS = 1024, 8  # random start angles per block, and number of blocks
-GRID = 36  # start angles of crank and rocker that are scanned, each over half a turn
-WIDER = 2.0 * math.pi / 180.0  # relaxation of the transmission-angle limits: the nearest start may just violate them
 
 
 def fittable(problem: DesignProblem) -> bool:

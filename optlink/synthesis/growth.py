@@ -34,9 +34,8 @@ from optlink.problem.limits import Reach
 from optlink.synthesis import batch_search
 from optlink.synthesis.batch import Batch
 
-Complex = NDArray[np.complex128]
-Values = dict[str, Array]
-
+# Constants of the designs that repeat the curve of a four-bar.
+# What a search finds, and how much longer it takes, if one of them is halved or doubled: docs/constants.md.
 SAMPLES = 6000  # random choices of the remaining dimensions, per four-bar design and combination of assembly modes
 COARSE, ALONG, FINE = 10, 73, 1441  # crank angles at which limits are evaluated: of all, of possible and of preselected designs
 MEASURED = 10  # preselected designs, as a multiple of those returned
@@ -44,6 +43,9 @@ CURVE_ROUNDING = 1e-6  # of the size of the curve: rounding difference of the tw
 ENLARGED = (math.log(0.4), math.log(2.5))  # logarithms of the pantograph ratio
 NEARBY = {"length": (math.log(0.5), math.log(10.0)), "coordinate": (0.0, math.log(8.0))}  # log ranges of other dimensions
 AROUND = 0.15  # rad: standard deviation of the rotation of the parallelogram sides from those of the four-bar
+
+Complex = NDArray[np.complex128]
+Values = dict[str, Array]
 
 
 @dataclass(frozen=True)

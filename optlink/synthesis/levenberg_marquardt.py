@@ -25,8 +25,8 @@ from optlink.problem.requirements.base import START
 from optlink.symbolic import NumpyEvaluator, symbols_in_numpy
 from optlink.synthesis.batch import Batch, Variant
 
-Fit = Callable[[Array, Array, NDArray[np.int_]], tuple[Array, Array]]
-
+# Constants of the descents in batches.
+# What a search finds, and how much longer it takes, if one of them is halved or doubled: docs/constants.md.
 FIRST_DAMPING = 1e-2  # share of the diagonal of the normal equations
 LEAST_DAMPING, MOST_DAMPING = 1e-14, 1e9  # least: rounding error of that diagonal; at the largest a design ends
 SLOW = 1e-5  # relative decrease of the cost below which a step counts as slow
@@ -35,8 +35,9 @@ POOR, HOPELESS = 4.0, 1e-3  # times the cost of a good design: a poor one, and t
 LONGEST_TURN = 0.5  # rad per step of a crank angle
 PROBE = 0.1  # share of a step at which the residuals show their second derivative
 MOST_BEND = 0.75  # largest correction of a step by the second derivative, relative to the step
-HITS = 3  # times that a step is repeated for variables that it takes to a bound
 ZERO = 1e-28  # cost (square of a fraction of the curve size) that counts as zero
+
+Fit = Callable[[Array, Array, NDArray[np.int_]], tuple[Array, Array]]
 
 
 @dataclass(frozen=True)
@@ -244,7 +245,7 @@ def _bounded_step(system: Array, right: Array, least: Array, most: Array) -> tup
     diagonal = np.arange(system.shape[1])
     active = ((least >= 0.0) & (right < 0.0)) | ((most <= 0.0) & (right > 0.0))
     step, reduced, left = np.zeros_like(right), np.empty_like(system), np.arange(len(right))
-    for _ in range(1 + HITS):
+    while len(left):
         at_bound, matrix = active[left], system[left]
         part = np.where(at_bound[:, :, None] | at_bound[:, None, :], 0.0, matrix)
         part[:, diagonal, diagonal] += at_bound
@@ -255,8 +256,6 @@ def _bounded_step(system: Array, right: Array, least: Array, most: Array) -> tup
         hit = ~at_bound & ((result < low) | (result > high))
         step[left], active[left], reduced[left] = np.where(hit, np.clip(result, low, high), result), at_bound | hit, part
         left = left[hit.any(axis=1)]  # the others do not change any more
-        if not len(left):
-            break
     return step, active, reduced
 
 

@@ -15,6 +15,7 @@ from optlink.errors import InputError
 from optlink.execution import interrupts
 from optlink.execution.worker import Runs
 from optlink.linkage.vector2d import Array
+from optlink.optimization.multipliers import ACTIVE
 from optlink.optimization.taylor_model import DesignBoxes, box_problem
 from optlink.problem.file import ProblemFile
 from optlink.solvers.global_search.branch_and_bound import BATCH, FEW, Bounder, BranchAndBound, joint_history
@@ -39,7 +40,6 @@ if TYPE_CHECKING:
     from optlink.solvers.global_search.timed_path import TimedPathBounds
     from optlink.tasks.results.design import SynthesisResult
 
-ACTIVE = 1e-6  # slack of a limit, and share of the bounds from one, below which it counts as active at the best design
 NEAR_LARGEST = 1e-3  # share below the largest deviation within which others are as large
 DERIVATIVE_WIDTH = 1e-8  # half width of the box about the best design in which derivatives are taken, as a share of the bounds
 MIN_IMPROVEMENT = 1e-7  # share of the objective by which a design must be smaller to be better

@@ -46,16 +46,14 @@ from optlink.validation import validate as validate_design
 from optlink.validation.design import deviations
 from optlink.validation.timing import passing
 
+# Constants of the rounds of a search.
+# What a search finds, and how much longer it takes, if one of them is halved or doubled: docs/constants.md.
 MAX_CERTIFIED_VARIABLES = 2
 """Design variables of a motion law up to which the global optimum is certified by default, without random starts."""
-NEAREST = "nearest design"
 MIN_CURVATURE = 1e-7  # least curvature, for an objective scaled to 1, of a unique optimum
-NONE_TURNS = (
-    "none of {} random designs within the bounds lets the crank turn fully: widen the bounds, or start from a design that does"
-)
 MISSED_CHANCE = 0.02  # estimated chance that a better design was missed at which a search ends
 FITS_PER_ROUND = 24  # random fits of a function per assembly mode
-MIN_ROUNDS, MAX_ROUNDS = 3, 20
+MIN_ROUNDS, MAX_ROUNDS = 3, 20  # of random starting points, while a better design is not unlikely
 MAX_ROUNDS_POOR_FIT = 40  # largest number, while the best design fits poorly
 BATCH_ROUNDS = 2  # rounds computed together after the first one, while no design is exact
 SHARED_BATCH_ROUNDS = 4  # the same for several processes
@@ -64,17 +62,21 @@ SHARED_FROM_ROUND = 6  # round from which on several processes share a search of
 COMPOUND_ROUNDS = 3  # largest number for a linkage of several dyads, whose starts and limits take longer
 COMPOSED_ROUNDS = 6  # largest number of a problem with several demands, each of whose candidates is refined
 PART_STARTS = 400  # of the four-bar that a linkage contains
+MAX_FAILED_ROUNDS = 12  # rounds without a valid design
+SHARED_STARTS = 200
+"""Random designs, each refined by itself, that several processes share by default; fewer take no longer than their start."""
+COARSE_NODES, COARSE_STARTS = 24, 2  # positions per revolution, and starts, of the analysis of limits of a machine
+STARTS_PER_EXACT = 3  # starts per exact design after which no other one is expected
+
+NEAREST = "nearest design"
+NONE_TURNS = (
+    "none of {} random designs within the bounds lets the crank turn fully: widen the bounds, or start from a design that does"
+)
 NO_FOUR_BAR = "no four-bar within this linkage carries {}: the search had random starts only, no starts from four-bar designs"
 FOUR_BAR_BETTER = (
     "the four-bar within this linkage misses the points by {:.4g} mm (rms) within the same limits: no linkage that repeats its "
     "coupler curve was found within all limits, and no other design is as good"
 )
-MAX_FAILED_ROUNDS = 12  # rounds without a valid design
-SHARED_STARTS = 200
-"""Random designs, each refined by itself, that several processes share by default; fewer take no longer than their start."""
-COARSE_NODES, COARSE_STARTS = 24, 2  # positions per revolution, and starts, of the analysis of limits of a machine
-SAME_DESIGN = 1e-5  # scaled difference of equal designs of two back ends
-STARTS_PER_EXACT = 3  # starts per exact design after which no other one is expected
 
 
 class SynthesisTask(DesignTask[SynthesisResult]):
@@ -278,7 +280,9 @@ def _compared(problem: ProblemFile, search: Search, one: Callable[[ProblemFile, 
             solution = again if solution is None else multistart.best([solution, again])
         solutions[name] = solution
     gaps = multistart.compare(*solutions.values())
-    checks = agreement("design" if best.whole.parts else "sizes", gaps, SAME_DESIGN, f"<= {SAME_DESIGN:.0e} of the size")
+    checks = agreement(
+        "design" if best.whole.parts else "sizes", gaps, multistart.SAME_DESIGN, f"<= {multistart.SAME_DESIGN:.0e} of the size"
+    )
     judged = replace(best, validation=best.validation.with_checks(checks))
     return replace(
         winner,

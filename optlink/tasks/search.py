@@ -38,13 +38,12 @@ from optlink.solvers.exchange import (
     solve_semi_infinite,
     with_accurate_integrals,
 )
-from optlink.solvers.solution import Solution
+from optlink.solvers.solution import SAME_OBJECTIVE, Solution
 from optlink.synthesis.batch import Batch
 from optlink.synthesis.batch_search import Candidate, Exploration, acceptable
 from optlink.synthesis.growth import ContainedFourBar, grow_from_four_bar
 from optlink.synthesis.levenberg_marquardt import minimise
 from optlink.tasks.results.common import (
-    BETTER,
     OPTIMALITY_CHECK,
     ROUNDED,
     Evidence,
@@ -57,8 +56,31 @@ from optlink.tasks.results.common import (
     with_optimality,
 )
 from optlink.tasks.results.design import LinkageDesign
+from optlink.tasks.results.fit import FINE
 from optlink.validation import validate
 from optlink.validation.timing import passing
+
+# Constants of the refinement of candidates.
+# What a search finds, and how much longer it takes, if one of them is halved or doubled: docs/constants.md.
+TRIES = 6  # candidates refined in the first round per requested design, while too few are valid
+PER_ROUND = 10  # candidates refined in a later round
+REORDERED = 2  # reordered candidates of a round, and unsuccessful refinements of a later round
+COMPOUND_TRIES = 4  # refinements for a linkage of several dyads, unsuccessful ones of the first round: each takes seconds
+IDLE_ROUNDS = 3  # rounds in a row whose reordered candidates improve no design: the last with any, unless the fit is poor
+POOR_FIT_TRIES = 3  # candidates and reordered candidates of a later round refined at any cost, while the fit is poor
+FIT_RATIO = 2.0  # objective at the positions, relative to the best one, up to which a fit is refined over the range
+COUNTED_RATIO = 1.5  # largest error of counted optima, relative to the least one: a better one would be among them
+ANY_ORDER = 3  # points that every crank passes in their order, in one direction or the other
+MISSING = 0.25  # how far counts can be relied on where the best design misses the points
+MOST_IN_ORDER = 0.5  # share of starts that end in order from which the order does not decide which optima are found
+SAME_COST = 1e-4  # relative difference of equal costs of candidates
+ROUNDING = 1e-9  # relative difference of equal errors of one coupler curve
+SLACK = 1e-3  # share of the breadth of an output that counts as unused
+MOST_PROGRAMMES = 24  # programmes that are kept: assembly modes, directions of the crank, orders of ends of strokes
+# Designs from those of a four-bar:
+STARTS = 12  # per design of the four-bar and combination of assembly modes
+SUFFICIENT_DESIGNS = 2  # designs with the same error, no worse than the four-bar, that suffice
+STEPS = 120  # of the descent from each of them
 
 
 def mode_of(problem: ProblemFile) -> str:
@@ -67,23 +89,7 @@ def mode_of(problem: ProblemFile) -> str:
     return assembly if isinstance(assembly, str) else ", ".join(f"{joint} {mode}" for joint, mode in assembly.items())
 
 
-TRIES = 6  # candidates refined in the first round per requested design, while too few are valid
-PER_ROUND = 10  # candidates refined in a later round
-REORDERED = 2  # reordered candidates of a round, and unsuccessful refinements of a later round
-COMPOUND_TRIES = 4  # unsuccessful refinements of the first round for a linkage of several dyads: each takes seconds
-IDLE_ROUNDS = 3  # rounds in a row whose reordered candidates improve no design: the last with any, unless the fit is poor
-POOR_FIT_TRIES = 3  # candidates and reordered candidates of a later round refined at any cost, while the fit is poor
-FIT_RATIO = 2.0  # objective at the positions, relative to the best one, up to which a fit is refined over the range
-COUNTED_RATIO = 1.5  # largest error of counted optima, relative to the least one: a better one would be among them
-ANY_ORDER = 3  # points that every crank passes in their order, in one direction or the other
-MISSING = 0.25  # how far counts can be relied on where the best design misses the points
-MOST_IN_ORDER = 0.5  # share of starts that end in order from which the order does not decide which optima are found
-OBJECTIVE_TOLERANCE = 1e-6  # relative difference of equal objectives
-SAME_COST = 1e-4  # relative difference of equal costs of candidates
-ROUNDING = 1e-9  # relative difference of equal errors of one coupler curve
-BAND_POSITIONS, SLACK = 721, 1e-3  # positions at which the breadth of an output is measured, and its share that counts as unused
 BEGUN = "exchange points of the first design"
-MOST_PROGRAMMES = 24  # programmes that are kept: assembly modes, directions of the crank, orders of ends of strokes
 
 
 class DesignOrders:
@@ -465,7 +471,7 @@ def centred(task: DesignProblem, solution: Solution) -> Solution:
         tolerance, loose = part.tolerance, part.law_given and part.everywhere and not task.links and part.robust is None
         if tolerance is None or not loose or name not in task.free or not part.requirement.centred:
             continue
-        above = ErrorCourse(part).sizes(part.own(task.complete(solution.design)), np.linspace(0.0, 1.0, BAND_POSITIONS))
+        above = ErrorCourse(part).sizes(part.own(task.complete(solution.design)), np.linspace(0.0, 1.0, FINE))
         below, beyond = (float(side) * part.whole for side in np.max(above, axis=1))
         if beyond + below < 2.0 * tolerance * (1.0 - SLACK):
             k = task.free.index(name)
@@ -569,7 +575,7 @@ class DesignCollection:
         before, refined = [design.error for design in self.designs], len(self._ends)
         self._follow(candidates, tries, failures, costly)
         after = [design.error for design in self.designs]
-        better = len(after) > len(before) or any(b < a * (1.0 - OBJECTIVE_TOLERANCE) for a, b in zip(before, after, strict=True))
+        better = len(after) > len(before) or any(b < a * (1.0 - SAME_OBJECTIVE) for a, b in zip(before, after, strict=True))
         self._idle = 0 if better or not after else self._idle + (len(self._ends) > refined)
 
     def _follow(self, candidates: list[Candidate], tries: int, failures: int, costly: int = 0) -> None:
@@ -652,7 +658,7 @@ class DesignCollection:
 
     def _better(self, design: LinkageDesign) -> bool:
         """Return whether a design has a lower objective than the best valid one."""
-        return not self.designs or (design.objective < self.designs[0].objective * (1.0 - BETTER) and not self.exact)
+        return not self.designs or (design.objective < self.designs[0].objective * (1.0 - SAME_OBJECTIVE) and not self.exact)
 
     def _fails(self, design: LinkageDesign) -> bool:
         """Return whether a design is an optimum that fails a check, better than the best valid one."""
@@ -715,7 +721,7 @@ class DesignCollection:
         best = self.designs[0]
         level = 0.0 if best.exact else best.error
         errors = [(0.0 if best.exact and error <= best.level else error, count) for error, count in ends]
-        if errors[0][0] > level * (1.0 + OBJECTIVE_TOLERANCE):
+        if errors[0][0] > level * (1.0 + SAME_OBJECTIVE):
             errors.insert(0, (level, 1))  # no random start reached the best design
         ratio = math.inf if self._fits else COUNTED_RATIO  # every fit is refined
         near = (one for one in errors if one[0] <= ratio * level)
@@ -724,7 +730,7 @@ class DesignCollection:
             [
                 count
                 for some in (near, failing)
-                for _, count in tally(some, lambda known, error: error <= known * (1.0 + OBJECTIVE_TOLERANCE))
+                for _, count in tally(some, lambda known, error: error <= known * (1.0 + SAME_OBJECTIVE))
             ]
         )
         return replace(found_evidence, missed=0.0) if best.exact else found_evidence  # no design is better than an exact one
@@ -734,7 +740,7 @@ class DesignCollection:
         ends = [(design, 1) for design in self._given if design.valid]
         ends += [(design, candidate.count) for candidate, design in self._ends.items() if design.valid]
         ends.sort(key=lambda end: end[0].error)
-        distinct = tally(ends, lambda known, design: design.error <= known.error * (1.0 + OBJECTIVE_TOLERANCE))
+        distinct = tally(ends, lambda known, design: design.error <= known.error * (1.0 + SAME_OBJECTIVE))
         return tuple(Optimum(one.values, one.objective, count, mode_of(one.problem)) for one, count in distinct)
 
     def beyond_tolerances(self, candidates: list[Candidate]) -> float:
@@ -779,12 +785,6 @@ def _rank(design: LinkageDesign) -> tuple[float, float]:
     return 0.0, -(transmission if math.isfinite(transmission) else 0.0)
 
 
-STARTS = 12  # per design of the four-bar and combination of assembly modes
-POLISHED = 4  # candidates refined
-SUFFICIENT_DESIGNS = 2  # designs with the same error, no worse than the four-bar, that suffice
-STEPS = 120
-
-
 def designs_from_four_bar(
     part: ContainedFourBar, four_bars: Sequence[LinkageDesign], polisher: Polisher, seed: int
 ) -> list[LinkageDesign]:
@@ -818,7 +818,7 @@ def designs_from_four_bar(
     for near, candidates in ((False, ended), (True, begun)):
         if not any(design.valid and no_worse_fit(design, best) for design in polished):
             candidates.sort(key=lambda candidate: candidate.cost)
-            for design in polisher.each(candidates[:POLISHED], near=near):
+            for design in polisher.each(candidates[:COMPOUND_TRIES], near=near):
                 polished.append(design)
                 if _agree([design for design in polished if design.valid and no_worse_fit(design, best)]):
                     break
@@ -832,7 +832,7 @@ def designs_from_four_bar(
 def _agree(designs: Sequence[LinkageDesign]) -> bool:
     """Return whether the best of some designs was reached several times."""
     least = min((design.error for design in designs), default=math.inf)
-    return sum(design.error <= least * (1.0 + OBJECTIVE_TOLERANCE) for design in designs) >= SUFFICIENT_DESIGNS
+    return sum(design.error <= least * (1.0 + SAME_OBJECTIVE) for design in designs) >= SUFFICIENT_DESIGNS
 
 
 def _candidates(variant: int, batch: Batch, x: np.ndarray, t: np.ndarray) -> list[Candidate]:

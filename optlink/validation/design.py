@@ -58,15 +58,14 @@ from optlink.validation.motion import FourBarMotion, LinkageMotion, motion_of, p
 if TYPE_CHECKING:
     from optlink.validation.cycle import Cycle
 
-MEET = 1e-6  # relative violation permitted for a limit of a quantity of the machine
+MEET = 1e-6  # relative violation permitted for a limit of a quantity of the machine, and for a tolerance
 ZERO_LIMIT_REFERENCE = 1e-3  # of the size of the signal, the reference for the tolerance of a limit of zero
 BALANCE = 1e-9  # relative difference permitted between the work of the drive and of the loads
 ROUNDING = {"rad": 1e-12, "m": 1e-11, "": 1e-11}
 """Absolute agreement required of nearly zero deviations, by their SI unit: lengths as a share of the size of the curve."""
 BASE = math.radians(1e-7)  # or share of the size; tolerance of an output at the start that is the actual one
 LEAST_PART = 0.25  # of a revolution whose positions cover the range of a law at least
-TOLERATED = 1e-6  # relative excess over a tolerance
-PIVOT = PLACED = 1e-8  # of the size; tolerance of the places of pivots, and of points
+PLACED = 1e-8  # of the size; tolerance of the places of pivots, and of points
 DIFFERENCE = 1e-5  # of the reference length; step of central differences by dimensions
 
 
@@ -139,7 +138,7 @@ def _targets(
         if part.tolerance is None or offset is not None:  # the output itself is limited, by a check of its own
             continue
         name = (f"largest {part.requirement.limited_by[1]}" if part.measure == "max" else "rms") + part.suffix
-        met = bool(tested.objective <= part.tolerance * (1.0 + TOLERATED))
+        met = bool(tested.objective <= part.tolerance * (1.0 + MEET))
         checks[name] = Check(name, met, tested.objective * factor * stated, f"<= {part.tolerance * factor * stated:.6g}", unit)
     return [*checks.values()], total, least
 
@@ -737,7 +736,7 @@ def _pivots(tested: _Tested) -> Iterator[Checks]:
     for name in [point for point, bodies in tested.mechanism.owners.items() if FRAME in bodies]:
         for axis, value, interval in zip("xy", motion.position(name)[:, 0].T, (region.x, region.y), strict=True):
             if interval is not None:
-                yield from limit_checks(f"pivot {name}.{axis}", value * 1e3, interval, PIVOT * tested.size * 1e3, 1e3, "mm")
+                yield from limit_checks(f"pivot {name}.{axis}", value * 1e3, interval, PLACED * tested.size * 1e3, 1e3, "mm")
 
 
 def _distances(tested: _Tested, region: RegionLimit, motion: tuple[Value, Value], shares: Array) -> Array:

@@ -15,10 +15,10 @@ from optlink.extending import (
     Section,
     SingleResult,
     Validation,
+    extremes,
     register,
 )
 from optlink.linkage import sweep
-from optlink.extending import extremes
 
 
 class Clearing(Section):

@@ -14,10 +14,11 @@ import pytest
 
 import optlink
 from optlink.linkage.fourbar import LENGTHS
+from optlink.solvers.solution import SAME_OBJECTIVE
 from optlink.synthesis.batch_search import Exploration, Searcher
 from optlink.tasks.design import MISSED_CHANCE, solve
 from optlink.tasks.results.common import percent
-from optlink.tasks.search import IDLE_ROUNDS, OBJECTIVE_TOLERANCE, DesignCollection, Polisher
+from optlink.tasks.search import IDLE_ROUNDS, DesignCollection, Polisher
 from tests import synthesis_oracle as oracle
 from tests.stated import document, four_bar_section, free
 
@@ -99,8 +100,8 @@ def test_reordered_candidates_are_refined_until_several_rounds_of_them_improve_n
     collection._idle = IDLE_ROUNDS - 1
     best, collection.designs = collection.designs[0], [replace(collection.designs[-1], objective=1.0)]
     collection.add(Exploration(repaired=result.repaired))
-    assert collection.designs[0].objective < 1.0 - OBJECTIVE_TOLERANCE
-    assert collection.designs[0].objective >= best.objective * (1.0 - OBJECTIVE_TOLERANCE)
+    assert collection.designs[0].objective < 1.0 - SAME_OBJECTIVE
+    assert collection.designs[0].objective >= best.objective * (1.0 - SAME_OBJECTIVE)
     assert collection._idle == 0
 
 

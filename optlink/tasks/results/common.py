@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Protocol, Self, TypeVar
 from optlink.errors import Status
 from optlink.problem.document import Document, Number, Result, Source
 from optlink.problem.file import ProblemFile
-from optlink.solvers.solution import FEASIBLE, STATIONARY, LimitState, Relaxation, Solution
+from optlink.solvers.solution import FEASIBLE, SAME_OBJECTIVE, STATIONARY, LimitState, Relaxation, Solution
 from optlink.tasks.results.certificate import Certificate, message
 from optlink.validation.check import MEASURED, MEASURED_ROBUST, Check, Validation
 
@@ -17,7 +17,6 @@ ROUNDED = 2e-7
 """Root mean square of the deviations, as a share of the size of the curve or in rad, below which a design is as good as exact:
 targets with six decimals leave that much."""
 OPTIMALITY_CHECK, LIMITS_CHECK = "optimality (KKT residual)", "all limits met (scaled)"  # names of checks
-BETTER = 1e-6  # relative difference by which the objective of a better optimum is less
 INEXACT = frozenset({OPTIMALITY_CHECK, LIMITS_CHECK, MEASURED, MEASURED_ROBUST})
 """Checks that a design may fail because its search ended too early: it is refined and measured again."""
 
@@ -69,7 +68,7 @@ class RejectedDesign:
 
 def best_rejected(designs: Iterable[RejectedDesign | None], objective: float) -> RejectedDesign | None:
     """Return the best of some rejected designs if it is better than the objective of the accepted one, else None."""
-    better = [one for one in designs if one is not None and one.objective < objective * (1.0 - BETTER)]
+    better = [one for one in designs if one is not None and one.objective < objective * (1.0 - SAME_OBJECTIVE)]
     return min(better, key=lambda one: one.objective, default=None)
 
 

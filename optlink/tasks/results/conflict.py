@@ -20,7 +20,7 @@ from optlink.linkage.mechanism import FRAME, Link, Mechanism
 from optlink.linkage.singular import LEAST_LENGTH_MARGIN, SMALLEST_LENGTH_MARGIN
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import Quantity
-from optlink.solvers.solution import LimitState, Relaxation
+from optlink.solvers.solution import SAME_OBJECTIVE, LimitState, Relaxation
 from optlink.units import percent
 
 MARGIN = 1e-6  # relative margin of a printed value: relaxations are found to about this accuracy
@@ -370,7 +370,6 @@ def _outward(value: float, upper: bool) -> float:
 KEY = "length_margin"
 MARGIN_NOTE = f"the default {KEY} "
 """Beginning of such a note."""
-LEAST_GAIN = 1e-6  # share of the objective; less is none
 
 
 def margin_notes(
@@ -391,7 +390,7 @@ def margin_notes(
     loop = problem.spec.four_bar
     assert loop is not None
     gain = objective - relaxed(problem.override({f"limits.{KEY}": SMALLEST_LENGTH_MARGIN}))
-    if not gain > LEAST_GAIN * abs(objective):
+    if not gain > SAME_OBJECTIVE * abs(objective):
         return ()
     shown = problem.model.shown_objective(objective)
     length = 1e3 * LEAST_LENGTH_MARGIN * max(loop.lengths(design))

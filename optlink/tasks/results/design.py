@@ -27,7 +27,7 @@ from optlink.problem.document import Column, Document, Number, Source, adapter, 
 from optlink.problem.file import ProblemFile, fixed_design, started
 from optlink.problem.targets.expression import Expression
 from optlink.problem.terms import Term
-from optlink.solvers.solution import LimitState, Relaxation, Solution
+from optlink.solvers.solution import SAME_OBJECTIVE, LimitState, Relaxation, Solution
 from optlink.synthesis.freudenstein import FirstStep
 from optlink.tasks.machine import turning_machine
 from optlink.tasks.results.certificate import Certificate, message
@@ -43,7 +43,7 @@ from optlink.tasks.results.common import (
     verified,
 )
 from optlink.tasks.results.conflict import refutation
-from optlink.tasks.results.fit import Fit, fit, transmission_fit
+from optlink.tasks.results.fit import FINE, Fit, fit, transmission_fit
 from optlink.tasks.results.strokes import stroke_document
 from optlink.units import DISPLAYED, KINDS, factor, percent
 from optlink.validation import validate
@@ -58,12 +58,8 @@ if TYPE_CHECKING:
 
 ALONG = 2001  # positions along the span at which alternations are counted
 DISTINCT = 1e-2  # least relative difference of two distinct designs
-EQUALLY_GOOD = 1e-6  # relative difference of the errors of equally good designs
-NEARLY_TURNED = 1e-9  # difference [rad] of an angle from -180 deg that counts as rounding error
-NO_ANGLE = 1e-9  # rad; rounding errors of an angle that is zero
-LEVEL = 1e-9  # of the size: deviation that is shown as exact
+NO_ANGLE = 1e-9  # rad; rounding errors of an angle that is zero, or -180 deg
 EXTREME_SHARE = 0.99  # fraction of the largest error that counts as an extreme value
-FINE = 721  # positions of a law at which its error is measured over the whole range
 WIDER = 1.0 + 5e-4  # ratio of the largest errors over the range and at the positions up to which the two are equal to four digits
 
 
@@ -368,7 +364,7 @@ class LinkageDesign(Summary):
         value, quantity = self.values[name], self.whole.quantities.get(name)
         if quantity is None or not quantity.free or not self.whole.is_periodic(name):
             return value
-        turned = value + math.pi <= NEARLY_TURNED and quantity.bounds[1] >= math.pi - NEARLY_TURNED
+        turned = value + math.pi <= NO_ANGLE and quantity.bounds[1] >= math.pi - NO_ANGLE
         return min(value + TURN, quantity.bounds[1]) if turned else value
 
     def alike(self, other: LinkageDesign) -> bool:
@@ -730,7 +726,7 @@ class SynthesisResult(Document):
         if not self.designs:
             return self
         first = self.designs[0]
-        equal = [d for d in self.designs if d.error <= first.error * (1.0 + EQUALLY_GOOD) or (d.exact and first.exact)]
+        equal = [d for d in self.designs if d.error <= first.error * (1.0 + SAME_OBJECTIVE) or (d.exact and first.exact)]
         equal = [d for d in equal if str(d.assembly) == min(str(other.assembly) for other in equal)]
         for name in first.whole.free:
             most = max(design.unwrapped(name) for design in equal)

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 # What would improve a poor fit, measured on the design: another start of a law, the other assembly mode, a fixed dimension.
 
-BETTER = 0.9  # fraction of the error below which another start or mode counts as a reason
+BETTER = 0.9  # fraction of the error below which another start or mode, or a displaced linkage, counts as a reason
 STARTS = 72  # start angles of a law that are tried
 DIMENSION_STEP = 1e-6  # scaled, of a fixed dimension
 MOST_VARIANTS = 32  # combinations of assembly modes that are tried
@@ -143,7 +143,7 @@ def curve_distances(task: DesignProblem, values: Mapping[str, float], crank_angl
     """
     begin = float(crank_angles[0])
     end = begin + TURN if task.limits.crank != "span" else float(crank_angles[-1])
-    curve = sweep(task.linkage, values, np.linspace(begin, end, POSITIONS)).position(task.point)
+    curve = sweep(task.linkage, values, np.linspace(begin, end, FINE)).position(task.point)
     gaps = [np.hypot(*(curve - place).T) for place in task.data.columns[:, :2]]
     return np.array([np.min(gap) if np.all(np.isfinite(gap)) else math.inf for gap in gaps])
 
@@ -246,7 +246,6 @@ def in_degrees(value: float) -> str:
 EXACT, GOOD, FAIR = 1e-9, 0.01, 0.05  # largest relative errors of these grades; beyond, a fit is poor
 GOOD_ANGLE, FAIR_ANGLE = math.radians(45.0), math.radians(40.0)  # least transmission angles of these grades
 ROUNDING = 1e-6  # rad: rounding tolerance, so that an active limit of 40 deg counts as satisfied
-MAX_DISPLACED_ERROR = 0.9  # fraction of the error below which a displaced linkage counts as a reason
 MAX_TIMED_ERROR = 0.5  # fraction of the error below which the distance of the curve makes the crank angles a reason
 MIN_LIMIT_SHARE = 1e-2  # least share of a limit in the sum of multiplier times bound that counts as a reason
 TRANSMISSION_KEYS = (
@@ -255,7 +254,7 @@ TRANSMISSION_KEYS = (
     "transmission angle",
     "pressure angle",
 )  # limits of the transmission angle
-POSITIONS = 721  # positions along a motion
+FINE = 721  # positions along a motion, such as those at which the error of a law is measured over its whole range
 NO_RANGE = 1e-3  # share of a radian, or of the longest link, below which targets are all the same: a dwell, a single position
 GRADES = ("exact", "good", "fair", "poor")
 MAX_ACTIVE_LIMITS = 2  # largest number of active limits given as reasons
@@ -467,7 +466,7 @@ def _rotating(task: DesignProblem, values: Mapping[str, float]) -> Iterator[Poor
     """Detect poses that rotate farther than the body over its whole motion."""
     if task.requirement.kind != "motion" or task.limits.crank == "span":
         return
-    angle = np.asarray(sweep(task.linkage, values, np.linspace(0.0, TURN, POSITIONS)).body_angle(task.body).value, dtype=float)
+    angle = np.asarray(sweep(task.linkage, values, np.linspace(0.0, TURN, FINE)).body_angle(task.body).value, dtype=float)
     if not np.all(np.isfinite(angle)):
         return
     turned, needed = float(np.ptp(np.unwrap(angle))), _rotation(task)
@@ -518,7 +517,7 @@ def _placed(task: DesignProblem, values: Mapping[str, float], measured: Measured
     rotation = np.sum(goal * path.conj())
     turned = path * (rotation / abs(rotation)) if turn and abs(rotation) > 0.0 and task.requirement.kind == "path" else path
     moved, error = rms(goal - turned), rms(measured.distances)
-    if moved < MAX_DISPLACED_ERROR * error:
+    if moved < BETTER * error:
         place = f"({_length(values.get('A.x', 0.0))}, {_length(values.get('A.y', 0.0))})"
         fixed = [f"the crank pivot is fixed at {place}"] * pivot
         fixed += [f"the frame's direction is fixed at {in_degrees(values.get('direction', 0.0))}"] * turn
