@@ -263,7 +263,7 @@ class BeltSection(Section):
 
     bodies: Pair
     """The two bodies with the wheels."""
-    diameters: Annotated[tuple[FixedLength, FixedLength] | None, BeforeValidator(lambda raw: raw)] = None
+    diameters: tuple[FixedLength, FixedLength] | None = None
     """Pitch diameters of the wheels."""
     radii: tuple[FixedLength, FixedLength] | None = None
     """Instead of the diameters: pitch radii."""

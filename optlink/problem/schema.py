@@ -24,6 +24,7 @@ from optlink.problem.base_model import NAME, SPELLINGS, Section
 from optlink.problem.design import DesignProblem
 from optlink.problem.limits import OF_QUANTITY, OF_REGION
 from optlink.problem.machine.balance import BalanceSection
+from optlink.problem.machine.bodies import STATIC
 from optlink.problem.machine.loads import OVER
 from optlink.problem.machine.model import FORMAT, marked_kinds
 from optlink.problem.quantity import SIDES, STROKES, Quantity, range_example
@@ -184,6 +185,28 @@ FORMS: dict[str, Form] = {
     "BodySection.centroid": either("text, or `[along, across]`", TEXT, _FIXED_PLACE),
     "BodySection.inertia": either("moment of inertia, or `uniform bar`", {"const": "uniform bar"}, text("moment of inertia")),
     "DriveSection.torque": size("torque"),
+    "DriveSection.range": either(
+        "`[low, high]`, angles or lengths", pair(text("angle", "coordinate")), TEXT, table("min", "max")
+    ),
+    "DriveSection.start": either("angle, or length", text("angle", "coordinate")),
+    "DriveSection.speed": either(
+        f"angular velocity, velocity, `{STATIC}`, or a table over `phi`",
+        {"const": STATIC},
+        text("angular velocity", "velocity"),
+        table("over", "csv", at=column("angle"), values=column("angular velocity")),
+    ),
+    "DriveSection.law": either(
+        "list of motions, expression of `t`, or table of `csv`",
+        {"type": "array", "items": table("time", "to", "law", form=TEXT)},
+        TEXT,
+        table("expression", "unit", "period", "duration", "csv", form=TEXT),
+    ),
+    "CylinderSection.joints": {"title": "list of two names", **pair(_NAME)},
+    **dict.fromkeys(("GearSection.bodies", "BeltSection.bodies"), {"title": "list of two names", **pair(_NAME)}),
+    "GearSection.teeth": {"title": "list of two whole numbers", **pair({"type": "integer", "minimum": 1})},
+    **dict.fromkeys(("BeltSection.diameters", "BeltSection.radii"), {"title": "list of two lengths", **pair(text("length"))}),
+    "CamSection.law": {"title": "list of segments", "type": "array", "items": table("to", "rise", "fall", "law", form=TEXT)},
+    "CamSection.start": either("angle or coordinate", text("angle", "coordinate")),
     "LoadSection.force": size("force"),
     "LoadSection.torque": size("torque"),
     "JointSection.clearance": text("length"),

@@ -33,6 +33,7 @@ from optlink.problem.quantity import (
     read_fixed,
     read_positive,
     read_scalar,
+    reader,
     where,
 )
 from optlink.units import measures
@@ -137,7 +138,7 @@ def _read_range(raw: object) -> tuple[Quantity, Quantity]:
     return low, high
 
 
-Acceleration = Annotated[Quantity, BeforeValidator(partial(read_fixed, kind="angular acceleration"))]
+Acceleration = Annotated[Quantity, reader(read_fixed, "angular acceleration")]
 Pace = Annotated[Quantity, BeforeValidator(_read_speed)]
 Position = Annotated[Quantity, BeforeValidator(partial(_either, angular="angle", linear="coordinate"))]
 
