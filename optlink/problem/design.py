@@ -16,6 +16,7 @@ from optlink.linkage.dyads import transmitting
 from optlink.linkage.fourbar import InnerFourBar, whole_four_bar
 from optlink.linkage.mechanism import Pose
 from optlink.linkage.vector2d import Array, Value
+from optlink.problem.driving import check_design_drive
 from optlink.problem.limits import LIMITS, MARGIN_KEYS, Bound, Limits, LimitTerm, Reach, check_limits, four_bar_limits
 from optlink.problem.linked import Link
 from optlink.problem.machine.model import Problem, ShownObjective
@@ -338,8 +339,10 @@ class DesignProblem(Problem):
     def _check_term(self, term: Term) -> None:
         check_term(term, self.linkage, self.quantities)
         if term.over is not None:
-            remedy = "Leave it out; only terms of [balance] count a range of crank angles"
-            raise Unusable("a design problem counts the whole revolution", remedy, "over", str(term.over))
+            message = "a design problem counts the whole revolution, or the whole range of the drive"
+            raise Unusable(
+                message, "State the range as drive.range; only terms of [balance] count a part", "over", str(term.over)
+            )
 
     def check_terms(self) -> None:
         """Check the quantities of the machine and their elements.
@@ -350,6 +353,7 @@ class DesignProblem(Problem):
             with the full key of the cause.
         """
         terms = (*self.goals, *self.named_limits.values())
+        check_design_drive(self.mechanism, self.drive)
         if any(term.nature.cyclic or term.ended or term.quantity == "work" for term in terms) and self.drive.speed.value == 0.0:
             remedy = "Give the constant speed of the cycle"
             raise Unusable("the crank speed is zero", remedy, "drive.speed", str(self.drive.speed))

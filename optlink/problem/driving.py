@@ -174,3 +174,22 @@ def _reaching(section: DyadsSection, name: str, drive: DriveSection, element: Dr
     ((low, high),) = places
     edge = ASIDE * (high - low)
     return replace(element, begin=low + edge, end=high - edge)
+
+
+def check_design_drive(section: FourBarSection | DyadsSection, drive: DriveSection) -> None:
+    """Refuse a drive of a design problem whose range or speed would differ from design to design.
+
+    Raises
+    ------
+    Unusable
+        with the full key of the cause.
+    """
+    if not drive.linear or drive.range is not None or not isinstance(section, DyadsSection):
+        return
+    cylinder = section.cylinders.get(str(drive.cylinder or drive.body))
+    if cylinder is None:
+        message = "the slide moves as far as the linkage lets it, which the design variables change"
+        raise Unusable(message, 'State the range that is needed: range = ["0 mm", "250 mm"]', "drive.range")
+    if drive.speed.kind != STATIC and not (cylinder.closed.fixed and cylinder.open.fixed):
+        message = "the stroke of the cylinder is a design variable, and with it the time of the motion"
+        raise Unusable(message, 'Write speed = "static", or fix closed and open', "drive.speed", str(drive.speed))

@@ -91,8 +91,8 @@ class CycleCurves:
 
     @property
     def steady(self) -> bool:
-        """Whether the crank turns fully and no quantity grows without bound."""
-        return self.result.sound and self.result.full
+        """Whether the motion that is asked for is possible and no quantity grows without bound."""
+        return self.result.sound and self.result.ranges.complete
 
     def peak(self, *names: str) -> float:
         """Return the largest absolute value of the columns [SI], restricted to the range of values that is drawn."""
