@@ -354,6 +354,10 @@ class DesignProblem(Problem):
         """
         terms = (*self.goals, *self.named_limits.values())
         check_design_drive(self.mechanism, self.drive)
+        if self.parts and self.linkage.limits is not None:
+            message = "targets of a machine whose drive has a range are not supported"
+            remedy = 'Leave range out; limits.crank = "span" asks only that the linkage reaches all targets'
+            raise Unusable(message, remedy, "drive.range")
         if any(term.nature.cyclic or term.ended or term.quantity == "work" for term in terms) and self.drive.speed.value == 0.0:
             remedy = "Give the constant speed of the cycle"
             raise Unusable("the crank speed is zero", remedy, "drive.speed", str(self.drive.speed))

@@ -6,6 +6,8 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from optlink.linkage.elements import FRAME, Drive
 from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.stroke import reachable
@@ -28,6 +30,25 @@ class Driving:
     mechanism: Mechanism
     pace: float
     first: float
+    ends: tuple[float, float] | None = None
+    """Slides or lengths [m] of a single drive along a line at the ends of its stroke."""
+
+    def place(self, position: float) -> float:
+        """Return the slide or length [m] of a drive along a line at a value of the cycle variable [rad]."""
+        assert self.ends is not None
+        return self.ends[0] + (self.ends[1] - self.ends[0]) * position / HALF
+
+    def text(self, position: float) -> str:
+        """Return a crank angle, or a value of the cycle variable [rad], as a designer calls it: "crank angle 30 deg"."""
+        if self.ends is None:
+            return f"{'cycle angle' if self.mechanism.drives else 'crank angle'} {math.degrees(position):.6g} deg"
+        return f"{self.coordinate} {1e3 * self.place(position):.6g} mm"
+
+    @property
+    def coordinate(self) -> str:
+        """What a single drive along a line changes: the length of a cylinder, or a slide."""
+        drive = self.mechanism.drives[0]
+        return f"{'length' if drive.size else 'slide'} of {drive.body}"
 
 
 def driven(section: FourBarSection | DyadsSection, name: str, drive: DriveSection, sizes: Mapping[str, float]) -> Driving:
@@ -102,7 +123,7 @@ def _along(section: FourBarSection | DyadsSection, name: str, drive: DriveSectio
         if not -1e-9 <= first <= HALF + 1e-9:
             low, high = (f"{1e3 * end:.6g} mm" for end in ends)
             raise Unusable("the drive starts outside its range", f"Start from {low} to {high}", "drive.start", str(drive.start))
-    return Driving(mechanism, pace, first)
+    return Driving(mechanism, pace, first, (ends[0], ends[1]))
 
 
 def linear_drive(section: DyadsSection, name: str, drive: DriveSection, key: str, sizes: Mapping[str, float]) -> Drive:
@@ -193,3 +214,25 @@ def check_design_drive(section: FourBarSection | DyadsSection, drive: DriveSecti
     if drive.speed.kind != STATIC and not (cylinder.closed.fixed and cylinder.open.fixed):
         message = "the stroke of the cylinder is a design variable, and with it the time of the motion"
         raise Unusable(message, 'Write speed = "static", or fix closed and open', "drive.speed", str(drive.speed))
+
+
+def check_same_drive(
+    drive: DriveSection, mechanism: Mechanism, before: Mapping[str, float], sizes: Mapping[str, object]
+) -> None:
+    """Refuse dimensions with which a slide or cylinder moves through another range, or at another speed, than the file states.
+
+    `before` are the dimensions of the file.
+
+    Raises
+    ------
+    Unusable
+        with the full key of the cause.
+    """
+    (element,) = mechanism.drives
+    changed = {name for name, size in sizes.items() if name in before and np.any(np.asarray(size) != before[name])}
+    if changed.intersection(map(str, element.sizes)) and drive.speed.kind != STATIC:
+        message = "the stroke of the cylinder differs from that of the file, and with it the time of the motion"
+        raise Unusable(message, 'Write speed = "static", or change closed and open in the file', "drive.speed", str(drive.speed))
+    if changed and not element.size and drive.range is None:
+        message = "the slide moves as far as the linkage lets it, which other dimensions change"
+        raise Unusable(message, 'State the range that is needed: range = ["0 mm", "250 mm"]', "drive.range")

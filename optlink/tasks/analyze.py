@@ -33,6 +33,7 @@ from optlink.tasks.machine import (
     MARGIN,
     check_design,
     check_repeats,
+    check_within_range,
     crank_speed,
     machine_of,
     motion_range,
@@ -600,7 +601,9 @@ def motion(
     problem = problem_of(problem)
     check_design(problem, design)
     machine = machine_of(problem, design)
-    return checked_sweep(machine.mechanism, machine.sizes, crank_angle, crank_speed(problem, speed), acceleration)
+    moved = checked_sweep(machine.mechanism, machine.sizes, crank_angle, crank_speed(problem, speed), acceleration)
+    check_within_range(problem, np.ravel(np.asarray(moved.crank_angle, dtype=float)))
+    return moved
 
 
 class Columns(dict[str, Array]):
@@ -631,7 +634,8 @@ def analyze_batch(
     columns : sequence of str
         Names as in `Analysis.columns`.
     points : int
-        Number of crank angles per revolution, starting at `drive.start`; the last one lies one step before the full revolution. A
+        Number of crank angles per revolution, starting at `drive.start`; the last one lies one step before the full revolution.
+        Over the range of a drive there are `points` steps, and one crank angle more. A
         machine whose motion or loads repeat after several revolutions has all those of the longest cycle of all designs.
     speed : float [rad/s], optional
         Crank speed. Default: that of the problem.
@@ -666,12 +670,16 @@ def analyze_batch(
     check_repeats(problem, given)
     revolutions = math.lcm(_longest_cycle(problem, arrays) if follows else 1, given.revolutions or 1)
     angles = problem.model.driving.first + np.copysign(TURN, direction) * np.arange(revolutions * points) / points
+    if (limits := given.mechanism.limits) is not None:
+        angles = np.linspace(*(limits if direction > 0.0 else limits[::-1]), points + 1)
     available = MotionColumns(given.moving(angles[:1], direction)).columns
     for name in columns:
         check_choice("columns", name, available, "no such column", problem.file)
     result = Columns()
     result.update({name: np.empty((count, len(angles))) for name in columns})
-    samples = angles if points >= SAMPLES else problem.model.driving.first + TURN * np.arange(revolutions * SAMPLES) / SAMPLES
+    samples = angles
+    if points < SAMPLES and limits is None:
+        samples = problem.model.driving.first + TURN * np.arange(revolutions * SAMPLES) / SAMPLES
     step = 1 if follows else max(1, BLOCK_SIZE // points)
     for first in range(0, count, step):
         for part, defined in _by_slow_stroke(problem, arrays, np.arange(first, min(first + step, count)), single=follows):

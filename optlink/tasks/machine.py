@@ -245,6 +245,31 @@ def check_range_reached(problem: ProblemFile, machine: Machine) -> None:
         raise InputError(message, remedy, problem.file, "drive.range", problem.at("drive.range"))
 
 
+def check_within_range(problem: ProblemFile, crank_angles: Array) -> None:
+    """Refuse crank angles [rad] outside the range of the drive.
+
+    Raises
+    ------
+    InputError
+        With the first one.
+    """
+    mechanism = problem.model.linkage
+    if mechanism.limits is None:
+        return
+    low, high = mechanism.limits
+    slack = 1e-9 * (high - low)
+    outside = crank_angles[(crank_angles < low - slack) | (crank_angles > high + slack)]
+    if outside.size:
+        message = f"the position {position_text(problem, float(outside[0]))} lies outside the range of the drive"
+        remedy = f"Give positions from {position_text(problem, low)} to {position_text(problem, high)}, or change the range"
+        raise InputError(message, remedy, problem.file, "drive.range", problem.at("drive.range"))
+
+
+def position_text(problem: ProblemFile, position: float) -> str:
+    """Return a crank angle [rad], or the slide or length at a value of the cycle variable [rad], with its unit."""
+    return problem.model.driving.text(position)
+
+
 def check_repeats(problem: ProblemFile, machine: Machine) -> None:
     """Refuse a machine whose crank turns fully, but whose loads do not repeat after whole revolutions."""
     if machine.ranges.full:
