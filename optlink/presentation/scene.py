@@ -561,8 +561,8 @@ def scene(cycle: Analysis, steps: int = STEPS, at: float | None = None, regions:
     """
     machine = cycle.machine
     direction = math.copysign(1.0, cycle.speed)
-    first = math.radians(float(cycle["crank_angle_deg"][0]))
-    last = first + direction * cycle.cycle if cycle.full else math.radians(float(cycle["crank_angle_deg"][-1]))
+    first = float(cycle.positions[0])
+    last = first + direction * cycle.cycle if cycle.full else float(cycle.positions[-1])
     count = steps * round(cycle.cycle / TURN) if cycle.full else max(1, math.ceil(abs(last - first) / TURN * steps))
     angles = np.linspace(first, last, count + 1)
     whole = Scene(sweep(machine.mechanism, machine.sizes, angles, cycle.speed), machine, regions=regions, unit=MM)
@@ -577,5 +577,5 @@ def scene(cycle: Analysis, steps: int = STEPS, at: float | None = None, regions:
 def scene_at(cycle: Analysis, angles: Array) -> Scene:
     """Return the scene of an analysed machine at crank angles (positions,) [rad], with the extent of its whole motion."""
     machine = cycle.machine
-    full_motion = sweep(machine.mechanism, machine.sizes, np.radians(cycle["crank_angle_deg"]), cycle.speed)
+    full_motion = sweep(machine.mechanism, machine.sizes, cycle.positions, cycle.speed)
     return Scene(full_motion, machine, unit=MM).moved(sweep(machine.mechanism, machine.sizes, angles, cycle.speed))

@@ -46,7 +46,9 @@ def typed(function: Callable[P, R]) -> Callable[P, R]:
         annotations = {name: text for name, text in function.__annotations__.items() if name != "return"}
         hints = typing.get_type_hints(types.SimpleNamespace(__annotations__=annotations), function.__globals__)
         given = {name: Annotated[hint, pydantic.Strict(False)] if hint == Path | None else hint for name, hint in hints.items()}
-        given = {name: pydantic.InstanceOf[hint] if is_dataclass(hint) else hint for name, hint in given.items()}
+        for name, hint in given.items():
+            if is_dataclass(hint):  # its fields are checked already
+                given[name] = pydantic.InstanceOf[hint]  # type: ignore[misc, valid-type]
         fields: dict[str, Any] = {name: (hint, pydantic.Field()) for name, hint in given.items()}  # a path may be a text
         return pydantic.create_model("Arguments", __config__={"arbitrary_types_allowed": True, "strict": True}, **fields)
 

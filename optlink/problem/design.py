@@ -117,6 +117,11 @@ class DesignProblem(Problem):
             with the full key of the cause.
         """
         check_one_mode(self.mechanism)
+        check_design_drive(self.mechanism, self.drive)
+        if self.parts and self.linkage.limits is not None:
+            message = "targets of a machine whose drive has a range are not supported"
+            remedy = 'Leave range out; limits.crank = "span" asks only that the linkage reaches all targets'
+            raise Unusable(message, remedy, "drive.range")
         check_limits(self.limits, self.linkage, four_bar=self.four_bar is not None)
         for name in () if self.parts else self.limits.model_fields_set:
             if name in Limits.model_fields and f"limits.{name}" in self.inapplicable:
@@ -353,11 +358,6 @@ class DesignProblem(Problem):
             with the full key of the cause.
         """
         terms = (*self.goals, *self.named_limits.values())
-        check_design_drive(self.mechanism, self.drive)
-        if self.parts and self.linkage.limits is not None:
-            message = "targets of a machine whose drive has a range are not supported"
-            remedy = 'Leave range out; limits.crank = "span" asks only that the linkage reaches all targets'
-            raise Unusable(message, remedy, "drive.range")
         if any(term.nature.cyclic or term.ended or term.quantity == "work" for term in terms) and self.drive.speed.value == 0.0:
             remedy = "Give the constant speed of the cycle"
             raise Unusable("the crank speed is zero", remedy, "drive.speed", str(self.drive.speed))

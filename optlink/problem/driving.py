@@ -40,15 +40,32 @@ class Driving:
 
     def text(self, position: float) -> str:
         """Return a crank angle, or a value of the cycle variable [rad], as a designer calls it: "crank angle 30 deg"."""
-        if self.ends is None:
-            return f"{'cycle angle' if self.mechanism.drives else 'crank angle'} {math.degrees(position):.6g} deg"
-        return f"{self.coordinate} {1e3 * self.place(position):.6g} mm"
+        return f"{self.coordinate} {self.shown(position):.6g} {self.unit}"
+
+    def shown(self, position: float) -> float:
+        """Return a crank angle, or the slide or length at a value of the cycle variable [rad], in `unit`."""
+        return math.degrees(position) if self.ends is None else 1e3 * self.place(position)
+
+    @property
+    def unit(self) -> str:
+        """Display unit of the positions of the drive."""
+        return "deg" if self.ends is None else "mm"
 
     @property
     def coordinate(self) -> str:
-        """What a single drive along a line changes: the length of a cylinder, or a slide."""
+        """What the positions of the drive are: crank angles, the slide of a body, the length of a cylinder."""
+        if self.ends is None:
+            return "cycle angle" if self.mechanism.drives else "crank angle"
         drive = self.mechanism.drives[0]
         return f"{'length' if drive.size else 'slide'} of {drive.body}"
+
+    @property
+    def reach(self) -> str:
+        """The range of the drive in words: "crank angle 0 ... 90 deg"; empty for a crank that turns."""
+        if self.mechanism.limits is None:
+            return ""
+        low, high = (f"{self.shown(end):.6g}" for end in self.mechanism.limits)
+        return f"{self.coordinate} {low} ... {high} {self.unit}"
 
 
 def driven(section: FourBarSection | DyadsSection, name: str, drive: DriveSection, sizes: Mapping[str, float]) -> Driving:
@@ -216,9 +233,7 @@ def check_design_drive(section: FourBarSection | DyadsSection, drive: DriveSecti
         raise Unusable(message, 'Write speed = "static", or fix closed and open', "drive.speed", str(drive.speed))
 
 
-def check_same_drive(
-    drive: DriveSection, mechanism: Mechanism, before: Mapping[str, float], sizes: Mapping[str, object]
-) -> None:
+def check_same_drive(drive: DriveSection, mechanism: Mechanism, before: Mapping[str, float], sizes: Mapping[str, object]) -> None:
     """Refuse dimensions with which a slide or cylinder moves through another range, or at another speed, than the file states.
 
     `before` are the dimensions of the file.

@@ -235,12 +235,15 @@ def check_range_reached(problem: ProblemFile, machine: Machine) -> None:
             ),
             None,
         )
-        reached = f"it can move in {ranges.text}" if ranges.ranges else "no position of it can be reached"
-        message = f"the range cannot be moved through: {failed or 'the mechanism cannot be assembled'}; {reached}"
+        driving = problem.model.driving
+        moves = (f"{driving.shown(a):.6g} ... {driving.shown(b):.6g} {driving.unit}" for a, b in ranges.ranges)
+        reached = f"it can move in {', '.join(moves)}" if ranges.ranges else "no position of it can be reached"
+        why = failed.at(driving.text(failed.crank_angle)) if failed else "the mechanism cannot be assembled"
+        message = f"the range cannot be moved through: {why}; {reached}"
         raise InputError(message, "Change the range, or the dimensions", problem.file, "drive.range", problem.at("drive.range"))
     if ranges.singular:
-        where = positions_text(ranges.singular)
-        message = f"the range crosses a singular position at crank angle {where}: the motion beyond it is not determined"
+        where = problem.model.driving.text(ranges.singular[0].crank_angle)
+        message = f"the range crosses a singular position at {where}: the motion beyond it is not determined"
         remedy = 'End the range before it, change the dimensions, or append ", continue" to the mode for the smooth motion'
         raise InputError(message, remedy, problem.file, "drive.range", problem.at("drive.range"))
 

@@ -181,3 +181,72 @@ def test_what_has_no_meaning_over_a_range_is_refused(tmp_path, text, key, value,
         part = "the stroke of the cylinder is a design variable"
     with pytest.raises(InputError, match=part):
         problem(tmp_path, text, **changes)
+
+
+DAMPED_LID = """
+title = "Damped lid"
+gravity = "9.81 m/s^2"
+[mechanism.ground]
+H = ["0 m", "0 m"]
+[mechanism.links]
+lid = { joints = ["H", "E"], length = "1.2 m" }
+[bodies]
+lid = { mass = "50 kg", centroid = ["0.8 m", "0 m"], inertia = "6 kg*m^2" }
+[loads]
+damper = { on = "lid", torsional_damping = "20 N*m*s/rad" }
+[drive]
+body = "lid"
+range = ["0 deg", "90 deg"]
+speed = "0.5 rad/s"
+"""
+
+
+def test_the_way_back_is_told_where_forces_differ(tmp_path):
+    """The weight of 392.4 N m and the damper of 10 N m add on the way up and are subtracted on the way down."""
+    result = optlink.analyze(problem(tmp_path, DAMPED_LID))
+    extreme = result.extremes["input.torque_Nm"]
+    assert (extreme.least, extreme.largest) == pytest.approx((10.0, 402.4))
+    assert result.work == pytest.approx(392.4 + 5.0 * math.pi)
+    assert "between -10 and 382.4 N m, and its work is -376.69 J" in result.notes[-1]
+    assert not optlink.analyze(problem(tmp_path, DAMPED_LID.replace("20 N*m", "0 N*m"))).notes
+
+
+def test_batches_motions_and_sensitivities_keep_to_the_range(tmp_path):
+    file = problem(tmp_path, STRUT)
+    arms = np.array([0.2, 0.26])
+    torque = optlink.analyze_batch(file, {"lid.M.along": arms}, ["input.torque_Nm"], points=9)["input.torque_Nm"]
+    phi = np.radians(np.linspace(0.0, 90.0, 10))
+    for row, m in zip(torque, arms, strict=True):
+        np.testing.assert_allclose(row, strut_torque({"S.x": 0.1, "S.y": -0.3, "lid.M.along": m}, phi), rtol=1e-9)
+    with pytest.raises(InputError, match=r"crank angle 120 deg lies outside the range of the drive\. .*crank angle 90 deg"):
+        optlink.motion(file, [0.0, math.radians(120.0)])
+
+
+def test_positions_of_a_cylinder_are_its_lengths(tmp_path):
+    file = problem(tmp_path, LIFT)
+    result = optlink.analyze(file, points=4)
+    assert next(iter(result.columns)) == "cycle_deg"
+    np.testing.assert_allclose(result["lift.length_m"], np.linspace(0.8, 1.3, 5), rtol=1e-12)
+    _, force = lift_forces([0.5, -0.5, 0.9])
+    np.testing.assert_allclose(result["input.force_N"], force[::100], rtol=1e-7)
+    assert file.model.driving.text(0.5 * math.pi) == "length of lift 1050 mm"
+    with pytest.raises(InputError, match=r"length of lift 1436\.62 mm lies outside the range of the drive"):
+        optlink.motion(file, [4.0])
+    with pytest.raises(InputError, match=r"at length of lift 1612\.65 mm .* fails to close .* 800 \.\.\. 1612\.65 mm"):
+        optlink.analyze(problem(tmp_path, LIFT, **{"mechanism.cylinders.lift.open": "2 m"}))
+    with pytest.raises(InputError, match="not supported"):
+        optlink.simulate(file)
+    sizes, at = file.model.sizes({}), np.array([0.5, 2.5])
+    found = optlink.studies.output_sensitivity(file.model.linkage, sizes, at, "boom", ["G.x", "lift.open"])
+    for name in ("G.x", "lift.open"):
+        ends = [
+            optlink.linkage.sweep(file.model.linkage, {**sizes, name: sizes[name] + by}, at).body_angle("boom").value
+            for by in (1e-6, -1e-6)
+        ]
+        np.testing.assert_allclose(found.by[name], (ends[0] - ends[1]) / 2e-6, rtol=1e-6)
+
+
+def test_targets_and_clearance_refuse_a_range(tmp_path):
+    target = '\n[requirement]\nkind = "transmission"\n'
+    with pytest.raises(InputError, match="targets of a machine whose drive has a range are not supported"):
+        problem(tmp_path, CRANK_ROCKER.partition("[objective]")[0] + target)
