@@ -790,6 +790,13 @@ def _check_range(term: Term, mechanism: Mechanism) -> None:
     if mechanism.drives and term.over is not None:
         message = "the drive is no crank, so it has no crank angles"
         raise Unusable(message, "Leave it out, and state drive.range", "over", str(term.over))
+    if term.over is not None and mechanism.limits is not None:
+        (low, high), (begin, end) = term.over.bounds, mechanism.limits
+        turns = TURN * math.ceil((begin - low) / TURN - 1e-9)
+        if high + turns > end + 1e-9:
+            message = "the drive does not move through all of this"
+            remedy = f"Give angles from {math.degrees(begin):.6g} to {math.degrees(end):.6g} deg, or change drive.range"
+            raise Unusable(message, remedy, "over", str(term.over))
     if what == "shaking moment" and mechanism.drives and term.about is None:
         message, remedy = "there is no crank pivot about which it acts", f'Add about = "{next(iter(mechanism.ground))}"'
         raise Unusable(message, remedy, "about")

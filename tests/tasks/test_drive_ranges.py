@@ -250,3 +250,108 @@ def test_targets_and_clearance_refuse_a_range(tmp_path):
     target = '\n[requirement]\nkind = "transmission"\n'
     with pytest.raises(InputError, match="targets of a machine whose drive has a range are not supported"):
         problem(tmp_path, CRANK_ROCKER.partition("[objective]")[0] + target)
+
+
+LAMP = """
+title = "Lamp arm"
+gravity = "9.81 m/s^2"
+[mechanism.ground]
+A = ["0 mm", "0 mm"]
+D = ["0 mm", "60 mm"]
+S = ["0 mm", "100 mm"]
+[mechanism.links]
+arm = { joints = ["A", "B"], length = "400 mm", points = { Q = ["80 mm", "0 mm"] } }
+head = { joints = ["B", "C"], length = "60 mm", points = { L = ["30 mm", "-120 mm"] } }
+upper = { joints = ["D", "C"], length = "400 mm" }
+[mechanism.assembly]
+C = "right of B-D"
+[bodies]
+head = { mass = "1.2 kg", centroid = "L", inertia = "0.001 kg*m^2" }
+[drive]
+body = "arm"
+range = ["-60 deg", "60 deg"]
+speed = "static"
+[balance]
+minimise = "peak torque"
+[[balance.springs]]
+name = "tie"
+between = ["S", "Q"]
+stiffness = { max = "5000 N/m" }
+free_length = "0 mm"
+"""
+
+
+@pytest.mark.parametrize("words", ["peak torque", "peak torque from -30 to 45 deg", "peak torque from 330 to 405 deg"])
+def test_lamp_is_balanced_within_its_range(tmp_path, words):
+    """A spring of zero free length balances it everywhere: k = m g L / (h r); beyond +-90 deg the parallelogram is singular."""
+    result = optlink.balance(problem(tmp_path, LAMP, **{"balance.minimise": words}))
+    assert result.springs[0].stiffness == pytest.approx(1.2 * 9.81 * 0.4 / (0.1 * 0.08), rel=1e-6)
+    assert not [note for note in result.notes if "turn fully" in note or "between the positions" in note]
+
+
+def test_a_window_outside_the_range_is_refused(tmp_path):
+    with pytest.raises(InputError, match="the drive does not move through all of this.* from -60 to 60 deg"):
+        optlink.balance(problem(tmp_path, LAMP, **{"balance.minimise": "peak torque from 50 to 120 deg"}))
+
+
+def test_a_spring_relieves_a_cylinder(tmp_path):
+    """The stiffness has the least peak force of the cylinder over its stroke, by the cosine rule and virtual power."""
+    text = LIFT.partition("[objective]")[0].replace('O = ["0 m", "0 m"]', 'O = ["0 m", "0 m"]\nP = ["-0.2 m", "1.5 m"]')
+    for start, bounds in (("0.5", '"0.1 m", "1.2 m"'), ("-0.5", '"-1.0 m", "-0.2 m"'), ("0.9", '"0.3 m", "2 m"')):
+        text = text.replace(f'{{ start = "{start} m", bounds = [{bounds}] }}', f'"{start} m"')
+    springs = '[[balance.springs]]\nname = "tie"\nbetween = ["P", "M"]\nstiffness = { max = "20000 N/m" }\nfree_length = "0 mm"\n'
+    result = optlink.balance(problem(tmp_path, f'{text}[balance]\nminimise = "peak drive force"\n{springs}'))
+    angle, force = lift_forces([0.5, -0.5, 0.9])
+    s = np.linspace(0.8, 1.3, len(angle))
+    x = 0.9 * np.cos(angle) + 0.1 * np.sin(angle) + 0.2
+    y = 0.9 * np.sin(angle) - 0.1 * np.cos(angle) - 1.5
+    pull = np.gradient(0.5 * (x**2 + y**2), s, edge_order=2)  # per stiffness
+    stiffness = np.linspace(0.0, 20000.0, 20001)
+    peaks = np.max(np.abs(force + stiffness[:, None] * pull), axis=1)
+    assert result.springs[0].stiffness == pytest.approx(float(stiffness[np.argmin(peaks)]), abs=2.0)
+
+
+PRESS = """
+title = "Press"
+[mechanism.ground]
+A = ["0 mm", "0 mm"]
+[mechanism.links]
+crank = { joints = ["A", "B"], length = "40 mm" }
+rod = { joints = ["B", "C"], length = { start = "150 mm", bounds = ["80 mm", "300 mm"] } }
+ram = { joints = ["C"] }
+[mechanism.guides]
+G = { slider = "ram", through = ["0 mm", "0 mm"], offset = { start = "0 mm", bounds = ["-30 mm", "30 mm"] } }
+[mechanism.assembly]
+C = "forward"
+[loads]
+cut = { on = "ram", force = "1000 N", acts = "opposing" }
+[drive]
+range = ["20 deg", "250 deg"]
+speed = "10 rad/s"
+[objective]
+quantity = "torque"
+measure = "rms"
+[limits]
+slide = { quantity = "stroke", of = "ram", min = "79 mm" }
+"""
+
+
+def test_a_load_that_switches_within_the_range(tmp_path):
+    """The ram reverses once; the torque is 1000 N times the transfer of the ram, of either sense."""
+    result = optlink.solve(problem(tmp_path, PRESS))
+    phi = np.radians(np.linspace(20.0, 250.0, 40001))
+
+    def figures(rod, offset):
+        across = 0.04 * np.sin(phi) - offset
+        slide = 0.04 * np.cos(phi) + np.sqrt(rod**2 - across**2)
+        transfer = -0.04 * np.sin(phi) - across * 0.04 * np.cos(phi) / np.sqrt(rod**2 - across**2)
+        return 1000 * math.sqrt(float(np.trapezoid(transfer**2, phi) / np.ptp(phi))), float(np.ptp(slide))
+
+    design = result.best.design
+    own, stroke = figures(design["rod.length"], design["G.offset"])
+    assert result.valid and own == pytest.approx(result.best.objective, rel=1e-6)
+    assert {figure.words: figure.result for figure in result.best.figures}["stroke of ram"] == pytest.approx(
+        1e3 * stroke, rel=1e-6
+    )
+    others = (figures(rod, e) for rod in np.linspace(0.08, 0.3, 45) for e in np.linspace(-0.03, 0.03, 25))
+    assert result.best.objective <= min(rms for rms, reached in others if reached >= 0.079) * (1 + 1e-6)
