@@ -121,7 +121,7 @@ def check_forces(problem: AnyProblem, design: Mapping[str, float] | None = None,
     if machine.friction or machine.loads or not machine.inertias:
         raise InputError("energies are compared for machines with masses, without friction and loads", "Give such a machine")
     cycle = analyze(problem, design=design)
-    angles = np.radians(cycle["crank_angle_deg"])
+    angles = cycle.positions
 
     def energy(at: Array) -> Array:
         moving = machine.moving(at, cycle.speed)

@@ -20,7 +20,7 @@ from optlink.dynamics.machine import Machine, Parameters
 from optlink.errors import SolverError
 from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.machine.balance import BalanceSection
-from optlink.problem.terms import Term
+from optlink.problem.terms import Term, linear_drives
 from optlink.units import KINDS
 
 # Forces and torques that terms name, over the positions of a machine: convex in the masses and stiffnesses that are added.
@@ -52,7 +52,10 @@ def unit_of(term: Term) -> str:
 
 def measured(machine: Machine, section: BalanceSection) -> list[Term]:
     """Return all terms that are measured, as root mean squares: shaking force and moment, torque, every reaction."""
-    terms: list[dict[str, Any]] = [{"quantity": name} for name in ("shaking force", "shaking moment", "torque")]
+    drive = [{"quantity": "drive force", "of": drive.name} for drive in linear_drives(machine.mechanism)] or [
+        {"quantity": "torque"}
+    ]
+    terms: list[dict[str, Any]] = [{"quantity": "shaking force"}, {"quantity": "shaking moment"}, *drive]
     for point, bodies in machine.mechanism.pins.items():
         terms += [{"quantity": "reaction", "of": point, "on": body} for body in (bodies if len(bodies) > 2 else (None,))]
     terms += [{"quantity": "guide force", "of": guide.name} for guide in machine.mechanism.guides]
@@ -177,8 +180,14 @@ class BalancingProgramme:
         """Return the scales of a spring: the upper bound of its stiffness, else a stiffness typical of the driving torque."""
         high = spring.stiffness[1]
         if not 0.0 < high < math.inf:
-            torque = Term(quantity="torque", measure="rms")
-            high = (value(torque, amounts(self.effects.original, torque)) or 1.0) / self.length**2
+            linear = linear_drives(self.effects.original.machine.mechanism)
+            effort = (
+                Term(quantity="drive force", of=linear[0].name, measure="rms")
+                if linear
+                else Term(quantity="torque", measure="rms")
+            )
+            size = self.length if linear else self.length**2
+            high = (value(effort, amounts(self.effects.original, effort)) or 1.0) / size
         return np.array([high, high * self.length])
 
     @cached_property

@@ -15,7 +15,7 @@ import numpy as np
 
 from optlink.linkage.elements import FRAME as FRAME, Drive, Element, Single
 from optlink.linkage.jet import Jet, as_jet
-from optlink.linkage.vector2d import Array, Value, Vector, angle, angle_from, cross, dot, minus, plus, turn, turn_back, unit
+from optlink.linkage.vector2d import TURN, Array, Value, Vector, angle, angle_from, cross, dot, minus, plus, turn, turn_back, unit
 
 # Sides of a group over the crank angle, and its Taylor series about singular positions.
 #
@@ -519,6 +519,11 @@ class Mechanism:
 
     def __repr__(self) -> str:
         return f"<Mechanism {self.name!r}: {', '.join(self.bodies)}>"
+
+    @property
+    def extent(self) -> tuple[float, float]:
+        """Crank angles [rad] between which the motion counts: its limits, else a revolution from 0."""
+        return self.limits or (0.0, TURN)
 
     @cached_property
     def followed(self) -> bool:

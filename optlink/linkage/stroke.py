@@ -45,9 +45,12 @@ class Failure:
     gap: float
 
     def __str__(self) -> str:
+        return self.at(f"crank angle {math.degrees(self.crank_angle):.6g} deg")
+
+    def at(self, position: str) -> str:
+        """Return what fails at a position in words."""
         first, second = (link.body for link in self.group.links)
-        what = f"the {self.group.kind} group {first}-{second} (joint {self.group.joint})"
-        where = f"at crank angle {math.degrees(self.crank_angle):.6g} deg"
+        what, where = f"the {self.group.kind} group {first}-{second} (joint {self.group.joint})", f"at {position}"
         if self.group.least > 0.0:
             return f"{where} {what} has no defined position: its two guides are parallel"
         amount = f" by {self.gap * 1e3:.6g} mm" if self.gap > 0.0 else ""

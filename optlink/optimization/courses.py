@@ -284,7 +284,17 @@ class TermCourse:
     @property
     def strokes(self) -> int:
         """Number of parts into which events divide the cycle."""
-        return max(1, self.cuts) * self.trace.revolutions
+        return self.cuts + 1 if self.trace.limited else max(1, self.cuts) * self.trace.revolutions
+
+    @property
+    def ended(self) -> bool:
+        """Whether strokes have ends: quantities are not periodic, and may be largest there."""
+        return self.cuts > 0 or self.trace.limited
+
+    @property
+    def whole(self) -> float:
+        """Crank rotation [rad] over which quantities of the cycle are means."""
+        return (self.trace.high - self.trace.low) * self.trace.revolutions
 
     @cached_property
     def nodes(self) -> tuple[Array, Array]:
@@ -293,10 +303,10 @@ class TermCourse:
 
     def _rule(self, count: int) -> tuple[Array, Array]:
         """Return shares and weights of Gauss's rule; without events even steps integrate smooth periodic functions best."""
-        if not self.cuts:
+        if not self.ended:
             return np.arange(count) / count, np.full(count, 1.0 / count)
         least = FEWEST * (2 if self.integral else 1)
-        shares, weights = np.polynomial.legendre.leggauss(max(least, math.ceil(count / self.cuts)))
+        shares, weights = np.polynomial.legendre.leggauss(max(least, math.ceil(count / max(1, self.cuts))))
         return 0.5 * (shares + 1.0), 0.5 * weights
 
     def integral_error(self, values: Mapping[str, float], events: Array) -> float:
@@ -312,7 +322,7 @@ class TermCourse:
                 square = term.how == "rms"
                 sums = [np.sum(weight * (np.square(part) if square else part)) for weight, parts in rows for part in parts]
                 size = max(float(np.max(np.abs(part))) for _, parts in rows for part in parts) ** (2 if square else 1)
-                figures[-1].append((math.fsum(sums), TURN * size))
+                figures[-1].append((math.fsum(sums), (self.trace.high - self.trace.low) * size))
         pairs = zip(*figures, strict=True)
         return max((abs(a - b) / max(abs(b), SMALL_INTEGRAL * size, 1e-300) for (a, _), (b, size) in pairs), default=0.0)
 
@@ -330,7 +340,7 @@ class TermCourse:
 
     def _sizes(self) -> list[float]:
         """Return the largest values [SI] of the terms of the objective at a design; their scale or 1 where they have none."""
-        shares = np.linspace(0.0, 1.0, math.ceil(SIZE_POSITIONS / max(1, self.cuts)), endpoint=bool(self.cuts))
+        shares = np.linspace(0.0, 1.0, math.ceil(SIZE_POSITIONS / max(1, self.cuts)), endpoint=self.ended)
         events = np.array(self.structure.angles)
         with np.errstate(all="ignore"):
             each = [motion.signals(shares) for motion in self.motions(self.problem.complete(self.near), events)]

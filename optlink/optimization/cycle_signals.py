@@ -70,9 +70,10 @@ class StrokeEnd:
 
 @dataclass(frozen=True)
 class EventOrder:
-    """The events of a revolution: index of each, whether it rises, crank angle [rad].
+    """The events of a revolution, or of the range of the drive: index of each, whether it rises, crank angle [rad].
 
-    Dividing events come first, ordered from a rise of the first of them; the others follow for each output, as they may coincide.
+    Dividing events come first, in a revolution from a rise of the first of them; the others follow for each output, as they may
+    coincide.
     """
 
     which: tuple[int, ...]
@@ -106,7 +107,7 @@ class Sample:
 
     @cached_property
     def structure(self) -> EventOrder | None:
-        """The events; None if the crank cannot rotate fully."""
+        """The events; None if the crank cannot rotate fully, or move through its range."""
         return None if self.events is None else self.events()
 
     def may_be_like(self, other: EventOrder) -> bool:
@@ -144,6 +145,7 @@ class TracedCycle:
     ) -> None:
         self.problem, self.mechanism, self.values = problem, problem.linkage, values
         self.speed = problem.driving.pace
+        self.limited, (self.low, self.high) = self.mechanism.limits is not None, self.mechanism.extent
         self.direction = -1.0 if self.speed < 0.0 else 1.0
         self.names = list(problem.quantities)
         self.terms: tuple[Term, ...] = (*problem.goals, *(bound.term for bound in problem.bounds))
@@ -151,7 +153,7 @@ class TracedCycle:
         self.ended = [term for term in self.terms if term.quantity in ("stroke", "end")]  # computed at the ends of strokes
         self.works = any(term.quantity == "work" for term in self.terms)
         self.base, self.slow = self._relevant(problem.machine(values, slow)), slow
-        self.revolutions = self.base.revolutions or 1
+        self.revolutions = 1 if self.limited else self.base.revolutions or 1
         self.events = self._events()
         inputs = casadi.SX.sym("inputs", len(self.names) + 1)
         with symbols_in_numpy():
@@ -169,7 +171,12 @@ class TracedCycle:
 
     @property
     def assumed(self) -> EventOrder:
-        """An order of events for designs of which none is known: every motion goes to and fro once, one after the other."""
+        """An order of events for designs of which none is known: every motion goes to and fro once, one after the other.
+
+        Within a range there are none.
+        """
+        if self.limited:
+            return EventOrder((), (), ())
         cutting = sorted(range(len(self.events)), key=lambda k: not self.events[k].cuts)
         angles = [0.5 * TURN * k / max(1, len(cutting)) for k in range(len(cutting))]
         every = [
@@ -194,7 +201,7 @@ class TracedCycle:
         machine = self.base.with_(sizes=sizes, inertias=self.problem.inertias(sizes))
         phi = inputs[len(self.names)]
         still = {name: Jet(size) for name, size in sizes.items()}  # casadi operators reject jets: use jets throughout
-        pose = self.mechanism.pose(still, unit(Jet(phi, self.speed, 0.0)))
+        pose = self.mechanism.at(still, Jet(phi, self.speed, 0.0))
         return _MovingWithSenses(machine, Motion(self.mechanism, sizes, phi, self.speed, pose, 0.0), self.direction)
 
     def _signals(self, moving: Moving) -> list[tuple[Value, ...]]:
@@ -259,8 +266,10 @@ class TracedCycle:
         """Return the crank angles [rad] that divide a cycle, and its end, from those of the cuts of its first revolution.
 
         Motions repeat in every revolution, so that the cuts of the others follow. There are none where no motion divides a
-        revolution.
+        revolution. A range begins at its lower end.
         """
+        if self.limited:
+            return [self.low, *begins, self.high]
         begins = list(begins) or [0.0]
         return [*(begin + k * TURN for k in range(self.revolutions) for begin in begins), begins[0] + self.revolutions * TURN]
 
@@ -360,7 +369,8 @@ class TracedCycle:
         relevant = self._relevant(self.problem.machine(values, self.slow))
         middles = np.array([[getattr(load, "middle", 0.0) for load in machine.loads] for machine in (self.base, relevant)])
         moved = middles[0] - middles[1]
-        moving = relevant.moving(np.linspace(0.0, relevant.cycle, GRID * self.revolutions, endpoint=False), self.speed)
+        whole = self.high if self.limited else relevant.cycle
+        moving = relevant.moving(np.linspace(self.low, whole, GRID * self.revolutions, endpoint=self.limited), self.speed)
         return all(
             abs(moved[k]) <= 0.25 * TURN and np.allclose(before.torque, after.torque, rtol=1e-9)
             for k in np.flatnonzero(moved)
@@ -368,14 +378,16 @@ class TracedCycle:
         )
 
     def structure(self, values: Mapping[str, float]) -> EventOrder | None:
-        """Return the events of a design; None if the crank cannot rotate fully."""
+        """Return the events of a design; None if the crank cannot rotate fully, or move through its range."""
         return next(self.samples([values])).structure
 
     def strokeless(self, structure: EventOrder) -> tuple[str, Term, int] | None:
         """Return a stroke term whose output has too few dead centres, with its key and their number.
 
-        A time ratio requires exactly two.
+        A time ratio requires exactly two. In a range every output has a stroke, from one end or dead centre to another one.
         """
+        if self.limited:
+            return None
         placed: list[tuple[str, Term]] = [("objective", goal) for goal in self.problem.goals]
         for key, term in [*placed, *((bound.key, bound.term) for bound in self.problem.bounds)]:
             if term.ended:
@@ -388,6 +400,8 @@ class TracedCycle:
         """Return the number of reversals of every motion in either sense, without those that are as good as one position."""
         numbers = Counter[tuple[int, bool]]()
         events = list(zip(structure.which, structure.angles, structure.rising, strict=True))
+        if self.limited:
+            return Counter((which, up) for which, _, up in events if self.events[which].key[0] != CORNER)
         for k in (k for k, event in enumerate(self.events) if event.key[0] != CORNER):
             places = sorted((angle % TURN, up) for which, angle, up in events if which == k)
             numbers.update((k, up) for _, up in places)
@@ -399,7 +413,7 @@ class TracedCycle:
     def samples(self, designs: Sequence[Mapping[str, float]]) -> Iterator[Sample]:
         """Yield each design with what is needed to compute its events."""
         inputs = np.array([self.inputs(values) for values in designs])
-        grid = np.linspace(0.0, TURN, GRID + 1) + 0.37 * TURN / GRID
+        grid = np.linspace(self.low, self.high, GRID + 1) + (0.0 if self.limited else 0.37 * TURN / GRID)
         there = self._watch(*inputs.T[..., None], grid)
         groups = len(self.mechanism.groups)
         rotates = np.all(np.isfinite(there), axis=(0, 2)) & np.all(there[:groups] >= 0.0, axis=(0, 2))
@@ -425,14 +439,17 @@ class TracedCycle:
         every: dict[int, list[tuple[float, int, bool]]] = {}
         separate: list[tuple[float, int, bool]] = []
         for k, places in enumerate(zeros(values_at, grid, still=True, slope=slope, samples=there[groups:])):
+            if self.limited:  # a motion may come to rest at an end of the range
+                places = places[(places > self.low + TOUCHING) & (places < self.high - TOUCHING)]
             rises = [slope(k, at + AHEAD)[0] > 0.0 for at in places.tolist()]
-            events = [(float(at) % TURN, k, bool(up)) for at, up in zip(places, rises, strict=True)]
+            begins = places if self.limited else places % TURN
+            events = [(float(at), k, bool(up)) for at, up in zip(begins, rises, strict=True)]
             every[k] = events
             if self.events[k].cuts:
                 cutting += events
             else:
-                separate += _from_rise(events)
-        ordered = [*_from_rise(cutting), *separate]
+                separate += sorted(events) if self.limited else _from_rise(events)
+        ordered = [*(sorted(cutting) if self.limited else _from_rise(cutting)), *separate]
         slow = tuple(_forward_slow(every[k]) for k in self.paced)
         return EventOrder(tuple(k for _, k, _ in ordered), tuple(up for *_, up in ordered), tuple(at for at, *_ in ordered), slow)
 

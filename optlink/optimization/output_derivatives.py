@@ -8,20 +8,20 @@ from typing import Any
 import casadi
 
 from optlink.linkage.mechanism import Mechanism
-from optlink.linkage.vector2d import Array, Value, Vector, cross, unit
+from optlink.linkage.vector2d import Array, Value, cross, unit
 from optlink.problem.design import DesignProblem
 from optlink.problem.tolerances import residuals, with_deviating_pivots
 from optlink.symbolic import NumpyEvaluator, symbols_in_numpy
 
 
 def output_derivatives(
-    mechanism: Mechanism, sizes: Mapping[str, Any], crank: Vector, output: str, by: Sequence[str]
+    mechanism: Mechanism, sizes: Mapping[str, Any], crank_angle: Any, output: str, by: Sequence[str]
 ) -> tuple[Any, list[Any]]:
     """Return an output and its derivatives by dimensions, as symbols; call it within `symbolic.symbols_in_numpy`.
 
     An output is the name of a body (its angle), or "P.x", "P.y" of a point.
     """
-    pose = mechanism.pose(sizes, crank)
+    pose = mechanism.at(sizes, crank_angle)
     if output in mechanism.bodies:
         x, y = axis = pose.direction(output)
         slopes = [cross(axis, (casadi.jacobian(x, sizes[n]), casadi.jacobian(y, sizes[n]))) for n in by]

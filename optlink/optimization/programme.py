@@ -256,7 +256,8 @@ class _Builder:
         for block in self.blocks:
             step = block.direction * TURN / block.count
             box += [(-4.0 * math.pi, 4.0 * math.pi, step * i) for i in range(block.count if block.free_timing else 0)]
-        box += [] if self.terms is None else [(-2.0 * TURN, 2.0 * TURN, angle) for angle in self.terms.structure.angles]
+        reached = problem.linkage.limits or (-2.0 * TURN, 2.0 * TURN)
+        box += [] if self.terms is None else [(*reached, angle) for angle in self.terms.structure.angles]
         signed = [] if self.terms is None else [goal.how != "peak" for goal in self.terms.extremes]
         box += [(0.0, math.inf, 1.0)] * (len(self.variables) - len(box) - len(signed))
         box += [(-math.inf if free_sign else 0.0, math.inf, 1.0) for free_sign in signed]
@@ -508,7 +509,7 @@ class _Machine:
             yield limit.row(self.figure(limit.bound.term))
         for *_, signals in self.nodes:
             yield from self._rows_of(signals)
-        for begin, span, senses in self.strokes if self.terms.cuts else ():  # forces are often largest where they jump
+        for begin, span, senses in self.strokes if self.terms.ended else ():  # forces are often largest where they jump
             for share in (0.0, 1.0):
                 yield from self._rows_of(self.at.at(begin + share * span, senses))
 
@@ -544,6 +545,8 @@ class _Machine:
             yield ConstraintRow(EVENT, label, there[which] / event.unit(size, speed), 0.0, 0.0, PLAIN)
         cuts = self.terms.cuts
         angles = [*self.structure.angles[:cuts], self.structure.angles[0] + TURN] if cuts > 1 else []
+        if self.trace.limited:
+            angles = self.trace.edges(self.structure.angles[:cuts]) if cuts else []
         for k, ((_, span, _), (begin, end)) in enumerate(zip(self.strokes, itertools.pairwise(angles), strict=False)):
             if end - begin > EVENT_SEPARATION:  # otherwise both always coincide in this machine
                 yield ConstraintRow(EVENT, f"order of {EVENT} {k + 1}", span, EVENT_SEPARATION, math.inf, DEGREES)
@@ -607,7 +610,7 @@ class _Machine:
             for _, weight, signals in self.nodes:
                 parts = self.terms.parts(term, signals)
                 total += weight * (sum(part * part for part in parts) if term.how == "rms" else parts[0])
-            mean = total / (TURN * self.trace.revolutions)
+            mean = total / self.terms.whole
             return casadi.sqrt(mean) if term.how == "rms" else mean
         if term.quantity == "length":
             return self.of.values[str(term.of)]
@@ -639,16 +642,21 @@ class _Machine:
         width, *widths = (2 if self.of.problem.kind(each) == "angle" else 1 for each in (term, *before))
         place = len(self.trace.events) + sum(widths)
         ends, inputs = self._reversals(self.trace.event_of(term)), self.trace.inputs(self.terms.near)
-        numbers = np.array([np.ravel(self.trace.at_event([*inputs, self.structure.angles[k]])) for k in ends])
+        there, angles = {k: self.there[k] for k in ends}, {k: self.structure.angles[k] for k in ends}
+        if self.trace.limited:
+            for k, at in ((-1, self.trace.low), (len(self.events), self.trace.high)):
+                there[k], angles[k] = self.trace.at_event(casadi.vertcat(self.known, at)), at
+            ends = sorted(there)
+        numbers = np.array([np.ravel(self.trace.at_event([*inputs, angles[k]])) for k in ends])
         positions = numbers[:, place]
         if width == 2:  # the direction of a body
             positions = np.unwrap([math.atan2(y, x) for x, y in numbers[:, place : place + 2]])
         low, high = ends[int(np.argmin(positions))], ends[int(np.argmax(positions))]
         if width == 1:
             if term.quantity == "end":
-                return self.there[high if term.stroke == "forward" else low][place]
-            return self.there[high][place] - self.there[low][place]
-        (a, b), (c, d) = ((self.there[k][place], self.there[k][place + 1]) for k in (low, high))
+                return there[high if term.stroke == "forward" else low][place]
+            return there[high][place] - there[low][place]
+        (a, b), (c, d) = ((there[k][place], there[k][place + 1]) for k in (low, high))
         return casadi.atan2(a * d - b * c, a * c + b * d)
 
     def _ratio(self, term: Term) -> Any:

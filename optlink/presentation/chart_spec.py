@@ -20,6 +20,7 @@ only; with `page=False` it is a picture only. Values are in display units. NaN m
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
@@ -69,7 +70,8 @@ class Axis:
 
 def crank_angle(*, clockwise: bool = False, limits: tuple[float, float] | None = None) -> Axis:
     """Return the axis of the crank angle [deg]; time increases to the right, so the angle of a clockwise crank decreases."""
-    return Axis(CRANK_ANGLE + (", clockwise to the right" if clockwise else ""), limits, reversed=clockwise, step=60.0)
+    tenths = 6.0 if limits is None else min(6.0, math.ceil((limits[1] - limits[0]) / 60.0))
+    return Axis(CRANK_ANGLE + (", clockwise to the right" if clockwise else ""), limits, reversed=clockwise, step=10.0 * tenths)
 
 
 @dataclass(frozen=True, eq=False)

@@ -227,6 +227,7 @@ MEASURED = (
 """Names of measured limits, and how to state the value; the limit follows."""
 OTHERS = (
     (r"Grashof: .+|the crank turns fully", "the crank cannot turn fully"),
+    (r"the linkage closes throughout the range", "the linkage does not close throughout the range of the drive"),
     (r"link lengths re-measured in motion", "the links do not meet in every position"),
     (r"one branch: .+", "the linkage leaves its assembly mode"),
     (r"one circuit: .+", "the linkage does not reach all positions in one motion"),

@@ -191,6 +191,7 @@ LAYERS = {
 """What lies on what: layers and their heights."""
 LOOKS = {"slot": (1.1, 0.13), "plate": (2.2, 0.22), "bar": (3.0, 0.0), "block": (1.5, 0.35), "crank": (3.8, 0.0)}
 """Line width [pt] and opacity of the face of the parts of bodies."""
+BARREL = 0.9  # length of the barrel of a cylinder, in its least length
 LETTER, WIDTH = 9.0 / 8.0, 0.6  # height of a letter of names, in heights of a ground pivot, and its width in its height
 NEAR = np.array([0.42, 1.05, 1.7])  # distances of a name from its point, in heights of a ground pivot
 BEHIND, TRACE = 3.0, 0.45  # how much a link and a trace count that a name hides
@@ -201,7 +202,7 @@ CROSS = np.array([[-1.0, 0.0], [1.0, 0.0], [np.nan, np.nan], [0.0, -1.0], [0.0, 
 class Shape:
     """An element of the picture: a line (n, 2) with gaps at NaN, or with a `radius` [pt] a circle about its only point.
 
-    It moves with what it is part `of`: a body, in whose axes it lies, a point, about which it lies, or a spring, in shares of
+    It moves with what it is part `of`: a body, in whose axes it lies, a point, about which it lies, a spring or rod, in shares of
     whose length and offsets from which it is given; its `name` is that of the body, point, spring or region. One with a `fill`
     is closed.
     """
@@ -261,6 +262,7 @@ class Scene:
         bodies = [body for body in self.mechanism.bodies if body != crank]
         self.colours = {body: BODIES[k % len(BODIES)] for k, body in enumerate(bodies)} | {crank: CRANK}
         self.travel = {guide.name: self._travel(guide) for guide in self.mechanism.guides}
+        self.cylinders = [drive.body for drive in self.mechanism.drives if drive.size]
         self.parts = {body: self._parts(body) for body in self.mechanism.bodies}
         self.springs = [load for load in machine.loads if isinstance(load, Spring)] if machine else []
         self.torsion_springs = (
@@ -310,7 +312,10 @@ class Scene:
         return np.asarray(start + np.stack([along * x - across * y, along * y + across * x], axis=-1))
 
     def ends(self, motion: Motion, spring: str) -> Array:
-        """Return the positions (positions, 2, 2) of both ends of a spring."""
+        """Return the positions (positions, 2, 2) of both ends of a spring, or of a cylinder."""
+        if spring in self.cylinders:
+            link = self.mechanism.bodies[spring]
+            return np.stack([self.position(motion, point) for point in (link.start, link.end)], axis=1)
         (found,) = (one for one in self.springs if one.name == spring)
         return np.stack([self.position(motion, point) for _, point in found.ends], axis=1)
 
@@ -375,8 +380,9 @@ class Scene:
         """Return the named points of a body in its own axes, without duplicates."""
         pose = self.motion.pose
         points: list[Array] = []
+        end = self.mechanism.bodies[body].end if body in self.cylinders else ""  # which moves on the body
         for point, bodies in self.mechanism.owners.items():
-            if body in bodies:
+            if body in bodies and point != end:
                 at = self._vector(pose.local(body, point))
                 if all(np.max(np.abs(at - other)) > 1e-3 * self.size for other in points):
                     points.append(at)
@@ -408,6 +414,10 @@ class Scene:
         return len(points) > 1 and bool(np.all(np.abs(off) < 0.05 * self.size))
 
     def _parts(self, body: str) -> list[Part]:
+        if body in self.cylinders:
+            lengths = np.linalg.norm(np.diff(self.ends(self.motion, body), axis=1)[:, 0], axis=-1)
+            barrel = BARREL * float(np.min(lengths[self.near]))
+            return [Part("slot", rectangle(np.zeros(2), np.array([1.0, 0.0]), 0.0, barrel, 0.45 * self.size))]
         points = self._points_of(body)
         parts: list[Part] = []
         half = np.array([1.0, 0.62]) * self.size
@@ -539,6 +549,8 @@ class Scene:
                 layer = "crank" if part.kind == "bar" and body == self.mechanism.crank.body else part.kind
                 width, face = LOOKS[layer]
                 shapes.append(Shape(layer, body, part.outline, colour, width, "body", colour if face else "", face))
+        rod = np.array([[0.0, 0.0], [1.0, 0.0]])
+        shapes += [Shape("bar", body, rod, self.colours[body], LOOKS["bar"][0], "spring") for body in self.cylinders]
         zigzagged = np.array(zigzag(self.size))
         shapes += [Shape("springs", spring.name, zigzagged, MUTED, 1.2, "spring") for spring in self.springs]
         shapes += [Shape("springs", point, spiral(self.size), MUTED, 1.2, "point") for point in self.torsion_springs]
@@ -561,8 +573,8 @@ def scene(cycle: Analysis, steps: int = STEPS, at: float | None = None, regions:
     """
     machine = cycle.machine
     direction = math.copysign(1.0, cycle.speed)
-    first = math.radians(float(cycle["crank_angle_deg"][0]))
-    last = first + direction * cycle.cycle if cycle.full else math.radians(float(cycle["crank_angle_deg"][-1]))
+    first = float(cycle.positions[0])
+    last = first + direction * cycle.cycle if cycle.full else float(cycle.positions[-1])
     count = steps * round(cycle.cycle / TURN) if cycle.full else max(1, math.ceil(abs(last - first) / TURN * steps))
     angles = np.linspace(first, last, count + 1)
     whole = Scene(sweep(machine.mechanism, machine.sizes, angles, cycle.speed), machine, regions=regions, unit=MM)
@@ -577,5 +589,5 @@ def scene(cycle: Analysis, steps: int = STEPS, at: float | None = None, regions:
 def scene_at(cycle: Analysis, angles: Array) -> Scene:
     """Return the scene of an analysed machine at crank angles (positions,) [rad], with the extent of its whole motion."""
     machine = cycle.machine
-    full_motion = sweep(machine.mechanism, machine.sizes, np.radians(cycle["crank_angle_deg"]), cycle.speed)
+    full_motion = sweep(machine.mechanism, machine.sizes, cycle.positions, cycle.speed)
     return Scene(full_motion, machine, unit=MM).moved(sweep(machine.mechanism, machine.sizes, angles, cycle.speed))

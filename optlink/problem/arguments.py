@@ -5,6 +5,7 @@ import inspect
 import types
 import typing
 from collections.abc import Callable, Iterable
+from dataclasses import is_dataclass
 from pathlib import Path
 from typing import Annotated, Any, ParamSpec, TypeVar
 
@@ -45,6 +46,9 @@ def typed(function: Callable[P, R]) -> Callable[P, R]:
         # the type of the result may be unknown here
         hints = _hints(function, (name for name in signature.parameters if name in function.__annotations__)) | options
         given = {name: Annotated[hint, pydantic.Strict(False)] if hint == Path | None else hint for name, hint in hints.items()}
+        for name, hint in given.items():
+            if is_dataclass(hint):  # its fields are checked already
+                given[name] = pydantic.InstanceOf[hint]  # type: ignore[misc, valid-type]
         fields: dict[str, Any] = {
             name: (hint, pydantic.Field(default=None)) for name, hint in given.items()
         }  # a path may be a text

@@ -28,7 +28,7 @@ class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True, defer_build=True)  # most unused
 
 
-def _folder_of(info: ValidationInfo) -> Path:
+def folder_of(info: ValidationInfo) -> Path:
     """Return the folder of the problem file that is read; the working folder for a table that is not in a file."""
     return (info.context or {}).get("folder", Path())  # type: ignore[no-any-return]
 
@@ -44,7 +44,7 @@ def in_folder(function: Callable[[object, Path], Any]) -> InFolder:
     ----------
     function : function of (raw value, folder to which the names of files are relative)
     """
-    return InFolder(lambda raw, info: None if raw is None else function(raw, _folder_of(info)))
+    return InFolder(lambda raw, info: None if raw is None else function(raw, folder_of(info)))
 
 
 LIMITED = {"stroke", "time_ratio"}

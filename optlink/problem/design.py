@@ -15,6 +15,7 @@ from optlink.linkage.dyads import transmitting
 from optlink.linkage.fourbar import InnerFourBar, whole_four_bar
 from optlink.linkage.mechanism import Pose
 from optlink.linkage.vector2d import Array, Value
+from optlink.problem.driving import check_design_drive
 from optlink.problem.limits import MARGIN_KEYS, MODELS, Bound, Limits, Reach, check_limits, four_bar_limits
 from optlink.problem.linked import Link
 from optlink.problem.machine.model import Problem, ShownObjective
@@ -115,6 +116,11 @@ class DesignProblem(Problem):
             with the full key of the cause.
         """
         check_one_mode(self.mechanism)
+        check_design_drive(self.mechanism, self.drive)
+        if self.parts and self.linkage.limits is not None:
+            message = "targets of a machine whose drive has a range are not supported"
+            remedy = 'Leave range out; limits.crank = "span" asks only that the linkage reaches all targets'
+            raise Unusable(message, remedy, "drive.range")
         check_limits(self.limits, self.linkage, four_bar=self.four_bar is not None)
         for name in () if self.parts else self.limits.model_fields_set:
             if name in Limits.model_fields and f"limits.{name}" in self.inapplicable:
@@ -338,8 +344,10 @@ class DesignProblem(Problem):
     def _check_term(self, term: Term) -> None:
         check_term(term, self.linkage, self.quantities)
         if term.over is not None:
-            remedy = "Leave it out; only terms of [balance] count a range of crank angles"
-            raise Unusable("a design problem counts the whole revolution", remedy, "over", str(term.over))
+            message = "a design problem counts the whole revolution, or the whole range of the drive"
+            raise Unusable(
+                message, "State the range as drive.range; only terms of [balance] count a part", "over", str(term.over)
+            )
 
     def check_terms(self) -> None:
         """Check the quantities of the machine and their elements.

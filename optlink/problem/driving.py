@@ -7,17 +7,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from fractions import Fraction
 
+import numpy as np
+
 from optlink.linkage.elements import FRAME, Drive, Single
-from optlink.linkage.laws import Law, MotionLaw, Piece, paced
+from optlink.linkage.laws import Law, MotionLaw, Piece
 from optlink.linkage.mechanism import Mechanism, Size
 from optlink.linkage.stroke import reachable
 from optlink.linkage.vector2d import TURN
 from optlink.problem.elements import geared
 from optlink.problem.machine.bodies import SLOWNESS, STATIC, DriveSection
-from optlink.problem.machine.drives import read_drive_law
-from optlink.problem.machine.loads import read_size
 from optlink.problem.mechanism import DyadsSection, FourBarSection
-from optlink.problem.quantity import Unusable, below, check_name
+from optlink.problem.quantity import Unusable, check_name
 from optlink.units import show
 
 HALF = math.pi
@@ -35,6 +35,42 @@ class Driving:
     mechanism: Mechanism
     pace: float
     first: float
+    ends: tuple[float, float] | None = None
+    """Slides or lengths [m] of a single drive along a line at the ends of its stroke."""
+
+    def place(self, position: float) -> float:
+        """Return the slide or length [m] of a drive along a line at a value of the cycle variable [rad]."""
+        assert self.ends is not None
+        return self.ends[0] + (self.ends[1] - self.ends[0]) * position / HALF
+
+    def text(self, position: float) -> str:
+        """Return a crank angle, or a value of the cycle variable [rad], as a designer calls it: "crank angle 30 deg"."""
+        return f"{self.coordinate} {self.shown(position):.6g} {self.unit}"
+
+    def shown(self, position: float) -> float:
+        """Return a crank angle, or the slide or length at a value of the cycle variable [rad], in `unit`."""
+        return math.degrees(position) if self.ends is None else 1e3 * self.place(position)
+
+    @property
+    def unit(self) -> str:
+        """Display unit of the positions of the drive."""
+        return "deg" if self.ends is None else "mm"
+
+    @property
+    def coordinate(self) -> str:
+        """What the positions of the drive are: crank angles, the slide of a body, the length of a cylinder."""
+        if self.ends is None:
+            return "cycle angle" if self.mechanism.drives else "crank angle"
+        drive = self.mechanism.drives[0]
+        return f"{'length' if drive.size else 'slide'} of {drive.body}"
+
+    @property
+    def reach(self) -> str:
+        """The range of the drive in words: "crank angle 0 ... 90 deg"; empty for a crank that turns."""
+        if self.mechanism.limits is None:
+            return ""
+        low, high = (f"{self.shown(end):.6g}" for end in self.mechanism.limits)
+        return f"{self.coordinate} {low} ... {high} {self.unit}"
 
 
 def driven(
@@ -128,7 +164,7 @@ def _along(section: FourBarSection | DyadsSection, name: str, drive: DriveSectio
         if not -1e-9 <= first <= HALF + 1e-9:
             low, high = (f"{1e3 * end:.6g} mm" for end in ends)
             raise Unusable("the drive starts outside its range", f"Start from {low} to {high}", "drive.start", str(drive.start))
-    return Driving(mechanism, pace, first)
+    return Driving(mechanism, pace, first, (ends[0], ends[1]))
 
 
 def linear_drive(section: DyadsSection, name: str, drive: DriveSection, key: str, sizes: Mapping[str, float]) -> Drive:
@@ -202,6 +238,45 @@ def _reaching(section: DyadsSection, name: str, drive: DriveSection, element: Dr
     return replace(element, begin=low + edge, end=high - edge)
 
 
+def check_design_drive(section: FourBarSection | DyadsSection, drive: DriveSection) -> None:
+    """Refuse a drive of a design problem whose range or speed would differ from design to design.
+
+    Raises
+    ------
+    Unusable
+        with the full key of the cause.
+    """
+    if not drive.linear or drive.range is not None or not isinstance(section, DyadsSection):
+        return
+    cylinder = section.cylinders.get(str(drive.cylinder or drive.body))
+    if cylinder is None:
+        message = "the slide moves as far as the linkage lets it, which the design variables change"
+        raise Unusable(message, 'State the range that is needed: range = ["0 mm", "250 mm"]', "drive.range")
+    if drive.speed.kind != STATIC and not (cylinder.closed.fixed and cylinder.open.fixed):
+        message = "the stroke of the cylinder is a design variable, and with it the time of the motion"
+        raise Unusable(message, 'Write speed = "static", or fix closed and open', "drive.speed", str(drive.speed))
+
+
+def check_same_drive(drive: DriveSection, mechanism: Mechanism, before: Mapping[str, float], sizes: Mapping[str, object]) -> None:
+    """Refuse dimensions with which a slide or cylinder moves through another range, or at another speed, than the file states.
+
+    `before` are the dimensions of the file.
+
+    Raises
+    ------
+    Unusable
+        with the full key of the cause.
+    """
+    (element,) = mechanism.drives
+    changed = {name for name, size in sizes.items() if name in before and np.any(np.asarray(size) != before[name])}
+    if changed.intersection(map(str, element.sizes)) and drive.speed.kind != STATIC:
+        message = "the stroke of the cylinder differs from that of the file, and with it the time of the motion"
+        raise Unusable(message, 'Write speed = "static", or change closed and open in the file', "drive.speed", str(drive.speed))
+    if changed and not element.size and drive.range is None:
+        message = "the slide moves as far as the linkage lets it, which other dimensions change"
+        raise Unusable(message, 'State the range that is needed: range = ["0 mm", "250 mm"]', "drive.range")
+
+
 # --- laws, and several drives -------------------------------------------------------------------------------------------------
 
 MOST_CYCLES = 1000
@@ -220,13 +295,7 @@ def law_of(drive: DriveSection, key: str, kind: str) -> MotionLaw | None:
     """
     if drive.law is None:
         return None
-    raw, folder = drive.law
-    if isinstance(raw, dict) and "over" in raw:
-        with below(f"{key}.speed"):
-            return _paced(read_size(raw, folder, "angular velocity", ("phi",)), kind)
-    with below(f"{key}.law"):
-        stated = "start" in drive.model_fields_set
-        law = read_drive_law(raw, folder, kind, start=drive.start.value if stated else None, unit=drive.unit)
+    law: MotionLaw = drive.law
     if drive.range is not None:
         low, high = (end.value for end in drive.range)
         least, _, largest, _ = law.extremes()
@@ -235,22 +304,6 @@ def law_of(drive: DriveSection, key: str, kind: str) -> MotionLaw | None:
             message = f"the law moves from {show(least, kind)} to {show(largest, kind)}, beyond the range"
             raise Unusable(message, "Change the law or the range", f"{key}.range", f"{drive.range[0]} ... {drive.range[1]}")
     return law
-
-
-def _paced(table: object, kind: str) -> Law:
-    """Return the law of a crank whose speed a table over its angle states."""
-    at: tuple[float, ...] = getattr(table, "at", ())
-    values: tuple[float, ...] = getattr(table, "values", ())
-    if kind != "angle" or not at:
-        raise Unusable("a speed over the angle is a table, of a crank", 'Give over = "phi", at = [...] and values = [...]')
-    if not (min(values) > 0.0 or max(values) < 0.0):
-        raise Unusable("the speed changes its sign or is zero, where the crank would rest for ever", "Give one sign", "values")
-    turn = at[-1] - at[0]
-    if turn > TURN * (1.0 + SAME_PERIOD):
-        raise Unusable("the table is longer than a revolution", "Give the rows of one revolution", "at")
-    forth = 1 if values[0] > 0.0 else -1
-    law = paced(at[::forth], values[::forth])
-    return law if abs(turn - TURN) < SAME_PERIOD else replace(law, repeats=False)
 
 
 def _accelerated(drive: DriveSection) -> Law:

@@ -15,6 +15,7 @@ from optlink.dynamics.inverse import ForceBalance, Reactions, shaking
 from optlink.dynamics.machine import Moving, slider_names
 from optlink.io import Entry, register
 from optlink.linkage.dyads import RPR, RRP, RRR, Transmitting, transmitting
+from optlink.linkage.elements import Drive
 from optlink.linkage.mechanism import FRAME, Mechanism
 from optlink.linkage.vector2d import TURN, Array, Value, Vector, cross, dot, magnitude, minus
 from optlink.problem.base_model import SPELLINGS, Section
@@ -87,9 +88,17 @@ def guide_of(name: str, mechanism: Mechanism) -> str | None:
     return guides[0] if len(guides) == 1 else None
 
 
+def linear_drives(mechanism: Mechanism) -> list[Drive]:
+    """Return the drives that act along a line: slides and cylinders."""
+    return [drive for drive in mechanism.drives if drive.kind != "angle"]
+
+
 PIN = Element(lambda mechanism: mechanism.pins, "no such pin joint")
 GUIDE = Element(lambda mechanism: [guide.name for guide in mechanism.guides], "no such guide")
 POINT = Element(moving_points, "no moving body has such a point")
+DRIVE = Element(
+    lambda mechanism: [drive.name for drive in linear_drives(mechanism)], "no slide or cylinder is a drive of that name"
+)
 JOINT = Element(lambda mechanism: [group.joint for group in transmitting(mechanism)], "no dyad has its transmission angle there")
 Measure = Literal["peak", "rms", "mean", "largest", "least"]
 _SIGNED = get_args(Measure)
@@ -125,6 +134,8 @@ class QuantityType(Entry):
         Whether `of` may be left out: the signal then has one component per element, and the worst of all counts.
     at : str
         Preposition before the element, for display.
+    sole : bool
+        Whether `of` may be left out where there is only one element.
     """
 
     name: str
@@ -138,6 +149,7 @@ class QuantityType(Entry):
     vector: bool = False
     general: bool = False
     at: str = "of"
+    sole: bool = False
 
     def fault(self) -> tuple[str, str] | None:
         """Refuse unknown physical kinds and measures, and a course that the optimiser or the validator lacks."""
@@ -161,6 +173,10 @@ class QuantityType(Entry):
 
 
 QUANTITIES: dict[str, QuantityType] = QuantityType.registry
+
+
+def _drive(moving: Moving, term: ElementTerm) -> str:
+    return term.of or linear_drives(moving.machine.mechanism)[0].name
 
 
 def _guide(moving: Moving, term: ElementTerm) -> str:
@@ -250,6 +266,17 @@ register(
         signal=lambda moving, reactions, term: (reactions.torque,),
         history=lambda record, term: record["input.torque_Nm"],
         forces=True,
+    ),
+    QuantityType(
+        "drive force",
+        "force",
+        _SIGNED,
+        "slide or cylinder that drives",
+        DRIVE,
+        lambda moving, reactions, term: (reactions.efforts[_drive(moving, term)],),
+        lambda record, term: record[f"{_drive(record.moving, term)}.force_N"],
+        forces=True,
+        sole=True,
     ),
     QuantityType(
         "reaction",
@@ -355,7 +382,7 @@ register(
     QuantityType("stroke", "length", (), "slider, body or point"),
     QuantityType("end", "coordinate", (), "slider or point"),
     QuantityType("time ratio", "", (), "slider, body or point"),
-    QuantityType("work", "energy", (), "slider", GUIDE),
+    QuantityType("work", "energy", (), "slider", GUIDE, sole=True),
     QuantityType("length", "coordinate", (), "size"),
     QuantityType("total length", "length", ()),
 )
@@ -429,7 +456,7 @@ class Term(TermSection):
             raise Unusable(f"the measure of {a_what} is missing", remedy, "measure")
         if self.measure is not None:
             check_name(self.measure, nature.measures, f"not a measure of {a_what}", "measure")
-        if nature.of and self.of is None and what != "work" and not nature.general:
+        if nature.of and self.of is None and not nature.sole and not nature.general:
             raise Unusable(f"the {nature.of} is missing", 'Add of = "..."', "of")
         if not nature.of and self.of is not None:
             raise Unusable(f"the {what} is that of the whole machine", "Leave it out", "of", self.of)
@@ -735,21 +762,58 @@ def check_term(term: Term, mechanism: Mechanism, quantities: Mapping[str, Quanti
         with the key below the term.
     """
     what, name = term.quantity, str(term.of)
+    if mechanism.limits is not None:
+        _check_range(term, mechanism)
     if what in ("stroke", "end", "time ratio"):
         kind, body = output_of(term, mechanism)
-        if kind == "body" and (what == "end" or body == mechanism.crank.body):
+        if kind == "body" and (what == "end" or (body == mechanism.crank.body and mechanism.limits is None)):
             why = "rotates, so it has no end of a stroke" if what == "end" else "turns fully, so it has no stroke"
             raise Unusable(f"{body} {why}", "Name a slider or a point", "of", term.of)
     elif term.direction is not None:
         raise Unusable("only the stroke of a point has a direction", "Leave it out", "direction", str(term.direction))
     element = None if term.of is None else term.nature.element
     if element is not None:
-        names = element.names(mechanism)
+        names = list(element.names(mechanism))
         if name not in names and not (element is GUIDE and guide_of(name, mechanism)):
             raise Unusable(element.missing, nearest(name, names) if names else "This machine has none", "of", term.of)
     if isinstance(term.about, str):
         check_name(term.about, mechanism.ground, "not a point of the frame", "about")
+    if what == "drive force" and term.of is None and len(linear_drives(mechanism)) != 1:
+        many = ", ".join(drive.name for drive in linear_drives(mechanism))
+        message = "several slides and cylinders drive" if many else "no slide and no cylinder drives: the drive turns a body"
+        raise Unusable(message, f"Add of, one of: {many}" if many else 'Write quantity = "torque"', "of" if many else "quantity")
     if term.on is not None:
         check_name(term.on, mechanism.pins[name], "the joint is not one of that body", "on")
     if what == "length":
         check_name(name, quantities, "no such dimension", "of", term.of)
+
+
+def _check_range(term: Term, mechanism: Mechanism) -> None:
+    """Refuse a term that has no value over a range of the drive.
+
+    Raises
+    ------
+    Unusable
+        with the key below the term.
+    """
+    what = term.quantity
+    if what == "time ratio" or (what == "work" and term.of is not None):
+        message = f"{with_article(what)} of a stroke belongs to a crank that turns fully, and the drive has a range"
+        raise Unusable(message, "Leave drive.range out" + ", or of and stroke" * (what == "work"), "quantity", what)
+    if mechanism.drives and term.over is not None:
+        message = "the drive is no crank, so it has no crank angles"
+        raise Unusable(message, "Leave it out, and state drive.range", "over", str(term.over))
+    if term.over is not None and mechanism.limits is not None:
+        (low, high), (begin, end) = term.over.bounds, mechanism.limits
+        turns = TURN * math.ceil((begin - low) / TURN - 1e-9)
+        if high + turns > end + 1e-9:
+            message = "the drive does not move through all of this"
+            remedy = f"Give angles from {math.degrees(begin):.6g} to {math.degrees(end):.6g} deg, or change drive.range"
+            raise Unusable(message, remedy, "over", str(term.over))
+    if what == "shaking moment" and mechanism.drives and term.about is None:
+        message, remedy = "there is no crank pivot about which it acts", f'Add about = "{next(iter(mechanism.ground))}"'
+        raise Unusable(message, remedy, "about")
+    linear = linear_drives(mechanism)
+    if linear and what in ("torque", "lever arm"):
+        remedy = 'Write "drive force", which is positive where the drive pushes' if what == "torque" else 'Write "velocity"'
+        raise Unusable("a slide or cylinder drives, not a crank", remedy, "quantity", what)

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from optlink.errors import InputError
 from optlink.linkage.arguments import check_array
 from optlink.linkage.mechanism import FRAME, Mechanism
-from optlink.linkage.vector2d import Array, unit
+from optlink.linkage.vector2d import Array
 from optlink.optimization.output_derivatives import output_derivatives
 from optlink.problem.arguments import typed
 from optlink.problem.document import Document, Source
@@ -120,7 +120,7 @@ def output_sensitivity(
     symbols = {name: casadi.SX.sym(name) for name in names}
     crank = casadi.SX.sym("crank angle")
     with symbols_in_numpy():
-        value, slopes = output_derivatives(mechanism, symbols, unit(crank), output, chosen)
+        value, slopes = output_derivatives(mechanism, symbols, crank, output, chosen)
     angles = np.atleast_1d(check_array("crank_angles", crank_angles))
     tape = NumpyEvaluator([*symbols.values(), crank], [value, *slopes])
     values = np.asarray(tape(*[np.full(angles.shape, sizes[name]) for name in names], angles), dtype=float)

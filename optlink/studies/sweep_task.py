@@ -220,8 +220,10 @@ class AnalysisTask(FiguresTask):
         stems = {name.rpartition(".")[0] for name in self.figures}
         columns, _ = available_figures(self.problem)
         machine = machine_of(self.problem)
-        breaks = machine.switching or machine.cornered or any(load.by_pace for load in self.problem.model.loads.values())
-        if breaks or not stems <= {name for name in columns if not name.endswith(ANGLE)}:
+        limited = machine.mechanism.limits is not None
+        paced = any(load.by_pace for load in self.problem.model.loads.values())
+        known = stems <= {name for name in columns if not name.endswith(ANGLE)}
+        if limited or paced or machine.switching or machine.cornered or not known:
             return {}
         extremes, clear = batch_extremes(self.problem, designs, tuple(sorted(stems)))
         numbers = np.flatnonzero(clear)
@@ -242,7 +244,7 @@ class AnalysisTask(FiguresTask):
         """Return the outcome of one design [SI], including failures."""
         machine = machine_of(self.problem, design)
         ranges = reachable(machine.mechanism, machine.sizes)
-        if not ranges.full:
+        if not ranges.complete:
             return MachineFigures(
                 {}, "partial rotation" if ranges.ranges else "not assembled", _unreached(self.problem, machine, ranges)
             )
@@ -259,7 +261,9 @@ class AnalysisTask(FiguresTask):
             parts = reaction_parts(name)
             if not all(part in analysis.columns for part in parts):
                 continue
-            yield f"{name}.rms", math.sqrt(sum(float(np.mean(np.square(analysis[part][:-1]))) for part in parts))
+            squares = [np.square(analysis[part]) for part in parts]
+            means = (np.mean(row[:-1] if analysis.full else 0.5 * (row[:-1] + row[1:])) for row in squares)
+            yield f"{name}.rms", math.sqrt(sum(map(float, means)))
             if name.endswith(ANGLE):
                 swing = analysis.swings.get(name.removesuffix(ANGLE))
                 yield f"{name}.min", float(np.min(analysis[name])) if swing is None else swing.low
@@ -283,7 +287,8 @@ def available_figures(problem: ProblemFile) -> tuple[tuple[str, ...], tuple[str,
 def _unreached(problem: ProblemFile, machine: Machine, ranges: Ranges) -> str:
     """Return where the crank can turn, and what stops it."""
     if ranges.ranges:
-        return f"the crank does not turn fully; reachable: {ranges.text}"
+        moves = "turn fully" if ranges.limits is None else "move through its range"
+        return f"the crank does not {moves}; reachable: {ranges.text}"
     failed = failure(machine.mechanism, machine.sizes, problem.model.driving.first)
     return f"no crank angle can be reached{f': {failed}' if failed else ''}"
 

@@ -62,7 +62,7 @@ class Picture:
         x, y, wide, high = scene.box
         bodies = []
         for name in scene.parts:
-            shapes = [shape for shape in scene.moving_shapes if shape.name == name and shape.layer in LOOKS]
+            shapes = [s for s in scene.moving_shapes if s.of == "body" and s.name == name and s.layer in LOOKS]
             parts = [{"kind": s.layer, "outline": self._places(s.line), "width": s.width, "closed": bool(s.fill)} for s in shapes]
             poses = scene.poses(name)
             placed = np.column_stack([np.round(poses[:, :2], scene.decimals), np.round(poses[:, 2], 4)])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from optlink.dynamics.columns import FAULTS, MotionColumns, pin_columns, tabulated, unbounded_reactions
-from optlink.dynamics.inverse import acting_on
+from optlink.dynamics.inverse import acting_on, reactions
 from optlink.dynamics.machine import Machine, slider_names
 from optlink.dynamics.strokes import StrokeLoad, acting_loads
 from optlink.dynamics.work import Flywheel, Work, flywheel
@@ -34,6 +34,7 @@ from optlink.tasks.machine import (
     check_design,
     check_repeats,
     check_sizes,
+    check_within_range,
     crank_speed,
     machine_of,
     motion_range,
@@ -169,6 +170,11 @@ class Analysis(Tabled):
         """Power of the drive [W], mean over a cycle; NaN unless the crank turns fully."""
         return self.mean_torque * self.speed
 
+    @property
+    def positions(self) -> Array:
+        """Crank angles, or values of the cycle variable of a drive along a line [rad], of the rows of the table."""
+        return np.radians(next(iter(self.columns.values())))
+
     def within(self, crank_angles: Array) -> list[float]:
         """Return crank angles [deg], without duplicates, reduced to one cycle if the crank turns fully."""
         angles = [within_cycle(at, self.cycle) if self.full else float(at) for at in crank_angles]
@@ -291,10 +297,47 @@ def analyze(
     """
     problem = problem_of(problem)
     check_design(problem, design)
-    model = problem.model
-    speed = crank_speed(problem, speed)
     _check(points, step)
-    machine = machine_of(problem, design)
+    analysis = _analysed(problem, points, step, crank_speed(problem, speed), design)
+    if analysis.ranges.limits is None or not analysis.sound or not _depends_on_sense(analysis):
+        return analysis
+    back = _analysed(problem, points, step, -analysis.speed, design)
+    return replace(analysis, notes=(*analysis.notes, _back_note(analysis, back)))
+
+
+SENSES = 73  # positions at which the forces of both senses of motion are compared
+
+
+def _depends_on_sense(analysis: Analysis) -> bool:
+    """Return whether forces differ on the way back through a range: friction, dampers, loads of one stroke."""
+    angles, machine = np.linspace(analysis.low, analysis.high, SENSES + 2)[1:-1], analysis.machine
+    there, back = (reactions(machine.moving(angles, speed)).torque + 0.0 * angles for speed in (analysis.speed, -analysis.speed))
+    return not np.allclose(there, back, rtol=1e-9, atol=1e-9 * float(np.max(np.abs(there), initial=0.0)))
+
+
+def _back_note(there: Analysis, back: Analysis) -> str:
+    """Return a note with the effort and the work of the drive on the way back through a range."""
+    driving, (begin, end) = there.problem.model.driving, there.positions[[0, -1]]
+    way = f"{driving.shown(float(begin)):.6g} to {driving.shown(float(end)):.6g} {driving.unit}"
+    column, what, unit = next(row for row in EFFORTS if row[0] in there.columns)
+    extreme = back.extremes[column]
+    return (
+        f"forces differ on the way back: the results are those of the motion from {driving.coordinate} {way}; "
+        f"on the way back the {what} of the drive lies between {extreme.least:.5g} and {extreme.largest:.5g} {unit}, "
+        f"and its work is {back.work:.5g} J (a speed of the opposite sign shows that motion)"
+    )
+
+
+EFFORTS = (("input.torque_Nm", "torque", "N m"), ("input.force_N", "force", "N"))
+"""Columns of what a single drive exerts, in words, and the unit."""
+
+
+def _analysed(
+    problem: ProblemFile, points: int, step: float | None, speed: float, design: Mapping[str, float] | None
+) -> Analysis:
+    """Return the analysis at a crank speed [rad/s]; see `analyze`."""
+    model, machine = problem.model, machine_of(problem, design)
+    _check_stroke(problem, machine)
     start, begun = starting_angle(problem, machine, design)
     ranges, low, high = motion_range(problem, machine, start)
     check_repeats(problem, machine)
@@ -383,11 +426,25 @@ PLACES = ("_deg", "_rad", "_m", "time_s", "energy.potential_J")
 CONTINUED = 'assembly = "continue" (or ", continue" behind a mode)'
 
 
+def _check_stroke(problem: ProblemFile, machine: Machine) -> None:
+    """Refuse a design whose drive has another stroke than the file states: its positions are called by those of the file."""
+    ends = problem.model.driving.ends
+    if ends is None:
+        return
+    (drive,) = machine.mechanism.drives
+    own = [float(machine.sizes[end]) if isinstance(end, str) else float(end or 0.0) for end in (drive.begin, drive.end)]
+    if not np.allclose(own, ends, rtol=1e-12):
+        message = f"the {problem.model.driving.coordinate} has other ends than in the file"
+        raise InputError(message, "Change closed and open in the file, or by --set", problem.file, "design")
+
+
 def _table(machine: Machine, angles: Array, speed: float, work: Work) -> tuple[dict[str, Array], dict[str, str], list[Array]]:
     """Return the columns of the table, their meanings, and the positions without finite reactions (by `FAULTS`)."""
     table = tabulated(lambda rows: machine.moving(angles[rows], speed), len(angles))
-    columns = {"crank_angle_deg": np.degrees(angles), "time_s": np.abs(angles - angles[0]) / abs(speed)}
-    meanings = {"crank_angle_deg": "crank angle", "time_s": "time since the first row"}
+    driven = machine.mechanism.drives
+    first, what = ("cycle_deg", "cycle of the drive, 0 and 180 deg at the ends") if driven else ("crank_angle_deg", "crank angle")
+    columns = {first: np.degrees(angles), "time_s": np.abs(angles - angles[0]) / abs(speed)}
+    meanings = {first: what, "time_s": "time since the first row"}
     for name, column in table.columns.items():
         columns[name], meanings[name] = column.values, column.meaning
         if name == "input.power_W":
@@ -397,7 +454,7 @@ def _table(machine: Machine, angles: Array, speed: float, work: Work) -> tuple[d
 
 def _undetermined(columns: dict[str, Array], rows: Array, positions: Iterable[AlignedPosition], low: float, high: float) -> Array:
     """Remove values without a meaning at singular positions from the table; return the crank angles [rad] of these positions."""
-    angles = np.radians(columns["crank_angle_deg"])
+    angles = np.radians(next(iter(columns.values())))
     exact = np.array([low + (position.crank_angle - low) % TURN for position in positions])
     exact = np.where(exact - low > TURN - SINGULAR_WIDTH, low, exact)
     singular = np.any(distances(angles, exact, TURN) <= SINGULAR_WIDTH, axis=1)
@@ -602,7 +659,9 @@ def motion(
     problem = problem_of(problem)
     check_design(problem, design)
     machine = machine_of(problem, design)
-    return checked_sweep(machine.mechanism, machine.sizes, crank_angle, crank_speed(problem, speed), acceleration)
+    moved = checked_sweep(machine.mechanism, machine.sizes, crank_angle, crank_speed(problem, speed), acceleration)
+    check_within_range(problem, np.ravel(np.asarray(moved.crank_angle, dtype=float)))
+    return moved
 
 
 class Columns(dict[str, Array]):
@@ -633,7 +692,8 @@ def analyze_batch(
     columns : sequence of str
         Names as in `Analysis.columns`.
     points : int
-        Number of crank angles per revolution, starting at `drive.start`; the last one lies one step before the full revolution. A
+        Number of crank angles per revolution, starting at `drive.start`; the last one lies one step before the full revolution.
+        Over the range of a drive there are `points` steps, and one crank angle more. A
         machine whose motion or loads repeat after several revolutions has all those of the longest cycle of all designs.
     speed : float [rad/s], optional
         Crank speed. Default: that of the problem.
@@ -668,12 +728,16 @@ def analyze_batch(
     check_repeats(problem, given)
     revolutions = math.lcm(_longest_cycle(problem, arrays) if follows else 1, given.revolutions or 1)
     angles = problem.model.driving.first + np.copysign(TURN, direction) * np.arange(revolutions * points) / points
+    if (limits := given.mechanism.limits) is not None:
+        angles = np.linspace(*(limits if direction > 0.0 else limits[::-1]), points + 1)
     available = MotionColumns(given.moving(angles[:1], direction)).columns
     for name in columns:
         check_choice("columns", name, available, "no such column", problem.file)
     result = Columns()
     result.update({name: np.empty((count, len(angles))) for name in columns})
-    samples = angles if points >= SAMPLES else problem.model.driving.first + TURN * np.arange(revolutions * SAMPLES) / SAMPLES
+    samples = angles
+    if points < SAMPLES and limits is None:
+        samples = problem.model.driving.first + TURN * np.arange(revolutions * SAMPLES) / SAMPLES
     step = 1 if follows else max(1, BLOCK_SIZE // points)
     for first in range(0, count, step):
         for part, defined in _by_slow_stroke(problem, arrays, np.arange(first, min(first + step, count)), single=follows):

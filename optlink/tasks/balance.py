@@ -54,12 +54,16 @@ def positions(problem: ProblemFile, machine: Machine, speed: float) -> Array:
     """Return the crank angles [rad] at which a machine is balanced; a cycle without its end, which equals its start."""
     section, start = problem.model.balance, problem.model.driving.first
     assert section is not None
-    check_one_crank(problem, machine, "balancing")
+    check_one_crank(problem, machine, "balancing", linear=True)
     ranges, low, high = motion_range(problem, machine, start)
     check_regular(problem, ranges, "nothing can be balanced")
     check_repeats(problem, machine)
     angles = table_angles(start, low, high, speed, ranges, section.positions, None)
     return angles[:-1] if ranges.full else angles
+
+
+ROUNDING = 1e-9
+"""Share of the value in the original machine below which the largest amount of a term counts as zero."""
 
 
 class _Task:
@@ -408,7 +412,7 @@ def _notes(
     if idle:
         notes.append(f"no counterweight is of use on {', '.join(idle)}")
     notes += start_value_notes(task.problem)
-    if len(task.angles) != task.section.positions:
+    if len(task.angles) != task.section.positions and task.problem.model.linkage.limits is None:
         notes.append("the crank cannot turn fully: the positions are those of its range")
     notes += _between(task, heavier)
     return notes
@@ -424,7 +428,7 @@ def _between(task: _Task, heavier: Machine) -> list[str]:
     notes = []
     for term in peaks:
         at, between = (value(term, amounts(record, term)) for record in (coarse, dense))
-        if between > at * (1.0 + 1e-4):
+        if between > at * (1.0 + 1e-4) + ROUNDING * task.before(term):
             higher = percent(between / at - 1.0, 2)
             notes.append(f"between the positions the {term.words} is up to {higher} higher: use more positions")
     return notes

@@ -493,6 +493,9 @@ def _setting(
         raise InputError("out of range", "Give an angle", key="start", value=f"{start} rad")
     drive, kind = model.drive, Control(control)
     begin = problem.model.driving.first if start is None else start
+    if machine.mechanism.limits is not None:
+        message, remedy = "the drive has a range; simulation with clearance needs full revolutions", "Leave it out"
+        raise InputError(message, remedy, name, "drive.range", problem.at("drive.range"))
     ranges, _, _ = motion_range(problem, machine, begin)
     check_regular(problem, ranges, "clearance is not simulated there")
     if not ranges.full:

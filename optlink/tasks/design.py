@@ -51,6 +51,7 @@ from optlink.validation.timing import passing
 MAX_CERTIFIED_VARIABLES = 2
 """Design variables of a motion law up to which the global optimum is certified by default, without random starts."""
 MIN_CURVATURE = 1e-7  # least curvature, for an objective scaled to 1, of a unique optimum
+NONE_MOVES = "none of {} random designs within the bounds lets {}: widen the bounds, or start from a design that does"
 MISSED_CHANCE = 0.02  # estimated chance that a better design was missed at which a search ends
 FITS_PER_ROUND = 24  # random fits of a function per assembly mode
 MIN_ROUNDS, MAX_ROUNDS = 3, 20  # of random starting points, while a better design is not unlikely
@@ -143,8 +144,9 @@ class SynthesisTask(DesignTask[SynthesisResult]):
         if not task.parts:
             trace, order, near = polisher.orders[0].first
             if not near:
-                message = "no dimensions were found within the bounds with which the crank turns fully"
-                raise InputError(message, "Widen the bounds, or start from a design that turns", problem.file, "mechanism")
+                moves = "the crank turns fully" if task.linkage.limits is None else "the drive moves through its range"
+                message = f"no dimensions were found within the bounds with which {moves}"
+                raise InputError(message, "Widen the bounds, or start from a design that does", problem.file, "mechanism")
             return polisher.of_order(0, 1, trace, order, near)
         if task.data.offsets is None and task.rotation == "either":
             message = "the crank may pass the points in either direction: each has its own programme"
@@ -201,8 +203,10 @@ def _notes(task: DesignProblem, rounds: SearchRounds) -> Iterator[str]:
         yield from _notes_on_sampling(rounds, shown)
     if best is None:
         crank = task.limits.crank if task.parts else ""
-        reasons = cannot_turn(task.mechanism.quantities, task.linkage, crank, task.limits.alignment.value)
-        none = () if task.parts or rounds.sampled else (NONE_TURNS.format(SAMPLES * (rounds.options.starts or STARTS)),)
+        limited = task.linkage.limits is not None
+        reasons = () if limited else cannot_turn(task.mechanism.quantities, task.linkage, crank, task.limits.alignment.value)
+        moves, count = "the drive move through its range" if limited else "the crank turn fully", rounds.options.starts or STARTS
+        none = () if task.parts or rounds.sampled else (NONE_MOVES.format(SAMPLES * count, moves),)
         yield from reasons or none
         return
     if best.perfect:
@@ -211,7 +215,7 @@ def _notes(task: DesignProblem, rounds: SearchRounds) -> Iterator[str]:
     if best.solution and _movable(best):
         equal = continuum(best.whole, best.solution, rounds.options.backend)
         yield from () if equal is None else [_continuum_note(equal)]
-    if best.whole.of_cycle and best.cycle is not None and best.cycle.full:
+    if best.whole.of_cycle and best.cycle is not None and best.cycle.complete and best.cycle.limits is None:
         from optlink.tasks.analyze import quick_stroke_notes
 
         yield from quick_stroke_notes(best.problem, best.cycle.machine, best.cycle.speed)
@@ -226,7 +230,8 @@ def _notes_on_sampling(rounds: SearchRounds, best: LinkageDesign) -> Iterator[st
     if len(rounds.files) > 1:
         yield f"assembly mode: {mode_of(best.problem)}, the best of those left open"
     if samples.most < samples.count:
-        why = f"no others of {SAMPLES * samples.count} random designs turn fully with the same order of events"
+        move = "turn fully" if best.whole.linkage.limits is None else "move through the range"
+        why = f"no others of {SAMPLES * samples.count} random designs {move} with the same order of events"
         yield f"only {samples.most} of {samples.count} starts: {why}"
     if best.valid and terms and not terms.structure.like(samples.begun[0][0].order):
         rows = any(event.key[0] == CORNER for event in terms.trace.events)

@@ -244,18 +244,21 @@ def check_range_reached(problem: ProblemFile, machine: Machine) -> None:
             ),
             None,
         )
-        reached = f"it can move in {ranges.text}" if ranges.ranges else "no position of it can be reached"
-        message = f"the range cannot be moved through: {failed or 'the mechanism cannot be assembled'}; {reached}"
+        driving = problem.model.driving
+        moves = (f"{driving.shown(a):.6g} ... {driving.shown(b):.6g} {driving.unit}" for a, b in ranges.ranges)
+        reached = f"it can move in {', '.join(moves)}" if ranges.ranges else "no position of it can be reached"
+        why = failed.at(driving.text(failed.crank_angle)) if failed else "the mechanism cannot be assembled"
+        message = f"the range cannot be moved through: {why}; {reached}"
         raise InputError(message, "Change the range, or the dimensions", problem.file, "drive.range", problem.at("drive.range"))
     if ranges.singular:
-        where = positions_text(ranges.singular)
-        message = f"the range crosses a singular position at crank angle {where}: the motion beyond it is not determined"
+        where = problem.model.driving.text(ranges.singular[0].crank_angle)
+        message = f"the range crosses a singular position at {where}: the motion beyond it is not determined"
         remedy = 'End the range before it, change the dimensions, or append ", continue" to the mode for the smooth motion'
         raise InputError(message, remedy, problem.file, "drive.range", problem.at("drive.range"))
 
 
-def check_one_crank(problem: ProblemFile, machine: Machine, what: str, *, geared: bool = False) -> None:
-    """Refuse a machine whose drives prescribe its motion, or (unless `geared`) one with gears, racks, belts or cams.
+def check_one_crank(problem: ProblemFile, machine: Machine, what: str, *, geared: bool = False, linear: bool = False) -> None:
+    """Refuse a machine with laws or several drives, and unless allowed one with couplings, or driven along a line.
 
     Raises
     ------
@@ -263,14 +266,40 @@ def check_one_crank(problem: ProblemFile, machine: Machine, what: str, *, geared
         whose message says `what` is not supported.
     """
     mechanism = machine.mechanism
-    if mechanism.drives:
+    alone = linear and problem.model.driving.ends is not None
+    if mechanism.drives and not alone:
         key = "drives" if problem.model.drives else "drive"
         remedy = "`optlink analyze` computes its motion, forces and work; or drive one crank at constant speed"
         raise InputError(f"{what} of a machine with a prescribed motion is not supported", remedy, problem.file, key)
-    if mechanism.singles and not geared:
+    if mechanism.singles and not geared and not alone:
         names = ", ".join(element.name for element in mechanism.elements)
         remedy = "`optlink analyze` computes its motion, forces and work; or leave them out"
         raise InputError(f"{what} of a machine with {names} is not supported", remedy, problem.file, "mechanism")
+
+
+def check_within_range(problem: ProblemFile, crank_angles: Array) -> None:
+    """Refuse crank angles [rad] outside the range of the drive.
+
+    Raises
+    ------
+    InputError
+        With the first one.
+    """
+    mechanism = problem.model.linkage
+    if mechanism.limits is None:
+        return
+    low, high = mechanism.limits
+    slack = 1e-9 * (high - low)
+    outside = crank_angles[(crank_angles < low - slack) | (crank_angles > high + slack)]
+    if outside.size:
+        message = f"the position {position_text(problem, float(outside[0]))} lies outside the range of the drive"
+        remedy = f"Give positions from {position_text(problem, low)} to {position_text(problem, high)}, or change the range"
+        raise InputError(message, remedy, problem.file, "drive.range", problem.at("drive.range"))
+
+
+def position_text(problem: ProblemFile, position: float) -> str:
+    """Return a crank angle [rad], or the slide or length at a value of the cycle variable [rad], with its unit."""
+    return problem.model.driving.text(position)
 
 
 def check_repeats(problem: ProblemFile, machine: Machine) -> None:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import ClassVar
 
@@ -144,6 +144,11 @@ def simulate(
     machine = machine_of(problem, design)
     check_one_crank(problem, machine, "simulation", geared=True)
     start, begun = starting_angle(problem, machine, design)
+    if machine.mechanism.drives:
+        message = "the motion in time of a machine that a slide or cylinder drives is not supported"
+        raise InputError(message, "Analyse it at a constant speed: optlink analyze", problem.file, "drive")
+    if machine.mechanism.limits is not None:  # it has no stops
+        machine = machine.with_(mechanism=replace(machine.mechanism, limits=None))
     machine = with_flywheel(machine, flywheel)
     speed = starting_speed(problem, speed)
     duration = duration_of(problem, duration)

@@ -172,7 +172,7 @@ def length_check(lengths: Iterable[tuple[ArrayLike, ArrayLike, ArrayLike]], size
     For each link: its least and largest measured length, and its length [m]; `size` [m] is the reference.
     """
     misses = [np.maximum(largest - np.asarray(nominal), nominal - np.asarray(least)) for least, largest, nominal in lengths]
-    worst, limit = np.max(misses, axis=0) * 1e3, LENGTH_TOLERANCE * np.asarray(size) * 1e3
+    worst, limit = np.max(misses, axis=0, initial=0.0) * 1e3, LENGTH_TOLERANCE * np.asarray(size) * 1e3
     return Checks("link lengths re-measured in motion", worst <= limit, worst, text("<= {:.1e}", limit), "mm")
 
 

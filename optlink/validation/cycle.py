@@ -46,14 +46,25 @@ class Cycle:
         self.machine = problem.machine(self.design)
         self.mechanism, self.speed = self.machine.mechanism, problem.driving.pace
         ranges = reachable(self.mechanism, self.design)
-        self.full, self.singular = ranges.full, ranges.singular
-        self.cycle = self.machine.cycle
+        self.complete, self.singular = ranges.complete, ranges.singular
+        self.limits = self.mechanism.limits
+        self.low, self.high = self.limits or (0.0, self.machine.cycle)
         self._figures: dict[Term, float] = {}
+
+    @property
+    def cycle(self) -> float:
+        """Crank rotation [rad] of a cycle, or through the range of the drive."""
+        return self.high - self.low
+
+    @property
+    def over(self) -> str:
+        """What the quantities are taken over, in words."""
+        return "the revolution" if self.limits is None else "the range"
 
     @cached_property
     def positions(self) -> Array:
-        """Evenly spaced crank angles [rad] of a cycle, with its end."""
-        return np.linspace(0.0, self.cycle, POSITIONS * round(self.cycle / TURN) + 1)
+        """Evenly spaced crank angles [rad] of a cycle, or of the range of the drive, with its end."""
+        return np.linspace(self.low, self.high, POSITIONS * max(1, round(self.cycle / TURN)) + 1)
 
     @property
     def longest(self) -> float:
@@ -62,20 +73,24 @@ class Cycle:
 
     @cached_property
     def revolution(self) -> FourBarMotion | LinkageMotion:
-        """The motion over a revolution."""
+        """The motion over a revolution, or over the range of the drive."""
         sizes = {name: np.array([[value]]) for name, value in self.design.items()}
-        angles = np.linspace(0.0, TURN, POSITIONS, endpoint=False)
-        return motion_of(self.mechanism, self.mechanism, sizes, angles, self.longest, closed=True)
+        if self.limits is None:
+            angles = np.linspace(0.0, TURN, POSITIONS, endpoint=False)
+            return motion_of(self.mechanism, self.mechanism, sizes, angles, self.longest, closed=True)
+        return motion_of(self.mechanism, self.mechanism, sizes, self.positions, self.longest, span=self.cycle)
 
     @cached_property
     def work(self) -> Work:
-        """Work of the drive from crank angle 0 over a cycle."""
+        """Work of the drive from crank angle 0 over a cycle, or through the range of the drive."""
+        if self.limits is not None:
+            return Work(self.machine, self.low if self.speed > 0.0 else self.high, self.low, self.high, self.speed)
         low, high = (0.0, self.cycle) if self.speed > 0.0 else (-self.cycle, 0.0)
         return Work(self.machine, 0.0, low, high, self.speed)
 
     @cached_property
     def _travels(self) -> tuple[dict[str, Travel], dict[str, Travel]]:
-        return travels(self.mechanism, self.design, 0.0, TURN, True)
+        return travels(self.mechanism, self.design, *self.mechanism.extent, self.limits is None)
 
     @cached_property
     def _still(self) -> Machine:
@@ -99,7 +114,7 @@ class Cycle:
             return math.fsum(lengths)
         if term.quantity == "length":
             return self.design[str(term.of)]
-        if not self.full:
+        if not self.complete:
             return math.nan
         if term.nature.cyclic:
             return self._cyclic(term)
@@ -123,13 +138,13 @@ class Cycle:
         """Return the stroke, an end, or the time ratio of a point along a direction, from the extremes of its path."""
         assert term.direction is not None
         way = np.array([math.cos(term.direction.value), math.sin(term.direction.value)])
-        grid = np.linspace(0.0, TURN, POSITIONS + 1)
+        grid = np.linspace(*self.mechanism.extent, POSITIONS + 1)
 
         def along(at: Array) -> Array:
             placed: Array = sweep(self.mechanism, self.design, at).position(str(term.of)) @ way
             return placed[None, :]
 
-        angles, values = extremes(along, grid, periodic=True)
+        angles, values = extremes(along, grid, periodic=self.limits is None)
         if term.quantity == "end":
             return float(values[0, 1 if term.stroke == "forward" else 0])
         if term.quantity == "stroke":
@@ -138,7 +153,12 @@ class Cycle:
         return stroke_ratio(forward, TURN - forward, term.stroke)
 
     def _work(self, term: Term) -> float:
-        """Return the work of the drive per revolution, or in a stroke of a slider, mean over the revolutions of a cycle."""
+        """Return the work of the drive per revolution, or in a stroke of a slider, mean over the revolutions of a cycle.
+
+        Of a range it is the work from the one end to the other.
+        """
+        if self.limits is not None:
+            return float(self.work(np.array([self.high if self.speed > 0.0 else self.low]))[0])
         sense, revolutions = math.copysign(self.cycle, self.speed), round(self.cycle / TURN)
         whole, back = float(self.work(np.array([sense]))[0]), min(sense, 0.0)
         if term.of is None:
@@ -170,13 +190,15 @@ class Cycle:
         """Return the values (terms,) of terms that a single position decides, one-sided at load jumps."""
         scores: dict[str, Callable[[Array], Array]] = {"peak": np.abs, "largest": np.positive, "least": np.negative}
         reads = [(scores[term.how], self.history(term)[1]) for term in terms]
-        jumps, breaks, tops = (np.remainder(at, self.cycle) for at in (self.work.jumps, self.work.breaks, self.work.peaks))
+        jumps, breaks, tops = self.work.jumps, self.work.breaks, self.work.peaks
+        if periodic := self.limits is None:
+            jumps, breaks, tops = (np.remainder(at, self.cycle) for at in (jumps, breaks, tops))
 
         def values(angles: Array, side: int = 1) -> Array:
             record = MotionColumns(machine.moving(angles, self.speed, side=side))
             return np.array([score(read(record)) for score, read in reads])
 
-        peaks = maxima(values, distinct(np.concatenate([self.positions, tops])), tuple(breaks), periodic=True)[1]
+        peaks = maxima(values, distinct(np.concatenate([self.positions, tops])), tuple(breaks), periodic=periodic)[1]
         if jumps.size:
             peaks = np.maximum(peaks, np.nanmax(values(jumps, side=-1), axis=1))
         return np.where([term.how == "least" for term in terms], -peaks, peaks)
@@ -196,12 +218,14 @@ class Cycle:
         """Return a reference value of the signal of a term [SI] if the term itself may vanish; otherwise zero."""
         if term.quantity in ("end", "slide", "length"):
             return self.longest
-        if not self.full or (term.how != "mean" and term.quantity != "work"):
+        if not self.complete or (term.how != "mean" and term.quantity != "work"):
             return 0.0
         driving = term if term.how == "mean" else Term(quantity="torque")
         machine, read = self.history(driving)
         values = read(MotionColumns(machine.moving(self.positions, self.speed)))
-        return float(np.max(np.abs(values))) * (1.0 if term.how == "mean" else TURN)
+        return float(np.max(np.abs(values))) * (
+            1.0 if term.how == "mean" else self.mechanism.extent[1] - self.mechanism.extent[0]
+        )
 
     def natural(self) -> float:
         """Return the value [unit of the objective] below which the objective is a rounding error."""
@@ -211,7 +235,8 @@ class Cycle:
         """Return the work per revolution not balanced between drive and loads, relative to the exchanged energy; zero in a cycle.
 
         The exchanged energy is the integral of the absolute powers over the revolution plus the kinetic energy: without
-        loads the works all vanish, in a machine balanced on its crank the powers too.
+        loads the works all vanish, in a machine balanced on its crank the powers too. Over a range the work also changes the
+        energy of bodies, from the one end to the other.
         """
         points, half = gauss_points(self.work.knots[:-1], self.work.knots[1:])
         moving = self.machine.moving(points.ravel(), self.speed)
@@ -225,8 +250,12 @@ class Cycle:
             return float(np.sum(half * (power.reshape(-1, len(NODES)) @ WEIGHTS))) / self.speed
 
         fed = math.fsum(abs(whole(np.abs(power))) for power in powers)
-        stored = float(np.max(np.abs(moving.kinetic), initial=0.0))
-        return abs(math.fsum(whole(power) for power in powers)) / max(fed + stored, 1e-300)
+        stored, gained = float(np.max(np.abs(moving.kinetic), initial=0.0)), 0.0
+        if self.limits is not None:
+            ends = self.machine.moving(np.array([self.low, self.high]), self.speed)
+            energy = np.broadcast_to(np.asarray(ends.kinetic + self.machine.weight(ends.state)), 2)
+            gained = float(energy[1] - energy[0])
+        return abs(math.fsum(whole(power) for power in powers) - gained) / max(fed + stored, 1e-300)
 
 
 def cycle_of(problem: DesignProblem, values: Mapping[str, float]) -> Cycle | None:

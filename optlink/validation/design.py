@@ -33,6 +33,7 @@ from optlink.problem.tolerances import EXPECTED, WORST
 from optlink.units import DISPLAYED, KINDS, factor
 from optlink.validation.check import (
     ANGLE_TOLERANCE,
+    LENGTH_TOLERANCE,
     MEASURED_ROBUST,
     POSITIONS,
     SAME,
@@ -107,7 +108,7 @@ def validate(
         except Unusable as error:
             return Validation((Check(f"the machine can be made: {error.message}", False, math.nan, "yes", ""),), math.nan)
         checks += [] if problem.parts else [*_machine_sizes(cycle), *_machine_motion(cycle)]
-        if problem.parts or cycle.full:
+        if problem.parts or cycle.complete:
             checks += [check for item in problem.bounds for check in _bound(cycle, item)]
         total, least = total + cycle.objective(), max(least, cycle.natural())
     if objective is not None:
@@ -772,23 +773,32 @@ def _machine_sizes(tested: Cycle) -> Iterator[Check]:
     changed = [check for check in within if check.name in as_given and not check.passed]
     yield from changed or [Check("all other dimensions as given", True, 0.0, "= 0", "")]
     yield tested.revolution.link_lengths(size).of()
+    for drive in tested.mechanism.drives if tested.complete else ():
+        if drive.size:
+            link, motion = tested.mechanism.bodies[drive.body], tested.revolution
+            ends = [tested.design[end] if isinstance(end, str) else float(end or 0.0) for end in (drive.begin, drive.end)]
+            lengths = sweep(tested.mechanism, tested.design, motion.angles[[0, -1]]).distance(link.start, link.end)
+            error = float(np.max(np.abs(lengths - ends)))
+            limit = LENGTH_TOLERANCE * size
+            yield Check(f"{drive.body} moves from end to end", error <= limit, error * 1e3, f"<= {limit * 1e3:.1e}", "mm")
 
 
 def _machine_motion(tested: Cycle) -> Iterator[Check]:
-    """Check full rotation on one branch and circuit, finite forces, and the energy balance of drive and loads."""
-    yield Check("the crank turns fully", tested.full, float(tested.full), "= 1", "")
-    if not tested.full:
+    """Check the whole motion on one branch and circuit, finite forces, and the energy balance of drive and loads."""
+    moves = "the crank turns fully" if tested.limits is None else "the linkage closes throughout the range"
+    yield Check(moves, tested.complete, float(tested.complete), "= 1", "")
+    if not tested.complete:
         return
-    yield Check("no singular position in the revolution", not tested.singular, float(len(tested.singular)), "= 0", "")
+    yield Check(f"no singular position in {tested.over}", not tested.singular, float(len(tested.singular)), "= 0", "")
     groups = tested.mechanism.groups
     for group, least in zip(groups, tested.revolution.least_squared_sines, strict=True):
-        yield alignment_check(group, len(groups) == 1, least, tested.problem.limits, "the revolution").of()
+        yield alignment_check(group, len(groups) == 1, least, tested.problem.limits, tested.over).of()
     yield from (checks.of() for checks in _circuit(tested.mechanism, tested.revolution))
     from optlink.dynamics.columns import MotionColumns
 
     record = MotionColumns(tested.machine.moving(tested.positions, tested.speed))
     good = not np.any(record.singular | record.jammed | record.undefined) and not tested.work.poles
-    yield Check("finite forces over the revolution", bool(good), float(good), "= 1", "")
+    yield Check(f"finite forces over {tested.over}", bool(good), float(good), "= 1", "")
     if tested.machine.inertias or tested.machine.loads:
         gap = tested.imbalance()
         yield Check("work of the drive is that of the loads", bool(gap <= BALANCE), gap, f"<= {BALANCE:.0e}", "")

@@ -299,7 +299,7 @@ class LinkageMotion(_Designs):
         self.span = np.broadcast_to(np.ravel(span), self.count)[:, None]
         self.width = np.abs(self.span) / (self.positions - (not closed))
         self.joints = tuple(dict.fromkeys((*(group.joint for group in linkage.groups), point)))
-        self.links = tuple(link for link in linkage.links if link.end)
+        self.links = tuple(link for link in linkage.links if link.end and link.length not in linkage.driven_sizes)
 
     @cached_property
     def survey(self) -> _Survey:
@@ -310,7 +310,7 @@ class LinkageMotion(_Designs):
     @np.errstate(all="ignore")
     def _surveyed(self, motion: Motion, part: slice) -> tuple[Array, ...]:
         """Return the figures of a block of designs."""
-        along = np.array([motion.distance(link.start, link.end) for link in self.links])
+        along = np.array([motion.distance(link.start, link.end) for link in self.links]).reshape(-1, *motion.shape)
         heights = np.full(motion.shape, np.inf)
         for group in self.linkage.groups:
             if isinstance(group, RRR):

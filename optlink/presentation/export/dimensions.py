@@ -74,7 +74,7 @@ def dimensioned(cycle: Analysis, title: str) -> Drawing:
 def clearest(cycle: Analysis) -> float:
     """Return the crank angle [rad] at which the joints keep farthest from the lines of links to which they do not belong."""
     machine, mechanism = cycle.machine, cycle.machine.mechanism
-    all_angles = np.radians(cycle["crank_angle_deg"])
+    all_angles = cycle.positions
     angles = all_angles[np.linspace(0, len(all_angles) - 1, POSITIONS).round().astype(int)]
     motion = sweep(mechanism, machine.sizes, angles)
     places = {name: motion.position(name) for name in mechanism.owners}
@@ -173,7 +173,7 @@ def _swings(cycle: Analysis, drawn: Scene) -> Iterator[tuple[str, float, float, 
         direction = math.atan2(arm[1], arm[0])
         angle = math.radians(float(drawn.poses(body)[0, 2]))
         if body == mechanism.crank.body:
-            angles = np.radians(cycle["crank_angle_deg"])
+            angles = cycle.positions
             low, high = (0.0, TURN) if cycle.full else (float(np.min(angles)), float(np.max(angles)))
             angle = math.radians(float(at))
         elif body in cycle.swings:

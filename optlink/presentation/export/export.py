@@ -85,7 +85,7 @@ def place_of(model: ReportModel, cycle: Analysis, at: float | None) -> float:
         If the crank cannot reach the angle; the message contains the reachable ranges.
     """
     if at is None:
-        return math.radians(float(cycle["crank_angle_deg"][0]))
+        return float(cycle.positions[0])
     if cycle.full:
         return at
     if cycle.ranges.holding(at) is None:

@@ -153,7 +153,8 @@ def motion_data(scene: Scene) -> dict[str, Any]:
         return {name: np.round(values, decimals).tolist() for name, values in zip(names, table.T, strict=True)}
 
     bodies = {name: scene.poses(name) * [1.0, -1.0, -1.0] for name in scene.parts}
-    ends = {spring.name: scene.ends(scene.shown, spring.name) * FLIP for spring in scene.springs}
+    lines = {spring.name: zigzag(scene.size) for spring in scene.springs} | {name: [[0, 0], [1, 0]] for name in scene.cylinders}
+    ends = {name: scene.ends(scene.shown, name) * FLIP for name in lines}
     names = {name: scene.places_of_names[name] for name in scene.moving}
     return {
         "angles_deg": np.round(scene.crank_angles, 9).tolist(),
@@ -163,7 +164,6 @@ def motion_data(scene: Scene) -> dict[str, Any]:
         "names": {
             name: columns(places * FLIP, "xy") | {"side": "".join(DIGITS[chosen])} for name, (places, chosen) in names.items()
         },
-        "springs": {name: columns(both.reshape(len(both), 4), "xyuv") for name, both in ends.items()},
-        "zigzag": zigzag(scene.size),
+        "springs": {name: columns(both.reshape(len(both), 4), "xyuv") | {"line": lines[name]} for name, both in ends.items()},
         "size": scene.size,
     }

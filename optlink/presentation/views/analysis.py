@@ -130,9 +130,11 @@ def _arrow(axes: Axes, begin: NDArray[np.float64], end: NDArray[np.float64], gid
 def _state(cycle: CycleCurves, at: float) -> str:
     """Format crank angle, output position and driving torque at a position."""
     out = output(cycle)
-    parts = [f"φ {degrees(at)}", f"{'s' if out.slides else 'θ'} {out.scales(cycle)[0].text(cycle.at(at, out.columns[0]))}"]
-    torque = cycle.at(at, "input.torque_Nm")
-    if cycle.has("input.torque_Nm") and math.isfinite(torque) and not np.any(np.abs(cycle.result.jumps - at) < 1e-6):
+    driving = cycle.result.problem.model.driving
+    where = f"φ {degrees(at)}" if driving.ends is None else driving.text(at)
+    parts = [where, f"{'s' if out.slides else 'θ'} {out.scales(cycle)[0].text(cycle.at(at, out.columns[0]))}"]
+    torque = cycle.at(at, "input.torque_Nm") if cycle.has("input.torque_Nm") else math.nan
+    if math.isfinite(torque) and not np.any(np.abs(cycle.result.jumps - at) < 1e-6):
         parts.append(f"M {scale(cycle.peak('input.torque_Nm'), 'N m').text(torque)}")
     return "   ".join(parts)
 

@@ -59,7 +59,7 @@ class CycleCurves:
     def __init__(self, result: Analysis) -> None:
         self.result = result
         self.direction = 1.0 if result.speed > 0.0 else -1.0
-        table = np.radians(result["crank_angle_deg"])
+        table = result.positions
         self.start = float(table[0])
         self.end = self.start + self.direction * result.cycle if result.full else float(table[-1])
         low, high = sorted((self.start, self.end))
@@ -91,8 +91,8 @@ class CycleCurves:
 
     @property
     def steady(self) -> bool:
-        """Whether the crank turns fully and no quantity grows without bound."""
-        return self.result.valid and self.result.full
+        """Whether the motion that is asked for is possible and no quantity grows without bound."""
+        return self.result.valid and self.result.ranges.complete
 
     def peak(self, *names: str) -> float:
         """Return the largest absolute value of the columns [SI], restricted to the range of values that is drawn."""

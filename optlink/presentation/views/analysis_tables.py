@@ -27,6 +27,7 @@ from optlink.presentation.table_spec import (
 )
 from optlink.problem.file import ProblemFile
 from optlink.problem.machine.balance import BalanceSection
+from optlink.problem.machine.bodies import SLOWNESS
 from optlink.problem.mechanism import DyadsSection
 from optlink.units import percent
 
@@ -114,8 +115,8 @@ def balance_problem(section: BalanceSection) -> TableSpec:
 
 def analysis(outcome: Analysis) -> Summary:
     """Summarise an analysis: status, strokes, extremes, work and flywheel."""
-    turn = "the crank turns fully" if outcome.full else "the crank cannot turn fully"
-    ended = verdict(outcome.status, outcome.valid), f", {turn}; {_speed(outcome.speed)}"
+    turn, driving = "the crank turns fully" if outcome.full else "the crank cannot turn fully", outcome.problem.model.driving
+    ended = verdict(outcome.status, outcome.valid), f", {driving.reach or turn}; {_speed(outcome)}"
     title, status = outcome.problem.model.title, [ended, *noted(outcome.notes)]
     if outcome.ranges.singular:
         return summary(title, status)
@@ -123,7 +124,12 @@ def analysis(outcome: Analysis) -> Summary:
     return summary(title, status, *_travels(outcome), _extremes(outcome), _work(outcome) if loaded else None)
 
 
-def _speed(speed: float) -> str:
+def _speed(outcome: Analysis) -> str:
+    speed, ends = outcome.speed, outcome.problem.model.driving.ends
+    if abs(speed) == SLOWNESS:
+        return "static"
+    if ends is not None:
+        return f"{1e3 * speed * (ends[1] - ends[0]) / math.pi:.6g} mm/s"
     sense = "" if speed > 0.0 else ", clockwise"
     return f"crank speed {abs(speed):.6g} rad/s ({abs(speed) * 30.0 / math.pi:.6g} rpm){sense}"
 
@@ -133,13 +139,13 @@ def _travels(outcome: Analysis) -> Iterator[Part | None]:
         yield Paragraph("No body swings and no slider moves to and fro")
         return
     outputs, others = travels_by_use(outcome.machine, outcome.swings, outcome.strokes)
-    rows = []
+    rows, driving = [], outcome.problem.model.driving
     for name, travel in (outputs | others).items():
         factor, unit = (1e3, "mm") if name.endswith(" slides") else (math.degrees(1.0), "deg")
-        centres = "\n".join(f"{math.degrees(at):z.3f}" for at in travel.dead_centres)
+        centres = "\n".join(f"{driving.shown(at):z.3f}" for at in travel.dead_centres)
         ends = (dimension(value * factor) for value in (travel.low, travel.high, travel.span))
         rows.append((strong(name) if name in outputs else name, *ends, unit, centres, fixed(travel.time_ratio, 5)))
-    columns = ["", ">from", ">to", ">span", "", ">reverses\n[deg]", ">time ratio"]
+    columns = ["", ">from", ">to", ">span", "", f">reverses\n[{driving.unit}]", ">time ratio"]
     yield table("Strokes of sliders, swings of bodies", columns, rows)
     yield stroke_table(outputs, outcome.speed, outcome.acting)
 
@@ -175,6 +181,8 @@ WORTH = {
     ".f_N": ("force", "N"),
     ".normal_N": ("normal force", "N"),
     ".moment_Nm": ("moment", "N m"),
+    ".length_m": ("length", "m"),
+    ".force_N": ("force of the drive", "N"),
     "input.torque_Nm": ("torque", "N m"),
     "input.power_W": ("power", "W"),
     "frame.shaking_fx_N": ("shaking force x", "N"),
@@ -195,7 +203,7 @@ UNITS = ("s", "s2", "rad", "N", "Nm", "W")
 
 def _extremes(outcome: Analysis) -> TableSpec:
     worth = {name: shown for name in outcome.extremes for ending, shown in WORTH.items() if name.endswith(ending)}
-    amounts = outcome.extremes.amounts
+    amounts, driving = outcome.extremes.amounts, outcome.problem.model.driving
     scale = {unit: max((size for name, size in amounts.items() if name.endswith(f"_{unit}")), default=0.0) for unit in UNITS}
     rows = []
     for name, extreme in outcome.extremes.select(worth).items():
@@ -205,18 +213,19 @@ def _extremes(outcome: Analysis) -> TableSpec:
         factor = math.degrees(1.0) if unit == "deg" else 1.0
         ends = ((extreme.least, extreme.least_at), (extreme.largest, extreme.largest_at))
         cells = [
-            (number(factor * (0.0 if abs(value) <= ROUNDING * size else value), 7), fixed(math.degrees(at), 4))
+            (number(factor * (0.0 if abs(value) <= ROUNDING * size else value), 7), fixed(driving.shown(at), 4))
             for value, at in ends
         ]
         rows.append((f"{name.rpartition('.')[0]}: {word}", *cells[0], *cells[1], quiet(unit)))
-    columns = ["", ">least", ">at [deg]", ">largest", ">at [deg]", ""]
-    return table("Extremes over the motion, at their exact crank angles", columns, rows)
+    columns = ["", ">least", f">at [{driving.unit}]", ">largest", f">at [{driving.unit}]", ""]
+    where = "crank angles" if driving.ends is None else f"positions: {driving.coordinate}"
+    return table(f"Extremes over the motion, at their exact {where}", columns, rows)
 
 
 def _work(outcome: Analysis) -> TableSpec:
     scale = max((abs(v) for v in outcome.extremes.get("input.work_J", (0.0,))), default=0.0)
     work = 0.0 if abs(outcome.work) <= 1e-12 * scale else outcome.work  # rounding error of cancelling terms
-    rows = [(outcome.extent, number(work, 9), "J")]
+    rows, driving = [(outcome.extent, number(work, 9), "J")], outcome.problem.model.driving
     if outcome.full and math.isfinite(work):
         torque, power = (mean if work else 0.0 for mean in (outcome.mean_torque, outcome.mean_power))
         rows += [
@@ -228,7 +237,7 @@ def _work(outcome: Analysis) -> TableSpec:
         extreme = outcome.extremes["input.work_J"]
         for word, amount, at in (("least", *extreme[:2]), ("largest", *extreme[2:])):
             shown = 0.0 if abs(amount) <= 1e-12 * scale else amount
-            rows.append((f"{word} since the start", number(shown, 9), f"J at {math.degrees(at):z.4f} deg"))
+            rows.append((f"{word} since the start", number(shown, 9), f"J at {driving.shown(at):z.4f} {driving.unit}"))
     wheel = outcome.flywheel
     if wheel:
         alone = "of the mean speed under it, without a flywheel"

@@ -93,7 +93,7 @@ def analysis(outcome: Analysis) -> str:
     text = joined(words) if words else "the motion was computed"
     if not outcome.valid:
         text = f"not every position has finite reactions ({outcome.status}); {text}"
-    turn = "" if outcome.full else " The crank cannot turn fully."
+    turn = "" if outcome.ranges.complete else " The crank cannot turn fully."
     return f"{text[:1].upper()}{text[1:]}.{turn}"
 
 

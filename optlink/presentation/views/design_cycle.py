@@ -40,8 +40,8 @@ class Line(NamedTuple):
 def _line(cycle: Cycle, term: Term) -> Line:
     """Evaluate a cyclic term over the revolution, with one-sided values at load jumps."""
     machine, read = cycle.history(term)
-    jumps = np.remainder(cycle.work.jumps, cycle.cycle)
-    even = np.linspace(0.0, cycle.cycle, STEPS * round(cycle.cycle / TURN) + 1)
+    jumps = cycle.low + np.remainder(cycle.work.jumps - cycle.low, cycle.cycle)
+    even = np.linspace(cycle.low, cycle.high, STEPS * max(1, round(cycle.cycle / TURN)) + 1)
     angles = np.concatenate([even, jumps, jumps])
     values = read(MotionColumns(machine.moving(np.concatenate([even, jumps]), cycle.speed)))
     before = read(MotionColumns(machine.moving(jumps, cycle.speed, side=-1))) if jumps.size else np.zeros(0)
@@ -69,19 +69,22 @@ def _distinct_terms(problem: DesignProblem) -> Iterable[tuple[Term, float | None
 def courses(design: LinkageDesign) -> list[ChartSpec]:
     """Return the minimised and limited quantities over the revolution: initial machine grey, optimal in colour, limits red."""
     shown, initial, optimal = list(_distinct_terms(design.whole)), design.first_cycle, design.cycle
-    if not shown or optimal is None or not optimal.full:
+    if not shown or optimal is None or not optimal.complete:
         return []
-    cycles = {"result": optimal} if initial is None or not initial.full else {"initial": initial, "result": optimal}
+    cycles = {"result": optimal} if initial is None or not initial.complete else {"initial": initial, "result": optimal}
     panels = [_panel(design.whole, term, cycles, (low, high)) for term, low, high in shown]
     jumps = [
-        chart_spec.Line(math.degrees(at % cycle.cycle), colour=RESULT if name == "result" else INITIAL, width=0.8)
+        chart_spec.Line(
+            math.degrees(cycle.low + (at - cycle.low) % cycle.cycle), colour=RESULT if name == "result" else INITIAL, width=0.8
+        )
         for name, cycle in cycles.items()
         for at in cycle.work.jumps
     ]
-    x = crank_angle(limits=(0.0, math.degrees(optimal.cycle)))
+    x = crank_angle(limits=(math.degrees(optimal.low), math.degrees(optimal.high)))
     if optimal.speed < 0.0:
         x = Axis(f"{x.name}, turned clockwise: from right to left", x.limits, step=x.step)
-    title = f"Objectives and limits over the {'revolution' if optimal.cycle == TURN else 'cycle'}"
+    whole = optimal.over if optimal.limits or optimal.cycle == TURN else "the cycle"
+    title = f"Objectives and limits over {whole}"
     return [ChartSpec("courses", title, panels, x, heading=design.whole.title, lines=jumps)]
 
 
@@ -147,7 +150,8 @@ def _largest_torque_angle(optimal: Analysis) -> float:
 
 
 def _revolution(analysis: Analysis) -> Value:
-    return sweep(analysis.machine.mechanism, analysis.machine.sizes, np.linspace(0.0, TURN, STEPS + 1))
+    mechanism = analysis.machine.mechanism
+    return sweep(mechanism, analysis.machine.sizes, np.linspace(*mechanism.extent, STEPS + 1))
 
 
 def _draw_initial(axes: Axes, initial: Analysis, shown: Scale, at: Array) -> None:

@@ -61,6 +61,8 @@ class DesignView:
     def _whole(self) -> Array:
         low, high = sorted((self.begin, self.end))
         ranges = reachable(self.task.linkage, self.design.values)
+        if ranges.limits is not None:
+            return np.linspace(*(ranges.limits if self.direction > 0.0 else ranges.limits[::-1]), POSITIONS)
         if ranges.full or self.design.crank_turns:
             return self.begin + self.direction * np.linspace(0.0, TURN, POSITIONS)
         for place in (self.begin, self.end):

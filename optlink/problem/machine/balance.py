@@ -44,7 +44,7 @@ MINIMISED = "[balance] makes forces and torques small: it maximises nothing"
 OLD_WORDS = {
     r"\blargest\b": "peak",
     r"\bdriving torque\b": "torque",
-    r"(?<!shaking )(?<!guide )\b(force|moment)\b": r"shaking \1",
+    r"(?<!shaking )(?<!guide )(?<!drive )\b(force|moment)\b": r"shaking \1",
 }
 """Words of earlier versions, as regular expressions, with the present ones."""
 

@@ -2,17 +2,19 @@
 
 from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, NamedTuple, Self
 
 import numpy as np
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
 
 from optlink.clearance.joint import DAMPING, Gap, compliance, stiffness
 from optlink.dynamics.machine import Inertia
+from optlink.linkage.laws import MotionLaw
 from optlink.linkage.mechanism import FRAME, Mechanism, Pose
 from optlink.linkage.vector2d import TURN, Value
-from optlink.problem.base_model import Section, in_folder
+from optlink.problem.base_model import InFolder, Section, folder_of, in_folder
 from optlink.problem.machine.control import ServoSection
+from optlink.problem.machine.drives import paced_law, read_drive_law
 from optlink.problem.machine.loads import read_size
 from optlink.problem.quantity import (
     SHORTEST,
@@ -138,6 +140,25 @@ def _read_range(raw: object) -> tuple[Quantity, Quantity]:
     return low, high
 
 
+class Stated(NamedTuple):
+    """The law of a drive as the file states it, and whether the file states where it starts."""
+
+    raw: object
+    start: bool
+
+
+def _read_law(stated: object, info: ValidationInfo) -> MotionLaw | None:
+    """Read the law of a drive; the fields before it say what it moves and from where."""
+    if not isinstance(stated, Stated):
+        return None
+    data, folder, (raw, start) = info.data, folder_of(info), stated
+    kind = "length" if data.get("cylinder") else "coordinate" if data.get("slide") else "angle"
+    if isinstance(raw, dict) and "over" in raw:
+        return paced_law(read_size(raw, folder, "angular velocity", ("phi",)), kind)
+    begin = data["start"].value if start and "start" in data else None
+    return read_drive_law(raw, folder, kind, start=begin, unit=data.get("unit"))
+
+
 Acceleration = Annotated[Quantity, reader(read_fixed, "angular acceleration")]
 Pace = Annotated[Quantity, BeforeValidator(_read_speed)]
 Position = Annotated[Quantity, BeforeValidator(partial(_either, angular="angle", linear="coordinate"))]
@@ -158,11 +179,11 @@ class DriveSection(Section):
     """Range of the driven angle, slide or length, to which all results refer; default: as far as it can move."""
     start: Position = Quantity(0.0, "angle", "deg")
     """Position of the drive in the first row; with a range, the default is the end from which it moves."""
-    law: Annotated[Any, in_folder(lambda raw, folder: (raw, folder))] = None
-    """Instead of a constant speed: the driven angle, slide or length over the time, segment by segment; an expression of t, or a
-    CSV file."""
     unit: str | None = None
     """Unit of an expression that is the law."""
+    law: Annotated[Any, InFolder(_read_law)] = None
+    """Instead of a constant speed: the driven angle, slide or length over the time, segment by segment; an expression of t, or a
+    CSV file."""
     acceleration: Acceleration | None = None
     """Constant angular acceleration of the crank, from `start` and `speed` on, for one revolution or to the end of its range."""
     speed: Pace = Quantity(1.0, "angular velocity", "rad/s")
@@ -189,7 +210,9 @@ class DriveSection(Section):
         if isinstance(raw, dict) and isinstance(raw.get("speed"), dict):  # a speed over the angle is a law
             if "law" in raw:
                 raise Unusable("the drive has a law and a speed", "Give one of the two", "speed", raw["speed"])
-            return {**{key: value for key, value in raw.items() if key != "speed"}, "law": raw["speed"]}
+            return {**{key: value for key, value in raw.items() if key != "speed"}, "law": Stated(raw["speed"], True)}
+        if isinstance(raw, dict) and raw.get("law") is not None:
+            return {**raw, "law": Stated(raw["law"], "start" in raw)}
         return raw
 
     @model_validator(mode="after")

@@ -10,7 +10,7 @@ import numpy as np
 
 from optlink.linkage.extrema import distinct, zeros
 from optlink.linkage.jet import Jet, as_jet
-from optlink.linkage.laws import SEGMENTS, Law, MotionLaw, Segment, joined, spline
+from optlink.linkage.laws import SEGMENTS, Law, MotionLaw, Segment, joined, paced, spline
 from optlink.linkage.vector2d import TURN, Array, Value
 from optlink.problem.quantity import Quantity, Unusable, below, check_keys, check_name, largest, read_fixed, read_scalar
 from optlink.problem.targets.expression import MOST_REVOLUTIONS, Expression, Wording, parse, period_of
@@ -257,6 +257,22 @@ def _law_name(table: Mapping[str, Any], end: str, moves: bool, example: str) -> 
     if not moves and name != "dwell":
         raise Unusable("the motion has no end", f'Add {end} = "{example}", or leave law out for a dwell', "law", name)
     return str(name)
+
+
+def paced_law(table: object, kind: str) -> Law:
+    """Return the law of a crank whose speed a table over its angle states."""
+    at: tuple[float, ...] = getattr(table, "at", ())
+    values: tuple[float, ...] = getattr(table, "values", ())
+    if kind != "angle" or not at:
+        raise Unusable("a speed over the angle is a table, of a crank", 'Give over = "phi", at = [...] and values = [...]')
+    if not (min(values) > 0.0 or max(values) < 0.0):
+        raise Unusable("the speed changes its sign or is zero, where the crank would rest for ever", "Give one sign", "values")
+    turn = at[-1] - at[0]
+    if turn > TURN * (1.0 + CLOSED):
+        raise Unusable("the table is longer than a revolution", "Give the rows of one revolution", "at")
+    forth = 1 if values[0] > 0.0 else -1
+    law = paced(at[::forth], values[::forth])
+    return law if abs(turn - TURN) < CLOSED else replace(law, repeats=False)
 
 
 # The law of a cam.

@@ -200,7 +200,7 @@ _SENSE: dict[Direction | None, float] = {"forward": 1.0, "backward": -1.0, None:
 
 
 class RevolutionSamples:
-    """Samples of a machine's motion over a revolution, as far as it can be assembled."""
+    """Samples of a machine's motion over a revolution, or the range of its drive, as far as it can be assembled."""
 
     def __init__(self, machine: Machine, slow: Mapping[str, Direction] | None = None) -> None:
         self.machine, self._slow = machine, slow or {}
@@ -208,6 +208,8 @@ class RevolutionSamples:
     @cached_property
     def moving(self) -> Moving:
         """The machine at evenly spaced crank angles."""
+        if (limits := self.machine.mechanism.limits) is not None:
+            return self.machine.moving(np.linspace(*limits, STROKES))
         return self.machine.moving(np.linspace(0.0, self.machine.mechanism.cycle, STROKES, endpoint=False) + 1e-4)
 
     def check_clearances(self, gaps: Sequence[Gap]) -> None:
@@ -267,6 +269,9 @@ class RevolutionSamples:
         Unusable
             when both take equally long.
         """
+        if self.machine.mechanism.limits is not None:
+            message = "slow and quick are strokes of a crank that turns fully, and the drive has a range"
+            raise Unusable(message, 'Write stroke = "forward" or "backward"', "stroke")
         if load.name in self._slow:
             return self._slow[load.name]
         sense = self.slow_senses(load)  # many designs share one machine only if they have the same slow stroke
@@ -330,11 +335,15 @@ class RevolutionSamples:
     def _swing(self, body: str, against: str) -> tuple[Array, Array]:
         """Return the ends [rad] of the swing of a body relative to another, of each design; NaN: no position is reached.
 
-        If every position is reached, the first one is also the last one, so that a full turn counts as one.
+        If every position of a revolution is reached, the first one is also the last one, so that a full turn counts as one.
         """
+        around = self.machine.mechanism.limits is None
         one, other = (self.moving.state(name).axis for name in (body, against))
         angle = np.asarray(np.arctan2(cross(other, one), dot(other, one)) + 0.0 * self.moving.motion.crank_angle)
-        closed = [np.append(row, row[0]) if np.all(np.isfinite(row)) else row[np.isfinite(row)] for row in np.atleast_2d(angle)]
+        closed = [
+            np.append(row, row[0]) if around and np.all(np.isfinite(row)) else row[np.isfinite(row)]
+            for row in np.atleast_2d(angle)
+        ]
         reached = [np.unwrap(row) for row in closed]
         ends = np.array([[np.min(swing), np.max(swing)] if swing.size else [np.nan, np.nan] for swing in reached])
         low, high = ends.T.reshape(2, *np.shape(angle)[:-1])

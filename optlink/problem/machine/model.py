@@ -18,7 +18,7 @@ from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.stroke import Direction
 from optlink.linkage.vector2d import Array, Value
 from optlink.problem.base_model import RESERVED, Name, Section, in_folder
-from optlink.problem.driving import Driving, driven
+from optlink.problem.driving import Driving, check_same_drive, driven
 from optlink.problem.linked import Link, check_linked, links_of
 from optlink.problem.machine.balance import BalanceSection
 from optlink.problem.machine.bodies import BodySection, DriveSection, Gravity, JointSection
@@ -410,6 +410,8 @@ class Problem(Section):
             with the full key of the cause.
         """
         mechanism, sizes = self.linkage, {**self.sizes(design or {}), **(design or {})}
+        if design and self.drive.linear:
+            check_same_drive(self.drive, mechanism, sizes_of(self.mechanism.quantities), sizes)
         guides = [guide.name for guide in mechanism.guides]
         for name in self.bodies:
             if name not in mechanism.bodies:

@@ -490,7 +490,7 @@ def cycle_figures(problem: ProblemFile, objectives: Sequence[ParetoObjective], v
     figures = []
     for objective in objectives:
         if not objective.key:
-            figures.append(cycle.objective() if cycle.full else math.nan)
+            figures.append(cycle.objective() if cycle.complete else math.nan)
             continue
         kind = task.kind(objective.cycle_term)
         figures.append(cycle.figure(objective.cycle_term) / (factor(objective.unit, kind) if kind else 1.0))

@@ -11,7 +11,7 @@ import numpy as np
 from optlink.errors import InputError
 from optlink.linkage.dyads import transmitting
 from optlink.linkage.mechanism import Mechanism
-from optlink.linkage.vector2d import TURN, Array, Value, cross, dot, unit
+from optlink.linkage.vector2d import TURN, Array, Value, cross, dot
 from optlink.problem.design import DesignProblem
 from optlink.problem.document import Column, Number, Rows
 from optlink.problem.file import ProblemFile
@@ -106,7 +106,7 @@ class Nominal:
         """Return the components of the error over the crank angles; of a law prescribed minus actual output."""
         assert self.part is not None
         with np.errstate(all="ignore"):
-            pose = self.mechanism.pose(sizes, unit(self.crank_angles))
+            pose = self.mechanism.at(sizes, self.crank_angles)
             parts = self.part.deviation(pose, {**sizes, **self.further}, self.targets)
         names = error_names(self.part)
         return [self.sign * part for part in (parts if len(names) == 1 else [parts[names.index(self.name)]])]
@@ -117,7 +117,7 @@ class Nominal:
 
     def _where(self, sizes: Mapping[str, Value]) -> Any:
         with np.errstate(all="ignore"):
-            pose = self.mechanism.pose(sizes, unit(self.crank_angles))
+            pose = self.mechanism.at(sizes, self.crank_angles)
             return pose.direction(self.output) if self.angular else pose.coordinate(self.output)
 
     def change(self, deviations: Mapping[str, Value]) -> Array:
@@ -165,8 +165,15 @@ def nominal_design(
         drawn = [_judged(file, part, sizes, part.own(values), own, name) for name in error_names(part) if output in (None, name)]
         return max(drawn, key=lambda nominal: float(np.max(np.abs(nominal.base))))
     if crank_angles is None:
-        crank_angles = TURN * np.arange(REVOLUTION_POSITIONS) / REVOLUTION_POSITIONS if angles is None else angles
+        crank_angles = _whole_motion(mechanism) if angles is None else angles
     return _placed(file, sizes, np.asarray(crank_angles, dtype=float), output)
+
+
+def _whole_motion(mechanism: Mechanism) -> Array:
+    """Return the crank angles [rad] of a revolution, or of the range of the drive."""
+    if mechanism.limits is not None:
+        return np.linspace(*mechanism.limits, REVOLUTION_POSITIONS + 1)
+    return TURN * np.arange(REVOLUTION_POSITIONS) / REVOLUTION_POSITIONS
 
 
 def _judged(
@@ -179,14 +186,14 @@ def _judged(
     elif part.pointed:
         at = part.crank_angles(values, angles)
     else:
-        at = TURN * np.arange(REVOLUTION_POSITIONS) / REVOLUTION_POSITIONS
+        at = _whole_motion(problem.model.linkage)
     blank, sign = np.zeros(len(at)), -1.0 if part.law_given else 1.0
     drawn = Nominal(problem, sizes, at, part.requirement.loaded(part), name, blank, blank, sign, further)
     errors = np.array([error + blank for error in drawn.errors(sizes)])
     value = base = errors[0] if len(errors) == 1 else np.linalg.norm(errors, axis=0)
     _check_assembled(problem, at, base)
     if part.law_given:
-        value = part.requirement.actual(part, drawn.mechanism.pose(sizes, unit(at))) + blank
+        value = part.requirement.actual(part, drawn.mechanism.at(sizes, at)) + blank
     return replace(drawn, value=value, base=base, vectors=errors if len(errors) > 1 else None)
 
 

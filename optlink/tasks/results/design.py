@@ -237,7 +237,8 @@ class LinkageDesign(Summary):
             name = self.whole.goals[0].words
             initial, optimal, unit = self.figures[0].initial, self.figures[0].result, self.figures[0].unit
         if not math.isfinite(initial) and not required:
-            return "the crank of the initial design does not turn fully"
+            moves = "move through its range" if self.whole.linkage.limits else "turn fully"
+            return f"the crank of the initial design does not {moves}"
         text, before = (f"{value:.5g} {unit}".rstrip() for value in (optimal, initial))
         if required and not first.valid:  # the middle of the bounds is not an initial design
             return f"{name} {text}"
@@ -248,12 +249,12 @@ class LinkageDesign(Summary):
 
     @cached_property
     def analysis(self) -> Analysis | None:
-        """Cycle of the machine; None if its crank cannot turn fully."""
+        """Cycle of the machine; None if its crank cannot turn fully, or move through its range."""
         return self._analysed(self.values)
 
     @cached_property
     def initial_analysis(self) -> Analysis | None:
-        """Cycle of the machine of the initial design; None beside targets, or if its crank cannot turn fully."""
+        """Cycle of the machine of the initial design; None beside targets, or if it cannot make it."""
         return self._analysed(self.whole.design({})) if self.whole.of_cycle else None
 
     def _analysed(self, values: Mapping[str, float]) -> Analysis | None:
@@ -263,7 +264,7 @@ class LinkageDesign(Summary):
             analysis = analyze(fixed_design(self.problem, values))
         except InputError:
             return None
-        return analysis if analysis.full else None
+        return analysis if analysis.ranges.complete else None
 
     # --- the targets
 
@@ -383,13 +384,14 @@ class LinkageDesign(Summary):
     @property
     def crank_turns(self) -> bool:
         """Whether the crank turns fully."""
-        return self.task.limits.crank != "span"
+        return self.task.limits.crank != "span" and self.task.linkage.limits is None
 
     @property
     def rotation(self) -> tuple[float, float]:
         """Crank angle [rad] at which the requirement begins, and the rotation from there to its end, negative clockwise."""
         if not self.whole.parts:
-            return self.whole.start(self.values), math.copysign(TURN, self.whole.sense)
+            begin, (low, high) = self.whole.start(self.values), self.whole.linkage.extent
+            return begin, math.copysign(high - low, self.whole.sense)
         if self.follows_law:
             return self.own[self.task.start_name], self.task.span
         begin, end = float(self.crank_angles[0]), float(self.crank_angles[-1])
@@ -404,7 +406,9 @@ class LinkageDesign(Summary):
     @cached_property
     def least_transmission(self) -> float:
         """Least distance of the transmission angle from 0 and 180 deg over the required motion [rad]; NaN if there is none."""
-        begin, end = (0.0, TURN) if self.crank_turns else (float(np.min(self.crank_angles)), float(np.max(self.crank_angles)))
+        begin, end = self.task.linkage.extent
+        if self.whole.parts and not self.crank_turns:
+            begin, end = float(np.min(self.crank_angles)), float(np.max(self.crank_angles))
         groups = transmitting(self.task.linkage)
 
         def cosines(angles: Array) -> Array:  # smooth, unlike the angles, which have corners at 0 and pi
