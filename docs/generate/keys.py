@@ -46,6 +46,7 @@ NARRATED = {
     "joints": "problem-files.md#joints-with-clearance-and-control",
     "loads": "problem-files.md#loads",
     "drive": "problem-files.md#drive",
+    "drives": "problem-files.md#several-drives",
     "control": "problem-files.md#joints-with-clearance-and-control",
     "balance": "balancing.md#the-section-balance",
     "expected": "problem-files.md#expected",

@@ -15,7 +15,7 @@ from optlink.linkage.mechanism import Mechanism, Size
 from optlink.linkage.stroke import reachable
 from optlink.linkage.vector2d import TURN
 from optlink.problem.elements import geared
-from optlink.problem.machine.bodies import SLOWNESS, STATIC, DriveSection
+from optlink.problem.machine.bodies import SLOWNESS, STATIC, DriveMotion, DriveSection
 from optlink.problem.mechanism import DyadsSection, FourBarSection
 from optlink.problem.quantity import Unusable, check_name
 from optlink.units import show
@@ -77,7 +77,7 @@ def driven(
     section: FourBarSection | DyadsSection,
     name: str,
     drive: DriveSection,
-    drives: Mapping[str, DriveSection],
+    drives: Mapping[str, DriveMotion],
     sizes: Mapping[str, float],
 ) -> Driving:
     """Return the mechanism of a section as its drive, or several `drives`, move it; `sizes` [m, rad] are those of the file.
@@ -167,7 +167,7 @@ def _along(section: FourBarSection | DyadsSection, name: str, drive: DriveSectio
     return Driving(mechanism, pace, first, (ends[0], ends[1]))
 
 
-def linear_drive(section: DyadsSection, name: str, drive: DriveSection, key: str, sizes: Mapping[str, float]) -> Drive:
+def linear_drive(section: DyadsSection, name: str, drive: DriveMotion, key: str, sizes: Mapping[str, float]) -> Drive:
     """Return the drive of a slide or cylinder; without an end if the file states no range of a slide.
 
     Raises
@@ -191,7 +191,7 @@ def linear_drive(section: DyadsSection, name: str, drive: DriveSection, key: str
     return Drive(name, "slide", section.guides[guide].slider, begin, end, against=section.guides[guide].on)
 
 
-def _guide(section: DyadsSection, drive: DriveSection, key: str) -> str:
+def _guide(section: DyadsSection, drive: DriveMotion, key: str) -> str:
     """Return the name of the guide along which a drive acts: the stated one, or that of the driven body."""
     if drive.slide is not None:
         check_name(drive.slide, section.guides, "no such guide", f"{key}.slide")
@@ -285,7 +285,7 @@ SAME_PERIOD = 1e-9
 """Share of a period, or of a range, that is rounding."""
 
 
-def law_of(drive: DriveSection, key: str, kind: str) -> MotionLaw | None:
+def law_of(drive: DriveMotion, key: str, kind: str) -> MotionLaw | None:
     """Return the law of a drive over the time [s]; None without one.
 
     Raises
@@ -350,7 +350,7 @@ def _timed(
 
 
 def _several(
-    section: FourBarSection | DyadsSection, name: str, drives: Mapping[str, DriveSection], sizes: Mapping[str, float]
+    section: FourBarSection | DyadsSection, name: str, drives: Mapping[str, DriveMotion], sizes: Mapping[str, float]
 ) -> Driving:
     """Return the mechanism that several drives move, each by its law, at constant speed, or held where it starts."""
     if not isinstance(section, DyadsSection):
@@ -361,9 +361,6 @@ def _several(
         moving = "speed" in drive.model_fields_set
         if moving and drive.law is not None:
             raise Unusable("the drive has a law and a speed", "Give one of the two", f"{key}.speed", str(drive.speed))
-        for unused in ("torque", "servo", "initial_speed", "duration", "fluctuation"):
-            if of != INPUT and unused in drive.model_fields_set:
-                raise Unusable("several drives move by laws and constant speeds", "Leave it out", f"{key}.{unused}")
         if drive.linear:
             element = linear_drive(section, of, drive, key, sizes)
             if moving:

@@ -185,17 +185,15 @@ FORMS: dict[str, Form] = {
     "BodySection.centroid": either("text, or `[along, across]`", TEXT, _FIXED_PLACE),
     "BodySection.inertia": either("moment of inertia, or `uniform bar`", {"const": "uniform bar"}, text("moment of inertia")),
     "DriveSection.torque": size("torque"),
-    "DriveSection.range": either(
-        "`[low, high]`, angles or lengths", pair(text("angle", "coordinate")), TEXT, table("min", "max")
-    ),
-    "DriveSection.start": either("angle, or length", text("angle", "coordinate")),
-    "DriveSection.speed": either(
+    "DriveMotion.range": either("`[low, high]`, angles or lengths", pair(text("angle", "coordinate")), TEXT, table("min", "max")),
+    "DriveMotion.start": either("angle, or length", text("angle", "coordinate")),
+    "DriveMotion.speed": either(
         f"angular velocity, velocity, `{STATIC}`, or a table over `phi`",
         {"const": STATIC},
         text("angular velocity", "velocity"),
         table("over", "csv", at=column("angle"), values=column("angular velocity")),
     ),
-    "DriveSection.law": either(
+    "DriveMotion.law": either(
         "list of motions, expression of `t`, or table of `csv`",
         {"type": "array", "items": table("time", "to", "law", form=TEXT)},
         TEXT,

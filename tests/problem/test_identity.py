@@ -53,6 +53,7 @@ SLIDE = rows(phi_deg=np.degrees(PHI), s_mm=-25.0 * PHI)
 TURN = np.linspace(0.0, 360.0, 9)
 FORCE = rows(phi_deg=TURN, force_N=100.0 + 20.0 * np.cos(np.radians(TURN)))
 TORQUE = rows(phi_deg=TURN, torque_Nm=3.0 + np.cos(np.radians(TURN)))
+MOTION = rows(time_s=np.linspace(0.0, 1.0, 13), angle_deg=60.0 - 30.0 * np.cos(np.linspace(0.0, 2.0 * np.pi, 13)))
 MEASURED = rows(angle_deg=TURN[:-1], displacement_mm=120.0 + 50.0 * np.cos(np.radians(TURN[:-1])))
 PARTS = rows("coupler_mm", coupler_mm=[-0.05, 0.0, 0.02, 0.06])
 
@@ -323,6 +324,22 @@ CASES = {
         TORQUE,
         scaled(TORQUE, 1.5),
         (simulation,),
+    ),
+    "motion": Case(
+        "drive.law",
+        machine("slider-crank", drive={"body": "crank", "law": {"csv": "data.csv"}}),
+        "data.csv",
+        MOTION,
+        scaled(MOTION, 1.5),
+        (report, analyses),
+    ),
+    "motions": Case(
+        "drives.*.law",
+        machine("slider-crank", drive={}, drives={"motor": {"body": "crank", "law": {"csv": "data.csv"}}}),
+        "data.csv",
+        MOTION,
+        scaled(MOTION, 1.5),
+        (report, analyses),
     ),
     "balancing": Case(
         "loads.*.torque",

@@ -164,8 +164,8 @@ Pace = Annotated[Quantity, BeforeValidator(_read_speed)]
 Position = Annotated[Quantity, BeforeValidator(partial(_either, angular="angle", linear="coordinate"))]
 
 
-class DriveSection(Section):
-    """Drive of the machine: a constant speed, or (for `simulate`) a torque or motor curve."""
+class DriveMotion(Section):
+    """One of several drives: what it moves, and its law or constant speed; without either it is held where it starts."""
 
     body: str | None = None
     """The driven body; default: the body called `crank`."""
@@ -184,21 +184,9 @@ class DriveSection(Section):
     law: Annotated[Any, InFolder(_read_law)] = None
     """Instead of a constant speed: the driven angle, slide or length over the time, segment by segment; an expression of t, or a
     CSV file."""
-    acceleration: Acceleration | None = None
-    """Constant angular acceleration of the crank, from `start` and `speed` on, for one revolution or to the end of its range."""
     speed: Pace = Quantity(1.0, "angular velocity", "rad/s")
     """Constant speed of the crank, negative clockwise, or of a slide or cylinder; `static` is without inertia. For
     `optlink simulate` under a torque the speed at the start."""
-    torque: Annotated[Any, in_folder(partial(read_size, kind="torque", names=("phi", "omega")))] = None
-    """For `optlink simulate`, instead of the constant speed: a torque, or a table or expression over phi or omega."""
-    servo: ServoSection | None = None
-    """For `optlink simulate` with clearance: the crank follows a reference signal; not together with `torque`."""
-    initial_speed: Speed | None = None
-    """Crank speed at the start of `optlink simulate` under a torque; default: `speed` if that is given, else at rest."""
-    duration: Duration | None = None
-    """Duration of `optlink simulate`."""
-    fluctuation: Annotated[Number, _SMALL] | None = None
-    """Permitted speed fluctuation relative to the mean speed, 0.02 or "2 %"; `optlink analyze` computes the flywheel for it."""
 
     @model_validator(mode="before")
     @classmethod
@@ -217,9 +205,6 @@ class DriveSection(Section):
 
     @model_validator(mode="after")
     def _moves(self) -> Self:
-        if self.speed.value == 0.0 and self.torque is None:
-            remedy = 'Give a speed, or "static" for statics; from rest the drive needs a torque'
-            raise Unusable("the crank speed is zero", remedy, "speed", str(self.speed))
         if sum(one is not None for one in (self.body, self.slide, self.cylinder)) > 1:
             raise Unusable("the drive acts in one place", "Give one of body, slide and cylinder", "body", self.body)
         return self
@@ -229,6 +214,30 @@ class DriveSection(Section):
         """Whether the file states a drive along a line: a slide or cylinder, or positions and speeds of one."""
         stated = [self.speed, self.start, *(self.range or ())]
         return bool(self.slide or self.cylinder) or any(one.kind in ("velocity", "coordinate") for one in stated)
+
+
+class DriveSection(DriveMotion):
+    """Drive of the machine: a constant speed, a law over the time, or (for `simulate`) a torque or motor curve."""
+
+    acceleration: Acceleration | None = None
+    """Constant angular acceleration of the crank, from `start` and `speed` on, for one revolution or to the end of its range."""
+    torque: Annotated[Any, in_folder(partial(read_size, kind="torque", names=("phi", "omega")))] = None
+    """For `optlink simulate`, instead of the constant speed: a torque, or a table or expression over phi or omega."""
+    servo: ServoSection | None = None
+    """For `optlink simulate` with clearance: the crank follows a reference signal; not together with `torque`."""
+    initial_speed: Speed | None = None
+    """Crank speed at the start of `optlink simulate` under a torque; default: `speed` if that is given, else at rest."""
+    duration: Duration | None = None
+    """Duration of `optlink simulate`."""
+    fluctuation: Annotated[Number, _SMALL] | None = None
+    """Permitted speed fluctuation relative to the mean speed, 0.02 or "2 %"; `optlink analyze` computes the flywheel for it."""
+
+    @model_validator(mode="after")
+    def _turns(self) -> Self:
+        if self.speed.value == 0.0 and self.torque is None:
+            remedy = 'Give a speed, or "static" for statics; from rest the drive needs a torque'
+            raise Unusable("the crank speed is zero", remedy, "speed", str(self.speed))
+        return self
 
 
 def _read_gravity(raw: object) -> Any:

@@ -21,7 +21,7 @@ from optlink.problem.base_model import RESERVED, Name, Section, in_folder
 from optlink.problem.driving import Driving, check_same_drive, driven
 from optlink.problem.linked import Link, check_linked, links_of
 from optlink.problem.machine.balance import BalanceSection
-from optlink.problem.machine.bodies import BodySection, DriveSection, Gravity, JointSection
+from optlink.problem.machine.bodies import BodySection, DriveMotion, DriveSection, Gravity, JointSection
 from optlink.problem.machine.control import ControlSection, MeasuredSeries, read_measured
 from optlink.problem.machine.loads import LoadSection, RevolutionSamples
 from optlink.problem.mechanism import DyadsSection, FourBarSection, nearest_modes, sizes_of
@@ -140,7 +140,7 @@ class Problem(Section):
     """Forces, torques, springs and dampers, each under a name of your choice."""
     drive: DriveSection = DriveSection()
     """Driven body, speed, torque or servo of the drive."""
-    drives: dict[Name, DriveSection] = Field(default_factory=dict)
+    drives: dict[Name, DriveMotion] = Field(default_factory=dict)
     """Several drives by name, in place of `drive`; one without law and speed is held where it starts."""
     control: ControlSection | None = None
     """Controller of the crank that compensates joint clearance."""
