@@ -108,9 +108,13 @@ def _output(
     from optlink.problem.quantity import check_choice
     from optlink.studies.motion_sensitivity import OutputStudy, output_names
     from optlink.tasks.design import solve
+    from optlink.tasks.machine import check_within_range
     from optlink.tasks.protocol import completed
 
-    crank = _crank_angles(angles)
+    crank, limits = _crank_angles(angles), file.model.linkage.limits
+    if limits is not None and angles == DEFAULT_ANGLES:
+        crank = np.linspace(*limits, len(crank))
+    check_within_range(file, crank)
     if not design and file.model.free and file.task != "path" and file.task != "cycle":
         design = completed(solve(file)).design
     sizes = file.model.sizes(design or {})

@@ -562,6 +562,11 @@ class Mechanism:
         return tuple(drive.size for drive in self.drives if drive.size)
 
     @cached_property
+    def cylinders(self) -> tuple[str, ...]:
+        """Names of the links whose length a drive prescribes."""
+        return tuple(drive.body for drive in self.drives if drive.size)
+
+    @cached_property
     def bodies(self) -> dict[str, Link]:
         """The moving bodies by name."""
         return {link.body: link for link in self.links}

@@ -262,7 +262,7 @@ class Scene:
         bodies = [body for body in self.mechanism.bodies if body != crank]
         self.colours = {body: BODIES[k % len(BODIES)] for k, body in enumerate(bodies)} | {crank: CRANK}
         self.travel = {guide.name: self._travel(guide) for guide in self.mechanism.guides}
-        self.cylinders = [drive.body for drive in self.mechanism.drives if drive.size]
+        self.cylinders = self.mechanism.cylinders
         self.parts = {body: self._parts(body) for body in self.mechanism.bodies}
         self.springs = [load for load in machine.loads if isinstance(load, Spring)] if machine else []
         self.torsion_springs = (

@@ -108,6 +108,8 @@ class Quantity:
         return factor(KINDS[self.kind].display, self.kind)
 
     def __str__(self) -> str:
+        if self.kind not in KINDS:  # a word in place of a quantity
+            return self.kind
         value = show(self.value, self.kind, self.unit)
         if self.low is None:
             return value if self.equals is None else f"{self.status}, {value}"

@@ -154,8 +154,9 @@ def test_every_example_of_the_reference_page_runs(example):
     analysis = analyze(problem, points=24)
     assert analysis.full
     assert analysis.valid
-    assert [note for note in analysis.notes if not note.startswith("joints are treated as ideal")] == []
-    assert np.max(np.abs(analysis["input.torque_Nm"])) > 0.0
+    expected_notes = ("joints are treated as ideal", "the motion repeats after 3 revolutions")  # of the planet
+    assert [note for note in analysis.notes if not note.startswith(expected_notes)] == []
+    assert np.max(np.abs(analysis["input.power_W"])) > 0.0
     expected = problem.model.expected
     for name, value in expected.figures.items() if expected else ():
         assert analysis.figures[name] == pytest.approx(value, rel=expected.figure_tolerance)

@@ -115,11 +115,16 @@ def document(
 def _nearest_holes(mechanism: Mechanism, motion: Motion) -> tuple[str, float]:
     """Return the body with the least distance of two holes, and that distance [mm]; infinite if no body has two."""
     distances = [("", math.inf)]
-    for body in (*mechanism.bodies, FRAME):
+    for body in (*_cut_bodies(mechanism), FRAME):
         pins = [_vector(motion.pose.local(body, name)) for name, bodies in mechanism.pins.items() if body in bodies]
         gaps = (float(np.linalg.norm(first - second)) for first, second in itertools.combinations(pins, 2))
         distances += [(body, gap) for gap in gaps if gap > 0.0]
     return min(distances, key=lambda item: item[1])
+
+
+def _cut_bodies(mechanism: Mechanism) -> list[str]:
+    """Return the bodies that are plates: a cylinder is none."""
+    return [body for body in mechanism.bodies if body not in mechanism.cylinders]
 
 
 def usual_hole(extent: float) -> float:
@@ -134,7 +139,7 @@ def plates(cycle: Analysis, motion: Motion, radius: float) -> Iterator[Plate]:
     """Yield every link as a plate, its outline a radius [mm] from the hole centres, and finally the frame without an outline."""
     mechanism, pose = cycle.machine.mechanism, motion.pose
     travel = {guide.name: travelled(cycle, guide) for guide in mechanism.guides}
-    for body in (*mechanism.bodies, FRAME):
+    for body in (*_cut_bodies(mechanism), FRAME):
         points = {name: _vector(pose.local(body, name)) for name, bodies in mechanism.owners.items() if body in bodies}
         holes = {name: at for name, at in points.items() if name in mechanism.pins}
         marks = {name: at for name, at in points.items() if name not in holes}

@@ -106,7 +106,11 @@ def decimals_of(values: Array) -> int:
 def turning(cycle: Analysis, steps: int, regions: Sequence[Region] = ()) -> Moving:
     """Return the animation of a machine over its crank angle, with `steps` positions per revolution and regions of its limits."""
     drawn = scene(cycle, steps, regions=regions)
-    return Moving(cycle, drawn, Stops("crank angle", "°", drawn.crank_angles, 1, 360.0), readouts(cycle, drawn.crank_angles))
+    stops, driving = Stops("crank angle", "°", drawn.crank_angles, 1, 360.0), cycle.problem.model.driving
+    if driving.ends is not None:
+        lengths = np.array([driving.shown(at) for at in np.radians(drawn.crank_angles)])
+        stops = Stops(driving.coordinate, " mm", lengths, decimals_of(lengths))
+    return Moving(cycle, drawn, stops, readouts(cycle, drawn.crank_angles))
 
 
 def readouts(cycle: Analysis, angles: Array) -> list[Readout]:
@@ -122,7 +126,8 @@ def readouts(cycle: Analysis, angles: Array) -> list[Readout]:
         if name.endswith(".transmission_rad"):
             columns.append((name, f"transmission angle at {name.partition('.')[0]}", "deg"))
     if machine.inertias or machine.loads:
-        columns.append(("input.torque_Nm", "driving torque", "N m"))
+        efforts = (("input.torque_Nm", "driving torque", "N m"), ("input.force_N", "force of the drive", "N"))
+        columns += [effort for effort in efforts if effort[0] in record.columns]
     result = []
     for column, label, unit in columns:
         values = record[column]
