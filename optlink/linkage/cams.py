@@ -26,10 +26,41 @@ Complex = NDArray[np.complex128]
 Lift = Callable[[Array], tuple[Array, Array, Array]]
 """Cam angles (n,) [rad] -> lift [m, or rad of an arm], its first and its second derivative (n,)."""
 
+CIRCLE = 120  # corners of a circle
 STEPS = 720  # of a turn, between which extremes are refined
 DEVIATION = 2e-5  # default deviation of a polyline from the profile, in base radii: 1 um for 50 mm
 FIRST, ROUNDS, SAFE = 72, 16, 0.9  # pieces of a polyline at first, rounds of halving, share of the deviation used at three points
 CANDIDATES, HALVINGS = 64, 32  # base radii tried, and halvings of the step in which they become large enough
+
+
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """A closed curve on a body, in its axes: corners (n, 2) [m], or with a `radius` a circle about its only point.
+
+    An `auxiliary` one, such as a base circle or a pitch curve, is no edge of the body.
+    """
+
+    line: Array
+    radius: float = 0.0
+    auxiliary: bool = False
+
+    @property
+    def corners(self) -> Array:
+        """Corners (n, 2) of the curve, those of a circle close together; the first is the last again."""
+        turns = np.linspace(0.0, TURN, CIRCLE + 1)
+        circle = self.line[0] + self.radius * np.column_stack([np.cos(turns), np.sin(turns)])
+        return circle if self.radius else np.concatenate([self.line, self.line[:1]])
+
+    def scaled(self, factor: float) -> "Profile":
+        """Return the curve in another unit."""
+        return Profile(factor * self.line, factor * self.radius, self.auxiliary)
+
+    def encloses(self, points: Array) -> bool:
+        """Return whether all points (n, 2) lie inside: the curve winds round them."""
+        seen = (self.corners - points[:, None]) @ [1.0, 1j]
+        with np.errstate(divide="ignore", invalid="ignore"):  # a point on the curve
+            winding = np.sum(np.angle(seen[:, 1:] / seen[:, :-1]), axis=1)
+        return bool(np.all(np.abs(winding) > math.pi))
 
 
 class Place(NamedTuple):
@@ -318,6 +349,17 @@ class DiscCam:
                 break
         return np.column_stack([points.real, points.imag])[:0:-1]
 
+    @property
+    def profiles(self) -> tuple[Profile, ...]:
+        """Its flanks and its base circle, as they are drawn on the cam."""
+        flanks = [Profile(self.polyline(outer=outer)) for outer in self.flanks]
+        return *flanks, Profile(np.zeros((1, 2)), self.base_radius, auxiliary=True)
+
+    @property
+    def flanks(self) -> tuple[bool, ...]:
+        """Whether each flank is the outer one of a groove."""
+        return (False, True) if self.groove else (False,)
+
     def extremes(self, quantity: Callable[[CamContact], Array]) -> tuple[float, float]:
         """Return the least and the largest value of a quantity of the contact over a turn.
 
@@ -348,7 +390,7 @@ def least_base_radius(cam: DiscCam, between: tuple[float, float], pressure_angle
         tried = replace(cam, base_radius=base)
 
         def excess(angles: Array) -> Array:
-            contacts = [tried.at(angles, outer=outer) for outer in ((False, True) if cam.groove else (False,))]
+            contacts = [tried.at(angles, outer=outer) for outer in cam.flanks]
             sharp = [(radius * one.turning - one.advance) / base for one in contacts]
             return np.array([np.abs(contacts[0].pressure_angle) - pressure_angle, *sharp])
 

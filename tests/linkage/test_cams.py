@@ -314,6 +314,8 @@ def test_a_groove_needs_room_for_both_flanks():
     groove = DiscCam(dented, Slide(), Roller(0.012), 0.03, groove=True)
     one, both = least_base_radius(inner, (0.01, 1.0)), least_base_radius(groove, (0.01, 1.0))
     assert both > 1.1 * one > 0.011
+    flanks = [np.min(np.linalg.norm(flank.line, axis=1)) for flank in groove.profiles if not flank.auxiliary]
+    np.testing.assert_allclose(flanks, [0.03, 0.03 + 2.0 * 0.012], rtol=1e-5)
     for factor in (0.99, 1.01):
         cam = DiscCam(dented, Slide(), Roller(0.012), factor * both)
         assert np.any(cam.at(np.linspace(0.0, TURN, 20_001), outer=True).undercut) == (factor < 1.0)
@@ -353,6 +355,7 @@ def test_a_polyline_keeps_to_the_profile(follower, deviation):
     edge = np.roll(line, -1) - line
     share = np.clip(np.real((dense[:, None] - line) * np.conj(edge)) / np.abs(edge) ** 2, 0.0, 1.0)
     far = np.max(np.min(np.abs(dense[:, None] - line - share * edge), axis=1))
+    assert np.all(edge != 0.0)
     allowed = deviation or cams.DEVIATION * 0.08
     assert 0.1 * allowed < far <= allowed
     expected = TURN * math.sqrt(0.08 / (8.0 * allowed))  # corners of a circle of this size
