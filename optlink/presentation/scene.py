@@ -7,7 +7,7 @@ axis points up.
 import copy
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, Self
 
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.dynamics.machine import Machine, Spring, TorsionSpring
+from optlink.linkage.cams import Profile
 from optlink.linkage.jet import as_jet
 from optlink.linkage.mechanism import FRAME, Guide
 from optlink.linkage.motion import Motion, sweep
@@ -25,6 +26,7 @@ from optlink.presentation.placement import Choice, arrange, beside, short_name, 
 from optlink.presentation.shapes import (
     Part,
     clipped,
+    even,
     finite,
     hatching,
     hull,
@@ -180,6 +182,8 @@ LAYERS = {
     "traces": 1.0,
     "ground": 2.0,
     "slot": 2.6,
+    "profile": 2.7,
+    "auxiliary": 2.75,
     "plate": 2.8,
     "springs": 2.9,
     "bar": 3.0,
@@ -189,10 +193,19 @@ LAYERS = {
     "joints": 4.0,
 }
 """What lies on what: layers and their heights."""
-LOOKS = {"slot": (1.1, 0.13), "plate": (2.2, 0.22), "bar": (3.0, 0.0), "block": (1.5, 0.35), "crank": (3.8, 0.0)}
+LOOKS = {
+    "slot": (1.1, 0.13),
+    "profile": (1.5, 0.18),
+    "auxiliary": (0.8, 0.0),
+    "plate": (2.2, 0.22),
+    "bar": (3.0, 0.0),
+    "block": (1.5, 0.35),
+    "crank": (3.8, 0.0),
+}
 """Line width [pt] and opacity of the face of the parts of bodies."""
 LETTER, WIDTH = 9.0 / 8.0, 0.6  # height of a letter of names, in heights of a ground pivot, and its width in its height
 NEAR = np.array([0.42, 1.05, 1.7])  # distances of a name from its point, in heights of a ground pivot
+CORNERS = 120  # of a shape, as far as names keep away from it
 BEHIND, TRACE = 3.0, 0.45  # how much a link and a trace count that a name hides
 CROSS = np.array([[-1.0, 0.0], [1.0, 0.0], [np.nan, np.nan], [0.0, -1.0], [0.0, 1.0]])
 
@@ -261,7 +274,8 @@ class Scene:
         bodies = [body for body in self.mechanism.bodies if body != crank]
         self.colours = {body: BODIES[k % len(BODIES)] for k, body in enumerate(bodies)} | {crank: CRANK}
         self.travel = {guide.name: self._travel(guide) for guide in self.mechanism.guides}
-        self.parts = {body: self._parts(body) for body in self.mechanism.bodies}
+        profiles = machine.profiles if machine else {}
+        self.parts = {body: self._parts(body, profiles.get(body, ())) for body in self.mechanism.bodies}
         self.springs = [load for load in machine.loads if isinstance(load, Spring)] if machine else []
         self.torsion_springs = (
             [self._turned_at(load) for load in machine.loads if isinstance(load, TorsionSpring)] if machine else []
@@ -353,6 +367,7 @@ class Scene:
         for shape in self.moving_shapes:
             if shape.layer != "joints":
                 line = self.located(shape, self.shown)
+                line = line[:, even(line.shape[1], CORNERS)]
                 lines.append((np.concatenate([line, line[:, :1]], axis=1) if shape.fill else line, BEHIND))
         lines += [(line[None], BEHIND) for line in (*(line for line, _, _ in self.ground), *(one.edge for one in self.outlines))]
         points = self.points
@@ -407,9 +422,9 @@ class Scene:
         off = (points - point) @ np.array([-direction[1], direction[0]])
         return len(points) > 1 and bool(np.all(np.abs(off) < 0.05 * self.size))
 
-    def _parts(self, body: str) -> list[Part]:
+    def _parts(self, body: str, profiles: Iterable[Profile]) -> list[Part]:
         points = self._points_of(body)
-        parts: list[Part] = []
+        parts = [Part("auxiliary" if one.auxiliary else "profile", one.corners * self.scale.factor) for one in profiles]
         half = np.array([1.0, 0.62]) * self.size
         for guide in self.mechanism.guides:
             if body not in guide.bodies:
@@ -538,7 +553,8 @@ class Scene:
             for part in parts:
                 layer = "crank" if part.kind == "bar" and body == self.mechanism.crank.body else part.kind
                 width, face = LOOKS[layer]
-                shapes.append(Shape(layer, body, part.outline, colour, width, "body", colour if face else "", face))
+                shape = Shape(layer, body, part.outline, colour, width, "body", colour if face else "", face)
+                shapes.append(replace(shape, dashed=layer == "auxiliary"))
         zigzagged = np.array(zigzag(self.size))
         shapes += [Shape("springs", spring.name, zigzagged, MUTED, 1.2, "spring") for spring in self.springs]
         shapes += [Shape("springs", point, spiral(self.size), MUTED, 1.2, "point") for point in self.torsion_springs]

@@ -1,7 +1,7 @@
 // Draws a scene: ground, traces, bodies in motion, joints, targets. Bodies live in millimetres, joints and targets in pixels.
 import { colour, keyed, svg } from "./dom.js";
 
-const LAYERS = ["slot", "plate", "bar", "block", "crank"];
+const LAYERS = ["slot", "profile", "auxiliary", "plate", "bar", "block", "crank"];
 const RAD = Math.PI / 180;
 const SIDES = [45, 135, 90, -45, -135, -90, 0, 180]; // of a joint on which its name can stand, best first [deg]
 const CLEAR = 40; // between a name and a link [deg]
