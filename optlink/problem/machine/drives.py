@@ -174,12 +174,13 @@ def _read_expression(raw: Mapping[str, Any], kind: str, key: str) -> ExpressionL
     places = np.append(t, corners)
     with np.errstate(all="ignore"):
         steepest = [float(np.max(np.abs(law._inside(places, order)))) * time**order for order in (1, 2)]
-    if not max(steepest) <= STEEPEST * np.ptp(law._inside(places, 0)):
+        travel, advance = float(np.ptp(law._inside(places, 0))), float(np.diff(law._inside(np.array([0.0, time]), 0))[0])
+    if not max(steepest) <= STEEPEST * travel:
         message = f"the velocity or the acceleration is not finite everywhere between 0 and {time:.6g} s"
         raise Unusable(message, "Change the law: a root, for example, begins with infinite speed", key, text)
     if not law.repeats:
-        return replace(law, advance=law(time) - law(0.0))
-    repeated = _repeated(float(law._inside(time, 0) - law._inside(0.0, 0)), kind, np.ptp(law._inside(t, 0)))
+        return replace(law, advance=advance)
+    repeated = _repeated(advance, kind, travel)
     if not repeated["repeats"]:
         apart = show(abs(repeated["advance"]), kind, unit)
         message = f"the law does not repeat after {time:.6g} s: it ends {apart} from where it begins"
