@@ -335,8 +335,7 @@ class Moving:
                 nothing = (0.0, 0.0)
                 self._states[body] = BodyMotion(nothing, nothing, nothing, (1.0, 0.0), 0.0, 0.0)
             else:
-                link = self.machine.mechanism.bodies.get(body)
-                start = self.pose.points[link.start if link else self.machine.mechanism.rods[body].end]
+                start = self.pose.points[self.machine.mechanism.origin(body)]
                 self._states[body] = body_motion(start, self.pose.direction(body))
         return self._states[body]
 

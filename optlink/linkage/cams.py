@@ -35,25 +35,30 @@ CANDIDATES, HALVINGS = 64, 32  # base radii tried, and halvings of the step in w
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """A closed curve on a body, in its axes: corners (n, 2) [m], or with a `radius` a circle about its only point.
+    """A curve on a body, in its axes: corners (n, 2) [m], or with a `radius` a circle about its only point.
 
-    An `auxiliary` one, such as a base circle or a pitch curve, is no edge of the body.
+    An `auxiliary` one, such as a base circle, a pitch circle or a belt, is no edge of the body; only such a one may be `open`.
     """
 
     line: Array
     radius: float = 0.0
     auxiliary: bool = False
+    open: bool = False
 
     @property
     def corners(self) -> Array:
-        """Corners (n, 2) of the curve, those of a circle close together; the first is the last again."""
+        """Corners (n, 2) of the curve, those of a circle close together; the first of a closed one is the last again."""
         turns = np.linspace(0.0, TURN, CIRCLE + 1)
         circle = self.line[0] + self.radius * np.column_stack([np.cos(turns), np.sin(turns)])
-        return circle if self.radius else np.concatenate([self.line, self.line[:1]])
+        return circle if self.radius else self.line if self.open else np.concatenate([self.line, self.line[:1]])
 
     def scaled(self, factor: float) -> "Profile":
         """Return the curve in another unit."""
-        return Profile(factor * self.line, factor * self.radius, self.auxiliary)
+        return replace(self, line=factor * self.line, radius=factor * self.radius)
+
+    def moved(self, by: Array) -> "Profile":
+        """Return the curve shifted by a vector (2,) [m]."""
+        return replace(self, line=self.line + by)
 
     def encloses(self, points: Array) -> bool:
         """Return whether all points (n, 2) lie inside: the curve winds round them."""

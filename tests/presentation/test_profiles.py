@@ -71,7 +71,7 @@ def test_a_dxf_holds_the_profile_the_base_circle_and_the_roller(shown, tmp_path)
     assert outline.dxf.layer == "LINK crank"
     np.testing.assert_allclose(np.array(outline.get_points("xy")), 1e3 * LINE, atol=1e-9)
     circles = {round(circle.dxf.radius, 9): circle for circle in block.query("CIRCLE")}
-    assert (circles[1e3 * BASE].dxf.layer, circles[1e3 * BASE].dxf.linetype) == ("MARKS", "DASHED")
+    assert (circles[1e3 * BASE].dxf.layer, circles[1e3 * BASE].dxf.linetype) == ("MARKS", "CHAIN")
     (insert,) = (one for one in drawing.modelspace().query('INSERT[layer=="ASSEMBLY"]') if one.dxf.name == block.name)
     (turned,) = (part for part in insert.virtual_entities() if part.dxftype() == "LWPOLYLINE")
     np.testing.assert_allclose(np.array(turned.get_points("xy")), placed(shown, AT), atol=1e-6)

@@ -21,7 +21,7 @@ from optlink.linkage.mechanism import FRAME, Guide, Mechanism
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.vector2d import TURN, Array
 from optlink.presentation.format import round_below
-from optlink.presentation.scene import Outline, Region, scene
+from optlink.presentation.scene import Outline, Region, named_points, scene
 from optlink.presentation.shapes import hull, in_line
 from optlink.tasks.analyze import Analysis
 
@@ -101,9 +101,10 @@ def document(
     drawing.header.custom_vars.append("TITLE", " ".join(title.split()))
     drawing.header.custom_vars.append("CRANK ANGLE [deg]", f"{math.degrees(at):.9g}")
     drawing.linetypes.add("DASHED", [1.0, 0.6, -0.4])
+    drawing.linetypes.add("CHAIN", [2.0, 1.2, -0.3, 0.2, -0.3])
     for name, colour in ((ASSEMBLY, 7), (PARTS, 7), (NAMES, 7), (TRACES, 9), (MARKS, 8)):
         drawing.layers.add(name, color=colour)
-    parts = list(plates(cycle, motion, radius))
+    parts = list(plates(cycle, motion, radius, drawn.profiles))
     for number, plate in enumerate(parts):
         drawing.layers.add(plate.block, color=COLOURS[number % len(COLOURS)] if plate.body != FRAME else 7)
         _cut(drawing.blocks.new(plate.block), plate, diameter, radius)
@@ -127,7 +128,7 @@ def _nearest_holes(mechanism: Mechanism, motion: Motion) -> tuple[str, float]:
     """Return the body with the least distance of two holes, and that distance [mm]; infinite if no body has two."""
     distances = [("", math.inf)]
     for body in (*mechanism.bodies, FRAME):
-        pins = [_vector(motion.pose.local(body, name)) for name, bodies in mechanism.pins.items() if body in bodies]
+        pins = [1e3 * at for name, at in named_points(motion, body).items() if name in mechanism.pins]
         gaps = (float(np.linalg.norm(first - second)) for first, second in itertools.combinations(pins, 2))
         distances += [(body, gap) for gap in gaps if gap > 0.0]
     return min(distances, key=lambda item: item[1])
@@ -141,20 +142,23 @@ def usual_hole(extent: float) -> float:
 # --- plates ------------------------------------------------------------------------------------------------------------------
 
 
-def plates(cycle: Analysis, motion: Motion, radius: float) -> Iterator[Plate]:
-    """Yield every link as a plate, its outline a radius [mm] from the hole centres, and finally the frame without an outline."""
-    mechanism, pose = cycle.machine.mechanism, motion.pose
+def plates(cycle: Analysis, motion: Motion, radius: float, curves: Mapping[str, Sequence[Profile]]) -> Iterator[Plate]:
+    """Yield every link as a plate, its outline a radius [mm] from the hole centres, and finally the frame without an outline.
+
+    `curves` [m] are those on the bodies.
+    """
+    mechanism = cycle.machine.mechanism
     travel = {guide.name: travelled(cycle, guide) for guide in mechanism.guides}
-    for body in (*mechanism.bodies, FRAME):
-        points = {name: _vector(pose.local(body, name)) for name, bodies in mechanism.owners.items() if body in bodies}
+    for body in (*mechanism.bodies, *mechanism.rods, FRAME):
+        points = {name: 1e3 * at for name, at in named_points(motion, body).items()}
         holes = {name: at for name, at in points.items() if name in mechanism.pins}
         marks = {name: at for name, at in points.items() if name not in holes}
         slots = tuple(_slot(motion, guide, travel[guide.name]) for guide in mechanism.guides if guide.on == body)
         corners = np.array([*points.values(), *(end for slot in slots for end in slot)]).reshape(-1, 2)
-        profiles = tuple(profile.scaled(1e3) for profile in cycle.machine.profiles.get(body, ()))
-        enclosed = any(profile.encloses(corners) for profile in profiles if not (profile.radius or profile.auxiliary))
+        own = tuple(profile.scaled(1e3) for profile in curves.get(body, ()))
+        enclosed = any(profile.encloses(corners) for profile in own if not (profile.radius or profile.auxiliary))
         outline = () if enclosed or body == FRAME else rounded(corners, radius)
-        yield Plate(body, holes, marks, slots, outline, profiles)
+        yield Plate(body, holes, marks, slots, outline, own)
 
 
 def _vector(vector: tuple[object, object]) -> Array:
@@ -231,11 +235,11 @@ def _cut(block: BlockLayout, plate: Plate, diameter: float, radius: float) -> No
     if plate.outline:
         block.add_lwpolyline(plate.outline, format="xyb", close=True, dxfattribs=layer)
     for profile in plate.profiles:
-        look = {"layer": MARKS, "linetype": "DASHED", "ltscale": radius} if profile.auxiliary else layer
+        look = {"layer": MARKS, "linetype": "CHAIN", "ltscale": radius} if profile.auxiliary else layer
         if profile.radius:
             block.add_circle(tuple(profile.line[0]), profile.radius, dxfattribs=look)
         else:
-            block.add_lwpolyline(profile.line.tolist(), close=True, dxfattribs=look)
+            block.add_lwpolyline(profile.line.tolist(), close=not profile.open, dxfattribs=look)
 
 
 def _mark_out(drawing: Drawing, regions: Sequence[Outline], radius: float) -> None:
@@ -264,7 +268,7 @@ def _assemble(space: Modelspace, parts: list[Plate], motion: Motion) -> None:
     for plate in parts:
         place, angle = (0.0, 0.0), 0.0
         if plate.body != FRAME:
-            start = motion.position(motion.mechanism.bodies[plate.body].start)[0] * 1e3
+            start = motion.position(motion.mechanism.origin(plate.body))[0] * 1e3
             place = float(start[0]), float(start[1])
             angle = math.degrees(float(np.asarray(motion.body_angle(plate.body).value)[0]))
         space.add_blockref(plate.block, place, dxfattribs={"rotation": angle, "layer": ASSEMBLY})

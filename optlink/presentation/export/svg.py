@@ -12,7 +12,6 @@ import numpy as np
 
 from optlink.linkage.vector2d import Array
 from optlink.presentation.chart_spec import GROUND
-from optlink.presentation.placement import short_name
 from optlink.presentation.scene import LETTER, WHITE, Scene, Shape, Text
 from optlink.presentation.shapes import zigzag
 
@@ -97,7 +96,7 @@ class _Pen:
         look += f' fill-opacity="{shape.face}"' if shape.face < 1.0 and shape.fill else ""
         look += f' stroke="{shape.colour}" stroke-width="{self.wide(shape.width)}"' if shape.width else ""
         look += f' stroke-opacity="{shape.opacity}"' if shape.opacity < 1.0 else ""
-        look += f' stroke-dasharray="{self.wide(4.0)} {self.wide(3.0)}"' if shape.dashed else ""
+        look += f' stroke-dasharray="{" ".join(map(self.wide, shape.dashes))}"' if shape.dashed else ""
         begin = f"{self.data(key, shape.name)}{place}"
         if shape.radius:
             middle = "" if place else self.place(shape.line[0], ' cx="{}" cy="{}"')
@@ -138,10 +137,10 @@ class _Pen:
         at = self.points[name][k]
         if not np.all(np.isfinite(at)):
             return ""
-        places, chosen = self.scene.places_of_names[name]
+        (places, chosen), caption = self.scene.places_of_names[name], self.scene.captions[name]
         beside = self.place(places[chosen[k]])
         drop, tooltip = self.number(0.35 * LETTER * self.scene.size), f"<title>{escape(name)}</title>"
-        text = self.rimmed(f'y="{drop}"', short_name(name), GROUND, tooltip if short_name(name) != name else "")
+        text = self.rimmed(f'y="{drop}"', caption, GROUND, tooltip if caption != name else "")
         inner = f'<g{self.data("name", name)} transform="{beside}">{text}</g>'
         return f'<g{self.data("point", name)} transform="{self.place(at)}">{inner}</g>'
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from optlink.dynamics.columns import MotionColumns
+from optlink.dynamics.columns import MotionColumns, efforts
 from optlink.dynamics.machine import slider_names
 from optlink.io import finite
 from optlink.linkage.vector2d import Array
@@ -122,7 +122,7 @@ def readouts(cycle: Analysis, angles: Array) -> list[Readout]:
         if name.endswith(".transmission_rad"):
             columns.append((name, f"transmission angle at {name.partition('.')[0]}", "deg"))
     if machine.inertias or machine.loads:
-        columns.append(("input.torque_Nm", "driving torque", "N m"))
+        columns += [(effort.column, effort.words, effort.unit) for effort in efforts(machine.mechanism)]
     result = []
     for column, label, unit in columns:
         values = record[column]

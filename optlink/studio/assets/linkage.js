@@ -182,7 +182,7 @@ export class Linkage {
       this.names,
       shown,
       (name) => name,
-      (name) => svg("text", { text: name, "text-anchor": "middle" }),
+      (name) => svg("text", { text: scene.captions?.[name] ?? name, "text-anchor": "middle" }),
       () => {} // its side follows the motion
     );
     const { points = [], poses = [] } = this.targets;
