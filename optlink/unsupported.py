@@ -16,59 +16,14 @@ class Unsupported(NamedTuple):
 
 
 UNSUPPORTED = {
-    "crank acceleration": Unsupported(
-        "an acceleration of the crank is",
-        "Leave it out: the speed is constant. `optlink simulate` computes accelerations under a torque, and "
-        "`optlink.linkage.sweep` in Python takes one of the crank",
-        r"drive\.(acceleration|alpha|ramp|jerk|deceleration)",
-    ),
-    "varying speed": Unsupported(
-        "a crank speed that varies in a given way is",
-        "Give the constant mean speed; `optlink simulate` with drive.torque computes how the speed varies",
-        r"drive\.(profile|law|table|schedule|motion|csv|over|expression)",
-    ),
-    "range of the crank": Unsupported(
-        "a range of the driven body is",
-        "Leave it out: the body turns as far as it can. Take the range from the table of `optlink analyze --csv FILE`",
-        r"drive\.(end|stop|range|to|until|limits?|min|max|travel|swing)",
-    ),
-    "linear drive": Unsupported(
-        "a drive along a guide (a cylinder, a screw, a linear motor) is",
-        'Drive a body that is pinned to the frame, at a speed such as "10 rpm"; the table of `optlink analyze` has the slide',
-        r"drive\.(force|velocity|stroke|length|cylinder|ram|screw|slider|guide)|(mechanism\.)?(cylinders?|rams?|screws?|spindles?)",
-    ),
-    "several drives": Unsupported(
-        "several drives are",
-        "Drive one body, and hold each other one still: leave it out, and give its joints places under [mechanism.ground]",
-        r"(mechanism\.)?(drives|motors?|actuators?)|drive\.(bodies|motors?)",
-    ),
     "drive on a moving link": Unsupported(
-        "a drive between two moving links is",
-        "Drive a body that is pinned to the frame ({bodies}); or make the link that carries the motor the frame of the file: "
-        "relative motions are the same",
+        "a motor between two moving links of a loop is",
+        "Drive a body that is pinned to the frame ({bodies}); of an open chain state each drive: [drives.wrist]",
     ),
     "drive of a four-bar": Unsupported(
         "a drive of the {body} of a four-bar is",
         'Leave body out, as the crank is driven; a force on the {body} is a load: loads.hand = {{ on = "{body}", at = "C", '
         'force = "50 N", direction = "90 deg" }}',
-    ),
-    "gears": Unsupported(
-        "gears are",
-        "Leave them out, and drive the linkage at the shaft behind them, with the speed of that shaft",
-        r"(.*\.)?(gear(s|ing|ed|_ratio)?|pinions?|planet\w*|sprockets?|teeth)",
-    ),
-    "racks": Unsupported(
-        "racks are", "Leave them out, and describe the linkage on one side of the rack, driven there", r"(.*\.)?racks?"
-    ),
-    "belts": Unsupported(
-        "belts, chains and ropes are",
-        "Leave them out, and drive the linkage at the shaft behind them, with the speed of that shaft",
-        r"(.*\.)?(belts?|chains?|ropes?|cables?|pulleys?|winch(es)?|drums?)",
-    ),
-    "cams": Unsupported(
-        "cams are",
-        "Leave them out; `optlink new law` begins the design of a linkage that follows the law of a cam",
-        r"(.*\.)?(cams?|profiles?|followers?|grooves?)",
     ),
     "curved guides": Unsupported(
         "curved guides are",
@@ -104,6 +59,29 @@ UNSUPPORTED = {
 """By name; the first that fits a key counts."""
 
 
+WRITTEN = {
+    r"drive\.(end|stop|to|until|limits?|min|max|travel|swing)": 'Write range = ["15 deg", "60 deg"]',
+    r"drive\.(profile|table|schedule|motion|csv|over|expression)": 'Write law = [{ time = "0.4 s", to = "60 deg" }, ...]',
+    r"drive\.(alpha|ramp|deceleration)": 'Write acceleration = "-40 rad/s^2", or a law over the time',
+    r"drive\.(velocity|stroke|length|ram|screw|slider|guide)": 'Write slide = "G" (a guide) or cylinder = "lift", and a range',
+    r"drive\.(bodies|motors?)|(mechanism\.)?(motors?|actuators?)": "Write [drives.NAME] for each, with body, slide or cylinder",
+    r"(mechanism\.)?(rams?|screws?|spindles?|struts?)": (
+        'Write [mechanism.cylinders] lift = { joints = ["D", "B"], closed = "900 mm", open = "1500 mm" }'
+    ),
+    r"(.*\.)?(gearing|gear_ratio|pinions?|planet\w*|sprockets?)": (
+        'Write [mechanism.gears] mesh = { bodies = ["crank", "wheel"], teeth = [20, 60] }'
+    ),
+    r"(.*\.)?(chains?|ropes?|pulleys?)": (
+        'Write [mechanism.belts] belt = { bodies = ["motor", "crank"], diameters = ["60 mm", "180 mm"] }'
+    ),
+    r"(.*\.)?(profiles?|followers?)": (
+        'Write [mechanism.cams] valve = { cam = "cam", follower = "tappet", law = [{ to = "120 deg", rise = "20 mm" }, ...] }'
+    ),
+    r"(.*\.)?grooves?": 'Write [mechanism.slots] slot = { pin = "B", on = "rocker", through = "C" }',
+}
+"""How to write what unknown keys ask for, by patterns of the whole key with its dots."""
+
+
 def unsupported(name: str, **names: str) -> tuple[str, str]:
     """Return the message and the remedy of one of `UNSUPPORTED`; `names` are those that its texts need."""
     item = UNSUPPORTED[name]
@@ -111,6 +89,12 @@ def unsupported(name: str, **names: str) -> tuple[str, str]:
 
 
 def unsupported_key(key: str) -> tuple[str, str] | None:
-    """Return message and remedy of what an unknown key, whole with its dots, asks for, if that is known to be not supported."""
+    """Return message and remedy of what an unknown key, whole with its dots, asks for, if that is known.
+
+    It is not supported, or written in another way.
+    """
+    remedy = next((remedy for keys, remedy in WRITTEN.items() if re.fullmatch(keys, key.lower())), None)
+    if remedy is not None:
+        return "unknown key", remedy
     name = next((name for name, item in UNSUPPORTED.items() if item.keys and re.fullmatch(item.keys, key.lower())), None)
     return None if name is None else unsupported(name)

@@ -176,7 +176,8 @@ class Assembly:
             if FRAME in self.members.get(crank.end, []):
                 remedy = "Exchange its two joints"
             elif self.rails[self.driver]:
-                missing, remedy = unsupported("linear drive")
+                guide = self.rails[self.driver][0].name
+                missing, remedy = "it slides", f'Write slide = "{guide}" instead of body, or give range, start or speed in "mm"'
             elif len(self.members[crank.start]) > 1:
                 pinned = [body for body in self.bodies if any(FRAME in self.members[point] for point in self.pins[body])]
                 missing, remedy = unsupported("drive on a moving link", bodies=", ".join(pinned))

@@ -487,9 +487,9 @@ def whole_four_bar(mechanism: Mechanism) -> InnerFourBar | None:
 
 
 def inner_four_bars(mechanism: Mechanism) -> Iterator[InnerFourBar]:
-    """Yield the four-bars of a linkage, in the order of its groups."""
+    """Yield the four-bars that a crank turns, its angle being the cycle variable, in the order of the groups of a linkage."""
     crank, owners = mechanism.crank, mechanism.owners
-    for group in mechanism.groups:
+    for group in () if mechanism.drives else mechanism.groups:
         if not isinstance(group, RRR):
             continue
         pins = tuple(zip(group.links, group.outer, strict=True))

@@ -333,7 +333,8 @@ class DesignProblem(Problem):
     def inertias(self, values: Mapping[str, Value]) -> dict[str, Inertia]:
         """Return mass properties of all bodies for dimensions that may be symbols [SI]; centroids and bars follow the lengths."""
         sizes = self.sizes(values)
-        return {name: body.inertia_of(name, self.linkage, sizes) for name, body in self.bodies.items()}
+        bodies = {name: body.inertia_of(name, self.linkage, sizes) for name, body in self.bodies.items()}
+        return {**self.mechanism.inertias, **bodies}
 
     def _check_term(self, term: Term) -> None:
         check_term(term, self.linkage, self.quantities)

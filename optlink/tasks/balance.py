@@ -24,6 +24,7 @@ from optlink.problem.quantity import check_range
 from optlink.problem.terms import Term
 from optlink.tasks.machine import (
     check_design,
+    check_one_crank,
     check_regular,
     check_repeats,
     crank_speed,
@@ -53,6 +54,7 @@ def positions(problem: ProblemFile, machine: Machine, speed: float) -> Array:
     """Return the crank angles [rad] at which a machine is balanced; a cycle without its end, which equals its start."""
     section, start = problem.model.balance, problem.model.driving.first
     assert section is not None
+    check_one_crank(problem, machine, "balancing")
     ranges, low, high = motion_range(problem, machine, start)
     check_regular(problem, ranges, "nothing can be balanced")
     check_repeats(problem, machine)

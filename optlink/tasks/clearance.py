@@ -43,6 +43,7 @@ from optlink.problem.file import AnyProblem, ProblemFile, problem_of
 from optlink.problem.quantity import check_range, input_of, nearest
 from optlink.tasks.machine import (
     check_design,
+    check_one_crank,
     check_pace,
     check_regular,
     crank_speed,
@@ -476,6 +477,7 @@ def _setting(
             "no such control", nearest(control, [*(str(kind) for kind in Control), "compare"]), key="control", value=control
         )
     machine = with_flywheel(machine_of(problem, design), flywheel)
+    check_one_crank(problem, machine, "joint clearance")
     with input_of(name):
         gaps = model.gaps(machine)
     if not gaps:

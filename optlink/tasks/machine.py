@@ -245,6 +245,25 @@ def check_range_reached(problem: ProblemFile, machine: Machine) -> None:
         raise InputError(message, remedy, problem.file, "drive.range", problem.at("drive.range"))
 
 
+def check_one_crank(problem: ProblemFile, machine: Machine, what: str, *, geared: bool = False) -> None:
+    """Refuse a machine whose drives prescribe its motion, or (unless `geared`) one with gears, racks, belts or cams.
+
+    Raises
+    ------
+    InputError
+        whose message says `what` is not supported.
+    """
+    mechanism = machine.mechanism
+    if mechanism.drives:
+        key = "drives" if problem.model.drives else "drive"
+        remedy = "`optlink analyze` computes its motion, forces and work; or drive one crank at constant speed"
+        raise InputError(f"{what} of a machine with a prescribed motion is not supported", remedy, problem.file, key)
+    if mechanism.singles and not geared:
+        names = ", ".join(element.name for element in mechanism.elements)
+        remedy = "`optlink analyze` computes its motion, forces and work; or leave them out"
+        raise InputError(f"{what} of a machine with {names} is not supported", remedy, problem.file, "mechanism")
+
+
 def check_repeats(problem: ProblemFile, machine: Machine) -> None:
     """Refuse a machine whose crank turns fully, but whose loads do not repeat after whole revolutions."""
     if machine.ranges.full:

@@ -23,6 +23,7 @@ from optlink.problem.quantity import check_range
 from optlink.tasks.machine import (
     MAX_DURATION,
     check_design,
+    check_one_crank,
     duration_of,
     machine_of,
     motion_range,
@@ -136,6 +137,7 @@ def simulate(
     drive = problem.model.drive
     torque = drive.torque
     machine = machine_of(problem, design)
+    check_one_crank(problem, machine, "simulation", geared=True)
     start, begun = starting_angle(problem, machine, design)
     machine = with_flywheel(machine, flywheel)
     speed = starting_speed(problem, speed)
