@@ -221,7 +221,7 @@ def law_of(drive: DriveSection, key: str, kind: str) -> MotionLaw | None:
     """
     if drive.law is None:
         return None
-    raw, folder = drive.law
+    raw, folder = drive.law.raw, drive.law.folder
     if isinstance(raw, dict) and "over" in raw:
         with below(f"{key}.speed"):
             return _paced(read_size(raw, folder, "angular velocity", ("phi",)), kind)

@@ -1,7 +1,9 @@
 """Mass properties, gravity and drive of a problem file."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import partial
+from pathlib import Path
 from typing import Annotated, Any, Self
 
 import numpy as np
@@ -37,6 +39,22 @@ from optlink.problem.quantity import (
 )
 from optlink.units import measures
 from optlink.unsupported import unsupported
+
+
+@dataclass(frozen=True)
+class StatedLaw:
+    """The law of a drive as the file states it, with the folder of its own file; the content of this is part of the problem."""
+
+    raw: Any
+    folder: Path = field(compare=False)
+
+    content: str = field(init=False, default="")
+
+    def __post_init__(self) -> None:
+        path = self.folder / str(self.raw.get("csv", "")) if isinstance(self.raw, dict) else self.folder
+        if path.is_file():
+            object.__setattr__(self, "content", path.read_text(encoding="utf-8", errors="replace"))
+
 
 # --- bodies ----------------------------------------------------------------------------------------------------------
 
@@ -157,7 +175,7 @@ class DriveSection(Section):
     """Range of the driven angle, slide or length, to which all results refer; default: as far as it can move."""
     start: Position = Quantity(0.0, "angle", "deg")
     """Position of the drive in the first row; with a range, the default is the end from which it moves."""
-    law: Annotated[Any, in_folder(lambda raw, folder: (raw, folder))] = None
+    law: Annotated[Any, in_folder(StatedLaw)] = None
     """Instead of a constant speed: the driven angle, slide or length over the time, segment by segment; an expression of t, or a
     CSV file."""
     unit: str | None = None
