@@ -65,6 +65,10 @@ class Element(Protocol):
         """Name in the problem file."""
 
     @property
+    def kind(self) -> str:
+        """What it is, or what it drives, in a word."""
+
+    @property
     def bodies(self) -> tuple[str, ...]:
         """The bodies whose motions it couples; none for a drive."""
 
@@ -253,6 +257,11 @@ class Gear:
     against: ClassVar[str] = FRAME
 
     @property
+    def kind(self) -> str:
+        """A belt if it has wheels."""
+        return "gears" if self.radii is None else "belt"
+
+    @property
     def sizes(self) -> tuple[Size, ...]:
         """Ratio, phase and radii."""
         return self.ratio, self.phase, *(self.radii or ())
@@ -351,6 +360,7 @@ class Rack:
     phase: Size = 0.0
     pressure: float = PRESSURE
     against: ClassVar[str] = FRAME
+    kind: ClassVar[str] = "rack"
 
     @property
     def bodies(self) -> tuple[str, str]:
@@ -388,7 +398,7 @@ class Rack:
         slides = np.asarray(as_jet(pose.slide(self.guide)).value, dtype=float)
         reach = float(line @ away) - np.array([np.nanmax(slides), np.nanmin(slides)])
         reach = np.array([min(reach[0], 0.0) - 0.5 * radius, max(reach[1], 0.0) + 0.5 * radius])
-        level = float(cross(line, away)) - self.side * radius
+        level = float(line[0] * away[1] - line[1] * away[0]) - self.side * radius
         start, along = (_array(part) for part in pose.local_line(self.guide, self.guide.slider))
         left, deep = along[::-1] * [-1.0, 1.0], 0.25 * self.side * radius
         near, far = (start + reach[:, None] * along + b * left for b in (level + 0.25 * deep, level - deep))
@@ -426,6 +436,7 @@ class Cam:
     """The body that carries the follower."""
     roller: Size = 0.0
     """Radius of the roller."""
+    kind: ClassVar[str] = "cam"
 
     @property
     def bodies(self) -> tuple[str, str]:

@@ -145,11 +145,11 @@ def linear_drive(section: DyadsSection, name: str, drive: DriveSection, key: str
         check_name(cylinder, section.cylinders, "no such cylinder", f"{key}.cylinder")
         stroke = f"{cylinder}.closed", f"{cylinder}.open"
         ends = stated or stroke
-        for end, of in zip(stated or (), ("closed", "open"), strict=False):
+        for length, of in zip(stated or (), ("closed", "open"), strict=False):
             low, high = sizes[f"{cylinder}.closed"], sizes[f"{cylinder}.open"]
-            if not low * (1.0 - 1e-9) <= end <= high * (1.0 + 1e-9):
+            if not low * (1.0 - 1e-9) <= length <= high * (1.0 + 1e-9):
                 message = f"the cylinder has lengths from {1e3 * low:.6g} to {1e3 * high:.6g} mm"
-                raise Unusable(message, f"Change range, or {of} of the cylinder", f"{key}.range", f"{1e3 * end:.6g} mm")
+                raise Unusable(message, f"Change range, or {of} of the cylinder", f"{key}.range", f"{1e3 * length:.6g} mm")
         return Drive(name, "length", cylinder, ends[0], ends[1], size=f"{cylinder}.length", rod=f"{cylinder}.rod", stroke=stroke)
     guide = _guide(section, drive, key)
     begin, end = stated or (0.0, None)

@@ -16,6 +16,7 @@ from optlink.presentation.export.export import Options, export
 from optlink.presentation.export.svg import svg
 from optlink.presentation.report_model import ReportModel
 from optlink.presentation.scene import Scene, scene
+from optlink.presentation.views import analysis_tables
 from optlink.presentation.views.analysis_charts import CycleCurves, torque
 
 BOOM = """
@@ -290,3 +291,21 @@ def test_a_lever_with_one_joint_is_drawn(tmp_path):
     lever = '[mechanism.ground]\nA = ["0 m", "0 m"]\n[mechanism.links]\nlid = { joints = ["A"] }\n[drive]\nbody = "lid"\n'
     drawn = scene(analysed(lever, tmp_path).cycle)
     assert [part.kind for part in drawn.parts["lid"]] == ["bar"]
+
+
+def test_show_lists_elements_in_the_order_of_solution_and_drives_with_their_laws(tmp_path):
+    def rows(text: str) -> dict[str, list[tuple[str, ...]]]:
+        path = tmp_path / "problem.toml"
+        path.write_text(f'title = "Shown"\n{text}', encoding="utf-8")
+        shown = analysis_tables.machine(optlink.load(path))
+        return {spec.title: [tuple(cell.text for cell in row) for row in spec.rows] for spec in shown}
+
+    lift = rows(BOOM)
+    assert lift["Order of solution"][0][:2] == ("driven length", "lift")
+    assert lift["[drive] and loads"][0] == ("drive", "length of lift between 1200 mm and 1900 mm at 100 mm/s")
+    gears = rows(GEARS)["Order of solution"]
+    assert [row[:3] for row in gears] == [("crank", "crank", "pivot A"), ("gears", "crank, wheel", "train")]
+    (tmp_path / "port.csv").write_text("time_s,angle_deg\n0,60\n0.5,80\n1,60\n", encoding="utf-8")
+    drives = rows(ARMS)["[drive] and loads"]
+    assert drives[0] == ("drive left", "angle of left by a law of 1 s, from 100 deg to 150 deg")
+    assert drives[1][0] == "drive port"

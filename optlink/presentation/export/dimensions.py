@@ -64,6 +64,8 @@ def dimensioned(cycle: Analysis, title: str) -> Drawing:
         sheet.label(drawn.points[name][0], place)
     words += [dimension.text.replace(" ", " of ", 1) for dimension in _strokes(cycle, at, drawn, named=True)]
     words += [text for text, _ in guides]
+    circles = {f"{body} R {_mm(1e3 * one.radius)}" for body, listed in drawn.profiles.items() for one in listed if one.radius}
+    words += sorted(circles)
     described = f"{title}, drawn at a crank angle of {_deg(at)}. Dimensions in mm: {'; '.join(words)}."
     for name in drawn.moving:
         if np.all(np.isfinite(drawn.points[name][0])):
