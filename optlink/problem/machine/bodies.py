@@ -1,5 +1,6 @@
 """Mass properties, gravity and drive of a problem file."""
 
+import contextlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -37,6 +38,7 @@ from optlink.problem.quantity import (
     read_scalar,
     where,
 )
+from optlink.problem.targets.target_points import read_file
 from optlink.units import measures
 from optlink.unsupported import unsupported
 
@@ -45,15 +47,16 @@ from optlink.unsupported import unsupported
 class StatedLaw:
     """The law of a drive as the file states it, with the folder of its own file; the content of this is part of the problem."""
 
-    raw: Any
+    raw: Any = field(compare=False)
     folder: Path = field(compare=False)
-
-    content: str = field(init=False, default="")
+    content: Any = field(init=False)
 
     def __post_init__(self) -> None:
-        path = self.folder / str(self.raw.get("csv", "")) if isinstance(self.raw, dict) else self.folder
-        if path.is_file():
-            object.__setattr__(self, "content", path.read_text(encoding="utf-8", errors="replace"))
+        content = self.raw
+        if isinstance(content, dict) and "csv" in content:
+            with contextlib.suppress(Unusable):  # who reads the law says with its key what is wrong
+                content = content | {"csv": read_file(content, "csv", self.folder)[1].decode(errors="replace")}
+        object.__setattr__(self, "content", content)
 
 
 # --- bodies ----------------------------------------------------------------------------------------------------------
