@@ -12,7 +12,7 @@ from optlink.dynamics.machine import Machine, Moving, slider_names
 from optlink.linkage.dyads import RRR
 from optlink.linkage.elements import Drive
 from optlink.linkage.jet import as_jet
-from optlink.linkage.mechanism import FRAME
+from optlink.linkage.mechanism import FRAME, Mechanism
 from optlink.linkage.motion import continuous
 from optlink.linkage.singular import AlignedPosition
 from optlink.linkage.vector2d import Array, Value, Vector, cross, dot, magnitude, minus
@@ -42,6 +42,37 @@ class Column(NamedTuple):
     name: str
     meaning: str
     values: Array
+
+
+class Effort(NamedTuple):
+    """What a drive exerts on a body: name of the column, "torque" or "force", its symbol and unit, the body, and the drive.
+
+    The name of an only drive is empty.
+    """
+
+    column: str
+    quantity: str
+    symbol: str
+    unit: str
+    body: str
+    drive: str = ""
+
+    @property
+    def words(self) -> str:
+        """What it is called."""
+        return f"{self.quantity} of {self.drive}" if self.drive else f"driving {self.quantity}"
+
+
+def effort_of(drive: Drive) -> Effort:
+    """Return what a drive exerts."""
+    kind = ("torque_Nm", "torque", "M", "N m") if drive.kind == "angle" else ("force_N", "force", "F", "N")
+    return Effort(f"{drive.name}.{kind[0]}", *kind[1:], drive.body, "" if drive.name == "input" else drive.name)
+
+
+def efforts(mechanism: Mechanism) -> list[Effort]:
+    """Return what the drives of a mechanism exert."""
+    crank = Drive("input", "angle", mechanism.crank.body)
+    return [effort_of(drive) for drive in mechanism.drives or (crank,)]
 
 
 Named = Iterator[tuple[str, str, Callable[[], Value]]]
@@ -171,10 +202,9 @@ class MotionColumns:
     def _driven(self, drive: Drive) -> Named:
         """Yield the columns of one of several drives, or of one that does not turn a crank at constant speed."""
         effort, name = self.reactions.efforts[drive.name], drive.name
-        if drive.kind == "angle":
-            yield f"{name}.torque_Nm", f"torque of the drive {name} on {drive.body}", _constant(effort)
-        else:
-            yield f"{name}.force_N", f"force of the drive {name} on {drive.body}, positive where it pushes", _constant(effort)
+        pushes = "" if drive.kind == "angle" else ", positive where it pushes"
+        column, quantity = effort_of(drive)[:2]
+        yield column, f"{quantity} of the drive {name} on {drive.body}{pushes}", _constant(effort)
         if name != "input":
             yield f"{name}.power_W", f"power of the drive {name}", _constant(effort * as_jet(drive.value(self.moving.pose)).rate)
 

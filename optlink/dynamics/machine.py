@@ -11,6 +11,7 @@ from typing import Any, Literal, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
+from optlink.linkage.cams import Profile
 from optlink.linkage.jet import as_jet
 from optlink.linkage.mechanism import FRAME, Mechanism, Pose
 from optlink.linkage.motion import Motion, sweep
@@ -186,7 +187,8 @@ class Machine:
     """A mechanism with its masses, loads and friction.
 
     `inertias` by body (a body without an entry has no mass), `gravity` [m/s^2], `loads`, `friction` coefficients by guide,
-    `reported`: body on which the reaction at a pin is reported, where it differs from the default (`inverse.reported_on`).
+    `reported`: body on which the reaction at a pin is reported, where it differs from the default (`inverse.reported_on`),
+    `profiles`: curves on bodies, which are only drawn.
     """
 
     mechanism: Mechanism
@@ -196,6 +198,7 @@ class Machine:
     loads: tuple[Load, ...] = ()
     friction: Mapping[str, Value] = field(default_factory=dict)
     reported: Mapping[str, str] = field(default_factory=dict)
+    profiles: Mapping[str, tuple[Profile, ...]] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         return f"<Machine {self.mechanism.name!r}: {', '.join(self.mechanism.bodies)}>"
@@ -332,8 +335,7 @@ class Moving:
                 nothing = (0.0, 0.0)
                 self._states[body] = BodyMotion(nothing, nothing, nothing, (1.0, 0.0), 0.0, 0.0)
             else:
-                link = self.machine.mechanism.bodies.get(body)
-                start = self.pose.points[link.start if link else self.machine.mechanism.rods[body].end]
+                start = self.pose.points[self.machine.mechanism.origin(body)]
                 self._states[body] = body_motion(start, self.pose.direction(body))
         return self._states[body]
 

@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING, ClassVar, Literal, NamedTuple, Protocol
 
 import numpy as np
 
+from optlink.linkage.cams import Arm, Contact, DiscCam, Face, Profile, Roller, Slide
 from optlink.linkage.jet import Jet, as_jet
 from optlink.linkage.laws import MotionLaw
-from optlink.linkage.vector2d import Value, Vector, cross, dot, magnitude, minus, plus, sign, turn, turn_back, unit
+from optlink.linkage.vector2d import TURN, Array, Value, Vector, cross, dot, magnitude, minus, plus, sign, turn, turn_back, unit
 
 if TYPE_CHECKING:
     from optlink.linkage.mechanism import Guide, Joint, Link, Pose, Size
@@ -25,6 +26,9 @@ FRAME = "frame"
 PRESSURE = math.radians(20.0)
 """Pressure angle of involute teeth (ISO 53)."""
 
+
+BARREL, SLIM, RIM = 0.85, 0.04, (1.04, 1.12)
+"""Length of a barrel and half its width over the length of the closed cylinder, and radii of a rim over that of its teeth."""
 
 SMOOTH: tuple[Value, tuple[float, ...], float] = (0.0, (), 1.0)
 """Knots of an element with a smooth law."""
@@ -61,6 +65,10 @@ class Element(Protocol):
         """Name in the problem file."""
 
     @property
+    def kind(self) -> str:
+        """What it is, or what it drives, in a word."""
+
+    @property
     def bodies(self) -> tuple[str, ...]:
         """The bodies whose motions it couples; none for a drive."""
 
@@ -86,6 +94,9 @@ class Element(Protocol):
 
         `effort` is their torque [N m] on this body about its pin, or their force [N] on it along the line of its guide.
         """
+
+    def profiles(self, pose: Pose) -> Iterator[tuple[str, Profile]]:
+        """Yield the curves by which it is drawn, with the bodies that carry them, for a pose of the whole motion."""
 
 
 @dataclass(frozen=True)
@@ -128,6 +139,20 @@ class Single:
         pose.place(link, axis, link.start)
 
 
+def _array(vector: Vector) -> Array:
+    return np.array([as_jet(part).value for part in vector], dtype=float)
+
+
+def _box(low: float, high: float, half: float) -> Array:
+    """Return the corners of a rectangle about the x axis."""
+    return np.array([[low, -half], [high, -half], [high, half], [low, half]])
+
+
+def _mark(centre: Array, radius: float) -> Profile:
+    """Return a radius of a wheel about a point (1, 2), which shows that it turns."""
+    return Profile(np.concatenate([centre, centre + np.array([radius, 0.0])]), auxiliary=True, open=True)
+
+
 # --- drives ---------------------------------------------------------------------------------------------------------------
 
 
@@ -154,6 +179,8 @@ class Drive:
     """Name of the length that a cylinder prescribes."""
     rod: str = ""
     """Name of the rod of a cylinder: it has the direction of the link, and its origin at the end of it."""
+    stroke: tuple[Size, Size] = (0.0, 0.0)
+    """Lengths of a closed and an open cylinder."""
 
     @property
     def sizes(self) -> tuple[Size, ...]:
@@ -180,6 +207,17 @@ class Drive:
     def knots(self, pose: Pose) -> tuple[Value, tuple[float, ...], float]:
         """Return the time at a pose, and the knots and the period of the law [s]; no knots without one."""
         return SMOOTH if self.law is None else (pose.angle * self.rate, self.law.knots, self.law.period)
+
+    def profiles(self, pose: Pose) -> Iterator[tuple[str, Profile]]:
+        """Yield the barrel and the rod with its piston, of usual proportions; nothing of a motor."""
+        closed, opened = (float(pose.size(end)) for end in self.stroke)
+        if not closed:
+            return
+        barrel, half = BARREL * closed, SLIM * closed
+        end = -max(0.9, opened / closed + 3.0 * SLIM - BARREL) * closed
+        piston, rod = _box(end, end + half, 0.9 * half), _box(end + half, 0.0, 0.4 * half)
+        yield self.rod, Profile(np.concatenate([piston[:2], rod, piston[2:]]))
+        yield self.body, Profile(_box(0.0, barrel, half))
 
     def actions(self, places: Places, single: Single, effort: Value) -> Iterator[Action]:
         """Yield the actions on the driven body and on the one that carries the drive."""
@@ -214,7 +252,14 @@ class Gear:
     pivots: tuple[str, str] | None = None
     pressure: float = PRESSURE
     radii: tuple[Size, Size] | None = None
+    mesh: bool = True
+    """Whether the two bodies themselves have teeth or wheels."""
     against: ClassVar[str] = FRAME
+
+    @property
+    def kind(self) -> str:
+        """A belt if it has wheels."""
+        return "gears" if self.radii is None else "belt"
 
     @property
     def sizes(self) -> tuple[Size, ...]:
@@ -238,6 +283,37 @@ class Gear:
     def knots(self, pose: Pose) -> tuple[Value, tuple[float, ...], float]:
         """Return no knots: the ratio is constant."""
         return SMOOTH
+
+    def profiles(self, pose: Pose) -> Iterator[tuple[str, Profile]]:
+        """Yield the pitch circles of gears, that of a ring within its rim; wheels and strands of a belt.
+
+        Of a ratio that is obtained in another way, the line of the pivots.
+        """
+        if self.pivots is None:
+            return
+        ratio = float(pose.size(self.ratio))
+        first, second = (_array(pose.local(self.arm, pivot)) for pivot in self.pivots)
+        if not self.mesh:
+            yield self.arm, Profile(np.array([first, second]), auxiliary=True, open=True)
+            return
+        distance = float(np.hypot(*(second - first)))
+        radii = [float(pose.size(radius)) for radius in self.radii or ()]
+        radii = radii or [abs(distance / (1.0 - speed)) for speed in (1.0 / ratio, ratio)]
+        for body, pivot, radius in zip(self.bodies, self.pivots, radii, strict=True):
+            centre = _array(pose.local(body, pivot))[None]
+            yield body, Profile(centre, radius, auxiliary=self.radii is None)
+            if self.radii is None and ratio > 0.0 and radius == max(radii):
+                inner, outer = (Profile(centre, share * radius).corners for share in RIM)
+                yield body, Profile(np.concatenate([inner, outer[::-1]]))
+            else:
+                yield body, _mark(centre, radius)
+        if self.radii is not None:
+            along = (second - first) / distance
+            sine = (radii[0] - math.copysign(radii[1], ratio)) / distance
+            for side in (1.0, -1.0):
+                normal = sine * along + side * math.sqrt(1.0 - sine * sine) * along[::-1] * [-1.0, 1.0]
+                ends = first + radii[0] * normal, second + math.copysign(radii[1], ratio) * normal
+                yield self.arm, Profile(np.array(ends), auxiliary=True, open=True)
 
     def actions(self, places: Places, single: Single, effort: Value) -> Iterator[Action]:
         """Yield the actions on both bodies, and on the arm if torques alone are passed on."""
@@ -284,6 +360,7 @@ class Rack:
     phase: Size = 0.0
     pressure: float = PRESSURE
     against: ClassVar[str] = FRAME
+    kind: ClassVar[str] = "rack"
 
     @property
     def bodies(self) -> tuple[str, str]:
@@ -309,6 +386,24 @@ class Rack:
     def knots(self, pose: Pose) -> tuple[Value, tuple[float, ...], float]:
         """Return no knots: the ratio is constant."""
         return SMOOTH
+
+    def profiles(self, pose: Pose) -> Iterator[tuple[str, Profile]]:
+        """Yield the pitch circle of the wheel, and the bar from its guide and as far as it rolls, with its pitch line."""
+        radius = float(pose.size(self.radius))
+        centre = _array(pose.local(self.pinion, self.pivot))[None]
+        yield self.pinion, Profile(centre, radius, auxiliary=True)
+        yield self.pinion, _mark(centre, radius)
+        begin, line = (_array(part) for part in pose.local_line(self.guide, self.guide.on))
+        away = _array(pose.local(self.guide.on, self.pivot)) - begin
+        slides = np.asarray(as_jet(pose.slide(self.guide)).value, dtype=float)
+        reach = float(line @ away) - np.array([np.nanmax(slides), np.nanmin(slides)])
+        reach = np.array([min(reach[0], 0.0) - 0.5 * radius, max(reach[1], 0.0) + 0.5 * radius])
+        level = float(line[0] * away[1] - line[1] * away[0]) - self.side * radius
+        start, along = (_array(part) for part in pose.local_line(self.guide, self.guide.slider))
+        left, deep = along[::-1] * [-1.0, 1.0], 0.25 * self.side * radius
+        near, far = (start + reach[:, None] * along + b * left for b in (level + 0.25 * deep, level - deep))
+        yield self.guide.slider, Profile(np.concatenate([near, far[::-1]]))
+        yield self.guide.slider, Profile(near - 0.25 * deep * left, auxiliary=True, open=True)
 
     def actions(self, places: Places, single: Single, effort: Value) -> Iterator[Action]:
         """Yield the actions on the bar and on the wheel."""
@@ -339,6 +434,9 @@ class Cam:
     contact: str = ""
     against: str = FRAME
     """The body that carries the follower."""
+    roller: Size = 0.0
+    """Radius of the roller."""
+    kind: ClassVar[str] = "cam"
 
     @property
     def bodies(self) -> tuple[str, str]:
@@ -365,6 +463,52 @@ class Cam:
     def knots(self, pose: Pose) -> tuple[Value, tuple[float, ...], float]:
         """Return the angle of the cam from the begin of its law, and the knots and the period of the law [rad]."""
         return self._turned(pose), self.law.knots, self.law.period
+
+    def disc(self, pose: Pose) -> DiscCam:
+        """Return the disc cam in the axes of the body that carries the follower, about the pivot of the cam."""
+        single = next(one for one in pose.mechanism.singles if one.by == self)
+        begin, roller, centre = float(pose.size(self.begin)), float(pose.size(self.roller)), pose.local(self.against, self.pivot)
+        guide: Slide | Arm
+        if single.guide is not None:
+            point, line = pose.local_line(single.guide, self.against)
+            away = minus(point, centre)
+            lowest, offset = begin + float(dot(line, away)), -float(cross(line, away))
+            sense = math.copysign(1.0, lowest)
+            guide = Slide(math.atan2(sense * line[1], sense * line[0]), sense * offset)
+            base = math.hypot(lowest, offset) if self.contact else abs(lowest)
+        else:
+            pivot = minus(pose.local(self.against, str(single.joint)), centre)
+            length, lowest = float(pose.size(single.link.length)), begin - math.atan2(-pivot[1], -pivot[0])
+            sense = math.copysign(1.0, math.remainder(lowest, TURN))
+            guide = Arm((float(pivot[0]), float(pivot[1])), length, side=int(sense))
+            base = abs(length * np.exp(1j * lowest) - math.hypot(*pivot))
+        scale, phase = sense * float(pose.size(self.lift)), float(pose.size(self.phase))
+
+        def lift(angles: Array) -> tuple[Array, Array, Array]:
+            value, rate, bend = as_jet(self.law(Jet(angles - phase, 1.0))).parts
+            return scale * value, scale * rate, scale * bend
+
+        contact: Contact = Roller(roller) if self.contact else Face()
+        return DiscCam(lift, guide, contact, base - roller, tuple(knot + phase for knot in self.law.knots))
+
+    def profiles(self, pose: Pose) -> Iterator[tuple[str, Profile]]:
+        """Yield the profile of the cam with its base circle, and the roller or the flat face of the follower."""
+        disc, centre = self.disc(pose), _array(pose.local(self.cam, self.pivot))
+        for profile in disc.profiles:
+            yield self.cam, profile.moved(centre)
+        if self.contact and self.roller:
+            yield self.follower, Profile(_array(pose.local(self.follower, self.contact))[None], float(pose.size(self.roller)))
+        guide = next(one.guide for one in pose.mechanism.singles if one.by == self)
+        if guide is None or self.contact:
+            return
+        line, (start, along) = pose.local_line(guide, self.against)[1], pose.local_line(guide, self.follower)
+        touch = disc.at(np.linspace(0.0, TURN, 361))
+        way, thick = disc.guide.way(touch.point)[0], 0.1 * disc.base_radius
+        left = np.imag((touch.contact - touch.point) / way)
+        low, high = np.min(left) - thick, np.max(left) + thick
+        upright = (way / complex(*line)).real * complex(*along)
+        face = complex(*start) + upright * np.array([1j * low, 1j * high, thick + 1j * high, thick + 1j * low])
+        yield self.follower, Profile(np.column_stack([face.real, face.imag]))
 
     def actions(self, places: Places, single: Single, effort: Value) -> Iterator[Action]:
         """Yield the actions on the follower and on the cam."""

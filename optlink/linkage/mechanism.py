@@ -551,6 +551,10 @@ class Mechanism:
         """The rods of cylinders by name, with the links whose direction they have and at whose end they begin."""
         return {drive.rod: self.bodies[drive.body] for drive in self.drives if drive.rod}
 
+    def origin(self, body: str) -> str:
+        """Return the point at which the axes of a moving body or of a rod begin."""
+        return self.bodies[body].start if body in self.bodies else self.rods[body].end
+
     @cached_property
     def elements(self) -> tuple[Element, ...]:
         """The drives and couplings."""

@@ -132,7 +132,7 @@ class Motion:
 
     def _angle(self, body: str) -> Jet:
         with np.errstate(all="ignore"):
-            direction = self.pose.direction(_known((FRAME, *self.mechanism.bodies), body, "body"))
+            direction = self.pose.direction(_known((FRAME, *self.mechanism.bodies, *self.mechanism.rods), body, "body"))
             return as_jet(angle(direction))
 
 

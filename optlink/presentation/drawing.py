@@ -19,7 +19,6 @@ from optlink.linkage.vector2d import TURN, Array
 from optlink.presentation.chart_mpl import draw_into
 from optlink.presentation.chart_spec import ChartSpec
 from optlink.presentation.labels import Label
-from optlink.presentation.placement import short_name
 from optlink.presentation.scene import LAYERS, Scene, Shape
 from optlink.presentation.shapes import finite
 from optlink.presentation.style import CRANK, GROUND, HALO, figure, heading, legible, one_palette, styled
@@ -65,7 +64,7 @@ class Sketch(Scene):
     def letters(self, axes: Axes, motion: Motion) -> list[Label]:
         """Return labels with the names of all points at the first position, for `labels.place_labels`."""
         return [
-            Label(axes, (float(x), float(y)), short_name(name), GROUND, clear=2.5)
+            Label(axes, (float(x), float(y)), self.captions[name], GROUND, clear=2.5)
             for name in self.names
             for x, y in self.position(motion, name)[:1]
         ]
@@ -78,7 +77,9 @@ class Sketch(Scene):
 
     def add_legend(self, fig: Figure, columns: int = 9, **extra: Artist) -> None:
         """Draw the legend below a figure: bodies by colour, the centroid symbol, and others (underscores stand for spaces)."""
-        entries: dict[str, Any] = {body: Line2D([], [], color=self.colours[body], linewidth=3.0) for body in self.parts}
+        entries: dict[str, Any] = {
+            body: Line2D([], [], color=self.colours[body], linewidth=3.0) for body in self.mechanism.bodies
+        }
         entries |= {"centroid": tuple(_centroid(GROUND))} if self.centroids else {}
         entries |= {name.replace("_", " "): artist for name, artist in extra.items()}
         style: dict[str, Any] = {"loc": "outside lower center", "frameon": False, "fontsize": 8.5}
@@ -127,7 +128,7 @@ def _artist(shape: Shape, xy: Array) -> Artist:
         rgb, face = np.array(to_rgb(shape.fill)), shape.face
         tint = (*(1.0 - face * (1.0 - rgb)), 1.0) if shape.layer == "block" else (*rgb, face)  # a block hides its slot
         return Polygon(xy, closed=True, facecolor=tint, edgecolor=shape.colour, joinstyle=joint, **look)
-    style: dict[str, Any] = {"linestyle": (0, (4, 3)) if shape.dashed else "-", "solid_capstyle": "round"}
+    style: dict[str, Any] = {"linestyle": (0, shape.dashes) if shape.dashed else "-", "solid_capstyle": "round"}
     return Line2D(xy[:, 0], xy[:, 1], color=shape.colour, alpha=shape.opacity, **style, **look)
 
 

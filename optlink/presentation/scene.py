@@ -7,7 +7,7 @@ axis points up.
 import copy
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, Self
 
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.dynamics.machine import Machine, Spring, TorsionSpring
+from optlink.linkage.cams import Profile
 from optlink.linkage.jet import as_jet
 from optlink.linkage.mechanism import FRAME, Guide
 from optlink.linkage.motion import Motion, sweep
@@ -25,6 +26,7 @@ from optlink.presentation.placement import Choice, arrange, beside, short_name, 
 from optlink.presentation.shapes import (
     Part,
     clipped,
+    even,
     finite,
     hatching,
     hull,
@@ -180,6 +182,8 @@ LAYERS = {
     "traces": 1.0,
     "ground": 2.0,
     "slot": 2.6,
+    "profile": 2.7,
+    "auxiliary": 2.75,
     "plate": 2.8,
     "springs": 2.9,
     "bar": 3.0,
@@ -189,11 +193,20 @@ LAYERS = {
     "joints": 4.0,
 }
 """What lies on what: layers and their heights."""
-LOOKS = {"slot": (1.1, 0.13), "plate": (2.2, 0.22), "bar": (3.0, 0.0), "block": (1.5, 0.35), "crank": (3.8, 0.0)}
+LOOKS = {
+    "slot": (1.1, 0.13),
+    "profile": (1.5, 0.18),
+    "auxiliary": (0.8, 0.0),
+    "plate": (2.2, 0.22),
+    "bar": (3.0, 0.0),
+    "block": (1.5, 0.35),
+    "crank": (3.8, 0.0),
+}
 """Line width [pt] and opacity of the face of the parts of bodies."""
-BARREL = 0.9  # length of the barrel of a cylinder, in its least length
 LETTER, WIDTH = 9.0 / 8.0, 0.6  # height of a letter of names, in heights of a ground pivot, and its width in its height
 NEAR = np.array([0.42, 1.05, 1.7])  # distances of a name from its point, in heights of a ground pivot
+CHAIN, DASHED = (8.0, 2.0, 1.0, 2.0), (4.0, 3.0)
+CORNERS = 120  # of a shape, as far as names keep away from it
 BEHIND, TRACE = 3.0, 0.45  # how much a link and a trace count that a name hides
 CROSS = np.array([[-1.0, 0.0], [1.0, 0.0], [np.nan, np.nan], [0.0, -1.0], [0.0, 1.0]])
 
@@ -219,6 +232,11 @@ class Shape:
     dashed: bool = False
     radius: float = 0.0
 
+    @property
+    def dashes(self) -> tuple[float, ...]:
+        """Lengths [pt] of its strokes and gaps; none if it is drawn through. Axes and pitch circles are dash-dotted."""
+        return () if not self.dashed else CHAIN if self.layer == "auxiliary" else DASHED
+
 
 @dataclass(frozen=True, eq=False)
 class Text:
@@ -229,6 +247,25 @@ class Text:
     colour: str
     font: float
     angle: float = 0.0
+
+
+def profiles(motion: Motion, machine: Machine | None) -> dict[str, list[Profile]]:
+    """Return the curves by which drives, couplings and the machine are drawn, by the bodies that carry them [m]."""
+    curves: dict[str, list[Profile]] = {body: [*listed] for body, listed in machine.profiles.items()} if machine else {}
+    for element in motion.mechanism.elements:
+        for body, profile in element.profiles(motion.pose):
+            curves.setdefault(body, []).append(profile)
+    return curves
+
+
+def named_points(motion: Motion, body: str) -> dict[str, Array]:
+    """Return the named points of a body in its own axes [m]; the end of a cylinder is one of its rod."""
+    mechanism, pose = motion.mechanism, motion.pose
+    if body in mechanism.rods:
+        return {mechanism.origin(body): np.zeros(2)}
+    ends = [link.end for link in mechanism.rods.values() if link.body == body]
+    names = [name for name, bodies in mechanism.owners.items() if body in bodies and name not in ends]
+    return {name: np.array([float(as_jet(part).value) for part in pose.local(body, name)]) for name in names}
 
 
 class Scene:
@@ -255,23 +292,28 @@ class Scene:
         self.free = tuple(name for name in self.moving if len(owners[name]) == 1)
         self._places = np.array([motion.position(name) for name in self.names])  # m, (points, positions, 2)
         self.near = self._in_sight()
-        extent = max(np.max(spread(finite(self._places[:, self.near]))), 1e-30)
-        self.scale: Scale = unit or scale(extent, "m")
+        self.profiles, self.scale = profiles(motion, machine), Scale(1.0, "m")
+        curves = [self.placed(motion, body, one.corners) for body, listed in self.profiles.items() for one in listed]
+        shown = np.concatenate([finite(places[self.near]) for places in (np.swapaxes(self._places, 0, 1), *curves)])
+        extent = max(np.max(spread(shown)), 1e-30)
+        self.scale = unit or scale(extent, "m")
         self.size = share * extent * self.scale.factor
         crank = self.mechanism.crank.body
+        self.driven = {crank, *(drive.body for drive in self.mechanism.drives)}
         bodies = [body for body in self.mechanism.bodies if body != crank]
-        self.colours = {body: BODIES[k % len(BODIES)] for k, body in enumerate(bodies)} | {crank: CRANK}
+        self.colours = {FRAME: GROUND} | {body: BODIES[k % len(BODIES)] for k, body in enumerate(bodies)} | {crank: CRANK}
+        self.colours |= {rod: self.colours[link.body] for rod, link in self.mechanism.rods.items()}
         self.travel = {guide.name: self._travel(guide) for guide in self.mechanism.guides}
-        self.cylinders = self.mechanism.cylinders
-        self.parts = {body: self._parts(body) for body in self.mechanism.bodies}
-        self.springs = [load for load in machine.loads if isinstance(load, Spring)] if machine else []
-        self.torsion_springs = (
-            [self._turned_at(load) for load in machine.loads if isinstance(load, TorsionSpring)] if machine else []
-        )
         inertias = machine.inertias if machine else {}
         self.centroids = {
             body: np.array([[i.along, i.across]], dtype=float) * self.scale.factor for body, i in inertias.items() if i.mass > 0.0
         }
+        self.parts = {body: self._parts(body) for body in (*self.mechanism.bodies, *self.mechanism.rods)}
+        self.parts |= {FRAME: self._curves(FRAME)} if FRAME in self.profiles else {}
+        self.springs = [load for load in machine.loads if isinstance(load, Spring)] if machine else []
+        self.torsion_springs = (
+            [self._turned_at(load) for load in machine.loads if isinstance(load, TorsionSpring)] if machine else []
+        )
         self.ground = self._ground_lines()
         self.low, self.high = self._extent()
         self.regions = tuple(regions)
@@ -307,15 +349,18 @@ class Scene:
         with np.errstate(all="ignore"):  # at a dead centre of a group its rates are infinite or NaN
             direction = motion.pose.direction(body)
         x, y = (np.broadcast_to(as_jet(part).value, shape)[:, None] for part in direction)
-        start = self.position(motion, self.mechanism.bodies[body].start)[:, None, :]
+        start = self._start(motion, body)[:, None, :]
         along, across = outline[:, 0], outline[:, 1]
         return np.asarray(start + np.stack([along * x - across * y, along * y + across * x], axis=-1))
 
+    def _start(self, motion: Motion, body: str) -> Array:
+        """Return the positions (positions, 2) of the origin of the axes of a body, in the display unit."""
+        if body == FRAME:
+            return np.zeros((len(motion.crank_angle), 2))
+        return self.position(motion, self.mechanism.origin(body))
+
     def ends(self, motion: Motion, spring: str) -> Array:
-        """Return the positions (positions, 2, 2) of both ends of a spring, or of a cylinder."""
-        if spring in self.cylinders:
-            link = self.mechanism.bodies[spring]
-            return np.stack([self.position(motion, point) for point in (link.start, link.end)], axis=1)
+        """Return the positions (positions, 2, 2) of both ends of a spring."""
         (found,) = (one for one in self.springs if one.name == spring)
         return np.stack([self.position(motion, point) for _, point in found.ends], axis=1)
 
@@ -344,7 +389,16 @@ class Scene:
     def poses(self, body: str) -> Array:
         """Return the poses (positions, 3) of a body to draw: x and y of its first point, and its angle [deg]."""
         angle = np.degrees(np.asarray(self.shown.body_angle(body).value, dtype=float))
-        return np.asarray(np.column_stack([self.position(self.shown, self.mechanism.bodies[body].start), angle]))
+        return np.asarray(np.column_stack([self._start(self.shown, body), angle]))
+
+    @property
+    def captions(self) -> dict[str, str]:
+        """The name of every point as drawings show it, at the joints of several drives with the names of these."""
+        captions = {name: short_name(name) for name in self.names}
+        joints = {single.by: str(single.joint) for single in self.mechanism.singles if single.guide is None}
+        for drive in self.mechanism.drives if len(self.mechanism.drives) > 1 else ():
+            captions[joints.get(drive, self.mechanism.bodies[drive.body].start)] += f": {drive.name}"
+        return captions
 
     def owner(self, name: str) -> str:
         """Return the body in whose colour a point and its trace are drawn."""
@@ -358,6 +412,7 @@ class Scene:
         for shape in self.moving_shapes:
             if shape.layer != "joints":
                 line = self.located(shape, self.shown)
+                line = line[:, even(line.shape[1], CORNERS)]
                 lines.append((np.concatenate([line, line[:, :1]], axis=1) if shape.fill else line, BEHIND))
         lines += [(line[None], BEHIND) for line in (*(line for line, _, _ in self.ground), *(one.edge for one in self.outlines))]
         points = self.points
@@ -366,7 +421,7 @@ class Scene:
         texts = [written(one.label, half_size(one.name, self.size)) for one in self.outlines]
         for name in names:
             others, near = [points[other] for other in names if other != name], NEAR * self.size
-            half, moves = half_size(short_name(name), self.size), name in self.moving
+            half, moves = half_size(self.captions[name], self.size), name in self.moving
             texts.append(beside(points[name], half, near[: 2 if moves else 3], 1.5 / letter, others, (0.3, 0.3), moves))
         chosen = arrange(texts, lines, letter, self.box)
         return {
@@ -378,14 +433,11 @@ class Scene:
 
     def _points_of(self, body: str) -> Array:
         """Return the named points of a body in its own axes, without duplicates."""
-        pose = self.motion.pose
         points: list[Array] = []
-        end = self.mechanism.bodies[body].end if body in self.cylinders else ""  # which moves on the body
-        for point, bodies in self.mechanism.owners.items():
-            if body in bodies and point != end:
-                at = self._vector(pose.local(body, point))
-                if all(np.max(np.abs(at - other)) > 1e-3 * self.size for other in points):
-                    points.append(at)
+        for local in named_points(self.motion, body).values():
+            at = local * self.scale.factor
+            if all(np.max(np.abs(at - other)) > 1e-3 * self.size for other in points):
+                points.append(at)
         return np.array(points).reshape(-1, 2)
 
     def _line(self, guide: Guide, body: str) -> tuple[Array, Array]:
@@ -413,13 +465,12 @@ class Scene:
         off = (points - point) @ np.array([-direction[1], direction[0]])
         return len(points) > 1 and bool(np.all(np.abs(off) < 0.05 * self.size))
 
+    def _curves(self, body: str) -> list[Part]:
+        curves = self.profiles.get(body, ())
+        return [Part("auxiliary" if one.auxiliary else "profile", one.corners * self.scale.factor) for one in curves]
+
     def _parts(self, body: str) -> list[Part]:
-        if body in self.cylinders:
-            lengths = np.linalg.norm(np.diff(self.ends(self.motion, body), axis=1)[:, 0], axis=-1)
-            barrel = BARREL * float(np.min(lengths[self.near]))
-            return [Part("slot", rectangle(np.zeros(2), np.array([1.0, 0.0]), 0.0, barrel, 0.45 * self.size))]
-        points = self._points_of(body)
-        parts: list[Part] = []
+        points, parts = self._points_of(body), self._curves(body)
         half = np.array([1.0, 0.62]) * self.size
         for guide in self.mechanism.guides:
             if body not in guide.bodies:
@@ -437,6 +488,8 @@ class Scene:
                 arm = stem(points, np.array([point + low * direction, point + high * direction]))
                 if np.linalg.norm(arm[1] - arm[0]) > 0.5 * self.size:
                     parts.append(Part("bar", arm))
+        if len(points) == 1 and not parts:  # a lever of which the file states no more
+            points = np.concatenate([points, self.centroids.get(body, np.array([[2.0 * self.size, 0.0]]))])
         if len(points) > 1:
             order = in_line(points, 0.05 * self.size)
             parts.append(Part("plate", hull(points)) if order is None else Part("bar", points[order[[0, -1]]]))
@@ -546,11 +599,10 @@ class Scene:
         for body, parts in self.parts.items():
             colour = self.colours[body]
             for part in parts:
-                layer = "crank" if part.kind == "bar" and body == self.mechanism.crank.body else part.kind
+                layer = "crank" if part.kind == "bar" and body in self.driven else part.kind
                 width, face = LOOKS[layer]
-                shapes.append(Shape(layer, body, part.outline, colour, width, "body", colour if face else "", face))
-        rod = np.array([[0.0, 0.0], [1.0, 0.0]])
-        shapes += [Shape("bar", body, rod, self.colours[body], LOOKS["bar"][0], "spring") for body in self.cylinders]
+                shape = Shape(layer, body, part.outline, colour, width, "body", colour if face else "", face)
+                shapes.append(replace(shape, dashed=layer == "auxiliary"))
         zigzagged = np.array(zigzag(self.size))
         shapes += [Shape("springs", spring.name, zigzagged, MUTED, 1.2, "spring") for spring in self.springs]
         shapes += [Shape("springs", point, spiral(self.size), MUTED, 1.2, "point") for point in self.torsion_springs]

@@ -15,7 +15,7 @@ from optlink.linkage.vector2d import TURN, Array
 class Part:
     """Part of a body in the axes of the body and the display unit: a line of two points, or an outline."""
 
-    kind: Literal["bar", "plate", "block", "slot"]
+    kind: Literal["bar", "plate", "block", "slot", "profile", "auxiliary"]
     outline: Array
 
 

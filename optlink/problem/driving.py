@@ -179,13 +179,14 @@ def linear_drive(section: DyadsSection, name: str, drive: DriveMotion, key: str,
     if drive.cylinder is not None or drive.body in section.cylinders:
         cylinder = str(drive.cylinder or drive.body)
         check_name(cylinder, section.cylinders, "no such cylinder", f"{key}.cylinder")
-        ends = stated or (f"{cylinder}.closed", f"{cylinder}.open")
-        for stroke, of in zip(stated or (), ("closed", "open"), strict=False):
+        stroke = f"{cylinder}.closed", f"{cylinder}.open"
+        ends = stated or stroke
+        for length, of in zip(stated or (), ("closed", "open"), strict=False):
             low, high = sizes[f"{cylinder}.closed"], sizes[f"{cylinder}.open"]
-            if not low * (1.0 - 1e-9) <= stroke <= high * (1.0 + 1e-9):
+            if not low * (1.0 - 1e-9) <= length <= high * (1.0 + 1e-9):
                 message = f"the cylinder has lengths from {1e3 * low:.6g} to {1e3 * high:.6g} mm"
-                raise Unusable(message, f"Change range, or {of} of the cylinder", f"{key}.range", f"{1e3 * stroke:.6g} mm")
-        return Drive(name, "length", cylinder, ends[0], ends[1], size=f"{cylinder}.length", rod=f"{cylinder}.rod")
+                raise Unusable(message, f"Change range, or {of} of the cylinder", f"{key}.range", f"{1e3 * length:.6g} mm")
+        return Drive(name, "length", cylinder, ends[0], ends[1], size=f"{cylinder}.length", rod=f"{cylinder}.rod", stroke=stroke)
     guide = _guide(section, drive, key)
     begin, end = stated or (0.0, None)
     return Drive(name, "slide", section.guides[guide].slider, begin, end, against=section.guides[guide].on)

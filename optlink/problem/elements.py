@@ -212,9 +212,8 @@ class GearSection(Section):
             )
         if self.teeth is not None and ratio == 1.0:
             raise Unusable("a ring has more teeth than the gear in it", "Change the teeth", "teeth", list(self.teeth))
-        return Gear(
-            name, self.bodies, ratio, self.phase.value, self.arm, both if ratio != 1.0 else None, self.pressure_angle.value
-        )
+        pivoted, mesh = both if ratio != 1.0 else None, self.teeth is not None or ratio < 0.0
+        return Gear(name, self.bodies, ratio, self.phase.value, self.arm, pivoted, self.pressure_angle.value, mesh=mesh)
 
     def distance(self) -> float | None:
         """Return the distance of the pivots [m] that module and teeth state; None without them."""
@@ -340,7 +339,8 @@ class CamSection(Section):
         else:
             contact = self._tip(parts, link, carrier)
             begin, lift = self._angle(parts, link, carrier, centre)
-        return Cam(name, self.cam, self.follower, pivot, law.law(), lift, begin, self.phase.value, contact, carrier)
+        roller = 0.0 if self.roller is None else self.roller.value
+        return Cam(name, self.cam, self.follower, pivot, law.law(), lift, begin, self.phase.value, contact, carrier, roller)
 
     def _law(self, kind: str) -> CamLaw:
         with below("law"):

@@ -72,6 +72,7 @@ class Picture:
             "closed": scene.closed,
             "box": self._places(np.array([x, y, x + wide, y + high])),
             "bodies": bodies,
+            "captions": scene.captions,
             "points": {name: self._places(positions) for name, positions in scene.points.items()},
             "pins": list(scene.pins),
             "free": list(scene.free),

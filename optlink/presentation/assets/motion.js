@@ -29,7 +29,7 @@ function optlinkPose(stage, motion) {
     for (const [name, ends] of Object.entries(motion.springs)) {
       const [x, y, dx, dy] = [ends.x[at], ends.y[at], ends.u[at] - ends.x[at], ends.v[at] - ends.y[at]];
       const length = Math.max(Math.hypot(dx, dy), 1e-30);
-      const line = ends.line.map(
+      const line = motion.zigzag.map(
         ([share, side]) => `${x + share * dx + (side * dy) / length} ${y + share * dy - (side * dx) / length}`
       );
       for (const node of springs.get(name) || []) {

@@ -64,6 +64,8 @@ def dimensioned(cycle: Analysis, title: str) -> Drawing:
         sheet.label(drawn.points[name][0], place)
     words += [dimension.text.replace(" ", " of ", 1) for dimension in _strokes(cycle, at, drawn, named=True)]
     words += [text for text, _ in guides]
+    circles = {f"{body} R {_mm(1e3 * one.radius)}" for body, listed in drawn.profiles.items() for one in listed if one.radius}
+    words += sorted(circles)
     described = f"{title}, drawn at a crank angle of {_deg(at)}. Dimensions in mm: {'; '.join(words)}."
     for name in drawn.moving:
         if np.all(np.isfinite(drawn.points[name][0])):
@@ -97,6 +99,8 @@ def clearest(cycle: Analysis) -> float:
 def _links(cycle: Analysis, drawn: Scene, *, named: bool = False) -> Iterator[_Length]:
     """Yield the distances between neighbouring points of every link, of the frame between its pivots."""
     extent = max(drawn.box[2:])
+    pose, drives = drawn.motion.pose, [drive for drive in cycle.machine.mechanism.drives if drive.size]
+    strokes = {one.body: "…".join(_mm(1e3 * float(pose.size(end))) for end in one.stroke) for one in drives}
     for body in (*cycle.machine.mechanism.bodies, FRAME):
         names = [
             name
@@ -107,7 +111,7 @@ def _links(cycle: Analysis, drawn: Scene, *, named: bool = False) -> Iterator[_L
         distinct = [k for k, p in enumerate(points) if all(np.linalg.norm(p - q) > COINCIDENT * extent for q in points[:k])]
         for i, j in _neighbours(np.array([points[k] for k in distinct]).reshape(-1, 2)):
             p, q = points[distinct[i]], points[distinct[j]]
-            length = _mm(float(np.linalg.norm(q - p)))
+            length = strokes.get(body) or _mm(float(np.linalg.norm(q - p)))
             ends = names[distinct[i]], names[distinct[j]]
             text = f"{body} {('' if max(map(len, ends)) < 3 else '–').join(ends)} {length}" if named else length
             yield _Length((p, q), text, GROUND if body == FRAME else _colour(drawn, body))
@@ -172,7 +176,7 @@ def _swings(cycle: Analysis, drawn: Scene) -> Iterator[tuple[str, float, float, 
         arm = drawn.points[moving_end][0] - drawn.points[pivot][0]
         direction = math.atan2(arm[1], arm[0])
         angle = math.radians(float(drawn.poses(body)[0, 2]))
-        if body == mechanism.crank.body:
+        if body == mechanism.crank.body and not mechanism.drives:
             angles = cycle.positions
             low, high = (0.0, TURN) if cycle.full else (float(np.min(angles)), float(np.max(angles)))
             angle = math.radians(float(at))

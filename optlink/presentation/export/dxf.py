@@ -16,11 +16,12 @@ import numpy as np
 
 from optlink.dynamics.machine import slider_names
 from optlink.errors import InputError
+from optlink.linkage.cams import Profile
 from optlink.linkage.mechanism import FRAME, Guide, Mechanism
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.vector2d import TURN, Array
 from optlink.presentation.format import round_below
-from optlink.presentation.scene import Outline, Region, scene
+from optlink.presentation.scene import Outline, Region, named_points, scene
 from optlink.presentation.shapes import hull, in_line
 from optlink.tasks.analyze import Analysis
 
@@ -44,18 +45,26 @@ COLOURS = (1, 5, 3, 30, 6, 4, 34, 200, 52, 8)
 
 @dataclass(frozen=True, eq=False)
 class Plate:
-    """A link as a plate in its own axes [mm]: holes and marks by name, slots (from, to), outline."""
+    """A link as a plate in its own axes [mm]: holes and marks by name, slots (from, to), outline, profiles."""
 
     body: str
     holes: Mapping[str, Array]
     marks: Mapping[str, Array]
     slots: tuple[tuple[Array, Array], ...]
     outline: tuple[Vertex, ...]
+    profiles: tuple[Profile, ...] = ()
 
     @property
     def block(self) -> str:
         """Name of its block and of its layer."""
         return f"LINK {self.body}" if self.body != FRAME else "FRAME"
+
+    @property
+    def corners(self) -> Array:
+        """Its named points, the ends of its slots and its profiles (n, 2)."""
+        ends = (end for slot in self.slots for end in slot)
+        points = np.array([*self.holes.values(), *self.marks.values(), *ends]).reshape(-1, 2)
+        return np.concatenate([points, *(profile.corners for profile in self.profiles)])
 
 
 def document(
@@ -68,7 +77,8 @@ def document(
 ) -> Drawing:
     """Return the DXF document of the assembly at a reachable crank angle [rad], with hole diameter and link width [m].
 
-    Springs have a layer of their own, and regions of the limits another one, with their clearances as dashed lines.
+    Springs have a layer of their own, and regions of the limits another one, with their clearances as dashed lines. A profile
+    that encloses a link, a cam, is its outline; a circle, such as a roller, is added to the outline.
 
     Raises
     ------
@@ -90,9 +100,11 @@ def document(
     drawing = new("R2010", units=units.MM)
     drawing.header.custom_vars.append("TITLE", " ".join(title.split()))
     drawing.header.custom_vars.append("CRANK ANGLE [deg]", f"{math.degrees(at):.9g}")
+    drawing.linetypes.add("DASHED", [1.0, 0.6, -0.4])
+    drawing.linetypes.add("CHAIN", [2.0, 1.2, -0.3, 0.2, -0.3])
     for name, colour in ((ASSEMBLY, 7), (PARTS, 7), (NAMES, 7), (TRACES, 9), (MARKS, 8)):
         drawing.layers.add(name, color=colour)
-    parts = list(plates(cycle, motion, radius))
+    parts = list(plates(cycle, motion, radius, drawn.profiles))
     for number, plate in enumerate(parts):
         drawing.layers.add(plate.block, color=COLOURS[number % len(COLOURS)] if plate.body != FRAME else 7)
         _cut(drawing.blocks.new(plate.block), plate, diameter, radius)
@@ -115,16 +127,11 @@ def document(
 def _nearest_holes(mechanism: Mechanism, motion: Motion) -> tuple[str, float]:
     """Return the body with the least distance of two holes, and that distance [mm]; infinite if no body has two."""
     distances = [("", math.inf)]
-    for body in (*_cut_bodies(mechanism), FRAME):
-        pins = [_vector(motion.pose.local(body, name)) for name, bodies in mechanism.pins.items() if body in bodies]
+    for body in (*mechanism.bodies, FRAME):
+        pins = [1e3 * at for name, at in named_points(motion, body).items() if name in mechanism.pins]
         gaps = (float(np.linalg.norm(first - second)) for first, second in itertools.combinations(pins, 2))
         distances += [(body, gap) for gap in gaps if gap > 0.0]
     return min(distances, key=lambda item: item[1])
-
-
-def _cut_bodies(mechanism: Mechanism) -> list[str]:
-    """Return the bodies that are plates: a cylinder is none."""
-    return [body for body in mechanism.bodies if body not in mechanism.cylinders]
 
 
 def usual_hole(extent: float) -> float:
@@ -135,17 +142,23 @@ def usual_hole(extent: float) -> float:
 # --- plates ------------------------------------------------------------------------------------------------------------------
 
 
-def plates(cycle: Analysis, motion: Motion, radius: float) -> Iterator[Plate]:
-    """Yield every link as a plate, its outline a radius [mm] from the hole centres, and finally the frame without an outline."""
-    mechanism, pose = cycle.machine.mechanism, motion.pose
+def plates(cycle: Analysis, motion: Motion, radius: float, curves: Mapping[str, Sequence[Profile]]) -> Iterator[Plate]:
+    """Yield every link as a plate, its outline a radius [mm] from the hole centres, and finally the frame without an outline.
+
+    `curves` [m] are those on the bodies.
+    """
+    mechanism = cycle.machine.mechanism
     travel = {guide.name: travelled(cycle, guide) for guide in mechanism.guides}
-    for body in (*_cut_bodies(mechanism), FRAME):
-        points = {name: _vector(pose.local(body, name)) for name, bodies in mechanism.owners.items() if body in bodies}
+    for body in (*mechanism.bodies, *mechanism.rods, FRAME):
+        points = {name: 1e3 * at for name, at in named_points(motion, body).items()}
         holes = {name: at for name, at in points.items() if name in mechanism.pins}
         marks = {name: at for name, at in points.items() if name not in holes}
         slots = tuple(_slot(motion, guide, travel[guide.name]) for guide in mechanism.guides if guide.on == body)
         corners = np.array([*points.values(), *(end for slot in slots for end in slot)]).reshape(-1, 2)
-        yield Plate(body, holes, marks, slots, rounded(corners, radius) if body != FRAME else ())
+        own = tuple(profile.scaled(1e3) for profile in curves.get(body, ()))
+        enclosed = any(profile.encloses(corners) for profile in own if not (profile.radius or profile.auxiliary))
+        outline = () if enclosed or body == FRAME else rounded(corners, radius)
+        yield Plate(body, holes, marks, slots, outline, own)
 
 
 def _vector(vector: tuple[object, object]) -> Array:
@@ -221,6 +234,12 @@ def _cut(block: BlockLayout, plate: Plate, diameter: float, radius: float) -> No
             block.add_lwpolyline(outline, format="xyb", close=True, dxfattribs=layer)
     if plate.outline:
         block.add_lwpolyline(plate.outline, format="xyb", close=True, dxfattribs=layer)
+    for profile in plate.profiles:
+        look = {"layer": MARKS, "linetype": "CHAIN", "ltscale": radius} if profile.auxiliary else layer
+        if profile.radius:
+            block.add_circle(tuple(profile.line[0]), profile.radius, dxfattribs=look)
+        else:
+            block.add_lwpolyline(profile.line.tolist(), close=not profile.open, dxfattribs=look)
 
 
 def _mark_out(drawing: Drawing, regions: Sequence[Outline], radius: float) -> None:
@@ -230,7 +249,6 @@ def _mark_out(drawing: Drawing, regions: Sequence[Outline], radius: float) -> No
     if not regions:
         return
     drawing.layers.add(REGIONS, color=8)
-    drawing.linetypes.add("DASHED", [1.0, 0.6, -0.4])
     space = drawing.modelspace()
     for region in regions:
         look = {"layer": REGIONS, **({"color": 1} if region.violated else {})}
@@ -250,7 +268,7 @@ def _assemble(space: Modelspace, parts: list[Plate], motion: Motion) -> None:
     for plate in parts:
         place, angle = (0.0, 0.0), 0.0
         if plate.body != FRAME:
-            start = motion.position(motion.mechanism.bodies[plate.body].start)[0] * 1e3
+            start = motion.position(motion.mechanism.origin(plate.body))[0] * 1e3
             place = float(start[0]), float(start[1])
             angle = math.degrees(float(np.asarray(motion.body_angle(plate.body).value)[0]))
         space.add_blockref(plate.block, place, dxfattribs={"rotation": angle, "layer": ASSEMBLY})
@@ -260,8 +278,7 @@ def _lay_out(space: Modelspace, parts: list[Plate], corner: tuple[float, float],
     """Arrange the plates with their names below the assembly, in rows about as wide as the assembly."""
     left, x, y, deep = corner[0], corner[0], corner[1] - 2.0 * radius, 0.0
     for plate in parts:
-        corners = np.array([*plate.holes.values(), *plate.marks.values(), *(end for slot in plate.slots for end in slot)])
-        low, high = corners.min(axis=0) - radius, corners.max(axis=0) + radius
+        low, high = plate.corners.min(axis=0) - radius, plate.corners.max(axis=0) + radius
         if x > left and x + high[0] - low[0] > left + wide:
             x, y, deep = left, y - deep - 2.5 * radius, 0.0
         place = (x - float(low[0]), y - float(high[1]))

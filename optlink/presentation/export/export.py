@@ -130,18 +130,19 @@ def _json(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> 
 def geometry(model: ReportModel, cycle: Analysis, at: float) -> dict[str, Any]:
     """Return the linkage as a JSON document [SI]: points of the bodies in their own axes, and all positions at a crank angle."""
     from optlink.presentation.export.dxf import travelled
+    from optlink.presentation.scene import named_points
 
     machine = cycle.machine
     mechanism = machine.mechanism
     motion = sweep(mechanism, machine.sizes, [at])
 
     def local(body: str) -> dict[str, list[float]]:
-        return {name: _plain(motion.pose.local(body, name)) for name, owners in mechanism.owners.items() if body in owners}
+        return {name: at.tolist() for name, at in named_points(motion, body).items()}
 
     bodies = {}
-    for body, link in mechanism.bodies.items():
+    for body in (*mechanism.bodies, *mechanism.rods):
         angle = float(np.asarray(motion.body_angle(body).value)[0])
-        bodies[body] = {"points_m": local(body), "at_m": motion.position(link.start)[0].tolist(), "angle_rad": angle}
+        bodies[body] = {"points_m": local(body), "at_m": motion.position(mechanism.origin(body))[0].tolist(), "angle_rad": angle}
         if body in machine.inertias:
             bodies[body] |= {"inertia": vars(machine.inertias[body]) | {}}
     guides = {}

@@ -12,7 +12,6 @@ import numpy as np
 
 from optlink.linkage.vector2d import Array
 from optlink.presentation.chart_spec import GROUND
-from optlink.presentation.placement import short_name
 from optlink.presentation.scene import LETTER, WHITE, Scene, Shape, Text
 from optlink.presentation.shapes import zigzag
 
@@ -97,7 +96,7 @@ class _Pen:
         look += f' fill-opacity="{shape.face}"' if shape.face < 1.0 and shape.fill else ""
         look += f' stroke="{shape.colour}" stroke-width="{self.wide(shape.width)}"' if shape.width else ""
         look += f' stroke-opacity="{shape.opacity}"' if shape.opacity < 1.0 else ""
-        look += f' stroke-dasharray="{self.wide(4.0)} {self.wide(3.0)}"' if shape.dashed else ""
+        look += f' stroke-dasharray="{" ".join(map(self.wide, shape.dashes))}"' if shape.dashed else ""
         begin = f"{self.data(key, shape.name)}{place}"
         if shape.radius:
             middle = "" if place else self.place(shape.line[0], ' cx="{}" cy="{}"')
@@ -138,10 +137,10 @@ class _Pen:
         at = self.points[name][k]
         if not np.all(np.isfinite(at)):
             return ""
-        places, chosen = self.scene.places_of_names[name]
+        (places, chosen), caption = self.scene.places_of_names[name], self.scene.captions[name]
         beside = self.place(places[chosen[k]])
         drop, tooltip = self.number(0.35 * LETTER * self.scene.size), f"<title>{escape(name)}</title>"
-        text = self.rimmed(f'y="{drop}"', short_name(name), GROUND, tooltip if short_name(name) != name else "")
+        text = self.rimmed(f'y="{drop}"', caption, GROUND, tooltip if caption != name else "")
         inner = f'<g{self.data("name", name)} transform="{beside}">{text}</g>'
         return f'<g{self.data("point", name)} transform="{self.place(at)}">{inner}</g>'
 
@@ -153,8 +152,7 @@ def motion_data(scene: Scene) -> dict[str, Any]:
         return {name: np.round(values, decimals).tolist() for name, values in zip(names, table.T, strict=True)}
 
     bodies = {name: scene.poses(name) * [1.0, -1.0, -1.0] for name in scene.parts}
-    lines = {spring.name: zigzag(scene.size) for spring in scene.springs} | {name: [[0, 0], [1, 0]] for name in scene.cylinders}
-    ends = {name: scene.ends(scene.shown, name) * FLIP for name in lines}
+    ends = {spring.name: scene.ends(scene.shown, spring.name) * FLIP for spring in scene.springs}
     names = {name: scene.places_of_names[name] for name in scene.moving}
     return {
         "angles_deg": np.round(scene.crank_angles, 9).tolist(),
@@ -164,6 +162,7 @@ def motion_data(scene: Scene) -> dict[str, Any]:
         "names": {
             name: columns(places * FLIP, "xy") | {"side": "".join(DIGITS[chosen])} for name, (places, chosen) in names.items()
         },
-        "springs": {name: columns(both.reshape(len(both), 4), "xyuv") | {"line": lines[name]} for name, both in ends.items()},
+        "springs": {name: columns(both.reshape(len(both), 4), "xyuv") for name, both in ends.items()},
+        "zigzag": zigzag(scene.size),
         "size": scene.size,
     }

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from optlink.dynamics.columns import MotionColumns
+from optlink.dynamics.columns import MotionColumns, efforts
 from optlink.dynamics.machine import slider_names
 from optlink.io import finite
 from optlink.linkage.vector2d import Array
@@ -126,8 +126,7 @@ def readouts(cycle: Analysis, angles: Array) -> list[Readout]:
         if name.endswith(".transmission_rad"):
             columns.append((name, f"transmission angle at {name.partition('.')[0]}", "deg"))
     if machine.inertias or machine.loads:
-        efforts = (("input.torque_Nm", "driving torque", "N m"), ("input.force_N", "force of the drive", "N"))
-        columns += [effort for effort in efforts if effort[0] in record.columns]
+        columns += [(effort.column, effort.words, effort.unit) for effort in efforts(machine.mechanism)]
     result = []
     for column, label, unit in columns:
         values = record[column]

@@ -52,9 +52,10 @@ def positions(cycle: CycleCurves) -> dict[str, float]:
     for number, at in enumerate(centres, 1):
         if len(centres) <= 4 or any(abs(math.remainder(at - end, TURN)) < 1e-6 for end in ends):
             angles.append((f"dead centre {number} of {out.name}" if 1 < len(centres) <= 4 else f"limit of {out.name}", at))
-    torque = result.extremes.get("input.torque_Nm")
-    if torque and cycle.has("input.torque_Nm") and torque.largest - torque.least > ROUNDING * cycle.peak("input.torque_Nm"):
-        angles += [("largest torque", cycle.inside(torque.largest_at)), ("least torque", cycle.inside(torque.least_at))]
+    for effort in cycle.efforts if len(cycle.efforts) == 1 else ():
+        extreme, name = result.extremes.get(effort.column), effort.quantity
+        if extreme and cycle.has(effort.column) and extreme.largest - extreme.least > ROUNDING * cycle.peak(effort.column):
+            angles += [(f"largest {name}", cycle.inside(extreme.largest_at)), (f"least {name}", cycle.inside(extreme.least_at))]
     return merged_positions(angles, periodic=result.full)
 
 
@@ -70,7 +71,7 @@ def mechanism(cycle: CycleCurves) -> Figure:
     speeds = {name: max(np.linalg.norm(motion.velocity(point)[0]) for point in moving) for name, motion in motions.items()}
     # show velocities at the largest torque or, if some are unbounded, where they are smallest
     slow = {name: speed for name, speed in speeds.items() if math.isfinite(speed)}
-    chosen = next((name for name in angles if "largest torque" in name), next(iter(angles)))
+    chosen = next((name for name in angles if "largest " in name), next(iter(angles)))
     if slow and not cycle.steady:
         chosen = min(slow, key=lambda name: slow[name])
     longest = 0.2 * np.max(sketch.high - sketch.low)
@@ -133,9 +134,9 @@ def _state(cycle: CycleCurves, at: float) -> str:
     driving = cycle.result.problem.model.driving
     where = f"φ {degrees(at)}" if driving.ends is None else driving.text(at)
     parts = [where, f"{'s' if out.slides else 'θ'} {out.scales(cycle)[0].text(cycle.at(at, out.columns[0]))}"]
-    torque = cycle.at(at, "input.torque_Nm") if cycle.has("input.torque_Nm") else math.nan
-    if math.isfinite(torque) and not np.any(np.abs(cycle.result.jumps - at) < 1e-6):
-        parts.append(f"M {scale(cycle.peak('input.torque_Nm'), 'N m').text(torque)}")
+    for effort in cycle.efforts if not np.any(np.abs(cycle.result.jumps - at) < 1e-6) else ():
+        if cycle.has(effort.column) and math.isfinite(value := cycle.at(at, effort.column)):
+            parts.append(f"{effort.symbol} {scale(cycle.peak(effort.column), effort.unit).text(value)}")
     return "   ".join(parts)
 
 
@@ -154,10 +155,10 @@ def frames(cycle: CycleCurves, count: int = FRAMES) -> list[Image.Image]:
     once = cycle.start + cycle.direction * result.cycle * np.arange(count) / count
     steps = once if result.full else there_and_back(cycle.start, cycle.end, count)
     out = output(cycle)
-    name = "input.torque_Nm" if cycle.has("input.torque_Nm") else out.columns[0]
-    unit = scale(cycle.peak(name), "N m") if cycle.has("input.torque_Nm") else out.scales(cycle)[0]
-
-    word = "driving torque" if name == "input.torque_Nm" else f"{out.name}: {'slide' if out.slides else 'angle'}"
+    effort = next((one for one in cycle.efforts if cycle.has(one.column)), None)
+    name = effort.column if effort else out.columns[0]
+    unit = scale(cycle.peak(name), effort.unit) if effort else out.scales(cycle)[0]
+    word = effort.words if effort else f"{out.name}: {'slide' if out.slides else 'angle'}"
     traces = analysis_charts.curves(cycle, name, unit, "", CRANK)
     strip = analysis_charts.chart(cycle, "", "", [analysis_charts.panel(cycle, f"{word} [{unit.unit}]", traces)])
     marks = np.array([[math.degrees(at), cycle.at(at, name) * unit.factor] for at in steps])

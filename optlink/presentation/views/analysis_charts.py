@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from optlink.dynamics.columns import MotionColumns, pin_columns
+from optlink.dynamics.columns import Effort, MotionColumns, efforts, pin_columns
 from optlink.dynamics.inverse import shaking as shaken
 from optlink.dynamics.machine import slider_names
 from optlink.dynamics.strokes import last_output
@@ -93,6 +93,11 @@ class CycleCurves:
     def steady(self) -> bool:
         """Whether the motion that is asked for is possible and no quantity grows without bound."""
         return self.result.valid and self.result.ranges.complete
+
+    @property
+    def efforts(self) -> list[Effort]:
+        """What the drives exert."""
+        return efforts(self.result.machine.mechanism)
 
     def peak(self, *names: str) -> float:
         """Return the largest absolute value of the columns [SI], restricted to the range of values that is drawn."""
@@ -429,7 +434,6 @@ def transmission(cycle: CycleCurves) -> list[ChartSpec]:
 
 # Charts of the driving torque, joint reactions, guide forces, work and shaking force of a machine over its cycle.
 
-TORQUE = "input.torque_Nm"
 SHAKING = ("frame.shaking_fx_N", "frame.shaking_fy_N", "frame.shaking_moment_Nm")
 
 
@@ -439,26 +443,28 @@ def forces(cycle: CycleCurves, initial: CycleCurves | None = None) -> list[Chart
 
 
 def torque(cycle: CycleCurves, initial: CycleCurves | None = None) -> list[ChartSpec]:
-    """Return the driving torque, its inertia, gravity and load parts, and its mean, with extremes marked."""
-    if not cycle.has(TORQUE):
+    """Return what the drives exert: a torque with its inertia, gravity and load parts, and its mean; with extremes marked."""
+    shown = [effort for effort in cycle.efforts if cycle.has(effort.column)]
+    if not shown:
         return []
-    result = cycle.result
-    unit = scale(cycle.peak(TORQUE), "N m")
-    parts = [name for name in ("inertia", "gravity", "load") if cycle.has(f"input.torque_{name}_Nm", [TORQUE])]
-    words = {"load": "loads and friction" if result.machine.friction else "loads"}
-    traces = curves(cycle, TORQUE, unit, "driving torque", CRANK, 2.6, initial=initial)
-    for part, colour, dash in zip(parts if len(parts) > 1 else [], (COUPLER, ROCKER, BODIES[2]), DASHES, strict=False):
-        traces += curves(cycle, f"input.torque_{part}_Nm", unit, f"for {words.get(part, part)}", colour, 1.2, dash)
-    lines = []
-    mean = result.work / (cycle.end - cycle.start)
-    if math.isfinite(mean):
-        mean = mean if abs(mean) > ROUNDING * cycle.peak(TORQUE) else 0.0
-        lines.append(Line(mean * unit.factor, f"mean {unit.text(mean) if mean else 0}", TARGET, gid="mean"))
-    name = f"torque on {result.machine.mechanism.crank.body} [{unit.unit}]"
-    shown = panel(cycle, name, traces, 1.6, extremes(cycle, TORQUE, unit), lines)
+    result, panels = cycle.result, []
+    for effort in shown:
+        column, unit, lines = effort.column, scale(cycle.peak(effort.column), effort.unit), []
+        parts = [name for name in ("inertia", "gravity", "load") if cycle.has(f"input.torque_{name}_Nm", [column])]
+        words = {"load": "loads and friction" if result.machine.friction else "loads"}
+        traces = curves(cycle, column, unit, effort.words, CRANK, 2.6, initial=initial)
+        for part, colour, dash in zip(parts if len(parts) > 1 else [], (COUPLER, ROCKER, BODIES[2]), DASHES, strict=False):
+            traces += curves(cycle, f"input.torque_{part}_Nm", unit, f"for {words.get(part, part)}", colour, 1.2, dash)
+        mean = math.nan if result.machine.mechanism.drives else result.work / (cycle.end - cycle.start)
+        if math.isfinite(mean):
+            mean = mean if abs(mean) > ROUNDING * cycle.peak(column) else 0.0
+            lines.append(Line(mean * unit.factor, f"mean {unit.text(mean) if mean else 0}", TARGET, gid="mean"))
+        name = f"{effort.quantity} on {effort.body} [{unit.unit}]"
+        panels.append(panel(cycle, name, traces, 1.6, extremes(cycle, column, unit), lines))
     speed = f"{abs(result.speed):.5g} rad/s ({abs(result.speed) * 30.0 / math.pi:.5g} rpm)"
     speed += "" if result.speed > 0.0 else ", clockwise"
-    return [chart(cycle, "torque", "Driving torque", [shown], remark=speed)]
+    title = f"Driving {' and '.join(dict.fromkeys(effort.quantity for effort in shown))}"
+    return [chart(cycle, "torque", title, panels, remark="" if result.machine.mechanism.drives else speed)]
 
 
 def joints(cycle: CycleCurves) -> dict[str, str]:

@@ -6,8 +6,12 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from optlink.dynamics.machine import Machine
 from optlink.dynamics.strokes import StrokeLoad, acting_loads, named_travels, travels_by_use, use_of, working_stroke
+from optlink.linkage.elements import Drive
+from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.stroke import Travel
 from optlink.linkage.vector2d import TURN
 from optlink.presentation.format import dimension, fixed, number
@@ -27,9 +31,9 @@ from optlink.presentation.table_spec import (
 )
 from optlink.problem.file import ProblemFile
 from optlink.problem.machine.balance import BalanceSection
-from optlink.problem.machine.bodies import SLOWNESS
+from optlink.problem.machine.bodies import SLOWNESS, DriveMotion
 from optlink.problem.mechanism import DyadsSection
-from optlink.units import percent
+from optlink.units import percent, show
 
 if TYPE_CHECKING:
     from optlink.tasks.analyze import Analysis
@@ -46,10 +50,13 @@ def machine(file: ProblemFile) -> Iterator[TableSpec]:
     dyads = isinstance(model.mechanism, DyadsSection)
     if dyads:
         yield table("[mechanism] dimensions", "<<", [(name, str(quantity)) for name, quantity in model.quantities.items()])
-    order: list[Row] = [("crank", mechanism.crank.body, f"pivot {mechanism.crank.start}", "")]
+    order: list[Row] = [] if mechanism.drives else [("crank", mechanism.crank.body, f"pivot {mechanism.crank.start}", "")]
+    order += [("driven length", drive.body, _named(drive.name), "") for drive in mechanism.drives if drive.size]
+    order += _singles(mechanism, "")
     for group in mechanism.groups:
         bodies = ", ".join(link.body for link in group.links)
         order.append((group.kind, bodies, f"joint {group.joint}", quiet(file.mode(group.joint) if dyads else "")))
+        order += _singles(mechanism, group.joint)
     yield table("Order of solution", "<<<<", order)
     if built.inertias:
         masses = []
@@ -59,7 +66,10 @@ def machine(file: ProblemFile) -> Iterator[TableSpec]:
         yield table("[bodies]", ["body", ">mass [kg]", ">centroid [mm]", ">inertia [kg·m^2]"], masses)
     gravity = math.hypot(*built.gravity)
     lasts = f", for {model.drive.duration}" if model.drive.duration is not None else ""
-    drive = [("drive", f"{mechanism.crank.body} at {model.drive.speed}, from {model.drive.start}{lasts}")]
+    reach = "" if mechanism.limits is None else ", within {:.6g} to {:.6g} deg".format(*np.degrees(mechanism.limits))
+    drive = [("drive", f"{mechanism.crank.body} at {model.drive.speed}, from {model.drive.start}{lasts}{reach}")]
+    if mechanism.drives:
+        drive = [_drive(one, built, model.drives.get(one.name, model.drive)) for one in mechanism.drives]
     if model.drive.torque is not None:
         drive.append(("torque", f"{model.drive.torque}, for simulate"))
     drive.append(("gravity", f"({built.gravity[0]:g}, {built.gravity[1]:g}) m/s^2" if gravity else "none"))
@@ -74,6 +84,38 @@ def machine(file: ProblemFile) -> Iterator[TableSpec]:
     if model.balance is not None:
         yield balance_problem(model.balance)
     yield table("Reactions: force of which body on which", "<<", reaction_conventions(built).items())
+
+
+def _singles(mechanism: Mechanism, after: str) -> list[Row]:
+    """Return the rows of the bodies that drives and couplings place after a group."""
+    rows: list[Row] = []
+    for single in mechanism.placed_after.get(after, ()):
+        by = single.by
+        kind, bodies = (by.kind, ", ".join(by.bodies)) if by.bodies else (f"driven {by.kind}", single.link.body)
+        rows.append((kind, bodies, _named(by.name), ""))
+    return rows
+
+
+def _named(name: str) -> str:
+    """Return the name of an element; nothing for an only drive, which the file does not name."""
+    return "" if name == "input" else name
+
+
+def _drive(drive: Drive, built: Machine, section: DriveMotion) -> tuple[str, str]:
+    """Return the name of a drive, and how it moves its body."""
+    kind, low = "angle" if drive.kind == "angle" else "length", _value(drive.begin, built)
+    if drive.law is not None:
+        least, _, largest, _ = drive.law.extremes()
+        how = f"by a law of {drive.law.period:.6g} s, from {show(low + least, kind)} to {show(low + largest, kind)}"
+    elif drive.end is not None:
+        how = f"between {show(low, kind)} and {show(_value(drive.end, built), kind)} at {section.speed}"
+    else:
+        how = f"at {section.speed}, from {show(low, kind)}" if drive.rate else f"held at {show(low, kind)}"
+    return f"drive {_named(drive.name)}".strip(), f"{drive.kind} of {drive.body} {how}"
+
+
+def _value(size: str | float, built: Machine) -> float:
+    return float(built.sizes[size] if isinstance(size, str) else size)
 
 
 def _clearances(file: ProblemFile, built: Machine) -> Iterator[TableSpec]:

@@ -1,7 +1,7 @@
 // Draws a scene: ground, traces, bodies in motion, joints, targets. Bodies live in millimetres, joints and targets in pixels.
 import { colour, keyed, svg } from "./dom.js";
 
-const LAYERS = ["slot", "plate", "bar", "block", "crank"];
+const LAYERS = ["slot", "profile", "auxiliary", "plate", "bar", "block", "crank"];
 const RAD = Math.PI / 180;
 const SIDES = [45, 135, 90, -45, -135, -90, 0, 180]; // of a joint on which its name can stand, best first [deg]
 const CLEAR = 40; // between a name and a link [deg]
@@ -182,7 +182,7 @@ export class Linkage {
       this.names,
       shown,
       (name) => name,
-      (name) => svg("text", { text: name, "text-anchor": "middle" }),
+      (name) => svg("text", { text: scene.captions?.[name] ?? name, "text-anchor": "middle" }),
       () => {} // its side follows the motion
     );
     const { points = [], poses = [] } = this.targets;
