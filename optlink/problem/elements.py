@@ -286,6 +286,13 @@ class BeltSection(Section):
         one, other = (parts.pin(body, self.arm) for body in self.bodies)
         if one is None or other is None:
             raise Unusable("both wheels of a belt turn about pivots on one body", "Name it: arm = ...", "arm", self.arm)
+        distance = float(np.hypot(*minus(parts.pose.local(self.arm, other), parts.pose.local(self.arm, one))))
+        if (first + second if self.crossed else abs(first - second)) >= distance:
+            key = "radii" if self.radii else "diameters"
+            message = (
+                f"no {'crossed ' if self.crossed else ''}belt fits on these wheels, whose axes are {1e3 * distance:.6g} mm apart"
+            )
+            raise Unusable(message, "Give smaller wheels, or move the pivots apart", key, ", ".join(map(str, sizes)))
         ratio = first / second * (-1.0 if self.crossed else 1.0)
         return Gear(name, self.bodies, ratio, self.phase.value, self.arm, (one, other), radii=(first, second))
 
