@@ -43,11 +43,13 @@ class Failure:
     crank_angle: float
     group: Dyad
     gap: float
+    place: str = ""
+    """The position in words; default: the crank angle."""
 
     def __str__(self) -> str:
         first, second = (link.body for link in self.group.links)
         what = f"the {self.group.kind} group {first}-{second} (joint {self.group.joint})"
-        where = f"at crank angle {math.degrees(self.crank_angle):.6g} deg"
+        where = f"at {self.place}" if self.place else f"at crank angle {math.degrees(self.crank_angle):.6g} deg"
         if self.group.least > 0.0:
             return f"{where} {what} has no defined position: its two guides are parallel"
         amount = f" by {self.gap * 1e3:.6g} mm" if self.gap > 0.0 else ""

@@ -2,7 +2,7 @@
 
 import math
 import weakref
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -215,6 +215,15 @@ def motion_range(problem: ProblemFile, machine: Machine, start: float) -> tuple[
     return ranges, low, high
 
 
+def _lengths(machine: Machine) -> Callable[[float], str] | None:
+    """Return the text of the position of a slide or cylinder at a cycle variable [rad]; None for other drives."""
+    drive = machine.mechanism.drives[0] if len(machine.mechanism.drives) == 1 else None
+    if drive is None or drive.end is None:
+        return None
+    begin, end = (float(machine.sizes[of]) if isinstance(of, str) else float(of) for of in (drive.begin, drive.end))
+    return lambda at: f"{1e3 * (begin + (end - begin) * at / math.pi):.6g} mm"
+
+
 def check_range_reached(problem: ProblemFile, machine: Machine) -> None:
     """Refuse a range of the drive in which the mechanism cannot be assembled, or that crosses a singular position.
 
@@ -235,12 +244,22 @@ def check_range_reached(problem: ProblemFile, machine: Machine) -> None:
             ),
             None,
         )
-        reached = f"it can move in {ranges.text}" if ranges.ranges else "no position of it can be reached"
+        text = ranges.text
+        if lengths := _lengths(machine):
+            text = ", ".join(f"{lengths(a)} ... {lengths(b)}" for a, b in ranges.ranges)
+            failed = failed and replace(failed, place=lengths(failed.crank_angle))
+        reached = f"it can move in {text}" if ranges.ranges else "no position of it can be reached"
         message = f"the range cannot be moved through: {failed or 'the mechanism cannot be assembled'}; {reached}"
-        raise InputError(message, "Change the range, or the dimensions", problem.file, "drive.range", problem.at("drive.range"))
+        key = "drive.range"
+        if problem.at(key) is None and lengths:  # a cylinder, whose stroke is its range
+            beyond = bool(ranges.ranges) and ranges.ranges[0][0] <= low
+            key = f"mechanism.cylinders.{machine.mechanism.drives[0].body}.{'open' if beyond else 'closed'}"
+        raise InputError(message, "Change the range, or the dimensions", problem.file, key, problem.at(key))
     if ranges.singular:
-        where = positions_text(ranges.singular)
-        message = f"the range crosses a singular position at crank angle {where}: the motion beyond it is not determined"
+        where = f"crank angle {positions_text(ranges.singular)}"
+        if lengths := _lengths(machine):
+            where = ", ".join(f"{lengths(p.crank_angle)} ({p.group.kind} group of {p.group.joint})" for p in ranges.singular)
+        message = f"the range crosses a singular position at {where}: the motion beyond it is not determined"
         remedy = 'End the range before it, change the dimensions, or append ", continue" to the mode for the smooth motion'
         raise InputError(message, remedy, problem.file, "drive.range", problem.at("drive.range"))
 

@@ -1,4 +1,4 @@
-"""Published mechanisms with gears, racks, belts, cams, cylinders and several drives: each is analysed, and its energy balances."""
+"""Published mechanisms with gears, racks, belts, cams, cylinders and several drives: the energy of each one balances."""
 
 from __future__ import annotations
 
