@@ -77,13 +77,14 @@ class Ranges:
     """Ranges of crank angle [rad] in which every group closes; `full` where that is the whole revolution.
 
     `aligned`: positions within the ranges in which a group is near alignment, or in a singular position; `limits`: the range that
-    is asked for, beyond which nothing is examined.
+    is asked for, beyond which nothing is examined; `cycle`: rotation [rad] after which they repeat.
     """
 
     ranges: tuple[tuple[float, float], ...]
     full: bool
     aligned: tuple[AlignedPosition, ...] = ()
     limits: tuple[float, float] | None = None
+    cycle: float = TURN
 
     @property
     def complete(self) -> bool:
@@ -110,9 +111,9 @@ class Ranges:
         return tuple(sorted(positions, key=lambda position: position.crank_angle))
 
     def holding(self, crank_angle: float) -> tuple[float, float] | None:
-        """Return the range that contains a crank angle, shifted to it by whole revolutions; None if there is none."""
+        """Return the range that contains a crank angle, shifted to it by whole cycles; None if there is none."""
         for low, high in self.ranges:
-            shift = TURN * math.ceil((low - crank_angle) / TURN - 1e-12)
+            shift = self.cycle * math.ceil((low - crank_angle) / self.cycle - 1e-12)
             if low - 1e-12 <= crank_angle + shift <= high + 1e-12:
                 return low - shift, high - shift
         return None
@@ -150,7 +151,7 @@ def reachable(mechanism: Mechanism, sizes: Mapping[str, Value]) -> Ranges:
         return bool(np.all(alignment_margin(mechanism.at(sizes, angles)) >= 0.0))
 
     failing = not closed(grid)
-    whole = Ranges(((begin, end),), limits is None, tuple(aligned), limits)
+    whole = Ranges(((begin, end),), limits is None, tuple(aligned), limits, cycle)
     if not failing and not crossing:
         return whole
     margin, *sines = zeros(function, grid)
@@ -164,8 +165,8 @@ def reachable(mechanism: Mechanism, sizes: Mapping[str, Value]) -> Ranges:
         if function(np.array([0.5 * (a + b)]))[0, 0] >= 0.0
     ]
     if not sines and limits is None:
-        ranges = _joined(ranges, closed)
-    result = Ranges(tuple(ranges), False, limits=limits)
+        ranges = _joined(ranges, cycle, closed)
+    result = Ranges(tuple(ranges), False, limits=limits, cycle=cycle)
     held = [(position, result.holding(position.crank_angle)) for position in aligned]
     return replace(
         result,
@@ -173,7 +174,7 @@ def reachable(mechanism: Mechanism, sizes: Mapping[str, Value]) -> Ranges:
     )
 
 
-def _joined(ranges: list[tuple[float, float]], closed: Callable[[Array], bool]) -> list[tuple[float, float]]:
+def _joined(ranges: list[tuple[float, float]], cycle: float, closed: Callable[[Array], bool]) -> list[tuple[float, float]]:
     """Merge ranges that are separated only by rounding at a singular position."""
     joined: list[tuple[float, float]] = []
     for low, high in ranges:
@@ -181,9 +182,9 @@ def _joined(ranges: list[tuple[float, float]], closed: Callable[[Array], bool]) 
             joined[-1] = joined[-1][0], high
         else:
             joined.append((low, high))
-    if len(joined) > 1 and closed(np.linspace(joined[-1][1], joined[0][0] + TURN, 9)):
+    if len(joined) > 1 and closed(np.linspace(joined[-1][1], joined[0][0] + cycle, 9)):
         (_, high), (low, _) = joined.pop(0), joined.pop()
-        joined.append((low, high + TURN))
+        joined.append((low, high + cycle))
     return joined
 
 

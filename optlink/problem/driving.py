@@ -159,6 +159,9 @@ def _along(section: FourBarSection | DyadsSection, name: str, drive: DriveSectio
         raise Unusable("the drive moves along a line", 'Give a speed such as "100 mm/s"', "drive.speed", str(drive.speed))
     pace = SLOWNESS if drive.speed.kind == STATIC else speed * HALF / (ends[1] - ends[0])
     first = 0.0 if pace > 0.0 else HALF
+    for key, of in (("start", drive.start), *(("range", end) for end in drive.range or ())):
+        if key in drive.model_fields_set and of.kind != "coordinate":
+            raise Unusable("the drive moves along a line", 'Give positions such as "250 mm"', f"drive.{key}", str(of))
     if "start" in drive.model_fields_set:
         first = HALF * (drive.start.value - ends[0]) / (ends[1] - ends[0])
         if not -1e-9 <= first <= HALF + 1e-9:
@@ -344,7 +347,8 @@ def _timed(
     whole = Fraction(math.lcm(*numerators), math.gcd(*denominators))
     for name, share in shares.items():
         if abs(share * one - periods[name]) > SAME_PERIOD * periods[name] or whole / share > MOST_CYCLES:
-            message = f"its period of {periods[name]:.6g} s and that of {first}, {one:.6g} s, have no common multiple"
+            other = first if name != first else next(of for of in shares if of != first)
+            message = f"its period of {periods[name]:.6g} s and that of {other}, {periods[other]:.6g} s, have no common multiple"
             remedy = "Change one of the periods or speeds so that their ratio is one of small whole numbers"
             raise Unusable(message, remedy, f"drives.{name}")
     return TURN / (one * float(whole)), None
@@ -376,6 +380,9 @@ def _several(
         else:
             body = drive.body or ""
             check_name(body, section.links, "no such body", f"{key}.body")
+            check_name(
+                drive.against, [FRAME, *(link for link in section.links if link != body)], "no such body", f"{key}.against"
+            )
             laws[of] = law_of(drive, key, "angle")
             rate = drive.speed.value if moving else 0.0
             if rate:
@@ -388,6 +395,11 @@ def _several(
         rate = element.rate if laws[of] is None else 1.0
         timed.append(replace(element, law=laws[of], rate=rate / pace))
     mechanism = replace(section.linkage(name, "", timed), limits=limits)
+    acting = {single.by.name for single in mechanism.singles}
+    for of, element in elements.items():
+        if not element.size and of not in acting:
+            message = f"another drive or coupling moves {element.body} already"
+            raise Unusable(message, "Remove one of them", f"drives.{of}", element.body)
     return Driving(geared(mechanism, sizes), pace, 0.0)
 
 

@@ -182,7 +182,8 @@ class GearSection(Section):
     @model_validator(mode="after")
     def _determined(self) -> Self:
         if (self.teeth is None) == (self.ratio is None):
-            raise Unusable("the ratio of the gears is not determined", "Give teeth = [20, 60], or ratio = -0.333", "teeth")
+            message = "the ratio of the gears is stated twice" if self.teeth else "the ratio of the gears is not determined"
+            raise Unusable(message, "Give teeth = [20, 60], or ratio = -0.333", "teeth")
         if self.teeth is not None and min(self.teeth) < 1:
             raise Unusable("a gear has teeth", "Give two whole numbers above zero", "teeth", list(self.teeth))
         if self.ratio is not None and not 1e-4 <= abs(self.ratio) <= 1e4:
@@ -210,6 +211,12 @@ class GearSection(Section):
             raise Unusable(
                 message, "Name the body that carries both pivots: arm = ..., or give ratio instead of teeth", "arm", self.arm
             )
+        stated = self.distance()
+        if stated is not None and both is not None:
+            apart = float(np.hypot(*minus(*(parts.pose.local(self.arm, pivot) for pivot in both))))
+            if abs(stated - apart) > 1e-6 * apart:
+                message = f"module and teeth put the axes {1e3 * stated:.6g} mm apart, but they are {1e3 * apart:.6g} mm apart"
+                raise Unusable(message, "Change the module, the teeth or the pivots", "module", str(self.module))
         if self.teeth is not None and ratio == 1.0:
             raise Unusable("a ring has more teeth than the gear in it", "Change the teeth", "teeth", list(self.teeth))
         pivoted, mesh = both if ratio != 1.0 else None, self.teeth is not None or ratio < 0.0
@@ -276,7 +283,8 @@ class BeltSection(Section):
     def coupling(self, name: str, parts: Parts) -> Element:
         """Return the coupling of the two bodies."""
         if (self.diameters is None) == (self.radii is None):
-            raise Unusable("the wheels have no size", 'Give diameters = ["60 mm", "180 mm"], or radii', "diameters")
+            message = "the sizes of the wheels are stated twice" if self.radii else "the wheels have no size"
+            raise Unusable(message, 'Give diameters = ["60 mm", "180 mm"], or radii', "diameters")
         sizes = self.radii or self.diameters or ()
         first, second = (size.value * (1.0 if self.radii else 0.5) for size in sizes)
         for body in self.bodies:
@@ -285,6 +293,13 @@ class BeltSection(Section):
         one, other = (parts.pin(body, self.arm) for body in self.bodies)
         if one is None or other is None:
             raise Unusable("both wheels of a belt turn about pivots on one body", "Name it: arm = ...", "arm", self.arm)
+        distance = float(np.hypot(*minus(parts.pose.local(self.arm, other), parts.pose.local(self.arm, one))))
+        if (first + second if self.crossed else abs(first - second)) >= distance:
+            key = "radii" if self.radii else "diameters"
+            message = (
+                f"no {'crossed ' if self.crossed else ''}belt fits on these wheels, whose axes are {1e3 * distance:.6g} mm apart"
+            )
+            raise Unusable(message, "Give smaller wheels, or move the pivots apart", key, ", ".join(map(str, sizes)))
         ratio = first / second * (-1.0 if self.crossed else 1.0)
         return Gear(name, self.bodies, ratio, self.phase.value, self.arm, (one, other), radii=(first, second))
 
@@ -323,6 +338,8 @@ class CamSection(Section):
         """Return the coupling of cam and follower."""
         for key, body in (("cam", self.cam), ("follower", self.follower)):
             check_name(body, parts.links, "no such body", key)
+        if self.cam == self.follower:
+            raise Unusable("a cam moves another body", "Name the body that it moves", "follower", self.follower)
         guide = next((guide for guide in parts.guides.values() if guide.slider == self.follower), None)
         carriers = [FRAME, *parts.links] if guide is None else [guide.on]
         carrier = next((one for one in carriers if parts.pin(self.cam, one) and (guide or parts.pin(self.follower, one))), None)

@@ -26,6 +26,16 @@ from optlink.problem.terms import Limit
 from optlink.units import split
 from optlink.unsupported import unsupported_key
 
+ELEMENTS = {
+    "cylinders": 'lift = { joints = ["D", "B"], closed = "900 mm", open = "1500 mm" }',
+    "slots": 'slot = { pin = "B", on = "rocker", through = "C" }',
+    "gears": 'mesh = { bodies = ["crank", "wheel"], teeth = [20, 60] }',
+    "racks": 'feed = { pinion = "sector", rack = "bar", radius = "80 mm" }',
+    "belts": 'belt = { bodies = ["motor", "crank"], diameters = ["60 mm", "180 mm"] }',
+    "cams": 'lift = { cam = "cam", follower = "rod", law = [{ to = "90 deg", rise = "9 mm" }, ...] }',
+}
+"""An entry of each table of elements beside links and guides."""
+
 
 def as_written(fault: Fault, raw: object) -> Fault:
     """Return a fault with its key, and the value of a quantity or range, as they stand in the tables of the file."""
@@ -299,7 +309,10 @@ def _example(key: str) -> str:
     ):
         return "See `optlink show six-bar --toml` for an example"
     if key.startswith("mechanism."):
-        return f'Add {key.split(".")[1]} = "100 mm", or {{ start = "400 mm", bounds = ["100 mm", "900 mm"] }}'
+        part = key.split(".")[1]
+        if part in ELEMENTS:
+            return f"Write for example {ELEMENTS[part]}"
+        return f'Add {part} = "100 mm", or {{ start = "400 mm", bounds = ["100 mm", "900 mm"] }}'
     examples = {"balance": "balance-four-bar", "objective": "shaper-design", "control": "slider-crank-three-gaps"}
     examples |= {"limits": "path-in-trough"}  # where a required key is missing in a region
     stated = f"requirement.{last}" if section == "requirements" else key

@@ -249,7 +249,11 @@ def check_range_reached(problem: ProblemFile, machine: Machine) -> None:
         reached = f"it can move in {', '.join(moves)}" if ranges.ranges else "no position of it can be reached"
         why = failed.at(driving.text(failed.crank_angle)) if failed else "the mechanism cannot be assembled"
         message = f"the range cannot be moved through: {why}; {reached}"
-        raise InputError(message, "Change the range, or the dimensions", problem.file, "drive.range", problem.at("drive.range"))
+        key = "drive.range"
+        if problem.at(key) is None and driving.ends is not None:  # a cylinder, whose stroke is its range
+            beyond = bool(ranges.ranges) and ranges.ranges[0][0] <= low
+            key = f"mechanism.cylinders.{machine.mechanism.drives[0].body}.{'open' if beyond else 'closed'}"
+        raise InputError(message, "Change the range, or the dimensions", problem.file, key, problem.at(key))
     if ranges.singular:
         where = problem.model.driving.text(ranges.singular[0].crank_angle)
         message = f"the range crosses a singular position at {where}: the motion beyond it is not determined"
