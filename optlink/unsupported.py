@@ -68,13 +68,13 @@ WRITTEN = {
     r"(mechanism\.)?(rams?|screws?|spindles?|struts?)": (
         'Write [mechanism.cylinders] lift = { joints = ["D", "B"], closed = "900 mm", open = "1500 mm" }'
     ),
-    r"(.*\.)?(gearing|gear_ratio|pinions?|planet\w*|sprockets?)": (
+    r"(.*\.)?(gear(ing|_ratio)?|teeth|pinions?|planet\w*|sprockets?)": (
         'Write [mechanism.gears] mesh = { bodies = ["crank", "wheel"], teeth = [20, 60] }'
     ),
-    r"(.*\.)?(chains?|ropes?|pulleys?)": (
+    r"(.*\.)?(chains?|ropes?|pulleys?|belt)": (
         'Write [mechanism.belts] belt = { bodies = ["motor", "crank"], diameters = ["60 mm", "180 mm"] }'
     ),
-    r"(.*\.)?(profiles?|followers?)": (
+    r"(.*\.)?(cam|profiles?|followers?)": (
         'Write [mechanism.cams] valve = { cam = "cam", follower = "tappet", law = [{ to = "120 deg", rise = "20 mm" }, ...] }'
     ),
     r"(.*\.)?grooves?": 'Write [mechanism.slots] slot = { pin = "B", on = "rocker", through = "C" }',

@@ -147,8 +147,9 @@ ASIDE = 1e-3
 def _along(section: FourBarSection | DyadsSection, name: str, drive: DriveSection, sizes: Mapping[str, float]) -> Driving:
     """Return the mechanism that a slide or a cylinder drives through its range."""
     if not isinstance(section, DyadsSection) or not (section.guides or section.cylinders):
-        message, remedy = "the linkage has no guide and no cylinder", "Add one under [mechanism.guides] or [mechanism.cylinders]"
-        raise Unusable(message, remedy, "drive.body", drive.body)
+        key, stated = drive.stated_linear
+        message, remedy = "the linkage has no guide and no cylinder that a drive could move", "Give angles and angular velocities"
+        raise Unusable(message, remedy, f"drive.{key}", stated)
     element = linear_drive(section, INPUT, drive, "drive", sizes)
     if element.end is None:
         element = _reaching(section, name, drive, element, sizes)
@@ -203,14 +204,12 @@ def _guide(section: DyadsSection, drive: DriveMotion, key: str) -> str:
     else:
         names = [name for name, guide in section.guides.items() if guide.slider == drive.body]
         if len(names) != 1:
-            sliders = {guide.slider: None for guide in section.guides.values()}
-            message = "no guide carries the driven body" if not names else "the driven body slides in several guides"
-            raise Unusable(
-                message,
-                f"Add slide = one of: {', '.join(section.guides) or 'no guide'} (sliders: {', '.join(sliders)})",
-                f"{key}.body",
-                drive.body,
+            stated, value = drive.stated_linear
+            message = (
+                f"the drive moves along a line, and {drive.body or 'its body'} slides in {'several' if names else 'no'} guide"
             )
+            remedy = f"Give an angle or angular velocity, or slide = one of: {', '.join(section.guides)}"
+            raise Unusable(f"{message}{'s' * bool(names)}", remedy, f"{key}.{stated}", value)
         name = names[0]
     guide = section.guides[name]
     if guide.on != FRAME and drive.against == FRAME:

@@ -207,6 +207,8 @@ def motion_range(problem: ProblemFile, machine: Machine, start: float) -> tuple[
     ranges = machine.ranges
     if ranges.full:
         return ranges, start, start + machine.cycle
+    if machine.mechanism.drives and problem.model.driving.ends is None and not ranges.complete:
+        raise _not_followed(problem, machine)
     if ranges.limits is not None:
         check_range_reached(problem, machine)
         return ranges, *ranges.limits
@@ -222,6 +224,17 @@ def motion_range(problem: ProblemFile, machine: Machine, start: float) -> tuple[
         raise InputError(message, remedy, problem.file, "drive.start", f"{math.degrees(start):.6g} deg")
     low, high = holding
     return ranges, low, high
+
+
+def _not_followed(problem: ProblemFile, machine: Machine) -> InputError:
+    """Return the error for laws of drives that the mechanism cannot follow, with the first time at which it fails."""
+    mechanism, key = machine.mechanism, "drives" if problem.model.drives else "drive.law"
+    grid = np.linspace(*(mechanism.limits or (0.0, mechanism.cycle)), SAMPLES + 1)
+    failed = next(filter(None, (failure(mechanism, machine.sizes, float(at)) for at in grid)), None)
+    why = "the mechanism cannot be assembled"
+    if failed is not None:
+        why = failed.at(f"{failed.crank_angle / abs(problem.model.driving.pace):.4g} s")
+    return InputError(f"the drives cannot be followed: {why}", "Change their laws, or the dimensions", problem.file, key)
 
 
 def check_range_reached(problem: ProblemFile, machine: Machine) -> None:

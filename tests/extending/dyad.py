@@ -2,9 +2,20 @@
 
 from dataclasses import dataclass
 
-from optlink.dynamics.inverse import solve_two_by_two
-from optlink.extending import Dyad, DyadType, GroupForces, Guide, register
-from optlink.linkage.vector2d import cross, dot, minus, plus, turn, turn_back
+from optlink.extending import (
+    Dyad,
+    DyadType,
+    GroupForces,
+    Guide,
+    cross,
+    dot,
+    minus,
+    plus,
+    register,
+    solve_two_by_two,
+    turn,
+    turn_back,
+)
 
 
 @dataclass(frozen=True)

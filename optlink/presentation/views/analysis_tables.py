@@ -158,7 +158,9 @@ def balance_problem(section: BalanceSection) -> TableSpec:
 def analysis(outcome: Analysis) -> Summary:
     """Summarise an analysis: status, strokes, extremes, work and flywheel."""
     turn, driving = "the crank turns fully" if outcome.full else "the crank cannot turn fully", outcome.problem.model.driving
-    ended = verdict(outcome.status, outcome.valid), f", {driving.reach or turn}; {_speed(outcome)}"
+    prescribed = driving.ends is None and outcome.machine.mechanism.drives
+    moved = "" if prescribed else f", {driving.reach or turn}"
+    ended = verdict(outcome.status, outcome.valid), f"{moved}; {_speed(outcome)}"
     title, status = outcome.problem.model.title, [ended, *noted(outcome.notes)]
     if outcome.ranges.singular:
         return summary(title, status)
@@ -170,6 +172,8 @@ def _speed(outcome: Analysis) -> str:
     speed, ends = outcome.speed, outcome.problem.model.driving.ends
     if abs(speed) == SLOWNESS:
         return "static"
+    if ends is None and outcome.machine.mechanism.drives:
+        return f"the drives take {2.0 * math.pi / abs(speed):.6g} s for a cycle"
     if ends is not None:
         return f"{1e3 * speed * (ends[1] - ends[0]) / math.pi:.6g} mm/s"
     sense = "" if speed > 0.0 else ", clockwise"

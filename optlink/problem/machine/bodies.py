@@ -123,6 +123,9 @@ def _either(raw: object, angular: str, linear: str) -> Quantity:
 def _read_speed(raw: object) -> Quantity:
     if isinstance(raw, str) and raw.strip() == STATIC:
         return Quantity(SLOWNESS, STATIC, "")
+    if isinstance(raw, dict) and "expression" in raw:
+        remedy = 'Give the position over the time t: law = { expression = "45*sin(2*pi*t)", unit = "deg" }'
+        raise Unusable("a speed is constant, or a table over phi", remedy, value=raw)
     return _either(raw, "angular velocity", "velocity")
 
 
@@ -195,7 +198,7 @@ class DriveMotion(Section):
             if key in ("body", "speed", "start") and isinstance(value, list):
                 remedy = 'Give each its section: [drives.left] body = "left", law = [...]; [drives.right] ...'
                 raise Unusable("a drive moves one body", remedy, key, value)
-        if isinstance(raw, dict) and isinstance(raw.get("speed"), dict):  # a speed over the angle is a law
+        if isinstance(raw, dict) and isinstance(raw.get("speed"), dict) and "over" in raw["speed"]:  # a law
             if "law" in raw:
                 raise Unusable("the drive has a law and a speed", "Give one of the two", "speed", raw["speed"])
             return {**{key: value for key, value in raw.items() if key != "speed"}, "law": Stated(raw["speed"], True)}
@@ -212,8 +215,13 @@ class DriveMotion(Section):
     @property
     def linear(self) -> bool:
         """Whether the file states a drive along a line: a slide or cylinder, or positions and speeds of one."""
-        stated = [self.speed, self.start, *(self.range or ())]
-        return bool(self.slide or self.cylinder) or any(one.kind in ("velocity", "coordinate") for one in stated)
+        return bool(self.slide or self.cylinder or self.stated_linear[0])
+
+    @property
+    def stated_linear(self) -> tuple[str, str]:
+        """Key and value of the first position or speed along a line that the file states; empty without one."""
+        stated = [("speed", self.speed), ("start", self.start), *(("range", end) for end in self.range or ())]
+        return next(((key, str(one)) for key, one in stated if one.kind in ("velocity", "coordinate")), ("", ""))
 
 
 class DriveSection(DriveMotion):
