@@ -158,7 +158,7 @@ class Oracle:
         drives = [drive for drive, _ in self.drives.values()]
         if len(drives) == 1 and "law" not in drives[0] and "start" not in drives[0]:
             return 0.0
-        angle = np.radians(table["crank_angle_deg"])
+        angle = np.radians(table[next(iter(table))])
         first = math.radians(metres(drives[0]["start"])) if len(drives) == 1 and "law" not in drives[0] else 0.0
         return float((angle[0] - first) * (table["time_s"][1] - table["time_s"][0]) / (angle[1] - angle[0]))
 

@@ -64,7 +64,11 @@ SPELLED = ("balance", "control", "objective", "requirement", "requirements")
 """Sections whose keys have such spellings; the names in them are never the user's."""
 
 
-ALSO_WRITTEN = {"requirement.from": "requirement.start", "requirement.start": "requirement.from"}
+ALSO_WRITTEN = {
+    "requirement.from": "requirement.start",
+    "requirement.start": "requirement.from",
+    "drive.law": "drive.speed",  # over the angle
+}
 """Keys with two spellings that are both documented."""
 
 

@@ -299,7 +299,7 @@ def analyze(
     check_design(problem, design)
     _check(points, step)
     analysis = _analysed(problem, points, step, crank_speed(problem, speed), design)
-    if analysis.ranges.limits is None or not analysis.sound or not _depends_on_sense(analysis):
+    if analysis.ranges.limits is None or not analysis.valid or not _depends_on_sense(analysis):
         return analysis
     back = _analysed(problem, points, step, -analysis.speed, design)
     return replace(analysis, notes=(*analysis.notes, _back_note(analysis, back)))
