@@ -472,7 +472,7 @@ BLOCKS = [
         '--tolerance rocker="0.1 mm uniform" --tolerance D.x="0.1 mm" --tolerance D.y="0.05 mm" '
         '--tolerance C.clearance="0.03 mm" --limit "2.32 deg" --allocate "99 %" --cost coupler=3',
     ),
-    Block("docs/tolerance.md", "max with 3 sigma", ROBUST),
+    Block("docs/tolerance.md", "largest error with 3 sigma", ROBUST),
     Block("docs/clearance.md", "Slider-crank with clearance at", "simulate slider-crank-clearance"),
     Block("docs/clearance.md", "control [deg] scatter peak", "simulate crank-rocker-clearance --control compare --starts 3"),
 ]

@@ -69,7 +69,7 @@ KINDS = {
         Kind("coordinate", "m", "mm", "100 mm"),
         Kind("angle", "rad", "deg", "45 deg"),
         Kind("angular velocity", "rad/s", "rpm", "64 rpm"),
-        Kind("angular acceleration", "rad/s**2", "rad/s^2", "-40 rad/s^2"),
+        Kind("angular acceleration", "rad/s**2", "rad/s^2", "40 rad/s^2"),
         Kind("time", "s", "s", "2 s"),
         Kind("mass", "kg", "kg", "1.2 kg"),
         Kind("density", "kg/m**3", "kg/m^3", "7850 kg/m^3"),

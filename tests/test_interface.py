@@ -10,7 +10,7 @@ import pytest
 
 import optlink
 from optlink.errors import InputError
-from optlink.presentation.registry import RESULTS as REGISTERED_RESULTS, result_class
+from optlink.presentation.registry import KINDS as REGISTERED_RESULTS
 from optlink.problem.document import Document, Result
 from optlink.tasks.results.common import DesignResult
 from tests.test_docs import ROOT
@@ -70,8 +70,7 @@ MEMBERS = {name for kind in (Result, DesignResult) for name in vars(kind) if not
 
 def members_of(kind: str) -> set[str]:
     """What a registered class of results has, as a field or otherwise."""
-    known = result_class(kind)
-    assert known is not None
+    known = REGISTERED_RESULTS[kind].result()
     return {*dir(known), *(item.name for item in dataclasses.fields(known))}  # type: ignore[arg-type]
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from optlink.presentation.registry import RESULTS
+from optlink.presentation.registry import KINDS
 from tests.solved import once
 from tests.test_docs import ROOT
 from tests.test_notebooks import NOTEBOOKS, code_cells, read
@@ -51,8 +51,9 @@ for result in (found, optlink.analyze("shaper"), optlink.simulate("six-bar"), op
 
 
 def fulfils(protocol: str, kinds: Iterable[str]) -> str:
-    """A module that returns each of these classes, given as in `RESULTS` of `optlink.presentation.registry`, as a protocol."""
-    homes = [home.split(":") for home in kinds]
+    """A module that returns the class of each of these kinds of results as a protocol."""
+    results = [KINDS[kind].result() for kind in kinds]
+    homes = [(result.__module__, result.__name__) for result in results]
     return "".join(
         f"import optlink\nimport {module}\n\n\ndef of_{name}(one: {module}.{name}) -> optlink.{protocol}:\n    return one\n\n\n"
         for module, name in homes
@@ -76,11 +77,10 @@ def of_notebook(path: Path) -> str:
 
 
 SCRIPTS = sorted((ROOT / "examples").glob("*.py"))
-DESIGNS = (RESULTS["design"], RESULTS["balance"])
 EXAMPLES = {
     "common": COMMON,
-    "results": fulfils("Result", RESULTS.values()),
-    "designs": fulfils("DesignResult", DESIGNS),
+    "results": fulfils("Result", KINDS),
+    "designs": fulfils("DesignResult", ("design", "balance")),
     **{f"page_{page.stem.replace('-', '_')}": of_page(page) for page in PAGES},
     **{path.stem: of_notebook(path) for path in NOTEBOOKS},
     **{path.stem: path.read_text(encoding="utf-8") for path in SCRIPTS},

@@ -9,20 +9,16 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Literal, NamedTuple, Protocol
+from typing import Any, ClassVar, Literal, NamedTuple, Protocol
 
 import numpy as np
 
+from optlink.linkage.bodies import FRAME, Guide, Joint, Link, Size
 from optlink.linkage.cams import Arm, Contact, DiscCam, Face, Profile, Roller, Slide
 from optlink.linkage.jet import Jet, as_jet
 from optlink.linkage.laws import MotionLaw
 from optlink.linkage.vector2d import TURN, Array, Value, Vector, cross, dot, magnitude, minus, plus, sign, turn, turn_back, unit
 
-if TYPE_CHECKING:
-    from optlink.linkage.mechanism import Guide, Joint, Link, Pose, Size
-
-FRAME = "frame"
-"""Name of the body that does not move; its own coordinates are those of the plane."""
 PRESSURE = math.radians(20.0)
 """Pressure angle of involute teeth (ISO 53)."""
 
@@ -41,6 +37,42 @@ class Action(NamedTuple):
     force: Vector = (0.0, 0.0)
     point: Vector = (0.0, 0.0)
     torque: Value = 0.0
+
+
+class Pose(Protocol):
+    """Positions of the bodies placed so far, as in `optlink.linkage.mechanism.Pose`."""
+
+    mechanism: Any
+    angle: Value
+    points: dict[str, Vector]
+    turns: dict[str, Value]
+
+    def size(self, size: Size) -> Value:
+        """Return the value of a parameter, or a number unchanged."""
+
+    def turned(self, body: str) -> Value:
+        """Return the angle of a placed body [rad]."""
+
+    def point(self, name: str) -> Vector:
+        """Return the position of a point [m]."""
+
+    def direction(self, body: str) -> Vector:
+        """Return the unit vector of a body's x axis."""
+
+    def local(self, body: str, point: str) -> Vector:
+        """Return the coordinates of a point in the axes of a body [m]."""
+
+    def line(self, guide: Guide, body: str) -> tuple[Vector, Vector]:
+        """Return a point [m] and the unit vector of a guide's line, from the position of one of its bodies."""
+
+    def local_line(self, guide: Guide, body: str) -> tuple[Vector, Vector]:
+        """Return a point [m] and the unit vector of a guide's line in the axes of one of its bodies."""
+
+    def slide(self, guide: Guide) -> Value:
+        """Return the displacement of a slider along its line [m]."""
+
+    def place(self, link: Link, direction: Vector, point: str) -> None:
+        """Place a body by its direction and one of its points whose position is known."""
 
 
 class Places(Protocol):

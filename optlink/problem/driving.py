@@ -9,7 +9,8 @@ from fractions import Fraction
 
 import numpy as np
 
-from optlink.linkage.elements import FRAME, Drive, Single
+from optlink.linkage.bodies import FRAME
+from optlink.linkage.elements import Drive, Single
 from optlink.linkage.laws import Law, MotionLaw, Piece
 from optlink.linkage.mechanism import Mechanism, Size
 from optlink.linkage.stroke import reachable

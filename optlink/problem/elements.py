@@ -15,7 +15,8 @@ import numpy as np
 from pydantic import BeforeValidator, model_validator
 
 from optlink.dynamics.machine import Inertia
-from optlink.linkage.elements import FRAME, PRESSURE, Cam, Element, Gear, Rack
+from optlink.linkage.bodies import FRAME
+from optlink.linkage.elements import PRESSURE, Cam, Element, Gear, Rack
 from optlink.linkage.mechanism import Guide, Link, Mechanism, Pose
 from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import TURN, cross, dot, minus

@@ -100,7 +100,7 @@ def test_a_sweep_of_dyads_runs_in_one_programme() -> None:
     one, other = tables
     assert set(one["status"]) == set(other["status"]) == {"optimal"}
     assert other["objective_rad2"] == pytest.approx(one["objective_rad2"], rel=1e-10)
-    assert other["coupler.length_mm"] == pytest.approx(one["coupler_mm"], rel=1e-8)
+    assert other["coupler.length_m"] == pytest.approx(one["coupler_m"], rel=1e-8)
 
 
 def test_a_sweep_that_turns_the_frame_agrees_with_single_optima() -> None:
