@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal, NamedTuple, Protocol
+from typing import Any, ClassVar, Literal, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -89,6 +89,7 @@ class Places(Protocol):
         """Return the unit vector of the line of a guide."""
 
 
+@runtime_checkable
 class Element(Protocol):
     """A drive or a coupling."""
 
