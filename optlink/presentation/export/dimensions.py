@@ -66,7 +66,9 @@ def dimensioned(cycle: Analysis, title: str) -> Drawing:
     words += [text for text, _ in guides]
     circles = {f"{body} R {_mm(1e3 * one.radius)}" for body, listed in drawn.profiles.items() for one in listed if one.radius}
     words += sorted(circles)
-    described = f"{title}, drawn at a crank angle of {_deg(at)}. Dimensions in mm: {'; '.join(words)}."
+    driving = cycle.problem.model.driving
+    place = f"{driving.coordinate.partition(' of ')[0]} of {_deg(at) if driving.ends is None else f'{_mm(driving.shown(at))} mm'}"
+    described = f"{title}, drawn at a {place}. Dimensions in mm: {'; '.join(words)}."
     for name in drawn.moving:
         if np.all(np.isfinite(drawn.points[name][0])):
             sheet.label(drawn.points[name][0], name)

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterable
 
+from optlink.dynamics.columns import efforts
 from optlink.presentation.format import figure, joined, shown, si, why_invalid
 from optlink.presentation.views.design_tables import sentence
 from optlink.presentation.views.search_tables import clause
@@ -76,12 +77,15 @@ def _limiting(limits: Iterable[LimitState]) -> str:
 
 def analysis(outcome: Analysis) -> str:
     """Return the conclusion of an analysis: drive torque, largest reaction, strokes."""
-    extremes, words = outcome.extremes, []
-    torque = extremes.get("input.torque_Nm")
-    if torque is not None and max(abs(torque.least), abs(torque.largest)) > 0.0:
-        low = abs(torque.least) > abs(torque.largest)
-        value, at = (torque.least, torque.least_at) if low else (torque.largest, torque.largest_at)
-        words.append(f"the drive needs up to {si(abs(value), 'N m')} (at a crank angle of {figure(math.degrees(at), 'deg')})")
+    extremes, words, driving = outcome.extremes, [], outcome.problem.model.driving
+    for effort in efforts(outcome.machine.mechanism):
+        extreme = extremes.get(effort.column)
+        if extreme is not None and max(abs(extreme.least), abs(extreme.largest)) > 0.0:
+            low = abs(extreme.least) > abs(extreme.largest)
+            value, at = (extreme.least, extreme.least_at) if low else (extreme.largest, extreme.largest_at)
+            place = f"{driving.coordinate.partition(' of ')[0]} of {figure(driving.shown(at), driving.unit)}"
+            drive = f"the drive {effort.drive}" if effort.drive else "the drive"
+            words.append(f"{drive} needs up to {si(abs(value), effort.unit)} (at a {place})")
     pins = extremes.select(name for name in extremes if name.endswith(".f_N"))
     forces = {name.removesuffix(".f_N"): extreme.largest for name, extreme in pins.items()}
     if max(forces.values(), default=0.0) > 0.0 and not outcome.unbounded:
