@@ -103,7 +103,7 @@ def test_a_time_ratio_with_a_direction_makes_that_stroke_the_slow_one(stroke, sp
     computed = rotations(result)
     other = next(name for name in computed if name != stroke)
     assert computed[stroke] / computed[other] == pytest.approx(1.2, abs=0.03)
-    assert result.best.cycle.full
+    assert result.best.cycle.complete
     assert result.to_dict()["strokes"]["piston slides"]["slow_stroke"] == stroke
 
 
@@ -119,7 +119,7 @@ def test_both_slow_strokes_are_searched_from_a_start_that_has_none():
     assert other.valid
     assert pump().valid
     assert pump().objective <= min(one.objective, other.objective) * (1.0 + 1e-7)
-    assert pump().best.cycle.full
+    assert pump().best.cycle.complete
     (record,) = (r for name, r in pump().to_dict()["strokes"].items() if name == "piston slides")
     assert record["slow_stroke"] == record["working_stroke"]
 
