@@ -16,20 +16,26 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 PACKED = "expressions"  # attribute under which `packed` keeps them
+_TRACING = threading.Lock()
+_MODES = list[int]()  # of casadi before the threads that trace; the mode is one of the whole process
 
 
 @contextlib.contextmanager
 def symbols_in_numpy() -> Iterator[None]:
-    """Let numpy functions accept casadi symbols within the context; the previous mode is restored.
+    """Let numpy functions accept casadi symbols within the context; the previous mode is restored after the last thread in it.
 
     They return casadi symbols, with which formulas are traced twice as fast as with casadi's imitation of arrays (mode 1).
     """
-    before = casadi.GlobalOptions.getNumpyMode()
-    casadi.GlobalOptions.setNumpyMode(-1)
+    with _TRACING:
+        _MODES.append(_MODES[0] if _MODES else casadi.GlobalOptions.getNumpyMode())
+        casadi.GlobalOptions.setNumpyMode(-1)
     try:
         yield
     finally:
-        casadi.GlobalOptions.setNumpyMode(before)
+        with _TRACING:
+            before = _MODES.pop()
+            if not _MODES:
+                casadi.GlobalOptions.setNumpyMode(before)
 
 
 def silent() -> contextlib.AbstractContextManager[object]:
