@@ -56,7 +56,9 @@ def test_a_front_can_minimise_either_of_its_objectives():
     assert front.objectives[front.minimised].name == "total length of the links"
     assert [(objective.name, objective.unit) for objective in front.objectives][1] == ("rms error", "mm")
     for length, rms in (point.values for point in front.points):
-        single = pareto(optlink.load(LAW), f"error, total length={1e3 * length!r}..{1e3 * length + 1.0!r} mm", points=2, workers=1)
+        single = pareto(
+            optlink.load(LAW), f"error, total length={1e3 * length!r}..{1e3 * length + 1.0!r} mm", points=2, workers=1
+        )
         least = min(single.points, key=lambda point: point.values[1])
         assert math.sqrt(least.values[0] / 31.0) == pytest.approx(rms, rel=1e-6)
 
