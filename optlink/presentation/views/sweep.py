@@ -27,6 +27,7 @@ from optlink.presentation.chart_spec import (
     Span,
     cells,
     charts_per_row,
+    max_abs,
 )
 from optlink.presentation.format import (
     column_unit,
@@ -34,6 +35,7 @@ from optlink.presentation.format import (
     joined,
     number,
     points,
+    scale,
 )
 from optlink.presentation.shapes import even
 from optlink.presentation.table_spec import (
@@ -314,7 +316,13 @@ def _design_panels(table: SweepTable) -> Iterator[tuple[str, dict[str, Array]]]:
 def _analysis_panels(table: SweepTable) -> Iterator[tuple[str, dict[str, Array]]]:
     for column, names in _measures_by_column(table).items():
         curves = {WORDS.get(_column_and_measure(name)[1], name): table.column(name) for name in names}
-        yield _column_text(column), curves
+        words, factor, unit = _display(column)
+        if unit in ("mm", "mm²"):  # deviations may be far smaller
+            square, largest = unit == "mm²", max_abs(np.stack(list(curves.values()))) / factor
+            length = scale(math.sqrt(largest) if square else largest, "m")
+            ratio = (length.factor**2 if square else length.factor) / factor
+            unit, curves = f"{length.unit}²" if square else length.unit, {word: ratio * one for word, one in curves.items()}
+        yield with_unit(words, unit), curves
 
 
 # --- two and three parameters ------------------------------------------------------------------------------------------------
