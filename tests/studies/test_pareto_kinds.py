@@ -123,7 +123,7 @@ def test_the_breadth_of_a_dwell_is_constrained_by_its_band():
     assert [objective.name for objective in front.objectives] == ["total length of the links", "breadth"]
     assert {axis.key for axis in front.grid.axes} == {"requirement.band"}
     for length, breadth in (front.displayed(point.values) for point in front.points):
-        other = pareto(problem, f"error, total length={1e3 * length!r}..{1e3 * length + 1.0!r} mm", points=2, workers=1)
+        other = pareto(problem, f"error, total length={length!r}..{length + 1.0!r} mm", points=2, workers=1)
         least = min(other.points, key=lambda point: point.values[1])
         assert 2.0 * other.displayed(least.values)[0] == pytest.approx(breadth, rel=1e-5)
 
