@@ -765,8 +765,9 @@ def path_in_trough(starts: int = 12, *, bottom: bool = True) -> Answer:
             now, rows = limits(y[:9], near)
             return np.concatenate([2.0 * slope.T @ error - y[9:] @ rows[active], now[active]])
 
-        y, _, ended, _ = fsolve(conditions, np.concatenate([u, prices]), full_output=True, xtol=1e-12)
-        return np.asarray(y[:9] if ended == 1 and np.min(y[9:], initial=0.0) >= 0.0 else u)
+        y = fsolve(conditions, np.concatenate([u, prices]), full_output=True, xtol=1e-12)[0]
+        met = np.max(np.abs(conditions(y))) < 1e-6  # the solver may see no progress beyond rounding
+        return np.asarray(y[:9] if met and np.min(y[9:], initial=0.0) >= 0.0 else u)
 
     rng, designs = np.random.default_rng(0), list[Array]()
     for number in range(starts):
