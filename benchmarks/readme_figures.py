@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 
@@ -262,18 +263,18 @@ CHINESE = [
 
 FRONT = 'study pareto crank-rocker --objectives "error, limits.transmission_angle.max" --points 25'
 ENDS = (
-    (0, "decreases from {178.5} deg", "largest_transmission_angle_deg"),
-    (19, "deg to {92.7} deg,", "largest_transmission_angle_deg"),
-    (0, "steadily from {0.00350} rad²", "error_rad2"),
-    (19, "rad² to {0.01461} rad²", "error_rad2"),
-    (24, "increases to {0.473} rad²", "error_rad2"),
-    (24, "at {70.1} deg", "largest_transmission_angle_deg"),
-    (20, "The knee is the point at {88.2} deg", "largest_transmission_angle_deg"),
-    (20, "deg, with {0.0248} rad²", "error_rad2"),
+    (0, "decreases from {178.5} deg", "largest_transmission_angle_rad", 180 / math.pi),
+    (19, "deg to {92.7} deg,", "largest_transmission_angle_rad", 180 / math.pi),
+    (0, "steadily from {0.00350} rad²", "error_rad2", 1.0),
+    (19, "rad² to {0.01461} rad²", "error_rad2", 1.0),
+    (24, "increases to {0.473} rad²", "error_rad2", 1.0),
+    (24, "at {70.1} deg", "largest_transmission_angle_rad", 180 / math.pi),
+    (20, "The knee is the point at {88.2} deg", "largest_transmission_angle_rad", 180 / math.pi),
+    (20, "deg, with {0.0248} rad²", "error_rad2", 1.0),
 )
 SHAPER_FRONT = 'study pareto shaper-design --objectives "peak torque, guide force in F=1300..1620 N"'
 FRONTS = [
-    *(Figure("docs/pareto.md", text, FRONT, f"front/{k}/objectives/{name}") for k, text, name in ENDS),
+    *(Figure("docs/pareto.md", text, FRONT, f"front/{k}/objectives/{name}", scale) for k, text, name, scale in ENDS),
     Figure("docs/pareto.md", "increases from {985.9} N·m", SHAPER_FRONT, "front/0/objectives/peak_torque_Nm"),
     Figure("docs/pareto.md", "N·m to {995.6} N·m, almost linearly", SHAPER_FRONT, "front/14/objectives/peak_torque_Nm"),
     Figure("docs/pareto.md", "The initial machine ({1015.4} N·m", SHAPER_FRONT, "reference/peak_torque_Nm"),

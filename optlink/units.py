@@ -358,7 +358,10 @@ def split_range(text: str) -> dict[str, str | float] | None:
 
 def is_sweep(text: str) -> bool:
     """Return whether a text is a range with a number of values, as `study sweep` has it: "450..550 mm:101"."""
-    return len(text) <= 200 and re.fullmatch(rf"\s*{_SIMPLE}[^.:]*\.\.\.?[^:]*:\s*\d+\s*(log)?\s*[^\s\d:]*", text) is not None
+    return (
+        len(text) <= 200
+        and re.fullmatch(r"\s*[-+]?\.?\d[^.:]*(\.\d[^.:]*)?\.\.[^:]*:\s*\d+\s*(log\s*)?[^\s\d:]*", text) is not None
+    )
 
 
 def mistyped_range(text: str) -> str | None:

@@ -182,7 +182,7 @@ def sweep(
     if not analyze and not simulate:
         remedy = "Add --analyze; the number of swept values is part of --vary KEY=LOW..HIGH UNIT:N"
         console.refuse({"--points": points}, "the option applies to an analysis or a simulation", remedy, file.file)
-    mode: dict[str, Any] = {"analyze": analyze, "columns": column or ("input.torque_Nm",), "design": values}
+    mode: dict[str, Any] = {"analyze": analyze, "columns": column or None, "design": values}
     mode["simulate"] = console.given(revolutions=revolutions, control=control, points=points) if simulate else None
     parallel: dict[str, Any] = {"backend": backend, "engine": engine, "workers": workers, "scheduler": scheduler}
     with _resuming(out, "sweep", problem, "sweeping", resume=resume, **parallel) as options:

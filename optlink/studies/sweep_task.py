@@ -15,7 +15,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from optlink.dynamics.columns import MotionColumns, pin_columns
+from optlink.dynamics.columns import MotionColumns, efforts, pin_columns
 from optlink.dynamics.forward import Ending
 from optlink.dynamics.machine import Machine, slider_names
 from optlink.errors import InputError
@@ -325,12 +325,14 @@ def quantity_of(problem: ProblemFile, axis: Axis) -> str:
 
 
 def analysis_task(
-    problem: ProblemFile, grid: Grid, columns: Sequence[str], points: int, design: Mapping[str, float] | None
+    problem: ProblemFile, grid: Grid, columns: Sequence[str] | None, points: int, design: Mapping[str, float] | None
 ) -> AnalysisTask:
     """Return the task that analyses the machine at every point."""
     quantities = tuple(quantity_of(problem, axis) for axis in grid.axes)
     following = {*quantities, *problem.model.links}
     values = tuple((name, value) for name, value in (design or {}).items() if name not in following)
+    if columns is None:
+        columns = [effort.column for effort in efforts(problem.model.linkage)]
     task = AnalysisTask(problem, grid, CHUNK, quantities, tuple(columns), points, values)
     first = Grid(tuple(replace(axis, values=axis.values[:1]) for axis in grid.axes))
     replace(task, grid=first).lines(0)  # detects invalid columns or dimensions early

@@ -280,7 +280,7 @@ def sweep(
     *,
     resume: bool = False,
     analyze: bool = False,
-    columns: Sequence[str] = ("input.torque_Nm",),
+    columns: Sequence[str] | None = None,
     points: int = 360,
     design: Mapping[str, float] | None = None,
     simulate: Mapping[str, Any] | None = None,
@@ -304,9 +304,9 @@ def sweep(
         Whether to resume the interrupted run in `out`.
     analyze : bool
         Whether to analyse the machine at every point instead of optimising it.
-    columns : sequence of str
+    columns : sequence of str, optional
         With `analyze`: columns of the analysis, each with its exact least and largest value and its rms value, or single figures
-        such as "slider.stroke_m".
+        such as "slider.stroke_m". Default: the torque or force of each drive.
     points : int
         With `analyze`: number of crank angles per revolution for rms values.
     design : mapping of str to float [SI], optional

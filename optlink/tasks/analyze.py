@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from optlink.dynamics.columns import FAULTS, MotionColumns, pin_columns, tabulated, unbounded_reactions
+from optlink.dynamics.columns import FAULTS, MotionColumns, efforts, pin_columns, tabulated, unbounded_reactions
 from optlink.dynamics.inverse import acting_on, reactions
 from optlink.dynamics.machine import Machine, slider_names
 from optlink.dynamics.strokes import StrokeLoad, acting_loads
@@ -319,17 +319,13 @@ def _back_note(there: Analysis, back: Analysis) -> str:
     """Return a note with the effort and the work of the drive on the way back through a range."""
     driving, (begin, end) = there.problem.model.driving, there.positions[[0, -1]]
     way = f"{driving.shown(float(begin)):.6g} to {driving.shown(float(end)):.6g} {driving.unit}"
-    column, what, unit = next(row for row in EFFORTS if row[0] in there.columns)
-    extreme = back.extremes[column]
+    effort = efforts(there.machine.mechanism)[0]
+    extreme, unit = back.extremes[effort.column], effort.unit
     return (
         f"forces differ on the way back: the results are those of the motion from {driving.coordinate} {way}; "
-        f"on the way back the {what} of the drive lies between {extreme.least:.5g} and {extreme.largest:.5g} {unit}, "
+        f"on the way back the {effort.quantity} of the drive lies between {extreme.least:.5g} and {extreme.largest:.5g} {unit}, "
         f"and its work is {back.work:.5g} J (a speed of the opposite sign shows that motion)"
     )
-
-
-EFFORTS = (("input.torque_Nm", "torque", "N m"), ("input.force_N", "force", "N"))
-"""Columns of what a single drive exerts, in words, and the unit."""
 
 
 def _analysed(
@@ -676,7 +672,7 @@ class Columns(dict[str, Array]):
 def analyze_batch(
     problem: AnyProblem,
     designs: Mapping[str, ArrayLike],
-    columns: Sequence[str] = ("input.torque_Nm",),
+    columns: Sequence[str] | None = None,
     points: int = 360,
     speed: float | None = None,
 ) -> Columns:
@@ -689,8 +685,8 @@ def analyze_batch(
     designs : mapping of str to array (designs,) [SI]
         Values by the name of the dimension, for example {"coupler.length": [0.14, 0.15]}; `optlink show` lists the names. Other
         dimensions keep the value of the problem.
-    columns : sequence of str
-        Names as in `Analysis.columns`.
+    columns : sequence of str, optional
+        Names as in `Analysis.columns`. Default: the torque or force of each drive.
     points : int
         Number of crank angles per revolution, starting at `drive.start`; the last one lies one step before the full revolution.
         Over the range of a drive there are `points` steps, and one crank angle more. A
@@ -731,6 +727,7 @@ def analyze_batch(
     if (limits := given.mechanism.limits) is not None:
         angles = np.linspace(*(limits if direction > 0.0 else limits[::-1]), points + 1)
     available = MotionColumns(given.moving(angles[:1], direction)).columns
+    columns = [effort.column for effort in efforts(given.mechanism)] if columns is None else columns
     for name in columns:
         check_choice("columns", name, available, "no such column", problem.file)
     result = Columns()

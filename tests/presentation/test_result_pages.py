@@ -256,9 +256,13 @@ def test_a_sweep_by_its_table(results):
     best = min(range(len(rows)), key=lambda k: float(rows[k]["objective_rad2"]))
     picks = page.charts[0].picks
     assert picks.first == best
-    assert float(picks.rows[best][picks.names.index("coupler [mm]")]) == pytest.approx(float(rows[best]["coupler_mm"]), rel=1e-6)
+    assert float(picks.rows[best][picks.names.index("coupler [mm]")]) == pytest.approx(
+        1e3 * float(rows[best]["coupler_m"]), rel=1e-6
+    )
     places = [
-        float(new["limits.transmission_angle.max_deg"]) for old, new in itertools.pairwise(rows) if old["active"] != new["active"]
+        math.degrees(float(new["limits.transmission_angle.max_rad"]))
+        for old, new in itertools.pairwise(rows)
+        if old["active"] != new["active"]
     ]
     assert places  # from some angle on the limit holds no more
     assert [shape["x0"] for shape in page.charts[0].figure["layout"]["shapes"]] == pytest.approx(places)
@@ -272,11 +276,11 @@ def test_a_map_has_every_point_at_its_place(results):
     shaded = trace(page, "objective")
     with (results / "map" / "sweep.csv").open() as file:
         for row in csv.DictReader(file):
-            i = shaded["y"].index(float(row["mechanism.frame_mm"]))
-            j = min(range(4), key=lambda k: abs(shaded["x"][k] - float(row["limits.transmission_angle.max_deg"])))
+            i = min(range(len(shaded["y"])), key=lambda k: abs(shaded["y"][k] - 1e3 * float(row["mechanism.frame_m"])))
+            j = min(range(4), key=lambda k: abs(shaded["x"][k] - math.degrees(float(row["limits.transmission_angle.max_rad"]))))
             assert shaded["z"][i][j] == pytest.approx(float(row["objective_rad2"]), rel=1e-5)
             number = shaded["customdata"][i][j]
-            assert page.charts[0].picks.rows[number][0] == f"{float(row['mechanism.frame_mm']):g}"
+            assert page.charts[0].picks.rows[number][0] == f"{1e3 * float(row['mechanism.frame_m']):g}"
 
 
 @pytest.mark.slow
@@ -293,22 +297,22 @@ def test_a_front_by_its_table(results):
     picks = page.charts[0].picks
     assert picks.first == int(np.argmax(np.abs(off)))
     for row, record in zip(rows, picks.rows, strict=True):
-        assert float(record[picks.names.index("rocker [mm]")]) == pytest.approx(float(row["rocker_mm"]), rel=1e-6)
+        assert float(record[picks.names.index("rocker [mm]")]) == pytest.approx(1e3 * float(row["rocker_m"]), rel=1e-6)
     crank, rocker = (page.moving.scene.points[name] for name in "BC")
-    assert np.hypot(*(rocker - crank).T) == pytest.approx(float(rows[picks.first]["coupler_mm"]), rel=1e-9)
+    assert np.hypot(*(rocker - crank).T) == pytest.approx(1e3 * float(rows[picks.first]["coupler_m"]), rel=1e-9)
 
 
 @pytest.mark.slow
 def test_three_objectives_have_a_colour(results):
     """A front of three, made from one of two: the colour of every point is its third objective."""
     two = read_result(results / "front")
-    points = tuple(replace(point, values=(*point.values, 40.0 + k)) for k, point in enumerate(two.points))
+    points = tuple(replace(point, values=(*point.values, math.radians(40.0 + k))) for k, point in enumerate(two.points))
     swing = ParetoObjective("swing", "swing", "deg", -1)
     assert two.reference is not None
     three = replace(two, objectives=(*two.objectives, swing), points=points, ends=(*two.ends, 1), knee=None)
     page = content(replace(three, reference=(*two.reference, 41.0)))
     cloud = page.charts[0].figure["data"][0]
-    assert cloud["marker"]["color"] == [40.0 + k for k in range(len(points))]
+    assert cloud["marker"]["color"] == pytest.approx([40.0 + k for k in range(len(points))])
     assert "swing [deg] (more is better)" in page.charts[0].picks.names
     checked_by_plotly(page.charts[0].figure)
 

@@ -88,8 +88,8 @@ def shown(result: Any, folder: Path) -> dict[str, str]:
     for name, columns in view.tables(result).items():
         write_csv(folder / name, columns)
         texts[f"table {name}"] = (folder / name).read_text(encoding="utf-8")
-    if hasattr(result, "validation"):
-        file = result.definite
+    file = result.definite if hasattr(result, "validation") else None
+    if file is not None and result.kind != "balance":
         checked = optlink.validate(file, {name: result.design[name] for name in file.model.free}) if result.design else None
         texts["validation"] = "" if checked is None else repr((checked.objective, checked.validation.checks))
     return texts
