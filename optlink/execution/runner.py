@@ -33,6 +33,11 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+def alone(engine: str = "local", workers: int | None = None, scheduler: str | None = None) -> bool:
+    """Return whether the present process does all the work; the options are those of `pool`."""
+    return engine == "local" and (workers or cores()) == 1
+
+
 def check(engine: str = "local", workers: int | None = None, scheduler: str | None = None) -> None:
     """Check the execution options; see `pool`.
 

@@ -107,7 +107,7 @@ def solve(
     ['largest transmission angle']
     """
     problem = problem_of(problem)
-    from optlink.execution.runner import check, pool
+    from optlink.execution.runner import alone, check, pool
 
     task = design_task(problem)
     certified = task.certifies(problem)
@@ -124,7 +124,7 @@ def solve(
     shared = any(value not in (None, "local") for value in execution.values())
     check(**execution)
     with contextlib.ExitStack() as ends:
-        runs = ends.enter_context(pool(**execution)) if task.divisible else None
+        runs = ends.enter_context(pool(**execution)) if task.divisible and not alone(**execution) else None
         kept: dict[str, Any] = {"designs": designs, "track": track, "runs": runs, "shared": shared}
         result = task.solve(problem, backend, starts, seed, progress, **kept)
         if not certified or certify is False or result.interrupted:

@@ -12,6 +12,7 @@ import pytest
 import optlink
 from optlink.execution.runner import ordered, pool
 from optlink.execution.worker import ChunkResult, ChunkTask, Runs, run_chunk
+from optlink.synthesis.batch_search import Searcher
 from optlink.tasks.run import design_task
 from optlink.tasks.search import PolishTask
 
@@ -148,6 +149,15 @@ def test_no_cluster_is_started_for_a_problem_that_cannot_use_it(monkeypatch: pyt
     assert optlink.solve(optlink.load("balance-four-bar"), engine="dask").valid
     with pytest.raises(AssertionError):
         optlink.solve(optlink.load("path-vline6"), engine="dask")
+
+
+def test_one_worker_computes_no_round_of_starts_ahead(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A round that is computed ahead is not used if the search ends before it: one process gains nothing by it."""
+    computed, sample = [], Searcher._sample
+    monkeypatch.setattr(Searcher, "_sample", lambda *args: computed.append(args[2]) or sample(*args))
+    results = [optlink.solve("path-arc5", workers=workers) for workers in (1, None)]
+    assert digits(results[0]) == digits(results[1])
+    assert sum(computed) == 2 * results[0].starts
 
 
 @dataclass(frozen=True)
