@@ -1,14 +1,17 @@
-"""What the constants that steer the searches do: each one halved and doubled, on the first problems whose search reads it.
+"""What the constants that steer the searches do: each one halved and doubled, on the quickest searches that read it.
 
     python benchmarks/constants.py --list                     # the constants, by an analysis of the source
     python benchmarks/constants.py OUT.jsonl                  # one line for every constant, factor and problem
     python benchmarks/constants.py OUT.jsonl --only solvers.multistart tasks.search
-    python benchmarks/constants.py OUT.jsonl --summary        # run nothing; write what was found, for docs/constants.md
+    python benchmarks/constants.py OUT.jsonl --missing        # those that the record lacks alone
+    python benchmarks/constants.py OUT.jsonl --summary        # add what was found to the record, for docs/constants.md
+    python benchmarks/constants.py --summary                  # the record for meanings and reasons that were changed
 
-Every search runs in a process of its own, in which the module is compiled with the other value, so that defaults and constants
-that are computed from it follow. A number near one is moved towards or away from one, a whole number by one at least. What was
-run before for the same value is not run again. A constant is tried on one search after the other until something changes but
-times, which are processor times.
+Every search runs in a process of its own, forked from one that has imported the program, in which every reading of the constant
+gives the other value; modules with defaults or constants that are computed from it are imported again. A number near one is moved
+towards or away from one, a whole number by one at least. What was run before for the same value is not run again. A constant is
+tried on the quickest searches that read it, one after the other, until something changes but times, which are processor times.
+Constants that steer no search have a reason in `constants_reasons.toml` instead.
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ from __future__ import annotations
 import argparse
 import ast
 import functools
+import importlib
 import importlib.abc
 import importlib.machinery
 import io
@@ -26,6 +30,7 @@ import resource
 import sys
 import time
 import tokenize
+import tomllib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -39,10 +44,11 @@ import scipy.stats  # noqa: F401
 from timing import ROOT
 
 SUMMARY = Path(__file__).with_name("constants_record.json")
+REASONS = Path(__file__).with_name("constants_reasons.toml")
 PACKAGES = ("synthesis", "solvers", "tasks", "optimization", "studies", "linkage", "validation")
 CALLS = {"log", "radians", "exp", "sqrt", "array", "sin"}  # functions of numbers in the value of a constant
 FACTORS = {"half": 0.5, "double": 2.0}
-MOST, BUDGET = 2, 4.0  # searches for a constant; processor time [s] of them together, unless there is only one
+MOST, BUDGET = 3, 2.5  # searches for a constant; processor time [s] of them together, unless there is only one
 LONGEST = 8.0  # times the processor time of the search with the stated value, and 5 s: then it is stopped
 DIGITS = 1e-9  # relative difference of an objective that counts
 ROUNDING = 1e-16  # objective [SI] of a design without errors
@@ -72,6 +78,13 @@ def constants() -> Iterator[Constant]:
     for package in PACKAGES:
         for file in sorted((ROOT / "optlink" / package).rglob("*.py")):
             yield from _of_module(file)
+
+
+@functools.cache
+def reasons() -> dict[str, str]:
+    """Why a constant has its value, by its key, of those that are not measured."""
+    groups = tomllib.loads(REASONS.read_text(encoding="utf-8"))
+    return {f"{module}.{name}": reason for module, group in groups.items() for name, reason in group.items()}
 
 
 def _module(file: Path) -> str:
@@ -156,41 +169,52 @@ def scaled(value: Any, factor: float) -> Any:
     return value * factor
 
 
-class Changed(importlib.abc.MetaPathFinder):
-    """Compiles a module with another value of a constant; or all modules so that they tell which constants they read."""
+class Watch(importlib.abc.MetaPathFinder):
+    """Compiles the modules of optlink so that they tell which constants they read, and may read another value of one."""
 
-    def __init__(self, change: tuple[Constant, float] | None, watched: frozenset[str] = frozenset()) -> None:
-        self.change, self.watched = change, watched
+    def __init__(self, watched: frozenset[str]) -> None:
+        self.watched = watched
         self.read: set[str] = set()
+        self.early: set[str] = set()  # read while the modules are imported: defaults, and constants computed from others
+        self.change: tuple[str, float] | None = None
+        self.codes: dict[str, Any] = {}
 
     def find_spec(self, fullname: str, path: Any, target: Any = None) -> Any:
-        """The specification of a module of optlink that is compiled here; None for others."""
-        wanted = fullname == f"optlink.{self.change[0].module}" if self.change else fullname.startswith("optlink.")
-        spec = importlib.machinery.PathFinder.find_spec(fullname, path) if wanted else None
+        """The specification of a module of optlink; None for others."""
+        spec = importlib.machinery.PathFinder.find_spec(fullname, path) if fullname.partition(".")[0] == "optlink" else None
         if spec is None or spec.origin is None or not spec.origin.endswith(".py"):
             return None
         spec.loader = _Loader(fullname, spec.origin, self)
         return spec
 
     def transformed(self, tree: ast.Module, module: str) -> ast.Module:
-        """The module with the other value, or with every reading of a constant told."""
-        if self.change:
-            constant, factor = self.change
-            values = {id(value) for node in tree.body for name, value in _assigned(node) if name == constant.name}
-            return _Scaled(values, factor).visit(tree)
+        """The module with every reading of a constant told."""
         return _Watched(module, self.watched).visit(tree)
 
+    def told(self, key: str, value: Any) -> Any:
+        """The value of a constant that is read, or the other value."""
+        self.read.add(key)
+        return scaled(value, self.change[1]) if self.change and self.change[0] == key else value
 
-class _Scaled(ast.NodeTransformer):
-    """Halves or doubles some expressions."""
+    def load(self) -> None:
+        """Import the modules, so that the processes of all searches share them."""
+        sys.meta_path.insert(0, self)
+        for package in PACKAGES:
+            for file in sorted((ROOT / "optlink" / package).rglob("*.py")):
+                importlib.import_module(f"optlink.{_module(file)}".removesuffix(".__init__"))
+        self.early, self.read = self.read, set()
 
-    def __init__(self, values: set[int], factor: float) -> None:
-        self.values, self.factor = values, factor
+    def reached(self) -> set[str]:
+        """The constants that were read, with defaults and the like of modules of which others were."""
+        modules = {key.rpartition(".")[0] for key in self.read}
+        return self.read | {key for key in self.early if key.rpartition(".")[0] in modules}
 
-    def visit(self, node: ast.AST) -> Any:
-        if id(node) not in self.values:
-            return self.generic_visit(node)
-        return ast.Call(ast.Name("__scaled__", ast.Load()), [node, ast.Constant(self.factor)], [])
+    def begin(self, change: tuple[str, float] | None) -> None:
+        """Change a constant; the modules are imported again where it is read meanwhile."""
+        self.change = change
+        if change and change[0] in self.early:
+            for name in [name for name in sys.modules if name.partition(".")[0] == "optlink"]:
+                del sys.modules[name]
 
 
 class _Watched(ast.NodeTransformer):
@@ -225,22 +249,19 @@ class _Watched(ast.NodeTransformer):
 
 
 class _Loader(importlib.machinery.SourceFileLoader):
-    def __init__(self, fullname: str, path: str, changed: Changed) -> None:
+    def __init__(self, fullname: str, path: str, watch: Watch) -> None:
         super().__init__(fullname, path)
-        self.changed = changed
+        self.watch = watch
 
     def get_code(self, fullname: str) -> Any:
-        tree = self.changed.transformed(ast.parse(self.get_source(fullname) or ""), fullname.removeprefix("optlink."))
-        return compile(ast.fix_missing_locations(tree), self.path, "exec", dont_inherit=True)
+        if fullname not in self.watch.codes:
+            tree = self.watch.transformed(ast.parse(self.get_source(fullname) or ""), fullname.removeprefix("optlink."))
+            self.watch.codes[fullname] = compile(ast.fix_missing_locations(tree), self.path, "exec", dont_inherit=True)
+        return self.watch.codes[fullname]
 
     def exec_module(self, module: Any) -> None:
-        vars(module)["__scaled__"] = scaled
-        vars(module)["__told__"] = self._told
+        vars(module)["__told__"] = self.watch.told
         super().exec_module(module)
-
-    def _told(self, key: str, value: Any) -> Any:
-        self.changed.read.add(key)
-        return value
 
 
 # --- searches ----------------------------------------------------------------------------------------------------------------
@@ -249,17 +270,19 @@ class _Loader(importlib.machinery.SourceFileLoader):
 Found = dict[str, Any]
 
 
-def _design(name: str, backend: str = "ipopt", changes: Mapping[str, str] | None = None, starts: int | None = None) -> Found:
+def _design(
+    name: str, backend: str = "ipopt", changes: Mapping[str, Any] | None = None, starts: int | None = None, **proof: Any
+) -> Found:
     """What `optlink.solve` finds of a shipped problem."""
     import optlink
 
-    result = optlink.solve(optlink.load(name).override(dict(changes or {})), backend, starts, 0, workers=1)
-    proof = getattr(result, "certificate", None)
+    result = optlink.solve(optlink.load(name).override(dict(changes or {})), backend, starts, 0, workers=1, **proof)
+    found = getattr(result, "certificate", None)
     return {
         "objectives": [float(result.objective), *(float(one.objective) for one in getattr(result, "designs", ())[1:])],
         "valid": bool(result.valid),
         "starts": int(getattr(result, "starts", 0)),
-        "told": [proof.status, proof.boxes] if proof else [one.name for one in getattr(result, "conflict", ())],
+        "told": [found.status, found.boxes] if found else [one.name for one in getattr(result, "conflict", ())],
     }
 
 
@@ -299,27 +322,13 @@ def _tolerance(name: str, *tolerances: str, **options: Any) -> Found:
     return {"objectives": shares, "valid": True, "starts": 0, "told": []}
 
 
-PROBLEMS = ("straight-line", "path-slider-egg", "stroke-slider-crank", "law-slider-crank", "path-arc5", "two-wipers")
-PROBLEMS += (
-    "path-stephenson-dwell",
-    "motion-5-poses",
-    "crank-rocker",
-    "path-closed18",
-    "law-six-bar",
-    "shaper-design",
-    "path-crank-rocker",
-    "path-watt-leg",
+PROBLEMS = (
+    *("crank-rocker", "poses-and-law", "motion-5-poses", "steering-trapezoid", "stroke-slider-crank", "motion-3-poses"),
+    *("path-watt-leg", "stroke-crank-rocker", "two-wipers", "straight-line", "function-sin", "path-slider-egg"),
+    *("path-stephenson-dwell", "path-closed18", "path-arc5", "shaper-design", "transmission-optimal"),
+    *("crank-rocker-robust", "balance-six-bar"),
 )
-PROBLEMS += (
-    "poses-and-law",
-    "motion-3-poses",
-    "steering-trapezoid",
-    "stroke-crank-rocker",
-    "transmission-optimal",
-    "function-sin",
-)
-PROBLEMS += ("crank-rocker-robust", "balance-six-bar")
-"""Problems in the order in which they are chosen: a constant is tried on the first ones whose search reads it."""
+"""Problems whose searches read as many of the constants as all shipped problems do, about from the quickest to the slowest."""
 SECOND = ("crank-rocker", "stroke-slider-crank", "path-slider-egg")  # searched by the other back end too
 SPAN = ("mechanism.frame=450..550 mm", "limits.transmission_angle.max=125..140 deg")
 LENGTHS = ("crank=0.05 mm", "coupler=0.1 mm", "rocker=0.1 mm")
@@ -335,9 +344,16 @@ def cases() -> dict[str, Callable[[], Found]]:
         _design, "stroke-crank-rocker", changes={"limits.transmission_angle": ["60 deg", "120 deg"]}
     )
     found["path-crank-rocker, infeasible"] = partial(_design, "path-crank-rocker", changes=steep, starts=60)
-    found["sweep of crank-rocker"] = partial(_sweep, "crank-rocker", *(f"{axis}:20" for axis in SPAN))
-    found["sweep of path-crank-rocker"] = partial(_sweep, "path-crank-rocker", "mechanism.crank=95..105 mm:6")
-    found["front of crank-rocker"] = partial(_pareto, "crank-rocker", "error, limits.transmission_angle.max", 9)
+    found["path-arc5, largest deviation"] = partial(_design, "path-arc5", changes={"requirement.measure": "max"}, starts=60)
+    found["function-exp, 24 starts"] = partial(_design, "function-exp", starts=24)
+    proof = {"certify": True, "gap": 0.2}
+    found["crank-rocker, largest deviation, certified"] = partial(
+        _design, "crank-rocker", changes={"requirement.measure": "max"}, **proof
+    )
+    found["path-crank-rocker, certified"] = partial(_design, "path-crank-rocker", starts=60, certify=True, gap=0.5)
+    found["sweep of crank-rocker"] = partial(_sweep, "crank-rocker", *(f"{axis}:7" for axis in SPAN))
+    found["sweep of path-crank-rocker"] = partial(_sweep, "path-crank-rocker", "mechanism.crank=95..105 mm:3")
+    found["front of crank-rocker"] = partial(_pareto, "crank-rocker", "error, limits.transmission_angle.max", 5)
     found["sensitivities of crank-rocker"] = partial(_sensitivities, "crank-rocker")
     found["sensitivities of stroke-crank-rocker"] = partial(_sensitivities, "stroke-crank-rocker")
     found["yield of crank-rocker"] = partial(_tolerance, "crank-rocker", *LENGTHS, limit="2.3 deg")
@@ -349,7 +365,7 @@ def cases() -> dict[str, Callable[[], Found]]:
 # --- running -----------------------------------------------------------------------------------------------------------------
 
 
-def run(search: Callable[[], Found], hook: Changed | None, seconds: float) -> Found:
+def run(search: Callable[[], Found], watch: Watch, change: tuple[str, float] | None, seconds: float) -> Found:
     """What a search finds in a process of its own, with its processor time and evaluations; `fault`: why it found nothing."""
     reader, writer = os.pipe()
     child = os.fork()
@@ -360,10 +376,11 @@ def run(search: Callable[[], Found], hook: Changed | None, seconds: float) -> Fo
         quiet = os.open(os.devnull, os.O_WRONLY)
         os.dup2(quiet, 1)
         os.dup2(quiet, 2)
-        if hook:
-            sys.meta_path.insert(0, hook)
+        watch.begin(change)
         try:
-            found = _counted(search) | ({"read": sorted(hook.read)} if hook and hook.watched else {})
+            found = _counted(search)
+            if change is None:
+                found |= {"read": sorted(watch.reached()), "modules": sorted(sys.modules)}
         except BaseException as error:  # noqa: BLE001 - whatever another value leads to is a result
             found = {"fault": f"{type(error).__name__}: {error}"[:160]}
         with os.fdopen(writer, "w") as out:
@@ -401,10 +418,11 @@ def _counted(search: Callable[[], Found]) -> Found:
     return found | {"seconds": time.process_time() - begin} | counts
 
 
-def record(out: Path, only: list[str]) -> None:
-    """Run what the record lacks."""
-    known = list(constants())
-    searches, watched = cases(), frozenset(constant.key for constant in known)
+def record(out: Path, wanted: list[Constant], names: list[str]) -> None:
+    """Run what the file lacks of some constants, with the searches of these names."""
+    searches, watch = cases(), Watch(frozenset(constant.key for constant in constants()))
+    names = names or list(searches)
+    watch.load()
     entries = _lines(out)
     done = {(one["constant"], one["factor"], one["case"], one.get("value", "")) for one in entries}
     with out.open("a", encoding="utf-8") as file:
@@ -415,33 +433,32 @@ def record(out: Path, only: list[str]) -> None:
             file.flush()
 
         for name, search in searches.items():
-            if ("", "reads", name, "") not in done:
-                keep({"constant": "", "factor": "reads", "case": name} | run(search, Changed(None, watched), 60.0))
-            if ("", "stated", name, "") not in done:
-                keep({"constant": "", "factor": "stated", "case": name} | run(search, None, 60.0))
-        stated = {one["case"]: one for one in entries if one["factor"] == "stated" and "seconds" in one}
-        reads = {one["case"]: set(one.get("read", ())) for one in entries if one["factor"] == "reads"}
-        for constant in known:
-            if only and not constant.key.startswith(tuple(only)):
-                continue
-            for name in chosen(constant, reads, {name: one["seconds"] for name, one in stated.items()}):
-                if any(changes(stated[one["case"]], one) for one in entries if constant.measured(one)):
+            if name in names and ("", "stated", name, "") not in done:
+                found = run(search, watch, None, 20.0)
+                for module in found.pop("modules", ()):
+                    if module.partition(".")[0] in ("scipy", "numpy", "casadi"):
+                        importlib.import_module(module)  # once, instead of in every process
+                keep({"constant": "", "factor": "stated", "case": name} | found)
+        stated = {one["case"]: one for one in entries if one["case"] in names and "read" in one}
+        for constant in wanted:
+            for name in chosen(constant, stated):
+                if any(changes(stated[one["case"]], one) for one in entries if constant.measured(one) and one["case"] in stated):
                     break  # it matters: further searches would not tell more
                 for factor, number in FACTORS.items():
                     if (constant.key, factor, name, constant.text) not in done:
                         limit = LONGEST * stated[name]["seconds"] + 5.0
-                        found = run(searches[name], Changed((constant, number)), limit)
+                        found = run(searches[name], watch, (constant.key, number), limit)
                         keep({"constant": constant.key, "value": constant.text, "factor": factor, "case": name} | found)
                         print(constant.key, factor, name, effect(stated[name], found), flush=True)
 
 
-def chosen(constant: Constant, reads: Mapping[str, set[str]], seconds: Mapping[str, float]) -> list[str]:
-    """The first searches that read a constant and are quick enough together."""
+def chosen(constant: Constant, stated: Mapping[str, Found]) -> list[str]:
+    """The quickest searches that read a constant."""
     names, left = [], BUDGET
-    for name in (name for name in seconds if constant.key in reads[name]):
-        if len(names) < MOST and (seconds[name] <= left or not names):
+    for name in sorted(stated, key=lambda name: float(stated[name]["seconds"])):
+        if constant.key in stated[name]["read"] and len(names) < MOST and (stated[name]["seconds"] <= left or not names):
             names.append(name)
-            left -= seconds[name]
+            left -= stated[name]["seconds"]
     return names
 
 
@@ -489,19 +506,35 @@ def _gap(one: float, other: float) -> float:
     return share if math.isfinite(share) else math.inf
 
 
-def summarise(out: Path) -> None:
-    """Write what was found for the constants that the source still has, for the documentation."""
-    entries = _lines(out)
+def summarise(out: Path | None) -> None:
+    """Write what was found for the constants that the source has, now or in the record, for the documentation."""
+    entries = _lines(out) if out else []
     stated = {one["case"]: one for one in entries if one["factor"] == "stated"}
+    known = recorded()
     rows = []
-    listed = list(constants())
-    for constant in listed:
-        own = [one for one in entries if constant.measured(one)]
+    for constant in constants():
+        row = {"constant": constant.key, "value": constant.text, "what": constant.comment}
+        own = [one for one in entries if constant.measured(one) and one["case"] in stated]
         if {one["factor"] for one in own} == set(FACTORS):
-            told = {factor: [one for one in own if one["factor"] == factor] for factor in FACTORS}
-            effects = {factor: {one["case"]: effect(stated[one["case"]], one) for one in some} for factor, some in told.items()}
-            rows.append({"constant": constant.key, "value": constant.text, "what": constant.comment} | effects)
-    SUMMARY.write_text(json.dumps({"listed": len(listed), "rows": rows}, indent=1) + "\n", encoding="utf-8")
+            for factor in FACTORS:
+                row[factor] = {one["case"]: effect(stated[one["case"]], one) for one in own if one["factor"] == factor}
+        elif constant.key in reasons():
+            row["reason"] = reasons()[constant.key]
+        else:
+            row |= known.get((constant.key, constant.text), {})
+        rows.append(row)
+    files = {_module(file): file for package in PACKAGES for file in (ROOT / "optlink" / package).rglob("*.py")}
+    modules = {row["constant"].rpartition(".")[0]: "" for row in rows}
+    for module in modules:
+        modules[module] = (ast.get_docstring(ast.parse(files[module].read_text(encoding="utf-8"))) or "").partition("\n")[0]
+    lines = ",\n".join(map(json.dumps, rows))  # a row a line, for the differences of two versions
+    SUMMARY.write_text(f'{{"modules": {json.dumps(modules, indent=1)},\n"rows": [\n{lines}\n]}}\n', encoding="utf-8")
+
+
+def recorded() -> dict[tuple[str, str], Found]:
+    """What the record says of halving and doubling, by constant and value."""
+    rows = json.loads(SUMMARY.read_text(encoding="utf-8"))["rows"]
+    return {(row["constant"], row["value"]): {factor: row[factor] for factor in FACTORS} for row in rows if "half" in row}
 
 
 def main() -> int:
@@ -509,10 +542,12 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("out", type=Path, nargs="?", metavar="OUT.jsonl")
     parser.add_argument("--only", metavar="PREFIX", nargs="+", default=[], help="such as solvers.multistart")
+    parser.add_argument("--cases", metavar="NAME", nargs="+", default=[], help="searches, such as crank-rocker; all if omitted")
     parser.add_argument("--list", action="store_true", help="print the constants of these modules")
+    parser.add_argument("--missing", action="store_true", help=f"leave out the constants that {SUMMARY.name} has")
     parser.add_argument("--summary", action="store_true", help=f"write {SUMMARY.name}")
     options = parser.parse_args()
-    if options.out and options.summary:
+    if options.summary:
         summarise(options.out)
         return 0
     if options.list or options.out is None:
@@ -522,7 +557,9 @@ def main() -> int:
         print("\n".join(() if options.only else defaults()))
         return 0
     sys.path.insert(0, str(ROOT))
-    record(options.out, options.only)
+    known = recorded() if options.missing else {}
+    wanted = [one for one in constants() if one.key not in reasons() and (one.key, one.text) not in known]
+    record(options.out, [one for one in wanted if one.key.startswith(tuple(options.only) or "")], options.cases)
     return 0
 
 
