@@ -12,7 +12,7 @@ Equation of motion of a machine with one degree of freedom (Eksergian's equation
 import enum
 import itertools
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,6 +29,7 @@ from optlink.linkage.vector2d import TURN, Array, Value
 # Events of a simulation: crank angles at which the integration restarts or ends, and reasons for its end.
 
 EDGE = 1e-6  # share of a limited range excluded at each end: speeds are infinite at a dead position
+STILL = 1e-4  # share of the hardest impact below which a rebound from an end stop counts as rest
 PASSED_JUMP = 1e-9  # rad: a jump of a load nearer than this counts as passed
 
 
@@ -37,6 +38,8 @@ class Ending(enum.Enum):
 
     FINISHED = "finished"
     AT_REST = "at rest"
+    AT_STOP = "at the end stop"
+    END_OF_RANGE = "end of the range"
     DEAD_POSITION = "dead position"
     SINGULAR = "singular position"
     JAMMED = "jammed"
@@ -53,6 +56,8 @@ class Ending(enum.Enum):
 _TEXT = {
     Ending.FINISHED: "the whole duration was simulated",
     Ending.AT_REST: "the machine came to rest: the drive cannot overcome loads and friction there",
+    Ending.AT_STOP: "the drive came to rest against the end stop",
+    Ending.END_OF_RANGE: "the drive reached the end of its range",
     Ending.DEAD_POSITION: "the crank reached a position beyond which the mechanism cannot be assembled",
     Ending.SINGULAR: "the crank reached a singular position: the assembly modes meet, and the motion beyond is not determined",
     Ending.JAMMED: "friction jams a guide: no motion of the machine satisfies its law, and rest does not either",
@@ -61,6 +66,47 @@ _TEXT = {
     "results up to that time are kept. Start elsewhere, shorten the duration, or check loads and torque",
     Ending.INTERRUPTED: "interrupted; results up to that time are kept",
 }
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Crank angles or values of the cycle variable [rad] between which a machine moves, and what happens there.
+
+    The simulation ends with `ending`; without one the drive meets an end stop: it rebounds with `restitution` times its speed,
+    or without that from a stop that is among the loads.
+    """
+
+    low: float
+    high: float
+    ending: Ending | None = Ending.DEAD_POSITION
+    restitution: float | None = None
+
+    @property
+    def marks(self) -> list[tuple[str, float]]:
+        """The events at both ends."""
+        aside = {Ending.DEAD_POSITION: EDGE, Ending.END_OF_RANGE: -ROUNDING}.get(self.ending or Ending.FINISHED, 0.0)
+        inward = aside * (self.high - self.low)
+        kind = "limit" if self.ending else "switch" if self.restitution is None else "stop"
+        return [(kind, self.low + inward), (kind, self.high - inward)]
+
+    def pushes(self, angle: float, direction: float) -> float | None:
+        """Return the end at which a machine is, if it would move beyond it in a direction; else None."""
+        end = self.high if direction > 0.0 else self.low
+        return end if abs(angle - end) <= ROUNDING * (self.high - self.low) else None
+
+
+@dataclass(frozen=True)
+class DriveForce:
+    """A force along a line [N] as torque of the cycle variable: the slide or length is `begin` + `rate` [m/rad] * variable."""
+
+    force: Magnitude
+    begin: float
+    rate: float
+
+    def __call__(self, variables: Mapping[str, Value]) -> Value:
+        """Return the force [N] times its lever [m/rad]."""
+        place, speed = self.begin + self.rate * variables["phi"], self.rate * variables["omega"]
+        return self.rate * self.force({**variables, "s": place, "v": speed})
 
 
 def nearest(angle: float, marks: Array, cycle: float, aside: float = 0.0) -> list[float]:
@@ -233,10 +279,15 @@ class Run:
 class _EquationsOfMotion:
     """Right-hand side of the equations; state = crank angle, speed, works, then position and velocity of every body."""
 
-    def __init__(self, machine: Machine, torque: Magnitude | None) -> None:
+    def __init__(self, machine: Machine, torque: Magnitude | None, *, stops: bool = False) -> None:
         self.machine, self.drive = machine, torque
         self.bodies, self.cycle = tuple(machine.mechanism.bodies), machine.mechanism.cycle
-        self.names = ["input", *(load.name for load in machine.loads), *(["friction"] if machine.friction else [])]
+        self.names = [
+            "input",
+            *(load.name for load in machine.loads),
+            *(["friction"] if machine.friction else []),
+            *(["stops"] if stops else []),
+        ]
         self.direction = 1.0
         self.by_numbers = bool(machine.friction)  # symbols do not support the iteration for friction
         self.buffered: dict[float, tuple[Callable[..., list[Array]], Callable[..., list[Array]]]] = {}
@@ -281,6 +332,8 @@ class _EquationsOfMotion:
             powers.append(sum((act.power(moving.state(act.body)) for act in load.act(moving)), 0.0))
         if joint_reactions is not None:
             powers.append(sum(np.sum(force.friction * moving.slides[name][1]) for name, force in joint_reactions.guides.items()))
+        if "stops" in self.names:  # they act at an instant
+            powers.append(0.0)
         return [alpha, *powers, *self.accelerations(moving)]
 
     def functions(self) -> tuple[Callable[..., list[Array]], Callable[..., list[Array]]]:
@@ -288,9 +341,9 @@ class _EquationsOfMotion:
         if self.direction not in self.buffered:
             from optlink.symbolic import BufferedFunction
 
-            drive, compiled_functions = self.machine.compiled.get("motion", (None, {}))
-            compiled_functions = compiled_functions if drive is self.drive else {}
-            self.machine.compiled["motion"] = self.drive, compiled_functions
+            key, compiled_functions = self.machine.compiled.get("motion", (None, {}))
+            compiled_functions = compiled_functions if key == (self.drive, self.names) else {}
+            self.machine.compiled["motion"] = (self.drive, self.names), compiled_functions
             rates, step = compiled_functions[self.direction] = compiled_functions.get(self.direction) or self.compiled()
             self.buffered[self.direction] = BufferedFunction(rates), BufferedFunction(step)  # buffers of this simulation alone
         return self.buffered[self.direction]
@@ -344,7 +397,7 @@ def run(
     angle: float,
     speed: float,
     torque: Magnitude | None = None,
-    limits: tuple[float, float] | None = None,
+    limits: Limits | None = None,
     progress: Callable[[float], None] | None = None,
     singular: Sequence[float] = (),
     interrupted: Callable[[], None] | None = None,
@@ -352,11 +405,12 @@ def run(
     """Simulate the motion of a machine; the result is shorter than requested where the machine stops (`Run.ending`).
 
     The output is at `times` (n,) [s], rising from 0, from a crank angle [rad] and speed; without a `torque` at constant speed.
-    `limits`: reachable range of the crank angle, where it cannot turn fully; `singular`: crank angles, repeated every cycle,
+    `limits` of the crank angle, where it does not turn fully; `singular`: crank angles, repeated every cycle,
     beyond which the motion is not determined; `progress` is called with the completed share, `interrupted` at once on Ctrl-C,
     which ends the motion.
     """
-    integration = _Integration(_EquationsOfMotion(machine, torque), times, angle, speed, limits, np.array(singular))
+    equations = _EquationsOfMotion(machine, torque, stops=limits is not None and limits.restitution is not None)
+    integration = _Integration(equations, times, angle, speed, limits, np.array(singular))
     integration.travel(progress, interrupted)
     return integration.result()
 
@@ -370,13 +424,14 @@ class _Integration:
         times: Array,
         angle: float,
         speed: float,
-        limits: tuple[float, float] | None,
+        limits: Limits | None,
         singular: Array,
     ) -> None:
         self.equations, self.times, self.limits, self.singular = equations, times, limits, singular
         equations.direction = float(np.sign(speed)) or 1.0
         self.switches = jumps(equations.machine, 0.0, equations.cycle)
-        self.may_rest = equations.drive is not None and equations.machine.switching
+        stopped = limits is not None and limits.ending is None  # a rebound within a step would pass unseen
+        self.may_rest, self.hardest = equations.drive is not None and (equations.machine.switching or stopped), 0.0
         self.time, self.state = 0.0, equations.start(angle, speed)
         self.blocks, self.ways, self.recent = [self.state[None]], [equations.direction], list[Step]()
         self.last_turn = LastTurn(angle, speed, equations.machine.cycle)
@@ -384,8 +439,12 @@ class _Integration:
 
     def travel(self, progress: Callable[[float], None] | None, interrupted: Callable[[], None] | None) -> None:
         """Integrate until the end of the duration, or until the machine stops."""
-        if self.state[1] == 0.0 and self.equations.drive is not None:
-            self.ending = _set_off(self.equations, float(self.state[0]))
+        if self.limits is not None and self.limits.restitution is not None and self.state[1] != 0.0:
+            end = self.limits.pushes(float(self.state[0]), self.equations.direction)
+            if end is not None:
+                self.rebound(end, self.limits.restitution)
+        elif self.state[1] == 0.0 and self.equations.drive is not None:
+            self.set_off()
             self.ways = [self.equations.direction]
         if any(abs(at - float(self.state[0])) <= 2.0 * STOP for _, at in self.stops()):
             self.ending = Ending.SINGULAR
@@ -414,9 +473,7 @@ class _Integration:
         stepper = Stepper(self.equations, self.equations.attempt, self.time, end, self.state, first)
         ahead = [("switch", at) for at in nearest(float(self.state[0]), self.switches, self.equations.cycle, PASSED_JUMP)]
         ahead += self.stops()
-        if self.limits is not None:
-            edge = EDGE * (self.limits[1] - self.limits[0])
-            ahead += [("limit", self.limits[0] + edge), ("limit", self.limits[1] - edge)]
+        ahead += [] if self.limits is None else self.limits.marks
         event = None
         while event is None and self.time < end:
             step = stepper.step()
@@ -434,13 +491,41 @@ class _Integration:
             if progress:
                 progress(upto / end)
         self.keep()
-        if event == "limit":
-            self.ending = Ending.DEAD_POSITION
+        if self.limits is not None and event in ("limit", "stop"):
+            if self.limits.ending is not None:
+                self.ending = self.limits.ending
+            elif self.limits.restitution is not None:
+                self.rebound(
+                    min(self.limits.low, self.limits.high, key=lambda end: abs(end - self.state[0])), self.limits.restitution
+                )
         elif event == "singular":
             self.ending = Ending.SINGULAR
         elif event == "rest":
             self.state[1] = 0.0
-            self.ending = _set_off(self.equations, float(self.state[0]))
+            self.set_off()
+
+    def set_off(self) -> None:
+        """Set the sense in which a resting machine starts to turn, or end where it stays at rest."""
+        angle, limits = float(self.state[0]), self.limits
+        self.ending = _set_off(self.equations, angle)
+        stops = limits is not None and limits.restitution is not None and self.ending is Ending.FINISHED
+        if stops and limits is not None and limits.pushes(angle, self.equations.direction) is not None:
+            self.ending = Ending.AT_STOP
+
+    def rebound(self, end: float, restitution: float) -> None:
+        """Reverse the motion at a rigid stop; all speeds scale, as one coordinate moves all bodies."""
+        before, equations = float(self.state[1]), self.equations
+        self.hardest = max(self.hardest, abs(before))
+        after = -restitution * before if restitution * abs(before) > STILL * self.hardest else 0.0
+        lost = np.asarray(equations.geared(end).kinetic).item() * (before * before - after * after)
+        self.state = self.state.copy()
+        self.state[0], self.state[1] = end, after
+        self.state[1 + len(equations.names)] -= lost
+        self.state[-3 * len(equations.bodies) :] *= after / before
+        if after:
+            equations.direction = -equations.direction
+        else:
+            self.set_off()
 
     def keep(self) -> None:
         """Interpolate the rows that the recent steps have reached."""
@@ -463,7 +548,7 @@ class _Integration:
     def result(self) -> Run:
         """Return the result so far."""
         equations, times = self.equations, self.times[: len(self.ways)]
-        if self.ending is Ending.AT_REST and self.time > times[-1]:  # the last row is that of the rest
+        if self.ending in (Ending.AT_REST, Ending.AT_STOP) and self.time > times[-1]:  # the last row is that of the rest
             self.blocks.append(self.state[None])
             self.ways.append(self.ways[-1])
             times = np.append(times, self.time)
@@ -476,7 +561,7 @@ class _Integration:
         else:
             torque = equations.torque(angles, speeds)
             accelerations = np.broadcast_to(np.asarray(crank_acceleration(geared, speeds, torque, ways)), angles.shape)
-        if self.ending is Ending.AT_REST and speeds[-1] == 0.0:
+        if self.ending in (Ending.AT_REST, Ending.AT_STOP) and speeds[-1] == 0.0:
             accelerations = np.where(np.arange(len(times)) == len(times) - 1, 0.0, accelerations)
         moving = geared.scaled(speeds, accelerations, ways)
         kinetic, potential = (np.zeros(len(times)) + energy(moving.state) for energy in (machine.kinetic, machine.weight))

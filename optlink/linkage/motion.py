@@ -109,7 +109,9 @@ class Motion:
             bent = square * x.acceleration
             return Jet(x.value, speed * x.rate, bent if steady else bent + acceleration * x.rate)
 
-        pose = Pose(self.mechanism, self.sizes, self.crank_angle)
+        sizes = {name: scale(size) for name, size in self.pose.sizes.items()}  # those that drives prescribe change
+        pose = Pose(self.mechanism, sizes, scale(self.pose.angle))
+        pose.turns = {name: scale(angle) for name, angle in self.pose.turns.items()}
         pose.points = {name: (scale(x), scale(y)) for name, (x, y) in self.pose.points.items()}
         pose.directions = {name: (scale(x), scale(y)) for name, (x, y) in self.pose.directions.items()}
         pose.margins = self.pose.margins

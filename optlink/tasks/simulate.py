@@ -1,6 +1,5 @@
 """Simulate the motion of a machine in time."""
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -9,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from optlink.dynamics.columns import tabulated
-from optlink.dynamics.forward import Ending, Run, run
+from optlink.dynamics.forward import Ending, Limits, Run, run
 from optlink.dynamics.inverse import reduced_inertia
 from optlink.dynamics.machine import Machine, Moving
 from optlink.errors import InputError
@@ -23,7 +22,6 @@ from optlink.problem.quantity import check_range
 from optlink.tasks.machine import (
     MAX_DURATION,
     check_design,
-    check_one_crank,
     duration_of,
     machine_of,
     motion_range,
@@ -35,6 +33,7 @@ from optlink.tasks.machine import (
 )
 
 MAX_ROWS = 1_000_000
+POSITION = (("crank_angle_deg", "crank angle"), ("cycle_deg", "cycle of the drive, in `analyze` too"))
 AHEAD = 0.02  # rad beyond the end of a simulation, which may have stopped before a pole
 
 
@@ -42,7 +41,7 @@ AHEAD = 0.02  # rad beyond the end of a simulation, which may have stopped befor
 class Simulation(Tabled):
     """Simulation in time: `columns` by name over the output times, `meanings` describe them, `figures` summarise them [SI].
 
-    `driven`: "torque" or "constant speed"; `stopped`: time [s] up to which was simulated; `steps` of the integrator, and
+    `driven`: by what; `stopped`: time [s] up to which was simulated; `steps` of the integrator, and
     `evaluations` of the accelerations; `design`: the given values [SI]; `flywheel`: the added moment of inertia [kg m^2].
     """
 
@@ -72,7 +71,7 @@ class Simulation(Tabled):
     @property
     def valid(self) -> bool:
         """Whether the whole duration was simulated, or the machine came to rest."""
-        return self.ending in (Ending.FINISHED, Ending.AT_REST)
+        return self.ending in (Ending.FINISHED, Ending.AT_REST, Ending.END_OF_RANGE)
 
     @property
     def status(self) -> str:
@@ -83,6 +82,11 @@ class Simulation(Tabled):
     def machine(self) -> Machine:
         """The machine."""
         return with_flywheel(machine_of(self.problem, self.design or None), self.flywheel)
+
+    @property
+    def position(self) -> Array:
+        """Crank angle, or cycle of the drive [deg], at the rows."""
+        return self.columns[POSITION[bool(self.machine.mechanism.drives)][0]]
 
     @property
     def sizes(self) -> dict[str, float]:
@@ -100,14 +104,15 @@ def simulate(
     progress: Callable[[float], None] | None = None,
     flywheel: float = 0.0,
 ) -> Simulation:
-    """Simulate a machine in time, under the drive torque of the problem or at constant speed.
+    """Simulate a machine in time, under the drive torque of the problem, at constant speed or as laws of its drives prescribe.
 
     Parameters
     ----------
     problem : ProblemFile, str or Path
         From `optlink.load`, the name of a shipped problem, or a file.
     duration : float [s], optional
-        Simulated time. Default: that of the problem, else the time of one revolution at its speed.
+        Simulated time. Default: that of the problem, else the time of one revolution at its speed, to the end of the range of
+        its drive, or of the laws of its drives.
     rows : int
         Number of evenly spaced time steps of the table, which has one row more. The integrator chooses its own steps.
     speed : float [rad/s], optional
@@ -142,30 +147,37 @@ def simulate(
     drive = problem.model.drive
     torque = drive.torque
     machine = machine_of(problem, design)
-    check_one_crank(problem, machine, "simulation", geared=True)
     start, begun = starting_angle(problem, machine, design)
-    if machine.mechanism.drives:
-        message = "the motion in time of a machine that a slide or cylinder drives is not supported"
-        raise InputError(message, "Analyse it at a constant speed: optlink analyze", problem.file, "drive")
-    if machine.mechanism.limits is not None:  # it has no stops
+    driving = problem.model.driving
+    prescribed = bool(machine.mechanism.drives) and driving.ends is None
+    ranges, low, high = motion_range(problem, machine, start)
+    laws = [drive.law for drive in machine.mechanism.drives if drive.law is not None and not drive.law.repeats]
+    bounded = machine.mechanism.limits is not None and (not prescribed or any(law.derivative(law.end, 1) != 0.0 for law in laws))
+    if machine.mechanism.limits is not None and not bounded:  # the drives rest at the ends of their laws
         machine = machine.with_(mechanism=replace(machine.mechanism, limits=None))
+    if machine.mechanism.drives and (speed is not None or (flywheel and machine.mechanism.drives[0].kind != "angle")):
+        key, what = ("speed", "a crank speed") if speed is not None else ("flywheel", "a flywheel on a crank")
+        message = "the drive moves by its law" if prescribed else "the drive moves along a line"
+        raise InputError(
+            f"{message}, which {what} does not fit", "Leave it out, or change [drive] of the file", problem.file, key
+        )
     machine = with_flywheel(machine, flywheel)
     speed = starting_speed(problem, speed)
     duration = duration_of(problem, duration)
     if duration is None:
-        if MAX_DURATION * abs(problem.model.driving.pace) < TURN:
+        way = TURN if not bounded else high - start if driving.pace > 0.0 else start - low
+        if MAX_DURATION * abs(driving.pace) < way:
             message = "the duration is missing, and the speed is too low for a default"
             raise InputError(message, 'Give drive.duration = "2 s"', problem.file, "drive.duration")
-        duration = TURN / abs(problem.model.driving.pace)
+        duration = way / abs(driving.pace)
     check_range("rows", rows, 1, MAX_ROWS)
-    ranges, low, high = motion_range(problem, machine, start)
     notes = [*begun, *start_value_notes(problem, design)]
     if torque is not None:
         inertia, _ = reduced_inertia(machine, np.linspace(low, high, 361)[1:-1])
         if not np.nanmin(inertia) > 0.0:
             message = "the machine has no inertia, so no torque can govern its motion"
             raise InputError(message, "Give the bodies masses", problem.file, "bodies")
-    limits = None if ranges.full else (low, high)
+    limits = Limits(low, high, Ending.END_OF_RANGE) if bounded else None if ranges.full or prescribed else Limits(low, high)
     singular = [position.crank_angle for position in ranges.singular]
     if singular:  # same motion up to there, without the rounding errors of 0/0 expressions
         cycle = machine.mechanism.cycle
@@ -179,20 +191,21 @@ def simulate(
         last, cycle = float(result.crank_angle[-1]), machine.mechanism.cycle
         if result.ending is Ending.SINGULAR:
             last = min((at + cycle * round((last - at) / cycle) for at in singular), key=lambda at: abs(at - last))
-        notes.append(f"{result.ending.text} (at {result.stopped:.9g} s, crank angle {math.degrees(last):.6g} deg)")
+        notes.append(f"{result.ending.text} (at {result.stopped:.9g} s, {driving.text(last)})")
     low, high = float(np.min(result.crank_angle)), float(np.max(result.crank_angle))
     way = speed if torque is None else 1.0  # a torque may swing the crank to and fro
     revolutions = (high - low + (0.0 if result.ending is Ending.FINISHED else AHEAD)) / TURN
     notes += pole_notes(machine, low if way > 0.0 else high, revolutions, way, torque is None)
     columns, meanings = _columns(machine, result)
+    law = "motion laws" if len(machine.mechanism.drives) > 1 else "a motion law"
     return Simulation(
         problem,
         dict(design or {}),
         flywheel,
-        "torque" if torque is not None else "constant speed",
+        "torque" if torque is not None else law if prescribed else "constant speed",
         result.ending,
         tuple(notes),
-        _figures(machine, result),
+        _figures(problem, machine, result),
         result.stopped,
         result.steps,
         result.evaluations,
@@ -201,19 +214,23 @@ def simulate(
     )
 
 
-def _figures(machine: Machine, result: Run) -> dict[str, float]:
+def _figures(problem: ProblemFile, machine: Machine, result: Run) -> dict[str, float]:
     """Return the summary figures by name [SI]."""
+    angle, speed, driving = float(result.crank_angle[-1]), float(result.speed[-1]), problem.model.driving
+    end = {"end.crank_angle_rad": angle, "end.speed_rad_s": speed}
+    if driving.ends is not None:
+        place = driving.place(angle)
+        end = {"end.position_m": place, "end.speed_m_s": driving.place(angle + speed) - place}
     figures = {
         "end.time_s": float(result.time[-1]),
-        "end.crank_angle_rad": float(result.crank_angle[-1]),
-        "end.speed_rad_s": float(result.speed[-1]),
+        **({} if driving.ends is None and machine.mechanism.drives else end),
         **{f"{name}.work_J": float(work[-1]) for name, work in result.works.items()},
         "drift_m": result.drift,
         "drift_rad": result.drift_angle,
         "imbalance_J": result.imbalance,
         "turnover_J": result.turnover,
     }
-    if result.last_turn is not None:
+    if result.last_turn is not None and not machine.mechanism.drives:
         figures["last_turn.mean_speed_rad_s"], figures["last_turn.fluctuation"] = result.last_turn
         if (revolutions := round(machine.cycle / TURN)) > 1:
             figures["last_turn.revolutions"] = float(revolutions)
@@ -228,8 +245,9 @@ def _columns(machine: Machine, result: Run) -> tuple[dict[str, Array], dict[str,
         return machine.moving(angles, speeds, accelerations, direction=result.direction[rows])
 
     crank = machine.mechanism.crank.body
-    columns = {"time_s": result.time, "crank_angle_deg": np.degrees(result.crank_angle)}
-    meanings = {"time_s": "time", "crank_angle_deg": "crank angle"}
+    first, what = POSITION[bool(machine.mechanism.drives)]
+    columns = {"time_s": result.time, first: np.degrees(result.crank_angle)}
+    meanings = {"time_s": "time", first: what}
     for name, column in tabulated(moving, len(result.time)).columns.items():
         columns[name], meanings[name] = np.where(np.isfinite(column.values), column.values, np.nan), column.meaning
         if name == "input.power_W":
@@ -239,5 +257,6 @@ def _columns(machine: Machine, result: Run) -> tuple[dict[str, Array], dict[str,
             columns[f"{name}.work_J"], meanings[f"{name}.work_J"] = work, f"work of {name}, integrated"
     columns["energy.gained_J"] = result.energy - result.energy[0]
     meanings["energy.gained_J"] = "kinetic energy and potential energy of gravity, gained since the start"
-    columns[f"{crank}.angle_rad"] = result.crank_angle
+    if not machine.mechanism.drives:
+        columns[f"{crank}.angle_rad"] = result.crank_angle
     return columns, meanings

@@ -298,12 +298,14 @@ def _work(outcome: Analysis) -> TableSpec:
 def simulation(outcome: Simulation) -> Summary:
     """Summarise a simulation in time: final state, energy balance, drift and speed fluctuation."""
     figures = outcome.figures
-    speed, turns = figures["end.speed_rad_s"], figures["end.crank_angle_rad"] / TURN
-    end = [
-        ("time", number(figures["end.time_s"]), "s"),
-        ("crank angle", number(figures["end.crank_angle_rad"]), f"rad ({turns:z.4f} turns)"),
-        ("crank speed", number(speed), f"rad/s ({speed * 30.0 / math.pi:.6g} rpm)"),
-    ]
+    end = [("time", number(figures["end.time_s"]), "s")]
+    if "end.speed_rad_s" in figures:
+        speed, turns = figures["end.speed_rad_s"], figures["end.crank_angle_rad"] / TURN
+        end.append(("crank angle", number(figures["end.crank_angle_rad"]), f"rad ({turns:z.4f} turns)"))
+        end.append(("crank speed", number(speed), f"rad/s ({speed * 30.0 / math.pi:.6g} rpm)"))
+    elif "end.speed_m_s" in figures:
+        end.append((outcome.problem.model.driving.coordinate, number(1e3 * figures["end.position_m"]), "mm"))
+        end.append(("speed of the drive", number(1e3 * figures["end.speed_m_s"]), "mm/s"))
     if "last_turn.mean_speed_rad_s" in figures:
         mean, share = figures["last_turn.mean_speed_rad_s"], figures["last_turn.fluctuation"]
         last = "cycle" if "last_turn.revolutions" in figures else "turn"

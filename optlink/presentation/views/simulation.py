@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from optlink.dynamics.columns import efforts
 from optlink.dynamics.forward import Ending
 from optlink.dynamics.machine import slider_names
 from optlink.linkage.mechanism import FRAME
@@ -62,13 +63,13 @@ def charts(run: Simulation) -> list[ChartSpec]:
 
 def drive(run: Simulation) -> list[ChartSpec]:
     """Plot crank speed and driving torque, and the mean speed of the last revolution if it was completed."""
-    speed, panels = f"{run.machine.mechanism.crank.body}.omega_rad_s", []
+    panels, (speed, words, unit, factor) = [], _speed(run)
     if speed in run.columns:
-        values = run.columns[speed] * RPM
-        curves, note = [_curve(run, speed, RPM, "crank speed", CRANK, legend=False)], ""
+        values = run.columns[speed] * factor
+        curves, note = [_curve(run, speed, factor, words, CRANK, legend=False)], ""
         if "last_turn.mean_speed_rad_s" in run.figures:
             mean_speed, share = run.figures["last_turn.mean_speed_rad_s"], run.figures.get("last_turn.fluctuation", math.nan)
-            mean, crank = math.copysign(mean_speed, values[-1]) * RPM, run["crank_angle_deg"]
+            mean, crank = math.copysign(mean_speed, values[-1]) * RPM, run.position
             revolutions = run.figures.get("last_turn.revolutions", 1.0)
             turned = np.abs(crank - crank[-1]) <= 360.0 * revolutions * (1.0 + 1e-12)
             over = run["time_s"][turned]
@@ -80,19 +81,27 @@ def drive(run: Simulation) -> list[ChartSpec]:
         rise, most = np.ptp(values), np.max(np.abs(values))
         room = 0.16 * rise if rise > ROUNDING * most else 0.1 * most or 1.0
         limits = np.min(values) - room, np.max(values) + 0.4 * room
-        panels.append(Panel(Axis("crank speed [rpm]", limits), curves, 1.4, note=note))
-    if "input.torque_Nm" in run.columns:
-        torque = run["input.torque_Nm"]
-        most = largest(run.columns, ["input.torque_Nm"])
-        unit = scale(most, "N m")
+        panels.append(Panel(Axis(f"{words} [{unit}]", limits), curves, 1.4, note=note))
+    for k, effort in enumerate(efforts(run.machine.mechanism)):
+        torque, most = run[effort.column], largest(run.columns, [effort.column])
+        shown = scale(most, effort.unit)
         limits_ = None
         if np.ptp(torque) < 1e-6 * most:  # constant torque: start at zero instead of showing rounding errors
-            low, high = sorted((0.0, 1.15 * float(torque[0]) * unit.factor))
+            low, high = sorted((0.0, 1.15 * float(torque[0]) * shown.factor))
             limits_ = low, high
-        curve = _curve(run, "input.torque_Nm", unit.factor, "driving torque", BODIES[0], legend=False)
-        panels.append(Panel(Axis(f"driving torque [{unit.unit}]", limits_), [curve]))
+        curve = _curve(run, effort.column, shown.factor, effort.words, BODIES[k % len(BODIES)], legend=False)
+        panels.append(Panel(Axis(f"{effort.words} [{shown.unit}]", limits_), [curve]))
     heading = f"{run.problem.model.title}: driven by {run.driven}, {run.ending.value}"
     return [ChartSpec("drive", "Drive", panels, Axis(TIME), heading)] if panels else []
+
+
+def _speed(run: Simulation) -> tuple[str, str, str, float]:
+    """Return the column of the speed of the (first) drive, its words, its display unit, and that per SI unit."""
+    mechanism = run.machine.mechanism
+    body = mechanism.crank.body
+    if mechanism.drives and mechanism.drives[0].kind != "angle":
+        return f"{body}.v_m_s", "speed of the drive", "mm/s", 1e3
+    return f"{body}.omega_rad_s", "crank speed", "rpm", RPM
 
 
 def output(run: Simulation) -> list[ChartSpec]:
@@ -209,10 +218,11 @@ def _moving(run: Simulation, steps: int) -> Moving | None:
     """Animate the linkage at rows of the simulation."""
     from optlink.presentation.html.study_page import in_time
 
-    body, rows = run.machine.mechanism.crank.body, even(len(run["time_s"]), steps + 1)
-    crank = run["crank_angle_deg"][rows]
-    shown = [("crank angle", Scale(1.0, "deg"), crank)]
-    for name, words, unit in ((f"{body}.omega_rad_s", "crank speed", "rad/s"), ("input.torque_Nm", "driving torque", "N m")):
+    (speed, what, _, _), rows = _speed(run), even(len(run["time_s"]), steps + 1)
+    crank = run.position[rows]
+    shown = [("cycle" if run.machine.mechanism.drives else "crank angle", Scale(1.0, "deg"), crank)]
+    every = [(effort.column, effort.words, effort.unit) for effort in efforts(run.machine.mechanism)]
+    for name, words, unit in ((speed, what, "m/s" if speed.endswith("m_s") else "rad/s"), *every):
         if name in run.columns:
             shown.append((words, scale(largest(run.columns, [name]), unit), run[name][rows]))
     return in_time(run.problem, run.sizes, run["time_s"][rows], crank, shown)
@@ -221,10 +231,15 @@ def _moving(run: Simulation, steps: int) -> Moving | None:
 def conclusion(result: Simulation) -> str:
     """Return the conclusion of a simulation in time."""
     figures = result.figures
-    speed, time = figures["end.speed_rad_s"] * 30.0 / math.pi, figures["end.time_s"]
-    turns = figures["end.crank_angle_rad"] / TURN
-    text = f"After {figure(time, 's')} the crank turns at {figure(speed, 'rpm')}, "
-    text += f"{figure(turns)} revolutions from its zero position"
+    text = f"After {figure(figures['end.time_s'], 's')} "
+    if "end.speed_rad_s" in figures:
+        text += f"the crank turns at {figure(figures['end.speed_rad_s'] * RPM, 'rpm')}, "
+        text += f"{figure(figures['end.crank_angle_rad'] / TURN)} revolutions from its zero position"
+    elif "end.speed_m_s" in figures:
+        text += f"the {result.problem.model.driving.coordinate} is {figure(1e3 * figures['end.position_m'], 'mm')}, "
+        text += f"its speed {figure(1e3 * figures['end.speed_m_s'], 'mm/s')}"
+    else:
+        text += f"of {result.driven} the motion ends"
     if "last_turn.fluctuation" in figures:
         last = "cycle" if "last_turn.revolutions" in figures else "revolution"
         text += f"; its speed fluctuates by {100.0 * figures['last_turn.fluctuation']:z.2f} % in the last {last}"

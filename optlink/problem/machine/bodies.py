@@ -245,6 +245,8 @@ class DriveSection(DriveMotion):
         if self.speed.value == 0.0 and self.torque is None:
             remedy = 'Give a speed, or "static" for statics; from rest the drive needs a torque'
             raise Unusable("the crank speed is zero", remedy, "speed", str(self.speed))
+        if self.torque is not None and (self.law is not None or self.acceleration is not None):
+            raise Unusable("the drive has a prescribed motion and a torque", "Give one of the two", "torque", str(self.torque))
         return self
 
 

@@ -1,0 +1,169 @@
+"""Simulations of machines with couplings, laws of drives, slides and cylinders, against closed forms and own integrations."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import optlink
+from optlink.dynamics.forward import Ending
+from optlink.errors import InputError
+from optlink.presentation.views.simulation import charts, conclusion
+
+FILES = Path(__file__).parents[1] / "data" / "driven"
+RPM = math.pi / 30.0
+
+
+def simulated(name, changes=None, **options):
+    return optlink.simulate(optlink.load(FILES / f"{name}.toml", changes), **options)
+
+
+def balanced(run, share=1e-8):
+    assert run.figures["imbalance_J"] <= share * run.figures["turnover_J"]
+    assert run.figures["drift_m"] < 1e-8
+
+
+# --- couplings ------------------------------------------------------------------------------------------------------------
+
+
+def test_belt_under_a_torque_has_the_inertia_of_both_shafts():
+    disc = "kg*m^2"
+    changes = {
+        "bodies.crank": {"mass": "1 kg", "centroid": ["0 mm", "0 mm"], "inertia": f"0.01 {disc}"},
+        "bodies.wheel": {"mass": "4 kg", "centroid": ["0 mm", "0 mm"], "inertia": f"0.08 {disc}"},
+        "drive.torque": "6 N*m",
+    }
+    run = simulated("belt", changes, duration=0.5, rows=20)
+    alpha = (6.0 - 0.5 * 10.0) / (0.01 + 0.25 * 0.08)
+    np.testing.assert_allclose(run["crank.alpha_rad_s2"], alpha, rtol=1e-9)
+    np.testing.assert_allclose(run["wheel.omega_rad_s"], 0.5 * alpha * run["time_s"], rtol=1e-9, atol=1e-12)
+    balanced(run)
+
+
+def test_cam_under_a_torque_by_an_own_integration():
+    changes = {"bodies.cam": {"mass": "2 kg", "centroid": ["0 mm", "0 mm"], "inertia": "0.002 kg*m^2"}, "drive.torque": "0.3 N*m"}
+    run = simulated("plate-cam", changes, duration=0.3, rows=60, speed=5.0)
+    rise = 2.0 * math.pi / 3.0
+
+    def lift(angle):
+        """The first rise and dwell, then the cycloidal fall of the file: slope and bend."""
+        at = angle % (2.0 * math.pi)
+        if at < rise:
+            x = at / rise
+            return 0.02 / rise * (30 * x**2 - 60 * x**3 + 30 * x**4), 0.02 / rise**2 * (60 * x - 180 * x**2 + 120 * x**3)
+        if math.pi < at < 5.0 * math.pi / 3.0:
+            x = 2.0 * math.pi * (at - math.pi) / rise
+            return -0.02 / rise * (1.0 - math.cos(x)), -0.02 / rise**2 * 2.0 * math.pi * math.sin(x)
+        return 0.0, 0.0
+
+    def rates(_, state):
+        slope, bend = lift(state[0])
+        return state[1], (0.3 - slope * bend * state[1] ** 2) / (0.002 + slope**2)
+
+    own = solve_ivp(rates, (0.0, 0.3), (0.0, 5.0), t_eval=run["time_s"], rtol=1e-9, atol=1e-10, max_step=1e-3)
+    np.testing.assert_allclose(np.radians(run["crank_angle_deg"]), own.y[0], atol=2e-6)
+    assert own.y[0][-1] > 5.0
+    balanced(run)
+
+
+def test_rack_under_a_torque_gains_the_work_of_the_drive():
+    changes = {
+        "bodies.crank": {"mass": "2 kg", "centroid": ["0 mm", "0 mm"], "inertia": "0.01 kg*m^2"},
+        "drive.torque": "1 N*m",
+    }
+    run = simulated("rack-and-sector", changes, duration=1.0, rows=50, speed=2.0)
+    turned = np.radians(run["crank_angle_deg"])
+    y, x = 0.2 + 0.06 * np.sin(turned), 0.06 * np.cos(turned)
+    turning = 0.06 * (np.cos(turned) * x + np.sin(turned) * y) / (x**2 + y**2)  # of the sector per rotation of the crank
+    omega = run["crank.omega_rad_s"]
+    energy = 0.5 * (0.01 + 3.0 * (0.08 * turning) ** 2) * omega**2
+    np.testing.assert_allclose(energy - energy[0], turned, rtol=1e-8, atol=1e-10)
+    balanced(run)
+
+
+# --- prescribed motions ---------------------------------------------------------------------------------------------------
+
+
+def quintic(x):
+    """The 3-4-5 polynomial with its first two derivatives."""
+    return 10 * x**3 - 15 * x**4 + 6 * x**5, 30 * x**2 - 60 * x**3 + 30 * x**4, 60 * x - 180 * x**2 + 120 * x**3
+
+
+def test_arm_with_laws_needs_the_torques_of_the_textbook_over_time():
+    """Craig, Introduction to Robotics, section 6.7, one revolution of the laws and a half."""
+    laws = {
+        "drives.shoulder.law": [{"time": "1 s", "to": "80 deg"}, {"time": "1 s", "to": "20 deg"}],
+        "drives.elbow.law": {"expression": "-60 + 30*sin(pi*t)", "unit": "deg"},
+    }
+    run = simulated("two-link-arm", laws, duration=3.0, rows=60)
+    time, degree = run["time_s"], math.pi / 180.0
+    value, slope, bend = (60.0 * degree * part for part in quintic(time % 1.0))
+    back = np.where(np.floor(time) % 2 == 1, -1.0, 1.0)
+    q1, w1, a1 = np.where(back > 0.0, 20.0 * degree + value, 80.0 * degree - value), back * slope, back * bend
+    phase = math.pi * time
+    q, w, a = -60.0 + 30.0 * np.sin(phase), 30.0 * math.pi * np.cos(phase), -30.0 * math.pi**2 * np.sin(phase)
+    q, w, a = q * degree, w * degree, a * degree
+    coupled, g = 1.5 * 0.3 * 0.1, 9.81
+    elbow = (0.02 + 1.5 * 0.1**2) * (a + a1) + coupled * (np.cos(q) * a1 + np.sin(q) * w1**2) + 1.5 * g * 0.1 * np.cos(q1 + q)
+    shoulder = elbow + (0.03 + 2.0 * 0.12**2 + 1.5 * 0.3**2) * a1
+    shoulder += coupled * (np.cos(q) * (a + a1) - np.sin(q) * (w + w1) ** 2) + (2.0 * 0.12 + 1.5 * 0.3) * g * np.cos(q1)
+    np.testing.assert_allclose(run["upper.angle_rad"], q1, atol=1e-12)
+    np.testing.assert_allclose(run["elbow.torque_Nm"], elbow, rtol=0.0, atol=1e-8)
+    np.testing.assert_allclose(run["shoulder.torque_Nm"], shoulder, rtol=0.0, atol=1e-8)
+    assert run.driven == "motion laws"
+    balanced(run)
+    names = [panel.y.name for chart in charts(run) if chart.file == "drive" for panel in chart.panels]
+    assert names == ["crank speed [rpm]", "torque of shoulder [N·m]", "torque of elbow [N·m]"]
+
+
+def test_lever_rests_at_the_end_of_a_law_that_does_not_repeat():
+    law = {"drive.law": [{"time": "0.5 s", "to": "90 deg"}], "drive.start": "0 deg", "drive.speed": None}
+    run = simulated("hatch", law, duration=0.8, rows=80)
+    time, angle = run["time_s"], run["lid.angle_rad"]
+    value, _, bend = quintic(np.minimum(time / 0.5, 1.0))
+    np.testing.assert_allclose(angle, math.pi / 2.0 * value, atol=1e-12)
+    inertia = 6.0 + 50.0 * 0.8**2
+    torque = inertia * math.pi / 2.0 * bend / 0.25 + 50.0 * 9.81 * 0.8 * np.cos(angle)
+    away = np.abs(time - 0.5) > 1e-9
+    np.testing.assert_allclose(run["input.torque_Nm"][away], torque[away], rtol=0.0, atol=1e-8)
+    np.testing.assert_allclose(run["input.work_J"][-1], 50.0 * 9.81 * 0.8, rtol=1e-9)
+    balanced(run)
+
+
+def test_accelerated_crank_ends_where_its_motion_is_not_stated():
+    run = simulated("accelerated-crank", duration=1.0, rows=50)
+    time = run["time_s"]
+    np.testing.assert_allclose(run["crank.omega_rad_s"], 100.0 - 40.0 * time, rtol=1e-9)
+    assert run.ending is Ending.END_OF_RANGE
+    assert run.stopped == pytest.approx((100.0 - math.sqrt(100.0**2 - 2.0 * 40.0 * 2.0 * math.pi)) / 40.0, rel=1e-9)
+
+
+def test_cylinder_at_constant_speed_lifts_to_the_end_of_its_stroke():
+    run = simulated("excavator-boom", {"drive.speed": "100 mm/s"}, rows=70)
+    np.testing.assert_allclose(run["lift.length_m"], 1.2 + 0.1 * run["time_s"], rtol=1e-12)
+    assert run["time_s"][-1] == pytest.approx(7.0)
+    angle = run["boom.angle_rad"]
+    away, tilt = math.hypot(0.6, 0.4), math.atan2(-0.4, 0.6)
+    np.testing.assert_allclose(run["lift.length_m"] ** 2, away**2 + 1.5**2 - 2.0 * away * 1.5 * np.cos(angle - tilt), rtol=1e-12)
+    height = 0.7 * np.sin(angle) + 0.1 * np.cos(angle)
+    energy = 0.5 * (60.0 + 300.0 * 0.5) * run["boom.omega_rad_s"] ** 2 + 300.0 * 9.81 * height
+    np.testing.assert_allclose(run["input.work_J"], energy - energy[0], atol=1e-6)
+    assert conclusion(run).startswith("After 7 s the length of lift is 1900 mm, its speed 100 mm/s")
+    assert run.figures["end.position_m"] == pytest.approx(1.9)
+    assert run.figures["end.speed_m_s"] == pytest.approx(0.1)
+    longer = simulated("excavator-boom", {"drive.speed": "100 mm/s"}, duration=9.0)
+    assert (longer.ending, longer.stopped) == (Ending.END_OF_RANGE, pytest.approx(7.0))
+    balanced(run)
+
+
+def test_motor_that_a_law_moves_has_no_torque_or_crank_speed():
+    with pytest.raises(InputError, match=r"drive\.torque.*prescribed motion and a torque"):
+        simulated("servo-press", {"drive.torque": "5 N*m"})
+    with pytest.raises(InputError, match="moves by its law"):
+        simulated("two-link-arm", speed=3.0)
+    with pytest.raises(InputError, match="moves along a line"):
+        simulated("excavator-boom", flywheel=3.0)
