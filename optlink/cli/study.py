@@ -19,6 +19,7 @@ from optlink.execution import interrupts
 from optlink.solvers.contract import selectable
 
 if TYPE_CHECKING:
+    from optlink.problem.driving import Driving
     from optlink.problem.file import ProblemFile
 
 SIMULATED = ("the option applies to simulations", "Add --simulate")
@@ -83,17 +84,20 @@ def sensitivity(
     console.deliver(result, as_json, out)
 
 
-def _crank_angles(text: str) -> Any:
-    """Read crank angles [rad] such as "0 deg, 60 deg" or "0..330 deg:12"."""
+def _crank_angles(text: str, driving: Driving) -> Any:
+    """Read crank angles [rad] such as "0 deg, 60 deg" or "0..330 deg:12"; of a drive along a line its slides or lengths."""
     import numpy as np
 
     from optlink.studies.grid import read_axis
     from optlink.units import UnitProblem, factor
 
-    remedy = 'Write for example "0 deg, 60 deg" or "0..330 deg:12"'
+    kind, remedy = "angle", 'Write for example "0 deg, 60 deg" or "0..330 deg:12"'
+    if driving.ends is not None:
+        low, high = (f"{1e3 * end:.6g}" for end in driving.ends)
+        kind, remedy = "length", f'Write for example "{low} mm, {high} mm" or "{low}..{high} mm:12"'
     try:
         axis = read_axis("angles", text)
-        return np.asarray(axis.values) * factor(axis.unit, "angle")
+        return driving.at(np.asarray(axis.values) * factor(axis.unit, kind) / factor(driving.unit, kind))
     except (InputError, UnitProblem) as error:
         message = error.faults[0].message if isinstance(error, InputError) else error.message
         raise InputError(message, remedy, key="--angles", value=text) from None
@@ -111,9 +115,11 @@ def _output(
     from optlink.tasks.machine import check_within_range
     from optlink.tasks.protocol import completed
 
-    crank, limits = _crank_angles(angles), file.model.linkage.limits
-    if limits is not None and angles == DEFAULT_ANGLES:
-        crank = np.linspace(*limits, len(crank))
+    driving = file.model.driving
+    if driving.mechanism.limits is not None and angles == DEFAULT_ANGLES:
+        crank = np.linspace(*driving.mechanism.limits, 12)
+    else:
+        crank = _crank_angles(angles, driving)
     check_within_range(file, crank)
     if not design and file.model.free and file.task != "path" and file.task != "cycle":
         design = completed(solve(file)).design
@@ -129,13 +135,13 @@ def _output(
         write_json(out / "result.json", result.to_dict())
         columns = {f"per_{name}_SI": column for name, column in found.by.items()}
         value = f"{found.name}_{found.unit}"
-        write_csv(out / "sensitivity.csv", {"crank_angle_deg": np.degrees(crank), value: found.value} | columns)
+        write_csv(out / "sensitivity.csv", {driving.column: driving.shown(crank), value: found.value} | columns)
     if as_json:
         console.print_json(result.to_dict())
         return
     from optlink.presentation.views.sensitivity import outputs
 
-    console.show(outputs(found))
+    console.show(outputs(result))
 
 
 @study.command()
@@ -228,7 +234,7 @@ def tolerance(
     values = None if robust is not None and not design else console.given_design(file, problem, changes, design)
     if cost and allocate is None:
         raise InputError("the option applies to --allocate only", 'Add for example --allocate "99 %"', key="--cost")
-    crank = None if angles is None else _crank_angles(angles)
+    crank = None if angles is None else _crank_angles(angles, file.model.driving)
     sampling: dict[str, Any] = {"samples": samples, "seed": seed, "shape": distribution, "design": values}
     goals: dict[str, Any] = {"target_yield": None if allocate is None else read_yield(allocate), "costs": read_costs(cost or [])}
     goals["robust"] = None if robust is None else read_sigmas(robust)

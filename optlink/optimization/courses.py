@@ -88,7 +88,7 @@ SIGNS = {"peak": (1.0, -1.0), "largest": (1.0,), "least": (-1.0,)}
 
 def rows_below_level(goal: Goal, size: float, level: Any, parts: Sequence[Any]) -> Iterator[ConstraintRow]:
     """Yield the rows that keep the values at one position, in units of `size` [SI], below a level."""
-    label = f"{goal.words} at another crank angle"
+    label = f"{goal.words} at another position"
     if _vector(goal, parts):
         square = level * level - sum(part * part for part in parts) / size**2
         yield ConstraintRow(EPIGRAPH, label, square, 0.0, math.inf, PLAIN)

@@ -399,7 +399,7 @@ class _Targets:
     def rows_at(self, angle: Any) -> list[ConstraintRow]:
         """Return the rows of the largest error, or of its limit, at a further crank angle."""
         self.further.append(self.watched.at(angle, self.origin, *[0.0] * self.part.data.columns.shape[1]))
-        return list(self._below(self.further[-1], "at its peak" if self.signed else "at another crank angle"))
+        return list(self._below(self.further[-1], "at its peak" if self.signed else "at another position"))
 
     def _below(self, error: Any, where: str) -> Iterator[ConstraintRow]:
         """Yield the rows that keep an error, or each of several transmission cosines, below the largest one or the tolerance.

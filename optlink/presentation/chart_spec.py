@@ -30,6 +30,7 @@ import numpy as np
 from optlink.linkage.vector2d import Array as Array
 
 if TYPE_CHECKING:
+    from optlink.problem.driving import Driving
     from optlink.problem.file import ProblemFile
 
 Dash = Literal["solid", "dash", "dot", "dashdot"]
@@ -72,6 +73,14 @@ def crank_angle(*, clockwise: bool = False, limits: tuple[float, float] | None =
     """Return the axis of the crank angle [deg]; time increases to the right, so the angle of a clockwise crank decreases."""
     tenths = 6.0 if limits is None else min(6.0, math.ceil((limits[1] - limits[0]) / 60.0))
     return Axis(CRANK_ANGLE + (", clockwise to the right" if clockwise else ""), limits, reversed=clockwise, step=10.0 * tenths)
+
+
+def drive_axis(driving: Driving, *, clockwise: bool = False, limits: tuple[float, float] | None = None) -> Axis:
+    """Return the axis of the positions of a drive in their unit: crank angles, cycle angles, slides or lengths."""
+    if driving.ends is not None:
+        return Axis(f"{driving.coordinate} [{driving.unit}]", limits, reversed=clockwise)
+    axis = crank_angle(clockwise=clockwise, limits=limits)
+    return replace(axis, name=axis.name.replace("crank angle", driving.noun))
 
 
 @dataclass(frozen=True, eq=False)

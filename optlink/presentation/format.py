@@ -13,6 +13,7 @@ from optlink.units import percent
 from optlink.validation.check import Check
 
 if TYPE_CHECKING:
+    from optlink.problem.driving import Driving
     from optlink.tasks.results.design import LinkageDesign
 
 
@@ -131,6 +132,11 @@ class Scale(NamedTuple):
 def degrees(angle: float) -> str:
     """Format an angle [rad] in degrees."""
     return scale(0.0, "deg").text(angle)
+
+
+def position(driving: Driving, at: float) -> str:
+    """Format a position of a drive [rad] in its unit: "30.00°", "1050 mm"."""
+    return degrees(at) if driving.ends is None else figure(driving.shown(at), driving.unit)
 
 
 LENGTH = ((1e3, "k", 5.0), (1.0, "", 5.0), (1e-3, "m", 1.0), (1e-6, "µ", 1.0), (1e-9, "n", 0.0))

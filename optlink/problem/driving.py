@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from typing import TypeVar
 
 import numpy as np
 
@@ -14,13 +15,14 @@ from optlink.linkage.elements import Drive, Single
 from optlink.linkage.laws import Law, MotionLaw, Piece
 from optlink.linkage.mechanism import Mechanism, Size
 from optlink.linkage.stroke import reachable
-from optlink.linkage.vector2d import TURN
+from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.elements import geared
 from optlink.problem.machine.bodies import SLOWNESS, STATIC, DriveMotion, DriveSection
 from optlink.problem.mechanism import DyadsSection, FourBarSection
 from optlink.problem.quantity import Unusable, check_name
 from optlink.units import show
 
+Position = TypeVar("Position", float, Array)
 HALF = math.pi
 """Cycle variable [rad] from one end of the stroke of a slide or cylinder to the other."""
 
@@ -39,7 +41,7 @@ class Driving:
     ends: tuple[float, float] | None = None
     """Slides or lengths [m] of a single drive along a line at the ends of its stroke."""
 
-    def place(self, position: float) -> float:
+    def place(self, position: Position) -> Position:
         """Return the slide or length [m] of a drive along a line at a value of the cycle variable [rad]."""
         assert self.ends is not None
         return self.ends[0] + (self.ends[1] - self.ends[0]) * position / HALF
@@ -48,9 +50,15 @@ class Driving:
         """Return a crank angle, or a value of the cycle variable [rad], as a designer calls it: "crank angle 30 deg"."""
         return f"{self.coordinate} {self.shown(position):.6g} {self.unit}"
 
-    def shown(self, position: float) -> float:
+    def shown(self, position: Position) -> Position:
         """Return a crank angle, or the slide or length at a value of the cycle variable [rad], in `unit`."""
-        return math.degrees(position) if self.ends is None else 1e3 * self.place(position)
+        return math.degrees(1.0) * position if self.ends is None else 1e3 * self.place(position)
+
+    def at(self, shown: Position) -> Position:
+        """Return the crank angle, or the value of the cycle variable [rad], at a position in `unit`."""
+        if self.ends is None:
+            return math.radians(1.0) * shown
+        return HALF * (1e-3 * shown - self.ends[0]) / (self.ends[1] - self.ends[0])
 
     @property
     def unit(self) -> str:
@@ -58,12 +66,21 @@ class Driving:
         return "deg" if self.ends is None else "mm"
 
     @property
-    def coordinate(self) -> str:
-        """What the positions of the drive are: crank angles, the slide of a body, the length of a cylinder."""
+    def noun(self) -> str:
+        """What the positions of the drive are in short: crank angles, cycle angles of laws, slides, lengths."""
         if self.ends is None:
             return "cycle angle" if self.mechanism.drives else "crank angle"
-        drive = self.mechanism.drives[0]
-        return f"{'length' if drive.size else 'slide'} of {drive.body}"
+        return "length" if self.mechanism.drives[0].size else "slide"
+
+    @property
+    def coordinate(self) -> str:
+        """What the positions of the drive are: crank angles, the slide of a body, the length of a cylinder."""
+        return self.noun if self.ends is None else f"{self.noun} of {self.mechanism.drives[0].body}"
+
+    @property
+    def column(self) -> str:
+        """Name of a column of positions of the drive: "crank_angle_deg", "length_mm"."""
+        return f"{self.noun.replace(' ', '_')}_{self.unit}"
 
     @property
     def reach(self) -> str:

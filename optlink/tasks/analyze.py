@@ -28,6 +28,7 @@ from optlink.linkage.vector2d import TURN, Array, Value
 from optlink.problem.arguments import typed
 from optlink.problem.document import Renamed, Source, Tabled
 from optlink.problem.file import AnyProblem, ProblemFile, problem_of
+from optlink.problem.machine.bodies import SLOWNESS
 from optlink.problem.quantity import check_choice, check_range
 from optlink.tasks.machine import (
     MARGIN,
@@ -147,6 +148,11 @@ class Analysis(Tabled):
     def full(self) -> bool:
         """Whether the crank turns fully."""
         return self.ranges.full
+
+    @property
+    def static(self) -> bool:
+        """Whether the motion is so slow that inertia has no effect; its velocities and powers have no meaning then."""
+        return abs(self.speed) == SLOWNESS
 
     @property
     def cycle(self) -> float:

@@ -587,7 +587,7 @@ def test_an_unreachable_limit_is_reported(problem):
 
 
 def test_unreachable_angles_are_reported(problem):
-    with pytest.raises(InputError, match="cannot be assembled at 180 deg"):
+    with pytest.raises(InputError, match="cannot be assembled at crank angle 180 deg"):
         nominal_design(problem, "rocker", np.radians([0.0, 180.0]), {"coupler": 0.25, "rocker": 0.24})
 
 

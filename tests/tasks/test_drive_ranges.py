@@ -364,3 +364,31 @@ def test_a_page_of_a_cylinder_is_moved_by_its_length(tmp_path):
     stops = turning(result, 36).stops
     assert (stops.name, stops.unit) == ("length of lift", " mm")
     np.testing.assert_allclose([stops.values[0], stops.values[-1]], [800.0, 1300.0])
+
+
+def test_positions_are_called_by_the_drive(tmp_path):
+    """Charts, tables and files of a cylinder tell its length; those of a static machine no velocities."""
+    from optlink.presentation.registry import view_of
+    from optlink.presentation.views.analysis_charts import CycleCurves
+    from optlink.presentation.views.analysis_tables import analysis
+    from optlink.presentation.views.sensitivity import outputs
+    from optlink.studies.motion_sensitivity import OutputStudy
+
+    file = problem(tmp_path, LIFT)
+    result = optlink.analyze(file, points=4)
+    cycle = CycleCurves(result)
+    charts = [chart for chart in view_of("analysis").charts(cycle) if not chart.equal]
+    assert {(chart.x.name, chart.x.limits) for chart in charts} == {("length of lift [mm]", (800.0, 1300.0))}
+    x, y = cycle.line("input.force_N")
+    np.testing.assert_allclose(y, np.interp(x, np.linspace(800.0, 1300.0, 401), lift_forces([0.5, -0.5, 0.9])[1]), rtol=1e-5)
+    shown = repr(analysis(result))
+    assert "velocity" not in shown
+    assert "crank" not in shown
+    study = OutputStudy(file, "boom", file.model.sizes({}), file.model.driving.at(np.array([800.0, 1200.0])))
+    table = outputs(study)
+    assert [row[0].text for row in table.rows] == ["800", "1200"]
+    assert "constant length" in table.title
+    scatter = optlink.studies.tolerance(
+        file, {"G.x": "1 mm"}, "boom", samples=16, design={name: file.model.sizes({})[name] for name in file.model.free}
+    )
+    np.testing.assert_allclose(scatter.columns["length_mm"][[0, -1]], [800.0, 1300.0])

@@ -67,7 +67,7 @@ def dimensioned(cycle: Analysis, title: str) -> Drawing:
     circles = {f"{body} R {_mm(1e3 * one.radius)}" for body, listed in drawn.profiles.items() for one in listed if one.radius}
     words += sorted(circles)
     driving = cycle.problem.model.driving
-    place = f"{driving.coordinate.partition(' of ')[0]} of {_deg(at) if driving.ends is None else f'{_mm(driving.shown(at))} mm'}"
+    place = f"{driving.noun} of {_deg(at) if driving.ends is None else f'{_mm(driving.shown(at))} mm'}"
     described = f"{title}, drawn at a {place}. Dimensions in mm: {'; '.join(words)}."
     for name in drawn.moving:
         if np.all(np.isfinite(drawn.points[name][0])):

@@ -97,9 +97,9 @@ def document(
         message = f"two holes of {body} would overlap: they are {least:.6g} mm apart"
         raise InputError(message, "Give a smaller diameter", key="--hole", value=f"{diameter:.6g} mm")
     radius = 0.5 * (WIDTH * diameter if width is None else 1e3 * width)
-    drawing = new("R2010", units=units.MM)
+    drawing, driving = new("R2010", units=units.MM), cycle.problem.model.driving
     drawing.header.custom_vars.append("TITLE", " ".join(title.split()))
-    drawing.header.custom_vars.append("CRANK ANGLE [deg]", f"{math.degrees(at):.9g}")
+    drawing.header.custom_vars.append(f"{driving.noun.upper()} [{driving.unit}]", f"{driving.shown(at):.9g}")
     drawing.linetypes.add("DASHED", [1.0, 0.6, -0.4])
     drawing.linetypes.add("CHAIN", [2.0, 1.2, -0.3, 0.2, -0.3])
     for name, colour in ((ASSEMBLY, 7), (PARTS, 7), (NAMES, 7), (TRACES, 9), (MARKS, 8)):

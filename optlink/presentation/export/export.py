@@ -110,7 +110,7 @@ def _svg(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> N
     from optlink.presentation.scene import scene
 
     at = place_of(model, cycle, options.at)
-    title = f"{model.problem.model.title}: crank angle {math.degrees(at):.6g} deg"
+    title = f"{model.problem.model.title}: {model.problem.model.driving.text(at)}"
     text = svg(scene(cycle, at=at, regions=model.regions), title, true_size=True)
     with whole(path) as temporary:
         temporary.write_text(text, encoding="utf-8")

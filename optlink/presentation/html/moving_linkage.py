@@ -106,7 +106,8 @@ def decimals_of(values: Array) -> int:
 def turning(cycle: Analysis, steps: int, regions: Sequence[Region] = ()) -> Moving:
     """Return the animation of a machine over its crank angle, with `steps` positions per revolution and regions of its limits."""
     drawn = scene(cycle, steps, regions=regions)
-    stops, driving = Stops("crank angle", "°", drawn.crank_angles, 1, 360.0), cycle.problem.model.driving
+    driving = cycle.problem.model.driving
+    stops = Stops(driving.noun, "°", drawn.crank_angles, 1, 360.0)
     if driving.ends is not None:
         lengths = np.array([driving.shown(at) for at in np.radians(drawn.crank_angles)])
         stops = Stops(driving.coordinate, " mm", lengths, decimals_of(lengths))

@@ -14,7 +14,7 @@ from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import TURN
 from optlink.presentation.chart_spec import CRANK, TARGET, ChartSpec
 from optlink.presentation.drawing import Sketch, film, merged_positions, there_and_back
-from optlink.presentation.format import degrees, round_below, scale
+from optlink.presentation.format import position, round_below, scale
 from optlink.presentation.labels import Label, place_labels
 from optlink.presentation.style import figure, heading, panels, styled
 from optlink.presentation.view import View
@@ -75,7 +75,7 @@ def mechanism(cycle: CycleCurves) -> Figure:
     if slow and not cycle.steady:
         chosen = min(slow, key=lambda name: slow[name])
     longest = 0.2 * np.max(sketch.high - sketch.low)
-    drawn_arrows = sketch.arrows(motions[chosen], moving, longest)
+    drawn_arrows = {} if result.static else sketch.arrows(motions[chosen], moving, longest)
     sketch.widen(np.array([end for _, end in drawn_arrows.values()]).reshape(-1, 2))
     count = len(angles) + bool(drawn_arrows)
     tall = sketch.ratio > 1.15
@@ -95,7 +95,7 @@ def mechanism(cycle: CycleCurves) -> Figure:
         axes.set_xlabel(axes.get_xlabel(), loc="left")  # the scale of the arrows is drawn on the right
         for point, (begin, end) in drawn_arrows.items():
             _arrow(axes, begin, end, gid=f"velocity {point}")
-        axes.set_title(f"velocities of the joints, φ {degrees(angles[chosen])}\n{heading(chosen, panel, 9.5)}", fontsize=9.5)
+        axes.set_title(f"velocities of the joints, {_place(cycle, angles[chosen])}\n{heading(chosen, panel, 9.5)}", fontsize=9.5)
     fig.suptitle(heading(result.problem.model.title, width), fontsize=11)
     sketch.add_legend(fig, int(1.1 * width))
     place_labels(fig, labels)
@@ -128,12 +128,15 @@ def _arrow(axes: Axes, begin: NDArray[np.float64], end: NDArray[np.float64], gid
     return drawn
 
 
+def _place(cycle: CycleCurves, at: float) -> str:
+    """Format a position of the drive: "φ 30.00°", "length 1050 mm"."""
+    return f"{'φ' if cycle.driving.ends is None else cycle.driving.noun} {position(cycle.driving, at)}"
+
+
 def _state(cycle: CycleCurves, at: float) -> str:
     """Format crank angle, output position and driving torque at a position."""
     out = output(cycle)
-    driving = cycle.result.problem.model.driving
-    where = f"φ {degrees(at)}" if driving.ends is None else driving.text(at)
-    parts = [where, f"{'s' if out.slides else 'θ'} {out.scales(cycle)[0].text(cycle.at(at, out.columns[0]))}"]
+    parts = [_place(cycle, at), f"{'s' if out.slides else 'θ'} {out.scales(cycle)[0].text(cycle.at(at, out.columns[0]))}"]
     for effort in cycle.efforts if not np.any(np.abs(cycle.result.jumps - at) < 1e-6) else ():
         if cycle.has(effort.column) and math.isfinite(value := cycle.at(at, effort.column)):
             parts.append(f"{effort.symbol} {scale(cycle.peak(effort.column), effort.unit).text(value)}")
@@ -161,7 +164,7 @@ def frames(cycle: CycleCurves, count: int = FRAMES) -> list[Image.Image]:
     word = effort.words if effort else f"{out.name}: {'slide' if out.slides else 'angle'}"
     traces = analysis_charts.curves(cycle, name, unit, "", CRANK)
     strip = analysis_charts.chart(cycle, "", "", [analysis_charts.panel(cycle, f"{word} [{unit.unit}]", traces)])
-    marks = np.array([[math.degrees(at), cycle.at(at, name) * unit.factor] for at in steps])
+    marks = np.array([[cycle.driving.shown(at), cycle.at(at, name) * unit.factor] for at in steps])
     return film(sketch, sweep(machine.mechanism, machine.sizes, steps), strip, marks, [result.problem.model.title])
 
 

@@ -35,10 +35,10 @@ from optlink.presentation.chart_spec import (
     Mark,
     Panel,
     Span,
-    crank_angle,
+    drive_axis,
     max_abs,
 )
-from optlink.presentation.format import Scale, degrees, scale
+from optlink.presentation.format import Scale, position, round_below, scale
 from optlink.tasks.analyze import Analysis
 from optlink.tasks.results.extremes import Extreme
 
@@ -72,7 +72,8 @@ class CycleCurves:
         everywhere = np.concatenate([grid, jumps, jumps])
         order = np.argsort(self.direction * everywhere, kind="stable")
         self.angles: Array = everywhere[order]
-        self.degrees = np.degrees(self.angles)
+        self.driving = result.problem.model.driving
+        self.places: Array = self.driving.shown(self.angles)
         machine, speed = result.machine, result.speed
         records = [MotionColumns(machine.moving(grid, speed))]
         if jumps.size:
@@ -135,15 +136,30 @@ class CycleCurves:
         return jumps
 
     def line(self, name: str, factor: float = 1.0) -> tuple[Array, Array]:
-        """Return crank angles [deg] and scaled values, with NaN inserted at jumps."""
+        """Return positions of the drive in its unit and scaled values, with NaN inserted at jumps."""
         at = [k + 1 for k in self.breaks(name)]
-        return np.insert(self.degrees, at, np.nan), np.insert(self.columns[name] * factor, at, np.nan)
+        return np.insert(self.places, at, np.nan), np.insert(self.columns[name] * factor, at, np.nan)
 
     def inside(self, crank_angle: float) -> float:
         """Return the crank angle [rad] shifted by whole periods into the range of the motion."""
         low, high = sorted((self.start, self.end))
         within = low <= crank_angle <= high or not self.result.full
         return crank_angle if within else low + (crank_angle - low) % self.result.cycle
+
+    def place(self, crank_angle: float) -> float:
+        """Return where a position [rad] lies on the axis of a chart, in the unit of the drive."""
+        return self.driving.shown(self.inside(crank_angle))
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Least and largest position of the drive in its unit."""
+        low, high = sorted((self.driving.shown(self.start), self.driving.shown(self.end)))
+        return low, high
+
+    @property
+    def pivot(self) -> str:
+        """What the first joint of the driven body is called."""
+        return "Crank pivot" if self.driving.ends is None else "Pivot"
 
     def in_order(self, crank_angles: Sequence[float]) -> list[float]:
         """Return crank angles [rad] shifted into the range of the motion, in the order of the motion."""
@@ -234,7 +250,7 @@ def curves(
     traces.append(Curve(*cycle.line(column, shown.factor), name, colour, width, dash, gid=column))
     for k in cycle.breaks(column):
         ends = cycle.columns[column][k : k + 2] * shown.factor
-        traces.append(Curve(np.full(2, cycle.degrees[k]), ends, "", colour, 0.9, "dot", hover=False, gid=f"jump {column}"))
+        traces.append(Curve(np.full(2, cycle.places[k]), ends, "", colour, 0.9, "dot", hover=False, gid=f"jump {column}"))
     return traces
 
 
@@ -283,7 +299,7 @@ def extremes(cycle: CycleCurves, name: str, shown: Scale, colour: str = TARGET, 
         return []
     marks = []
     for value, at, direction in ((extreme.least, extreme.least_at, -1.0), (extreme.largest, extreme.largest_at, 1.0)):
-        x, words = math.degrees(cycle.inside(at)), f"{shown.text(value)} at {degrees(at)}"
+        x, words = cycle.place(at), f"{shown.text(value)} at {position(cycle.driving, at)}"
         marks.append(Mark(x, value * shown.factor, words, colour, prefer=(0.0, direction), gid=f"extreme {name}"))
     return marks
 
@@ -291,10 +307,10 @@ def extremes(cycle: CycleCurves, name: str, shown: Scale, colour: str = TARGET, 
 def chart(
     cycle: CycleCurves, file: str, title: str, panels: Sequence[Panel], *, lines: Sequence[Line] = (), **options: Any
 ) -> ChartSpec:
-    """Return a chart over the crank angle with its singular positions; `options` are further attributes of `ChartSpec`."""
-    ends = sorted((math.degrees(cycle.start), math.degrees(cycle.end)))
-    x = crank_angle(clockwise=cycle.direction < 0.0, limits=(ends[0], ends[1]))
-    places = [math.degrees(cycle.inside(position.crank_angle)) for position in cycle.result.ranges.singular]
+    """Return a chart over the positions of the drive with the singular ones; `options` are further attributes of `ChartSpec`."""
+    backwards = cycle.driving.shown(cycle.start) > cycle.driving.shown(cycle.end)
+    x = drive_axis(cycle.driving, clockwise=backwards, limits=cycle.ends)
+    places = [cycle.place(position.crank_angle) for position in cycle.result.ranges.singular]
     singular = [
         Line(at, "" if k else "not determined beyond", LIMIT, 1.2, gid="singular position") for k, at in enumerate(places)
     ]
@@ -317,7 +333,9 @@ def motion(cycle: CycleCurves, initial: CycleCurves | None = None) -> list[Chart
         words = ("displacement s", "velocity", "acceleration") if out.slides else ("angle θ", "angular velocity", "acceleration")
         panels = []
         for k, (name, unit, word, floor) in enumerate(
-            zip(out.columns, out.scales(cycle, shown), words, out.floors(cycle), strict=True)
+            list(zip(out.columns, out.scales(cycle, shown), words, out.floors(cycle), strict=True))[
+                : 1 if cycle.result.static else 3
+            ]
         ):
             traces = curves(cycle, name, unit, "", (RESULT, BODIES[1], CRANK)[k], initial=initial)
             limits = _limits(cycle, out) if name.endswith(".angle_rad") else cycle.result.extremes.get(name)
@@ -342,7 +360,7 @@ def bodies(cycle: CycleCurves) -> list[ChartSpec]:
     windows = {body: cycle.window(cycle[name]) for body, name in names.items()}
     variable = {body: names[body] for body, (low, high) in windows.items() if high - low > 1e-8 * turning}
     shown = dict(list(together(cycle.columns, variable).items())[:MAX_BODIES])
-    if not shown:
+    if not shown or cycle.result.static:
         return []
     panels = []
     for word, ending, si in (("velocity", ".omega_rad_s", "rad/s"), ("acceleration", ".alpha_rad_s2", "rad/s²")):
@@ -379,7 +397,7 @@ def together(columns: Mapping[str, Array], names: Mapping[str, str]) -> dict[str
 
 def _strokes(cycle: CycleCurves, travel: Travel | None) -> tuple[list[Line], list[Span]]:
     """Return dead centres as lines, and the quick stroke as shaded ranges, named with the crank rotation of both strokes."""
-    centres = [math.degrees(at) for at in cycle.in_order(travel.dead_centres)] if travel else []
+    centres = [cycle.driving.shown(at) for at in cycle.in_order(travel.dead_centres)] if travel else []
     visible = centres if len(centres) <= MAX_DEAD_CENTRES else []
     lines = [Line(at, "" if k else "dead centre", MUTED, 1.0, gid="dead centre") for k, at in enumerate(visible)]
     if travel is None or not (cycle.result.full and len(centres) == 2 and travel.time_ratio > 1.0 + 1e-6):
@@ -413,7 +431,7 @@ def _stroke_text(cycle: CycleCurves, out: OutputMotion) -> str:
     if math.isfinite(out.travel.time_ratio):
         parts.append(f"time ratio {out.travel.time_ratio:z.4f}")
     if out.travel.dead_centres:
-        centres = [degrees(at) for at in cycle.in_order(out.travel.dead_centres)]
+        centres = [position(cycle.driving, at) for at in cycle.in_order(out.travel.dead_centres)]
         parts.append(
             f"dead centre{'s' if len(centres) > 1 else ''} at {', '.join([*centres[:8], '...'] if len(centres) > 8 else centres)}"
         )
@@ -487,15 +505,15 @@ def reactions(cycle: CycleCurves) -> list[ChartSpec]:
     caption = cycle.result.meanings.get(x, "").removesuffix(" in x")
     heading = machine_title(cycle, "joint reactions")
     force = [panel(cycle, f"force [{unit.unit}]", pair, 1.6, marks)]
-    pivot_chart = chart(cycle, "reactions", f"Crank pivot {crank.start}: {caption}", force, heading=heading, width=6.2)
-    pivot_hodograph = hodograph(cycle, x, y, unit, "reactions", "Hodograph of this force, crank angle marked")
+    pivot_chart = chart(cycle, "reactions", f"{cycle.pivot} {crank.start}: {caption}", force, heading=heading, width=6.2)
+    pivot_hodograph = hodograph(cycle, x, y, unit, "reactions", f"Hodograph of this force, {cycle.driving.noun} marked")
     unit = scale(cycle.peak(*amounts.values()), "N")
     shown = together(cycle.columns, {label: name for label, name in amounts.items() if cycle.has(name, list(amounts.values()))})
     traces = []
     for k, (label, name) in enumerate(shown.items()):
         colour = (CRANK, *BODIES)[k % (len(BODIES) + 1)]
         extreme = cycle.result.extremes.get(name)
-        amount = f"{unit.text(extreme.largest)} at {degrees(extreme.largest_at)}" if extreme else ""
+        amount = f"{unit.text(extreme.largest)} at {position(cycle.driving, extreme.largest_at)}" if extreme else ""
         amount = "without bound" if name in cycle.result.unbounded else amount
         traces += curves(cycle, name, unit, f"{label}:  {amount}" if amount else label, colour, *look(k, len(shown)))
     y_axis = axis(cycle, f"amount of force [{unit.unit}]", traces)
@@ -523,20 +541,23 @@ def hodograph(
         traces.append(Curve(ends[0], ends[1], "", RESULT, 0.9, "dot", hover=False, gid="jump"))
     marks = [Mark(0.0, 0.0, "", TARGET, "plus", 9.0), *more]
     finite_points = np.isfinite(xs) & np.isfinite(ys)
-    step = 60.0 if cycle.result.full else 10.0 * max(1.0, math.ceil(abs(math.degrees(cycle.end - cycle.start)) / 60.0))
-    low, high = sorted((math.degrees(cycle.start), math.degrees(cycle.end)))
+    low, high = cycle.ends
+    step = 60.0 if cycle.result.full else 10.0 * max(1.0, math.ceil((high - low) / 60.0))
+    if cycle.driving.ends is not None:
+        step = round_below((high - low) / 4.0, (1.0, 2.0, 5.0))
     middle = np.array([np.mean(xs[finite_points]), np.mean(ys[finite_points])]) if finite_points.any() else np.zeros(2)
-    for turned in np.arange(math.ceil(low / step - 1e-9) * step, high - (1e-6 if cycle.result.full else -1e-9), step):
-        at = np.array([cycle.at(math.radians(turned), name) * unit.factor for name in (x, y)])
+    for shown in np.arange(math.ceil(low / step - 1e-9) * step, high - (1e-6 if cycle.result.full else -1e-9), step):
+        at = np.array([cycle.at(cycle.driving.at(shown), name) * unit.factor for name in (x, y)])
         if np.all(np.isfinite(at)):
             outward = (at - middle) / max(float(np.linalg.norm(at - middle)), 1e-30)
             prefer = (float(outward[0]), float(outward[1]))
-            marks.append(Mark(at[0], at[1], f"{turned % 360.0:z.0f}°", RESULT, size=4.0, prefer=prefer, written=True))
+            text = f"{shown % 360.0:z.0f}°" if cycle.driving.ends is None else f"{shown:.6g} mm"
+            marks.append(Mark(at[0], at[1], text, RESULT, size=4.0, prefer=prefer, written=True))
     marks += _sense(xs, ys, [(mark.x, mark.y) for mark in marks])
     across, up = _window(cycle, xs[finite_points], ys[finite_points])
-    shown = Panel(Axis(f"force in y [{unit.unit}]", up), traces, marks=marks)
+    plane = Panel(Axis(f"force in y [{unit.unit}]", up), traces, marks=marks)
     name = Axis(f"force in x [{unit.unit}]", across)
-    return ChartSpec(file, title, [shown], name, heading or machine_title(cycle, title), equal=True, cursor=False, width=4.8)
+    return ChartSpec(file, title, [plane], name, heading or machine_title(cycle, title), equal=True, cursor=False, width=4.8)
 
 
 def _window(cycle: CycleCurves, xs: Array, ys: Array) -> list[tuple[float, float]]:
@@ -615,7 +636,7 @@ def work(cycle: CycleCurves, initial: CycleCurves | None = None) -> list[ChartSp
         traces = [curve for energy in stored for curve in curves(cycle, energy, unit, *words[energy], 1.5)]
         if len(stored) == 2:
             total_energy = (cycle[energies[0]] + cycle[energies[1]]) * unit.factor
-            traces.append(Curve(cycle.degrees, total_energy, "both", MUTED, 1.2, "dash", gid="energy"))
+            traces.append(Curve(cycle.places, total_energy, "both", MUTED, 1.2, "dash", gid="energy"))
         panels.append(panel(cycle, f"energy [{unit.unit}]", traces))
     return [chart(cycle, "work", "Work of the drive", panels, remark=caption)]
 
@@ -632,7 +653,7 @@ def shaking(cycle: CycleCurves, initial: CycleCurves | None = None) -> list[Char
         unit = scale(cycle.peak(x, y), "N")
         most = _largest_shaking(cycle)
         mark = Mark(most[0] * unit.factor, most[1] * unit.factor, "", CRANK, size=5.0, gid="largest")
-        caption = f"Shaking force, at most {unit.text(math.hypot(most[0], most[1]))} at {degrees(most[2])}"
+        caption = f"Shaking force, at most {unit.text(math.hypot(most[0], most[1]))} at {position(cycle.driving, most[2])}"
         charts.append(hodograph(cycle, x, y, unit, "shaking", caption, [mark], heading))
         traces = [
             *curves(cycle, x, unit, "in x", RESULT, initial=initial),
@@ -644,7 +665,8 @@ def shaking(cycle: CycleCurves, initial: CycleCurves | None = None) -> list[Char
         unit = scale(cycle.peak(moment), "N m")
         traces = curves(cycle, moment, unit, "", BODIES[3], initial=initial)
         panels.append(panel(cycle, f"moment [{unit.unit}]", traces, 1.0, extremes(cycle, moment, unit)))
-        title = f"Shaking{' of the frame,' * forced} moment about the crank pivot {cycle.result.machine.mechanism.crank.start}"
+        pivot = f"{cycle.pivot.lower()} {cycle.result.machine.mechanism.crank.start}"
+        title = f"Shaking{' of the frame,' * forced} moment about the {pivot}"
     remark = "" if forced else "force-balanced: no shaking force"
     charts.append(chart(cycle, "shaking", title, panels, heading=heading, remark=remark, width=5.8 if forced else 7.6))
     return charts

@@ -31,7 +31,7 @@ from optlink.presentation.table_spec import (
 )
 from optlink.problem.file import ProblemFile
 from optlink.problem.machine.balance import BalanceSection
-from optlink.problem.machine.bodies import SLOWNESS, DriveMotion
+from optlink.problem.machine.bodies import DriveMotion
 from optlink.problem.mechanism import DyadsSection
 from optlink.units import percent, show
 
@@ -170,7 +170,7 @@ def analysis(outcome: Analysis) -> Summary:
 
 def _speed(outcome: Analysis) -> str:
     speed, ends = outcome.speed, outcome.problem.model.driving.ends
-    if abs(speed) == SLOWNESS:
+    if outcome.static:
         return "static"
     if ends is None and outcome.machine.mechanism.drives:
         return f"the drives take {2.0 * math.pi / abs(speed):.6g} s for a cycle"
@@ -237,6 +237,12 @@ WORTH = {
 }
 """Endings of the columns whose extremes are worth a line, with their names and display units."""
 
+RATES = (".v_m_s", ".a_m_s2", ".power_W")
+"""Endings of the columns that have no meaning where a drive is so slow that inertia has no effect."""
+
+SHORT = 1e-3
+"""Lever [m] of a force whose moment is worth showing."""
+
 LONGEST = 24
 """Letters up to which the name of an output stays on one line."""
 
@@ -248,9 +254,16 @@ UNITS = ("s", "s2", "rad", "N", "Nm", "W")
 
 
 def _extremes(outcome: Analysis) -> TableSpec:
-    worth = {name: shown for name in outcome.extremes for ending, shown in WORTH.items() if name.endswith(ending)}
+    still = RATES if outcome.static else ()
+    worth = {
+        name: shown
+        for name in outcome.extremes
+        for ending, shown in WORTH.items()
+        if name.endswith(ending) and not name.endswith(still)
+    }
     amounts, driving = outcome.extremes.amounts, outcome.problem.model.driving
     scale = {unit: max((size for name, size in amounts.items() if name.endswith(f"_{unit}")), default=0.0) for unit in UNITS}
+    scale["Nm"] = max(scale["Nm"], SHORT * scale["N"])
     rows = []
     for name, extreme in outcome.extremes.select(worth).items():
         (word, unit), size = worth[name], max(abs(extreme.least), abs(extreme.largest))

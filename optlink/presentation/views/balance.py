@@ -28,10 +28,10 @@ from optlink.presentation.chart_spec import (
     Mark,
     Panel,
     Picks,
-    crank_angle,
+    drive_axis,
     max_abs,
 )
-from optlink.presentation.format import change, figure, fixed, joined, number, scale, shown, times
+from optlink.presentation.format import change, figure, fixed, joined, number, position, scale, shown, times
 from optlink.presentation.table_spec import (
     Inline,
     Paragraph,
@@ -107,11 +107,13 @@ def before_after(result: Balance) -> list[ChartSpec]:
     if abs(abs(x[-1] - x[0]) + abs(x[1] - x[0]) - 360.0) < 1e-6:  # a whole revolution is closed
         closing = [x[0] + math.copysign(360.0, x[1] - x[0])]
     angles = np.append(x, closing)
-    axis = crank_angle(limits=(np.min(angles), np.max(angles)))
+    driving = result.problem.model.driving
+    places = driving.shown(np.radians(angles))
+    axis = drive_axis(driving, limits=(float(np.min(places)), float(np.max(places))))
     heading = f"{result.problem.model.title}: least {result.measure}"
     specs = []
     for row, (title, group, file) in enumerate(groups):
-        panels = [_panel(result, term, angles, BODIES[k]) for k, term in enumerate(group)]
+        panels = [_panel(result, term, places, BODIES[k]) for k, term in enumerate(group)]
         specs.append(ChartSpec(file, title, panels, axis, heading, row=row, width=8.2))
     return [chart for chart in specs if chart.panels]
 
@@ -148,8 +150,8 @@ def hodograph(result: Balance) -> ChartSpec:
     """Plot the hodograph of the shaking force over the motion before and after balancing, with equal scales."""
     names = (("before", INITIAL, 1.4, "initial"), ("after", RESULT, 2.1, "balanced"))
     paths = [np.stack([result.columns[f"{when}.shaking_force_{axis}_N"] for axis in "xy"], axis=-1) for when, *_ in names]
-    largest = max_abs(paths[0])
-    unit = scale(largest, "N")
+    largest, driving = max_abs(paths[0]), result.problem.model.driving
+    unit, limits = scale(largest, "N"), driving.mechanism.limits
     centre = Curve(np.zeros(1), np.zeros(1), "", TARGET, mode="markers", symbol="plus", size=10.0, legend=False, hover=False)
     curves, marks = [centre], []
     for (_, colour, width, name), path in zip(names, paths, strict=True):
@@ -160,14 +162,16 @@ def hodograph(result: Balance) -> ChartSpec:
         if most < 0.02 * largest:  # degenerates to a point: no crank angles to mark
             marks.append(Mark(middle[0], middle[1], "", colour, size=6.0))
             continue
-        for turned in range(0, 360, 60):
-            k = int(np.argmin(np.abs(np.mod(result.columns["crank_angle_deg"] - turned + 180.0, 360.0) - 180.0)))
+        marked = np.radians(range(0, 360, 60)) if limits is None else np.linspace(*limits, 5)
+        for at in marked:
+            k = int(np.argmin(np.abs(np.mod(result.angles - at + np.pi, 2.0 * np.pi) - np.pi)))
             x, y = (drawn[k] - middle) / max(float(np.linalg.norm(drawn[k] - middle)), 1e-30)
             mark = partial(Mark, float(drawn[k, 0]), float(drawn[k, 1]), size=4.0, written=True)
-            marks.append(mark(f"{turned}°", colour, prefer=(float(x), float(y))))
+            text = f"{math.degrees(at):.4g}°" if driving.ends is None else position(driving, at)
+            marks.append(mark(text, colour, prefer=(float(x), float(y))))
     x_axis, y_axis = (Axis(f"shaking force in {axis} [{unit.unit}]") for axis in "xy")
-    heading = f"{result.problem.model.title}: shaking force, crank angle marked"
-    panel, title = Panel(y_axis, curves, marks=marks), "Shaking force over the motion, crank angle marked"
+    heading = f"{result.problem.model.title}: shaking force, {driving.noun} marked"
+    panel, title = Panel(y_axis, curves, marks=marks), f"Shaking force over the motion, {driving.noun} marked"
     return ChartSpec("hodograph", title, [panel], x_axis, heading, equal=True, cursor=False)
 
 

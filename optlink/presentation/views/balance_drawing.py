@@ -44,7 +44,8 @@ def mechanism(result: Balance) -> Figure | None:
             _disc(axes, sketch, counterweight, centre)
             x, y = _centres(counterweight, sketch, sketch.motion).T
             axes.plot(x, y, color=sketch.colours[body], linewidth=0.8, linestyle=":", zorder=1, gid=f"track {body}")
-        axes.set_title(f"φ {math.degrees(at) % 360.0:.4g}°", fontsize=9.5)
+        driving = result.problem.model.driving
+        axes.set_title(f"φ {math.degrees(at) % 360.0:.4g}°" if driving.ends is None else driving.text(at), fontsize=9.5)
     sketch.add_legend(fig)
     fig.suptitle(heading(f"{result.problem.model.title}: counterweights to scale", 2.0 * panel), fontsize=11)
     lay_out(fig)

@@ -83,7 +83,7 @@ def analysis(outcome: Analysis) -> str:
         if extreme is not None and max(abs(extreme.least), abs(extreme.largest)) > 0.0:
             low = abs(extreme.least) > abs(extreme.largest)
             value, at = (extreme.least, extreme.least_at) if low else (extreme.largest, extreme.largest_at)
-            place = f"{driving.coordinate.partition(' of ')[0]} of {figure(driving.shown(at), driving.unit)}"
+            place = f"{driving.noun} of {figure(driving.shown(at), driving.unit)}"
             drive = f"the drive {effort.drive}" if effort.drive else "the drive"
             words.append(f"{drive} needs up to {si(abs(value), effort.unit)} (at a {place})")
     pins = extremes.select(name for name in extremes if name.endswith(".f_N"))

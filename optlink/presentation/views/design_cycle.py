@@ -9,16 +9,17 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from optlink.dynamics.columns import MotionColumns
+from optlink.dynamics.columns import MotionColumns, efforts
 from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import TURN, Value
 from optlink.presentation import chart_spec
-from optlink.presentation.chart_spec import GROUND, LIMIT, MUTED, RESULT, Array, Axis, ChartSpec, Curve, Panel, crank_angle
+from optlink.presentation.chart_spec import GROUND, LIMIT, MUTED, RESULT, Array, Axis, ChartSpec, Curve, Panel, drive_axis
 from optlink.presentation.drawing import Sketch
-from optlink.presentation.format import Scale, marked, scale
+from optlink.presentation.format import Scale, marked, position, scale
 from optlink.presentation.labels import place_labels
 from optlink.presentation.style import figure, heading, styled
 from optlink.problem.design import DesignProblem
+from optlink.problem.driving import Driving
 from optlink.problem.terms import Term
 from optlink.tasks.analyze import Analysis
 from optlink.tasks.results.design import LinkageDesign, SynthesisResult
@@ -30,14 +31,14 @@ STEPS = 720
 
 
 class Line(NamedTuple):
-    """A quantity over the revolution: crank angles [deg], values [SI] with NaN at jumps, its measure."""
+    """A quantity over the revolution or range: positions of the drive in its unit, values [SI] with NaN at jumps, its measure."""
 
     angles: Array
     values: Array
     figure: float
 
 
-def _line(cycle: Cycle, term: Term) -> Line:
+def _line(cycle: Cycle, term: Term, driving: Driving) -> Line:
     """Evaluate a cyclic term over the revolution, with one-sided values at load jumps."""
     machine, read = cycle.history(term)
     jumps = cycle.low + np.remainder(cycle.work.jumps - cycle.low, cycle.cycle)
@@ -48,7 +49,7 @@ def _line(cycle: Cycle, term: Term) -> Line:
     rank = np.concatenate([np.ones(len(even)), np.full(len(jumps), 2.0), np.zeros(len(jumps))])
     rank = rank if cycle.speed > 0.0 else -rank
     order = np.lexsort((rank, angles))
-    x, y = np.degrees(angles[order]), np.concatenate([values, before])[order]
+    x, y = driving.shown(angles[order]), np.concatenate([values, before])[order]
     gaps = np.flatnonzero(np.diff(x) == 0.0) + 1
     return Line(np.insert(x, gaps, np.nan), np.insert(y, gaps, np.nan), cycle.figure(term))
 
@@ -72,25 +73,26 @@ def courses(design: LinkageDesign) -> list[ChartSpec]:
     if not shown or optimal is None or not optimal.complete:
         return []
     cycles = {"result": optimal} if initial is None or not initial.complete else {"initial": initial, "result": optimal}
-    panels = [_panel(design.whole, term, cycles, (low, high)) for term, low, high in shown]
+    driving = design.problem.model.driving
+    panels = [_panel(design, term, cycles, (low, high)) for term, low, high in shown]
     jumps = [
         chart_spec.Line(
-            math.degrees(cycle.low + (at - cycle.low) % cycle.cycle), colour=RESULT if name == "result" else INITIAL, width=0.8
+            driving.shown(cycle.low + (at - cycle.low) % cycle.cycle), colour=RESULT if name == "result" else INITIAL, width=0.8
         )
         for name, cycle in cycles.items()
         for at in cycle.work.jumps
     ]
-    x = crank_angle(limits=(math.degrees(optimal.low), math.degrees(optimal.high)))
-    if optimal.speed < 0.0:
+    x = drive_axis(driving, limits=(driving.shown(optimal.low), driving.shown(optimal.high)))
+    if optimal.speed < 0.0 and driving.ends is None:
         x = Axis(f"{x.name}, turned clockwise: from right to left", x.limits, step=x.step)
     whole = optimal.over if optimal.limits or optimal.cycle == TURN else "the cycle"
     title = f"Objectives and limits over {whole}"
     return [ChartSpec("courses", title, panels, x, heading=design.whole.title, lines=jumps)]
 
 
-def _panel(problem: DesignProblem, term: Term, cycles: dict[str, Cycle], limits: tuple[float | None, float | None]) -> Panel:
-    lines = {name: _line(cycle, term) for name, cycle in cycles.items()}
-    kind = problem.kind(term)
+def _panel(design: LinkageDesign, term: Term, cycles: dict[str, Cycle], limits: tuple[float | None, float | None]) -> Panel:
+    lines = {name: _line(cycle, term, design.problem.model.driving) for name, cycle in cycles.items()}
+    kind = design.whole.kind(term)
     unit = "deg" if kind == "angle" else KINDS[kind].si.replace("**2", "²").replace("*", " ") if kind in KINDS else ""
     shown = scale(max(np.nanmax(np.abs(line.values)) for line in lines.values()), unit)
     styles = {"initial": (INITIAL, 1.3), "result": (RESULT, 1.8)}
@@ -113,14 +115,14 @@ def _limits(term: Term, limits: tuple[float | None, float | None], shown: Scale,
 
 @styled
 def beside_initial(result: SynthesisResult) -> Figure | None:
-    """Draw the initial machine grey and the optimal one in colour, with joint paths, at the crank angle of the largest torque.
+    """Draw the initial machine grey and the optimal one in colour, with joint paths, where the drive exerts most.
 
     None beside targets, and if the crank cannot turn fully.
     """
     if (design := result.best) is None or not design.whole.of_cycle or design.analysis is None:
         return None
     initial, optimal = design.initial_analysis, design.analysis
-    at = np.array([_largest_torque_angle(optimal)])
+    at = np.array([_largest_effort(optimal)])
     sketches = [(a, Sketch(_revolution(a), a.machine)) for a in (initial, optimal) if a is not None]
     main = sketches[-1][1]
     for _, sketch in sketches[:-1]:
@@ -134,18 +136,19 @@ def beside_initial(result: SynthesisResult) -> Figure | None:
     names = main.show(axes, sweep(optimal.machine.mechanism, optimal.machine.sizes, at))
     grey = {} if initial is None else {"initial_machine": Line2D([], [], color=INITIAL, linewidth=3.0)}
     main.add_legend(fig, 5, **grey)
-    title = f"{design.whole.title}: at crank angle {math.degrees(float(at[0])):z.1f}°"
+    driving = optimal.problem.model.driving
+    title = f"{design.whole.title}: at {driving.noun} {position(driving, float(at[0]))}"
     titles = marked(title, design, result.refuted)
     fig.suptitle("\n".join(heading(line, width) for line in titles), color=None if design.valid else LIMIT)
     place_labels(fig, names)
     return fig
 
 
-def _largest_torque_angle(optimal: Analysis) -> float:
-    """Return the crank angle [rad] at which the absolute driving torque of the optimal machine is largest."""
-    extreme = optimal.extremes.get("input.torque_Nm")
+def _largest_effort(optimal: Analysis) -> float:
+    """Return the position [rad] at which the absolute torque or force of the drive of the optimal machine is largest."""
+    extreme = optimal.extremes.get(efforts(optimal.machine.mechanism)[0].column)
     if extreme is None or not math.isfinite(extreme.largest):
-        return 0.0
+        return float(optimal.positions[0])
     return extreme.largest_at if extreme.largest >= -extreme.least else extreme.least_at
 
 

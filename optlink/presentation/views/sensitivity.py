@@ -26,7 +26,7 @@ from optlink.presentation.table_spec import (
     verdict,
 )
 from optlink.presentation.view import View
-from optlink.studies.motion_sensitivity import OutputSensitivity
+from optlink.studies.motion_sensitivity import OutputStudy
 from optlink.studies.sensitivity import DERIVATIVE_TOLERANCE, Derivatives, Sensitivities, Sensitivity
 from optlink.tasks.run import validate
 from optlink.units import percent
@@ -187,18 +187,22 @@ def _percent(share: float) -> str:
     return f"{100.0 * share:+.1e} %" if 0.0 < abs(share) < MIN_CHANGE else percent(share, 3, signed=True)
 
 
-def outputs(sensitivity: OutputSensitivity) -> TableSpec:
-    """Tabulate the derivatives of an output with respect to every dimension, one row for each crank angle."""
+def outputs(study: OutputStudy) -> TableSpec:
+    """Tabulate the derivatives of an output with respect to every dimension, one row for each position of the drive."""
+    sensitivity, driving = study.derivatives, study.problem.model.driving
     angular = sensitivity.unit == "rad"
     per, unit = ("deg per mm", "deg") if angular else ("mm per mm", "mm")
     factor = math.degrees(1.0) / 1e3 if angular else 1.0
     shown = np.degrees(sensitivity.value) if angular else 1e3 * sensitivity.value
     rows = [
-        (f"{angle:g}", fixed(shown[i], 4), *(fixed(factor * column[i], 6) for column in sensitivity.by.values()))
-        for i, angle in enumerate(np.degrees(sensitivity.crank_angles))
+        (f"{place:g}", fixed(shown[i], 4), *(fixed(factor * column[i], 6) for column in sensitivity.by.values()))
+        for i, place in enumerate(driving.shown(sensitivity.crank_angles))
     ]
-    columns = [">crank [deg]", f">{sensitivity.name} [{unit}]", *(f">{name}" for name in sensitivity.by)]
-    return table(f"{sensitivity.name}: derivative with respect to each dimension at constant crank angle [{per}]", columns, rows)
+    first = "crank" if driving.noun == "crank angle" else driving.coordinate
+    columns = [f">{first} [{driving.unit}]", f">{sensitivity.name} [{unit}]", *(f">{name}" for name in sensitivity.by)]
+    return table(
+        f"{sensitivity.name}: derivative with respect to each dimension at constant {driving.noun} [{per}]", columns, rows
+    )
 
 
 def conclusion(result: Sensitivities) -> str:

@@ -19,7 +19,7 @@ from optlink.presentation.chart_spec import (
     Curve,
     Line,
     Panel,
-    crank_angle,
+    drive_axis,
 )
 from optlink.presentation.format import dimension, figure, fixed, number
 from optlink.presentation.table_spec import Row, Summary, TableSpec, bad, good, quiet, strong, summary, table
@@ -93,12 +93,12 @@ def _contributions(result: Tolerance) -> ChartSpec:
     parts = sorted(named, key=lambda part: -np.mean(part[1]))
     colours = [COLOURS[k % len(COLOURS)] for k in range(len(parts))]
     title = f"Variance contributions to {result.nominal.name}"
-    heading, x = f"{result.problem.model.title}: variance contributions to its scatter", result.nominal.degrees
+    heading, x = f"{result.problem.model.title}: variance contributions to its scatter", result.nominal.places
     if len(x) == 1:
         places, shares = np.arange(len(parts), 0.0, -1.0), np.array([float(share[0]) for _, share in parts])
         bars = Bars(places, shares, "share", colours, 0.8, horizontal=True, legend=False)
         names = Axis(ticks=[(place, name) for place, (name, _) in zip(places.tolist(), parts, strict=True)])
-        across = Axis(f"share of the variance at {x[0]:.4g} deg [%]")
+        across = Axis(f"share of the variance at {_place(result, 0)} [%]")
         panel = Panel(names, [bars], 0.2 * len(parts) + 0.4)
         return ChartSpec("contributions", title, [panel], across, heading, cursor=False, width=8.0)
     ends = np.cumsum([np.zeros(len(x)), *(share for _, share in parts)], axis=0)
@@ -107,12 +107,12 @@ def _contributions(result: Tolerance) -> ChartSpec:
         for (name, share), colour, low, high in zip(parts, colours, ends[:-1], ends[1:], strict=True)
     ]
     panel = Panel(Axis("share of the variance [%]", (0.0, 100.0)), bands, 1.5)
-    return ChartSpec("contributions", title, [panel], crank_angle(), heading, width=8.0)
+    return ChartSpec("contributions", title, [panel], drive_axis(result.nominal.driving), heading, width=8.0)
 
 
 def _band(result: Tolerance) -> ChartSpec:
     """Plot the error or the change of the output: worst case, three standard deviations, sample extremes, limit."""
-    x, k, base, unit = result.nominal.degrees, result.scale, result.nominal.base, result.display_unit
+    x, k, base, unit = result.nominal.places, result.scale, result.nominal.base, result.display_unit
     mode: Literal["lines", "lines+markers"] = "lines" if len(x) > 2 else "lines+markers"
     error, limit = bool(np.any(base)), math.nan if result.limit is None else k * result.limit
     wide = x if len(x) > 1 else x + np.array([-0.5, 0.5])  # a single angle has a visible band too
@@ -139,7 +139,7 @@ def _band(result: Tolerance) -> ChartSpec:
     panel = Panel(Axis(f"{what}{result.bracketed}", ends_of_y), traces, 1.7, lines)
     output = f"the {name}" if error else name
     title, heading = f"Scatter of {name}", f"{result.problem.model.title}: {output} as built"
-    return ChartSpec("band", title, [panel], crank_angle(), heading, width=8.0)
+    return ChartSpec("band", title, [panel], drive_axis(result.nominal.driving), heading, width=8.0)
 
 
 def _histogram(result: Tolerance, sampled: MonteCarlo) -> ChartSpec:
@@ -163,7 +163,7 @@ def _histogram(result: Tolerance, sampled: MonteCarlo) -> ChartSpec:
     remark = f"Yield {share}, with 95 % confidence {least} ... {most}." if limited else ""
     what = judged_value(result) if np.any(result.nominal.base) else f"change of {result.nominal.name}"
     title = f"{sampled.samples:,} linkages with their tolerances"
-    panel, x = Panel(Axis("share of the samples [%]"), bars, 1.4), f"largest {what} at any of the crank angles"
+    panel, x = Panel(Axis("share of the samples [%]"), bars, 1.4), f"largest {what} at any of the {result.nominal.driving.noun}s"
     text, unit = (f"{result.problem.model.title}: {title}", remark), result.display_unit
     lines = [Line(limit, f"limit {limit:.5g} {unit}", LIMIT, 1.6, "solid")] if limited else []
     return ChartSpec("histogram", title, [panel], Axis(f"{x}{result.bracketed}"), *text, lines, cursor=False, width=8.0)
@@ -171,7 +171,9 @@ def _histogram(result: Tolerance, sampled: MonteCarlo) -> ChartSpec:
 
 def overview(result: Tolerance) -> Summary:
     """Summarise a tolerance analysis."""
-    status = f"effect of the tolerances on {result.nominal.name}, at {len(result.nominal.crank_angles)} crank angles"
+    status = (
+        f"effect of the tolerances on {result.nominal.name}, at {len(result.nominal.crank_angles)} {result.nominal.driving.noun}s"
+    )
     return summary(
         result.problem.model.title,
         [status],
@@ -181,6 +183,11 @@ def overview(result: Tolerance) -> Summary:
         _sampled(result, result.monte_carlo) if result.monte_carlo is not None else None,
         _allocated(result, result.allocation) if result.allocation is not None else None,
     )
+
+
+def _place(result: Tolerance, k: int) -> str:
+    """Format a position of the drive with its unit."""
+    return f"{result.nominal.places[k]:.4g} {result.nominal.driving.unit}"
 
 
 def judged_value(result: Tolerance) -> str:
@@ -238,8 +245,8 @@ def _shares(result: Tolerance) -> TableSpec:
         cells = quiet(made), per, strong(f"{shares[at]:z.1f} %"), f"{np.mean(shares):z.1f} %"
         rows.append((deviation.name, _symmetric(deviation.tolerance, unit), *cells))
     change = f">change [{result.display_unit or '-'}\nper {' or '.join(sorted(units, reverse=True))}]"
-    columns = ["", ">tolerance", "distribution", change, ">share of the\nvariance", ">over all\nangles"]
-    return table(f"Variance contributions at the worst crank angle: {result.nominal.degrees[at]:.4g} deg", columns, rows)
+    columns = ["", ">tolerance", "distribution", change, ">share of the\nvariance", ">over all"]
+    return table(f"Variance contributions at the worst {result.nominal.driving.noun}: {_place(result, at)}", columns, rows)
 
 
 def _scatter(result: Tolerance) -> TableSpec:
@@ -250,16 +257,14 @@ def _scatter(result: Tolerance) -> TableSpec:
         ("standard deviation", result.sigma, ""),
     ):
         at = int(np.argmax(column))
-        rows.append((name, sign + number(result.scale * column[at], 5), quiet(f"at {result.nominal.degrees[at]:.4g} deg")))
+        rows.append((name, sign + number(result.scale * column[at], 5), quiet(f"at {_place(result, at)}")))
     return table(f"Change of the output to first order{result.bracketed}", "<><", rows)
 
 
 def _sampled(result: Tolerance, sampled: MonteCarlo) -> TableSpec:
     scale, unit, at = result.scale, result.display_unit, result.where
     sigma = f"{number(scale * sampled.sigma[at], 5)} ± {number(scale * 2.0 * sampled.sigma_error[at], 2)}"
-    rows: list[Row] = [
-        ("standard deviation", sigma, quiet(f"{unit}, at {result.nominal.degrees[at]:.4g} deg".removeprefix(", ")))
-    ]
+    rows: list[Row] = [("standard deviation", sigma, quiet(f"{unit}, at {_place(result, at)}".removeprefix(", ")))]
     for name, value in sampled.quantiles.items():
         shown = number(scale * value, 5) if math.isfinite(value) else "beyond the histogram"
         rows.append((f"largest {judged_value(result)}: {name.removesuffix('_percent')} % below", shown, unit))

@@ -142,8 +142,9 @@ class Tolerance(LinearAnalysis, Document):
 
     @property
     def columns(self) -> dict[str, Array]:
-        """Table over crank angles, by name with SI unit, but crank angles [deg]."""
-        worst, columns = self.worst, {"crank_deg": self.nominal.degrees}
+        """Table over the positions of the drive, by name with SI unit, but the positions in the unit of the drive."""
+        worst, driving = self.worst, self.nominal.driving
+        columns = {"crank_deg" if driving.noun == "crank angle" else driving.column: self.nominal.places}
         named_columns = {"value": self.nominal.value, "judged": self.nominal.base, "worst_low": worst[0], "worst_high": worst[1]}
         named_columns |= {"rss": self.rss, "sigma": self.sigma, "shift": self.shift}
         if self.monte_carlo is not None:

@@ -14,11 +14,13 @@ from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.vector2d import TURN, Array, Value, cross, dot
 from optlink.problem.design import DesignProblem
 from optlink.problem.document import Column, Number, Rows
+from optlink.problem.driving import Driving
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import check_choice
 from optlink.problem.targets.law import Table
 from optlink.problem.tolerances import with_deviating_pivots
 from optlink.studies.motion_sensitivity import output_names, output_sensitivity
+from optlink.tasks.machine import position_text
 from optlink.tasks.protocol import completed
 from optlink.tasks.run import design_task, solve
 
@@ -69,9 +71,19 @@ class Nominal:
         return self.output in self.mechanism.bodies
 
     @property
+    def driving(self) -> Driving:
+        """How the drive moves the linkage."""
+        return self.problem.model.driving
+
+    @property
     def degrees(self) -> Array:
         """Crank angles (angles,) [deg]."""
         return np.degrees(self.crank_angles)
+
+    @property
+    def places(self) -> Array:
+        """Positions of the drive (angles,) in its unit."""
+        return self.driving.shown(self.crank_angles)
 
     @property
     def unit(self) -> str:
@@ -208,9 +220,9 @@ def _placed(problem: ProblemFile, sizes: dict[str, float], at: Array, output: st
 def _check_assembled(problem: ProblemFile, at: Array, value: Array) -> None:
     """Refuse crank angles that the linkage does not reach."""
     if not np.all(np.isfinite(value)):
-        angle = math.degrees(float(at[int(np.argmin(np.isfinite(value)))]))
-        remedy = "Give crank angles that it reaches with --angles"
-        raise InputError(f"the linkage cannot be assembled at {angle:.4g} deg", remedy, problem.file, "--angles")
+        where = position_text(problem, float(at[int(np.argmin(np.isfinite(value)))]))
+        remedy = "Give positions that it reaches with --angles"
+        raise InputError(f"the linkage cannot be assembled at {where}", remedy, problem.file, "--angles")
 
 
 def _design(problem: ProblemFile, design: Mapping[str, float] | None) -> tuple[ProblemFile, dict[str, float], Array | None]:

@@ -237,8 +237,8 @@ class LinkageDesign(Summary):
             name = self.whole.goals[0].words
             initial, optimal, unit = self.figures[0].initial, self.figures[0].result, self.figures[0].unit
         if not math.isfinite(initial) and not required:
-            moves = "move through its range" if self.whole.linkage.limits else "turn fully"
-            return f"the crank of the initial design does not {moves}"
+            what, moves = ("drive", "move through its range") if self.whole.linkage.limits else ("crank", "turn fully")
+            return f"the {what} of the initial design does not {moves}"
         text, before = (f"{value:.5g} {unit}".rstrip() for value in (optimal, initial))
         if required and not first.valid:  # the middle of the bounds is not an initial design
             return f"{name} {text}"
