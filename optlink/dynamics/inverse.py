@@ -22,7 +22,8 @@ from optlink.linkage.dyads import JointedDyad
 from optlink.linkage.elements import Drive
 from optlink.linkage.jet import as_jet
 from optlink.linkage.mechanism import FRAME, Dyad, Guide, Joint, Link, Pose
-from optlink.linkage.vector2d import Array, Value, Vector, cross, dot, minus, plus
+from optlink.linkage.trains import Single, Train
+from optlink.linkage.vector2d import Array, Value, Vector, cross, dot, minus, plus, turn
 
 # Force balances of dyads: the pin force that two balances determine, and the forces that follow from it.
 
@@ -147,9 +148,9 @@ class ForceBalance:
         """Solve all groups, the last one first."""
         mechanism = self.mechanism
         for group in reversed(mechanism.groups):
-            self._commit_singles(group.joint)
+            self._commit_trains(group.joint)
             self._commit(group, self.with_friction(group))
-        self._commit_singles("")
+        self._commit_trains("")
         if not mechanism.drives:
             crank = mechanism.crank
             force, self.result.torque = self.needed[crank.body]
@@ -178,43 +179,50 @@ class ForceBalance:
         """Return the unit vector of a guide's line."""
         return self.moving.line(guide.name)
 
-    def _commit_singles(self, after: str) -> None:
-        """Solve the bodies that are placed alone after a group, the last one first."""
-        for single in reversed(self.mechanism.placed_after.get(after, ())):
-            body, guide, needed = single.link.body, single.guide, self.needed[single.link.body]
+    def _commit_trains(self, after: str) -> None:
+        """Solve the bodies that drives and couplings place after a group, the last ones first."""
+        for train in reversed(self.mechanism.placed_after.get(after, ())):
+            for element, effort in zip(train.elements, train.efforts(self.pose, self._loads(train)), strict=True):
+                if isinstance(element, Drive):
+                    self.result.efforts[element.name] = effort
+                for action in element.actions(self, effort):
+                    self._carry(action.body, action.point, (-action.force[0], -action.force[1]), -action.torque)
+            for single in reversed(train.singles):
+                body, needed, guide = single.link.body, self.needed[single.link.body], single.guide
+                if guide is None:
+                    carrier = self._carrier(single)
+                    self._exert(str(single.joint), body, needed.force, carrier)
+                    self._carry(carrier, self.at(single.joint), needed.force, 0.0)
+                else:
+                    self._guided(guide, body, needed.force, self.about(single.link, self.at(guide)))
+
+    def _loads(self, train: Train) -> dict[Joint, Value]:
+        """Return the moments about the pins and the forces along the guides that drives and couplings must exert together.
+
+        A pin passes on a force, a guide what acts across its line, the moment and its friction.
+        """
+        needed, loads, own = dict(self.needed), dict[Joint, Value](), [single.link.body for single in train.singles]
+        for single in reversed(train.singles):
+            body, guide, place = single.link.body, single.guide, self.at(single.joint)
+            force, moment = needed[body].force, needed[body].about(self.moving.state(body).start, place)
             if guide is None:
-                effort = self.about(single.link, self.at(str(single.joint)))
+                loads[body], moment, carrier = moment, 0.0, self._carrier(single)
             else:
-                way, (x, y) = 1.0 if body == guide.slider else -1.0, self.line(guide)
-                effort = way * dot((x, y), needed.force)
-                normal = cross((x, y), needed.force)
-                friction = 0.0
+                carrier, way, (x, y) = guide.other(body), 1.0 if body == guide.slider else -1.0, self.line(guide)
+                along, normal, friction = dot((x, y), force), cross((x, y), force), 0.0
                 if guide.name in self.moving.machine.friction:  # against the sliding of this body on the other
                     sense = np.abs(normal) if self.normals is None else normal * self.normals[guide.name]
                     friction = -self._slip(guide) * sense * way
-                    effort = effort - way * friction
-            if isinstance(single.by, Drive):
-                self.result.efforts[single.by.name] = effort
-            rest = needed
-            for action in single.by.actions(self, single, effort):
-                if action.body == FRAME:
-                    continue
-                start = self.moving.state(action.body).start
-                exerted = Wrench(action.force, action.torque + cross(minus(action.point, start), action.force))
-                if action.body == body:
-                    rest = rest + -exerted
-                else:
-                    self.needed[action.body] = self.needed[action.body] + -exerted
-            if guide is None:
-                point = str(single.joint)
-                before = self.order[body]
-                carrier = next(holder for holder in self.mechanism.pins[point] if self.order[holder] < before)
-                self._exert(point, body, rest.force, carrier)
-                self._carry(carrier, self.at(point), rest.force, 0.0)
-            else:
-                place = self.at(guide)
-                moment = rest.about(self.moving.state(body).start, place)
-                self._guided(guide, body, rest.force, moment)
+                loads[guide], force = way * (along - friction), turn((friction, normal), (x, y))
+            if carrier in own:
+                lever = minus(place, self.moving.state(carrier).start)
+                needed[carrier] = needed[carrier] + Wrench(force, moment + cross(lever, force))
+        return loads
+
+    def _carrier(self, single: Single) -> str:
+        """Return the body that carries the pin of another one."""
+        pins = self.mechanism.pins[str(single.joint)]
+        return next(body for body in pins if self.order[body] < self.order[single.link.body])
 
     def _push(self, drive: Drive) -> Value:
         """Return the force of a cylinder [N], positive where it pushes."""

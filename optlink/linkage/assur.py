@@ -15,8 +15,9 @@ from typing import get_args
 from optlink.errors import InvalidValue
 from optlink.io import Entry, register
 from optlink.linkage.dyads import FORWARD, RPR, LineDyad, ModalDyad, Transmitting
-from optlink.linkage.elements import Drive, Element, Single
+from optlink.linkage.elements import Drive, Element
 from optlink.linkage.mechanism import FRAME, BodyPoint, Dyad, Ground, Guide, Joint, Link, Mechanism, owners_of
+from optlink.linkage.trains import Single, Train
 from optlink.unsupported import unsupported
 
 _SIDE = re.compile(r"\s*(left|right)\s+of\s+(\S+)\s*(?:->|-|–|→|to)\s*(\S+)\s*", re.ASCII)
@@ -25,6 +26,10 @@ CONTINUE = "continue"
 
 EITHER = "either"
 """An assembly mode that a search shall choose; until then it counts as left, or forward."""
+
+
+MOST_COUPLED = 6
+"""Largest number of bodies whose angles and slides are determined together."""
 
 
 class StructureError(InvalidValue):
@@ -47,9 +52,9 @@ class Assembly:
     """Decomposition of a mechanism into dyads, in an order in which the bodies can be placed two at a time.
 
     The start of the body `driver` is its pivot on the frame; it is empty where `drives` prescribe the motion instead. Bodies with
-    one joint that a drive or a coupling places are placed alone. `modes` are by the name of the inner joint: "left of B-D" or
-    "right of B-D" for RRR groups; "forward" or "backward" along the guide for RRP and RPR groups. With ", continue" appended the
-    group is continued smoothly through its singular positions.
+    one joint that drives and couplings determine are placed before a dyad. `modes` are by the name of the inner joint: "left of
+    B-D" or "right of B-D" for RRR groups; "forward" or "backward" along the guide for RRP and RPR groups. With ", continue"
+    appended the group is continued smoothly through its singular positions.
     """
 
     ground: Mapping[str, Ground]
@@ -67,7 +72,7 @@ class Assembly:
         self.members = owners_of(self.ground, self.links, self.points)
         self.placed = {FRAME, self.driver} - {""}
         self.groups: list[Dyad] = []
-        self.singles: list[Single] = []
+        self.trains: list[Train] = []
         self.used: set[str] = set()  # joints whose assembly mode is that of a group
         shared = {point: bodies for point, bodies in self.members.items() if len(bodies) > 1}
         everything = (FRAME, *self.bodies)
@@ -82,10 +87,11 @@ class Assembly:
         near |= {guide.other(body) for guide in self.rails[body]}
         return sorted(near - self.placed - {body}, key=self.rank.__getitem__)
 
-    def placed_joints(self, body: str) -> list[Joint]:
-        """Return the joints of a body with bodies that are already placed."""
-        pins = [point for point in self.pins[body] if self.placed.intersection(self.members[point])]
-        return [*pins, *(guide for guide in self.rails[body] if guide.other(body) in self.placed)]
+    def placed_joints(self, body: str, placed: set[str] | None = None) -> list[Joint]:
+        """Return the joints of a body with bodies that are already placed, by default with all of them."""
+        known = self.placed if placed is None else placed
+        pins = [point for point in self.pins[body] if known.intersection(self.members[point])]
+        return [*pins, *(guide for guide in self.rails[body] if guide.other(body) in known)]
 
     def _shared(self, first: str, second: str) -> list[Joint]:
         """Return the joints between two bodies that are not yet placed."""
@@ -106,10 +112,11 @@ class Assembly:
         connected = {body for start in self.placed for body in self.neighbours(start)}
         while len(self.placed) <= len(self.bodies):
             rank = self.rank.__getitem__
-            if (single := next(self._alone(), None)) is not None:
-                self.singles.append(single)
-                self.placed.add(single.link.body)
-                connected = (connected | set(self.neighbours(single.link.body))) - self.placed
+            if (train := next(self._trains(), None)) is not None:
+                self.trains.append(train)
+                bodies = [single.link.body for single in train.singles]
+                self.placed.update(bodies)
+                connected = connected.union(*map(self.neighbours, bodies)) - self.placed
                 continue
             pairs = ((a, b) for a in sorted(connected, key=rank) for b in self.neighbours(a) if rank(a) < rank(b))
             group = next(filter(None, itertools.starmap(self._group, pairs)), None)  # the first one, in the order of the file
@@ -126,9 +133,8 @@ class Assembly:
                 raise StructureError(
                     "no dyad has its inner joint there, or the dyad has only one assembly mode", remedy, f"assembly.{joint}"
                 )
-        idle = {element.name for element in (*self.drives, *self.couplings)} - {single.by.name for single in self.singles}
         for element in self.couplings:
-            if element.name in idle:
+            if element in self._idle:
                 raise StructureError(
                     f"{element.name} couples bodies whose motions other joints and drives determine",
                     "Remove it, or a drive or joint",
@@ -137,27 +143,50 @@ class Assembly:
         crank = self.bodies[self.driver or self.drives[0].body]
         groups, points = tuple(self.groups), tuple(self.points)
         return Mechanism(
-            name, self.ground, crank, groups, points, tuple(self.guides), singles=tuple(self.singles), drives=tuple(self.drives)
+            name, self.ground, crank, groups, points, tuple(self.guides), trains=tuple(self.trains), drives=tuple(self.drives)
         )
 
-    def _alone(self) -> Iterator[Single]:
-        """Yield the bodies that drives and couplings can place next: those with one joint with placed bodies."""
+    @property
+    def _idle(self) -> list[Element]:
+        """The drives and couplings that determine no body yet."""
+        acting = [element for train in self.trains for element in train.elements]
+        return [element for element in (*self.drives, *self.couplings) if element not in acting]
+
+    def _trains(self) -> Iterator[Train]:
+        """Yield the bodies that drives and couplings can place next: as many as there are equations between them."""
         after = self.groups[-1].joint if self.groups else ""
-        for element in (*self.drives, *self.couplings):
-            body = element.places(self.placed)
-            if not body or body in self.placed:
-                continue
-            joints = self.placed_joints(body)
-            if len(joints) > 1:
+        unknown = [(element, bodies) for element in self._idle if (bodies := element.unknown(self.placed))]
+        for count in range(1, min(len(unknown), MOST_COUPLED) + 1):
+            for chosen in itertools.combinations(unknown, count):
+                left = set[str]().union(*(bodies for _, bodies in chosen))
+                if len(left) == count and (singles := self._singles(left, chosen[0][0])):
+                    yield Train(singles, tuple(element for element, _ in chosen), after)
+
+    def _singles(self, left: set[str], element: Element) -> tuple[Single, ...]:
+        """Return bodies in an order in which each has one joint with those before it; empty if there is none.
+
+        Raises
+        ------
+        StructureError
+            If joints with placed bodies already fix one of them.
+        """
+        singles: list[Single] = []
+        order = sorted(left, key=self.rank.__getitem__)
+        while order:
+            placed = self.placed.union(single.link.body for single in singles)
+            joints = {body: self.placed_joints(body, placed) for body in order}
+            if len(left) == 1 and len(joints[order[0]]) > 1:
                 raise StructureError(
-                    f"{body} cannot move by {element.name}: the joints {_list(joints)} already fix it",
+                    f"{order[0]} cannot move by {element.name}: the joints {_list(joints[order[0]])} already fix it",
                     "Remove one of the joints, or the drive",
-                    f"links.{body}",
+                    f"links.{order[0]}",
                 )
-            if joints:
-                joint = joints[0]
-                against = element.against if isinstance(joint, str) else joint.other(body)
-                yield Single(self.bodies[body], joint, against, element, after)
+            body = next((body for body in order if len(joints[body]) == 1), None)
+            if body is None:
+                return ()
+            order.remove(body)
+            singles.append(Single(self.bodies[body], joints[body][0]))
+        return tuple(singles)
 
     def check_joints(self) -> None:
         """Refuse a driven body off the frame or fixed to it, and bodies without a joint.

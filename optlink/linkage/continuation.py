@@ -111,8 +111,8 @@ class _Course:
         """Add the next group, continued from its mode at the crank angle `start` unless that is None."""
         groups, k = self.mechanism.groups, self.count
         joints = {"", *(g.joint for g in groups[: k + 1])}
-        singles = tuple(single for single in self.mechanism.singles if single.after in joints)
-        part = replace(self.mechanism, groups=groups[: k + 1], points=(), singles=singles)
+        trains = tuple(train for train in self.mechanism.trains if train.after in joints)
+        part = replace(self.mechanism, groups=groups[: k + 1], points=(), trains=trains)
         part = replace(part, points=tuple(point for point in self.mechanism.points if point.body in part.bodies))
         aligned = least_alignments(part, self.sizes, self.moving.with_group(group))
         if self.ranges.full and self._closes(part, aligned):

@@ -1,7 +1,7 @@
 """Drives and couplings: laws by which one body moves on a placed one, and lengths that cylinders prescribe.
 
-All of them are functions of one cycle variable, the crank angle of a mechanism with one crank at constant speed. A body that has
-one joint with placed bodies is placed in closed form: its angle or slide is prescribed, or follows from bodies before it.
+All of them are functions of one cycle variable, the crank angle of a mechanism with one crank at constant speed. Each states one
+linear equation between the angles of bodies and the slides in guides; those of a `Train` are solved together.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from optlink.linkage.bodies import FRAME, Guide, Joint, Link, Size
 from optlink.linkage.cams import Arm, Contact, DiscCam, Face, Profile, Roller, Slide
 from optlink.linkage.jet import Jet, as_jet
 from optlink.linkage.laws import MotionLaw
-from optlink.linkage.vector2d import TURN, Array, Value, Vector, cross, dot, magnitude, minus, plus, sign, turn, turn_back, unit
+from optlink.linkage.vector2d import TURN, Array, Value, Vector, cross, dot, magnitude, minus, plus, sign, turn, turn_back
 
 PRESSURE = math.radians(20.0)
 """Pressure angle of involute teeth (ISO 53)."""
@@ -106,70 +106,26 @@ class Element(Protocol):
         """The bodies whose motions it couples; none for a drive."""
 
     @property
-    def against(self) -> str:
-        """The body relative to which it states the angle of a body on a pin."""
-
-    @property
     def sizes(self) -> tuple[Size, ...]:
         """The sizes on which its law depends."""
 
-    def places(self, placed: Collection[str]) -> str:
-        """Return the body that it can place once some bodies are placed; empty if there is none."""
+    def unknown(self, placed: Collection[str]) -> set[str]:
+        """Return the bodies of its equation that are not placed; none while it cannot determine their angles or slides."""
 
-    def coordinate(self, pose: Pose, single: Single) -> Value:
-        """Return the angle [rad] of a body relative to the body that carries it, or its slide [m]."""
+    def terms(self, pose: Pose) -> dict[Joint, Value]:
+        """Return the coefficients of its equation by the body whose angle [rad] or the guide whose slide [m] they multiply."""
+
+    def value(self, pose: Pose) -> Value:
+        """Return the right side of its equation."""
 
     def knots(self, pose: Pose) -> tuple[Value, tuple[float, ...], float]:
         """Return the variable of its law at a pose, the knots of the law, and its period; no knots for a smooth element."""
 
-    def actions(self, places: Places, single: Single, effort: Value) -> Iterator[Action]:
-        """Yield the actions on all bodies, on that of `single` first.
-
-        `effort` is their torque [N m] on this body about its pin, or their force [N] on it along the line of its guide.
-        """
+    def actions(self, places: Places, effort: Value) -> Iterator[Action]:
+        """Yield the actions on all bodies; `effort` is the torque [N m] or force [N] that belongs to the sum of its equation."""
 
     def profiles(self, pose: Pose) -> Iterator[tuple[str, Profile]]:
         """Yield the curves by which it is drawn, with the bodies that carry them, for a pose of the whole motion."""
-
-
-@dataclass(frozen=True)
-class Single:
-    """A body placed alone, on a joint with the placed body `against`; `after`: the joint of the last group placed before it."""
-
-    link: Link
-    joint: Joint
-    against: str
-    by: Element
-    after: str = ""
-
-    @property
-    def guide(self) -> Guide | None:
-        """The guide, if the joint is one."""
-        return None if isinstance(self.joint, str) else self.joint
-
-    def solve(self, pose: Pose) -> None:
-        """Add the body and its points to `pose`."""
-        link, guide, coordinate = self.link, self.guide, self.by.coordinate(pose, self)
-        if guide is None:
-            pin = str(self.joint)
-            pose.turns[link.body] = pose.turned(self.against) + coordinate
-            pose.point(pin)
-            pose.place(link, turn(pose.direction(self.against), unit(coordinate)), pin)
-            return
-        tilt, direction = pose.size(guide.tilt), pose.size(guide.direction)
-        if link.body == guide.slider:
-            (x, y), line = pose.line(guide, self.against)
-            at = guide.at or link.start
-            pose.points[at] = x + coordinate * line[0], y + coordinate * line[1]
-            pose.turns[link.body] = pose.turned(self.against) + direction + tilt
-            pose.place(link, turn(line, unit(tilt)), at)
-            return
-        (x, y), line = pose.line(guide, self.against)  # the line moves, and passes through a point of a placed body
-        axis = turn_back(line, unit(direction))
-        begin = turn(pose.local_line(guide, link.body)[0], axis)
-        pose.points[link.start] = minus((x - coordinate * line[0], y - coordinate * line[1]), begin)
-        pose.turns[link.body] = pose.turned(self.against) - direction - tilt
-        pose.place(link, axis, link.start)
 
 
 def _array(vector: Vector) -> Array:
@@ -220,9 +176,9 @@ class Drive:
         """The ends of its stroke."""
         return (self.begin,) if self.end is None else (self.begin, self.end)
 
-    def places(self, placed: Collection[str]) -> str:
-        """Return the driven body, once the one that carries the drive is placed; empty for a cylinder."""
-        return self.body if self.kind != "length" and self.against in placed else ""
+    def unknown(self, placed: Collection[str]) -> set[str]:
+        """Return the driven body and the one that carries the drive, unless they are placed; none of a cylinder."""
+        return set() if self.kind == "length" else {self.body, self.against}.difference(placed)
 
     def value(self, pose: Pose) -> Value:
         """Return the angle [rad], slide or length [m]."""
@@ -233,9 +189,9 @@ class Drive:
             return begin + pose.angle * self.rate
         return begin + (pose.size(self.end) - begin) * (pose.angle * (1.0 / math.pi))
 
-    def coordinate(self, pose: Pose, single: Single) -> Value:
-        """Return the angle [rad] of the body relative to the body that carries it, or its slide [m]."""
-        return self.value(pose)
+    def terms(self, pose: Pose) -> dict[Joint, Value]:
+        """Return the terms of the angle relative to the body that carries the drive, or of the slide."""
+        return _between(pose, self.body, self.against)
 
     def knots(self, pose: Pose) -> tuple[Value, tuple[float, ...], float]:
         """Return the time at a pose, and the knots and the period of the law [s]; no knots without one."""
@@ -252,15 +208,14 @@ class Drive:
         yield self.rod, Profile(np.concatenate([piston[:2], rod, piston[2:]]))
         yield self.body, Profile(_box(0.0, barrel, half))
 
-    def actions(self, places: Places, single: Single, effort: Value) -> Iterator[Action]:
+    def actions(self, places: Places, effort: Value) -> Iterator[Action]:
         """Yield the actions on the driven body and on the one that carries the drive."""
-        guide = single.guide
-        for body, share in ((single.link.body, effort), (single.against, -effort)):
+        guide = _guide(places.pose, self.body, self.against)
+        for body, share in ((self.body, effort), (self.against, -effort)):
             if guide is None:
                 yield Action(body, torque=share)
             else:
                 x, y = places.line(guide)
-                share = share if single.link.body == guide.slider else -share
                 at = places.place(guide.at or places.pose.mechanism.bodies[guide.slider].start)
                 yield Action(body, (share * x, share * y), at)
 
@@ -287,7 +242,6 @@ class Gear:
     radii: tuple[Size, Size] | None = None
     mesh: bool = True
     """Whether the two bodies themselves have teeth or wheels."""
-    against: ClassVar[str] = FRAME
 
     @property
     def kind(self) -> str:
@@ -299,19 +253,18 @@ class Gear:
         """Ratio, phase and radii."""
         return self.ratio, self.phase, *(self.radii or ())
 
-    def places(self, placed: Collection[str]) -> str:
-        """Return the body whose angle follows from that of the other one; empty if there is none."""
-        return _other(self.bodies, placed) if self.arm in placed else ""
+    def unknown(self, placed: Collection[str]) -> set[str]:
+        """Return those of the two bodies and the arm that are not placed."""
+        return {*self.bodies, self.arm}.difference(placed)
 
-    def coordinate(self, pose: Pose, single: Single) -> Value:
-        """Return the angle [rad] of one of the bodies relative to the body that carries it."""
-        (first, second), arm = self.bodies, pose.turned(self.arm)
-        ratio, phase = pose.size(self.ratio), pose.size(self.phase)
-        if single.link.body == second:
-            whole = arm + ratio * (pose.turned(first) - arm) + phase
-        else:
-            whole = arm + (pose.turned(second) - arm - phase) / ratio
-        return whole - pose.turned(single.against)
+    def terms(self, pose: Pose) -> dict[Joint, Value]:
+        """Return the terms of angle of second - `ratio` * angle of first, both relative to the arm."""
+        (first, second), ratio = self.bodies, pose.size(self.ratio)
+        return _terms((second, 1.0), (first, -ratio), (self.arm, ratio - 1.0))
+
+    def value(self, pose: Pose) -> Value:
+        """Return the phase."""
+        return pose.size(self.phase)
 
     def knots(self, pose: Pose) -> tuple[Value, tuple[float, ...], float]:
         """Return no knots: the ratio is constant."""
@@ -348,17 +301,14 @@ class Gear:
                 ends = first + radii[0] * normal, second + math.copysign(radii[1], ratio) * normal
                 yield self.arm, Profile(np.array(ends), auxiliary=True, open=True)
 
-    def actions(self, places: Places, single: Single, effort: Value) -> Iterator[Action]:
+    def actions(self, places: Places, effort: Value) -> Iterator[Action]:
         """Yield the actions on both bodies, and on the arm if torques alone are passed on."""
-        ratio, second = places.pose.size(self.ratio), single.link.body == self.bodies[1]
-        way = -1 if second else 1
-        own, other = self.bodies[::way]
-        speed = ratio if second else 1.0 / ratio  # of this body over that of the other, relative to the arm
+        (other, own), speed = self.bodies, places.pose.size(self.ratio)
         if self.pivots is None:
             for body, torque in ((own, effort), (other, -speed * effort), (self.arm, (speed - 1.0) * effort)):
                 yield Action(body, torque=torque)
             return
-        centre, away = map(places.place, self.pivots[::way])
+        away, centre = map(places.place, self.pivots)
         between = minus(away, centre)
         distance = np.sqrt(dot(between, between))
         u = between[0] / distance, between[1] / distance
@@ -367,7 +317,7 @@ class Gear:
             tangent = effort / lever
             force, arm = (sign(speed) * math.tan(self.pressure) * magnitude(tangent), tangent), (lever, 0.0)
         else:
-            radius, opposite = map(places.pose.size, self.radii[::way])
+            opposite, radius = map(places.pose.size, self.radii)
             sine = (radius - sign(speed) * opposite) / distance
             cosine, side, pull = np.sqrt(1.0 - sine * sine), sign(effort), magnitude(effort) / radius
             force, arm = (pull * cosine, side * pull * sine), (radius * sine, -side * radius * cosine)
@@ -378,43 +328,61 @@ class Gear:
 
 @dataclass(frozen=True)
 class Rack:
-    """A wheel that rolls on a bar: the slide of the bar is `side` * `radius` * angle of the wheel + `phase` [m].
+    """A wheel that rolls on a bar: slide of the bar = `side` * `radius` * angle of the wheel + `phase` [m] + slide of the wheel.
 
-    The angle is relative to the body that carries the guide of the bar; `side` is +1 if the `pivot` of the wheel lies to the left
-    of the line of the guide, else -1.
+    The bar slides in `guide`, or is the body that carries the `path`. The `pivot` of the wheel slides along this path, or is
+    fixed on the body that carries the guide. Both lines are on one body, to which the angle is relative, and are parallel, or
+    opposite if `way` is -1. `side` is +1 if the wheel lies to the left of the bar, seen along its guide or else along the path,
+    or -1.
     """
 
     name: str
     pinion: str
-    guide: Guide
+    guide: Guide | None
     radius: Size
     pivot: str
     side: int = 1
     phase: Size = 0.0
     pressure: float = PRESSURE
-    against: ClassVar[str] = FRAME
+    path: Guide | None = None
+    way: int = 1
     kind: ClassVar[str] = "rack"
+
+    @property
+    def _line(self) -> Guide:
+        """The guide that has the direction of the bar."""
+        guide = self.guide or self.path
+        assert guide is not None
+        return guide
+
+    @property
+    def bar(self) -> str:
+        """The body with the rack."""
+        return self._line.on if self.guide is None else self.guide.slider
 
     @property
     def bodies(self) -> tuple[str, str]:
         """The wheel and the bar."""
-        return self.pinion, self.guide.slider
+        return self.pinion, self.bar
 
     @property
     def sizes(self) -> tuple[Size, ...]:
         """Radius and phase."""
         return self.radius, self.phase
 
-    def places(self, placed: Collection[str]) -> str:
-        """Return the bar or the wheel, whichever follows from the other one; empty if none does."""
-        return _other((self.pinion, self.guide.slider), placed) if self.guide.on in placed else ""
+    def unknown(self, placed: Collection[str]) -> set[str]:
+        """Return those of the wheel, the bar and the bodies that carry them that are not placed."""
+        path = () if self.path is None else self.path.bodies
+        return {*self.bodies, self._line.on, *path}.difference(placed)
 
-    def coordinate(self, pose: Pose, single: Single) -> Value:
-        """Return the slide of the bar [m], or the angle of the wheel [rad] relative to the body that carries it."""
-        radius, phase, carrier = self.side * pose.size(self.radius), pose.size(self.phase), pose.turned(self.guide.on)
-        if single.guide is not None:
-            return radius * (pose.turned(self.pinion) - carrier) + phase
-        return (pose.slide(self.guide) - phase) / radius + carrier - pose.turned(single.against)
+    def terms(self, pose: Pose) -> dict[Joint, Value]:
+        """Return the terms of slide of the bar - slide of the wheel - `side` * `radius` * angle of the wheel."""
+        turned = self.side * pose.size(self.radius)
+        return _terms((self.pinion, -turned), (self._line.on, turned), (self.path, -self.way), (self.guide, 1.0))
+
+    def value(self, pose: Pose) -> Value:
+        """Return the phase."""
+        return pose.size(self.phase)
 
     def knots(self, pose: Pose) -> tuple[Value, tuple[float, ...], float]:
         """Return no knots: the ratio is constant."""
@@ -422,30 +390,30 @@ class Rack:
 
     def profiles(self, pose: Pose) -> Iterator[tuple[str, Profile]]:
         """Yield the pitch circle of the wheel, and the bar from its guide and as far as it rolls, with its pitch line."""
-        radius = float(pose.size(self.radius))
+        radius, guide, on = float(pose.size(self.radius)), self._line, self._line.on
         centre = _array(pose.local(self.pinion, self.pivot))[None]
         yield self.pinion, Profile(centre, radius, auxiliary=True)
         yield self.pinion, _mark(centre, radius)
-        begin, line = (_array(part) for part in pose.local_line(self.guide, self.guide.on))
-        away = _array(pose.local(self.guide.on, self.pivot)) - begin
-        slides = np.asarray(as_jet(pose.slide(self.guide)).value, dtype=float)
-        reach = float(line @ away) - np.array([np.nanmax(slides), np.nanmin(slides)])
-        reach = np.array([min(reach[0], 0.0) - 0.5 * radius, max(reach[1], 0.0) + 0.5 * radius])
-        level = float(line[0] * away[1] - line[1] * away[0]) - self.side * radius
-        start, along = (_array(part) for part in pose.local_line(self.guide, self.guide.slider))
-        left, deep = along[::-1] * [-1.0, 1.0], 0.25 * self.side * radius
-        near, far = (start + reach[:, None] * along + b * left for b in (level + 0.25 * deep, level - deep))
-        yield self.guide.slider, Profile(np.concatenate([near, far[::-1]]))
-        yield self.guide.slider, Profile(near - 0.25 * deep * left, auxiliary=True, open=True)
+        begin, along = pose.line(guide, on)
+        away = turn_back(minus(pose.point(self.pivot), begin), along)
+        rolled, level = (np.asarray(as_jet(part).value, dtype=float) for part in away)
+        if self.guide is not None:
+            rolled = rolled - np.asarray(as_jet(pose.slide(guide)).value, dtype=float)
+        reach = np.array([min(np.nanmin(rolled), 0.0) - 0.5 * radius, max(np.nanmax(rolled), 0.0) + 0.5 * radius])
+        height = float(np.nanmean(level)) - self.side * radius
+        start, way = (_array(part) for part in pose.local_line(guide, self.bar))
+        left, deep = way[::-1] * [-1.0, 1.0], 0.25 * self.side * radius
+        near, far = (start + reach[:, None] * way + b * left for b in (height + 0.25 * deep, height - deep))
+        yield self.bar, Profile(np.concatenate([near, far[::-1]]))
+        yield self.bar, Profile(near - 0.25 * deep * left, auxiliary=True, open=True)
 
-    def actions(self, places: Places, single: Single, effort: Value) -> Iterator[Action]:
+    def actions(self, places: Places, effort: Value) -> Iterator[Action]:
         """Yield the actions on the bar and on the wheel."""
-        line, centre, radius = places.line(self.guide), places.place(self.pivot), places.pose.size(self.radius)
-        on_bar = effort if single.guide is not None else -self.side * effort / radius
-        force = turn((on_bar, -self.side * math.tan(self.pressure) * magnitude(on_bar)), line)
+        line, centre, radius = places.line(self._line), places.place(self.pivot), places.pose.size(self.radius)
+        force = turn((effort, -self.side * math.tan(self.pressure) * magnitude(effort)), line)
         point = plus(centre, turn((0.0, -self.side * radius), line))
-        both = Action(self.guide.slider, force, point), Action(self.pinion, (-force[0], -force[1]), point)
-        yield from both if single.guide is not None else both[::-1]
+        yield Action(self.bar, force, point)
+        yield Action(self.pinion, (-force[0], -force[1]), point)
 
 
 @dataclass(frozen=True)
@@ -481,12 +449,16 @@ class Cam:
         """Lift, its begin, and phase."""
         return self.lift, self.begin, self.phase
 
-    def places(self, placed: Collection[str]) -> str:
-        """Return the follower, once the cam is placed."""
-        return self.follower if self.cam in placed else ""
+    def unknown(self, placed: Collection[str]) -> set[str]:
+        """Return the follower, once the cam and the body that carries the follower are placed."""
+        return {self.follower}.difference(placed) if {self.cam, self.against}.issubset(placed) else set()
 
-    def coordinate(self, pose: Pose, single: Single) -> Value:
-        """Return the slide [m] or the angle [rad] of the follower relative to the body that carries it."""
+    def terms(self, pose: Pose) -> dict[Joint, Value]:
+        """Return the terms of the slide of the follower, or of its angle relative to the body that carries it."""
+        return _between(pose, self.follower, self.against)
+
+    def value(self, pose: Pose) -> Value:
+        """Return the slide [m] or the angle [rad]."""
         return pose.size(self.begin) + pose.size(self.lift) * self.law(self._turned(pose))
 
     def _turned(self, pose: Pose) -> Value:
@@ -499,19 +471,19 @@ class Cam:
 
     def disc(self, pose: Pose) -> DiscCam:
         """Return the disc cam in the axes of the body that carries the follower, about the pivot of the cam."""
-        single = next(one for one in pose.mechanism.singles if one.by == self)
+        follower, rail = pose.mechanism.bodies[self.follower], _guide(pose, self.follower, self.against)
         begin, roller, centre = float(pose.size(self.begin)), float(pose.size(self.roller)), pose.local(self.against, self.pivot)
         guide: Slide | Arm
-        if single.guide is not None:
-            point, line = pose.local_line(single.guide, self.against)
+        if rail is not None:
+            point, line = pose.local_line(rail, self.against)
             away = minus(point, centre)
             lowest, offset = begin + float(dot(line, away)), -float(cross(line, away))
             sense = math.copysign(1.0, lowest)
             guide = Slide(math.atan2(sense * line[1], sense * line[0]), sense * offset)
             base = math.hypot(lowest, offset) if self.contact else abs(lowest)
         else:
-            pivot = minus(pose.local(self.against, str(single.joint)), centre)
-            length, lowest = float(pose.size(single.link.length)), begin - math.atan2(-pivot[1], -pivot[0])
+            pivot = minus(pose.local(self.against, follower.start), centre)
+            length, lowest = float(pose.size(follower.length)), begin - math.atan2(-pivot[1], -pivot[0])
             sense = math.copysign(1.0, math.remainder(lowest, TURN))
             guide = Arm((float(pivot[0]), float(pivot[1])), length, side=int(sense))
             base = abs(length * np.exp(1j * lowest) - math.hypot(*pivot))
@@ -531,7 +503,7 @@ class Cam:
             yield self.cam, profile.moved(centre)
         if self.contact and self.roller:
             yield self.follower, Profile(_array(pose.local(self.follower, self.contact))[None], float(pose.size(self.roller)))
-        guide = next(one.guide for one in pose.mechanism.singles if one.by == self)
+        guide = _guide(pose, self.follower, self.against)
         if guide is None or self.contact:
             return
         line, (start, along) = pose.local_line(guide, self.against)[1], pose.local_line(guide, self.follower)
@@ -543,9 +515,9 @@ class Cam:
         face = complex(*start) + upright * np.array([1j * low, 1j * high, thick + 1j * high, thick + 1j * low])
         yield self.follower, Profile(np.column_stack([face.real, face.imag]))
 
-    def actions(self, places: Places, single: Single, effort: Value) -> Iterator[Action]:
+    def actions(self, places: Places, effort: Value) -> Iterator[Action]:
         """Yield the actions on the follower and on the cam."""
-        pose, guide = places.pose, single.guide
+        pose, guide = places.pose, _guide(places.pose, self.follower, self.against)
         centre = places.place(self.pivot)
         turned = as_jet(self._turned(pose)).value
         slope = pose.size(self.lift) * as_jet(self.law(Jet(turned, 1.0))).rate  # per rotation of the cam
@@ -556,7 +528,7 @@ class Cam:
             normal = minus(at, common)
             size = effort / dot(normal, line)
         else:
-            pivot = places.place(str(single.joint))
+            pivot = places.place(pose.mechanism.bodies[self.follower].start)
             between = minus(pivot, centre)
             share = slope / (slope - 1.0)
             common = centre[0] + share * between[0], centre[1] + share * between[1]
@@ -564,11 +536,21 @@ class Cam:
             normal = minus(at, common)
             size = effort / cross(minus(at, pivot), normal)
         force = size * normal[0], size * normal[1]
-        yield Action(single.link.body, force, at)
+        yield Action(self.follower, force, at)
         yield Action(self.cam, (-force[0], -force[1]), at)
 
 
-def _other(bodies: tuple[str, str], placed: Collection[str]) -> str:
-    """Return the body of a pair that is not placed, if the other one is; else an empty string."""
-    one, other = bodies
-    return other if one in placed and other not in placed else one if other in placed and one not in placed else ""
+def _guide(pose: Pose, slider: str, on: str) -> Guide | None:
+    """Return the guide of a body on another; None if a pin joins them."""
+    return next((guide for guide in pose.mechanism.guides if guide.bodies == (slider, on)), None)
+
+
+def _between(pose: Pose, body: str, carrier: str) -> dict[Joint, Value]:
+    """Return the terms of the slide of a body on another, or of its angle relative to it."""
+    guide = _guide(pose, body, carrier)
+    return _terms((body, 1.0), (carrier, -1.0)) if guide is None else {guide: 1.0}
+
+
+def _terms(*terms: tuple[Joint | None, Value]) -> dict[Joint, Value]:
+    """Return the coefficients of angles and slides; the frame has none."""
+    return {joint: coefficient for joint, coefficient in terms if joint is not None and joint != FRAME}

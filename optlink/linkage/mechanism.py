@@ -23,8 +23,9 @@ from optlink.linkage.bodies import (
     Link as Link,
     Size as Size,
 )
-from optlink.linkage.elements import Drive, Element, Single
+from optlink.linkage.elements import Drive, Element
 from optlink.linkage.jet import Jet, as_jet
+from optlink.linkage.trains import Single, Train
 from optlink.linkage.vector2d import TURN, Array, Value, Vector, angle, angle_from, cross, dot, minus, plus, turn, turn_back, unit
 
 # Sides of a group over the crank angle, and its Taylor series about singular positions.
@@ -242,8 +243,8 @@ class Pose:
     def add(self, group: Dyad) -> None:
         """Place the bodies of a group whose neighbours are placed, and those that couplings place after it."""
         self.margins[group.joint] = group.solve(self)
-        for single in self.mechanism.placed_after.get(group.joint, ()):
-            single.solve(self)
+        for train in self.mechanism.placed_after.get(group.joint, ()):
+            train.solve(self)
 
     def with_group(self, group: Dyad) -> Pose:
         """Return this pose with one more group; this one is unchanged."""
@@ -438,7 +439,7 @@ class Mechanism:
     rotation after which the motion repeats: more than a revolution where groups are continued through change points.
 
     With `drives`, the crank angle is the cycle variable of their laws, and `crank` the body that the first of them drives: one of
-    the `singles`, or the link whose length a cylinder prescribes. Couplings place further singles. `limits` [rad] of the crank
+    the `trains`, or the link whose length a cylinder prescribes. Couplings place further trains. `limits` [rad] of the crank
     angle, if there are any, bound the motion that is asked for; `middles` [rad]: angles about which coupled bodies swing.
     """
 
@@ -450,7 +451,7 @@ class Mechanism:
     guides: tuple[Guide, ...] = field(default=())
     datum: Size = 0.0
     cycle: float = 2.0 * np.pi
-    singles: tuple[Single, ...] = ()
+    trains: tuple[Train, ...] = ()
     drives: tuple[Drive, ...] = ()
     limits: tuple[float, float] | None = None
     middles: Mapping[str, float] = field(default_factory=dict)
@@ -472,17 +473,19 @@ class Mechanism:
     def links(self) -> tuple[Link, ...]:
         """All moving bodies, the crank first, in the order in which they are placed."""
         links = [] if self.drives else [self.crank]
-        links += [single.link for single in self.placed_after.get("", ())]
-        for group in self.groups:
-            links += [*group.links, *(single.link for single in self.placed_after.get(group.joint, ()))]
+        for joint, own in (("", ()), *((group.joint, group.links) for group in self.groups)):
+            links += [*own, *(single.link for train in self.placed_after.get(joint, ()) for single in train.singles)]
         return tuple(links)
 
     @cached_property
-    def placed_after(self) -> dict[str, tuple[Single, ...]]:
-        """The singles by the joint of the group after which they are placed; empty for those placed before all groups."""
-        return {
-            after: tuple(s for s in self.singles if s.after == after) for after in dict.fromkeys(s.after for s in self.singles)
-        }
+    def placed_after(self) -> dict[str, tuple[Train, ...]]:
+        """The trains by the joint of the group after which they are placed; empty for those placed before all groups."""
+        return {after: tuple(t for t in self.trains if t.after == after) for after in dict.fromkeys(t.after for t in self.trains)}
+
+    @cached_property
+    def singles(self) -> tuple[Single, ...]:
+        """The bodies that drives and couplings place."""
+        return tuple(single for train in self.trains for single in train.singles)
 
     @cached_property
     def rods(self) -> dict[str, Link]:
@@ -496,7 +499,7 @@ class Mechanism:
     @cached_property
     def elements(self) -> tuple[Element, ...]:
         """The drives and couplings."""
-        return tuple(dict.fromkeys((*self.drives, *(single.by for single in self.singles))))
+        return tuple(dict.fromkeys((*self.drives, *(element for train in self.trains for element in train.elements))))
 
     @cached_property
     def driven_sizes(self) -> tuple[str, ...]:
@@ -581,7 +584,7 @@ class Mechanism:
         Pose
             Coordinates in [m], NaN from the first group on that cannot be assembled (its margin is negative).
         """
-        known = not (self.followed or self.singles or self.drives)
+        known = not (self.followed or self.trains or self.drives)
         pose = self.begin(sizes, crank, angle(crank) if crank_angle is None and not known else crank_angle)
         for group in self.groups:
             pose.add(group)
@@ -607,8 +610,8 @@ class Mechanism:
                 crank = turn(crank, unit(pose.size(self.datum)))
             pose.turns[self.crank.body] = None if crank_angle is None else pose.size(self.datum) + crank_angle
             pose.place(self.crank, crank, self.crank.start)
-        for single in self.placed_after.get("", ()):
-            single.solve(pose)
+        for train in self.placed_after.get("", ()):
+            train.solve(pose)
         return pose
 
 

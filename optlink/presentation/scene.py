@@ -395,9 +395,9 @@ class Scene:
     def captions(self) -> dict[str, str]:
         """The name of every point as drawings show it, at the joints of several drives with the names of these."""
         captions = {name: short_name(name) for name in self.names}
-        joints = {single.by: str(single.joint) for single in self.mechanism.singles if single.guide is None}
+        joints = {single.link.body: str(single.joint) for single in self.mechanism.singles if single.guide is None}
         for drive in self.mechanism.drives if len(self.mechanism.drives) > 1 else ():
-            captions[joints.get(drive, self.mechanism.bodies[drive.body].start)] += f": {drive.name}"
+            captions[joints.get(drive.body, self.mechanism.bodies[drive.body].start)] += f": {drive.name}"
         return captions
 
     def owner(self, name: str) -> str:

@@ -11,10 +11,11 @@ from typing import TypeVar
 import numpy as np
 
 from optlink.linkage.bodies import FRAME
-from optlink.linkage.elements import Drive, Single
+from optlink.linkage.elements import Drive
 from optlink.linkage.laws import Law, MotionLaw, Piece
 from optlink.linkage.mechanism import Mechanism, Size
 from optlink.linkage.stroke import reachable
+from optlink.linkage.trains import Single, Train
 from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.elements import geared
 from optlink.problem.machine.bodies import SLOWNESS, STATIC, DriveMotion, DriveSection
@@ -124,8 +125,8 @@ def driven(
         law = law_of(drive, "drive", "angle") if drive.acceleration is None else _accelerated(drive)
         pace, limits = _timed({INPUT: law})
         element = Drive(INPUT, "angle", crank.body, mechanism.datum, None, law, 1.0 / pace)
-        singles = (Single(crank, crank.start, FRAME, element), *mechanism.singles)
-        mechanism = replace(mechanism, singles=singles, drives=(element,), limits=limits)
+        trains = (Train((Single(crank, crank.start),), (element,)), *mechanism.trains)
+        mechanism = replace(mechanism, trains=trains, drives=(element,), limits=limits)
         return Driving(geared(mechanism, sizes), pace, 0.0)
     mechanism = geared(mechanism, sizes)
     pace = drive.speed.value
@@ -412,7 +413,7 @@ def _several(
         rate = element.rate if laws[of] is None else 1.0
         timed.append(replace(element, law=laws[of], rate=rate / pace))
     mechanism = replace(section.linkage(name, "", timed), limits=limits)
-    acting = {single.by.name for single in mechanism.singles}
+    acting = {element.name for train in mechanism.trains for element in train.elements}
     for of, element in elements.items():
         if not element.size and of not in acting:
             message = f"another drive or coupling moves {element.body} already"

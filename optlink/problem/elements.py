@@ -19,6 +19,7 @@ from optlink.linkage.bodies import FRAME
 from optlink.linkage.elements import PRESSURE, Cam, Element, Gear, Rack
 from optlink.linkage.mechanism import Guide, Link, Mechanism, Pose
 from optlink.linkage.motion import sweep
+from optlink.linkage.trains import determinant
 from optlink.linkage.vector2d import TURN, cross, dot, minus
 from optlink.problem.base_model import Name, Section
 from optlink.problem.machine.drives import CamLaw, read_cam_law
@@ -237,32 +238,54 @@ class RackSection(Section):
     pinion: str
     """The body with the gear."""
     rack: str
-    """The body with the rack, which slides in a guide."""
+    """The body with the rack, which slides in a guide, or on which the body that carries the pinion slides: "frame"."""
     radius: FixedLength
     """Pitch radius of the pinion."""
     side: Literal["left", "right"] | None = None
-    """Side of the rack, seen along its guide, on which the pivot of the pinion lies; default: that of the drawn position."""
+    """Side of the rack, along its guide, on which the pivot of the pinion lies; default: as drawn, unless the rack is fixed."""
     phase: FixedLength | None = None
-    """Slide of the rack where the angle of the pinion is zero; default: 0."""
+    """Slide of the rack, less that of the pinion, where the angle of the pinion is zero; default: 0."""
     pressure_angle: PressureAngle = TEETH
     """Pressure angle of the teeth."""
 
     def coupling(self, name: str, parts: Parts) -> Element:
         """Return the coupling of rack and pinion."""
-        for key, body in (("pinion", self.pinion), ("rack", self.rack)):
-            check_name(body, parts.links, "no such body", key)
-        guide = parts.guide(self.rack, "rack")
-        pivot = parts.pin(self.pinion, guide.on)
+        check_name(self.pinion, parts.links, "no such body", "pinion")
+        parts.body(self.rack, "rack")
+        paths = (guide for guide in parts.guides.values() if guide.slider != self.pinion)
+        path = next((guide for guide in paths if parts.pin(self.pinion, guide.slider)), None)
+        fixed = path is not None and path.on == self.rack  # the pivot slides on the body with the rack
+        guide = None if fixed else parts.guide(self.rack, "rack")
+        on, way = self.rack if guide is None else guide.on, 1.0
+        pivot = parts.pin(self.pinion, on)
+        if pivot is None and path is not None and path.on == on:
+            pivot = parts.pin(self.pinion, path.slider)
+        else:
+            path = None
         if pivot is None:
-            message = f"the pinion turns about a pivot on the body with the guide of the rack, {guide.on}, and has none there"
+            message = f"the pinion turns about a pivot on the body with the guide of the rack, {on}, and has none there"
             raise Unusable(
-                message, "Pin it to that body, or guide the rack on the body that carries the pinion", "pinion", self.pinion
+                message,
+                "Pin it to that body or to one that slides on it, or guide the rack on the body that carries the pinion",
+                "pinion",
+                self.pinion,
             )
-        begin, line = parts.pose.local_line(guide, guide.on)
-        drawn = 1 if float(cross(line, minus(parts.pose.local(guide.on, pivot), begin))) >= 0.0 else -1
-        side = drawn if self.side is None else 1 if self.side == "left" else -1
+        place = parts.pose.local(on, pivot) if path is None else parts.pose.local_line(path, on)[0]
+        drawn = 0.0
+        if guide is not None:
+            begin, line = parts.pose.local_line(guide, on)
+            drawn = float(cross(line, minus(place, begin)))
+            way = 1.0 if path is None else float(dot(line, parts.pose.local_line(path, on)[1]))
+        if abs(abs(way) - 1.0) > 1e-9:
+            message = "the pinion does not slide along the rack: their guides are not parallel"
+            raise Unusable(message, "Give both guides one direction", "rack", self.rack)
+        if self.side is None and guide is None:
+            message = "a fixed rack lies on either side of the path of its pinion"
+            raise Unusable(message, 'Add side = "left" if the pinion is to the left of the rack, else "right"', "side")
+        side = -1 if self.side == "right" or (self.side is None and drawn < 0.0) else 1
         phase = 0.0 if self.phase is None else self.phase.value
-        return Rack(name, self.pinion, guide, self.radius.value, pivot, side, phase, self.pressure_angle.value)
+        angle = self.pressure_angle.value
+        return Rack(name, self.pinion, guide, self.radius.value, pivot, side, phase, angle, path, round(way))
 
 
 class BeltSection(Section):
@@ -434,12 +457,19 @@ def geared(mechanism: Mechanism, sizes: Mapping[str, float]) -> Mechanism:
     Raises
     ------
     Unusable
-        If a body of a group is coupled that turns fully, or the motion does not repeat.
+        If couplings do not determine their bodies, a body of a group is coupled that turns fully, or the motion does not repeat.
     """
+    for train in mechanism.trains:
+        rows = train.rows(Pose(mechanism, sizes))
+        if abs(determinant(rows, train.coordinates)) < 1e-9 * math.prod(math.hypot(*row.values()) for row in rows):
+            bodies, names = ", ".join(one.link.body for one in train.singles), ", ".join(one.name for one in train.elements)
+            message = f"the motion of {bodies} is not determined by {names}: one of them only repeats another"
+            raise Unusable(message, "Change a number of teeth, or couple other bodies", "mechanism.gears")
     if not mechanism.singles:
         return mechanism
     grouped = {link.body for group in mechanism.groups for link in group.links}
-    coupled = {body for single in mechanism.singles for body in single.by.bodies if body in grouped}
+    coupling = [element for element in mechanism.elements if element.bodies]
+    coupled = grouped & {body for one in coupling for body in (*one.bodies, *one.unknown({FRAME}))}
     low, high = mechanism.limits or (0.0, TURN)
     if coupled:
         motion = sweep(mechanism, sizes, np.linspace(low, high, 361))

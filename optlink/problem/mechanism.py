@@ -12,9 +12,10 @@ from pydantic import AfterValidator, BeforeValidator, Field, WrapValidator
 
 from optlink.dynamics.machine import Inertia
 from optlink.linkage.assur import CONTINUE, EITHER, Assembly
-from optlink.linkage.elements import Drive, Single
+from optlink.linkage.elements import Drive
 from optlink.linkage.fourbar import LENGTHS, four_bar
 from optlink.linkage.mechanism import FRAME, BodyPoint, Dyad, Guide, Link, Mechanism, Pose, Size
+from optlink.linkage.trains import Single, Train
 from optlink.linkage.vector2d import unit
 from optlink.problem.base_model import RESERVED, Name, Section
 from optlink.problem.elements import (
@@ -463,8 +464,8 @@ class DyadsSection(Section):
         self, name: str, ground: Mapping[str, tuple[Size, Size]], links: list[Link], points: list[BodyPoint], guides: list[Guide]
     ) -> Parts:
         """Return the parts of the linkage, to which elements refer."""
-        singles = tuple(Single(link, "", "", Drive("", "angle", link.body)) for link in links[1:])
-        bare = Mechanism("", ground, links[0], (), tuple(points), tuple(guides), singles=singles)
+        others = Train(tuple(Single(link, "") for link in links[1:]), ())
+        bare = Mechanism("", ground, links[0], (), tuple(points), tuple(guides), trains=(others,))
         return Parts(Pose(bare, sizes_of(self.quantities)), bare.owners)
 
     def _links(self) -> Iterator[Link]:

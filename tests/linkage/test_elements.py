@@ -1,6 +1,7 @@
 """Drives and couplings: positions against closed forms, torques and forces against energy, equilibrium of every body."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -30,6 +31,10 @@ def built(ground, links, guides=(), driver="crank", modes=(), drives=(), couplin
 
 
 SECTOR = [Link("crank", "A", "B", 0.06), Link("block", "B"), Link("sector", "D"), Link("rack", "R")]
+CARRIER, PLANET = Link("carrier", "A", "B", 0.03), Link("planet", "B", "P", 0.01)
+INNER = Gear("inner", ("crank", "planet"), -2.0, 0.4, "carrier", pivots=("A", "B"))
+OUTER = Gear("outer", ("planet", "frame"), 0.25, arm="carrier", pivots=("B", "A"))
+WAY, TOP = Guide("way", "carriage"), Guide("top", "bar", through=(0.0, 0.03), direction=math.pi)
 FIVE_BAR = [Link("one", "A", "B", 0.2), Link("two", "E", "D", 0.2), Link("f1", "B", "P", 0.25), Link("f2", "D", "P", 0.25)]
 EXCAVATOR = [Link("boom", "A", "B", 1.5), Link("lift", "D", "B", "lift.length")]
 FOLLOWER = Guide("way", "follower", through="A", direction=1.5, offset=0.01)
@@ -49,6 +54,45 @@ MECHANISMS = {
         {"A": (0.0, 0.0)},
         [CRANK, Link("planet", "B", "E", 0.02)],
         couplings=[Gear("ring", ("planet", "frame"), 30 / 80, arm="crank", pivots=("B", "A"))],
+    ),
+    "planetary train, driven at the sun": lambda: built(
+        {"A": (0.0, 0.0)},
+        [Link("crank", "A"), CARRIER, PLANET],
+        couplings=[OUTER, INNER],
+    ),
+    "planetary train, driven at the ring": lambda: built(
+        {"A": (0.0, 0.0)},
+        [Link("crank", "A"), Link("sun", "A"), CARRIER, PLANET],
+        couplings=[
+            replace(INNER, bodies=("sun", "planet")),
+            replace(OUTER, bodies=("planet", "crank")),
+            Gear("reverse", ("crank", "sun"), -0.4),
+        ],
+    ),
+    "differential with two motors": lambda: built(
+        {"A": (0.0, 0.0)},
+        [Link("sun", "A"), Link("ring", "A"), PLANET, CARRIER],
+        driver="",
+        drives=[Drive("s", "angle", "sun", law=WAVE, rate=RATE), Drive("r", "angle", "ring", 0.2, rate=-2.0)],
+        couplings=[replace(INNER, bodies=("sun", "planet")), replace(OUTER, bodies=("planet", "ring"))],
+    ),
+    "pinion between two racks": lambda: built(
+        {"A": (-0.3, 0.0)},
+        [CRANK, Link("rod", "B", "C", 0.2), Link("carriage", "C"), Link("pinion", "C"), Link("bar", "R")],
+        [WAY, TOP],
+        modes={"C": "forward"},
+        couplings=[
+            Rack("lower", "pinion", None, 0.03, "C", 1, path=WAY),
+            Rack("upper", "pinion", TOP, 0.03, "C", 1, path=WAY, way=-1),
+        ],
+    ),
+    "motor on a carriage": lambda: built(
+        {"A": (0.0, 0.0)},
+        [Link("carriage", "C"), Link("pinion", "C", "E", 0.03)],
+        [replace(WAY, direction=0.4)],
+        driver="",
+        drives=[Drive("input", "angle", "pinion", 0.3, law=WAVE, rate=RATE, against="carriage")],
+        couplings=[Rack("track", "pinion", None, 0.03, "C", -1, path=replace(WAY, direction=0.4))],
     ),
     "geared five-bar": lambda: built(
         {"A": (0.0, 0.0), "E": (0.15, 0.0)},
@@ -122,6 +166,8 @@ MECHANISMS = {
     ),
 }
 CAM = joined(0.0, [Segment(2.0, 1.0, "modified sine"), Segment(1.0, 1.0, "dwell"), Segment(2.0 * math.pi - 3.0, 0.0, "3-4-5")])
+PRESSED = {"planet in a ring", "planetary train, driven at the sun", "pinion between two racks", "motor on a carriage"}
+"""Those with a ring or a rack that is a part of the frame, and presses on it."""
 ANGLES, SPEED = np.linspace(0.13, 6.1, 11), 1.3
 
 
@@ -149,9 +195,7 @@ def test_the_power_of_the_drives_is_the_rate_of_the_energy(name):
     np.testing.assert_allclose(found.torque, virtual, rtol=1e-9, atol=1e-11 * np.max(np.abs(virtual)))
 
 
-@pytest.mark.parametrize(
-    "name", sorted(MECHANISMS.keys() - {"planet in a ring"})
-)  # whose ring is fixed to the frame, and presses on it
+@pytest.mark.parametrize("name", sorted(MECHANISMS.keys() - PRESSED))
 def test_all_forces_on_the_frame_move_the_whole_machine(name):
     """Joints, drives and couplings exert inner forces but for those of the frame: with gravity they change the momentum."""
     tested = machine(name)
@@ -164,10 +208,10 @@ def test_all_forces_on_the_frame_move_the_whole_machine(name):
     for guide in tested.mechanism.guides:
         if guide.on == "frame":
             total += np.array([np.broadcast_to(part, ANGLES.shape) for part in found.guides[guide.name].force])
-    for single in tested.mechanism.singles:
-        if isinstance(single.by, Drive) and single.by.kind == "slide":
-            x, y = moving.line(single.joint.name)
-            total += np.array([np.broadcast_to(part * found.efforts[single.by.name], ANGLES.shape) for part in (x, y)])
+    for drive in tested.mechanism.drives:
+        if drive.kind == "slide":
+            line = moving.line(next(guide.name for guide in tested.mechanism.guides if guide.slider == drive.body))
+            total += np.array([np.broadcast_to(part * found.efforts[drive.name], ANGLES.shape) for part in line])
     needed = np.zeros((2, len(ANGLES)))
     for body, mass in tested.inertias.items():
         state = moving.state(body)
@@ -196,6 +240,26 @@ def test_a_planet_turns_as_willis_says():
     """(planet - carrier) : (ring - carrier) = 80 : 30 for a ring of 80 teeth and a planet of 30 (R. Willis, 1841)."""
     turned = angle_of("planet in a ring", "planet")
     assert turned - turned[0] == pytest.approx((1.0 - 80.0 / 30.0) * (ANGLES - ANGLES[0]), abs=1e-12)
+
+
+def test_planetary_trains_turn_as_willis_says():
+    """(ring - carrier) = -(40 / 80) * (sun - carrier)."""
+    turned = angle_of("planetary train, driven at the sun", "carrier")
+    assert turned - turned[0] == pytest.approx((ANGLES - ANGLES[0]) / 3.0, abs=1e-13)
+    motion = sweep(MECHANISMS["differential with two motors"](), {}, ANGLES, SPEED)
+    sun, ring, carrier = (motion.body_rate(body) for body in ("sun", "ring", "carrier"))
+    assert ring - carrier == pytest.approx(-0.5 * (sun - carrier), abs=1e-13)
+    motion = sweep(MECHANISMS["planetary train, driven at the ring"](), {}, ANGLES)
+    assert motion.body_rate("carrier") == pytest.approx(np.full(ANGLES.shape, (2.0 - 0.4) / 3.0), abs=1e-13)
+
+
+def test_a_pinion_rolls_on_a_fixed_rack():
+    motion = sweep(MECHANISMS["pinion between two racks"](), {}, ANGLES, SPEED)
+    moved = motion.slide("way").value
+    assert motion.body_angle("pinion").value == pytest.approx(-moved / 0.03, abs=1e-12)
+    assert motion.slide("top").value == pytest.approx(-2.0 * moved, abs=1e-13)
+    motion = sweep(MECHANISMS["motor on a carriage"](), {}, ANGLES, SPEED)
+    assert motion.slide("way").value == pytest.approx(0.03 * (0.3 + 0.4 + WAVE(ANGLES * RATE)), abs=1e-13)
 
 
 def test_a_cylinder_lifts_its_boom_by_the_cosine_rule():

@@ -195,6 +195,15 @@ def test_a_pitch_line_rolls_on_its_pinion(tmp_path):
     assert np.all((foot > 0.0) & (foot < np.sum((line[:, 1] - line[:, 0]) ** 2, axis=1)))
 
 
+def test_a_pinion_rolls_on_a_fixed_rack_and_on_one_that_moves():
+    file = Path(__file__).parents[1] / "data" / "mechanisms" / "pinion-between-racks.toml"
+    drawn = scene(optlink.analyze(optlink.load(file), points=24))
+    for body, side in ((FRAME, 30.0), ("bar", -30.0)):
+        (line,) = curves(drawn, body, "auxiliary")
+        np.testing.assert_allclose(drawn.points["C"][:, 1] - line[..., 1].T, side, rtol=1e-9)
+        assert np.all((line[:, 0, 0] < drawn.points["C"][:, 0]) & (drawn.points["C"][:, 0] < line[:, 1, 0]))
+
+
 @pytest.mark.parametrize(("crossed", "apart_by"), [("", 40.0), (", crossed = true", 120.0)])
 def test_the_strands_of_a_belt_touch_both_wheels(crossed, apart_by, tmp_path):
     drawn = scene(analysed(BELT % crossed, tmp_path).cycle)

@@ -89,10 +89,10 @@ def machine(file: ProblemFile) -> Iterator[TableSpec]:
 def _singles(mechanism: Mechanism, after: str) -> list[Row]:
     """Return the rows of the bodies that drives and couplings place after a group."""
     rows: list[Row] = []
-    for single in mechanism.placed_after.get(after, ()):
-        by = single.by
-        kind, bodies = (by.kind, ", ".join(by.bodies)) if by.bodies else (f"driven {by.kind}", single.link.body)
-        rows.append((kind, bodies, _named(by.name), ""))
+    for train in mechanism.placed_after.get(after, ()):
+        for by in train.elements:
+            kind, bodies = by.kind if by.bodies else f"driven {by.kind}", by.bodies or [one.link.body for one in train.singles]
+            rows.append((kind, ", ".join(bodies), _named(by.name), ""))
     return rows
 
 
