@@ -16,6 +16,7 @@ from typer.testing import CliRunner
 
 import optlink
 from optlink.cli.app import app
+from optlink.presentation import labels, style
 from optlink.presentation.views.search_tables import LINES
 from optlink.problem.file import ProblemFile
 from optlink.problem.templates import template, templates
@@ -61,9 +62,16 @@ class Session:
 
 
 @pytest.fixture
-def cheap() -> Iterator[None]:
-    """Search a problem with the same options once for all commands and tests, and a changed one from few starts."""
-    with shared_searches(changed=3):
+def cheap(kind: str) -> Iterator[None]:
+    """Search a problem with the same options once for all commands and tests, and a changed one from few starts.
+
+    Every picture is composed; only those of templates are laid out and drawn, which takes most of the time.
+    """
+    with shared_searches(changed=3), pytest.MonkeyPatch.context() as patch:
+        if kind == "problem":
+            patch.setattr(labels, "lay_out", lambda figure: None)
+            patch.setattr(labels, "_place", lambda axes, group: None)
+            patch.setattr(style, "save", lambda figure, path: path.touch())
         yield
 
 

@@ -289,6 +289,7 @@ def test_nearly_equal_extremes_of_random_fourier_series_are_those_of_all_their_z
         np.testing.assert_allclose(computed[row], [values.min(), values.max()], rtol=0.0, atol=1e-12 * np.ptp(values))
 
 
+@pytest.mark.slow
 def test_rows_with_several_nearly_equal_extremes_and_rows_without_a_value():
     """Five dips a revolution that differ by 1e-5: the lowest sample is seldom beside the lowest dip."""
     phases = np.random.default_rng(4).uniform(0.0, 2.0 * math.pi, (2, 20, 1))

@@ -37,14 +37,15 @@ def rows_of(result):
     [case if k in (0, 5) else pytest.param(*case, marks=pytest.mark.slow) for k, case in enumerate(CASES)],
 )
 def test_followed_rows_are_those_of_single_searches(name, changes, vary):
-    """Each point is solved from the problem file alone; no row is worse, and those beside the searches are followed."""
+    """Three followed points, or fewer, are solved from the problem file alone: no row is worse. All others are searched."""
     problem = optlink.load(name, changes)
     rows = rows_of(sweep(problem, [vary], workers=1))
     key, _, _ = vary.partition("=")
     objective = next(column for column in rows[0] if column.startswith("objective"))
     assert {row["method"] for row in rows} == {SEARCHED, FOLLOWED}
-    for row in rows:
-        assert row["valid"] == "true", row
+    assert {row["valid"] for row in rows} == {"true"}
+    followed = [row for row in rows if row["method"] == FOLLOWED]
+    for row in followed[:: -(-len(followed) // 3)]:
         value, unit = next(iter(row.values())), vary.rpartition(" ")[2].partition(":")[0] if " " in vary else ""
         single = optlink.solve(problem.override({key: f"{value} {in_si(unit)[1]}" if unit else float(value)}), certify=False)
         objective_shown = single.problem.model.shown_objective(single.objective)
@@ -52,6 +53,7 @@ def test_followed_rows_are_those_of_single_searches(name, changes, vary):
         assert float(row[objective]) <= shown + 1e-6 * abs(shown) + 1e-9, (row, shown)
 
 
+@pytest.mark.slow
 def test_followed_rows_do_not_depend_on_workers():
     problem = optlink.load("crank-rocker", {"requirement.measure": "max"})
     vary = ["limits.transmission_angle.max=125..140 deg:5", "mechanism.frame=480..520 mm:4"]
@@ -61,6 +63,7 @@ def test_followed_rows_do_not_depend_on_workers():
     assert all(rows == one for rows in others)
 
 
+@pytest.mark.slow
 def test_few_points_are_shared_by_processes_and_each_search_is_made_once():
     """Two blocks of six points: two searches in all, before eight chunks or fewer, and the same rows as without them."""
     problem = optlink.load("crank-rocker", {"requirement.measure": "max"})
@@ -76,6 +79,7 @@ def test_few_points_are_shared_by_processes_and_each_search_is_made_once():
         assert [row for index in range(6) for row in shared.lines(index)] == rows
 
 
+@pytest.mark.slow
 def test_a_point_without_a_neighbour_is_searched():
     """Short couplers have no transmission angle within the limits: these rows say so, and the design beside them is searched."""
     problem = optlink.load("crank-rocker", {"requirement.measure": "max", "mechanism.coupler": {"bounds": ["100 mm", "900 mm"]}})
@@ -95,6 +99,7 @@ BATCHES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "changes", "vary"), BATCHES)
 def test_optima_of_a_batch_are_those_of_the_exchange(name, changes, vary, monkeypatch):
     """Newton's method with the places of the peaks as unknowns, against rounds of searches with peaks that are found anew.
@@ -118,6 +123,7 @@ def test_optima_of_a_batch_are_those_of_the_exchange(name, changes, vary, monkey
         assert numbers[:-1] == pytest.approx(expected[:-1], rel=1e-3 if levelled else 1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "changes", "vary"), BATCHES)
 def test_rows_do_not_depend_on_the_batch(name, changes, vary):
     """One point at a time, five, and all at once, in any order of the chunks: the same text."""

@@ -150,6 +150,7 @@ def test_points_are_single_optima_and_verified():
         assert prove(single.problem.spec, single.problem.spec.design(design), objective=error).valid
 
 
+@pytest.mark.slow
 def test_angles_of_the_front_are_measured_in_motion():
     for point in crank_rocker().points:
         sizes = {
@@ -201,6 +202,7 @@ def test_knee_is_furthest_from_the_chord():
     assert front.points[front.knee[0]].mark == "knee"
 
 
+@pytest.mark.slow
 def test_a_dimension_can_be_an_objective():
     front = pareto(optlink.load("crank-rocker"), "coupler=330..410 mm, error", points=5, workers=1)
     assert front.valid
@@ -545,6 +547,7 @@ def test_ends_that_cannot_be_read_or_were_changed_are_searched_again(press, tmp_
     assert chunks.text(tmp_path, ENDS) == text
 
 
+@pytest.mark.slow
 def test_a_front_without_an_end_leaves_no_files(press, tmp_path):
     impossible = press.override({"limits.stroke": {"quantity": "stroke", "of": "ram", "exactly": "900 mm"}})
     with pytest.raises(InputError, match="cannot be found"):

@@ -33,6 +33,7 @@ def slider_figure(most):
     return figure
 
 
+@pytest.mark.slow
 def test_a_front_of_a_law_of_dyads_over_the_total_length():
     """Every point is a local optimum of the law of the slider-crank with its length, by formulas of its own."""
     front = pareto(optlink.load(LAW), "error, total length=60..100 mm", points=3, workers=1)
@@ -88,6 +89,7 @@ def test_points_of_a_front_are_single_optima(name, objectives, key):
         assert error <= factor * single.objective * (1.0 + 1e-5)
 
 
+@pytest.mark.slow
 def test_the_ends_of_a_front_of_a_largest_error():
     """One end is the optimum without the limit, the other one the tightest limit, as for sums of squares."""
     problem = optlink.load("crank-rocker", {"requirement.measure": "max"})
@@ -99,6 +101,7 @@ def test_the_ends_of_a_front_of_a_largest_error():
     assert front.points[-1].values[1] == pytest.approx(squares.points[-1].values[1], rel=1e-3)
 
 
+@pytest.mark.slow
 def test_each_of_several_requirements_is_an_objective():
     problem = optlink.load("crank-rocker")
     tables = {key: value for key, value in problem.raw.items() if key not in ("requirement", "expected")}
@@ -115,6 +118,7 @@ def test_each_of_several_requirements_is_an_objective():
     assert front.points[0].values[0] < front.points[-1].values[0]
 
 
+@pytest.mark.slow
 def test_the_breadth_of_a_dwell_is_constrained_by_its_band():
     """The half breadth that is least for a length, and the length that is least for the breadth, belong to the same design."""
     problem = optlink.load("straight-line")
@@ -128,6 +132,7 @@ def test_the_breadth_of_a_dwell_is_constrained_by_its_band():
         assert 2.0 * other.displayed(least.values)[0] == pytest.approx(breadth, rel=1e-5)
 
 
+@pytest.mark.slow
 def test_a_limit_of_the_file_on_a_quantity_is_replaced_along_the_front():
     limits = {"limits.size": {"quantity": "total length", "max": "1230 mm"}}
     front = pareto(optlink.load("crank-rocker", limits), "error, limits.size=1235..1245 mm", points=2, workers=1)

@@ -108,6 +108,7 @@ def test_a_law_of_a_slider_is_robust(robust, measure):
     no_neighbour_is_better(figure, design, figure(design))
 
 
+@pytest.mark.slow
 def test_the_expected_square_of_a_slide_is_that_of_samples():
     changes = {"tolerances": SLIDE_TEXTS, "requirement.robust": "expected value"}
     problem = optlink.load("law-slider-crank", changes)

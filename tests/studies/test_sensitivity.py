@@ -488,6 +488,7 @@ def test_derivatives_of_largest_values_are_those_of_new_optima(name, measure):
     assert result.gap < 1e-5
 
 
+@pytest.mark.slow
 def test_an_idle_crank_angle_does_not_make_several_designs():
     """At point 10 the deviation is below the largest one, so its crank angle may be any: dimensions and prices are unique."""
     problem = optlink.load("path-ellipse10", {"requirement.measure": "max"})

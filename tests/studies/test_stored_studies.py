@@ -91,6 +91,7 @@ def test_the_columns_of_a_sweep_are_those_of_its_table(tmp_path):
     assert np.isnan(read.columns["input.torque_Nm.min"][0])  # the rod is too short
 
 
+@pytest.mark.slow
 def test_a_large_sweep_is_read_with_its_table(tmp_path, monkeypatch):
     monkeypatch.setattr(sweep_module, "MAX_ROWS", 5)
     out = tmp_path / "out"

@@ -140,6 +140,7 @@ def test_rows_are_those_of_single_solves():
             assert table[f"{name}_m"][i] == pytest.approx(single.design[name], abs=1e-9)
 
 
+@pytest.mark.slow
 def test_a_small_grid_has_a_search_near_its_first_row():
     """From the middle of this grid Newton's method follows an optimum that is 2 % worse at its lower end."""
     mechanism = {"crank": "59.8 mm", "coupler": {"bounds": ["300 mm", "390 mm"]}, "rocker": "278 mm", "assembly": "right"}
@@ -907,6 +908,7 @@ def test_a_given_design_may_omit_varied_keys(tmp_path):
     assert run("crank-rocker", *arguments, "--design", "coupler=400 mm").exit_code == 2  # the rocker is missing
 
 
+@pytest.mark.slow
 def test_some_points_not_valid_is_exit_code_1():
     assert run("crank-rocker", "--vary", f"{LIMIT}=70, 135 deg").exit_code == 1
 
@@ -965,6 +967,7 @@ def test_fronts_stay_within_the_bounds_of_sizes(objectives, words):
     assert words in done.stderr
 
 
+@pytest.mark.slow
 def test_a_single_point_is_reported_in_the_singular(tmp_path):
     aims = "error, coupler=500..900 mm"  # at both the coupler of the best design is shorter: one point
     done = CliRunner().invoke(app, ["study", "pareto", "crank-rocker", "--objectives", aims, "--points", "2"])

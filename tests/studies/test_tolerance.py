@@ -545,6 +545,7 @@ def run(*arguments):
     return CliRunner().invoke(app, ["study", "tolerance", *arguments])
 
 
+@pytest.mark.slow
 def test_the_command_writes_everything(tmp_path, monkeypatch):
     monkeypatch.setattr(allocation, "SEARCH_SAMPLES", 1 << 12)
     tolerances = [word for text in FOUR for word in ("--tolerance", text)]

@@ -30,6 +30,7 @@ def sampled(tolerances, seed=3):
     return {name: value / 3.0 * random.standard_normal((COUNT, 1)) for name, value in tolerances.items()}
 
 
+@pytest.mark.slow
 def test_the_error_of_points_is_their_distance(arc):
     file, design = arc.best.problem, {name: arc.design[name] for name in arc.problem.model.free}
     result = tolerance(file, given(PATH), limit="0.015 mm", samples=1 << 15, design=design)
@@ -74,6 +75,7 @@ def test_the_error_of_a_slide():
     assert result.monte_carlo.share == pytest.approx(share, abs=4.0 * math.sqrt(share * (1.0 - share) / COUNT))
 
 
+@pytest.mark.slow
 def test_the_error_of_a_transmission_is_a_cosine():
     problem = optlink.load("transmission-optimal")
     result = tolerance(problem, given(LINKS), limit="53 deg", samples=1 << 14)

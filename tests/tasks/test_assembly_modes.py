@@ -65,6 +65,7 @@ def test_a_law_of_dyads_takes_the_better_mode() -> None:
     assert either.best.assembly == best.best.assembly
 
 
+@pytest.mark.slow
 def test_a_stroke_names_the_mode_that_it_takes() -> None:
     """The end of the forward stroke is nearer in one mode: only there is the limit met."""
     end = {"quantity": "end", "of": "ram", "stroke": "forward", "max": "-50 mm"}

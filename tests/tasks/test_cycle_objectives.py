@@ -317,6 +317,7 @@ def idle() -> ProblemFile:
     return machine("press", loads=None, gravity=None, objective=term("reaction", of="E"), limits__guide=None)
 
 
+@pytest.mark.slow
 def test_limits_missed_by_little_more_than_a_tolerance_are_named():
     """A stroke of 120 mm needs a crank of 60 mm; with the shortest rod, the links are 1e-5 mm longer than permitted."""
     problem = read(tomllib.loads(PRESS)).override({"mechanism.guides.F.through": ["0 mm", "0 mm"]})

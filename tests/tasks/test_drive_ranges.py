@@ -140,6 +140,7 @@ def test_lift_has_the_least_peak_force(tmp_path, backend):
     assert figures["stroke of boom"] == pytest.approx(math.degrees(float(np.ptp(angle))), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_four_bar_that_need_not_turn_is_designed_over_its_range(tmp_path):
     """Extremes lie within the range, at its ends too; outside it the linkage may do anything."""
     file = problem(tmp_path, CRANK_ROCKER)
@@ -335,6 +336,7 @@ slide = { quantity = "stroke", of = "ram", min = "79 mm" }
 """
 
 
+@pytest.mark.slow
 def test_a_load_that_switches_within_the_range(tmp_path):
     """The ram reverses once; the torque is 1000 N times the transfer of the ram, of either sense."""
     result = optlink.solve(problem(tmp_path, PRESS))

@@ -44,6 +44,7 @@ def solved(file: optlink.ProblemFile, **options: Any) -> SynthesisResult:
     return result
 
 
+@pytest.mark.slow
 def test_the_straight_line_of_least_breadth() -> None:
     result, known = solution("straight-line"), straight_line()
     assert result.valid
@@ -79,6 +80,7 @@ def test_an_angle_dwells_and_the_range_is_found() -> None:
     assert free.objective <= 0.5 * own * (1.0 + 1e-6)
 
 
+@pytest.mark.slow
 def test_a_range_from_a_given_start_is_that_of_its_ends() -> None:
     ends, start = solved(rocker(), starts=30), solved(rocker(over="60 deg", start="20 deg"), starts=30)
     assert ends.objective == pytest.approx(start.objective, rel=1e-10)
@@ -86,6 +88,7 @@ def test_a_range_from_a_given_start_is_that_of_its_ends() -> None:
     assert back.objective == pytest.approx(ends.objective, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_a_band_is_a_limit() -> None:
     """With a band of 0.1 mm the worst pressure angle is least, by an own search over frame and coupler."""
     result = solved(optlink.load("straight-line", {"requirement.band": "0.1 mm"}), starts=60)
@@ -143,6 +146,7 @@ def test_a_conflict_names_the_band() -> None:
     assert relaxed.in_si.relaxed == pytest.approx(2.0 * solution("straight-line").objective, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_dwell_beside_another_requirement() -> None:
     """A law is minimised while another part of the motion rests; with a wide band the law alone decides."""
     law = {"law": "psi0 + 0.3*sin(phi - phi0)", "span": "100 deg", "start": "150 deg", "psi0": "110 deg", "measure": "max"}
@@ -198,6 +202,7 @@ def test_a_band_broader_than_needed_lies_evenly_about_its_free_middle() -> None:
     assert not any(limit.active for limit in result.best.displayed_limits if limit.name.startswith("breadth"))
 
 
+@pytest.mark.slow
 def test_the_page_of_a_dwell() -> None:
     text = page(report_model_of(solution("straight-line")))
     assert "P.y [mm]" in text

@@ -2,10 +2,13 @@
 
 import math
 
+import pytest
+
 import optlink
 from optlink.tasks import search
 
 
+@pytest.mark.slow
 def test_an_infeasible_machine_is_explained_after_its_programmes_were_dropped(monkeypatch):
     monkeypatch.setattr(search, "MOST_PROGRAMMES", 1)
     machine = optlink.load("shaper-design")

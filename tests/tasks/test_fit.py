@@ -435,6 +435,7 @@ def rms_from(result: optlink.SynthesisResult, start: float) -> float:
     return abs(math.degrees(math.remainder(math.radians(110.0) - (angles[1] - angles[0]), math.tau)))
 
 
+@pytest.mark.slow
 def test_the_default_start_of_a_law_is_named_and_its_remedy_works() -> None:
     file = optlink.read(BUCKET)
     result = optlink.solve(file)
@@ -457,6 +458,7 @@ def test_the_default_start_of_a_law_is_named_and_its_remedy_works() -> None:
     assert "the default start" not in shown  # its file states the start
 
 
+@pytest.mark.slow
 def test_the_fixed_dimension_with_the_largest_effect_is_named() -> None:
     """Its first-order effect is the slope of the optimum, solved again with other values."""
     file = optlink.read(BUCKET)

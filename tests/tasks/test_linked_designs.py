@@ -253,6 +253,7 @@ def test_equal_links_transmit_best_at_the_root_of_the_mean_square(text):
         assert result.best.values.get(name, result.best.values.get(f"{name}.length")) == pytest.approx(length, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_rod_of_three_cranks_has_the_pressure_angle_of_a_third():
     problem = read("""
 [mechanism.ground]

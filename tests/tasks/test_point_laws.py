@@ -98,6 +98,7 @@ def test_every_measure_is_that_of_the_formula(measure: str) -> None:
     assert tested.objective == pytest.approx(float(value), rel=1e-12)
 
 
+@pytest.mark.slow
 def test_the_slide_of_a_guide_is_the_coordinate_of_its_pin() -> None:
     """The same problem by the guide, whose line is parallel to x, and by the pin of the slider."""
     pin = optlink.load("law-slider-crank", {"requirement.output": "C.x"})

@@ -69,6 +69,7 @@ def travelled() -> Any:
     return optlink.solve(line(TRAVEL, DWELL), "both", starts=60)
 
 
+@pytest.mark.slow
 def test_the_straightest_line_of_a_given_travel(travelled: Any) -> None:
     """The line is symmetric about D, so that P.x at 110 deg is half the travel; scale, breadth and proportions are known."""
     known = straight_line()
@@ -88,12 +89,14 @@ def test_the_order_of_the_requirements_does_not_matter(travelled: Any) -> None:
     assert {check.name for check in other.validation.checks} < {check.name for check in travelled.validation.checks}
 
 
+@pytest.mark.slow
 def test_the_price_of_the_travel(travelled: Any) -> None:
     """The breadth is proportional to the travel."""
     row = sensitivities(line(TRAVEL, DWELL))["requirements.0.value"]
     assert row.objective == pytest.approx(travelled.objective / 0.1, rel=1e-5)
 
 
+@pytest.mark.slow
 def test_a_range_of_an_angle() -> None:
     """The best worst pressure angle with the arm at 110 to 120 deg, by an own search with a penalty over three lengths."""
     result = optlink.solve(arm({"at": "30 deg", "value": ["110 deg", "120 deg"]}), starts=60)
@@ -125,6 +128,7 @@ def test_two_exact_positions() -> None:
     assert {limit.key for limit in result.best.limits if limit.active} >= {"requirements.0.value", "requirements.1.value"}
 
 
+@pytest.mark.slow
 def test_an_open_side_of_a_coordinate() -> None:
     """P.x at least 120 mm: as narrow a band as that of exactly 120 mm, as it grows with the travel."""
     least = optlink.solve(line(TRAVEL | {"value": {"min": "120 mm"}}, DWELL), starts=60)
@@ -165,6 +169,7 @@ def test_a_design_beside_the_position_is_rejected(travelled: Any) -> None:
         assert all(checks.values()) is met
 
 
+@pytest.mark.slow
 def test_a_position_out_of_reach_is_told() -> None:
     """The arm stays left of the line from the pin of the crank to its pivot, so that it cannot point to -120 deg at 90 deg."""
     result = optlink.solve(arm({"at": "90 deg", "value": "-120 deg"}), starts=5)

@@ -88,6 +88,7 @@ def scan(slack: Callable[[np.ndarray], np.ndarray]) -> float:
     return best
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_a_point_keeps_its_distance(name: str) -> None:
     limit, slack = CASES[name]
@@ -112,6 +113,7 @@ def test_dyads_give_the_same(name: str) -> None:
     assert other.objective == pytest.approx(one.objective, rel=1e-8)
 
 
+@pytest.mark.slow
 def test_the_price_of_the_clearance() -> None:
     """Per mm, by solving again with 2.01 and 1.99 mm."""
     row = sensitivities(optlink.read(four_bar(hood=HOOD)))["limits.hood.clearance"]
