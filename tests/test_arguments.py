@@ -27,6 +27,7 @@ SPEEDS = ["drive.speed=100..200 rpm:2"]
 SIZES = {"crank": 0.2, "coupler": 0.7, "rocker": 0.6, "frame": 0.8}
 DESIGN = {"coupler": 0.4, "rocker": 0.23}
 SWEPT = {"mechanism": linkage.four_bar(), "sizes": SIZES}
+COUPLER = linkage.CouplerLinkage(**SIZES, along=0.3, across=0.1)
 ACCEPTED = {
     optlink.solve: {"problem": LAW, "certify": False},
     optlink.validate: {"problem": LAW, "design": DESIGN},
@@ -48,6 +49,9 @@ ACCEPTED = {
     optlink.shipped: {},
     optlink.linkage.four_bar: {},
     optlink.linkage.grashof: SIZES,
+    optlink.linkage.cognates: {"linkage": COUPLER},
+    optlink.linkage.reachable: SWEPT,
+    optlink.linkage.travels: {**SWEPT, "low": 0.0, "high": 6.0, "full": False},
     optlink.linkage.sweep: {**SWEPT, "crank_angle": [0.1, 0.2]},
     sensitivities: {"problem": LAW},
     sweep: {"problem": LAW, "vary": ["mechanism.frame=480..520 mm:2"]},
@@ -70,6 +74,9 @@ WRONG = {
     "int": [-1, -(10**12)],
     "str": ["no such thing"],
     "Mapping": [{"no such name": 1.0}],
+    "Mechanism": [None, "four-bar", COUPLER],
+    "CouplerLinkage": [None, SIZES],
+    "bool": [2, "yes"],
     "Value": [math.nan, [1.0, 2.0, 3.0]],
     "ArrayLike": [math.nan, [1.0, math.inf], "x"],
 }
@@ -95,7 +102,6 @@ def wrong_values() -> list:
 def test_the_walk_below_has_every_public_function() -> None:
     spaces = (optlink, optlink.control, optlink.linkage, optlink.studies, optlink.synthesis)
     public = {getattr(space, name) for space in spaces for name in space.__all__}
-    public -= {optlink.linkage.cognates, optlink.linkage.reachable, optlink.linkage.travels}  # formulas, which take any values
     assert {item for item in public if isinstance(item, types.FunctionType)} <= set(ACCEPTED)
 
 
@@ -147,6 +153,20 @@ def test_options_of_commands_become_arguments() -> None:
             r"speed: its shape \(3,\) does not match",
         ),
         (lambda: linkage.sweep(linkage.four_bar(), SIZES, ["a"]), "crank_angle = .*: not a finite number or array"),
+        (
+            lambda: linkage.reachable(linkage.four_bar(), {**SIZES, "crank": [0.1, 0.2]}),
+            r"sizes.crank = .*: not a number\. Give one",
+        ),
+        (
+            lambda: linkage.reachable(linkage.four_bar(), {"crank": 0.1}),
+            "^sizes: missing: coupler, rocker, frame. Give SI values",
+        ),
+        (
+            lambda: linkage.travels(**SWEPT, low=1.0, high=1.0, full=False),
+            "^high = 1.0: the range of the crank angle is empty. Give",
+        ),
+        (lambda: linkage.cognates(SIZES), "^linkage = .*: not a four-bar with a coupler point. Give one, for example optlink"),
+        (lambda: linkage.cognates(COUPLER, math.nan), "^at = nan: not a finite number. Give one in SI units"),
         (lambda: optlink.solve(LAW, gap=0), "^gap = 0"),
         (lambda: optlink.solve(LAW, time_limit=-5.0), "^time_limit = .*out of range"),
         (lambda: optlink.validate(LAW, {"coupler": 0.4}), 'Add for example design=."rocker": 0.4'),

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from optlink.errors import Fault, InputError, UnknownName, nearest
 from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.motion import Motion, sweep as sweep_unchecked
+from optlink.linkage.stroke import Ranges, Travel, reachable as reachable_unchecked, travels as travels_unchecked
 from optlink.linkage.vector2d import Array, Value
 
 P = ParamSpec("P")
@@ -158,6 +159,31 @@ def check_array(name: str, value: Any) -> Array:
     return array.astype(float)
 
 
+def check_instance(name: str, value: Any, kind: type[Any], what: str, example: str) -> None:
+    """Refuse what is not an object of a class, in words `what` it is.
+
+    Raises
+    ------
+    InputError
+        If it is anything else.
+    """
+    if not isinstance(value, kind):
+        raise InputError(f"not a {what}", f"Give one, for example {example}", key=name, value=value)
+
+
+def check_mechanism(mechanism: Any) -> None:
+    """Refuse what is not a mechanism, or has a group in no assembly mode.
+
+    Raises
+    ------
+    InputError
+        If it is anything else.
+    """
+    check_instance("mechanism", mechanism, Mechanism, "mechanism", "optlink.linkage.four_bar()")
+    for group in mechanism.groups:
+        check_side(getattr(group, "side", 1))
+
+
 @called
 def sweep(
     mechanism: Mechanism,
@@ -194,11 +220,8 @@ def sweep(
     >>> motion.body_rate("rocker").round(3)  # [rad/s]
     array([-2.5  ,  3.884])
     """
-    if not isinstance(mechanism, Mechanism):
-        raise InputError("not a mechanism", "Give one, for example optlink.linkage.four_bar()", key="mechanism", value=mechanism)
-    for group in mechanism.groups:
-        check_side(getattr(group, "side", 1))
-    values = _sizes(mechanism, sizes)
+    check_mechanism(mechanism)
+    values = check_sizes(mechanism, sizes)
     angles = check_array("crank_angle", crank_angle)
     rate, change = _value("speed", speed), _value("acceleration", acceleration)
     for name, value in {
@@ -219,8 +242,14 @@ def _value(name: str, value: Any) -> Value:
     return array if array.ndim else float(array)
 
 
-def _sizes(mechanism: Mechanism, sizes: Any) -> dict[str, Value]:
-    """Return the sizes of a mechanism as numbers and arrays."""
+def check_sizes(mechanism: Mechanism, sizes: Any) -> dict[str, Value]:
+    """Return the sizes of a mechanism as numbers and arrays.
+
+    Raises
+    ------
+    InputError
+        If one is missing, unknown, not finite, or a length that is not positive.
+    """
     if not isinstance(sizes, Mapping):
         raise InputError("not a mapping of names to values", "Give SI values by name", key="sizes", value=sizes)
     needed = mechanism.parameters
@@ -235,3 +264,87 @@ def _sizes(mechanism: Mechanism, sizes: Any) -> dict[str, Value]:
         if np.any(values[name] <= 0.0):
             raise InputError("a length must be positive", "Give it in metres, above 0", key=f"sizes.{name}", value=sizes[name])
     return values
+
+
+def check_design(mechanism: Any, sizes: Any) -> dict[str, float]:
+    """Return the sizes of one design of a mechanism as numbers.
+
+    Raises
+    ------
+    InputError
+        As `check_mechanism` and `check_sizes`; if a size is an array.
+    """
+    check_mechanism(mechanism)
+    values = check_sizes(mechanism, sizes)
+    return {name: check_number(f"sizes.{name}", value) for name, value in values.items()}
+
+
+@called
+def reachable(mechanism: Mechanism, sizes: Mapping[str, float]) -> Ranges:
+    """Compute the ranges in which the crank can turn, to machine precision.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+    sizes : mapping of parameter name to float [m, rad]
+        Every one of `mechanism.parameters` and no other; lengths are positive.
+
+    Returns
+    -------
+    Ranges
+        `ranges` [rad], and `full` if the crank turns fully.
+
+    Raises
+    ------
+    InputError
+        If a size is missing, unknown, not a finite number, or a length that is not positive.
+
+    Examples
+    --------
+    >>> sizes = {"crank": 0.3, "coupler": 0.4, "rocker": 0.25, "frame": 0.5}  # [m]
+    >>> found = optlink.linkage.reachable(optlink.linkage.four_bar(), sizes)
+    >>> found.full, np.degrees(found.ranges).round(2)  # [deg]
+    (False, array([[254.04, 465.96]]))
+    """
+    return reachable_unchecked(mechanism, check_design(mechanism, sizes))
+
+
+@called
+def travels(
+    mechanism: Mechanism, sizes: Mapping[str, float], low: float, high: float, full: bool
+) -> tuple[dict[str, Travel], dict[str, Travel]]:
+    """Compute the limited motions of swinging bodies, and of sliders (by guide), over a range of crank angles.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+    sizes : mapping of parameter name to float [m, rad]
+        Every one of `mechanism.parameters` and no other; lengths are positive.
+    low, high : float [rad]
+        Range of the crank angle; one cycle if `full`.
+    full : bool
+        Whether the crank turns fully.
+
+    Returns
+    -------
+    swings : mapping of body to Travel
+        Bodies that turn fully or do not turn are omitted.
+    strokes : mapping of guide to Travel
+
+    Raises
+    ------
+    InputError
+        If a size is missing, unknown, not a finite number, or a length that is not positive; if the range is empty.
+
+    Examples
+    --------
+    >>> sizes = {"crank": 0.1, "coupler": 0.4, "rocker": 0.25, "frame": 0.5}  # [m]
+    >>> swings, _ = optlink.linkage.travels(optlink.linkage.four_bar(), sizes, 0.0, 2.0 * np.pi, True)
+    >>> float(np.degrees(swings["rocker"].span).round(2))  # [deg]
+    48.4
+    """
+    values = check_design(mechanism, sizes)
+    if check_number("high", high) <= check_number("low", low):
+        raise InputError("the range of the crank angle is empty", f"Give one above low = {low:g}", key="high", value=high)
+    check_flag("full", full)
+    return travels_unchecked(mechanism, values, low, high, full)

@@ -39,7 +39,7 @@ from typing import NamedTuple
 import numpy as np
 
 from optlink.errors import InputError
-from optlink.linkage.arguments import check_length, check_number, check_side
+from optlink.linkage.arguments import called, check_instance, check_length, check_number, check_side
 from optlink.linkage.dyads import rrr
 from optlink.linkage.fourbar import LENGTHS, Inversion, classify, reachable
 from optlink.linkage.vector2d import Value, Vector, angle, cross, dot, minus, plus, turn, unit
@@ -50,6 +50,7 @@ DEGENERATE = 1e-9
 ROUNDING = 1e-9
 """How far beyond the end of a range [rad] an angle still counts as that end."""
 
+EXAMPLE = "optlink.linkage.CouplerLinkage(0.1, 0.4, 0.25, 0.5, 0.2, 0.1)"
 SAMPLES = 64
 """Positions among which the one with the best transmission is taken, where the caller names none."""
 
@@ -284,6 +285,7 @@ class Cognates(NamedTuple):
     at_rocker_pivot: Cognate | None
 
 
+@called
 def cognates(linkage: CouplerLinkage, at: float | None = None) -> Cognates:
     """Compute the Roberts-Chebyshev cognates of a four-bar.
 
@@ -308,8 +310,12 @@ def cognates(linkage: CouplerLinkage, at: float | None = None) -> Cognates:
     Raises
     ------
     InputError
-        If `linkage` cannot be assembled over any range of crank angles, or cannot be assembled at `at`.
+        If `linkage` cannot be assembled over any range of crank angles, or cannot be assembled at `at`; if an argument is none of
+        these.
     """
+    check_instance("linkage", linkage, CouplerLinkage, "four-bar with a coupler point", EXAMPLE)
+    if at is not None:
+        check_number("at", at)
     ranges = reachable(*linkage.lengths)
     if not ranges:
         raise InputError(

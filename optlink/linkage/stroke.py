@@ -126,7 +126,7 @@ def range_grid(low: float, high: float) -> Array:
 
 @np.errstate(all="ignore")
 def reachable(mechanism: Mechanism, sizes: Mapping[str, Value]) -> Ranges:
-    """Compute the ranges in which the crank can turn, to machine precision.
+    """Compute the ranges in which the crank can turn as `optlink.linkage.reachable`, without a check of the arguments.
 
     Parameters
     ----------
@@ -283,22 +283,14 @@ def pace_of(stroke: Direction, slow: Direction | None) -> Pace:
 def travels(
     mechanism: Mechanism, sizes: Mapping[str, Value], low: float, high: float, full: bool
 ) -> tuple[dict[str, Travel], dict[str, Travel]]:
-    """Compute the limited motions of swinging bodies, and of sliders (by guide), over a range of crank angles.
+    """Compute limited motions as `optlink.linkage.travels`, without a check of the arguments.
 
     Parameters
     ----------
     mechanism : Mechanism
     sizes : mapping of parameter name to float [m, rad]
     low, high : float [rad]
-        Range of the crank angle; one cycle if `full`.
     full : bool
-        Whether the crank turns fully.
-
-    Returns
-    -------
-    swings : mapping of body to Travel
-        Bodies that turn fully or do not turn are omitted.
-    strokes : mapping of guide to Travel
     """
     outputs = [*((link.body, True) for link in mechanism.links), *((guide.name, False) for guide in mechanism.guides)]
     count = GRID * (max(1, round(mechanism.cycle / TURN)) if full else 1)

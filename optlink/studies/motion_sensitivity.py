@@ -12,8 +12,7 @@ import casadi
 import numpy as np
 from numpy.typing import ArrayLike
 
-from optlink.errors import InputError
-from optlink.linkage.arguments import check_array
+from optlink.linkage.arguments import check_array, check_design
 from optlink.linkage.mechanism import FRAME, Mechanism
 from optlink.linkage.vector2d import Array
 from optlink.optimization.output_derivatives import output_derivatives
@@ -111,8 +110,7 @@ def output_sensitivity(
     ('rad', ['coupler', 'crank', 'frame', 'rocker'], array([-4.133]))
     """
     check_choice("output", output, output_names(mechanism), "unknown output")
-    if missing := [name for name in mechanism.parameters if name not in sizes]:
-        raise InputError(f"missing: {', '.join(missing)}", "Give SI values of all sizes by name", key="sizes")
+    sizes = check_design(mechanism, sizes)
     chosen = list(by or sizes)
     for name in chosen:
         check_choice("by", name, sizes, "unknown dimension")
