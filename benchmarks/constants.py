@@ -50,9 +50,10 @@ CALLS = {"log", "radians", "exp", "sqrt", "array", "sin"}  # functions of number
 FACTORS = {"half": 0.5, "double": 2.0}
 MOST, BUDGET = 3, 2.5  # searches for a constant; processor time [s] of them together, unless there is only one
 LONGEST = 8.0  # times the processor time of the search with the stated value, and 5 s: then it is stopped
+MANY = 10.0  # ratio of work from which it is told as a factor
 DIGITS = 1e-9  # relative difference of an objective that counts
 ROUNDING = 1e-16  # objective [SI] of a design without errors
-TIMES = 2.0  # ratio of the times of one search that counts; on a busy machine others are noise
+TIMES, SECONDS = 2.0, 1.0  # ratio and difference [s] of the times of one search that count; on a busy machine others are noise
 
 
 @dataclass(frozen=True)
@@ -469,8 +470,9 @@ def _lines(file: Path) -> list[Found]:
 def effect(stated: Found, found: Found) -> str:
     """What another value changes, and whether the time differs, in words; empty if nothing."""
     words = changes(stated, found)
-    ratio = found.get("seconds", stated["seconds"]) / stated["seconds"]
-    if not 1.0 / TIMES <= ratio <= TIMES:
+    before, after = stated["seconds"], found.get("seconds", stated["seconds"])
+    ratio = after / before
+    if not 1.0 / TIMES <= ratio <= TIMES and abs(after - before) > SECONDS:
         words.append(f"time x {ratio:.2g}")
     return ", ".join(words)
 
@@ -489,13 +491,26 @@ def changes(stated: Found, found: Found) -> list[str]:
         words.append(f"{'worse' if gap > 0.0 else 'better'} by {abs(gap):.1g}")
     if stated["valid"] != found["valid"]:
         words.append("valid" if found["valid"] else "not valid")
-    if stated["told"] != found["told"]:
-        words.append(f"{stated['told']} -> {found['told']}"[:60])
+    (proof, boxes), (other_proof, other_boxes) = _proof(stated), _proof(found)
+    if proof != other_proof:
+        words.append(f"{proof or 'no proof'} -> {other_proof or 'no proof'}"[:60])
+    if boxes and other_boxes and boxes != other_boxes:
+        words.append(f"boxes {_amount(other_boxes / boxes)}")
     if stated["starts"] != found["starts"]:
         words.append(f"{found['starts']} starts instead of {stated['starts']}")
     if stated["evaluations"] != found["evaluations"]:
-        words.append(f"evaluations {100.0 * (found['evaluations'] / max(stated['evaluations'], 1) - 1.0):+.3g} %")
+        words.append(f"evaluations {_amount(found['evaluations'] / max(stated['evaluations'], 1))}")
     return words
+
+
+def _amount(ratio: float) -> str:
+    return f"x {ratio:.3g}" if ratio > MANY else f"{100.0 * (ratio - 1.0):+.3g} %"
+
+
+def _proof(found: Found) -> tuple[Any, int]:
+    """The status of a certificate, or what else was told, and the number of boxes, or zero."""
+    told = found["told"]
+    return (told[0], told[1]) if len(told) == 2 and isinstance(told[0], str) and isinstance(told[1], int) else (told, 0)
 
 
 def _gap(one: float, other: float) -> float:

@@ -98,11 +98,11 @@ def _decides(effect: str) -> bool:
 
 def _work(effect: str) -> float:
     """Ratio of the work, or its reciprocal, whichever is larger."""
-    percent = re.search(r"evaluations ([-+\d.e]+) %", effect)
-    times = re.search(r"time x ([\d.e+-]+)", effect)
+    percents = re.findall(r"(?:evaluations|boxes) ([-+\d.e]+) %", effect)
+    times = re.findall(r"x ([\d.e+-]+)", effect)
     starts = re.search(r"(\d+) starts instead of (\d+)", effect)
-    ratios = [1.0 + float(percent[1]) / 100.0] if percent else []
-    ratios += [float(times[1])] if times else []
+    ratios = [1.0 + float(percent) / 100.0 for percent in percents]
+    ratios += map(float, times)
     ratios += [int(starts[1]) / int(starts[2])] if starts and int(starts[2]) else []
     return max((max(one, 1.0 / one) for one in ratios if one > 0.0), default=1.0)
 

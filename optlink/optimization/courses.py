@@ -30,6 +30,7 @@ from optlink.optimization.terms import (
 )
 from optlink.problem.design import EPIGRAPH, DesignProblem
 from optlink.problem.limits import Bound
+from optlink.problem.requirements.values import GRID
 from optlink.problem.terms import Goal, Term
 from optlink.units import KINDS, factor
 
@@ -109,7 +110,6 @@ def heights_at(goal: Goal, size: float, parts: Sequence[Any]) -> list[Any]:
 EVENT = "end of a stroke"
 """Name of the rows that define the crank angles at which motions reverse, and beginning of those of these unknowns."""
 FEWEST = 4  # positions per stroke
-GRID = 36  # crank angles at which the assembly of a mechanism other than a four-bar is checked
 BETWEEN = 3  # positions between two points if full crank rotation is not required
 SMALL_INTEGRAL = 1e-6  # of the integral of the largest value: share below which an integral counts as zero
 NODES = 48  # positions per revolution of quantities of the machine with an integral; half of it for extremes alone

@@ -36,6 +36,7 @@ from optlink.problem.design import DesignProblem
 from optlink.problem.file import ProblemFile
 from optlink.problem.limits import Reach
 from optlink.problem.requirements.base import START, StartPosition, at_positions
+from optlink.problem.requirements.values import GRID
 from optlink.problem.targets.law import Law
 
 UNIT = 2.0**-53  # largest relative error of a rounded operation
@@ -470,7 +471,6 @@ _RULES: dict[np.ufunc, Callable[..., TaylorModel]] = {
 # Limits that cannot be evaluated over a box are left out, and limits at every crank angle apply at some of them only. So every
 # feasible design is feasible here too, and a lower bound of the objective here holds there.
 
-GRID = 36  # crank angles at which limits of single positions apply
 TRIALS = 6.0 * (np.outer((0.7548776662466927, 0.5698402909980532), np.arange(1, 17)) % 1.0) - 3.0
 """Start positions [rad] at which the period of a law is tested: the R2 sequence, without loading a random generator."""
 

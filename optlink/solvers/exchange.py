@@ -51,11 +51,10 @@ from optlink.solvers.solution import Attempt, Solution
 POSITIONS = 1441  # positions along the required motion at which limits are sampled
 PER_STROKE = 241  # those along a stroke, or along the revolution where quantities of the machine are all that counts
 EXCHANGES = 40  # rounds
-RADIUS, SMALLEST, LARGEST = 0.3, 1e-6, 10.0  # scaled units: trust-region radius of the first round, and its range
+RADIUS, SMALLEST = 0.3, 1e-6  # scaled units: trust-region radius of the first round, and the least one
 GROWTH, ALL_BUT = 2.5, 0.9  # of the radius after a step of at least that share of it
 TRACKED_PEAK = 0.1  # in the unit of the row: a peak this far below its limit may exceed it in the next round
-NEAR_LIMIT = 0.01  # the same where only an excess counts
-MOVING_PEAK = 0.02  # the same for peaks whose positions are unknowns of the NLP
+MOVING_PEAK = 0.02  # the same for peaks whose positions are unknowns of the NLP, and where only an excess counts
 TRACKED_LEVEL, MOVING_LEVEL = 0.3, 0.05  # the same for peaks of the error, as shares of the largest one
 REACH, FARTHEST = 0.02, 0.1  # share of the motion by which such a position may move in a round of the first radius, and at most
 PER_ROW = 2  # such positions of a row that the programme has at least
@@ -136,7 +135,7 @@ def solve_semi_infinite(
         penalty = max(penalty, _needed_penalty(solution, tops, moved, there))
         if _merit(moved, there, penalty) < _merit(solution, tops, penalty):
             solution, tops, violated, worst = moved, there, [], math.inf
-            radius = min(GROWTH * radius, LARGEST) if limited else radius
+            radius = GROWTH * radius if limited else radius
         elif 0.0 < there[0].height < worst:
             violated, worst = [*there, *violated], 0.5 * there[0].height  # the step is repeated with these positions
         else:
@@ -161,7 +160,7 @@ def _polished(solution: Solution) -> Solution:
 
 def largest_excess(task: DesignProblem, nlp: NLP, x: Array) -> float:
     """Return the largest excess over a limit or a largest value of a design, if it is not far below; see `RowPeak`."""
-    return _courses(task, nlp).tops(local.solution_at(nlp, x, ""), NEAR_LIMIT)[0].height
+    return _courses(task, nlp).tops(local.solution_at(nlp, x, ""), MOVING_PEAK)[0].height
 
 
 def rank(solution: Solution) -> tuple[bool, bool, float]:

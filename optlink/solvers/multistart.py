@@ -40,9 +40,8 @@ MAX_STEPS = 6  # at most; two or three reach rounding error
 TRIES = 3  # active sets: a limit violated at the end is added to the next set
 LONGEST_STEP = 1e-2  # a longer step is rejected: it leaves the neighbourhood of the optimum
 CONVERGED = 1e-10  # residual of the optimality conditions of an optimum
-ROUNDING = 1e-14  # residual at which no further step is made
+ROUNDING = 1e-14  # residual at which no further step is made, and that share of the largest second derivative
 SHORTEST_STEP = 1e-9  # after a step this short the error is its square: rounding
-NOISE = 1e-14  # share of the largest second derivative: rounding error of the gradient
 # Comparison of two optima:
 SAME_ERROR = 1e-8  # rad; errors that differ by less count as equal
 SAME_DESIGN = 1e-5  # scaled units; designs that differ by less count as equal
@@ -191,7 +190,7 @@ def _converged(
         here = nlp.at(y, p)
         if not here.finite or float(np.max(np.abs(y - x))) > LONGEST_STEP:
             return None
-    threshold = max(CONVERGED, NOISE * stiffness)
+    threshold = max(CONVERGED, ROUNDING * stiffness)
     return (*best, threshold) if last <= threshold else None
 
 

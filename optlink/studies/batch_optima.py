@@ -23,7 +23,7 @@ from optlink.errors import Status
 from optlink.linkage.vector2d import Array
 from optlink.optimization.multipliers import ACTIVE
 from optlink.optimization.nlp import NLP, BatchValues, Evaluator
-from optlink.solvers.multistart import newton
+from optlink.solvers.multistart import CONVERGED, newton
 from optlink.solvers.solution import FEASIBLE, SAME_OBJECTIVE, Attempt, Solution, verified_solution
 from optlink.studies.grid import Grid
 
@@ -37,7 +37,6 @@ MIN_BLOCKS = 3
 # Newton's method:
 MAX_STEPS = 8  # at most, before a search is made instead
 MAX_DISTANCE = 0.3  # scaled units; largest distance of a neighbour
-MAX_RESIDUAL = 1e-10  # of the optimality conditions of an optimum
 ACTIVE_SETS = 5  # that are tried at each point
 LARGEST_STEP = 1.0  # of variables and multipliers; a larger one may come from dependent limits
 ROUNDING = 1e-12  # residual of the optimality conditions at which the iterations end
@@ -159,7 +158,7 @@ def follow_optimum(nlp: NLP, near: Solution) -> Solution | None:
         jacobian = np.vstack([unit, values.jacobian])[active]
         missing = np.concatenate([x, values.g])[active] - bound
         residual = np.concatenate([values.gradient + jacobian.T @ multipliers, missing])
-        if np.max(np.abs(residual), initial=0.0) <= MAX_RESIDUAL:
+        if np.max(np.abs(residual), initial=0.0) <= CONVERGED:
             break
         weights = np.zeros(len(values.g))
         weights[rows] = multipliers[len(active) - len(rows) :]
@@ -328,7 +327,7 @@ def _iterated(
             residual = np.concatenate([values_at.gradient[points] + pull, missing], axis=1)
             size[points] = np.max(np.abs(residual), axis=1)
             moves.append((points, active, slope, residual))
-        ends = (size <= MAX_RESIDUAL) & ((size <= ROUNDING) | (size > MAX_RATIO * last[todo]))
+        ends = (size <= CONVERGED) & ((size <= ROUNDING) | (size > MAX_RATIO * last[todo]))
         at, last[todo] = todo[ends], size
         converged[at], values[at], objective[at] = True, values_at.values[ends], values_at.objective[ends]
         jacobian[at], hessian[at] = values_at.jacobian[ends], values_at.hessian[ends]

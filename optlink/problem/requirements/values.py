@@ -34,7 +34,7 @@ from optlink.problem.targets.expression import Expression, parse
 from optlink.problem.targets.law import check_rotation
 from optlink.problem.terms import Limit, Term, check_term, guide_of, output_of
 
-GRID = 36  # crank angles at which the transmission of a mechanism other than a four-bar is evaluated
+GRID = 36  # crank angles of a revolution at which assembly and transmission of a mechanism other than a four-bar are evaluated
 
 
 def check_output(problem: Designed, output: str) -> None:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from optlink.execution import interrupts
 from optlink.linkage.fourbar import InnerFourBar
 from optlink.linkage.vector2d import TURN, Array
+from optlink.optimization.taylor_model import UNIT
 from optlink.problem.design import DesignProblem
 from optlink.problem.targets.law import Function
 from optlink.solvers.global_search.branch_and_bound import Boxes, BranchAndBound
@@ -59,7 +60,6 @@ Complex = NDArray[np.complex128]
 
 STEEPEST = 5.0  # largest |kappa|
 ANGLES = 4  # angles omega of the rows of the longest coupler
-UNIT = 2.0**-53
 FIELDS = ("output", "crank", "both", "k0", "k1", "k2", "k3", "ratio")
 GRASHOF = {
     "span": (),
