@@ -30,10 +30,10 @@ UNSUPPORTED = {
         "A slider on an arc moves as a pin of a link: pin a link to the centre of the arc, with its radius as length",
         r"(mechanism\.)?guides\.\w+\.(radius|curve|curvature|arc|centre|center)",
     ),
-    "stops": Unsupported(
-        "stops and contacts between bodies are",
+    "contacts": Unsupported(
+        "contacts between bodies are",
         "Leave them out, and take the motion up to the stop from the table of `optlink analyze --csv FILE`",
-        r"(mechanism\.)?(stops?|contacts?|bumpers?|collisions?)|loads\.\w+\.(stops?|contacts?)",
+        r"(mechanism\.)?(contacts?|collisions?)|loads\.\w+\.contacts?",
     ),
     "pin friction": Unsupported(
         "friction in a pin without clearance is",
@@ -61,6 +61,10 @@ UNSUPPORTED = {
 
 WRITTEN = {
     r"drive\.(end|stop|to|until|limits?|min|max|travel|swing)": 'Write range = ["15 deg", "60 deg"]',
+    r"((mechanism|loads)\.)?(\w+\.)?(stops?|bumpers?|end_?stops?)": (
+        'Write in [drive] range = ["0 deg", "90 deg"], torque = "0 N*m" for a body that moves freely, '
+        "and stops = { restitution = 0.4 }"
+    ),
     r"drive\.(profile|table|schedule|motion|csv|over|expression)": 'Write law = [{ time = "0.4 s", to = "60 deg" }, ...]',
     r"drive\.(alpha|ramp|deceleration)": 'Write acceleration = "-40 rad/s^2", or a law over the time',
     r"drive\.(velocity|stroke|length|ram|screw|slider|guide)": 'Write slide = "G" (a guide) or cylinder = "lift", and a range',

@@ -288,7 +288,7 @@ class _EquationsOfMotion:
             *(["friction"] if machine.friction else []),
             *(["stops"] if stops else []),
         ]
-        self.direction = 1.0
+        self.direction, self.rigid = 1.0, stops
         self.by_numbers = bool(machine.friction)  # symbols do not support the iteration for friction
         self.buffered: dict[float, tuple[Callable[..., list[Array]], Callable[..., list[Array]]]] = {}
         self.evaluations = 0
@@ -332,7 +332,7 @@ class _EquationsOfMotion:
             powers.append(sum((act.power(moving.state(act.body)) for act in load.act(moving)), 0.0))
         if joint_reactions is not None:
             powers.append(sum(np.sum(force.friction * moving.slides[name][1]) for name, force in joint_reactions.guides.items()))
-        if "stops" in self.names:  # they act at an instant
+        if self.rigid:  # its stops act at an instant
             powers.append(0.0)
         return [alpha, *powers, *self.accelerations(moving)]
 
@@ -473,7 +473,9 @@ class _Integration:
         stepper = Stepper(self.equations, self.equations.attempt, self.time, end, self.state, first)
         ahead = [("switch", at) for at in nearest(float(self.state[0]), self.switches, self.equations.cycle, PASSED_JUMP)]
         ahead += self.stops()
-        ahead += [] if self.limits is None else self.limits.marks
+        for kind, at in self.limits.marks if self.limits is not None else ():
+            if kind != "switch" or abs(at - float(self.state[0])) > PASSED_JUMP:
+                ahead.append((kind, at))
         event = None
         while event is None and self.time < end:
             step = stepper.step()

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import Any, ClassVar, Literal, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -616,3 +616,48 @@ class SlideDamper(Steady):
         yield Acting(self.slider, point, (force * x, force * y))
         if self.on != FRAME:
             yield Acting(self.on, point, (-force * x, -force * y))
+
+
+@dataclass(frozen=True)
+class EndStops:
+    """Elastic end stops of a drive at crank angles, or values of its cycle variable, `low` and `high` [rad].
+
+    `stiffness` [N m/rad], of a drive along a line [N/m] with its `lever` [m/rad]. Going out the force is that share of it which
+    returns the square of `restitution` of the energy, whatever the mass.
+    """
+
+    name: str
+    low: float
+    high: float
+    stiffness: float
+    restitution: float
+    lever: float = 1.0
+    switching: ClassVar[bool] = True
+
+    def reversing(self, moving: Moving) -> tuple[Value, Value]:
+        """Return speed and acceleration of the crank, with which the force jumps."""
+        return moving.motion.speed, moving.motion.crank_acceleration
+
+    def potential(self, moving: Moving) -> Value:
+        """Return zero: its energy counts as work."""
+        return 0.0
+
+    def act(self, moving: Moving) -> Iterator[Acting]:
+        """Yield the torque on the crank, or the force on slider, or on rod and barrel of a cylinder."""
+        angle, mechanism = moving.motion.crank_angle, moving.machine.mechanism
+        back, rising = self.restitution**2, 0.5 * (1.0 + moving.direction)
+        low, high = np.maximum(self.low - angle, 0.0), np.maximum(angle - self.high, 0.0)
+        outside = low * (1.0 - (1.0 - back) * rising) - high * (back + (1.0 - back) * rising)
+        effort, body = self.stiffness * self.lever * outside, mechanism.crank.body
+        if not mechanism.drives:
+            yield Acting(body, moving.state(body).start, torque=effort)
+            return
+        drive = mechanism.drives[0]
+        guide = next((guide for guide in mechanism.guides if guide.slider == body and not drive.size), None)
+        x, y = moving.state(body).axis if guide is None else moving.line(guide.name)
+        force = effort * x, effort * y
+        if guide is not None:
+            yield Acting(body, moving.position(guide.at or mechanism.bodies[body].start), force)
+            return
+        yield Acting(drive.rod, moving.state(drive.rod).start, force)
+        yield Acting(body, moving.state(body).start, (-force[0], -force[1]))

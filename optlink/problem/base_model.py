@@ -19,7 +19,7 @@ from optlink.units import is_sweep, split_range
 NAME = "[A-Za-z][A-Za-z0-9_]{0,39}"
 DEEPEST = 10
 """Greatest depth of tables at which a range can be written."""
-RESERVED = (FRAME, "input", "energy")
+RESERVED = (FRAME, "input", "energy", "stops")
 
 
 class Section(BaseModel):

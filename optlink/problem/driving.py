@@ -47,6 +47,11 @@ class Driving:
         assert self.ends is not None
         return self.ends[0] + (self.ends[1] - self.ends[0]) * position / HALF
 
+    @property
+    def lever(self) -> float:
+        """Way of a drive along a line per change of the cycle variable [m/rad]; 1 for a crank."""
+        return 1.0 if self.ends is None else (self.ends[1] - self.ends[0]) / HALF
+
     def text(self, position: float) -> str:
         """Return a crank angle, or a value of the cycle variable [rad], as a designer calls it: "crank angle 30 deg"."""
         return f"{self.coordinate} {self.shown(position):.6g} {self.unit}"
@@ -178,7 +183,7 @@ def _along(section: FourBarSection | DyadsSection, name: str, drive: DriveSectio
     if drive.speed.kind not in ("velocity", STATIC) and "speed" in drive.model_fields_set:
         raise Unusable("the drive moves along a line", 'Give a speed such as "100 mm/s"', "drive.speed", str(drive.speed))
     pace = SLOWNESS if drive.speed.kind == STATIC else speed * HALF / (ends[1] - ends[0])
-    first = 0.0 if pace > 0.0 else HALF
+    first = 0.0 if pace >= 0.0 else HALF
     for key, of in (("start", drive.start), *(("range", end) for end in drive.range or ())):
         if key in drive.model_fields_set and of.kind != "coordinate":
             raise Unusable("the drive moves along a line", 'Give positions such as "250 mm"', f"drive.{key}", str(of))

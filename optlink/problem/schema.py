@@ -185,6 +185,10 @@ FORMS: dict[str, Form] = {
     "BodySection.centroid": either("text, or `[along, across]`", TEXT, _FIXED_PLACE),
     "BodySection.inertia": either("moment of inertia, or `uniform bar`", {"const": "uniform bar"}, text("moment of inertia")),
     "DriveSection.torque": size("torque"),
+    "DriveSection.force": size("force"),
+    "DriveSection.stops": either("", {"const": "rigid"}),
+    "DriveSection.initial_speed": either("angular velocity or velocity", text("angular velocity", "velocity")),
+    "StopsSection.stiffness": either("stiffness or torsional stiffness", text("stiffness", "torsional stiffness")),
     "DriveMotion.range": either("`[low, high]`, angles or lengths", pair(text("angle", "coordinate")), TEXT, table("min", "max")),
     "DriveMotion.start": either("angle, or length", text("angle", "coordinate")),
     "DriveMotion.speed": either(

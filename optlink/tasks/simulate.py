@@ -7,10 +7,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from optlink.dynamics.columns import tabulated
-from optlink.dynamics.forward import Ending, Limits, Run, run
+from optlink.dynamics.columns import efforts, tabulated
+from optlink.dynamics.forward import DriveForce, Ending, Limits, Run, run
 from optlink.dynamics.inverse import reduced_inertia
-from optlink.dynamics.machine import Machine, Moving
+from optlink.dynamics.machine import EndStops, Machine, Moving
 from optlink.errors import InputError
 from optlink.execution import interrupts
 from optlink.linkage.continuation import continue_through_singularities
@@ -18,6 +18,7 @@ from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.arguments import typed
 from optlink.problem.document import Columns, Number, Renamed, Source, Tabled
 from optlink.problem.file import AnyProblem, ProblemFile, problem_of
+from optlink.problem.machine.bodies import StopsSection
 from optlink.problem.quantity import check_range
 from optlink.tasks.machine import (
     MAX_DURATION,
@@ -71,7 +72,7 @@ class Simulation(Tabled):
     @property
     def valid(self) -> bool:
         """Whether the whole duration was simulated, or the machine came to rest."""
-        return self.ending in (Ending.FINISHED, Ending.AT_REST, Ending.END_OF_RANGE)
+        return self.ending in (Ending.FINISHED, Ending.AT_REST, Ending.AT_STOP, Ending.END_OF_RANGE)
 
     @property
     def status(self) -> str:
@@ -145,10 +146,10 @@ def simulate(
     if progress is not None:
         progress(0.0)  # the preparation of a long chain of links takes seconds
     drive = problem.model.drive
-    torque = drive.torque
     machine = machine_of(problem, design)
     start, begun = starting_angle(problem, machine, design)
     driving = problem.model.driving
+    torque = drive.torque if drive.force is None else DriveForce(drive.force, driving.place(0.0), driving.lever)
     prescribed = bool(machine.mechanism.drives) and driving.ends is None
     ranges, low, high = motion_range(problem, machine, start)
     laws = [drive.law for drive in machine.mechanism.drives if drive.law is not None and not drive.law.repeats]
@@ -178,6 +179,12 @@ def simulate(
             message = "the machine has no inertia, so no torque can govern its motion"
             raise InputError(message, "Give the bodies masses", problem.file, "bodies")
     limits = Limits(low, high, Ending.END_OF_RANGE) if bounded else None if ranges.full or prescribed else Limits(low, high)
+    if bounded and torque is not None and (drive.range is not None or driving.mechanism.cylinders):
+        stops = drive.stops or StopsSection()
+        limits = Limits(low, high, None, stops.restitution if stops.stiffness is None else None)
+        if stops.stiffness is not None:
+            elastic = EndStops("stops", low, high, stops.stiffness.value, stops.restitution, driving.lever)
+            machine = machine.with_(loads=(*machine.loads, elastic))
     singular = [position.crank_angle for position in ranges.singular]
     if singular:  # same motion up to there, without the rounding errors of 0/0 expressions
         cycle = machine.mechanism.cycle
@@ -197,15 +204,22 @@ def simulate(
     revolutions = (high - low + (0.0 if result.ending is Ending.FINISHED else AHEAD)) / TURN
     notes += pole_notes(machine, low if way > 0.0 else high, revolutions, way, torque is None)
     columns, meanings = _columns(machine, result)
+    figures = _figures(problem, machine, result)
+    if result.ending is Ending.AT_STOP:  # the balance of the last row is that of drive and stop together
+        effort = efforts(machine.mechanism)[0]
+        own, both = float(result.torque[-1]) / driving.lever, columns[effort.column]
+        figures[effort.column.replace("input", "stops")] = held = float(both[-1]) - own
+        both[-1] = own
+        notes.append(f"the end stop holds it with {held:.6g} {effort.unit}")
     law = "motion laws" if len(machine.mechanism.drives) > 1 else "a motion law"
     return Simulation(
         problem,
         dict(design or {}),
         flywheel,
-        "torque" if torque is not None else law if prescribed else "constant speed",
+        efforts(machine.mechanism)[0].quantity if torque is not None else law if prescribed else "constant speed",
         result.ending,
         tuple(notes),
-        _figures(problem, machine, result),
+        figures,
         result.stopped,
         result.steps,
         result.evaluations,

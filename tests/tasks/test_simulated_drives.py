@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ import optlink
 from optlink.dynamics.forward import Ending
 from optlink.errors import InputError
 from optlink.presentation.views.simulation import charts, conclusion
+from optlink.problem.file import read
 
 FILES = Path(__file__).parents[1] / "data" / "driven"
 RPM = math.pi / 30.0
@@ -167,3 +169,122 @@ def test_motor_that_a_law_moves_has_no_torque_or_crank_speed():
         simulated("two-link-arm", speed=3.0)
     with pytest.raises(InputError, match="moves along a line"):
         simulated("excavator-boom", flywheel=3.0)
+
+
+# --- forces along a line, end stops -----------------------------------------------------------------------------------------
+
+CARRIAGE = """
+title = "Carriage on a rail"
+gravity = "9.81 m/s^2"
+[mechanism.ground]
+A = ["0 m", "0 m"]
+[mechanism.links]
+carriage = { joints = ["T"] }
+[mechanism.guides]
+rail = { slider = "carriage", through = "A", direction = "90 deg" }
+[bodies]
+carriage = { mass = "2 kg" }
+[drive]
+slide = "rail"
+range = ["0 m", "1 m"]
+"""
+
+
+def carriage(**changes):
+    file = read(tomllib.loads(CARRIAGE), "carriage")
+    return file.override({f"drive.{key}" if key != "gravity" else key: value for key, value in changes.items()})
+
+
+def test_ball_bounces_until_it_rests():
+    """Each impact takes the share 1 - e^2 of the energy; the times are those of the textbook, their sum that of a series."""
+    run = optlink.simulate(carriage(force="0 N", start="0.8 m", stops={"restitution": 0.5}, duration="5 s"), rows=2000)
+    first = math.sqrt(2.0 * 0.8 / 9.81)
+    time, height = run["time_s"], run["carriage.s_m"]
+    once = (time > first) & (time < 2.0 * first)
+    np.testing.assert_allclose(height[once], 0.5 * 9.81 * (time[once] - first) * (2.0 * first - time[once]), atol=1e-9)
+    assert run.ending is Ending.AT_STOP
+    assert run.stopped == pytest.approx(first * (1.0 + 2.0 * sum(0.5**k for k in range(1, 14))), rel=1e-6)
+    assert run.figures["stops.work_J"] == pytest.approx(-2.0 * 9.81 * 0.8, rel=1e-9)
+    assert run.figures["stops.force_N"] == pytest.approx(2.0 * 9.81)
+    assert run["input.force_N"][-1] == 0.0
+    assert np.all(height >= -1e-12)
+    balanced(run)
+
+
+def test_elastic_stop_returns_the_square_of_its_restitution():
+    stops = {"stiffness": "20 kN/m", "restitution": 0.6}
+    changes = {
+        "gravity": "0 m/s^2",
+        "force": "0 N",
+        "start": "0.9 m",
+        "initial_speed": "2 m/s",
+        "stops": stops,
+        "duration": "0.2 s",
+    }
+    run = optlink.simulate(carriage(**changes), rows=2000)
+    time, place, frequency = run["time_s"], run["carriage.s_m"], math.sqrt(20e3 / 2.0)
+    stopped, out = 0.05 + 0.5 * math.pi / frequency, 0.5 * math.pi / (0.6 * frequency)
+    into = (time > 0.05) & (time < stopped)
+    np.testing.assert_allclose(place[into], 1.0 + 2.0 / frequency * np.sin(frequency * (time[into] - 0.05)), atol=1e-9)
+    np.testing.assert_allclose(run["stops.fy_N"][into], -20e3 * (place[into] - 1.0), atol=1e-4)
+    after = time > stopped + out
+    np.testing.assert_allclose(run["carriage.v_m_s"][after], -1.2, rtol=1e-9)
+    assert run.figures["stops.work_J"] == pytest.approx(-0.5 * 2.0 * (2.0**2 - 1.2**2), rel=1e-9)
+    balanced(run)
+
+
+def test_elastic_stop_holds_a_weight_at_last():
+    stops = {"stiffness": "20 kN/m", "restitution": 0.3}
+    run = optlink.simulate(carriage(force="0 N", start="0.05 m", stops=stops, duration="5 s"))
+    assert run.ending is Ending.AT_REST
+    assert 0.3**2 <= -run["carriage.s_m"][-1] * 20e3 * 0.3**2 / (2.0 * 9.81) <= 1.0 + 1e-9
+
+
+def test_force_that_falls_with_the_speed():
+    """m v' = F (1 - v/w): the speed approaches w."""
+    force = {"over": "v", "at": ["0 m/s", "2 m/s"], "values": ["10 N", "0 N"]}
+    run = optlink.simulate(carriage(gravity="0 m/s^2", force=force, duration="0.4 s"))
+    np.testing.assert_allclose(run["carriage.v_m_s"], 2.0 * (1.0 - np.exp(-2.5 * run["time_s"])), rtol=1e-7, atol=1e-12)
+    assert run.driven == "force"
+    balanced(run)
+
+
+def test_cylinder_with_a_force_gives_its_work_to_the_boom():
+    run = simulated("excavator-boom", {"drive.speed": None, "drive.force": "10 kN", "drive.duration": "3 s"}, rows=200)
+    angle, length = run["boom.angle_rad"], run["lift.length_m"]
+    height = 0.7 * np.sin(angle) + 0.1 * np.cos(angle)
+    energy = 0.5 * (60.0 + 300.0 * 0.5) * run["boom.omega_rad_s"] ** 2 + 300.0 * 9.81 * height
+    np.testing.assert_allclose(energy - energy[0] - run["stops.work_J"], 10e3 * (length - 1.2), atol=1e-4)
+    assert run.figures["stops.work_J"] < -1000.0
+    assert run.ending is Ending.AT_STOP
+    assert length[-1] == pytest.approx(1.9)
+    np.testing.assert_allclose(run["input.force_N"], 10e3, rtol=1e-7)
+    away, tilt = math.hypot(0.6, 0.4), math.atan2(-0.4, 0.6)
+    lever = away * 1.5 * math.sin(angle[-1] - tilt) / length[-1]
+    carried = 300.0 * 9.81 * (0.7 * math.cos(angle[-1]) - 0.1 * math.sin(angle[-1])) / lever
+    assert run.figures["stops.force_N"] == pytest.approx(carried - 10e3, rel=1e-6)
+    elastic = {"drive.stops": {"stiffness": "2000 kN/m", "restitution": 0.5}, "drive.speed": None, "drive.force": "10 kN"}
+    balanced(simulated("excavator-boom", elastic, duration=2.0, rows=200))
+
+
+def test_lid_falls_on_its_stop():
+    run = simulated("hatch", {"drive.start": "60 deg", "drive.speed": None, "drive.torque": "0 N*m"}, duration=5.0)
+    assert run.ending is Ending.AT_STOP
+    assert run["lid.angle_rad"][-1] == 0.0
+    assert run.figures["stops.torque_Nm"] == pytest.approx(50.0 * 9.81 * 0.8)
+    assert run.figures["stops.work_J"] == pytest.approx(-50.0 * 9.81 * 0.8 * math.sin(math.radians(60.0)), rel=1e-9)
+    assert "the end stop holds it with 392.4 N m" in run.notes
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"torque": "5 N*m"}, r"drive\.torque.*moves along a line"),
+        ({"stops": "rigid"}, r"drive\.stops.*under a torque or force"),
+        ({"force": "5 N", "stops": {"stiffness": "5 N*m/rad"}}, r"stops\.stiffness.*does not fit"),
+        ({"force": "5 N", "initial_speed": "5 rpm", "duration": "1 s"}, r"initial_speed.*a velocity"),
+    ],
+)
+def test_what_does_not_fit_a_drive_along_a_line(changes, words):
+    with pytest.raises(InputError, match=words):
+        optlink.simulate(carriage(**changes))

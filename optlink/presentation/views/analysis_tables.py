@@ -70,8 +70,11 @@ def machine(file: ProblemFile) -> Iterator[TableSpec]:
     drive = [("drive", f"{mechanism.crank.body} at {model.drive.speed}, from {model.drive.start}{lasts}{reach}")]
     if mechanism.drives:
         drive = [_drive(one, built, model.drives.get(one.name, model.drive)) for one in mechanism.drives]
-    if model.drive.torque is not None:
-        drive.append(("torque", f"{model.drive.torque}, for simulate"))
+    for key in ("torque", "force"):
+        if (effort := getattr(model.drive, key)) is not None:
+            drive.append((key, f"{effort}, for simulate"))
+    if (stops := model.drive.stops) is not None:
+        drive.append(("end stops", f"{stops.stiffness or 'rigid'}, restitution {stops.restitution:g}"))
     drive.append(("gravity", f"({built.gravity[0]:g}, {built.gravity[1]:g}) m/s^2" if gravity else "none"))
     for name, section in model.loads.items():
         explicit = {key: getattr(section, key) for key in type(section).model_fields if key in section.model_fields_set}

@@ -194,7 +194,7 @@ def energy(run: Simulation) -> list[ChartSpec]:
     return [ChartSpec("energy", "Energy", panels, Axis(TIME), f"{run.problem.model.title}: energy account")]
 
 
-VERDICTS = {Ending.FINISHED: "Finished", Ending.AT_REST: "Came to rest"}
+VERDICTS = {Ending.FINISHED: "Finished", Ending.AT_REST: "Came to rest", Ending.AT_STOP: "Came to rest at its end stop"}
 
 
 def page(run: Simulation) -> StoredStudy:

@@ -26,7 +26,6 @@ from optlink.problem.quantity import (
     Mass,
     Number,
     Quantity,
-    Speed,
     Unusable,
     Velocity,
     check_name,
@@ -38,7 +37,7 @@ from optlink.problem.quantity import (
     reader,
     where,
 )
-from optlink.units import measures
+from optlink.units import KINDS, measures
 from optlink.unsupported import unsupported
 
 # --- bodies ----------------------------------------------------------------------------------------------------------
@@ -224,17 +223,38 @@ class DriveMotion(Section):
         return next(((key, str(one)) for key, one in stated if one.kind in ("velocity", "coordinate")), ("", ""))
 
 
+class StopsSection(Section):
+    """End stops of a drive under a torque or force, at the ends of its range: rigid ones, or with a stiffness."""
+
+    restitution: Annotated[
+        Number, where(lambda e: 0.0 <= e <= 1.0, "a coefficient of restitution lies between 0 and 1", "Give for example 0.4")
+    ] = 0.0
+    """Coefficient of restitution: the speed after an impact over that before it."""
+    stiffness: (
+        Annotated[Quantity, BeforeValidator(partial(_either, angular="torsional stiffness", linear="stiffness"))] | None
+    ) = None
+    """Stiffness of the stops, which otherwise are rigid; they give back the square of the restitution of the energy."""
+
+
 class DriveSection(DriveMotion):
-    """Drive of the machine: a constant speed, a law over the time, or (for `simulate`) a torque or motor curve."""
+    """Drive of the machine: a constant speed, a law over the time, or (for `simulate`) a torque, force or motor curve."""
 
     acceleration: Acceleration | None = None
     """Constant angular acceleration of the crank, from `start` and `speed` on, for one revolution or to the end of its range."""
     torque: Annotated[Any, in_folder(partial(read_size, kind="torque", names=("phi", "omega")))] = None
     """For `optlink simulate`, instead of the constant speed: a torque, or a table or expression over phi or omega."""
+    force: Annotated[Any, in_folder(partial(read_size, kind="force", names=("s", "v")))] = None
+    """For `optlink simulate`, of a slide or cylinder: a force, positive along the guide or where it extends the cylinder, or a
+    table or expression over its slide or length s and its speed v."""
+    stops: Annotated[StopsSection | None, BeforeValidator(lambda raw: {} if raw == "rigid" else raw)] = None
+    """End stops of a drive under a torque or force: `{ restitution = 0.4 }`, with `stiffness` elastic ones; default: `rigid` ones
+    at the ends of its range, from which it does not rebound."""
     servo: ServoSection | None = None
     """For `optlink simulate` with clearance: the crank follows a reference signal; not together with `torque`."""
-    initial_speed: Speed | None = None
-    """Crank speed at the start of `optlink simulate` under a torque; default: `speed` if that is given, else at rest."""
+    initial_speed: (
+        Annotated[Quantity, BeforeValidator(partial(_either, angular="angular velocity", linear="velocity"))] | None
+    ) = None
+    """Speed at the start of `optlink simulate` under a torque or force; default: `speed` if that is given, else at rest."""
     duration: Duration | None = None
     """Duration of `optlink simulate`."""
     fluctuation: Annotated[Number, _SMALL] | None = None
@@ -242,12 +262,28 @@ class DriveSection(DriveMotion):
 
     @model_validator(mode="after")
     def _turns(self) -> Self:
-        if self.speed.value == 0.0 and self.torque is None:
+        effort, key = (self.torque, "torque") if self.force is None else (self.force, "force")
+        if self.speed.value == 0.0 and effort is None:
             remedy = 'Give a speed, or "static" for statics; from rest the drive needs a torque'
             raise Unusable("the crank speed is zero", remedy, "speed", str(self.speed))
-        if self.torque is not None and (self.law is not None or self.acceleration is not None):
-            raise Unusable("the drive has a prescribed motion and a torque", "Give one of the two", "torque", str(self.torque))
+        if effort is not None and (self.law is not None or self.acceleration is not None):
+            raise Unusable(f"the drive has a prescribed motion and a {key}", "Give one of the two", key, str(effort))
+        if self.torque is not None and self.linear:
+            raise Unusable("the drive moves along a line", 'Give force = "10 kN" instead', "torque", str(self.torque))
+        if self.stops is not None and (effort is None or not (self.range or self.linear)):
+            message = "end stops hold a drive under a torque or force at the ends of its range"
+            raise Unusable(message, 'Give range = ["0 deg", "90 deg"], and torque = "0 N*m" if it moves freely', "stops")
+        linear = "stiffness" if self.linear else "torsional stiffness"
+        if self.stops is not None and self.stops.stiffness is not None and self.stops.stiffness.kind != linear:
+            remedy = f'Give a {linear} such as "{KINDS[linear].example}"'
+            raise Unusable("the stiffness does not fit the drive", remedy, "stops.stiffness", str(self.stops.stiffness))
         return self
+
+    @property
+    def stated_linear(self) -> tuple[str, str]:
+        """Key and value of the first position, speed or force along a line that the file states; empty without one."""
+        stated = super().stated_linear
+        return stated if stated[0] or self.force is None else ("force", str(self.force))
 
 
 def _read_gravity(raw: object) -> Any:

@@ -37,8 +37,8 @@ from optlink.unsupported import unsupported
 
 # Size of a force or torque: a quantity, an expression with its unit, or a table over crank angle, slide or crank speed.
 
-OVER = {"phi": "angle", "s": "coordinate", "omega": "angular velocity"}
-"""Independent variables of a table of forces: crank angle, slider position, crank speed."""
+OVER = {"phi": "angle", "s": "coordinate", "v": "velocity", "omega": "angular velocity"}
+"""Independent variables of a table of forces: crank angle, slider position and velocity, crank speed."""
 REPEATED = 1e-12  # share of a revolution by which a row that repeats the first one may miss it
 
 
@@ -431,8 +431,8 @@ class LoadSection(Section):
                 raise Unusable("the force has no direction", 'Add direction = "90 deg" (from +x)', "direction")
             if isinstance(self.force, Formula) and self.force.expression.names & {"s", "v"} and not along_guide:
                 raise Unusable("s and v are those of a slider along its guide", "Leave direction out, or use phi", "force")
-            if isinstance(self.force, LoadTable) and self.force.over == "s" and not along_guide:
-                raise Unusable("s is the position of a slider along its guide", "Leave direction out, or use phi", "force")
+            if isinstance(self.force, LoadTable) and self.force.over in ("s", "v") and not along_guide:
+                raise Unusable("s and v are those of a slider along its guide", "Leave direction out, or use phi", "force")
             self._check_against(mechanism)
             direction = guide if self.direction is None else self.direction.value
             force = Force(name, body, point, self.force, direction, opposing=opposing, against=against)

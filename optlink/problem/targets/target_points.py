@@ -313,6 +313,8 @@ COLUMN_UNITS = {
     "force": ("N", "kN"),
     "torque": ("Nm",),
     "angular velocity": ("rpm", "rad_s"),
+    "velocity": ("m_s", "mm_s"),
+    "pressure": ("bar", "MPa", "kPa", "Pa"),
     "time": ("s", "ms"),
     "voltage": ("V",),
 }
