@@ -15,7 +15,7 @@ import casadi
 import numpy as np
 
 from optlink.linkage.mechanism import Pose
-from optlink.linkage.vector2d import TURN, Array, Value, unit
+from optlink.linkage.vector2d import Array, Value
 from optlink.optimization.nlp import Variable
 from optlink.optimization.output_errors import ErrorResiduals
 from optlink.optimization.terms import (
@@ -127,6 +127,12 @@ def has_position_limits(problem: DesignProblem) -> bool:
     return not problem.four_bar
 
 
+def extent_of(problem: DesignProblem) -> tuple[float, float]:
+    """Return where the whole motion of the drive begins and its rotation [rad]: a revolution, or its range."""
+    low, high = problem.linkage.extent
+    return low, high - low
+
+
 class LimitCourse:
     """Limits at single crank angles, over the whole revolution or along the motion of a requirement, `part`.
 
@@ -142,12 +148,12 @@ class LimitCourse:
 
     def motion(self, angles: Any) -> tuple[Any, Any]:
         """Return the crank angle [rad] at which the motion begins, and its rotation, for the crank angles of the requirement."""
-        return (0.0, TURN) if self.part is None else (angles[0], angles[-1] - angles[0])
+        return extent_of(self.problem) if self.part is None else (angles[0], angles[-1] - angles[0])
 
     def fixed_positions(self, angles: Any) -> list[Any]:
         """Return the crank angles [rad] at which the limits always apply."""
         if self.part is None:
-            return list(np.linspace(0.0, TURN, GRID, endpoint=False))
+            return list(np.linspace(*self.problem.linkage.extent, GRID, endpoint=self.problem.linkage.limits is not None))
         between = [a + (b - a) * (k / (BETWEEN + 1)) for a, b in itertools.pairwise(angles) for k in range(BETWEEN + 1)]
         return [*between, angles[-1]]
 
@@ -159,7 +165,7 @@ class LimitCourse:
         """
         begin, whole = self.motion(angles)
         with np.errstate(all="ignore"):
-            rows = self.rows(self.problem.linkage.pose(values, unit(begin + whole * shares)))
+            rows = self.rows(self.problem.linkage.at(values, begin + whole * shares))
             over = [np.maximum(row.low - row.value, row.value - row.high) for row in rows]
             excesses = np.array(np.broadcast_arrays(*over, begin + shares)[:-1])
         return np.where(np.isfinite(excesses), excesses, -np.inf)
@@ -188,7 +194,7 @@ class ErrorCourse:
 
     def motion(self, span: Any = None) -> tuple[Any, Any]:
         """Return begin and rotation [rad], from the start; `span` replaces that of the law."""
-        return (0.0, self.part.span if span is None else span) if self.part.law_given else (0.0, TURN)
+        return (0.0, self.part.span if span is None else span) if self.part.law_given else extent_of(self.part)
 
     @cached_property
     def _errors(self) -> ErrorResiduals:
@@ -441,7 +447,7 @@ def above_level(values: Array, level: float) -> Array:
 
 def limit_courses(problem: DesignProblem) -> list[LimitCourse]:
     """Return the courses of limits at single crank angles: over the revolution, and along the motion of each requirement."""
-    pose = problem.linkage.pose(problem.complete({}), unit(0.0))
+    pose = problem.linkage.at(problem.complete({}), 0.0)
     regions = [RegionCourse(problem, None, False), *(RegionCourse(problem, part, True) for part in problem.parts)]
     with np.errstate(all="ignore"):
         regions = [course for course in regions if course.rows(pose)]

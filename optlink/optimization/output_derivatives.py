@@ -8,7 +8,7 @@ from typing import Any
 import casadi
 
 from optlink.linkage.mechanism import Mechanism
-from optlink.linkage.vector2d import Array, Value, cross, unit
+from optlink.linkage.vector2d import Array, Value, cross
 from optlink.problem.design import DesignProblem
 from optlink.problem.tolerances import residuals, with_deviating_pivots
 from optlink.symbolic import NumpyEvaluator, symbols_in_numpy
@@ -46,7 +46,7 @@ class ErrorDerivatives:
         angle, more = casadi.SX.sym("crank angle"), [casadi.SX.sym(f"target {k}") for k in range(problem.data.columns.shape[1])]
         by = list(dict.fromkeys(sizes))
         with symbols_in_numpy():
-            parts = problem.deviation(linkage.pose(symbols, unit(angle)), symbols, tuple(more))
+            parts = problem.deviation(linkage.at(symbols, angle), symbols, tuple(more))
             slopes = [casadi.jacobian(part, symbols[name]) for part in parts for name in by]
         self._inputs, self._outputs, self._count = [*symbols.values(), angle, *more], [*parts, *slopes], len(parts)
         self._place = [by.index(size) for size in sizes]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from optlink.linkage.vector2d import Array, Value, unit
+from optlink.linkage.vector2d import Array, Value
 from optlink.problem.design import DesignProblem
 from optlink.problem.targets.law import Table
 from optlink.problem.tolerances import EXPECTED, residuals, sizes_of
@@ -54,7 +54,7 @@ class ErrorResiduals:
             values = problem.complete(values)
             angle, target = values[problem.start_name] + offsets, (offsets, tabulated)
             if self.slopes is None:
-                return [-part for part in problem.deviation(problem.linkage.pose(values, unit(angle)), values, target)]
+                return [-part for part in problem.deviation(problem.linkage.at(values, angle), values, target)]
             (error,), (slopes,) = self.slopes.numeric(values, angle, target)
             return residuals(self.robust, problem.deviations, [-error], [[-slope for slope in slopes]])
 
@@ -63,7 +63,7 @@ class ErrorResiduals:
         problem = self.problem
         with np.errstate(all="ignore"):
             if self.slopes is None:
-                return problem.deviation(problem.linkage.pose(values, unit(angles)), values, ())
+                return problem.deviation(problem.linkage.at(values, angles), values, ())
             errors, slopes = self.slopes.numeric(values, angles, (0.0,))
             return residuals(self.robust, problem.deviations, errors, slopes, separate=True)
 
@@ -81,7 +81,7 @@ def error_at(problem: DesignProblem, design: Mapping[str, float], offsets: Array
     """
     values = problem.complete(design)
     with np.errstate(all="ignore"):
-        pose = problem.linkage.pose(values, unit(values[problem.start_name] + offsets))
+        pose = problem.linkage.at(values, values[problem.start_name] + offsets)
         (error,) = problem.deviation(pose, values, (offsets, _tabulated(problem, offsets)))
     return np.asarray(-error + 0.0 * offsets, dtype=float)
 

@@ -17,7 +17,7 @@ import casadi
 import numpy as np
 
 from optlink.linkage.stroke import LEAST_DIFFERENCE
-from optlink.linkage.vector2d import TURN, Array, unit
+from optlink.linkage.vector2d import TURN, Array
 from optlink.optimization.courses import (
     EVENT,
     ErrorCourse,
@@ -25,6 +25,7 @@ from optlink.optimization.courses import (
     TermCourse,
     course_again,
     exchange_count,
+    extent_of,
     heights_at,
     limit_courses,
     rows_below_level,
@@ -200,13 +201,15 @@ class _Builder:
         inputs, place, known = self.inputs()
         part = course.part
         start = part.own(known).get(part.start_name) if part is not None and part.timing == "from start" else None
-        placed = course.rows(self.problem.linkage.pose(known, unit(place if start is None else place + start)))
+        placed = course.rows(self.problem.linkage.at(known, place if start is None else place + start))
         values = casadi.vertcat(*[row.value for row in placed])
         at = self.positions(casadi.Function("limits", [inputs, casadi.SX.sym("none", 0)], [values]))
 
+        whole = part is None and self.problem.linkage.limits is None
+
         def rows_at(angle: Any) -> list[ConstraintRow]:
             z = at.at(angle)
-            return [replace(row, value=z[k], place=angle, periodic=part is None) for k, row in enumerate(placed)]
+            return [replace(row, value=z[k], place=angle, periodic=whole) for k, row in enumerate(placed)]
 
         return rows_at
 
@@ -253,10 +256,12 @@ class _Builder:
         if self.terms is not None and (self.terms.events or not self.blocks):  # the design that has these events
             given = {k: v.scaled(self.terms.near[v.name]) for k, v in enumerate(self.variables) if v.name in self.terms.near}
             box = [(low, high, given.get(k, start)) for k, (low, high, start) in enumerate(box)]
+        (low, whole), limits = extent_of(problem), problem.linkage.limits
+        reached = limits or (-2.0 * TURN, 2.0 * TURN)
         for block in self.blocks:
-            step = block.direction * TURN / block.count
-            box += [(-4.0 * math.pi, 4.0 * math.pi, step * i) for i in range(block.count if block.free_timing else 0)]
-        reached = problem.linkage.limits or (-2.0 * TURN, 2.0 * TURN)
+            step = block.direction * whole / block.count
+            first = 0.0 if limits is None else (low if step > 0.0 else low + whole) + 0.5 * step
+            box += [(*reached, first + step * i) for i in range(block.count if block.free_timing else 0)]
         box += [] if self.terms is None else [(*reached, angle) for angle in self.terms.structure.angles]
         signed = [] if self.terms is None else [goal.how != "peak" for goal in self.terms.extremes]
         box += [(0.0, math.inf, 1.0)] * (len(self.variables) - len(box) - len(signed))
@@ -340,10 +345,10 @@ class _Targets:
         if part.law_given:
             target = (place, *target[1:])  # the crank rotation itself, which may be an unknown
         if part.robust is None:
-            parts = part.deviation(part.linkage.pose(known, unit(angle)), known, target)
+            parts = part.deviation(part.linkage.at(known, angle), known, target)
         else:
             parts = traced_residuals(part, known, angle, target, known.get(SMOOTHED_BY, 0.0) * part.whole)
-            parts += part.deviation(part.linkage.pose(known, unit(angle)), known, target)[:2] if self.drawn else []
+            parts += part.deviation(part.linkage.at(known, angle), known, target)[:2] if self.drawn else []
         self.watched = self.of.positions(casadi.Function("residual", [inputs, senses], [casadi.vertcat(*parts)]))
 
     def one_position(self) -> dict[str, Any]:
@@ -393,6 +398,8 @@ class _Targets:
         for i, (a, b) in enumerate(itertools.pairwise(self.angles)):
             label = f"order of points {i + 1} and {i + 2}{suffix}"
             yield ConstraintRow(key, label, (b - a) * self.direction, STEP, math.inf, DEGREES)
+        if self.part.linkage.limits is not None:
+            return
         passed, most = (self.angles[-1] - self.angles[0]) * self.direction, TURN - (0.0 if self.part.meets_again else STEP)
         yield ConstraintRow(key, f"points within one revolution{suffix}", passed, -math.inf, most, DEGREES)
 

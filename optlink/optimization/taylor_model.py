@@ -30,7 +30,7 @@ from numpy.typing import ArrayLike, NDArray
 from optlink.errors import Fault, InputError
 from optlink.linkage.fourbar import transmission_cosine
 from optlink.linkage.singular import FIXED_LIMIT_TOLERANCE
-from optlink.linkage.vector2d import TURN, Array, unit
+from optlink.linkage.vector2d import TURN, Array
 from optlink.optimization.terms import TERMS, ConstraintRow, output_error, position_rows
 from optlink.problem.design import DesignProblem
 from optlink.problem.file import ProblemFile
@@ -615,7 +615,7 @@ def _timed(problem: DesignProblem, law: Law | None, values: dict[str, Any], coun
     data = problem.data if law is None else at_positions(np.column_stack([law.offsets, law.tabulated]), law.offsets)
     assert data.offsets is not None
     start = values[START] if problem.timing == "from start" else TaylorModel.constant(0.0, count)
-    pose = problem.linkage.pose(values, unit(start + TaylorModel.constant(data.offsets, count)))
+    pose = problem.linkage.at(values, start + TaylorModel.constant(data.offsets, count))
     if problem.requirement.kind == "transmission":  # rational in the lengths, so known where the linkage cannot be assembled too
         assert problem.four_bar is not None
         ends = np.cos(data.offsets - data.offsets[0])
@@ -635,8 +635,9 @@ def _timed(problem: DesignProblem, law: Law | None, values: dict[str, Any], coun
         over_span = position_rows(problem, pose)
         whole = over_span
         if turns:
-            angles = TaylorModel.constant(np.linspace(0.0, TURN, GRID, endpoint=False), count)
-            whole = position_rows(problem, problem.linkage.pose(values, unit(angles)))
+            grid = np.linspace(*problem.linkage.extent, GRID, endpoint=problem.linkage.limits is not None)
+            angles = TaylorModel.constant(grid, count)
+            whole = position_rows(problem, problem.linkage.at(values, angles))
         rows += [span_row if span_row.over_span else row for row, span_row in zip(whole, over_span, strict=True)]
     if np.any(np.isfinite(data.tolerances)):
         distance = (residuals[..., :2] * residuals[..., :2]).sum()

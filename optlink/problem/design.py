@@ -84,8 +84,8 @@ class DesignProblem(Problem):
 
     @cached_property
     def four_bar(self) -> InnerFourBar | None:
-        """The four-bar that the linkage is, however the file writes it; None for any other linkage."""
-        return whole_four_bar(self.linkage)
+        """The four-bar that the linkage is, however the file writes it; None for any other linkage, or within a range."""
+        return whole_four_bar(self.linkage) if self.linkage.limits is None else None
 
     @cached_property
     def frame_angle(self) -> float | None:
@@ -117,10 +117,9 @@ class DesignProblem(Problem):
         """
         check_one_mode(self.mechanism)
         check_design_drive(self.mechanism, self.drive)
-        if self.parts and self.linkage.limits is not None:
-            message = "targets of a machine whose drive has a range are not supported"
-            remedy = 'Leave range out; limits.crank = "span" asks only that the linkage reaches all targets'
-            raise Unusable(message, remedy, "drive.range")
+        if self.linkage.limits is not None and "crank" in self.limits.model_fields_set:
+            message = "the drive has a range, throughout which the linkage closes"
+            raise Unusable(message, "Leave it out, or the range", "limits.crank", self.limits.crank)
         check_limits(self.limits, self.linkage, four_bar=self.four_bar is not None)
         for name in () if self.parts else self.limits.model_fields_set:
             if name in Limits.model_fields and f"limits.{name}" in self.inapplicable:
@@ -132,6 +131,7 @@ class DesignProblem(Problem):
         for part in self.each:
             with part.keyed():
                 part.requirement.check(part)
+                part.requirement.check_reached(part)
                 check_robust(part.robust, part.measure, len(part.tolerances))
         minimised = [part for part in self.each if not part.requirement.limited]
         for part in self.each:
@@ -530,8 +530,8 @@ class DesignProblem(Problem):
 
     @cached_property
     def closed(self) -> bool:
-        """Whether the points form a closed curve: the last step leads back to the first point."""
-        return bool(self.requirement.is_closed)
+        """Whether the points form a closed curve: the last step leads back to the first point; not within a range."""
+        return bool(self.requirement.is_closed) and self.linkage.limits is None
 
     @property
     def meets_again(self) -> bool:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.errors import Status
-from optlink.linkage.vector2d import Array, unit
+from optlink.linkage.vector2d import Array
 from optlink.optimization.courses import TermCourse, has_position_limits
 from optlink.optimization.nlp import NLP, PointwiseNLP
 from optlink.optimization.programme import build, constant_values
@@ -47,7 +47,7 @@ class TargetProgramme:
         nlp, n = self.nlp, len(self.nlp.variables)
         values = {name: quantity.value for name, quantity in task.quantities.items()}
         with np.errstate(all="ignore"):
-            pose = task.linkage.pose(values, unit(0.0))
+            pose = task.linkage.at(values, 0.0)
             if task.parts:
                 rows = limit_rows(task, values, Reach(0.0, 1.0, self.direction), self.task.size)
                 placed = position_rows(task, pose) if has_position_limits(task) else []

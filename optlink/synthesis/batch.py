@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from optlink.linkage.dyads import ModalDyad
 from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.mechanism import Mechanism
-from optlink.linkage.vector2d import TURN, Array, unit
+from optlink.linkage.vector2d import TURN, Array
 from optlink.optimization.programme import path_variable
 from optlink.optimization.terms import position_rows, region_rows, rows as limit_rows
 from optlink.problem.base_model import RESERVED
@@ -126,7 +126,7 @@ class Batch:
                     g = casadi.vertcat(*[row.value for row in rows])
                     self._limits.append(NumpyEvaluator([*casadi.vertsplit(x), t, span], [g, casadi.jacobian(g, x)]))
                 self.bounds = np.array([(row.low + INSIDE * (row.limit in STRUCTURAL), row.high) for row in rows]).reshape(-1, 2)
-        self.angles = np.linspace(0.0, TURN, GRID, endpoint=False)
+        self.angles = np.linspace(*problem.linkage.extent, GRID, endpoint=problem.linkage.limits is not None)
         self.timed = 0.0 if problem.timing != "from start" else 1.0
 
     def _trace_positions(self, problem: DesignProblem, x: Any, values: dict[str, Any]) -> None:
@@ -134,7 +134,7 @@ class Batch:
         t, more = casadi.SX.sym("t"), casadi.SX.sym("more", self.data.columns.shape[1] + 1)
         inputs, sides = casadi.vertsplit(x), list(self.side_symbols.values())
         *target, weight = casadi.vertsplit(more)
-        pose = self.linkage(problem).pose(values, unit(t))
+        pose = self.linkage(problem).at(values, t)
         residual = casadi.vertcat(*problem.deviation(pose, values, tuple(target))) * (weight / problem.whole)
         self.width = int(residual.numel())
         slopes = casadi.jacobian(residual, casadi.vertcat(x, t))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from optlink.execution.runner import ordered
 from optlink.execution.worker import Runs, built, packed
 from optlink.linkage.fourbar import InnerFourBar, inner_four_bars
-from optlink.linkage.vector2d import TURN, Array, unit
+from optlink.linkage.vector2d import TURN, Array
 from optlink.optimization.programme import path_variable
 from optlink.problem.design import STEP, DesignProblem
 from optlink.synthesis.batch import Batch, ByLengths
@@ -143,12 +143,17 @@ def random_crank_angles(batch: Batch, count: int, rng: np.random.Generator) -> A
     steps = chords ** rng.uniform(0.0, 1.0, (count, 1)) * np.exp(noise * rng.standard_normal((count, len(chords))))
     if problem.closed and problem.meets_again:
         steps[:, -1] = 0.0
-    span = np.full((count, 1), TURN) if problem.closed else TURN * rng.uniform(0.1, 0.97, (count, 1))
+    low, high = problem.linkage.extent
+    span = np.full((count, 1), TURN) if problem.closed else (high - low) * rng.uniform(0.1, 0.97, (count, 1))
     steps = np.maximum(steps / steps.sum(axis=1, keepdims=True) * span, 2.0 * STEP * (steps > 0.0))
     either = len(problem.ways) > 1
     ways = np.where(rng.random((count, 1)) < 0.5, *problem.ways) if either else np.full((count, 1), problem.ways[0])
     turned = np.concatenate([np.zeros((count, 1)), np.cumsum(steps[:, : number - 1], axis=1)], axis=1)
-    return np.asarray(rng.uniform(-math.pi, math.pi, (count, 1)) + ways * turned, dtype=float)
+    begin = rng.uniform(-math.pi, math.pi, (count, 1))
+    if problem.linkage.limits is not None:
+        room = high - low - turned[:, -1:]
+        begin = np.where(ways > 0.0, low, high - room) + room * (begin / TURN + 0.5)
+    return np.asarray(begin + ways * turned, dtype=float)
 
 
 def within_reach(batch: Batch, x: Array, t: Array, rng: np.random.Generator) -> Array:
@@ -185,7 +190,7 @@ def assembles_everywhere(batch: Batch, x: Array, t: Array) -> NDArray[np.bool_]:
             angle_sets.append(np.broadcast_to(batch.angles, (len(x), len(batch.angles))))
         assembled = np.ones(len(x), dtype=bool)
         for at in angle_sets:
-            pose = mechanism.pose(values, unit(at))
+            pose = mechanism.at(values, at)
             for group in mechanism.groups:
                 margin = np.broadcast_to(pose.margins[group.joint], at.shape)
                 assembled &= np.all(margin > group.least, axis=1)
@@ -453,6 +458,8 @@ def acceptable(batch: Batch, ends: FinalDesigns) -> tuple[NDArray[np.bool_], NDA
     way = np.where(whole >= 0.0, 1, -1)
     proper = np.all(steps * way[:, None] >= STEP, axis=1) & (np.abs(whole) <= TURN + 1e-9)
     proper &= np.isin(way, batch.problem.ways)
+    if (limits := batch.problem.linkage.limits) is not None:
+        proper &= np.all((angles >= limits[0]) & (angles <= limits[1]), axis=1)
     return (ends.missed <= MISSED) & (proper | (not batch.free_timing)), way
 
 
@@ -463,11 +470,11 @@ def nearest_in_order(problem: DesignProblem, t: Array) -> Array:
     """
     from scipy.optimize import isotonic_regression
 
-    least = 2.0 * STEP * np.arange(len(t))
+    low, high = problem.linkage.limits or (-math.inf, math.inf)
+    t, least, most = np.clip(t, low, high), 2.0 * STEP * np.arange(len(t)), min(TURN, high - low) - 2.0 * STEP
     angles = []
     for way in problem.ways:
         rising = isotonic_regression(way * t - least).x + least
-        most = TURN - 2.0 * STEP
         if rising[-1] - rising[0] > most:
             rising = rising[0] + (rising - rising[0]) * most / (rising[-1] - rising[0])
         angles.append((float(np.sum((rising - way * t) ** 2)), way * rising))

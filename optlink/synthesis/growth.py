@@ -65,7 +65,7 @@ class ContainedFourBar:
 def contained_four_bar(problem: ProblemFile) -> ContainedFourBar | None:
     """Return the four-bar whose coupler curve the point of a path problem of a linkage of dyads can trace, or None."""
     task = problem.spec
-    if task.requirement.kind != "path" or "links" not in problem.raw["mechanism"]:
+    if task.requirement.kind != "path" or "links" not in problem.raw["mechanism"] or task.linkage.limits is not None:
         return None
     mechanism, point = task.linkage, task.point
     for loop in inner_four_bars(mechanism):

@@ -303,7 +303,8 @@ class SimilarityFit:
         bound = [name for name in (*ground, *turning) if name not in names]
         self.counted_from_x = problem.linkage.datum == 0.0
         timed = not batch.free_timing and batch.start < 0 and self.counted_from_x
-        similar = placed and not free and not bound and not problem.links  # a link need not hold for a similar linkage
+        around = problem.linkage.limits is None and not problem.linkage.elements
+        similar = around and placed and not (free or bound or problem.links)  # a link need not hold for a similar linkage
         self.applies = problem.requirement.kind == "path" and similar and not timed
         if self.applies:
             self._trace()

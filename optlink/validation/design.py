@@ -229,8 +229,16 @@ class _Tested:
 
     @cached_property
     def revolution(self) -> FourBarMotion | LinkageMotion:
-        """The motion over a revolution."""
-        return self._motion(np.linspace(0.0, TURN, POSITIONS, endpoint=False), closed=True)
+        """The motion over a revolution, or over the range of the drive."""
+        low, high = self.problem.linkage.extent
+        if not self.limited:
+            return self._motion(np.linspace(low, high, POSITIONS, endpoint=False), closed=True)
+        return self._motion(np.linspace(low, high, POSITIONS * max(1, round((high - low) / TURN)) + 1), span=high - low)
+
+    @property
+    def limited(self) -> bool:
+        """Whether the drive moves through a range."""
+        return self.problem.linkage.limits is not None
 
     @cached_property
     def span(self) -> FourBarMotion | LinkageMotion:
@@ -440,7 +448,8 @@ class _Points(_Targets):
             least, whole = np.min(steps, axis=1), np.sum(steps, axis=1)
             yield Checks("points met in order", (least > 0.0) & (least >= gap * (1.0 - 1e-3)), least, "> 0", "deg")
             most = 360.0 if problem.meets_again else 360.0 - gap  # only a repeated point may lie there
-            yield Checks("points met within one revolution", whole <= most + 1e-6, whole, f"<= {most:.6g}", "deg")
+            if not tested.limited:
+                yield Checks("points met within one revolution", whole <= most + 1e-6, whole, f"<= {most:.6g}", "deg")
         if len(problem.ways) == 1:
             right = tested.way == problem.ways[0]
             yield Checks(f"crank turns {problem.rotation}", right, tested.way, f"= {problem.ways[0]:g}", "")
@@ -465,14 +474,14 @@ class _Transmission(_Targets):
             squares = cosines**2 if self.problem.robust is None else self.with_scatter(*self._cosines(tested.angles))
             objective = self.reduced(np.sum(squares, axis=2))
         elif self.problem.robust is not None:
-            grid = np.linspace(0.0, TURN, POSITIONS, endpoint=False)
+            grid = np.linspace(*self.problem.linkage.extent, POSITIONS, endpoint=tested.limited)
 
             def ends(angles: Array) -> Array:
                 middle, spread = self._cosines(angles)
                 return np.moveaxis(np.abs(middle[..., 0]) + spread, -1, 0)
 
             rows = rows_of(ends, cosines.shape[-1], tested.count)
-            largest = extremes_of_rows(rows, grid, periodic=True, signs=(-1.0,))
+            largest = extremes_of_rows(rows, grid, periodic=not tested.limited, signs=(-1.0,))
             objective = np.max(largest.reshape(-1, tested.count), axis=0)
         else:
             worst = np.max(np.abs(np.cos(tested.revolution.transmission_extremes)), axis=(0, 1))
@@ -648,9 +657,9 @@ class _Position(_Targets):
         problem, stated = self.problem, self.problem.requirement
         factor, unit = DISPLAYED[problem.unit]
         near = ANGLE_TOLERANCE if unit == "deg" else PLACED * problem.size * factor
-        value = self.measured.generated[:, 0, 0] * factor
+        value, driving = self.measured.generated[:, 0, 0] * factor, problem.driving
         yield from limit_checks(
-            f"{problem.output} at {math.degrees(stated.at.value):g} deg", value, stated.value, near, factor, unit
+            f"{problem.output} at {driving.shown(stated.at.value):g} {driving.unit}", value, stated.value, near, factor, unit
         )
 
 
@@ -670,8 +679,17 @@ TARGETS: Mapping[str, type[_Targets]] = {
 def _sizes(tested: _Tested) -> Iterator[Checks]:
     """Check bounds, fixed quantities, and constant link lengths in motion."""
     yield from bounds_and_links(tested.problem, tested.design, tested.size)
+    yield from _reached(tested)
     lengths = (np.abs(tested.sizes[name][:, 0]) for name, q in tested.problem.mechanism.quantities.items() if q.kind != "angle")
     yield tested.required.link_lengths(functools.reduce(np.maximum, lengths, np.asarray(tested.size)))
+
+
+def _reached(tested: _Tested) -> Iterator[Checks]:
+    """Check that all positions lie within the range of the drive."""
+    if tested.limited:
+        low, high = tested.problem.linkage.extent
+        beyond = np.degrees(np.max(np.maximum(low - tested.angles, tested.angles - high), axis=1, initial=0.0))
+        yield Checks("positions within the range of the drive", beyond <= 1e-6, beyond, "<= 1e-06", "deg")
 
 
 def _crank(tested: _Tested) -> Iterator[Checks]:
@@ -679,7 +697,7 @@ def _crank(tested: _Tested) -> Iterator[Checks]:
     limits, groups = tested.problem.limits, tested.problem.linkage.groups
     if tested.turns and tested.lengths is not None:
         yield grashof_check(tested.lengths, limits)
-    where = "the whole revolution" if tested.turns else "the span"
+    where = "the range" if tested.limited else "the whole revolution" if tested.turns else "the span"
     for group, least in zip(groups, tested.required.least_squared_sines, strict=True):
         yield alignment_check(group, len(groups) == 1, least, limits, where)
 
@@ -750,12 +768,15 @@ def _regions(tested: _Tested) -> Iterator[Checks]:
     """Check that points stay in or out of the regions, at every crank angle: by sweep and refinement."""
     for name, region in tested.problem.limits.regions.items():
         whole = tested.turns and region.over != "span"
-        begin, span = (0.0, TURN) if whole else tested.targets.range
+        low, high = tested.problem.linkage.extent
+        begin, span = (low, high - low) if whole else tested.targets.range
         grid = np.linspace(0.0, 1.0, POSITIONS + 1)
 
         distances = functools.partial(_distances, tested, region, (begin, span))
         sides = len(distances(grid[None, :1]))
-        least = extremes_of_rows(rows_of(distances, sides, tested.count), grid, periodic=whole, signs=(1.0,))
+        least = extremes_of_rows(
+            rows_of(distances, sides, tested.count), grid, periodic=whole and not tested.limited, signs=(1.0,)
+        )
         nearest = np.min(least.reshape(sides, -1), axis=0) * 1e3
         near = PLACED * tested.problem.size * 1e3
         yield Checks(region.label(name), nearest >= region.margin * 1e3 - near, nearest, f">= {region.margin * 1e3:.6g}", "mm")

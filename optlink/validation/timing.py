@@ -36,7 +36,7 @@ def passing(problem: DesignProblem, design: Mapping[str, float]) -> Array:
     if problem.data.offsets is not None or not problem.pointed:
         return problem.crank_angles(design, None)
     angles = min((_one_way(problem, design, way) for way in problem.ways), key=lambda each: each[1])[0]
-    return np.asarray(angles - TURN * np.round(angles[0] / TURN))
+    return np.asarray(angles if problem.linkage.limits else angles - TURN * np.round(angles[0] / TURN))
 
 
 def _squares(problem: DesignProblem, design: Mapping[str, float], angles: Array) -> Array:
@@ -52,8 +52,9 @@ def _one_way(problem: DesignProblem, design: Mapping[str, float], way: float) ->
     The best starting point on a grid by dynamic programming over all of them at once, then the best course from there, refined
     between its neighbours in rounds.
     """
-    count = len(problem.data.columns)
-    grid = TURN * np.arange(GRID) / GRID
+    count, limits = len(problem.data.columns), problem.linkage.limits
+    low, high = (0.0, TURN) if limits is None else sorted(way * end for end in limits)
+    grid = low + (high - low) * np.arange(GRID) / (GRID - (limits is not None))
     cost = _squares(problem, design, np.broadcast_to(way * grid, (count, GRID)))
     joined = np.maximum if problem.measure == "max" else np.add
 
@@ -66,6 +67,9 @@ def _one_way(problem: DesignProblem, design: Mapping[str, float], way: float) ->
             best = joined(np.concatenate([np.full((len(starts), 1), np.inf), cumulative[:, :-1]], axis=1), row[ahead])
         return np.asarray(np.min(best, axis=1))
 
+    if limits is not None:
+        angles, _ = _ordered(cost, np.broadcast_to(grid, cost.shape), joined)
+        return _refined(problem, design, way, angles, (low, high))
     bound = joined(cost[0], joined.reduce(np.min(cost[1:], axis=1), initial=0.0))  # of the total from each start
     totals = np.full(GRID, np.inf)
     for starts in np.array_split(np.argsort(bound, kind="stable"), PARTS):  # until no other start can be better
@@ -79,12 +83,19 @@ def _one_way(problem: DesignProblem, design: Mapping[str, float], way: float) ->
         rolled = np.concatenate([rolled, np.where(np.arange(count) == count - 1, rolled[:, 0], np.inf)[:, None]], axis=1)
     steps = TURN / GRID * np.arange(rolled.shape[1])
     angles, _ = _ordered(rolled, np.full((count, 1), grid[start]) + steps, joined)
-    reach, figure = TURN / GRID, np.inf
+    angles, figure = _refined(problem, design, way, angles, (-np.inf, np.inf))
+    return way * np.minimum(way * angles, way * angles[0] + TURN), figure
+
+
+def _refined(
+    problem: DesignProblem, design: Mapping[str, float], way: float, angles: Array, ends: tuple[float, float]
+) -> tuple[Array, float]:
+    """Return the crank angles about rising ones (points,), all times `way`, that pass the points best, and their objective."""
+    reach, figure, joined = TURN / GRID, np.inf, np.maximum if problem.measure == "max" else np.add
     for _ in range(ROUNDS):
-        near = angles[:, None] + reach * np.linspace(-1.0, 1.0, REFINED_ANGLES)
+        near = np.clip(angles[:, None] + reach * np.linspace(-1.0, 1.0, REFINED_ANGLES), *ends)
         angles, figure = _ordered(_squares(problem, design, way * near), near, joined)
         reach /= SHRINK
-    angles = np.minimum(angles, angles[0] + TURN)
     return way * angles, figure
 
 

@@ -246,12 +246,6 @@ def test_positions_of_a_cylinder_are_its_lengths(tmp_path):
         np.testing.assert_allclose(found.by[name], (ends[0] - ends[1]) / 2e-6, rtol=1e-6)
 
 
-def test_targets_and_clearance_refuse_a_range(tmp_path):
-    target = '\n[requirement]\nkind = "transmission"\n'
-    with pytest.raises(InputError, match="targets of a machine whose drive has a range are not supported"):
-        problem(tmp_path, CRANK_ROCKER.partition("[objective]")[0] + target)
-
-
 LAMP = """
 title = "Lamp arm"
 gravity = "9.81 m/s^2"

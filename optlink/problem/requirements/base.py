@@ -1,5 +1,6 @@
 """Requirements of design problems: what every kind has. Its class holds its keys, checks, targets and the deviation from them."""
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Protocol
@@ -18,6 +19,8 @@ from optlink.problem.tolerances import Robustness
 
 START, MARK, ZERO = "start", "mark", "zero"
 """Names of quantities that a requirement adds to those of dyads; a law of a four-bar section adds phi0 and psi0."""
+SAME_ANGLE = 1e-9
+"""Difference of crank angles [rad] that is rounding."""
 Measure = Literal["sum of squares", "rms", "max"]
 
 
@@ -193,6 +196,43 @@ class Requirement(Section):
         Unusable
             with the full key of the cause.
         """
+
+    def rotations(self, problem: Designed) -> tuple[float, float]:
+        """Return the least and largest crank rotation [rad] from the start, else crank angle, of what is prescribed."""
+        offsets = self.data(problem).offsets
+        assert offsets is not None
+        return float(np.min(offsets)), float(np.max(offsets))
+
+    def any_start(self, problem: Designed, half: float) -> Quantity:
+        """Return a free start angle, by `half` [rad] to either side, or by which the drive keeps to its range."""
+        if problem.linkage.limits is None:
+            return Quantity(0.0, "angle", "deg", -half, half)
+        low, high = (limit - turned for limit, turned in zip(problem.linkage.limits, self.rotations(problem), strict=True))
+        if high - low <= SAME_ANGLE:
+            return Quantity(0.5 * (low + high), "angle", "deg")
+        return Quantity(0.5 * (low + high), "angle", "deg", low, high)
+
+    def check_reached(self, problem: Designed) -> None:
+        """Refuse what is prescribed at positions that lie outside the range of the drive.
+
+        Raises
+        ------
+        Unusable
+            with the full key of the cause.
+        """
+        if problem.linkage.limits is None or not self.targeted or self.data(problem).offsets is None:
+            return
+        name = self.names(problem)[0]
+        starts = problem.quantities[name].bounds if name in problem.quantities else (0.0, 0.0)
+        least, largest = (start + turned for start, turned in zip(starts, self.rotations(problem), strict=True))
+        low, high = problem.linkage.limits
+        if least < low - SAME_ANGLE or largest > high + SAME_ANGLE:
+            asked, given = (" to ".join(f"{math.degrees(end):.6g}" for end in ends) for ends in ((least, largest), (low, high)))
+            message = f"it asks for positions from {asked} deg, and the drive moves from {given} deg"
+            remedy = (
+                "Change them or drive.range; a slide or cylinder is at 0 deg where its range begins, at 180 deg where it ends"
+            )
+            raise Unusable(message, remedy, "requirement")
 
     def quantities(self, problem: Designed) -> dict[str, Quantity]:
         """Return the quantities that the requirement adds to those of the mechanism."""

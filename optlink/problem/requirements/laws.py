@@ -151,7 +151,8 @@ class LawRequirement(Requirement):
 
     def of(self, problem: Designed) -> LawOf:
         """Return names and defaults for the way in which the linkage is written."""
-        return OF_FOUR_BAR if problem.mechanism.by_lengths and not self.slides(problem) else OF_DYADS
+        turning = problem.mechanism.by_lengths and problem.linkage.limits is None
+        return OF_FOUR_BAR if turning and not self.slides(problem) else OF_DYADS
 
     def task(self, problem: Designed) -> str:
         """Return the name of the search."""
@@ -168,7 +169,8 @@ class LawRequirement(Requirement):
 
     def output_of(self, problem: Designed) -> str:
         """Return the name of the output."""
-        return self.output or self.of(problem).output or ""
+        of = OF_FOUR_BAR if problem.mechanism.by_lengths and not self.slides(problem) else OF_DYADS
+        return self.output or of.output or ""
 
     def dead_centre(self, problem: Designed) -> str | None:
         """Return the dead centre at which the law starts; None if it starts at a crank angle."""
@@ -201,13 +203,12 @@ class LawRequirement(Requirement):
     def quantities(self, problem: Designed) -> dict[str, Quantity]:
         """Return the start angle of the crank and the output there, where they are not derived."""
         of, quantities = self.of(problem), {}
-        anywhere = Quantity(0.0, "angle", "deg", -of.free, of.free)
         if isinstance(self.start, Quantity):
             quantities[of.start] = self.start
         elif self.of_frame:
             quantities[of.start] = Quantity(self.law.phi[0], "angle", "deg")
         elif self.dead_centre(problem) is None or isinstance(self.law, Function):
-            quantities[of.start] = anywhere
+            quantities[of.start] = self.any_start(problem, of.free)
         if isinstance(self.base, Quantity):
             quantities[of.base] = self.base
         elif self.based and self.slides(problem) and not self.tied(problem):
@@ -215,7 +216,7 @@ class LawRequirement(Requirement):
             far = 10.0 * max([self.travel(problem), *lengths])
             quantities[of.base] = Quantity(0.0, "coordinate", "mm", -far, far)
         elif self.based and not self.tied(problem):
-            quantities[of.base] = anywhere
+            quantities[of.base] = Quantity(0.0, "angle", "deg", -of.free, of.free)
         return quantities
 
     def start_position(self, problem: Designed, values: Mapping[str, Value]) -> StartPosition:
@@ -268,6 +269,10 @@ class LawRequirement(Requirement):
             return Law(source, source.offsets[begin:])
         count = points or POSITIONS
         return Law(source, first + (self.rotation - first) * (np.arange(begin, count + 1) / count))
+
+    def rotations(self, problem: Designed) -> tuple[float, float]:
+        """Return the least and largest crank rotation [rad] from the start."""
+        return min(self.rotation, 0.0), max(self.rotation, 0.0)
 
     def travel(self, problem: Designed) -> float:
         """Return the prescribed travel of the output [rad or m], with the crank at its start angle."""
@@ -406,7 +411,7 @@ class FunctionRequirement(LawRequirement):
             place = ("requirement.law.output", f"{1e3 * self.law.output:g} mm") if of_function else ("requirement.law", None)
             raise Unusable("this linkage has no guide whose slide could follow a law", remedy, *place)
         places = [f"{point}.{axis}" for point in moving_points(linkage) for axis in "xy"]
-        outputs = [guide.name for guide in linkage.guides] if slides else [link.body for link in linkage.links[1:]]
+        outputs = [guide.name for guide in linkage.guides] if slides else [b for b in linkage.bodies if b != linkage.crank.body]
         if not slides and output in places:
             message = "a coordinate of a point follows a law with a unit of length"
             raise Unusable(message, f"Write {SLIDE}, or name a body that turns", "requirement.output", output)

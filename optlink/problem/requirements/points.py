@@ -73,8 +73,7 @@ class PathRequirement(Requirement):
 
     def quantities(self, problem: Designed) -> dict[str, Quantity]:
         """Return the common start angle of the crank, where the timing has one."""
-        anywhere = Quantity(0.0, "angle", "deg", -math.pi, math.pi)
-        return {START: self.start or anywhere} if self.timed == "from start" else {}
+        return {START: self.start or self.any_start(problem, math.pi)} if self.timed == "from start" else {}
 
     def loaded(self, problem: Designed) -> str:
         """Return a coordinate of the point, see `Requirement.loaded`."""
@@ -138,6 +137,9 @@ class PathRequirement(Requirement):
             raise Unusable(message, f"Give at least {least}", "requirement.points")
         self._check_distinct(points)
         self._check_timing(points)
+        if self.closed and problem.linkage.limits is not None:
+            message = "the drive has a range, so the last point does not lead back to the first"
+            raise Unusable(message, "Leave it out", "requirement.closed", True)
         shift = max(map(abs, self.centre))
         if shift > MAX_SHIFT * problem.size:
             message = (

@@ -46,7 +46,7 @@ def check_output(problem: Designed, output: str) -> None:
         with the full key.
     """
     linkage = problem.linkage
-    named = [link.body for link in linkage.links[1:]] + [guide.name for guide in linkage.guides]
+    named = [body for body in linkage.bodies if body != linkage.crank.body] + [guide.name for guide in linkage.guides]
     places = [f"{point}.{axis}" for point in moving_points(linkage) for axis in "xy"]
     if output not in (*named, *places):
         remedy = nearest(output, places if "." in output else named) if output else f'Write output = "{named[-1]}"'
@@ -416,7 +416,10 @@ class TransmissionRequirement(Requirement):
     def data(self, problem: Designed) -> TargetArrays:
         """Return the crank angles: of a four-bar those of the extreme transmission angles, as drawn."""
         along = problem.frame_angle if self.robust is None or self.measure != "max" else None
-        offsets = np.linspace(0.0, TURN, GRID, endpoint=False) if along is None else along + np.array([0.0, math.pi])
+        turns = problem.linkage.limits is None
+        offsets = (
+            np.linspace(*problem.linkage.extent, GRID, endpoint=not turns) if along is None else along + np.array([0.0, math.pi])
+        )
         return at_positions(np.zeros((len(offsets), 1)), offsets)
 
     def deviation(self, problem: Designed, pose: Pose, values: Mapping[str, Value], target: tuple[Value, ...]) -> list[Value]:

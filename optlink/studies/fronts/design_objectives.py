@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from optlink.errors import InputError
-from optlink.linkage.vector2d import TURN, unit
-from optlink.optimization.courses import has_position_limits
+from optlink.optimization.courses import extent_of, has_position_limits
 from optlink.optimization.terms import position_rows, rows as limit_rows
 from optlink.problem.design import DesignProblem
 from optlink.problem.file import SIDES, ProblemFile
@@ -342,12 +341,12 @@ def limited_figure(task: DesignProblem, objective: ParetoObjective, design: Mapp
     if objective.of:
         return design[objective.of] / factor(objective.unit, task.quantities[objective.of].kind)
     keys = {above} | ({"limits.alignment"} if above.startswith("limits.transmission") else set())  # which may be tighter
-    begin, span = 0.0, TURN
+    begin, span = extent_of(task)
     if not has_position_limits(task) or task.limits.transmission_range == "span":
         angles = passing(task, design)
         begin, span = float(angles[0]), float(angles[-1] - angles[0])
     if has_position_limits(task):
-        rows = position_rows(task, task.linkage.pose(design, unit(begin + span * np.linspace(0.0, 1.0, POSITIONS))))
+        rows = position_rows(task, task.linkage.at(design, begin + span * np.linspace(0.0, 1.0, POSITIONS)))
     else:
         reach = task.reach(design) if task.law_given else Reach(begin, span, 1.0 if span >= 0.0 else -1.0)
         rows = limit_rows(task, design, reach, task.size)

@@ -143,6 +143,7 @@ def curve_distances(task: DesignProblem, values: Mapping[str, float], crank_angl
     """
     begin = float(crank_angles[0])
     end = begin + TURN if task.limits.crank != "span" else float(crank_angles[-1])
+    begin, end = task.linkage.limits or (begin, end)
     curve = sweep(task.linkage, values, np.linspace(begin, end, FINE)).position(task.point)
     gaps = [np.hypot(*(curve - place).T) for place in task.data.columns[:, :2]]
     return np.array([np.min(gap) if np.all(np.isfinite(gap)) else math.inf for gap in gaps])
