@@ -128,10 +128,7 @@ def last_output(machine: Machine, swings: Collection[str], strokes: Collection[s
     for guide in reversed(machine.mechanism.guides):
         if guide.on == FRAME and names[guide.name] in strokes:
             return names[guide.name], True
-    bodies, cylinders = (
-        [link.body for link in machine.mechanism.links],
-        {drive.body for drive in machine.mechanism.drives if drive.size},
-    )
+    bodies, cylinders = [link.body for link in machine.mechanism.links], machine.mechanism.cylinders
     return ([body for body in bodies[1:] if body in swings and body not in cylinders] or bodies)[-1], False
 
 

@@ -293,6 +293,18 @@ class CamContact:
         return np.asarray(np.imag(np.conj(self.contact) * self.normal))
 
 
+class CamFigures(NamedTuple):
+    """Lift [m, or rad of an arm]; largest pressure angle [rad] and least radius of curvature where the profile bulges [m].
+
+    Both have their cam angle [rad]. `undercut` is the cam angle at which the contact runs backwards most; NaN if it never does.
+    """
+
+    lift: float
+    pressure_angle: tuple[float, float]
+    radius: tuple[float, float]
+    undercut: float
+
+
 @dataclass(frozen=True, eq=False)
 class DiscCam:
     """A disc cam that moves its follower by a law.
@@ -329,16 +341,17 @@ class DiscCam:
         pressure = np.angle(normal * np.conj(self.guide.way(driven)))
         return CamContact(angles, place.point, contact, -normal if outer else normal, pressure, advance, turning)
 
-    def polyline(self, deviation: float | None = None, *, outer: bool = False) -> Array:
-        """Return corners (n, 2) [m] of the profile in the axes of the cam, or of the `outer` flank, counter-clockwise.
+    def polyline(self, deviation: float | None = None, *, outer: bool = False, pitch: bool = False) -> Array:
+        """Return corners (n, 2) [m] of the profile, the `outer` flank or the `pitch` curve in the axes of the cam.
 
-        The last corner is joined to the first. No edge is further than `deviation` [m] from the profile, by default
-        `DEVIATION` base radii; edges are short where the profile is sharp.
+        They run counter-clockwise; the last corner is joined to the first. No edge is further than `deviation` [m] from it,
+        by default `DEVIATION` base radii; edges are short where the curve is sharp.
         """
         most = SAFE * (DEVIATION * self.base_radius if deviation is None else deviation)
 
         def corners(angles: Array) -> Complex:
-            return self.at(angles, outer=outer).profile
+            contact = self.at(angles, outer=outer)
+            return contact.pitch if pitch else contact.profile
 
         angles = distinct([*np.linspace(0.0, TURN, FIRST + 1), *np.mod(self.breaks, TURN)])
         points = corners(angles)
@@ -364,6 +377,21 @@ class DiscCam:
     def flanks(self) -> tuple[bool, ...]:
         """Whether each flank is the outer one of a groove."""
         return (False, True) if self.groove else (False,)
+
+    @property
+    def figures(self) -> CamFigures:
+        """What a designer asks of the profile, each with its cam angle."""
+
+        def largest(quantity: Callable[[CamContact], Array]) -> tuple[float, float]:
+            place, value = maxima(lambda angles: quantity(self.at(angles))[None], _TURN, self.breaks, periodic=True)
+            return float(value[0]), float(place[0])
+
+        backwards, where = largest(lambda contact: -contact.advance)
+        curvature, sharp = largest(lambda contact: np.where(contact.advance > 0.0, contact.turning / contact.advance, np.nan))
+        radius = 1.0 / curvature if curvature > 0.0 else math.inf
+        least, most = extremes(lambda angles: self.lift(angles)[0][None], _TURN, self.breaks, periodic=True)[1][0]
+        pressure = largest(lambda contact: np.abs(contact.pressure_angle))
+        return CamFigures(float(most - least), pressure, (radius, sharp), where if backwards >= 0.0 else math.nan)
 
     def extremes(self, quantity: Callable[[CamContact], Array]) -> tuple[float, float]:
         """Return the least and the largest value of a quantity of the contact over a turn.

@@ -497,11 +497,12 @@ class Cam:
         return DiscCam(lift, guide, contact, base - roller, tuple(knot + phase for knot in self.law.knots))
 
     def profiles(self, pose: Pose) -> Iterator[tuple[str, Profile]]:
-        """Yield the profile of the cam with its base circle, and the roller or the flat face of the follower."""
+        """Yield the profile of the cam with its base circle and pitch curve, and the roller or the flat face of the follower."""
         disc, centre = self.disc(pose), _array(pose.local(self.cam, self.pivot))
         for profile in disc.profiles:
             yield self.cam, profile.moved(centre)
         if self.contact and self.roller:
+            yield self.cam, Profile(disc.polyline(pitch=True), auxiliary=True).moved(centre)
             yield self.follower, Profile(_array(pose.local(self.follower, self.contact))[None], float(pose.size(self.roller)))
         guide = _guide(pose, self.follower, self.against)
         if guide is None or self.contact:
@@ -538,6 +539,11 @@ class Cam:
         force = size * normal[0], size * normal[1]
         yield Action(self.follower, force, at)
         yield Action(self.cam, (-force[0], -force[1]), at)
+
+
+def disc_cams(pose: Pose) -> dict[Cam, DiscCam]:
+    """Return the disc cams of a mechanism in the axes of the bodies that carry their followers."""
+    return {element: element.disc(pose) for element in pose.mechanism.elements if isinstance(element, Cam)}
 
 
 def _guide(pose: Pose, slider: str, on: str) -> Guide | None:

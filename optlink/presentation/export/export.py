@@ -1,7 +1,7 @@
 """Export of a design: DXF and SVG drawings at a crank angle, motion as CSV, geometry as JSON."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,10 +10,12 @@ import numpy as np
 
 from optlink.errors import InputError
 from optlink.io import finite, head, whole, write_json
+from optlink.linkage.elements import disc_cams
+from optlink.linkage.jet import as_jet
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.motion import sweep
 from optlink.linkage.stroke import failure
-from optlink.linkage.vector2d import Vector
+from optlink.linkage.vector2d import Array, Vector
 from optlink.presentation.files import check_target, write_csv
 from optlink.presentation.report_model import ReportModel
 from optlink.problem.quantity import LARGEST_ANGLE, LONGEST, SHORTEST, check_range
@@ -120,7 +122,19 @@ def _csv(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> N
     """Write the motion as a table, without force columns if there are no masses and loads."""
     rows = cycle if options.points == len(cycle["time_s"]) - 1 else analyze(cycle.problem, options.points, speed=cycle.speed)
     columns = {name: values for name, values in rows.columns.items() if model.forces or not name.endswith(FORCES)}
+    columns |= dict(cam_curves(rows))
     write_csv(path, columns)
+
+
+def cam_curves(cycle: Analysis) -> Iterator[tuple[str, Array]]:
+    """Yield columns of the contact point of every cam, its profile, and of the follower's point, in the axes of the cam."""
+    pose = sweep(cycle.machine.mechanism, cycle.machine.sizes, cycle.positions).pose
+    for cam, disc in disc_cams(pose).items():
+        contact = disc.at(as_jet(pose.turned(cam.cam) - pose.turned(cam.against)).value)
+        centre = complex(*(float(part) for part in pose.local(cam.cam, cam.pivot)))
+        for name, at in (("profile", contact.profile + centre), ("pitch", contact.pitch + centre)):
+            yield f"{cam.name}.{name}_x_m", at.real
+            yield f"{cam.name}.{name}_y_m", at.imag
 
 
 def _json(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> None:

@@ -10,9 +10,10 @@ import numpy as np
 
 from optlink.dynamics.machine import Machine
 from optlink.dynamics.strokes import StrokeLoad, acting_loads, named_travels, travels_by_use, use_of, working_stroke
-from optlink.linkage.elements import Drive
+from optlink.linkage.elements import Drive, disc_cams
 from optlink.linkage.mechanism import Mechanism
-from optlink.linkage.stroke import Travel
+from optlink.linkage.motion import sweep
+from optlink.linkage.stroke import Travel, within_cycle
 from optlink.linkage.vector2d import TURN
 from optlink.presentation.format import dimension, fixed, number
 from optlink.presentation.table_spec import (
@@ -20,8 +21,11 @@ from optlink.presentation.table_spec import (
     Paragraph,
     Part,
     Row,
+    Span,
     Summary,
     TableSpec,
+    bad,
+    good,
     noted,
     quiet,
     strong,
@@ -168,7 +172,28 @@ def analysis(outcome: Analysis) -> Summary:
     if outcome.ranges.singular:
         return summary(title, status)
     loaded = outcome.machine.inertias or outcome.machine.loads
-    return summary(title, status, *_travels(outcome), _extremes(outcome), _work(outcome) if loaded else None)
+    return summary(title, status, *_travels(outcome), *_cams(outcome), _extremes(outcome), _work(outcome) if loaded else None)
+
+
+def _cams(outcome: Analysis) -> Iterator[TableSpec]:
+    """Tabulate base radius, lift, pressure angle and curvature of every disc cam, at angles of its law."""
+    pose = sweep(outcome.machine.mechanism, outcome.machine.sizes, outcome.positions[:1]).pose
+    for cam, disc in disc_cams(pose).items():
+        lift, pressure, (radius, sharp), undercut = disc.figures
+        phase = float(pose.size(cam.phase))
+        slides = cam.follower in (guide.slider for guide in outcome.machine.mechanism.guides)
+
+        def at(angle: float, phase: float = phase) -> Span:
+            return quiet(f"at cam angle {math.degrees(within_cycle(angle - phase)):.2f} deg")
+
+        rows = [
+            ("base radius", f"{dimension(1e3 * disc.base_radius)} mm", ""),
+            ("lift", f"{dimension(1e3 * lift)} mm" if slides else f"{dimension(math.degrees(lift))} deg", ""),
+            ("largest pressure angle", f"{math.degrees(pressure[0]):.2f} deg", at(pressure[1])),
+            ("least radius of curvature", f"{dimension(1e3 * radius)} mm", at(sharp)),
+            ("undercut", bad("yes"), at(undercut)) if math.isfinite(undercut) else ("undercut", good("no"), ""),
+        ]
+        yield table(f"Profile of the cam {cam.name}", "<><", rows)
 
 
 def _speed(outcome: Analysis) -> str:
