@@ -64,6 +64,7 @@ def test_back_ends_and_prices_of_a_law() -> None:
     assert check_prices(LAW) < 1e-3
 
 
+@pytest.mark.slow
 def test_results_read_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     result = optlink.validate(LAW, {"coupler": 0.412, "rocker": 0.232})
     check_stored(result)

@@ -167,6 +167,7 @@ def test_the_inequality_is_stated_with_its_numbers_and_its_remedy_works(
     assert cannot_turn(file.model.mechanism.quantities, file.model.linkage, "span", 0.0) == ()
 
 
+@pytest.mark.slow
 def test_pictures_and_pages_name_the_cause() -> None:
     """Of a law that breaks its limit of the transmission angle; a valid one has no such line."""
     law, design = optlink.load("crank-rocker"), {"coupler": 0.41, "rocker": 0.22}

@@ -173,6 +173,7 @@ def test_gears_touch_at_their_pitch_circles(tmp_path):
     assert {len(one.split()) for one in dashes} == {4}
 
 
+@pytest.mark.slow
 def test_a_planet_rolls_in_its_ring(tmp_path):
     drawn = scene(analysed(PLANET, tmp_path).cycle)
     planet = round_about(curves(drawn, "planet", "auxiliary")[0], drawn.points["B"])

@@ -540,6 +540,7 @@ def boxes_of_names(drawing: str) -> dict[str, tuple[float, float, float, float]]
     return computed
 
 
+@pytest.mark.slow
 def test_long_point_names_do_not_overlap_in_the_animation():
     """Over all positions; both ends of a name are shown, and all of it on hovering."""
     text = json.dumps({key: value for key, value in optlink.load("six-bar").raw.items() if key != "expected"})

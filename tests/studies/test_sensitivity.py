@@ -471,14 +471,10 @@ def test_output_sensitivities_are_written(tmp_path):
     assert "has no page" in page.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "measure"),
-    [
-        ("law-slider-crank", "max"),
-        ("path-ellipse10", "max"),
-        pytest.param("transmission-optimal", "max", marks=pytest.mark.slow),
-        pytest.param("path-ellipse10", "rms", marks=pytest.mark.slow),
-    ],
+    [("law-slider-crank", "max"), ("path-ellipse10", "max"), ("transmission-optimal", "max"), ("path-ellipse10", "rms")],
 )
 def test_derivatives_of_largest_values_are_those_of_new_optima(name, measure):
     """Each parameter is written to the file and the optimum there exchanged again: peaks and free crank angles move along."""
