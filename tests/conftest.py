@@ -102,6 +102,15 @@ def _nothing_compiled() -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _one_process() -> Iterator[None]:
+    """Let a study run in the process of its test unless it asks for more: each further one imports optlink for seconds."""
+    with pytest.MonkeyPatch.context() as patch:
+        for module in ("runner", "store"):
+            patch.setattr(f"optlink.execution.{module}.cores", lambda: 1)
+        yield
+
+
 @pytest.fixture(scope="session")
 def crank_rocker() -> optlink.ProblemFile:
     return optlink.load("crank-rocker")

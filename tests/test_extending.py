@@ -147,6 +147,7 @@ def test_a_new_objective(extended, tmp_path):
     assert optlink.solve(limited, starts=1).valid
 
 
+@pytest.mark.slow
 def test_a_new_back_end(extended, tmp_path):
     assert "trust-constr" in run("solve", "crank-rocker", "--backend", "trust-constr", code=2)
     extended("back_end")

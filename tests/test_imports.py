@@ -75,6 +75,7 @@ def test_each_command_loads_only_what_it_needs(words, unwanted, tmp_path, monkey
     assert loaded_after(command(*words)) & unwanted == set()
 
 
+@pytest.mark.slow
 def test_a_stored_design_is_exported_without_the_libraries_that_found_it(tmp_path):
     result = optlink.solve(optlink.load("crank-rocker"))
     write_json(tmp_path / "result.json", result.to_dict())

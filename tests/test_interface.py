@@ -129,6 +129,7 @@ def test_a_missing_pandas_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
         optlink.analyze("shaper", 12).to_frame()
 
 
+@pytest.mark.slow
 def test_report_and_export_take_results_and_problems(tmp_path: Path) -> None:
     result = RESULTS["analysis"]()
     assert optlink.report(result, tmp_path / "one.html", {"author": "A. Designer"}).read_text().count("A. Designer") >= 1

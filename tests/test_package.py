@@ -34,6 +34,7 @@ def unpacked(tmp_path_factory) -> Path:
     return folder / "site"
 
 
+@pytest.mark.slow
 def test_wheel_contains_problems_and_types(unpacked):
     assert (unpacked / "optlink" / "problems" / "crank-rocker.toml").is_file()
     assert (unpacked / "optlink" / "py.typed").is_file()
@@ -41,6 +42,7 @@ def test_wheel_contains_problems_and_types(unpacked):
     assert (unpacked / f"optlink-{optlink.__version__}.dist-info").is_dir()
 
 
+@pytest.mark.slow
 def test_wheel_works_outside_the_checkout(unpacked, tmp_path):
     environment = {**os.environ, "PYTHONPATH": str(unpacked)}
     code = "import optlink, sys; assert optlink.__file__.startswith(sys.argv.pop(1)); from optlink.cli.app import main; main()"
@@ -56,6 +58,7 @@ def test_wheel_works_outside_the_checkout(unpacked, tmp_path):
     assert json.loads(done.stdout)["valid"] is True
 
 
+@pytest.mark.slow
 def test_wheel_has_every_file_of_the_package_and_no_other(unpacked):
     listing = subprocess.run(
         ["git", "ls-files", "optlink", "problems", "templates"], cwd=ROOT, capture_output=True, text=True, check=False

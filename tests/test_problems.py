@@ -165,6 +165,7 @@ def test_machine_runs_without_a_note(name):
     assert all(joint in analysis.notes[0] for joint in with_clearance)
 
 
+@pytest.mark.slow
 def test_every_dyad_and_load_is_shipped():
     groups = {group.kind for name in MACHINES for group in analysed(name).machine.mechanism.groups}
     assert groups == {"RRR", "RRP", "RPR", "RPP", "PRP"}

@@ -100,11 +100,6 @@ def test_a_command_that_is_not_run_here_is_in_the_record():
     assert set(readme.LONG) - quoted <= {" ".join(line.removeprefix("optlink ").split()) for line in recorded}
 
 
-@pytest.mark.slow
-def test_all_figures_are_those_of_the_commands_or_of_the_record():
-    assert list(readme.failures(slow=False, record=readme.recorded())) == []
-
-
 @pytest.fixture
 def shared_solutions(monkeypatch):
     """Let commands that solve a shipped path problem with default options take the solution that other tests need as well."""
@@ -122,6 +117,12 @@ def shared_solutions(monkeypatch):
     monkeypatch.setitem(vars(optlink), "solve", search)  # of `solution`
     for module in (run, report_model):
         monkeypatch.setattr(module, "solve", solve)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("shared_solutions")
+def test_all_figures_are_those_of_the_commands_or_of_the_record():
+    assert list(readme.failures(slow=False, record=readme.recorded())) == []
 
 
 @pytest.mark.slow

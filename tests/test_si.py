@@ -124,6 +124,7 @@ def test_limits_are_those_of_the_tables_in_si(name: str) -> None:
     assert any(limit.multiplier for limit in solution.limits)
 
 
+@pytest.mark.slow
 def test_the_objective_of_a_stroke_is_in_the_unit_beside_it() -> None:
     stroke = result("stroke")
     goal = stroke.figures[0]

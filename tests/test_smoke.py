@@ -212,6 +212,7 @@ def cli(*words: str) -> Any:
     return CliRunner().invoke(app, list(words))
 
 
+@pytest.mark.slow
 def test_a_motion_without_a_position_at_a_singular_angle_has_a_page(tmp_path, monkeypatch):
     """All links are of one length: at a crank angle of zero the coupler can have any angle."""
     monkeypatch.chdir(tmp_path)
@@ -224,6 +225,7 @@ def test_a_motion_without_a_position_at_a_singular_angle_has_a_page(tmp_path, mo
     )
 
 
+@pytest.mark.slow
 def test_the_analysis_of_a_law_at_its_start_has_a_page(tmp_path, monkeypatch):
     """Its design has the start angle of the law, which no linkage has."""
     monkeypatch.chdir(tmp_path)

@@ -59,11 +59,13 @@ def test_a_wrong_derivative_is_detected(monkeypatch: pytest.MonkeyPatch) -> None
         check_derivatives(LAW)
 
 
+@pytest.mark.slow
 def test_back_ends_and_prices_of_a_law() -> None:
     assert check_optimum(LAW, "slsqp") < 1e-6
     assert check_prices(LAW) < 1e-3
 
 
+@pytest.mark.slow
 def test_results_read_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     result = optlink.validate(LAW, {"coupler": 0.412, "rocker": 0.232})
     check_stored(result)

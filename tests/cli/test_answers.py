@@ -246,6 +246,7 @@ def test_control_characters_do_not_reach_the_terminal(place, tmp_path):
     assert words in text, text
 
 
+@pytest.mark.slow
 def test_colours_and_json_are_as_before(tmp_path):
     words = [sys.executable, "-m", "optlink", "analyze", "slider-crank", "--points", "12"]
     coloured = subprocess.run(words, capture_output=True, check=True, env={**os.environ, "FORCE_COLOR": "1", "NO_COLOR": ""})

@@ -251,6 +251,7 @@ def test_only_the_invoked_command_is_built():
     assert not group.commands["solve"].params
 
 
+@pytest.mark.slow
 def test_split_values_are_read():
     line = "show crank-rocker --set limits.transmission_angle=[40 deg, 140 deg] --set mechanism.crank=95 mm"
     shown = process(*line.split(" ")).stdout
@@ -325,6 +326,7 @@ def test_a_comparison_accepts_tolerance_and_points(monkeypatch):
     assert taken[1] == ((20,), common)
 
 
+@pytest.mark.slow
 def test_json_is_repeatable():
     first, second = (json.loads(run("solve", "crank-rocker", "--starts", "6", "--seed", "5", "--json").stdout) for _ in "ab")
     for document in (first, second):
@@ -357,6 +359,7 @@ def test_a_fault_before_a_command_begins_is_one_sentence(file, text, told, tmp_p
     assert "Traceback" in traced.stderr or "SyntaxError" in traced.stderr
 
 
+@pytest.mark.slow
 def test_launcher_in_a_checkout():
     done = subprocess.run(
         [sys.executable, str(ROOT / "cli.py"), "solve", "crank-rocker", "--json"], capture_output=True, text=True, check=False

@@ -359,6 +359,7 @@ def test_a_closed_pipe_is_not_a_failure(arguments):
     assert done.stderr == ""
 
 
+@pytest.mark.slow
 @posix
 def test_a_table_goes_to_standard_output_until_the_reader_closes_it():
     words = f"{sys.executable} -m optlink analyze scotch-yoke --points 5000 --csv /dev/stdout"
@@ -370,6 +371,7 @@ def test_a_table_goes_to_standard_output_until_the_reader_closes_it():
         assert done.stdout.startswith("crank_angle_deg,")
 
 
+@pytest.mark.slow
 @posix
 def test_closed_streams_are_not_a_failure(tmp_path):
     """Such as `>&-` of a shell: nothing is printed, and nothing of the one stream appears on the other."""

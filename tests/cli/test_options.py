@@ -13,6 +13,7 @@ import typer.main
 from typer.testing import CliRunner
 
 from optlink.cli.app import app
+from tests.tiers import mostly_slow
 
 
 def run(*arguments: str):
@@ -61,12 +62,18 @@ def test_out_and_quiet_are_consistent_across_commands():
 
 @pytest.mark.parametrize(
     ("old", "new"),
-    [
-        (("balance", "slider-crank", "--minimize", "nothing"), ("balance", "slider-crank", "--minimise", "nothing")),
-        (("balance", "slider-crank", "--minimize=nothing"), ("balance", "slider-crank", "--minimise=nothing")),
+    mostly_slow(
+        [
+            (("balance", "slider-crank", "--minimize", "nothing"), ("balance", "slider-crank", "--minimise", "nothing")),
+            (("balance", "slider-crank", "--minimize=nothing"), ("balance", "slider-crank", "--minimise=nothing")),
+            (("analyse", "nothing"), ("analyze", "nothing")),
+            (
+                ("study", "sweep", "six-bar", "--analyse", "--vary", "x"),
+                ("study", "sweep", "six-bar", "--analyze", "--vary", "x"),
+            ),
+        ],
         (("analyse", "nothing"), ("analyze", "nothing")),
-        (("study", "sweep", "six-bar", "--analyse", "--vary", "x"), ("study", "sweep", "six-bar", "--analyze", "--vary", "x")),
-    ],
+    ),
 )
 def test_other_spellings_are_the_same_option(old, new):
     first, second = run(*old), run(*new)
@@ -202,6 +209,7 @@ def test_an_inaccessible_path_is_invalid_input(arguments, tmp_path, monkeypatch)
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_table_may_lie_in_the_folder_of_the_results(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     rows = tmp_path / "out" / "rows.csv"
@@ -231,6 +239,7 @@ def test_a_duration_that_is_rounded_to_revolutions_is_noted(options, note):
     assert done.stderr.strip() == ("" if note is None else f"Note: {note}")
 
 
+@pytest.mark.slow
 def test_an_animation_is_drawn_on_request_only(tmp_path):
     for folder, options in (("plain", ()), ("film", ("--film",))):
         assert run("analyze", "slider-crank", "--points", "6", "--out", str(tmp_path / folder), *options).exit_code == 0

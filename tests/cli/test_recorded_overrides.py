@@ -18,6 +18,7 @@ def run(*arguments: object):
     return CliRunner().invoke(app, list(map(str, arguments)))
 
 
+@pytest.mark.slow
 def test_the_page_of_a_changed_problem_needs_no_set(tmp_path):
     """From its folder, and from its file elsewhere."""
     out, elsewhere = tmp_path / "out", tmp_path / "elsewhere.json"

@@ -86,6 +86,7 @@ def test_relations_have_their_signs() -> None:
     assert pretty("361.1 mN m, 2 kN*m per N m") == "361.1 mN·m, 2 kN·m per N·m"
 
 
+@pytest.mark.slow
 def test_charts_of_one_file_share_a_picture() -> None:
     specs = [over_the_crank(), over_the_crank(row=1), over_the_crank(row=1, page=False)]
     pictures = chart_mpl.pictures(specs)

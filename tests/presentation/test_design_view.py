@@ -78,6 +78,7 @@ def test_the_dead_centres_are_those_of_the_law_of_cosines() -> None:
     assert named["largest transmission angle"] == pytest.approx(math.pi, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_several_requirements_have_their_charts_figures_and_files(tmp_path) -> None:
     law = {**LAW, "from": "26 deg", "measure": "max", "tolerance": "12 deg"}
     raw = {"title": "Two", "mechanism": FOUR_BAR, "requirements": [law, {"kind": "transmission"}], "limits": LIMITS}

@@ -162,6 +162,7 @@ def test_a_cylinder_telescopes(tmp_path):
     assert drawn.colours["lift"] == drawn.colours["lift.rod"]
 
 
+@pytest.mark.slow
 def test_gears_touch_at_their_pitch_circles(tmp_path):
     drawn = scene(analysed(GEARS, tmp_path).cycle)
     radii = [round_about(curves(drawn, body, "auxiliary")[0], drawn.points[at]) for body, at in (("crank", "A"), ("wheel", "E"))]
@@ -173,6 +174,7 @@ def test_gears_touch_at_their_pitch_circles(tmp_path):
     assert {len(one.split()) for one in dashes} == {4}
 
 
+@pytest.mark.slow
 def test_a_planet_rolls_in_its_ring(tmp_path):
     drawn = scene(analysed(PLANET, tmp_path).cycle)
     planet = round_about(curves(drawn, "planet", "auxiliary")[0], drawn.points["B"])
@@ -253,6 +255,7 @@ def test_a_flat_face_stays_on_its_cam(tmp_path):
     assert np.all((contact > np.min(face @ left, axis=1)) & (contact < np.max(face @ left, axis=1)))
 
 
+@pytest.mark.slow
 def test_several_drives_are_named_and_a_law_from_a_file_is_part_of_the_problem(tmp_path):
     (tmp_path / "port.csv").write_text("time_s,angle_deg\n0,60\n0.5,80\n1,60\n", encoding="utf-8")
     first = analysed(ARMS, tmp_path)

@@ -540,6 +540,7 @@ def boxes_of_names(drawing: str) -> dict[str, tuple[float, float, float, float]]
     return computed
 
 
+@pytest.mark.slow
 def test_long_point_names_do_not_overlap_in_the_animation():
     """Over all positions; both ends of a name are shown, and all of it on hovering."""
     text = json.dumps({key: value for key, value in optlink.load("six-bar").raw.items() if key != "expected"})
@@ -561,6 +562,7 @@ def test_long_point_names_do_not_overlap_in_the_animation():
     assert meeting < 0.25 * len(moving.crank_angles)  # only where the crank pin passes the name of its pivot
 
 
+@pytest.mark.slow
 def test_pivot_names_do_not_overlap_the_hatching():
     moving = scene(analyze(optlink.load("six-bar")))
     boxes = boxes_of_names(svg(moving, "six-bar"))
@@ -577,7 +579,7 @@ FLAT = {
 }
 
 
-@pytest.mark.parametrize("name", FLAT)
+@pytest.mark.parametrize("name", mostly_slow(FLAT, "flat kite"))
 def test_every_name_of_a_moving_drawing_is_nearest_to_its_own_point(name):
     """Also where links lie flat on one another; only the name of a pivot, which does not move, may be passed by a pin."""
     raw = dict(zip(("crank", "coupler", "rocker", "frame"), FLAT[name], strict=True))

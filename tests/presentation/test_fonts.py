@@ -12,7 +12,6 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from optlink.presentation import style, style as fonts
 from optlink.presentation.html import notebook
 from tests.cli.test_cli import run
-from tests.tiers import mostly_slow
 
 TITLE = "牛头刨床: six bodies"
 
@@ -132,7 +131,8 @@ def test_a_notebook_leaves_the_letters_to_the_browser():
     assert TITLE in notebook._svg(titled(TITLE))  # without a warning
 
 
-@pytest.mark.parametrize("present", mostly_slow([True, False], True))
+@pytest.mark.slow
+@pytest.mark.parametrize("present", [True, False])
 def test_a_command_draws_all_pictures_and_the_film_of_a_chinese_title(tmp_path, present):
     if present:
         font_manager.fontManager.addfont(font_file(tmp_path, "Microsoft YaHei", "曲柄摇杆机构"))

@@ -299,6 +299,7 @@ def test_a_larger_error_between_the_positions_is_shown() -> None:
     assert optlink.validate(optlink.load("crank-rocker"), {"coupler": 0.412865, "rocker": 0.232246}).best.largest_between is None
 
 
+@pytest.mark.slow
 def test_the_headline_of_a_largest_error_and_its_prices_have_one_unit() -> None:
     """Of a law and of its limits: solved again with a limit that is 0.01 deg wider."""
     file = optlink.load("crank-rocker", {"requirement.measure": "max", "limits.transmission_angle": ["45 deg", "130 deg"]})

@@ -419,6 +419,7 @@ def test_generated_output_is_drawn_with_its_law():
 # --- several designs -----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_designs_are_drawn_side_by_side_with_cognates_named():
     computed = result("cognates").designs
     one, two = oracle_of(computed[0]), oracle_of(computed[1])

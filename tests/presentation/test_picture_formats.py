@@ -29,6 +29,7 @@ def test_the_same_picture_is_the_same_file(tmp_path, kind):
     assert b"<dc:date>" not in data
 
 
+@pytest.mark.slow
 def test_a_command_writes_pictures_in_the_format_of_the_option(tmp_path):
     for kind in ("svg", "png"):  # the pictures of an earlier run are replaced
         done = run("study", "sensitivity", "crank-rocker", "--out", str(tmp_path / "out"), "--format", kind, "--json")

@@ -148,6 +148,7 @@ def test_the_crank_rocker_page_has_the_published_figures(crank_rocker_subject):
     assert text.count('<span class="good">ok</span>') == len(checks) - len(bounds) + 1
 
 
+@pytest.mark.slow
 def test_an_invalid_design_is_marked_invalid():
     text = page(subject("crank-rocker", {"coupler": 0.41, "rocker": 0.22}))
     assert "Not valid: the transmission angle rises to" in text
@@ -236,6 +237,7 @@ def test_every_colour_can_be_read_in_both_modes():
     assert theme.contrast("#000000", "#ffffff") == pytest.approx(21.0)
 
 
+@pytest.mark.slow
 def test_a_page_names_author_part_and_date(tmp_path):
     """From the section of the file and from options, as text; without effect on the hash."""
     raw = (Path(__file__).parents[2] / "problems" / "slider-crank.toml").read_text()
@@ -330,6 +332,7 @@ def evil_problem(folder: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_markup_in_texts_is_escaped(tmp_path):
     file = optlink.load(evil_problem(tmp_path))
     about = report_model_of(solve_or_validate(file, design={"coupler": 0.41286542, "rocker": 0.23224617}))
@@ -342,6 +345,7 @@ def test_markup_in_texts_is_escaped(tmp_path):
     assert read.texts.keys() | {"br"} == plain.texts.keys() | {"br"}  # column names of the sensitivities have line breaks
 
 
+@pytest.mark.slow
 def test_the_check_of_texts_detects_markup(tmp_path):
     text = page(shipped("crank-rocker")).replace("Crank-rocker that", EVIL)
     assert Reader(text).scripts > 4
@@ -424,6 +428,7 @@ def test_results_that_cannot_be_shown(results, tmp_path):
     assert not (tmp_path / "a.html").exists()
 
 
+@pytest.mark.slow
 def test_a_result_contains_its_changed_problem(tmp_path):
     recorded(tmp_path, "solve", "crank-rocker", "--set", "mechanism.frame=480 mm")
     result, out = str(tmp_path / "result.json"), str(tmp_path / "a.html")

@@ -25,6 +25,7 @@ def run(*arguments: str):
     return CliRunner().invoke(app, list(arguments), env={"COLUMNS": "80"})
 
 
+@pytest.mark.slow
 def test_solve_prints_the_verdict_the_design_its_limits_and_the_proof():
     text = run("solve", "crank-rocker").stdout
     assert text.count("\n") <= search_tables.LINES
@@ -42,6 +43,7 @@ def test_solve_prints_the_verdict_the_design_its_limits_and_the_proof():
         assert detail in run("solve", "crank-rocker", "--details").stdout
 
 
+@pytest.mark.slow
 def test_details_are_the_whole_summary_and_the_json_does_not_depend_on_them():
     result = optlink.solve(optlink.load("crank-rocker"))
     full = words(table_of("design")(result))

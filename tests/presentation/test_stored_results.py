@@ -138,6 +138,7 @@ def test_results_are_the_same_elsewhere(tmp_path, monkeypatch):
     assert found["design, conflict"]["page"].count("Conflicting limits") > 0
 
 
+@pytest.mark.slow
 def test_a_result_is_a_problem_for_every_command(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert run("solve", "crank-rocker", "--out", "out").exit_code == 0
@@ -170,6 +171,7 @@ def test_the_order_of_keys_is_that_of_the_file():
     assert [one.name for one in again.model.deviations] == [one.name for one in problem.model.deviations]
 
 
+@pytest.mark.slow
 def test_files_of_a_problem_are_enclosed(tmp_path, monkeypatch):
     """Tables in several encodings, measured deviations and a drawing: the result is read after the files are gone."""
     monkeypatch.chdir(tmp_path)
@@ -196,6 +198,7 @@ def sizes(*words: str) -> dict[str, float]:
     return json.loads(done.stdout)["sizes"]
 
 
+@pytest.mark.slow
 def test_a_change_of_a_result_counts(tmp_path, monkeypatch):
     """Of a fixed length, and of one that was found; all others are those of the result."""
     monkeypatch.chdir(tmp_path)
@@ -233,6 +236,7 @@ def test_solutions_of_both_back_ends_have_the_programme_of_their_mode(tmp_path):
         assert other.nlp.values(other.x, other.p)[0] == one.nlp.values(one.x, one.p)[0]
 
 
+@pytest.mark.slow
 def test_what_is_drawn_of_a_proof_is_no_certificate(tmp_path):
     result = optlink.solve(optlink.load("crank-rocker"))
     (tmp_path / "result.json").write_text(json.dumps(result.to_dict()), encoding="utf-8")

@@ -168,6 +168,7 @@ def test_random_expressions_agree_with_python(tree):
     assert not differs(tree), (tree.text, tree.value, value(tree.text))
 
 
+@pytest.mark.slow
 def test_random_expressions_are_mostly_finite_and_of_every_kind():
     """The property above would be empty if its expressions had no value, or used no operator."""
     seen: list[Tree] = []

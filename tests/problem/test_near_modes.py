@@ -154,6 +154,7 @@ def test_a_place_where_the_group_cannot_be_assembled_or_of_a_guide_is_refused():
     assert '"forward" or "backward"' in str(error.value)
 
 
+@pytest.mark.slow
 def test_a_design_takes_the_mode_of_its_start_and_states_it():
     """The law of the crank-rocker is left: its place at the starting values, in place of the word, gives the same design."""
     problem = optlink.load("crank-rocker")

@@ -574,6 +574,7 @@ JUNK = [
 ]
 
 
+@pytest.mark.slow
 def test_thousand_mutated_statements_never_break_the_reader(tmp_path):
     (tmp_path / "c.csv").write_text("x_mm,y_mm,crank_deg\n0,0,0\n1,1,10\n2,0,20\n")
     whole = [

@@ -231,6 +231,7 @@ def test_a_design_without_the_dead_centres_of_its_limits_is_refused():
 # --- distinct designs ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_listed_optima_are_polished_and_none_is_below_the_result():
     result = pump()
     assert result.optima[0].objective == result.objective

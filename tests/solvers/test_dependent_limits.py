@@ -34,6 +34,7 @@ def with_limits(coupler: float, rocker: float, angle: float, alignment: float = 
     return optlink.solve(optlink.load("crank-rocker").override(changes))
 
 
+@pytest.mark.slow
 def test_each_of_three_limits_in_two_variables_has_the_price_of_relaxing_it_alone() -> None:
     rocker = 1e3 * with_limits(400.0, 100.0, 135.0).solution.design["rocker"]
     result = with_limits(400.0, rocker, 135.0)
@@ -98,6 +99,7 @@ def test_relaxing_one_of_two_equal_limits_gains_nothing(design: Callable[[float,
     assert text.count("hold together") == 1
 
 
+@pytest.mark.slow
 def test_sensitivities_of_dependent_limits_are_those_of_an_increase() -> None:
     result = slider(30.0, 30.0)
     file = optlink.load("law-slider-crank").override(

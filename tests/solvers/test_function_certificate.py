@@ -55,6 +55,7 @@ def values_at(rows, point, k3):
     )
 
 
+@pytest.mark.slow
 def test_rows_hold_for_every_linkage_within_the_error():
     rng = np.random.default_rng(1)
     tightest = np.inf
@@ -194,6 +195,7 @@ def test_a_search_that_is_stopped_claims_nothing_beyond_its_last_level():
     assert certify_function(problem, problem.expected.objective, progress=interrupt).status == "interrupted"
 
 
+@pytest.mark.slow
 def test_a_function_that_no_four_bar_follows_is_bounded_over_boxes_of_designs():
     """Beyond 45 deg the rows do not hold: the proof is that of any other problem."""
     law = {"function": "sin(8*x)", "x": [0.0, 6.283], "input": "90 deg", "output": "170 deg"}

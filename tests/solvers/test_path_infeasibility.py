@@ -170,7 +170,8 @@ def test_a_limit_that_an_exact_linkage_hardly_misses_is_met() -> None:
     assert lever(result.design["rod.length"] * 1e3, turned)[1] == pytest.approx(20.0, abs=1e-4)
 
 
-@pytest.mark.parametrize("assembly", [{}, pytest.param({"C": "either"}, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("assembly", [{}, {"C": "either"}])
 def test_a_design_that_the_analysis_of_limits_finds_is_refined(monkeypatch: pytest.MonkeyPatch, assembly: dict[str, str]) -> None:
     """No candidate becomes valid, but a linkage meets all limits: it is the answer, in whichever assembly mode it is found."""
 

@@ -173,6 +173,7 @@ WIDE = {
 }
 
 
+@pytest.mark.slow
 def test_neighbours_correct_a_search_that_ends_in_a_worse_optimum(monkeypatch):
     """The problem has optima of 0.0012 and 0.36 rad^2; one search is led to the worse one, another finds no design."""
     vary = ["mechanism.crank=98..102 mm:21"]
@@ -202,6 +203,7 @@ def test_neighbours_correct_a_search_that_ends_in_a_worse_optimum(monkeypatch):
     assert search._others(np.array([0]), [[1]]) == [{1}]
 
 
+@pytest.mark.slow
 def test_random_starts_correct_searches_that_end_in_a_worse_optimum():
     """From a bad start every middle of a block leads to an optimum of 0.36 rad^2 or more; the best one is 0.0012 rad^2."""
     vary = ["mechanism.crank=98..102 mm:21"]

@@ -264,6 +264,7 @@ def test_the_tight_end_of_a_narrow_region_is_no_poor_local_optimum():
     assert front.points[-1].values == (pytest.approx(single.objective, rel=1e-6), pytest.approx(0.168))  # was 1.39972 for 0.64485
 
 
+@pytest.mark.slow
 def test_a_front_whose_best_error_lies_at_its_own_limit_is_one_design():
     front = pareto(load("crank-rocker", {"limits.swing_angle": {"max": "40 deg"}}), "error, swing_angle.min", points=4)
     assert front.valid  # was empty
@@ -271,6 +272,7 @@ def test_a_front_whose_best_error_lies_at_its_own_limit_is_one_design():
     assert front.points[0].values[1] == pytest.approx(math.radians(40.0), rel=1e-4)
 
 
+@pytest.mark.slow
 def test_the_reference_is_the_optimum_of_solve():
     """With this limit a search from the start in the file ends at a coupler of 492 mm, with 1.6 times the error."""
     problem = optlink.load("crank-rocker").override({"limits.time_ratio.min": 1.05})
@@ -394,6 +396,7 @@ def test_a_search_starts_at_the_requested_point(press):
     assert begun.model.quantities["rod.length"].bounds == press.model.quantities["rod.length"].bounds
 
 
+@pytest.mark.slow
 def test_a_programme_with_another_bound_is_the_one_that_is_built_for_it():
     """Rows in display units and limits of peaks are the same as with the bound in the file."""
     problem = optlink.load("shaper-design")

@@ -18,6 +18,7 @@ from optlink.linkage.motion import sweep
 from optlink.presentation.views.sensitivity import charts, overview as summary
 from optlink.studies.motion_sensitivity import output_names, output_sensitivity
 from optlink.studies.sensitivity import sensitivities as sensitivities_in_si
+from tests.tiers import mostly_slow
 
 
 class Displayed:
@@ -72,6 +73,7 @@ def test_derivatives_agree_with_reoptimised_problems(crank_rocker, key, step, ov
     np.testing.assert_allclose(exact, (above - below) / (2.0 * step), rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_the_price_predicts_one_more_degree():
     """To first order: what is left over falls with the square of the change."""
     base = solved()
@@ -182,6 +184,7 @@ def test_the_check_of_a_bound_stays_at_its_optimum():
     assert result.gap < 1e-6
 
 
+@pytest.mark.slow
 def test_rounding_errors_end_no_range():
     row = sensitivities(optlink.load("law-slider-crank", {"mechanism.guides.G.offset": "0 mm"}))["mechanism.guides.G.direction"]
     assert (row.below.value, row.above.value) == (-math.inf, math.inf)  # was -8e10 deg
@@ -200,7 +203,8 @@ def test_a_minimax_function_scales_with_its_frame():
 
 
 @pytest.mark.parametrize(
-    ("name", "several"), [("law-slider-crank", 8), pytest.param("path-conveyor", 16, marks=pytest.mark.slow), ("crank-rocker", 6)]
+    ("name", "several"),
+    mostly_slow([("law-slider-crank", 8), ("path-conveyor", 16), ("crank-rocker", 6)], ("crank-rocker", 6)),
 )
 def test_every_key_of_a_dimension_can_be_changed(name, several):
     problem = optlink.load(name)
@@ -213,7 +217,7 @@ def test_every_key_of_a_dimension_can_be_changed(name, several):
     assert problem.override(keys).hash  # mechanism.G.direction of a guide was no key
 
 
-@pytest.mark.parametrize("direction", ["0 deg", "37 deg"])
+@pytest.mark.parametrize("direction", mostly_slow(["0 deg", "37 deg"], "37 deg"))
 def test_rotating_the_guide_only_rotates_the_crank(direction):
     result = sensitivities(optlink.load("law-slider-crank", {"mechanism.guides.G.direction": direction}))
     row = result["mechanism.guides.G.direction"]
@@ -282,6 +286,7 @@ def test_the_validity_range_ends_where_a_bound_becomes_inactive():
     assert row.below.value < 412.5
 
 
+@pytest.mark.slow
 def test_the_validity_range_ends_where_another_limit_becomes_active():
     """A limit of the smallest angle just below the one that the optimum has."""
     computed = [check.value for check in solved().validation.checks if check.name == "smallest transmission angle"]
@@ -414,6 +419,7 @@ def run(*arguments: str):
     return CliRunner().invoke(app, ["study", "sensitivity", *arguments])
 
 
+@pytest.mark.slow
 def test_the_command_writes_a_table_a_picture_and_json(tmp_path):
     done = run("crank-rocker", "--check", "--json", "--out", str(tmp_path))
     assert done.exit_code == 0
@@ -471,14 +477,10 @@ def test_output_sensitivities_are_written(tmp_path):
     assert "has no page" in page.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "measure"),
-    [
-        ("law-slider-crank", "max"),
-        ("path-ellipse10", "max"),
-        pytest.param("transmission-optimal", "max", marks=pytest.mark.slow),
-        pytest.param("path-ellipse10", "rms", marks=pytest.mark.slow),
-    ],
+    [("law-slider-crank", "max"), ("path-ellipse10", "max"), ("transmission-optimal", "max"), ("path-ellipse10", "rms")],
 )
 def test_derivatives_of_largest_values_are_those_of_new_optima(name, measure):
     """Each parameter is written to the file and the optimum there exchanged again: peaks and free crank angles move along."""

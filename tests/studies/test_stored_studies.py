@@ -19,6 +19,7 @@ from optlink.presentation.registry import read_result, stored_page
 from optlink.problem.document import Document
 from optlink.studies import pareto, sensitivities, sweep, sweeps as sweep_module, tolerance
 from optlink.studies.motion_sensitivity import OutputStudy
+from tests.tiers import mostly_slow
 
 TOLERANCES = ["coupler=0.3 mm", "rocker=0.2 mm uniform"]
 ROD = "mechanism.links.rod.length"
@@ -128,6 +129,7 @@ def test_a_damaged_table_is_refused_in_a_sentence(tmp_path, monkeypatch):
             _ = read_result(tmp_path).columns
 
 
+@pytest.mark.slow
 def test_a_robust_design_with_measured_parts_needs_no_other_file(tmp_path):
     (tmp_path / "parts.csv").write_text("coupler_mm\n" + "\n".join(f"{0.01 * k:.2f}" for k in range(-9, 10)))
     raw: dict[str, Any] = dict(crank_rocker().raw) | {"tolerances": {"coupler": "parts.csv", "rocker": "0.1 mm"}}
@@ -141,7 +143,7 @@ def test_a_robust_design_with_measured_parts_needs_no_other_file(tmp_path):
     assert read.robust.result.valid
 
 
-@pytest.mark.parametrize("name", ["sweep", "front", "tolerance", "sensitivity"])
+@pytest.mark.parametrize("name", mostly_slow(["sweep", "front", "tolerance", "sensitivity"], "tolerance"))
 def test_a_changed_document_is_refused_in_a_sentence(name, tmp_path):
     document = STUDIES[name]().to_dict()
     document["status"] = "better"

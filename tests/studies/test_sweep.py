@@ -174,6 +174,7 @@ def test_active_set_changes_are_marked():
     assert result.searched == 4  # in the middle of each block; from there, Newton's method changes the active set itself
 
 
+@pytest.mark.slow
 def test_a_limit_that_an_optimum_nearly_touches_is_not_listed():
     """At 178.5 deg the margin of the crank's rotation is 0.2 um away, nearly parallel to the limit that is active."""
     assert sweep(problem(), [f"{LIMIT}=178..179 deg:3"], workers=1).columns["active"].tolist() == [
@@ -218,6 +219,7 @@ def test_a_dimension_varied_by_decades_finds_every_design():
     assert table["objective_rad2"][3] == pytest.approx(single.objective, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_keys_outside_the_programme_are_rebuilt_at_each_point():
     result = sweep(problem(), ["requirement.span=60..90 deg:3"], workers=1)
     assert result.valid
@@ -897,6 +899,7 @@ def test_pictures_over_one_two_and_three_parameters(name, arguments, panels, leg
         np.testing.assert_array_equal(np.ma.filled(shown, np.nan), table[[1, 2, 0]])
 
 
+@pytest.mark.slow
 def test_a_given_design_may_omit_varied_keys(tmp_path):
     arguments = ["--analyze", "--vary", "mechanism.coupler=400..420 mm:2", "--column", "rocker.angle_rad"]
     assert run("crank-rocker", *arguments, "--design", "rocker=232 mm", "--out", str(tmp_path)).exit_code == 0
@@ -1023,6 +1026,7 @@ def test_the_objective_of_a_sweep_is_that_of_a_single_design_in_si(name, vary, u
     assert swept.columns[f"objective_{si.replace('^', '')}"][0] == pytest.approx(size * shown.value, rel=1e-6, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_a_sweep_over_arrays_is_that_over_texts():
     """One grid has one table, in SI, whether its values are arrays, texts, or a text as on the command line, in any unit."""
     problem, frames, angles = optlink.load("crank-rocker"), np.linspace(0.48, 0.52, 3), np.radians([128.0, 135.0])

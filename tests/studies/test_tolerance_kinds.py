@@ -137,6 +137,7 @@ def test_the_largest_yield_of_a_path():
     assert result.monte_carlo.share >= result.unrobust.share
 
 
+@pytest.mark.slow
 def test_the_command_judges_a_path(tmp_path):
     arguments = ["study", "tolerance", "path-arc5", "--tolerance", "crank=0.01 mm", "--limit", "0.02 mm", "--samples", "4096"]
     done = CliRunner().invoke(app, [*arguments, "--out", str(tmp_path)])

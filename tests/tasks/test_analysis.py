@@ -277,6 +277,7 @@ def test_batch_agrees_with_single_analyses(name):
             np.testing.assert_allclose(computed[column][k], alone[column][:-1], rtol=0.0, atol=1e-10 * scale, err_msg=column)
 
 
+@pytest.mark.slow
 def test_batch_memory_does_not_exceed_its_result():
     problem, extra = optlink.load("six-bar"), []
     for count in (100, 1000):
@@ -326,6 +327,7 @@ def test_analyze_writes_every_digit_of_the_table(tmp_path):
     assert "least since the start" in done.stdout
 
 
+@pytest.mark.slow
 def test_mean_torque_and_power_are_those_of_the_work():
     for speed in (math.tau, -math.tau):  # one revolution per second
         result = optlink.analyze(optlink.load("shaper"), speed=speed)

@@ -671,6 +671,7 @@ def test_ends_of_the_trade_off_are_the_single_optima():
     assert trade.points[-1].second == pytest.approx(six_bar("rms torque").objective, rel=5e-7)
 
 
+@pytest.mark.slow
 def test_points_of_the_trade_off_are_those_of_a_limit():
     """Least force with the torque limited to what a point has; and the price is the slope of the curve."""
     trade = six_bar(None, "force,torque").trade
@@ -841,6 +842,7 @@ SPRUNG = {
 }
 
 
+@pytest.mark.slow
 def test_a_spring_against_brute_force():
     """Stiffness and free length, both free: a grid of real springs through the ordinary inverse dynamics does no better."""
     file = optlink.load("balance-four-bar", SPRUNG)
@@ -967,6 +969,7 @@ def test_a_limit_over_an_arc():
 # --- limits that cannot hold ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_conflicting_limits_are_listed_with_feasible_values():
     limits = {"rms shaking force": "20 %", "rms torque": "100 %"}
     result = optlink.balance(optlink.load("balance-six-bar", {"balance.limits": limits}), "moment")

@@ -17,7 +17,7 @@ import optlink
 from optlink.dynamics.forward import Ending
 from tests.tiers import mostly_slow
 
-SEEDS = range(60)
+SEEDS = range(24)
 
 
 @dataclass

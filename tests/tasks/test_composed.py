@@ -18,6 +18,7 @@ from optlink.problem.file import read
 from optlink.validation.consistency import contradictions
 from tests.oracles import composed_problems as composed
 from tests.solved import solution
+from tests.tiers import mostly_slow
 
 PATH = ["crank", "coupler", "rocker", "frame", "P.along", "P.across", "A.x", "A.y"]
 
@@ -110,7 +111,7 @@ def test_poses_and_a_law_are_met_together():
     assert np.degrees(law.measured.generated[:, 0]) == pytest.approx([own[f"rocker {k}"] for k in range(1, 7)], abs=1e-6)
 
 
-@pytest.mark.parametrize("ratio", [0.1, 10.0])
+@pytest.mark.parametrize("ratio", mostly_slow([0.1, 10.0], 10.0))
 def test_a_weight_favours_its_requirement(ratio):
     """With a wrong frame not both can be met; the sum is that of squares divided by those of sizes, and each weight moves it."""
     problem = optlink.load("poses-and-law", {"mechanism.frame": "123 mm"})
@@ -206,6 +207,7 @@ def test_a_requirement_is_changed_by_its_name():
         problem.override({"requirements.valve.wait": 1.0})
 
 
+@pytest.mark.slow
 def test_lengths_are_not_called_arbitrary_beside_a_path():
     """A law alone has its ratios only; a path, a region or a quantity of the machine fixes the size."""
     free = {

@@ -379,6 +379,7 @@ def test_a_complete_run_is_resumed_at_its_last_revolution():
         assert json.dumps(kept[-1]) == json.dumps(kept[-2])
 
 
+@pytest.mark.slow
 def test_a_longer_run_is_not_resumed():
     kept: list[dict] = []
     optlink.control.simulate_clearance(rocker(), 3, 60, tolerance=1e-6, checkpoint=kept.append)

@@ -68,7 +68,10 @@ def made(kind: str) -> Any:
     return RESULTS[kind]()
 
 
-@pytest.fixture(scope="module", params=mostly_slow(RESULTS, *(RESULTS.keys() - {"comparison", "transmission", "tuning"})))
+@pytest.fixture(
+    scope="module",
+    params=mostly_slow(RESULTS, "law", "law, checked", "balance", "batch", "simulation", "output sensitivity", "tolerance"),
+)
 def result(request: pytest.FixtureRequest) -> Any:
     return made(request.param)
 

@@ -52,6 +52,7 @@ def test_both_back_ends_design_the_same_shaper():
         assert one.design[name] == pytest.approx(other.design[name], rel=1e-5)
 
 
+@pytest.mark.slow
 def test_optimal_shaper_beats_the_initial_one_of_equal_stroke():
     given, result = given_shaper(), shaper().best.analysis
     assert result is not None

@@ -422,6 +422,7 @@ def test_dimensions_without_crank_rotation_are_refused():
     assert any("turn fully" in note for note in result.notes)
 
 
+@pytest.mark.slow
 def test_a_start_without_crank_rotation_is_replaced():
     rod = {"start": "155 mm", "bounds": ["150 mm", "500 mm"]}
     crank = {"start": "119 mm", "bounds": ["30 mm", "120 mm"]}

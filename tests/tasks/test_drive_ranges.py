@@ -10,6 +10,7 @@ from numpy.polynomial.legendre import leggauss
 
 import optlink
 from optlink.errors import InputError
+from tests.tiers import mostly_slow
 
 STRUT = """
 title = "Gas strut"
@@ -127,7 +128,7 @@ def lift_forces(design):
     return angle, (120 * 9.81 * 1.5 + 5000 * 3) * np.cos(angle) * s / (g * arm * np.sin(enclosed))
 
 
-@pytest.mark.parametrize("backend", ["ipopt", "slsqp"])
+@pytest.mark.parametrize("backend", mostly_slow(["ipopt", "slsqp"], "ipopt"))
 def test_lift_has_the_least_peak_force(tmp_path, backend):
     """It is that of SciPy's differential evolution with these formulas (three seeds), at G (789.279, -200) mm, M 708.417 mm."""
     result = optlink.solve(problem(tmp_path, LIFT), backend=backend)

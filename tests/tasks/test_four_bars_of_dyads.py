@@ -61,6 +61,7 @@ def test_both_ways_to_write_a_four_bar_have_one_optimum_and_the_same_limits(name
     assert len(one.best.cognates) == (2 if name == "path-closed18" else 0)
 
 
+@pytest.mark.slow
 def test_exact_poses_are_found() -> None:
     section = optlink.load("motion-3-poses")
     result = optlink.solve(as_dyads(section))
@@ -90,6 +91,7 @@ def test_a_function_has_its_certificate() -> None:
     assert other.certificate.lower_bound == pytest.approx(one.certificate.lower_bound, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_sweep_of_dyads_runs_in_one_programme() -> None:
     """Every point of the sweep of a law shares it, the place of the pivot being its parameter; the optima are the same."""
     section = optlink.load("crank-rocker")
@@ -103,6 +105,7 @@ def test_a_sweep_of_dyads_runs_in_one_programme() -> None:
     assert other["coupler.length_m"] == pytest.approx(one["coupler_m"], rel=1e-8)
 
 
+@pytest.mark.slow
 def test_a_sweep_that_turns_the_frame_agrees_with_single_optima() -> None:
     """The programme is that of a frame along x, whose rows hold for any direction."""
     file, key = as_dyads(optlink.load("crank-rocker")), "mechanism.ground.D.y"

@@ -162,6 +162,7 @@ def test_deviations_are_those_of_the_parts_not_of_the_link():
     np.testing.assert_allclose(one.by, other.by, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_sweep_carries_the_link_along_and_an_axis_replaces_it():
     problem = read(LAW)
     for key in ("mechanism.crank", "mechanism.rocker"):
@@ -353,6 +354,7 @@ def test_results_are_read_again_with_their_links(tmp_path):
 # --- deviations in the objective ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_robust_objective_has_the_deviations_of_the_parts():
     """At the same dimensions the scatter of a linked rocker is that of a stated one."""
     changes = {"requirement.measure": "max", "requirement.robust": "3 sigma", "tolerances.coupler": "0.1 mm"}

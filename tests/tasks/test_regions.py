@@ -13,6 +13,7 @@ import optlink
 from optlink.errors import InputError
 from optlink.studies import sensitivities
 from tests.oracles.composed_problems import third
+from tests.tiers import mostly_slow
 
 CRANK, COUPLER, ROCKER, FRAME = 0.03, 0.1, 0.09, 0.1
 TARGETS = {0.0: (20.0, 100.0), 60.0: (0.0, 105.0), 120.0: (-20.0, 95.0), 180.0: (-25.0, 80.0)}
@@ -105,7 +106,7 @@ def test_a_point_keeps_its_distance(name: str) -> None:
     assert first.objective == pytest.approx(second.objective, rel=1e-8)
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", mostly_slow(CASES, "hood"))
 def test_dyads_give_the_same(name: str) -> None:
     limit, _ = CASES[name]
     one, other = (optlink.solve(optlink.read(four_bar(dyads=dyads, zone=limit)), starts=60) for dyads in (False, True))
@@ -123,6 +124,7 @@ def test_the_price_of_the_clearance() -> None:
     assert row.objective == pytest.approx((above - below) / 2e-5, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_limit_over_the_span_alone() -> None:
     """The law of the span is the way from the first point to the last; the rest of the curve may enter the region."""
     whole, span = (

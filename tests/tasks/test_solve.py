@@ -16,6 +16,7 @@ from optlink.solvers import multistart
 from optlink.solvers.infeasibility import Explanation, explain
 from optlink.solvers.solution import verified_solution
 from optlink.tasks.results.conflict import outward
+from tests.tiers import mostly_slow
 
 BACKENDS = ("slsqp", "ipopt")
 TABLE = {
@@ -173,7 +174,7 @@ PRICES = [
 ]
 
 
-@pytest.mark.parametrize(("changes", "key", "unit", "write", "name"), PRICES)
+@pytest.mark.parametrize(("changes", "key", "unit", "write", "name"), mostly_slow(PRICES, PRICES[0], PRICES[-1]))
 def test_shadow_price_agrees_with_reoptimisation(crank_rocker, changes, key, unit, write, name):
     """The multiplier per physical unit against central differences of re-solved optima."""
     base = crank_rocker.override(changes)

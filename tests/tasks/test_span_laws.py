@@ -101,6 +101,7 @@ BENT: dict[str, Any] = {
 BENT["requirement"] |= {"span": "-32 deg", "points": 12, "measure": "max"}
 
 
+@pytest.mark.slow
 def test_a_law_that_would_end_in_line_ends_at_the_alignment_limit_with_its_price() -> None:
     problem = optlink.read(BENT)
     result = solve(problem)

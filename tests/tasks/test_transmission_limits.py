@@ -157,6 +157,7 @@ def test_named_dyads_have_specific_limits_and_others_the_general_one() -> None:
     assert limits({"transmission_angle": None, "pressure_angle.C": "20 deg"}) == {"pressure_angle.C": (70.0, 110.0)}
 
 
+@pytest.mark.slow
 def test_span_limits_do_not_apply_beyond_the_span() -> None:
     """A tight limit that only the span can satisfy, with a crank that turns fully."""
     file = optlink.load("law-slider-crank", {"limits.pressure_angle": "20 deg", "limits.alignment": "1 deg"})

@@ -83,6 +83,7 @@ def read_csv(path: Path) -> dict[str, np.ndarray]:
     return dict(zip(head, np.array(rows, dtype=float).T, strict=True))
 
 
+@pytest.mark.slow
 def test_problem_is_the_published_one():
     file = optlink.load("slider-crank-clearance")
     (gap,) = simulate(5000, 0.1, 25).gaps
@@ -143,7 +144,7 @@ def test_revolution_eleven(rpm):
     assert np.all(computed["C.contact"][rows] == 1.0)
 
 
-@pytest.mark.parametrize("rpm", mostly_slow(SPEEDS, 5000, 1200))
+@pytest.mark.parametrize("rpm", mostly_slow(SPEEDS, 1200))
 def test_revolution_eleven_at_the_usual_tolerance(rpm):
     """Published agreement: 1 um."""
     table, computed = read_csv(DATA / f"clearance_mu01_{rpm}rpm.csv"), simulate(rpm, 0.1, 11, tolerance=1e-9)
