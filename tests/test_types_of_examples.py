@@ -77,6 +77,7 @@ def of_notebook(path: Path) -> str:
 
 
 SCRIPTS = sorted((ROOT / "examples").glob("*.py"))
+EXTENSIONS = sorted((ROOT / "tests" / "extending").glob("[a-z]*.py"))
 EXAMPLES = {
     "common": COMMON,
     "results": fulfils("Result", KINDS),
@@ -84,6 +85,7 @@ EXAMPLES = {
     **{f"page_{page.stem.replace('-', '_')}": of_page(page) for page in PAGES},
     **{path.stem: of_notebook(path) for path in NOTEBOOKS},
     **{path.stem: path.read_text(encoding="utf-8") for path in SCRIPTS},
+    **{f"extending_{path.stem}": path.read_text(encoding="utf-8") for path in EXTENSIONS},
 }
 
 
@@ -124,6 +126,12 @@ def of(name: str, errors: list[str]) -> list[str]:
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_an_example_has_the_types_that_it_assumes(name: str, errors: list[str]) -> None:
     assert of(name, errors) == []
+
+
+@pytest.mark.parametrize("path", EXTENSIONS, ids=lambda path: path.stem)
+def test_an_extension_is_typed_by_public_names(path: Path) -> None:
+    text = path.read_text(encoding="utf-8")
+    assert not re.search(r"\bAny\b|\bfrom optlink\.(?!extending\b|linkage\b)", text)
 
 
 def test_a_function_without_annotations_is_detected(errors: list[str]) -> None:

@@ -104,7 +104,7 @@ def _section(item: Any, level: str, owner: str, without: Collection[str] = ()) -
     shown = [one for one in shown if one.name not in ("to_dict", *without)]
     plain = [one for one in shown if one.is_attribute]
     if plain:
-        rows = [f"| `{one.name}` | {_cell(_code(one.annotation))} | {_cell(_meaning(one))} |" for one in plain]
+        rows = [f"| `{one.name}` | {cell(code(one.annotation))} | {cell(_meaning(one))} |" for one in plain]
         yield "\n".join(["| attribute | type | meaning |", "|---|---|---|", *rows])
     for one in shown:
         if one.is_function or one.is_class:
@@ -163,7 +163,7 @@ def _entry(one: Any) -> str:
     name = getattr(one, "name", "")
     default = getattr(one, "default", None)
     stated = default not in (None, "None") and not name.startswith("**")
-    typed = f" ({_code(one.annotation)}{f', default {_code(default)}' if stated else ''})" if one.annotation is not None else ""
+    typed = f" ({code(one.annotation)}{f', default {code(default)}' if stated else ''})" if one.annotation is not None else ""
     if not name:
         name, typed = str(one.annotation), ""
     return f"- `{name}`{typed}: {' '.join(one.description.split())}".removesuffix(": ")
@@ -174,9 +174,11 @@ def _type(text: Any) -> str:
     return re.sub(r"\bAnnotated\[(\w+), .*\]", r"\1", TEXT.sub(r"\1", plain))  # without how it is read
 
 
-def _code(text: Any) -> str:
+def code(text: Any) -> str:
+    """Return a type as code."""
     return f"`{_type(text)}`" if text is not None else ""
 
 
-def _cell(text: str) -> str:
+def cell(text: str) -> str:
+    """Return a text as the cell of a table."""
     return " ".join(text.split()).replace("|", "\\|")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from docs.generate.api import ROOT, reference
+from docs.generate.api import ROOT, cell, code, package, reference
 from optlink.io import Entry
 from optlink.linkage.assur import DyadType
 from optlink.presentation.registry import ResultKind
@@ -13,6 +13,7 @@ from optlink.problem.machine.model import ProblemKind
 from optlink.problem.terms import QuantityType
 from optlink.solvers.contract import Solver
 
+QUOTES = "'\""
 EXAMPLES = ROOT / "tests" / "extending"
 
 
@@ -27,13 +28,48 @@ class Addition(NamedTuple):
 
 
 ADDITIONS = (
-    Addition("limit", LimitTerm, "constraint", ("check_derivatives", "check_prices")),
-    Addition("quantity", QuantityType, "objective", ("check_derivatives",), ("problem.terms.Element",)),
-    Addition("back end", Solver, "back_end", ("check_optimum",), ("solvers.solution.Attempt",)),
-    Addition("dyad", DyadType, "dyad", ("check_motion", "check_forces"), ("dynamics.inverse.GroupForces",)),
-    Addition("kind of problem", ProblemKind, "kind", ("check_stored",), ("tasks.protocol.DesignTask",)),
+    Addition(
+        "limit",
+        LimitTerm,
+        "constraint",
+        ("check_derivatives", "check_prices"),
+        ("problem.limits.Reach", "problem.limits.Moved", "problem.quantity.Interval"),
+    ),
+    Addition(
+        "quantity",
+        QuantityType,
+        "objective",
+        ("check_derivatives",),
+        (
+            *(f"problem.terms.{name}" for name in ("Element", "ElementTerm")),
+            *("dynamics.machine.Moving", "dynamics.inverse.Reactions", "dynamics.columns.MotionColumns"),
+        ),
+    ),
+    Addition("back end", Solver, "back_end", ("check_optimum",), ("solvers.solution.Backend", "solvers.solution.Attempt")),
+    Addition(
+        "dyad",
+        DyadType,
+        "dyad",
+        ("check_motion", "check_forces"),
+        ("linkage.mechanism.Dyad", "linkage.bodies.Guide", "dynamics.inverse.ForceBalance", "dynamics.inverse.GroupForces"),
+    ),
+    Addition("kind of problem", ProblemKind, "kind", ("check_stored",), ("tasks.protocol.DesignTask", "tasks.protocol.Search")),
     Addition("kind of result", ResultKind, "view", ("check_stored",), ("presentation.view.View",)),
 )
+
+
+TYPES = (
+    *(f"linkage.vector2d.{name}" for name in ("Value", "Vector", "Array")),
+    *("linkage.bodies.Joint", "linkage.assur.Former", "problem.terms.Signal", "problem.terms.Course"),
+)
+"""Names for types."""
+
+
+def types() -> str:
+    """Return a table of the names for types."""
+    found = [package()[path] for path in TYPES]
+    rows = [f"| `{one.name}` | {cell(code(str(one.value).strip(QUOTES)))} | {one.docstring.value} |" for one in found]
+    return "\n".join(["| type | stands for | meaning |", "|---|---|---|", *rows])
 
 
 def path_of(entry: type[Entry]) -> str:
@@ -56,4 +92,4 @@ def page() -> str:
             f"```python\n{example.read_text(encoding='utf-8').strip()}\n```",
             *(reference(f"optlink.{path}") for path in one.further),
         ]
-    return "\n\n".join(parts)
+    return "\n\n".join([*parts, "## Names for types", types()])

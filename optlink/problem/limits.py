@@ -482,11 +482,14 @@ def check_limits(limits: Limits, linkage: Mechanism, *, four_bar: bool) -> None:
 
 @dataclass(frozen=True)
 class Reach:
-    """Crank range of a requirement: from `start` by `span` [rad], negative clockwise; `sense`: the sign of the span."""
+    """Crank range of a requirement."""
 
     start: Value
+    """Crank angle at which it begins [rad]."""
     span: Value
+    """Crank rotation from there [rad], negative clockwise."""
     sense: Value
+    """Sign of the span."""
 
 
 # --- registered limits ---------------------------------------------------------------------------------------------------
@@ -496,7 +499,9 @@ class Moved(Protocol):
     """A design in motion, as a validator measures it."""
 
     mechanism: Mechanism
+    """The mechanism."""
     design: dict[str, float]
+    """Sizes by name [m, rad]."""
     lengths: tuple[float, float, float, float]
     """Lengths [m] of crank, coupler, rocker and frame of a four-bar."""
 
@@ -518,12 +523,13 @@ class LimitTerm(Entry):
     ----------
     name : str
         The key.
-    form : AngleInterval, LengthInterval, NumberInterval or RatioOfStrokes
-        Type of its value, which says its unit.
+    form : AngleInterval, LengthInterval or NumberInterval
+        Type of its value, which says its unit: `AngleInterval`, `LengthInterval`, `NumberInterval`.
     values : function of (problem, sizes [m, rad], reach, interval)
-        Yields the label and the value [rad, m or -] of each row, elementwise.
-    measure : function of (design in motion, interval)
-        Yields the name and the value [rad, m or -] of each check.
+        Yields the label and the value [rad, m or -] of each row, elementwise. The problem is a `DesignProblem`; the interval, an
+        `Interval`, is that of the file.
+    measure : function of (moved, interval)
+        Yields the name and the value [rad, m or -] of each check; `moved` is the design in motion.
     about : str
         Description for the reference of problem files.
     possible : (float, float) [rad, m or -]

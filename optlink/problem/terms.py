@@ -69,7 +69,9 @@ class ElementTerm(Protocol):
 
 
 Signal: TypeAlias = Callable[[Moving, Reactions, ElementTerm], tuple[Value, ...]]
+"""Formula of a quantity at one crank angle, elementwise: one component, or two of a vector [SI]."""
 Course: TypeAlias = "Callable[[MotionColumns, ElementTerm], Array]"
+"""Measurement of a quantity at all crank angles [SI], from the columns of a motion, such as `record["rocker.omega_rad_s"]`."""
 
 
 @dataclass(frozen=True)

@@ -47,7 +47,12 @@ class Attempt:
 
 
 class Backend(Protocol):
-    """Interface of a solver: minimise an NLP from a start and return an Attempt. It must not raise for a hard problem."""
+    """Interface of a solver: minimise an NLP from a start and return an Attempt. It must not raise for a hard problem.
+
+    The programme `nlp` has the bounds `x_low` and `x_high` of x and `low` and `high` of its `rows`, arrays; `values(x, p)`, the
+    objective and the rows; `at(x, p)` with the `gradient` of the objective and the `jacobian` of the rows besides; and
+    `hessian(x, p, multipliers)` of the Lagrangian.
+    """
 
     def __call__(self, nlp: NLP, x: Array, p: Array, *, track: bool = False, tight: bool = False) -> Attempt:
         """Minimise from x with parameters p; `track` records the iterates, `tight` requests the tightest tolerances."""

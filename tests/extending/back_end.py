@@ -3,15 +3,15 @@
 import numpy as np
 from scipy.optimize import Bounds, NonlinearConstraint, minimize
 
-from optlink.extending import Attempt, Solver, register
+from optlink.extending import NLP, Array, Attempt, Solver, Value, register
 
 
-def trust_constr(nlp, x, p, *, track=False, tight=False):
+def trust_constr(nlp: NLP, x: Array, p: Array, *, track: bool = False, tight: bool = False) -> Attempt:
     """Minimise from x with exact gradients and Jacobians; undefined points count as very bad ones."""
     path = [x]
 
-    def finite(values):
-        return np.nan_to_num(values, nan=1e10, posinf=1e10, neginf=-1e10)
+    def finite(values: Value) -> Array:
+        return np.asarray(np.nan_to_num(values, nan=1e10, posinf=1e10, neginf=-1e10))
 
     limits = NonlinearConstraint(
         lambda x: finite(nlp.values(x, p)[1]), nlp.low, nlp.high, jac=lambda x: finite(nlp.at(x, p).jacobian)

@@ -1,12 +1,19 @@
 """A yoke driven by a pin in its slot (RPP), written afresh in place of the dyad of the package."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 from optlink.extending import (
+    Assembly,
     Dyad,
     DyadType,
+    ForceBalance,
     GroupForces,
     Guide,
+    Joint,
+    Link,
+    Value,
     cross,
     dot,
     minus,
@@ -16,6 +23,7 @@ from optlink.extending import (
     turn,
     turn_back,
 )
+from optlink.linkage import Pose
 
 
 @dataclass(frozen=True)
@@ -26,12 +34,25 @@ class Yoke(Dyad):
     pin: str
     rail: Guide
 
-    kind, least = "yoke", 1e-12
-    joint = property(lambda self: self.slot.name)
-    outer_pins = property(lambda self: ((self.first.body, self.pin),))
-    prismatic = property(lambda self: (self.slot, self.rail))
+    kind: ClassVar[str] = "yoke"
+    least: ClassVar[float] = 1e-12
 
-    def solve(self, pose):
+    @property
+    def joint(self) -> str:
+        """Name of the inner joint."""
+        return self.slot.name
+
+    @property
+    def outer_pins(self) -> tuple[tuple[str, str], ...]:
+        """The pin of the block."""
+        return ((self.first.body, self.pin),)
+
+    @property
+    def prismatic(self) -> tuple[Guide, ...]:
+        """The slot and the rail."""
+        return self.slot, self.rail
+
+    def solve(self, pose: Pose) -> Value:
         """Slide the yoke until its slot meets the pin."""
         origin, way = pose.line(self.rail, self.rail.other(self.second.body))
         (own, own_way), (at, slot_way) = (pose.local_line(guide, self.second.body) for guide in (self.rail, self.slot))
@@ -44,10 +65,15 @@ class Yoke(Dyad):
         pose.place(self.first, turn_back(slot, pose.local_line(self.slot, self.first.body)[1]), self.pin)
         return cross(slot, way) * cross(slot, way)
 
-    gap = property(lambda self: lambda pose: 0.0 * pose.margins[self.joint])
-    alignment = property(lambda self: lambda pose: pose.margins[self.joint])
+    def gap(self, pose: Pose) -> Value:
+        """Return zero: it closes wherever slot and rail are not parallel."""
+        return 0.0 * pose.margins[self.joint]
 
-    def forces(self, balance, tilts):
+    def alignment(self, pose: Pose) -> Value:
+        """Return the squared sine of the angle between slot and rail."""
+        return pose.margins[self.joint]
+
+    def forces(self, balance: ForceBalance, tilts: Mapping[str, Value]) -> GroupForces:
         """Return the pin force from the forces of the block along the slot and of both along the rail; the others follow."""
         block, yoke = self.links
         p, at, rest = balance.moving.position(self.pin), balance.at(self.slot), balance.at(self.rail)
@@ -61,4 +87,12 @@ class Yoke(Dyad):
         return GroupForces([(self.pin, block.body, pin)], guides, (slot, rail))
 
 
-register(DyadType("RPP", lambda assembly, block, yoke, pin, slot, rail: Yoke(block, yoke, slot, pin, rail)))
+def yoke(assembly: Assembly, block: Link, yoke: Link, pin: Joint, slot: Joint, rail: Joint) -> Yoke:
+    """Form the group of its two bodies and three joints."""
+    assert isinstance(pin, str)
+    assert isinstance(slot, Guide)
+    assert isinstance(rail, Guide)
+    return Yoke(block, yoke, slot, pin, rail)
+
+
+register(DyadType("RPP", yoke))

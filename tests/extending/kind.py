@@ -5,13 +5,15 @@ from typing import ClassVar
 
 import numpy as np
 
-from optlink import Status
+from optlink import ProblemFile, Status
 from optlink.extending import (
+    Array,
     Check,
     DesignTask,
     FixedLength,
     Problem,
     ProblemKind,
+    Search,
     Section,
     SingleResult,
     Validation,
@@ -28,27 +30,35 @@ class Clearing(Section):
 
 class ClearingProblem(Problem):
     clearing: Clearing
-    task = property(lambda self: "clearing")
+
+    @property
+    def task(self) -> str:
+        return "clearing"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ClearingResult(SingleResult):
-    kind = "clearing"
+    kind: ClassVar = "clearing"
     shown: ClassVar = {"valid": "valid", "distance_m": "objective"}
-    notes = ()
-    machine = property(lambda self: self.problem)
+    notes: ClassVar[tuple[str, ...]] = ()
+
+    @property
+    def machine(self) -> ProblemFile:
+        return self.problem
 
 
-def distances(problem, angles):
-    motion = sweep(problem.model.linkage, problem.model.design({}), angles)
-    pivot, point = motion.mechanism.crank.start, problem.model.clearing.point
-    return np.linalg.norm(motion.position(point) - motion.position(pivot), axis=1)
+def distances(model: ClearingProblem, angles: Array) -> Array:
+    motion = sweep(model.linkage, model.design({}), angles)
+    pivot, point = motion.mechanism.crank.start, model.clearing.point
+    return np.asarray(np.linalg.norm(motion.position(point) - motion.position(pivot), axis=1))
 
 
-class ClearingTask(DesignTask):
-    def search(self, problem, search):
-        computed = float(extremes(lambda at: distances(problem, at)[None, :], np.linspace(0.0, 2.0 * np.pi, 361))[1][0, 0])
-        swept, least = float(np.min(distances(problem, np.linspace(0.0, 2.0 * np.pi, 20001)))), problem.model.clearing.least.value
+class ClearingTask(DesignTask[ClearingResult]):
+    def search(self, problem: ProblemFile, search: Search) -> ClearingResult:
+        model = problem.model
+        assert isinstance(model, ClearingProblem)
+        computed = float(extremes(lambda at: distances(model, at)[None, :], np.linspace(0.0, 2.0 * np.pi, 361))[1][0, 0])
+        swept, least = float(np.min(distances(model, np.linspace(0.0, 2.0 * np.pi, 20001)))), model.clearing.least.value
         checks = (
             Check("least distance", computed >= least, computed * 1e3, f">= {least * 1e3:.6g}", "mm"),
             Check("agrees with a sweep", abs(computed - swept) <= 1e-6 * swept, abs(computed - swept) * 1e3, "<= 1e-06", ""),

@@ -1,16 +1,16 @@
 """The angular velocity of a body over the cycle of a machine: `quantity = "turning"`, `of = "rocker"`."""
 
-from optlink.extending import Element, QuantityType, register
+from optlink.extending import Array, Element, ElementTerm, MotionColumns, Moving, QuantityType, Reactions, Value, register
 
 BODY = Element(lambda mechanism: mechanism.bodies, "no such body")
 
 
-def signal(moving, reactions, term):
+def signal(moving: Moving, reactions: Reactions, term: ElementTerm) -> tuple[Value, ...]:
     """Return the formula of the optimiser at one crank angle [rad/s]."""
-    return (moving.state(term.of).omega,)
+    return (moving.state(str(term.of)).omega,)
 
 
-def history(record, term):
+def history(record: MotionColumns, term: ElementTerm) -> Array:
     """Return the column that the validator reads [rad/s]."""
     return record[f"{term.of}.omega_rad_s"]
 
