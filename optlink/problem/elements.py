@@ -16,7 +16,7 @@ from pydantic import BeforeValidator, model_validator
 
 from optlink.dynamics.machine import Inertia
 from optlink.linkage.bodies import FRAME
-from optlink.linkage.elements import PRESSURE, Cam, Element, Gear, Rack
+from optlink.linkage.elements import PRESSURE, Cam, Element, Gear, Rack, key_of
 from optlink.linkage.mechanism import Guide, Link, Mechanism, Pose
 from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import TURN, cross, dot, minus
@@ -439,18 +439,17 @@ def geared(mechanism: Mechanism, sizes: Mapping[str, float]) -> Mechanism:
     if not mechanism.singles:
         return mechanism
     grouped = {link.body for group in mechanism.groups for link in group.links}
-    coupled = {body for single in mechanism.singles for body in single.by.bodies if body in grouped}
+    coupled = {body: single.by for single in mechanism.singles for body in single.by.bodies if body in grouped}
     low, high = mechanism.limits or (0.0, TURN)
     if coupled:
         motion = sweep(mechanism, sizes, np.linspace(low, high, 361))
         middles = {}
-        for body in coupled:
+        for body, coupling in coupled.items():
             angles = motion.body_angle(body).value
             if np.nanmax(angles) - np.nanmin(angles) >= TURN * 0.999:
-                message = f"{body} turns fully, and its angle is that of a group of two bodies: such gears are not supported"
-                raise Unusable(
-                    message, "Couple a body that the drive or another gear turns, or one that swings", "mechanism.gears"
-                )
+                message = f"{body} turns fully, and its angle is that of a group of two bodies: this is not supported"
+                remedy = "Couple a body that the drive or another coupling turns, or one that swings"
+                raise Unusable(message, remedy, f"mechanism.{key_of(coupling)}")
             middles[body] = float(0.5 * (np.nanmax(angles) + np.nanmin(angles)))
         mechanism = replace(mechanism, middles=middles)
     if mechanism.limits is not None:
@@ -461,6 +460,7 @@ def geared(mechanism: Mechanism, sizes: Mapping[str, float]) -> Mechanism:
     for single, turn, share in zip(mechanism.singles, turns, shares, strict=False):
         if abs(turn - share) > 1e-9:
             message = f"{single.link.body} makes {turn:.9g} turns in one of the crank: the motion does not repeat"
-            raise Unusable(message, "Give whole numbers of teeth, or a range of the drive", "mechanism.gears")
+            remedy = "Give numbers of teeth, or sizes in a ratio of whole numbers, or a range of the drive"
+            raise Unusable(message, remedy, f"mechanism.{key_of(single.by)}")
     count = math.lcm(*(share.denominator for share in shares))
     return replace(mechanism, cycle=max(mechanism.cycle, count * TURN))
