@@ -69,19 +69,6 @@ PACKAGES = [importlib.import_module(name) for name in PUBLIC]
 ROOT = Path(__file__).resolve().parents[1]
 WRITTEN = [ROOT / "README.md", ROOT / "README.zh.md", *(ROOT / "docs").rglob("*.md"), *(ROOT / "examples").glob("*.py")]
 IMPORTED = re.compile(r"^[ >]*(?:from (optlink[\w.]*) import (\([^)]*\)|[^#\n]*)|import (optlink[\w.]*))", re.MULTILINE)
-NOT_YET = {
-    "balancing": "TradeOff",
-    "clearance": "DAMPING Inverse clearance clearance_joints control_comparison draw installed normal_force",
-    "crank_rocker": "build design_charts design_drawings design_view draw objective_map",
-    "draw_a_curve": "DesignProblem design design_drawings",
-    "shaper": "MotionColumns",
-    "six_bar": "Wrench reactions required_wrench",
-    "tolerance": "pictures tolerance wilson",
-    "tradeoff": "draw pareto validate",
-    "what_if": "draw sensitivity",
-    "what_if_clearance": "installed",
-}
-"""What notebooks import from inside the package; none is added here."""
 
 
 def internal(code: str) -> list[str]:
@@ -120,7 +107,7 @@ def test_pages_and_examples_import_public_names(path: Path) -> None:
 def test_notebooks_import_public_names(path: Path) -> None:
     cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
     code = "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code")
-    assert internal(code) == NOT_YET.get(path.stem, "").split()
+    assert internal(code) == []
 
 
 def test_an_import_from_inside_is_found() -> None:

@@ -15,7 +15,7 @@ from typing import get_args
 from optlink.errors import InvalidValue
 from optlink.io import Entry, register
 from optlink.linkage.dyads import FORWARD, RPR, LineDyad, ModalDyad, Transmitting
-from optlink.linkage.elements import Drive, Element
+from optlink.linkage.elements import Drive, Element, key_of
 from optlink.linkage.mechanism import FRAME, BodyPoint, Dyad, Ground, Guide, Joint, Link, Mechanism, owners_of
 from optlink.linkage.trains import Single, Train
 from optlink.unsupported import unsupported
@@ -138,7 +138,7 @@ class Assembly:
                 raise StructureError(
                     f"{element.name} couples bodies whose motions other joints and drives determine",
                     "Remove it, or a drive or joint",
-                    f"couplings.{element.name}",
+                    key_of(element),
                 )
         crank = self.bodies[self.driver or self.drives[0].body]
         groups, points = tuple(self.groups), tuple(self.points)
@@ -309,16 +309,17 @@ class Assembly:
         free = 3 * len(self.bodies) - 2 * joint_count  # degrees of freedom, by Gruebler's formula
         driven = sum(drive.kind != "length" for drive in self.drives) + bool(self.driver) + len(self.couplings)
         by = "one driver" if self.driver and not self.couplings else f"{driven} of them are driven or coupled"
+        freedom = f"{free} degree{'s' * (free != 1)} of freedom"
         if free > driven:
             ends = (point for body in left for point in (self.bodies[body].start, self.bodies[body].end))
             unshared = [point for point in ends if point and len(self.members[point]) == 1]
             check = f" (check the names of {_list(unshared)}, joints of one body alone)" if len(unshared) > 1 else ""
             missing, remedy = unsupported("free links", them="them" if len(left) > 1 else "it", check=check)
-            message = f"{_list(left)} cannot be placed: the mechanism has {free} degrees of freedom and {by}; {missing}"
+            message = f"{_list(left)} cannot be placed: the mechanism has {freedom} and {by}; {missing}"
             return StructureError(message, remedy, f"links.{left[-1]}")
         if free < driven:
             return StructureError(
-                f"{_list(left)} cannot be placed: the mechanism has {free} degrees of freedom"
+                f"{_list(left)} cannot be placed: the mechanism has {freedom}"
                 + (", it is a rigid structure" if free < 1 else f" and {by}"),
                 "Remove a joint, or add a body",
                 f"links.{left[-1]}",

@@ -75,6 +75,11 @@ class Pose(Protocol):
         """Place a body by its direction and one of its points whose position is known."""
 
 
+def key_of(element: Element) -> str:
+    """Return the key of a coupling below its linkage in a file, such as gears.mesh."""
+    return f"{element.kind.removesuffix('s')}s.{element.name}"
+
+
 class Places(Protocol):
     """Positions and directions at which actions are computed, without derivatives."""
 

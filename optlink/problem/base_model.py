@@ -9,8 +9,10 @@ from pydantic import (
     BaseModel,
     BeforeValidator,
     ConfigDict,
+    GetCoreSchemaHandler,
     ValidationInfo,
 )
+from pydantic_core import CoreSchema
 
 from optlink.linkage.mechanism import FRAME
 from optlink.problem.quantity import Unusable
@@ -22,10 +24,29 @@ DEEPEST = 10
 RESERVED = (FRAME, "input", "energy", "stops")
 
 
+def _strict(schema: Any) -> None:
+    """Let whole numbers and truth values of a schema be written as such alone."""
+    if isinstance(schema, dict):
+        if schema.get("type") in ("int", "bool"):
+            schema["strict"] = True
+        for part in schema.values():
+            _strict(part)
+    elif isinstance(schema, list):
+        for part in schema:
+            _strict(part)
+
+
 class Section(BaseModel):
     """A table of the problem file."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True, defer_build=True)  # most unused
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Return the schema of the fields, in which a text is neither a whole number nor true or false."""
+        schema = handler(source)
+        _strict(schema)
+        return schema
 
 
 def folder_of(info: ValidationInfo) -> Path:

@@ -401,7 +401,9 @@ def _several(
                 _check_stroke(element, laws[of], begin, sizes, key)
             elements[of] = replace(element, begin=0.0 if laws[of] is not None else begin, end=None, rate=0.0)
         else:
-            body = drive.body or ""
+            body = drive.body
+            if body is None:
+                raise Unusable("the drive moves nothing", "Give body, slide or cylinder", key)
             check_name(body, section.links, "no such body", f"{key}.body")
             check_name(
                 drive.against, [FRAME, *(link for link in section.links if link != body)], "no such body", f"{key}.against"

@@ -16,7 +16,7 @@ from pydantic import BeforeValidator, model_validator
 
 from optlink.dynamics.machine import Inertia
 from optlink.linkage.bodies import FRAME
-from optlink.linkage.elements import PRESSURE, Cam, Element, Gear, Rack
+from optlink.linkage.elements import PRESSURE, Cam, Element, Gear, Rack, key_of
 from optlink.linkage.mechanism import Guide, Link, Mechanism, Pose
 from optlink.linkage.motion import sweep
 from optlink.linkage.trains import determinant
@@ -469,28 +469,33 @@ def geared(mechanism: Mechanism, sizes: Mapping[str, float]) -> Mechanism:
         return mechanism
     grouped = {link.body for group in mechanism.groups for link in group.links}
     coupling = [element for element in mechanism.elements if element.bodies]
-    coupled = grouped & {body for one in coupling for body in (*one.bodies, *one.unknown({FRAME}))}
+    coupled = {body: one for one in coupling for body in (*one.bodies, *one.unknown({FRAME})) if body in grouped}
     low, high = mechanism.limits or (0.0, TURN)
     if coupled:
         motion = sweep(mechanism, sizes, np.linspace(low, high, 361))
         middles = {}
-        for body in coupled:
+        for body, element in coupled.items():
             angles = motion.body_angle(body).value
             if np.nanmax(angles) - np.nanmin(angles) >= TURN * 0.999:
-                message = f"{body} turns fully, and its angle is that of a group of two bodies: such gears are not supported"
-                raise Unusable(
-                    message, "Couple a body that the drive or another gear turns, or one that swings", "mechanism.gears"
-                )
+                message = f"{body} turns fully, and its angle is that of a group of two bodies: this is not supported"
+                remedy = "Couple a body that the drive or another coupling turns, or one that swings"
+                raise Unusable(message, remedy, f"mechanism.{key_of(element)}")
             middles[body] = float(0.5 * (np.nanmax(angles) + np.nanmin(angles)))
         mechanism = replace(mechanism, middles=middles)
     if mechanism.limits is not None:
         return mechanism
     turned = [mechanism.at(sizes, at).turns for at in (0.3, 0.3 + TURN)]
-    turns = [float(turned[1][s.link.body] - turned[0][s.link.body]) / TURN for s in mechanism.singles if s.link.body in turned[0]]
-    shares = [Fraction(turn).limit_denominator(MOST_TURNS) for turn in turns if np.isfinite(turn)]
-    for single, turn, share in zip(mechanism.singles, turns, shares, strict=False):
-        if abs(turn - share) > 1e-9:
-            message = f"{single.link.body} makes {turn:.9g} turns in one of the crank: the motion does not repeat"
-            raise Unusable(message, "Give whole numbers of teeth, or a range of the drive", "mechanism.gears")
+    shares = [Fraction(1)]
+    for train in mechanism.trains:
+        for body in (single.link.body for single in train.singles if single.link.body in turned[0]):
+            turns = float(turned[1][body] - turned[0][body]) / TURN
+            if not np.isfinite(turns):
+                continue
+            shares.append(Fraction(turns).limit_denominator(MOST_TURNS))
+            if abs(turns - shares[-1]) > 1e-9:
+                message = f"{body} makes {turns:.9g} turns in one of the crank: the motion does not repeat"
+                remedy = "Give numbers of teeth, or sizes in a ratio of whole numbers, or a range of the drive"
+                key = next((f"mechanism.{key_of(element)}" for element in train.elements if element.bodies), "drive")
+                raise Unusable(message, remedy, key)
     count = math.lcm(*(share.denominator for share in shares))
     return replace(mechanism, cycle=max(mechanism.cycle, count * TURN))

@@ -173,7 +173,7 @@ def _faults(error: pydantic.ValidationError, model: type[Problem], raw: Mapping[
         if path[:1] == ["limits"] and len(path) > 2 and path[2] in (OF_QUANTITY, OF_REGION):
             del path[2]
         key = ".".join(map(str, path))
-        value, problem = _plain(item["input"]), item.get("ctx", {}).get("error")
+        value, problem = _plain(getattr(item["input"], "raw", item["input"])), item.get("ctx", {}).get("error")
         if isinstance(problem, Unusable):
             below = f".{problem.key}" if problem.key and not problem.key.startswith("[") else problem.key
             yield Fault(problem.message, problem.remedy, file, (key + below).lstrip("."), problem.value if problem.key else value)
@@ -188,6 +188,9 @@ def _faults(error: pydantic.ValidationError, model: type[Problem], raw: Mapping[
             known = nearest(str(linkage_type), ("four-bar", "dyads"))
             remedy = f"{known} (slider-crank, six-bar and others: `optlink new --list`)"
             yield Fault("not a type of linkage", remedy, file, f"{key}.type", _plain(linkage_type))
+        elif item["type"] == "missing" and isinstance(path[-1], int):
+            if path[-1] == len(item["input"]):  # the first that is missing
+                yield Fault("a value is missing in the list", _example(key), file, key.rpartition(".")[0], value)
         elif item["type"] == "missing":
             yield Fault(MISSING, _example(key), file, key)
         else:
@@ -215,6 +218,8 @@ def _wrong(item: Any, path: list[str | int], key: str) -> tuple[str, str]:
         if path[:-1] == ["bodies"]:
             return "expected a table", f'Write {path[-1]} = {{ mass = "1.2 kg" }}'
         return "expected a table", f"Begin it with [{key}]" if key else "Write the sections"
+    if kind == "bool_type":
+        return "neither true nor false", f"Write {path[-1]} = true, or leave it out"
     if kind == "string_type":
         plain_text = isinstance(value, int | float) and len(path) == 1
         return "this is not a text", f'Write it in quotes: "{value}"' if plain_text else _example(key)
@@ -223,8 +228,10 @@ def _wrong(item: Any, path: list[str | int], key: str) -> tuple[str, str]:
 
 
 _WRONG = {
-    **dict.fromkeys(("int_type", "int_parsing", "int_from_float"), "this is not a whole number"),
-    "int_parsing_size": "the number is too large",
+    "int_type": "this is not a whole number",
+    **dict.fromkeys(("list_type", "tuple_type"), "this is not a list"),
+    "dict_type": "expected a table",
+    "too_long": "a list of {max_length} is needed, and {actual_length} are given",
     "greater_than": "this is not above {gt}",
     "greater_than_equal": "this is below {ge}",
     "less_than": "this is not below {lt}",
@@ -296,8 +303,10 @@ _EXAMPLES = {
 
 def _example(key: str) -> str:
     section, _, last = key.partition(".")[0], *key.rpartition(".")[1:]
-    if section == "bodies" and last == "mass":
+    if section in ("bodies", "mechanism") and last == "mass":
         return 'Add mass = "1.2 kg"'
+    if section == "drives":
+        return 'Write for example elbow = { body = "forearm", against = "upper_arm", speed = "20 rpm" }'
     if last == "joints":
         return 'Add joints = ["B", "C"], or joints = ["E"] for a body that a guide carries'
     if key.startswith("mechanism.assembly"):

@@ -3,6 +3,7 @@
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
@@ -454,11 +455,22 @@ class DyadsSection(Section):
         guides = list(self._guides())
         ground: dict[str, tuple[Size, Size]] = {point: (f"{point}.x", f"{point}.y") for point in self.ground}
         modes = {**self.assembly, **dict.fromkeys(self.near, EITHER)}
-        with below("mechanism"):
+        with below("mechanism"), self._tables_of_bodies():
             elements = list(
                 couplings({kind: getattr(self, kind) for kind in ELEMENTS}, self._parts(name, ground, links, points, guides))
             )
             return Assembly(ground, links, points, guides, body or "", modes, drives, elements).mechanism(name)
+
+    @contextmanager
+    def _tables_of_bodies(self) -> Iterator[None]:
+        """Name the table of a body in an `Unusable`: cylinders and slots are links of the model, but not in the file."""
+        try:
+            yield
+        except Unusable as error:
+            table, _, name = error.key.partition(".")
+            own = (kind for kind in ("cylinders", "slots") if table == "links" and name.partition(".")[0] in getattr(self, kind))
+            error.key = f"{next(own, table)}.{name}" if name else table
+            raise
 
     def _parts(
         self, name: str, ground: Mapping[str, tuple[Size, Size]], links: list[Link], points: list[BodyPoint], guides: list[Guide]

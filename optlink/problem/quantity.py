@@ -33,7 +33,8 @@ def below(key: str, value: object = None) -> Iterator[None]:
     try:
         yield
     except Unusable as error:
-        error.key = f"{key}.{error.key}" if key and error.key else key or error.key
+        dot = "." if key and error.key and not error.key.startswith("[") else ""
+        error.key = f"{key}{dot}{error.key}"
         error.value = value if error.value is None else error.value
         raise
 

@@ -18,7 +18,7 @@ from optlink.dynamics.machine import Machine, slider_names
 from optlink.dynamics.strokes import StrokeLoad, acting_loads
 from optlink.dynamics.work import Flywheel, Work, flywheel
 from optlink.errors import InputError
-from optlink.linkage.arguments import sweep as checked_sweep
+from optlink.linkage.arguments import check_array, sweep as checked_sweep
 from optlink.linkage.continuation import continue_through_singularities
 from optlink.linkage.extrema import distinct, extremes_of_rows
 from optlink.linkage.motion import Motion, sweep
@@ -180,6 +180,26 @@ class Analysis(Tabled):
     def positions(self) -> Array:
         """Crank angles, or values of the cycle variable of a drive along a line [rad], of the rows of the table."""
         return np.radians(next(iter(self.columns.values())))
+
+    def at(self, crank_angle: ArrayLike, side: int = 1) -> dict[str, Array]:
+        """Return the columns at crank angles, or at values of the cycle variable of a drive along a line [rad].
+
+        Parameters
+        ----------
+        crank_angle : array (n,) [rad]
+        side : int
+            Where a load jumps, +1 gives the value just after the jump and -1 that just before it.
+
+        Raises
+        ------
+        InputError
+            If the angles are not finite numbers, or `side` is neither +1 nor -1.
+        """
+        if side not in (1, -1):
+            raise InputError("neither side of a jump", "Give 1 or -1", key="side", value=side)
+        angles = np.atleast_1d(check_array("crank_angle", crank_angle))
+        found = MotionColumns(self.machine.moving(angles, self.speed, side=side))
+        return {name: found[name] for name in found.meanings}
 
     def within(self, crank_angles: Array) -> list[float]:
         """Return crank angles [deg], without duplicates, reduced to one cycle if the crank turns fully."""

@@ -56,7 +56,7 @@ WITHOUT_END = {  # too long, or too large, for the table: problem, what is chang
     "nested file": ("a.toml", "a = " + "[" * 5000, "TOML|nested"),
     "number in a file": ("a.toml", f"a = {'9' * 6000}", "thousands of digits. Write a number of at most 19 digits"),
     "file": ("a.toml", "# " + "x" * 1_100_000, "larger than"),
-    "count": ("balance-four-bar", {"balance.positions": "9" * 5000}, "the number is too large"),
+    "count": ("balance-four-bar", {"balance.positions": "9" * 5000}, "this is not a whole number"),
     "rows of a law": ("crank-rocker", {"requirement": {"law": CSV}}, "phi_deg,psi_deg\n" + "0,0\n" * 10_001, "more than 10,000"),
     "rows of a load": (
         *("six-bar", {"loads": {"process": {"on": "slider", "force": {"over": "phi", **CSV}}}}),

@@ -69,6 +69,19 @@ def test_reaction_directions_are_documented(six_bar):
     assert text["F"].startswith("frame on slider")
 
 
+def test_columns_at_any_crank_angle_are_those_of_the_table_and_one_sided_at_a_jump(six_bar):
+    there = six_bar.at(six_bar.positions)
+    assert set(there) == set(six_bar.columns) - {"crank_angle_deg", "time_s", "input.work_J"}
+    assert all(np.allclose(there[name], six_bar[name], rtol=1e-12, atol=1e-12) for name in there)
+    shaper = optlink.analyze("shaper", points=12)
+    before, after = (np.abs(shaper.at(shaper.jumps, side)["cutting.fx_N"]) for side in (-1, 1))
+    assert np.allclose([before, after], [[5880.0, 0.0], [0.0, 5880.0]])
+    with pytest.raises(optlink.InputError, match="side = 0: neither side of a jump. Give 1 or -1"):
+        shaper.at(0.0, 0)
+    with pytest.raises(optlink.InputError, match="crank_angle = .*: not a finite number or array"):
+        shaper.at([math.nan])
+
+
 def test_rates_agree_with_finite_differences(six_bar):
     fine = optlink.analyze(optlink.load("six-bar"), points=3600)
     time = fine["time_s"]
