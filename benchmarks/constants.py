@@ -530,13 +530,13 @@ def summarise(out: Path | None) -> None:
     for constant in constants():
         row = {"constant": constant.key, "value": constant.text, "what": constant.comment}
         own = [one for one in entries if constant.measured(one) and one["case"] in stated]
-        if {one["factor"] for one in own} == set(FACTORS):
-            for factor in FACTORS:
-                row[factor] = {one["case"]: effect(stated[one["case"]], one) for one in own if one["factor"] == factor}
-        elif constant.key in reasons():
+        effects = known.get((constant.key, constant.text), {factor: {} for factor in FACTORS})
+        for one in own:
+            effects[one["factor"]][one["case"]] = effect(stated[one["case"]], one)
+        if all(effects.values()):
+            row |= effects
+        if constant.key in reasons():
             row["reason"] = reasons()[constant.key]
-        else:
-            row |= known.get((constant.key, constant.text), {})
         rows.append(row)
     files = {_module(file): file for package in PACKAGES for file in (ROOT / "optlink" / package).rglob("*.py")}
     modules = {row["constant"].rpartition(".")[0]: "" for row in rows}

@@ -33,7 +33,7 @@ def page() -> str:
     others: list[Row] = []
     for module, group in itertools.groupby(rows, key=lambda row: _split(row)[0]):
         own = list(group)
-        if all("reason" in row for row in own):
+        if all("reason" in row and "half" not in row for row in own):
             others += own
         else:
             lines += [f"### {module}", "", record["modules"][module], "", *_table(own, full=False)]
@@ -46,7 +46,7 @@ def _counts(rows: list[Row]) -> Iterator[str]:
     without = sum(not any(effect for _, _, effect in _effects(row)) for row in measured)
     decided = sum(any(_decides(effect) for _, _, effect in _effects(row)) for row in measured)
     left = sum("half" not in row and "reason" not in row for row in rows)
-    kinds = Counter(row["reason"].partition(":")[0] for row in rows if "reason" in row)
+    kinds = Counter(row["reason"].partition(":")[0] for row in rows if "reason" in row and "half" not in row)
     yield from (f"The source has {len(rows)} numeric constants:", "", "| constants | number | |", "|---|---|---|")
     yield f"| measured: they change the design or the verdict | {decided} | halved or doubled, in a search that reads them |"
     yield f"| measured: they change the work | {len(measured) - decided - without} | evaluations, starts, or twice the time |"
@@ -70,13 +70,17 @@ def _table(rows: list[Row], *, full: bool) -> Iterator[str]:
     yield from ("| constant | meaning | halved, doubled, or reason |", "|---|---|---|")
     for row in rows:
         name = f"`{row['constant'] if full else _split(row)[1]} = {row['value']}`"
-        yield f"| {' | '.join(map(_cell, (name, row['what'], row.get('reason') or _measured(row))))} |"
+        yield f"| {' | '.join(map(_cell, (name, row['what'], _why(row))))} |"
     yield ""
 
 
+def _why(row: Row) -> str:
+    found = [row["reason"]] if "reason" in row else []
+    found += [_measured(row)] if "half" in row else []
+    return "; ".join(found) or "not measured yet"
+
+
 def _measured(row: Row) -> str:
-    if "half" not in row:
-        return "not measured yet"
     if not any(effect for _, _, effect in _effects(row)):
         return f"nothing changes in {', '.join(row['half'])}"
     return "; ".join(f"{name}: {_told(row[factor])}" for name, factor in (("halved", "half"), ("doubled", "double")))
