@@ -47,7 +47,9 @@ DEFINITIONS = (
     "watt = J / s = W",
     "kilowatt = 1e3 W = kW",
     "pascal = N / m ** 2 = Pa",
+    "kilopascal = 1e3 Pa = kPa",
     "megapascal = 1e6 Pa = MPa",
+    "bar = 1e5 Pa",
     "gigapascal = 1e9 Pa = GPa",
 )
 
@@ -82,6 +84,7 @@ KINDS = {
         Kind("damping", "N*s/m", "N*s/m", "20 N*s/m"),
         Kind("velocity", "m/s", "m/s", "0.01 m/s"),
         Kind("pressure", "Pa", "GPa", "207 GPa"),
+        Kind("volume", "m**3", "cm^3", "50 cm^3"),
         Kind("contact stiffness", "N/m**1.5", "N/m^1.5", "6.6e+10 N/m^1.5"),
         Kind("frequency", "rad/s", "Hz", "300 Hz"),
         Kind("torsional stiffness", "N*m/rad", "N*m/rad", "5 N*m/rad"),

@@ -401,7 +401,7 @@ def test_units_and_formats_agree_with_the_models():
     from optlink.problem.mechanism import FourBarSection
 
     assert keys.value(FourBarSection, "crank") == "length, fixed, free or linked"
-    assert keys.value(DriveSection, "initial_speed") == "angular velocity"
+    assert keys.value(DriveSection, "initial_speed") == "angular velocity or velocity"
     assert keys.value(DriveSection, "duration") == "time, not negative"
     assert keys.value(Limits, "time_ratio").startswith("range of numbers, with `stroke`")
     assert keys.value(Limits, "transmission_angle") == "range of angle, or table of ranges by joint"

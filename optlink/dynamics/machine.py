@@ -535,13 +535,21 @@ class Steady:
 
 @dataclass(frozen=True)
 class Spring(Steady):
-    """A linear spring and damper between two points: `stiffness` [N/m], `free` length [m], `damping` [N s/m]."""
+    """A linear spring and damper between two points: `stiffness` [N/m], `free` length [m], `damping` [N s/m].
+
+    `push`: a force [N] over their distance s and its rate v, which drives them apart.
+    """
 
     name: str
     ends: tuple[tuple[str, str], tuple[str, str]]  # (body, point) twice
     stiffness: Value
     free: Value
     damping: Value
+    push: Magnitude | None = None
+
+    def length(self, moving: Moving) -> Value:
+        """Return the distance of the two points [m]."""
+        return self._stretch(moving)[0]
 
     def _stretch(self, moving: Moving) -> tuple[Value, Vector, Value]:
         """Length, direction from the first end to the second, rate of the length."""
@@ -555,6 +563,8 @@ class Spring(Steady):
         """Yield the forces of the spring on both ends."""
         length, (x, y), rate = self._stretch(moving)
         pull = self.stiffness * (length - self.free) + self.damping * rate
+        if self.push is not None:
+            pull = pull - self.push({"s": length, "v": rate})
         for (body, point), direction in zip(self.ends, (1.0, -1.0), strict=True):
             yield Acting(body, moving.position(point, body), (direction * pull * x, direction * pull * y))
 

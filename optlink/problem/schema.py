@@ -212,6 +212,7 @@ FORMS: dict[str, Form] = {
     "CamSection.law": {"title": "list of segments", "type": "array", "items": table("to", "rise", "fall", "law", form=TEXT)},
     "CamSection.start": either("angle or coordinate", text("angle", "coordinate")),
     "LoadSection.force": size("force"),
+    "GasSection.pressure": size("pressure"),
     "LoadSection.torque": size("torque"),
     "JointSection.clearance": text("length"),
     "JointSection.law": {"title": ", ".join(f"`{law}`" for law in DAMPING), "enum": list(DAMPING)},

@@ -288,3 +288,80 @@ def test_lid_falls_on_its_stop():
 def test_what_does_not_fit_a_drive_along_a_line(changes, words):
     with pytest.raises(InputError, match=words):
         optlink.simulate(carriage(**changes))
+
+
+# --- gas --------------------------------------------------------------------------------------------------------------------
+
+
+def test_gas_that_a_carriage_compresses_bounces_adiabatically():
+    """Gas of p V^n = constant takes p0 V0 / (n - 1) ((V0/V)^(n - 1) - 1) of work; the atmosphere is on the other side."""
+    gas = {"pressure": "2 bar", "ambient": "1 bar", "bore": "50 mm", "volume": "1500 cm^3", "at": "0.5 m", "exponent": 1.3}
+    changes = {"force": "0 N", "start": "0.5 m", "initial_speed": "-4 m/s", "duration": "0.1 s"}
+    file = carriage(**changes).override({"loads.gas": {"on": "carriage", "gas": gas}})
+    run = optlink.simulate(file, rows=100)
+    area, place, speed = 0.25 * math.pi * 0.05**2, run["carriage.s_m"], run["carriage.v_m_s"]
+    volume = 1.5e-3 + area * (place - 0.5)
+    work = 2e5 * 1.5e-3 / 0.3 * (1.0 - (1.5e-3 / volume) ** 0.3) - 1e5 * area * (place - 0.5)
+    np.testing.assert_allclose(run["gas.work_J"], work, atol=1e-8)
+    np.testing.assert_allclose(speed**2 - 16.0 + 2.0 * 9.81 * (place - 0.5), work, atol=1e-7)
+    np.testing.assert_allclose(run["gas.fy_N"], area * (2e5 * (1.5e-3 / volume) ** 1.3 - 1e5), rtol=1e-12)
+    with pytest.raises(InputError, match=r"gas\.volume.*the volume of the gas would fall to"):
+        file.override({"loads.gas.gas.volume": "500 mm^3"})
+
+
+def test_engine_whose_pressure_is_a_table_over_two_revolutions():
+    at = ["90 deg", "120 deg", "270 deg", "450 deg", "630 deg", "810 deg"]
+    bars = [-20e3, -12e3, -1e3, 0.0, 0.0, -20e3]
+    area = 0.25 * math.pi * 0.08**2
+    pressure = {"over": "phi", "at": at, "values": [f"{-force / area * 1e-5!r} bar" for force in bars]}
+    gas = {"on": "piston", "gas": {"pressure": pressure, "bore": "80 mm", "pushes": "backward"}}
+    plain = optlink.analyze(optlink.load(FILES / "four-stroke.toml"), points=90)
+    engine = optlink.analyze(optlink.load(FILES / "four-stroke.toml", {"loads.gas": gas}), points=90)
+    np.testing.assert_allclose(engine["input.torque_Nm"], plain["input.torque_Nm"], atol=1e-9)
+    assert engine["crank_angle_deg"][-1] == pytest.approx(810.0)
+
+
+def test_gas_strut_holds_a_lid():
+    """A force of 120 bar on a rod of 8 mm, along the line of two points."""
+    strut = {"between": ["S", "M"], "gas": {"pressure": "120 bar", "bore": "8 mm"}}
+    changes = {
+        "mechanism.ground.S": ["0 m", "-0.3 m"],
+        "mechanism.links.lid.points": {"M": ["0.4 m", "0 m"]},
+        "loads": {"strut": strut, "hand": {"between": ["S", "M"], "force": {"expression": "100 - 50*s", "unit": "N"}}},
+    }
+    hatch = optlink.analyze(optlink.load(FILES / "hatch.toml", changes), points=30)
+    angle = hatch["lid.angle_rad"]
+    length = np.hypot(0.4 * np.cos(angle), 0.4 * np.sin(angle) + 0.3)
+    push = 120e5 * 0.25 * math.pi * 0.008**2 + 100.0 - 50.0 * length
+    slope = 0.4 * 0.3 * np.cos(angle) / length
+    np.testing.assert_allclose(hatch["input.torque_Nm"], 50.0 * 9.81 * 0.8 * np.cos(angle) - push * slope, atol=1e-9)
+    with pytest.raises(InputError, match=r"loads\.strut\.gas.*depends on their distance"):
+        optlink.load(FILES / "hatch.toml", {**changes, "loads.strut.gas.pressure": {"expression": "1 + sin(phi)", "unit": "bar"}})
+
+
+# --- what goes with a range -------------------------------------------------------------------------------------------------
+
+
+def test_winch_turns_three_times_between_its_stops():
+    changes = {
+        "bodies.crank": {"mass": "1 kg", "centroid": ["0 mm", "0 mm"], "inertia": "0.01 kg*m^2"},
+        "bodies.wheel": {"mass": "4 kg", "centroid": ["0 mm", "0 mm"], "inertia": "0.08 kg*m^2"},
+        "drive.range": ["0 deg", "1080 deg"],
+    }
+    swept = optlink.analyze(optlink.load(FILES / "belt.toml", changes), points=30)
+    assert np.degrees(np.unwrap(swept["crank.angle_rad"]))[-1] == pytest.approx(1080.0)
+    assert np.degrees(swept["wheel.angle_rad"])[-1] - np.degrees(swept["wheel.angle_rad"])[0] == pytest.approx(540.0)
+    run = simulated("belt", {**changes, "drive.torque": "6 N*m"}, duration=5.0)
+    alpha = (6.0 - 0.5 * 10.0) / (0.01 + 0.25 * 0.08)
+    assert run.stopped == pytest.approx(math.sqrt(2.0 * 6.0 * math.pi / alpha), rel=1e-9)
+    assert (run.ending, run["crank_angle_deg"][-1]) == (Ending.AT_STOP, pytest.approx(1080.0))
+
+
+def test_fluctuation_within_a_range_is_refused():
+    with pytest.raises(InputError, match=r"drive\.fluctuation.*turns fully"):
+        optlink.load(FILES / "hatch.toml", {"drive.fluctuation": "5 %"})
+
+
+def test_torque_of_one_of_several_drives_is_refused():
+    with pytest.raises(InputError, match=r"drives\.elbow\.torque.*under a torque or force are not supported"):
+        optlink.load(FILES / "two-link-arm.toml", {"drives.elbow.torque": "0 N*m"})

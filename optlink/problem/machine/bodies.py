@@ -128,6 +128,10 @@ def _read_speed(raw: object) -> Quantity:
     return _either(raw, "angular velocity", "velocity")
 
 
+MOST_TURNS = 24
+"""Revolutions in the range of a drive, at most."""
+
+
 def _read_range(raw: object) -> tuple[Quantity, Quantity]:
     if isinstance(raw, dict) and set(raw) == {"min", "max"}:
         raw = [raw["min"], raw["max"]]
@@ -137,8 +141,8 @@ def _read_range(raw: object) -> tuple[Quantity, Quantity]:
         raise Unusable("the two ends have units of different kinds", remedy, "", raw)
     if not low.value < high.value:
         raise Unusable("the range must rise", 'Exchange its ends, or begin below zero: ["-10 deg", "30 deg"]', "", raw)
-    if low.kind == "angle" and high.value - low.value > TURN * (1.0 + 1e-12):
-        raise Unusable("the range is more than a revolution", "Leave it out for a crank that turns fully", "", raw)
+    if low.kind == "angle" and high.value - low.value > MOST_TURNS * TURN:
+        raise Unusable(f"the range is more than {MOST_TURNS} revolutions", "Leave it out for a crank that turns fully", "", raw)
     return low, high
 
 
@@ -273,6 +277,9 @@ class DriveSection(DriveMotion):
         if self.stops is not None and (effort is None or not (self.range or self.linear)):
             message = "end stops hold a drive under a torque or force at the ends of its range"
             raise Unusable(message, 'Give range = ["0 deg", "90 deg"], and torque = "0 N*m" if it moves freely', "stops")
+        if self.fluctuation is not None and (self.range or self.linear or self.law or self.acceleration):
+            message = "the fluctuation is that of a crank that turns fully, near a constant speed"
+            raise Unusable(message, "Leave it out, or range and law", "fluctuation", self.fluctuation)
         linear = "stiffness" if self.linear else "torsional stiffness"
         if self.stops is not None and self.stops.stiffness is not None and self.stops.stiffness.kind != linear:
             remedy = f'Give a {linear} such as "{KINDS[linear].example}"'

@@ -1,5 +1,7 @@
 """The loads of a problem file."""
 
+from __future__ import annotations
+
 import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -20,6 +22,7 @@ from optlink.problem.quantity import (
     Damping,
     FixedAngle,
     FixedLength,
+    Number,
     Quantity,
     Stiffness,
     TorsionalDamping,
@@ -28,7 +31,11 @@ from optlink.problem.quantity import (
     below,
     check_keys,
     check_name,
+    read_fixed,
+    read_positive,
     read_scalar,
+    reader,
+    where,
 )
 from optlink.problem.targets.expression import MOST_REVOLUTIONS, Expression, parse, revolutions_of
 from optlink.problem.targets.target_points import read_columns
@@ -49,6 +56,8 @@ class Constant:
     value: float
     text: str
     revolutions: ClassVar[int] = 1
+    names: ClassVar[frozenset[str]] = frozenset()
+    """Variables on which it depends."""
 
     def __str__(self) -> str:
         return self.text
@@ -56,6 +65,10 @@ class Constant:
     def __call__(self, variables: Mapping[str, Value]) -> Value:
         """Return the value [SI]."""
         return self.value
+
+    def scaled(self, factor: float, offset: float) -> Constant:
+        """Return `factor` times the value plus `offset`, a force [N]."""
+        return Constant(factor * self.value + offset, self.text)
 
 
 @dataclass(frozen=True)
@@ -72,6 +85,15 @@ class Formula:
     def __call__(self, variables: Mapping[str, Value]) -> Value:
         """Return the value [SI]."""
         return self.expression(variables) * self.size
+
+    @property
+    def names(self) -> frozenset[str]:
+        """Variables on which it depends."""
+        return self.expression.names
+
+    def scaled(self, factor: float, offset: float) -> Formula:
+        """Return `factor` times the value plus `offset`, a force [N]."""
+        return _formula(f"({self.expression.text})*({factor * self.size!r}) + ({offset!r})")
 
     @cached_property
     def revolutions(self) -> int | None:
@@ -118,6 +140,15 @@ class LoadTable:
         return value
 
     @property
+    def names(self) -> frozenset[str]:
+        """Variables on which it depends."""
+        return frozenset({self.over})
+
+    def scaled(self, factor: float, offset: float) -> LoadTable:
+        """Return `factor` times the values plus `offset`, forces [N]."""
+        return replace(self, values=tuple(factor * value + offset for value in self.values))
+
+    @property
     def revolutions(self) -> int:
         """Revolutions of the crank after which the values repeat."""
         turns = (self.at[-1] - self.at[0]) / TURN
@@ -134,6 +165,13 @@ class LoadTable:
 
 
 Size = Constant | Formula | LoadTable
+VARIABLES = ("phi", "omega", "s", "v")
+"""Variables of a force along a guide, or between two points, whose distance is s."""
+
+
+def _formula(text: str) -> Formula:
+    """Return a force [N] as an expression in SI."""
+    return Formula(parse(text, VARIABLES), "N", 1.0)
 
 
 def read_size(raw: object, folder: Path, kind: str, names: Iterable[str]) -> Size:
@@ -380,6 +418,65 @@ def _value(quantity: Quantity | None) -> float:
     return 0.0 if quantity is None else quantity.value
 
 
+class GasSection(Section):
+    """Gas that pushes with its pressure on an area: in the cylinder of an engine or compressor, or in a gas spring."""
+
+    pressure: Annotated[Any, in_folder(partial(read_size, kind="pressure", names=VARIABLES))]
+    """Pressure: constant, a table over phi, s or v, or an expression; with a `volume` that where the gas has this volume."""
+    bore: FixedLength
+    """Diameter of the area; of a gas spring, whose gas is on both sides of the piston, that of the rod."""
+    pushes: Literal["forward", "backward"] = "forward"
+    """Way of the force: forward is along the guide, or drives two points apart."""
+    ambient: Annotated[Quantity, reader(read_positive, "pressure")] = Quantity(0.0, "pressure", "bar")
+    """Pressure on the other side; default: 0, if `pressure` is that above the ambient one."""
+    volume: Annotated[Quantity, reader(read_positive, "volume")] | None = None
+    """Enclosed volume, which changes with the motion: pressure * volume^exponent is constant."""
+    at: Annotated[Quantity, reader(read_fixed, "coordinate")] = Quantity(0.0, "coordinate", "mm")
+    """Slide, or distance of the two points, at which the gas has this volume."""
+    exponent: Annotated[Number, where(lambda n: 1.0 <= n <= 2.0, "an exponent lies between 1 and 2", "Give 1.4 for air")] = 1.4
+    """Polytropic exponent: 1 for a constant temperature; default: 1.4, without exchange of heat."""
+
+    def __str__(self) -> str:
+        return f"of {self.pressure} on {self.bore}"
+
+    @property
+    def lever(self) -> float:
+        """Force per pressure [m^2], with its sign."""
+        return (-0.25 if self.pushes == "backward" else 0.25) * math.pi * self.bore.value**2
+
+    def force(self) -> Size:
+        """Return the force [N].
+
+        Raises
+        ------
+        Unusable
+            with the key below the gas.
+        """
+        outside = -self.lever * self.ambient.value
+        size: Size = self.pressure.scaled(self.lever, outside)
+        if self.volume is None:
+            return size
+        if size.names:
+            message = "the pressure of an enclosed volume follows from the motion"
+            raise Unusable(message, "Leave volume out, or give the pressure at this volume", "pressure", str(self.pressure))
+        grown = f"({self.volume.value!r} + ({self.lever!r})*(s - ({self.at.value!r})))"
+        return _formula(f"({size({}) - outside!r})*({self.volume.value!r}/{grown})^{self.exponent!r} + ({outside!r})")
+
+    def check(self, place: Value) -> None:
+        """Check that an enclosed volume stays positive at slides or distances [m].
+
+        Raises
+        ------
+        Unusable
+            with the key below the gas.
+        """
+        if self.volume is not None:
+            least = float(np.nanmin(self.volume.value + self.lever * (np.asarray(place) - self.at.value)))
+            if least <= 0.0:
+                message = f"the volume of the gas would fall to {1e6 * least:.4g} cm^3"
+                raise Unusable(message, "Give a larger volume, or the place at which it is this one", "volume", str(self.volume))
+
+
 class LoadSection(Section):
     """A load; its keys determine its type."""
 
@@ -387,8 +484,11 @@ class LoadSection(Section):
     """The body on which the load acts."""
     at: str | None = None
     """Point of that body where a force acts; default: the point of a slider on its guide."""
-    force: Annotated[Any, in_folder(partial(read_size, kind="force", names=("phi", "omega", "s", "v")))] = None
-    """Magnitude of the force: a quantity, a table over phi, omega or s, or an expression."""
+    force: Annotated[Any, in_folder(partial(read_size, kind="force", names=VARIABLES))] = None
+    """Magnitude of the force: a quantity, a table over phi, omega, s or v, or an expression; with `between` it drives the two
+    points apart, and s is their distance, v its rate."""
+    gas: GasSection | None = None
+    """Instead of a force: the pressure of a gas on a slider, along its guide, or between two points."""
     torque: Annotated[Any, in_folder(partial(read_size, kind="torque", names=("phi", "omega", "theta", "w")))] = None
     """Magnitude of the torque: a quantity, a table over phi or omega, or an expression."""
     direction: FixedAngle | None = None
@@ -423,19 +523,23 @@ class LoadSection(Section):
             with the key below the load.
         """
         self._check_keys()
-        opposing, against = self.acts == "opposing", self.against or FRAME
-        if self.force is not None:
+        opposing, against, push = self.acts == "opposing", self.against or FRAME, self.force
+        if self.gas is not None:
+            with below("gas"):
+                push = self.gas.force()
+        if push is not None and self.between is None:
             body, point, guide = self._target(mechanism)
             along_guide = self.direction is None
             if along_guide and not guide:
                 raise Unusable("the force has no direction", 'Add direction = "90 deg" (from +x)', "direction")
-            if isinstance(self.force, Formula) and self.force.expression.names & {"s", "v"} and not along_guide:
-                raise Unusable("s and v are those of a slider along its guide", "Leave direction out, or use phi", "force")
-            if isinstance(self.force, LoadTable) and self.force.over in ("s", "v") and not along_guide:
+            if push.names & {"s", "v"} and not along_guide:
                 raise Unusable("s and v are those of a slider along its guide", "Leave direction out, or use phi", "force")
             self._check_against(mechanism)
+            if self.gas is not None and self.gas.volume is not None:
+                with below("gas"):
+                    self.gas.check(motion.moving.slides[guide][0])
             direction = guide if self.direction is None else self.direction.value
-            force = Force(name, body, point, self.force, direction, opposing=opposing, against=against)
+            force = Force(name, body, point, push, direction, opposing=opposing, against=against)
             return replace(force, **self._stroke(force, motion))
         if self.torque is not None:
             body = self._body(mechanism, self.on, "on")
@@ -446,7 +550,14 @@ class LoadSection(Section):
             return replace(torque, **self._stroke(torque, motion))
         if self.between is not None:
             one, other = spring_ends(mechanism, self.between)
-            return Spring(name, (one, other), _value(self.stiffness), _value(self.free_length), _value(self.damping))
+            if push is not None and not push.names <= {"s", "v"}:
+                message = "a force between two points depends on their distance s and its rate v"
+                raise Unusable(message, "Give a quantity, or a table or expression over s or v", "force" if self.force else "gas")
+            spring = Spring(name, (one, other), _value(self.stiffness), _value(self.free_length), _value(self.damping), push)
+            if self.gas is not None and self.gas.volume is not None:
+                with below("gas"):
+                    self.gas.check(spring.length(motion.moving))
+            return spring
         if self.torsional_stiffness is not None or self.torsional_damping is not None:
             body = self._body(mechanism, self.on, "on")
             self._check_against(mechanism)
@@ -470,9 +581,10 @@ class LoadSection(Section):
         """Refuse inconsistent combinations of keys."""
         keys = {key for key in self.model_fields_set if getattr(self, key) is not None}
         kinds: dict[str, set[str]] = {
+            "between": {"stiffness", "free_length", "damping", "force", "gas"},
+            "gas": {"on", "at", "against"},
             "force": {"on", "at", "direction", "acts", "stroke", "against"},
             "torque": {"on", "acts", "stroke", "against"},
-            "between": {"stiffness", "free_length", "damping"},
             "torsional_stiffness": {"on", "against", "free_angle", "torsional_damping"},
             "torsional_damping": {"on", "against"},
             "damping": {"on"},
@@ -484,7 +596,9 @@ class LoadSection(Section):
         wrong = sorted(keys - kinds[kind] - {kind})
         if wrong:
             raise Unusable(f"a load with {kind} has no {wrong[0]}", f"Possible:  {', '.join(sorted(kinds[kind]))}", wrong[0])
-        if kind == "between" and not {"stiffness", "damping"} & keys:
+        if {"force", "gas"} <= keys:
+            raise Unusable("the load has a force and a gas", "Give one of the two, or two loads", "gas")
+        if kind == "between" and not {"stiffness", "damping", "force", "gas"} & keys:
             raise Unusable("a spring needs a stiffness", 'Add stiffness = "500 N/m" or damping = "20 N*s/m"', "stiffness")
         if kind != "between" and "on" not in keys:
             raise Unusable("the load has no body to act on", 'Name a body: on = "slider"', "on")

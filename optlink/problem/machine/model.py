@@ -478,7 +478,7 @@ class Problem(Section):
             name = max(revolutions, key=lambda name: revolutions[name] or 0)
             message = f"motion and loads repeat together only after {machine.revolutions} revolutions of the crank"
             remedy = f"Change its period: cycles of at most {MOST_REVOLUTIONS} revolutions are supported"
-        key = "force" if self.loads[name].force is not None else "torque"
+        key = next(key for key in ("force", "torque", "gas") if getattr(self.loads[name], key) is not None)
         raise Unusable(message, remedy, f"loads.{name}.{key}", str(sizes[name]))
 
     @property
