@@ -26,9 +26,10 @@ UNSUPPORTED = {
         'force = "50 N", direction = "90 deg" }}',
     ),
     "curved guides": Unsupported(
-        "curved guides are",
-        "A slider on an arc moves as a pin of a link: pin a link to the centre of the arc, with its radius as length",
-        r"(mechanism\.)?guides\.\w+\.(radius|curve|curvature|arc|centre|center)",
+        "curved guides and grooves are",
+        "On an arc, pin a link to its centre, with its radius as length; of another curve state the travel that it gives over "
+        "the rotation of a body as the law of a cam: [mechanism.cams]",
+        r"(mechanism\.)?(guides|slots)\.\w+\.(radius|curve|curvature|arc|centre|center)",
     ),
     "contacts": Unsupported(
         "contacts between bodies are",
