@@ -14,6 +14,7 @@ from optlink.studies.batch_optima import FOLLOWED
 from optlink.studies.grid import read_grid
 from optlink.studies.reoptimise_task import SEARCHED, optimum_task
 from optlink.units import in_si
+from tests.tiers import mostly_slow
 
 CASES = [
     ("crank-rocker", {"requirement.measure": "max"}, "limits.transmission_angle.max=125..140 deg:9"),
@@ -34,7 +35,7 @@ def rows_of(result):
 
 @pytest.mark.parametrize(
     ("name", "changes", "vary"),
-    [case if k in (0, 5) else pytest.param(*case, marks=pytest.mark.slow) for k, case in enumerate(CASES)],
+    mostly_slow(CASES, CASES[0]),
 )
 def test_followed_rows_are_those_of_single_searches(name, changes, vary):
     """Three followed points, or fewer, are solved from the problem file alone: no row is worse. All others are searched."""
