@@ -322,7 +322,8 @@ def test_options_of_a_dictionary_are_arguments_that_keep_their_defaults_if_they_
 
     assert where(1) == {}
     assert where(1, workers=np.int64(2), scheduler=None) == {"workers": 2, "scheduler": None}
-    assert list(inspect.signature(where).parameters) == ["count", "engine", "workers", "scheduler"]
+    defaults = {name: one.default for name, one in inspect.signature(where).parameters.items() if name != "count"}
+    assert defaults == {"engine": "local", "workers": None, "scheduler": None}
     with pytest.raises(InputError, match=r'workers = "two": not a whole number'):
         where(1, workers="two")  # type: ignore[arg-type]
     with pytest.raises(InputError, match=r'worker = 2: unknown argument of where\. Did you mean "workers"'):
@@ -342,6 +343,7 @@ def test_options_of_a_dictionary_are_arguments_that_keep_their_defaults_if_they_
         (lambda: optlink.balance(MACHINE, minimize="force"), 'Did you mean "minimise"?'),
         (lambda: sweep(MACHINE, SPEEDS, point=3), 'point = 3: unknown argument of sweep. Did you mean "points"?'),
         (lambda: sweep(CLEARANCE, SPEEDS, simulate={"turns": 3}), "turns = 3: unknown"),
+        (lambda: linkage.four_bar(crank=0.1), r"crank = 0\.1: unknown argument of four_bar\. Give sizes to sweep\(mechanism, \{"),
         (lambda: linkage.four_bar(sides=1), r'sides = 1: unknown argument of four_bar\. Did you mean "side"'),
         (lambda: linkage.four_bar(0.2, 0.7, 0.6, 0.8), "four_bar takes at most 2 arguments without a name. Known: side, points"),
         (lambda: linkage.sweep(linkage.four_bar(), SIZES), "crank_angle: sweep needs this argument. Known: mechanism, sizes"),

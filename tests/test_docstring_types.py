@@ -248,6 +248,14 @@ def documented() -> Iterator[Any]:
             todo += [member for member in members if member.is_function or member.is_class]
 
 
+def test_the_reference_shows_no_internal_names_of_types() -> None:
+    page = api.reference("optlink.tasks.results.certificate")
+    assert "    lower_bound: float,\n" in page
+    assert "    history: NDArray[np.float64] = np.zeros((0, 3)),\n" in page
+    shown = "".join(path.read_text(encoding="utf-8") for path in (api.ROOT / "docs" / "api").glob("*.md"))
+    assert not re.search(r"\bNever\b|lambda: np", shown)
+
+
 @pytest.mark.slow
 def test_the_reference_shows_the_types_of_the_signatures() -> None:
     """Of every parameter of a group, and of every returned value."""

@@ -26,6 +26,15 @@ ENTRIES = {"Parameters": (ENTRY, "{}"), "Returns": (RETURNED, "{} :"), "Yields":
 NAMED = r"(?:float|int|str|bool|None|object|mapping|sequence|list|tuple|iterable|collection|[A-Z]\w+)"
 PLAIN = re.compile(rf"{NAMED}(?:,? (?:or|of|to) {NAMED}|, {NAMED})*(?:, optional)?(?= \[|$) ?")
 """A type that the signature says as well, alone or before the unit."""
+FACTORY = re.compile(r"\(lambda: (.+)\)\(\)")
+"""A default that is made anew for each object."""
+STORED, ROWS = "optlink.problem.document", "NDArray[np.float64]"
+AS_READ = {
+    **dict.fromkeys((f"{STORED}.Never", f"{STORED}.Number"), "float"),
+    **dict.fromkeys((f"{STORED}.Column", f"{STORED}.Rows", "optlink.tasks.results.certificate.History"), ROWS),
+    "optlink.tasks.results.certificate.DrawnCovers": "tuple[Cover, ...]",
+}
+"""Types of fields of results, whose names say how a document is read, and what the fields are."""
 TEXT = re.compile(r"Annotated\[(.+), '(.+)'\]")
 """The annotation of an option, see `optlink.execution.options`: its type and what it is."""
 
@@ -136,7 +145,8 @@ def _signature(item: Any, owner: str) -> str:
             continue
         mark = {"variadic positional": "*", "variadic keyword": "**"}.get(kind, "")
         typed = f": {_type(one.annotation)}" if one.annotation is not None else ""
-        default = (f" = {one.default}" if typed else f"={one.default}") if one.default is not None and not mark else ""
+        default = FACTORY.sub(r"\1", str(one.default))
+        default = (f" = {default}" if typed else f"={default}") if one.default is not None and not mark else ""
         parts.append(f"{mark}{one.name}{typed}{default}")
     head = ("class " if item.is_class else "") + owner + item.name
     tail = f" -> {item.returns}" if item.is_function and item.returns is not None else ""
@@ -171,7 +181,11 @@ def _entry(one: Any) -> str:
 
 def _type(text: Any) -> str:
     plain = re.sub(r"\bUnpack\[(\w+)\]", r"\1", str(text))
-    return re.sub(r"\bAnnotated\[(\w+), .*\]", r"\1", TEXT.sub(r"\1", plain))  # without how it is read
+    plain = re.sub(r"\bAnnotated\[(\w+), .*\]", r"\1", TEXT.sub(r"\1", plain))  # without how it is read
+    for one in text.iterate(flat=True) if isinstance(text, griffe.Expr) else ():
+        if isinstance(one, griffe.ExprName) and one.canonical_path in AS_READ:
+            plain = re.sub(rf"\b{one.name}\b", AS_READ[one.canonical_path], plain)
+    return plain
 
 
 def code(text: Any) -> str:

@@ -7,6 +7,7 @@ import inspect
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from numbers import Real
+from types import MappingProxyType
 from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
@@ -22,8 +23,14 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 
-def bind(name: str, signature: inspect.Signature, args: Sequence[object], kwargs: Mapping[str, object]) -> inspect.BoundArguments:
-    """Return the arguments of a call of the function `name`.
+def bind(
+    name: str,
+    signature: inspect.Signature,
+    args: Sequence[object],
+    kwargs: Mapping[str, object],
+    elsewhere: Mapping[str, str] = MappingProxyType({}),
+) -> inspect.BoundArguments:
+    """Return the arguments of a call of the function `name`; `elsewhere`: remedies by names that belong to another function.
 
     Raises
     ------
@@ -33,23 +40,27 @@ def bind(name: str, signature: inspect.Signature, args: Sequence[object], kwargs
     try:
         return signature.bind(*args, **kwargs)
     except TypeError:
-        raise InputError(_faults_of_call(name, signature, args, kwargs)) from None
+        raise InputError(_faults_of_call(name, signature, args, kwargs, elsewhere)) from None
 
 
-def called(function: Callable[P, R]) -> Callable[P, R]:
-    """Refuse unknown and missing arguments of a function in a sentence; it checks their values itself."""
+def called(function: Callable[P, R], elsewhere: Mapping[str, str] = MappingProxyType({})) -> Callable[P, R]:
+    """Refuse unknown and missing arguments of a function in a sentence, see `bind`; it checks their values itself."""
     signature = inspect.signature(function)
 
     @functools.wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> R:
-        bind(function.__name__, signature, args, kwargs)
+        bind(function.__name__, signature, args, kwargs, elsewhere)
         return function(*args, **kwargs)
 
     return call
 
 
 def _faults_of_call(
-    function: str, signature: inspect.Signature, args: Sequence[object], kwargs: Mapping[str, object]
+    function: str,
+    signature: inspect.Signature,
+    args: Sequence[object],
+    kwargs: Mapping[str, object],
+    elsewhere: Mapping[str, str],
 ) -> list[Fault]:
     """Return the faults of a call whose arguments are not those of the function: unknown, given twice, too many, or missing."""
     parameters = {name: parameter for name, parameter in signature.parameters.items() if name != "self"}
@@ -57,7 +68,7 @@ def _faults_of_call(
     places = sum(parameter.kind is not inspect.Parameter.KEYWORD_ONLY for parameter in parameters.values())
     remedy = f"Known: {', '.join(names)}"
     unknown = [
-        Fault(f"unknown argument of {function}", nearest(name, names), key=name, value=value)
+        Fault(f"unknown argument of {function}", elsewhere.get(name) or nearest(name, names), key=name, value=value)
         for name, value in kwargs.items()
         if name not in parameters
     ]

@@ -9,6 +9,7 @@ import enum
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -42,7 +43,10 @@ def __dir__() -> list[str]:
     return __all__
 
 
-@called
+_ELSEWHERE = dict.fromkeys(LENGTHS, 'Give sizes to sweep(mechanism, {"crank": 0.1, ...}, angles)')
+
+
+@partial(called, elsewhere=_ELSEWHERE)
 def four_bar(
     side: int = 1, points: Iterable[str] = (), *, placed: bool = False, follow: bool = False, holds_at: float | None = None
 ) -> Mechanism:

@@ -196,10 +196,6 @@ def write(result: Document, place: Path, pictures: str) -> list[Path]:
 
 def to_frame(result: Document, name: str | None = None) -> pandas.DataFrame:
     """Return a table of a result; see `Document.to_frame`."""
-    try:
-        import pandas
-    except ImportError:
-        raise InputError("to_frame needs the package pandas, which is not installed", extra_remedy("frame")) from None
     tables: dict[str, Mapping[str, Iterable[float | str]]] = dict(view_of(result.kind).tables(result))
     own = getattr(result, "columns", None)
     tables = tables or ({"columns": own} if own else {})
@@ -207,6 +203,21 @@ def to_frame(result: Document, name: str | None = None) -> pandas.DataFrame:
         raise UnknownName(f"this {result.kind} has no table {name}", nearest(name, tables), key="name", value=name)
     if not tables:
         raise InputError(f"this {result.kind} has no table", "See its to_dict()")
-    frame = pandas.DataFrame({key: list(column) for key, column in tables[name or next(iter(tables))].items()})
+    return frame_of(tables[name or next(iter(tables))])
+
+
+def frame_of(table: Mapping[str, Iterable[float | str]]) -> pandas.DataFrame:
+    """Return a table as a data frame with its units in `attrs`.
+
+    Raises
+    ------
+    InputError
+        If pandas is not installed.
+    """
+    try:
+        import pandas
+    except ImportError:
+        raise InputError("to_frame needs the package pandas, which is not installed", extra_remedy("frame")) from None
+    frame = pandas.DataFrame({key: list(column) for key, column in table.items()})
     frame.attrs["units"] = {key: unit for key in frame for unit in [column_unit(MEASURE.sub("", key))[1]] if unit}
     return frame

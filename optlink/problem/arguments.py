@@ -89,6 +89,10 @@ def _hints(function: Callable[..., Any], names: Iterable[str]) -> dict[str, Any]
     return typing.get_type_hints(types.SimpleNamespace(__annotations__=annotations), function.__globals__)
 
 
+DEFAULTS = {"engine": "local"}
+"""Defaults of the options of `optlink.execution.options` other than None, for signatures."""
+
+
 def _with_options(function: Callable[..., Any]) -> tuple[inspect.Signature, dict[str, Any]]:
     """Return the signature of a function with every option of a `**options: Unpack[...]`, and the types of these."""
     signature = inspect.signature(function)
@@ -99,7 +103,7 @@ def _with_options(function: Callable[..., Any]) -> tuple[inspect.Signature, dict
     (dictionary,) = typing.get_args(_hints(function, [name])[name])
     options = typing.get_type_hints(dictionary)
     kind = inspect.Parameter.KEYWORD_ONLY
-    more = [inspect.Parameter(key, kind, default=..., annotation=hint) for key, hint in options.items()]
+    more = [inspect.Parameter(key, kind, default=DEFAULTS.get(key), annotation=hint) for key, hint in options.items()]
     return signature.replace(parameters=[*named, *more]), options
 
 

@@ -78,7 +78,7 @@ Source = str | Callable[[Any], Any]
 """An attribute of a result, or a function of it."""
 
 
-def _reports(module: str) -> Any:
+def reports(module: str) -> Any:
     """Import a module of the reports, which are above the results and show every kind of them."""
     return importlib.import_module(f"optlink.presentation.{module}")
 
@@ -172,13 +172,13 @@ class Document(Summary):
             """See `Result`."""
 
     def _repr_html_(self) -> str | None:
-        html: str | None = _reports("html.notebook").notebook_html(self)
+        html: str | None = reports("html.notebook").notebook_html(self)
         return html
 
     @property
     def plots(self) -> tuple[str, ...]:
         """Names of the pictures that `plot` draws of results of this kind; this one may lack some."""
-        return tuple(_reports("interface").figures(self))
+        return tuple(reports("interface").figures(self))
 
     def plot(self, name: str | None = None) -> Figure:
         """Draw a picture of the result with matplotlib.
@@ -198,7 +198,7 @@ class Document(Summary):
         InputError
             If there is none of this name.
         """
-        figure: Figure = _reports("interface").plot(self, name)
+        figure: Figure = reports("interface").plot(self, name)
         return figure
 
     def write(self, folder: str | Path, pictures: str = "png") -> list[Path]:
@@ -220,7 +220,7 @@ class Document(Summary):
         InputError
             If the folder or a file cannot be written.
         """
-        paths: list[Path] = _reports("interface").write(self, Path(folder), pictures)
+        paths: list[Path] = reports("interface").write(self, Path(folder), pictures)
         return paths
 
     def to_frame(self, name: str | None = None) -> pandas.DataFrame:
@@ -238,7 +238,7 @@ class Document(Summary):
         InputError
             If pandas is not installed, or there is no such table.
         """
-        frame: pandas.DataFrame = _reports("interface").to_frame(self, name)
+        frame: pandas.DataFrame = reports("interface").to_frame(self, name)
         return frame
 
     def to_dict(self) -> dict[str, Any]:

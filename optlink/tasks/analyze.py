@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,7 +26,7 @@ from optlink.linkage.singular import AlignedPosition, angles_text, near_singular
 from optlink.linkage.stroke import Ranges, Travel, range_end_reason, reachable, travels, within_cycle
 from optlink.linkage.vector2d import TURN, Array, Value
 from optlink.problem.arguments import typed
-from optlink.problem.document import Renamed, Source, Tabled
+from optlink.problem.document import Renamed, Source, Tabled, reports
 from optlink.problem.file import AnyProblem, ProblemFile, problem_of
 from optlink.problem.machine.bodies import SLOWNESS
 from optlink.problem.quantity import check_choice, check_range
@@ -45,6 +45,9 @@ from optlink.tasks.machine import (
 )
 from optlink.tasks.results.extremes import Extremes, distances
 from optlink.tasks.results.strokes import stroke_records
+
+if TYPE_CHECKING:
+    import pandas
 
 MAX_POINTS = 1_000_000
 GRID = 720  # positions among which extremes are bracketed
@@ -687,11 +690,34 @@ def motion(
 
 
 class Columns(dict[str, Array]):
-    """Columns by name, arrays (designs, points); `singular`: message by design index where the motion is not determined."""
+    """Columns by name, arrays (designs, points) of as many designs as `valid` has entries.
 
-    def __init__(self) -> None:
+    `valid` (designs,): whether a design can be assembled at every crank angle and its motion is determined; `singular`: message
+    by design index where the motion is not determined.
+    """
+
+    def __init__(self, designs: int = 0) -> None:
         super().__init__()
+        self.valid = np.zeros(designs, dtype=bool)
         self.singular: dict[int, str] = {}
+
+    def to_frame(self) -> pandas.DataFrame:
+        """Return a data frame of pandas with a row per design: `valid`, then least, largest and rms of each column.
+
+        Their names end in ".min", ".max" and ".rms"; those of a design that is not valid are NaN where a value is.
+        `frame.attrs["units"]` has the unit of each column with one.
+
+        Raises
+        ------
+        InputError
+            If pandas is not installed.
+        """
+        table: dict[str, Any] = {"valid": self.valid}
+        for name, values in self.items():
+            table[f"{name}.min"], table[f"{name}.max"] = np.min(values, axis=1), np.max(values, axis=1)
+            table[f"{name}.rms"] = np.sqrt(np.mean(np.square(values), axis=1))
+        frame: pandas.DataFrame = reports("interface").frame_of(table)
+        return frame
 
 
 @typed
@@ -723,7 +749,8 @@ def analyze_batch(
     Returns
     -------
     Columns
-        Arrays (designs, points of all revolutions) by name. A value is NaN where the design cannot be assembled. All values of a
+        Arrays (designs, points of all revolutions) by name; `valid` marks the designs that can be assembled everywhere, and
+        `to_frame()` has a row for each design. A value is NaN where the design cannot be assembled. All values of a
         design are NaN if a load acts in the slow stroke and the design has none, or if the motion is not determined beyond a
         singular position (`singular` contains the message). Apart from these arrays, memory does not grow with the number of
         designs.
@@ -756,7 +783,7 @@ def analyze_batch(
     columns = [effort.column for effort in efforts(given.mechanism)] if columns is None else columns
     for name in columns:
         check_choice("columns", name, available, "no such column", problem.file)
-    result = Columns()
+    result = Columns(count)
     result.update({name: np.empty((count, len(angles))) for name in columns})
     samples = angles
     if points < SAMPLES and limits is None:
@@ -772,9 +799,11 @@ def analyze_batch(
             record = MotionColumns(machine.moving(angles, direction))
             for name in columns:
                 result[name][part] = record[name]
+            result.valid[part] = np.all(np.broadcast_to(record.moving.motion.assembled, (len(part), len(angles))), axis=1)
             result.singular |= _singular(machine, part, samples)
     for name in columns:
         result[name][list(result.singular)] = np.nan
+    result.valid[list(result.singular)] = False
     return result
 
 

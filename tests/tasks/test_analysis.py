@@ -920,3 +920,17 @@ def test_angles_of_a_long_table_are_continuous_over_its_blocks():
     for name in (name for name in result.columns if name.endswith(".angle_rad")):
         assert np.max(np.abs(np.diff(result[name]))) < 0.02
         np.testing.assert_allclose(result[name][::10], few[name], rtol=0.0, atol=1e-13)
+
+
+def test_a_batch_marks_the_designs_that_close_and_has_a_row_for_each() -> None:
+    lengths = {"coupler.length": [0.14, 1e-4, 0.16]}  # the second one closes nowhere
+    batch = optlink.analyze_batch("shaper", lengths, ["input.torque_Nm", "B.x_m"])
+    assert batch.valid.tolist() == [True, False, True]
+    frame = batch.to_frame()
+    assert frame["valid"].tolist() == batch.valid.tolist()
+    torque = batch["input.torque_Nm"]
+    assert frame["input.torque_Nm.max"].tolist()[::2] == torque.max(axis=1).tolist()[::2]
+    assert frame["input.torque_Nm.min"].tolist()[::2] == torque.min(axis=1).tolist()[::2]
+    assert frame["input.torque_Nm.rms"][2] == pytest.approx(np.sqrt(np.mean(torque[2] ** 2)))
+    assert frame["input.torque_Nm.max"].isna().tolist() == [False, True, False]
+    assert frame.attrs["units"]["input.torque_Nm.rms"] == "N m"
