@@ -51,13 +51,16 @@ def jumps(machine: Machine, low: float, high: float) -> Array:
 
         with np.errstate(all="ignore"):
             jump_angles += zeros(rates, _grid(low, high), still=True)
-    for element in machine.mechanism.elements:
-        jump_angles += _knots(machine, element, low, high)
-    return _rising(jump_angles, low, high)
+    return _rising([*jump_angles, law_knots(machine, low, high)], low, high)
+
+
+def law_knots(machine: Machine, low: float, high: float) -> Array:
+    """Return the crank angles [rad] from `low` to below `high` at which a law passes a knot, where its acceleration may jump."""
+    return _rising([at for element in machine.mechanism.elements for at in _knots(machine, element, low, high)], low, high)
 
 
 def _knots(machine: Machine, element: Element, low: float, high: float) -> list[Array]:
-    """Return the crank angles at which an element passes a knot of its law, where its acceleration may jump."""
+    """Return the crank angles at which an element passes a knot of its law."""
 
     def distances(angles: Array) -> Array:
         x, knots, period = element.knots(machine.mechanism.at(machine.sizes, angles))

@@ -19,6 +19,7 @@ import numpy as np
 
 from optlink.dynamics.inverse import Reactions, reactions, required_wrench
 from optlink.dynamics.machine import Load, Machine, Moving
+from optlink.dynamics.work import law_knots
 from optlink.linkage.extrema import sign_changes, zeros
 from optlink.linkage.jet import Jet, as_jet
 from optlink.linkage.motion import Motion
@@ -31,7 +32,8 @@ from optlink.symbolic import CompiledFunction, NumpyEvaluator, symbols_in_numpy
 
 GRID = 240  # crank angles among which events are bracketed
 TOUCHING = 1e-2  # rad between two reversals of a motion that only comes to rest
-CORNER = "corner"
+CORNER, LAW = "corner", "law"
+SAME_KNOT = 1e-6  # rad between two knots that are one
 AHEAD = 1e-6  # rad beyond an event at which its sense (rising or falling) is determined
 
 
@@ -118,6 +120,11 @@ class Sample:
 def _reversal(load: Load, moving: Moving) -> Value:
     """Return the velocity at whose reversal a load jumps."""
     return (load.reversing(moving) or (0.0, 0.0))[0]
+
+
+def _knot(at: float, moving: Moving) -> Value:
+    """Return a function of the crank angle that vanishes where a law passes a knot."""
+    return np.sin(0.5 * (moving.motion.crank_angle - at))
 
 
 def _corner(guide: str, at: float, moving: Moving) -> Value:
@@ -321,10 +328,23 @@ class TracedCycle:
             if isinstance(load.magnitude, LoadTable) and load.magnitude.over == "s":
                 for row, at in enumerate(load.magnitude.at):
                     add((CORNER, load.name, str(row)), functools.partial(_corner, load.guide, at))
+        for k, at in enumerate(self.knots):
+            add((CORNER, LAW, str(k)), functools.partial(_knot, at))
         for term in self.terms:
             if term.ended:
                 add(self._key(term), functools.partial(self._rate, term), cuts=term.quantity == "work")
         return list(events.values())
+
+    @cached_property
+    def knots(self) -> list[float]:
+        """Crank angles [rad] at which the law of a drive passes from one piece to the next, within a range or a revolution."""
+        if not any(drive.law for drive in self.mechanism.drives):
+            return []
+        knots = law_knots(self.base, self.low + SAME_KNOT, self.high - SAME_KNOT)
+        knots = knots[np.diff(knots, prepend=-np.inf) > SAME_KNOT]
+        if self.limited:  # a law of one course begins and ends with the range
+            return [float(at) for at in knots if self.low + TOUCHING < at < self.high - TOUCHING]
+        return [self.low, *knots.tolist()]
 
     def _rate(self, term: Term, moving: Moving) -> Value:
         """Return the velocity of an output."""

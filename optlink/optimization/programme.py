@@ -60,6 +60,7 @@ TARGET = "target "
 """Beginning of the names of the parameters that are components of the targets."""
 SMOOTHED_BY = "smoothing"
 ROOM = 1.01  # factor on the least difference of slow and quick stroke that a programme enforces
+ASIDE = 1e-9  # share of a stroke: distance from its ends at which accelerations count that jump there by a law
 EVENT_SEPARATION = 1e-3  # rad, least crank rotation between two events
 RowsAt = Callable[[Any], list[ConstraintRow]]
 """Makes the rows of a course at a crank angle."""
@@ -517,7 +518,7 @@ class _Machine:
         for *_, signals in self.nodes:
             yield from self._rows_of(signals)
         for begin, span, senses in self.strokes if self.terms.ended else ():  # forces are often largest where they jump
-            for share in (0.0, 1.0):
+            for share in (ASIDE, 1.0 - ASIDE) if self.trace.knots else (0.0, 1.0):
                 yield from self._rows_of(self.at.at(begin + share * span, senses))
 
     def courses(self) -> Iterator[tuple[tuple[Any, Any], RowsAt]]:

@@ -95,12 +95,18 @@ def linear_drives(mechanism: Mechanism) -> list[Drive]:
     return [drive for drive in mechanism.drives if drive.kind != "angle"]
 
 
+def turning_drives(mechanism: Mechanism) -> list[Drive]:
+    """Return the drives that turn a body by a law, or beside others."""
+    return [drive for drive in mechanism.drives if drive.kind == "angle"]
+
+
 PIN = Element(lambda mechanism: mechanism.pins, "no such pin joint")
 GUIDE = Element(lambda mechanism: [guide.name for guide in mechanism.guides], "no such guide")
 POINT = Element(moving_points, "no moving body has such a point")
 DRIVE = Element(
     lambda mechanism: [drive.name for drive in linear_drives(mechanism)], "no slide or cylinder is a drive of that name"
 )
+MOTOR = Element(lambda mechanism: [drive.name for drive in turning_drives(mechanism)], "no drive of that name turns a body")
 JOINT = Element(lambda mechanism: [group.joint for group in transmitting(mechanism)], "no dyad has its transmission angle there")
 Measure = Literal["peak", "rms", "mean", "largest", "least"]
 _SIGNED = get_args(Measure)
@@ -179,6 +185,11 @@ QUANTITIES: dict[str, QuantityType] = QuantityType.registry
 
 def _drive(moving: Moving, term: ElementTerm) -> str:
     return term.of or linear_drives(moving.machine.mechanism)[0].name
+
+
+def _motor(moving: Moving, term: ElementTerm) -> str:
+    turning = turning_drives(moving.machine.mechanism)
+    return term.of or (turning[0].name if turning else "input")
 
 
 def _guide(moving: Moving, term: ElementTerm) -> str:
@@ -265,9 +276,12 @@ register(
         "torque",
         "torque",
         _SIGNED,
-        signal=lambda moving, reactions, term: (reactions.torque,),
-        history=lambda record, term: record["input.torque_Nm"],
+        "drive that turns a body",
+        MOTOR,
+        lambda moving, reactions, term: (reactions.efforts.get(_motor(moving, term), reactions.torque),),
+        lambda record, term: record[f"{_motor(record.moving, term)}.torque_Nm"],
         forces=True,
+        sole=True,
     ),
     QuantityType(
         "drive force",
@@ -780,6 +794,9 @@ def check_term(term: Term, mechanism: Mechanism, quantities: Mapping[str, Quanti
             raise Unusable(element.missing, nearest(name, names) if names else "This machine has none", "of", term.of)
     if isinstance(term.about, str):
         check_name(term.about, mechanism.ground, "not a point of the frame", "about")
+    if what == "torque" and term.of is None and len(turning := turning_drives(mechanism)) > 1:
+        remedy = f"Add of, one of: {', '.join(drive.name for drive in turning)}"
+        raise Unusable("several drives turn a body", remedy, "of")
     if what == "drive force" and term.of is None and len(linear_drives(mechanism)) != 1:
         many = ", ".join(drive.name for drive in linear_drives(mechanism))
         message = "several slides and cylinders drive" if many else "no slide and no cylinder drives: the drive turns a body"
@@ -815,7 +832,7 @@ def _check_range(term: Term, mechanism: Mechanism) -> None:
     if what == "shaking moment" and mechanism.drives and term.about is None:
         message, remedy = "there is no crank pivot about which it acts", f'Add about = "{next(iter(mechanism.ground))}"'
         raise Unusable(message, remedy, "about")
-    linear = linear_drives(mechanism)
+    linear = linear_drives(mechanism) if not turning_drives(mechanism) else []
     if linear and what in ("torque", "lever arm"):
         remedy = 'Write "drive force", which is positive where the drive pushes' if what == "torque" else 'Write "velocity"'
         raise Unusable("a slide or cylinder drives, not a crank", remedy, "quantity", what)

@@ -220,12 +220,11 @@ class Cycle:
             return self.longest
         if not self.complete or (term.how != "mean" and term.quantity != "work"):
             return 0.0
-        driving = term if term.how == "mean" else Term(quantity="torque")
-        machine, read = self.history(driving)
-        values = read(MotionColumns(machine.moving(self.positions, self.speed)))
-        return float(np.max(np.abs(values))) * (
-            1.0 if term.how == "mean" else self.mechanism.extent[1] - self.mechanism.extent[0]
-        )
+        if term.how != "mean":
+            power = MotionColumns(self.machine.moving(self.positions, self.speed))["input.power_W"]
+            return float(np.max(np.abs(power))) / abs(self.speed) * (self.mechanism.extent[1] - self.mechanism.extent[0])
+        machine, read = self.history(term)
+        return float(np.max(np.abs(read(MotionColumns(machine.moving(self.positions, self.speed))))))
 
     def natural(self) -> float:
         """Return the value [unit of the objective] below which the objective is a rounding error."""
