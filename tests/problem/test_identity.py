@@ -52,6 +52,8 @@ LAW = rows(phi_deg=np.degrees(PHI), psi_deg=np.degrees(0.2 * PHI**2))
 SLIDE = rows(phi_deg=np.degrees(PHI), s_mm=-25.0 * PHI)
 TURN = np.linspace(0.0, 360.0, 9)
 FORCE = rows(phi_deg=TURN, force_N=100.0 + 20.0 * np.cos(np.radians(TURN)))
+PUSH = rows(s_mm=np.linspace(-500.0, 500.0, 5), force_N=np.linspace(80.0, 120.0, 5))
+PRESSURE = rows(phi_deg=TURN, pressure_bar=3.0 + np.cos(np.radians(TURN)))
 TORQUE = rows(phi_deg=TURN, torque_Nm=3.0 + np.cos(np.radians(TURN)))
 MOTION = rows(time_s=np.linspace(0.0, 1.0, 13), angle_deg=60.0 - 30.0 * np.cos(np.linspace(0.0, 2.0 * np.pi, 13)))
 MEASURED = rows(angle_deg=TURN[:-1], displacement_mm=120.0 + 50.0 * np.cos(np.radians(TURN[:-1])))
@@ -78,6 +80,15 @@ SLIDER_CRANK = {
     },
     "guides": {"G": {"slider": "slider", "through": "A", "direction": "0 deg"}},
     "assembly": {"C": "forward"},
+}
+
+CARRIAGE = {
+    "mechanism": {
+        "ground": {"A": ["0 mm", "0 mm"]},
+        "links": {"carriage": {"joints": ["T"]}},
+        "guides": {"rail": {"slider": "carriage", "through": "A"}},
+    },
+    "bodies": {"carriage": {"mass": "2 kg"}},
 }
 
 
@@ -324,6 +335,22 @@ CASES = {
         TORQUE,
         scaled(TORQUE, 1.5),
         (simulation,),
+    ),
+    "push": Case(
+        "drive.force",
+        CARRIAGE | {"drive": {"slide": "rail", "speed": "0.1 m/s", "force": {"over": "s", "csv": "data.csv"}, "duration": "1 s"}},
+        "data.csv",
+        PUSH,
+        scaled(PUSH, 1.5),
+        (simulation,),
+    ),
+    "gas": Case(
+        "loads.*.gas.pressure",
+        machine("slider-crank", loads={"gas": {"on": "slider", "gas": {"pressure": TABLE, "bore": "40 mm"}}}),
+        "data.csv",
+        PRESSURE,
+        scaled(PRESSURE, 1.5),
+        (report, analyses),
     ),
     "motion": Case(
         "drive.law",
