@@ -35,7 +35,6 @@ class ClearingProblem(Problem):
 class ClearingResult(SingleResult):
     kind = "clearing"
     shown: ClassVar = {"valid": "valid", "distance_m": "objective"}
-    notes = ()
     machine = property(lambda self: self.problem)
 
 

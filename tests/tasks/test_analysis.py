@@ -76,9 +76,9 @@ def test_columns_at_any_crank_angle_are_those_of_the_table_and_one_sided_at_a_ju
     shaper = optlink.analyze("shaper", points=12)
     before, after = (np.abs(shaper.at(shaper.jumps, side)["cutting.fx_N"]) for side in (-1, 1))
     assert np.allclose([before, after], [[5880.0, 0.0], [0.0, 5880.0]])
-    with pytest.raises(optlink.InputError, match="side = 0: neither side of a jump. Give 1 or -1"):
+    with pytest.raises(optlink.InputError, match=r"side = 0: neither side of a jump\. Give 1 or -1"):
         shaper.at(0.0, 0)
-    with pytest.raises(optlink.InputError, match="crank_angle = .*: not a finite number or array"):
+    with pytest.raises(optlink.InputError, match=r"crank_angle = .*: not a finite number or array"):
         shaper.at([math.nan])
 
 
