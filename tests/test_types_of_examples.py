@@ -42,6 +42,7 @@ import optlink
 
 found = optlink.solve("crank-rocker")
 objective: float = found.objective
+best_objective: float = found.objective if found.best is None else found.best.objective
 prices: list[float] = [limit.multiplier for limit in found.limits]
 checks: list[str] = [check.name for check in found.validation.checks]
 for result in (found, optlink.analyze("shaper"), optlink.simulate("six-bar"), optlink.read_result("out")):
@@ -82,6 +83,7 @@ EXAMPLES = {
     "common": COMMON,
     "results": fulfils("Result", KINDS),
     "designs": fulfils("DesignResult", ("design", "balance")),
+    "single": "import optlink\n\n\ndef of_one(one: optlink.extending.SingleResult) -> optlink.DesignResult:\n    return one\n",
     **{f"page_{page.stem.replace('-', '_')}": of_page(page) for page in PAGES},
     **{path.stem: of_notebook(path) for path in NOTEBOOKS},
     **{path.stem: path.read_text(encoding="utf-8") for path in SCRIPTS},

@@ -40,7 +40,6 @@ class ClearingProblem(Problem):
 class ClearingResult(SingleResult):
     kind: ClassVar = "clearing"
     shown: ClassVar = {"valid": "valid", "distance_m": "objective"}
-    notes: ClassVar[tuple[str, ...]] = ()
 
     @property
     def machine(self) -> ProblemFile:

@@ -105,6 +105,35 @@ def _stationary(solution: Solution) -> Check:
     return Check(OPTIMALITY_CHECK, passed, solution.kkt, limit, "")
 
 
+class Design(Protocol):
+    """What every single design has, such as the best one of a `DesignResult`."""
+
+    @property
+    def status(self) -> Status:
+        """How its search ended."""
+        ...
+
+    @property
+    def valid(self) -> bool:
+        """Whether it is validated and, if it was searched, optimal."""
+        ...
+
+    @property
+    def objective(self) -> float:
+        """Its objective [SI]."""
+        ...
+
+    @property
+    def limits(self) -> tuple[LimitState, ...]:
+        """All its bounds and limits [SI]; none without a search."""
+        ...
+
+    @property
+    def validation(self) -> Validation:
+        """Its independent checks."""
+        ...
+
+
 class DesignResult(Result, Protocol):
     """What every kind of design problem has in its result, with what every `Result` has.
 
@@ -125,6 +154,11 @@ class DesignResult(Result, Protocol):
     @property
     def valid(self) -> bool:
         """Whether there is a design, validated and, if it was searched, optimal."""
+        ...
+
+    @property
+    def best(self) -> Design | None:
+        """The best design, else the nearest one that is not valid; None if there is none. A result of one design is its best."""
         ...
 
     @property
@@ -260,6 +294,11 @@ class SingleResult(Document):
         return verified(self.status, self.validation)
 
     @property
+    def best(self) -> Self:
+        """The result itself."""
+        return self
+
+    @property
     def message(self) -> str:
         """Description of how the search ended."""
         return message(self.status, self.certificate, "")
@@ -268,6 +307,16 @@ class SingleResult(Document):
     def limits(self) -> tuple[LimitState, ...]:
         """All bounds and limits of the design, in SI; none without a search."""
         return () if self.solution is None else self.solution.limits
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Notes for the user; none."""
+        return ()
+
+    @property
+    def machine(self) -> ProblemFile | None:
+        """The problem with all dimensions fixed; None without one."""
+        return None
 
     @property
     def definite(self) -> ProblemFile:
