@@ -6,6 +6,7 @@ What a command answers follows from the kind of the problem; what it refuses is 
 from __future__ import annotations
 
 import json
+import math
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -131,7 +132,8 @@ def simulations(session: Session, of: tuple[str, ...]) -> None:
         session.run(0, "simulate", name, "--revolutions", "1", "--points", "60", "--tolerance", "1e-6", "--out", "simulated")
         session.run(0, "simulate", name, "--ideal", *SHORT, *ROWS, "--out", "ideal")
     else:
-        session.run(0, "simulate", name, *SHORT, *ROWS, *of, "--out", "simulated")
+        along = file.model.driving.ends is not None  # a slide or cylinder is not simulated
+        session.run(2 if along else 0, "simulate", name, *SHORT, *ROWS, *of, *([] if along else ["--out", "simulated"]))
         session.run(2, "simulate", name, *SHORT, "--revolutions", "1")
 
 
@@ -148,11 +150,16 @@ def exports(session: Session, designed: bool, of: tuple[str, ...]) -> None:
 def studies(session: Session, designed: bool, of: tuple[str, ...]) -> None:
     """Run every study, small."""
     file, name, run = session.file, session.name, session.run
-    output = f"{file.model.linkage.crank.end}.x"  # it depends on the crank, the first length of every linkage
+    links, driving = [link for link in file.model.linkage.links if link.length in file.model.quantities], file.model.driving
+    low, high = (driving.shown(at) for at in driving.mechanism.limits or (0.0, 0.5 * math.pi))
+    angles = f"{low!r} {driving.unit}, {0.5 * (low + high)!r} {driving.unit}"
     run(0 if designed else 2, "study", "sensitivity", name, *(("--out", "sensitivity") if designed else ()))
-    run(0, "study", "sensitivity", name, "--quantity", output, "--angles", "0 deg, 90 deg", *of)
+    if not links:  # a cam has no length
+        return
+    output = f"{links[0].end}.x"  # it depends on the first length of the linkage, most often that of the crank
+    run(0, "study", "sensitivity", name, "--quantity", output, "--angles", angles, *of)
 
-    length = file.model.linkage.crank.length
+    length = links[0].length
     value = (design_of("solved") if designed else {}).get(length) or 1e3 * file.model.quantities[length].value
     vary = ("--vary", f"{key_of(file, length)}={value!r}..{1.0005 * value!r} mm:2", "--workers", "1")
     swept = (0, "--out", "swept") if designed else (2,)
@@ -160,14 +167,15 @@ def studies(session: Session, designed: bool, of: tuple[str, ...]) -> None:
     run(motion_codes(session), "study", "sweep", name, *vary, "--analyze", *ROWS, *of, "--out", "analyses")
 
     deviation = ("--tolerance", f"{length}=0.1 mm", "--samples", "64", *of)
-    run(0, "study", "tolerance", name, *deviation, "--quantity", output, "--angles", "90 deg", "--out", "tolerance")
+    run(0, "study", "tolerance", name, *deviation, "--quantity", output, "--angles", angles, "--out", "tolerance")
 
     model, cycle = file.model, file.task == "cycle"
     front = designed and (not cycle or bool(model.bodies or model.loads))
     run(2, "study", "pareto", name)
     if designed and not cycle and (file.spec.composed or file.spec.everywhere):
         return  # each point takes as long as all other commands
-    asked = ("--objectives", MACHINE if cycle else LAW, "--points", "2", "--workers", "1")
+    machine = MACHINE if driving.ends is None else MACHINE.replace("torque", "drive force")
+    asked = ("--objectives", machine if cycle else LAW, "--points", "2", "--workers", "1")
     code = 2 if not front else 0 if cycle or file.spec.law_given else (0, 1)  # so few starts may find no point of a front
     run(code, "study", "pareto", name, *asked, *(("--out", "front") if front else ()))
 

@@ -107,7 +107,7 @@ def _contributions(result: Tolerance) -> ChartSpec:
         for (name, share), colour, low, high in zip(parts, colours, ends[:-1], ends[1:], strict=True)
     ]
     panel = Panel(Axis("share of the variance [%]", (0.0, 100.0)), bands, 1.5)
-    return ChartSpec("contributions", title, [panel], drive_axis(result.nominal.driving), heading, width=8.0)
+    return ChartSpec("contributions", title, [panel], drive_axis(result.problem.model.driving), heading, width=8.0)
 
 
 def _band(result: Tolerance) -> ChartSpec:
@@ -139,7 +139,7 @@ def _band(result: Tolerance) -> ChartSpec:
     panel = Panel(Axis(f"{what}{result.bracketed}", ends_of_y), traces, 1.7, lines)
     output = f"the {name}" if error else name
     title, heading = f"Scatter of {name}", f"{result.problem.model.title}: {output} as built"
-    return ChartSpec("band", title, [panel], drive_axis(result.nominal.driving), heading, width=8.0)
+    return ChartSpec("band", title, [panel], drive_axis(result.problem.model.driving), heading, width=8.0)
 
 
 def _histogram(result: Tolerance, sampled: MonteCarlo) -> ChartSpec:
@@ -163,7 +163,10 @@ def _histogram(result: Tolerance, sampled: MonteCarlo) -> ChartSpec:
     remark = f"Yield {share}, with 95 % confidence {least} ... {most}." if limited else ""
     what = judged_value(result) if np.any(result.nominal.base) else f"change of {result.nominal.name}"
     title = f"{sampled.samples:,} linkages with their tolerances"
-    panel, x = Panel(Axis("share of the samples [%]"), bars, 1.4), f"largest {what} at any of the {result.nominal.driving.noun}s"
+    panel, x = (
+        Panel(Axis("share of the samples [%]"), bars, 1.4),
+        f"largest {what} at any of the {result.problem.model.driving.noun}s",
+    )
     text, unit = (f"{result.problem.model.title}: {title}", remark), result.display_unit
     lines = [Line(limit, f"limit {limit:.5g} {unit}", LIMIT, 1.6, "solid")] if limited else []
     return ChartSpec("histogram", title, [panel], Axis(f"{x}{result.bracketed}"), *text, lines, cursor=False, width=8.0)
@@ -171,9 +174,8 @@ def _histogram(result: Tolerance, sampled: MonteCarlo) -> ChartSpec:
 
 def overview(result: Tolerance) -> Summary:
     """Summarise a tolerance analysis."""
-    status = (
-        f"effect of the tolerances on {result.nominal.name}, at {len(result.nominal.crank_angles)} {result.nominal.driving.noun}s"
-    )
+    positions = f"{len(result.nominal.places)} {result.problem.model.driving.noun}s"
+    status = f"effect of the tolerances on {result.nominal.name}, at {positions}"
     return summary(
         result.problem.model.title,
         [status],
@@ -187,7 +189,7 @@ def overview(result: Tolerance) -> Summary:
 
 def _place(result: Tolerance, k: int) -> str:
     """Format a position of the drive with its unit."""
-    return f"{result.nominal.places[k]:.4g} {result.nominal.driving.unit}"
+    return f"{result.nominal.places[k]:.4g} {result.problem.model.driving.unit}"
 
 
 def judged_value(result: Tolerance) -> str:
@@ -246,7 +248,7 @@ def _shares(result: Tolerance) -> TableSpec:
         rows.append((deviation.name, _symmetric(deviation.tolerance, unit), *cells))
     change = f">change [{result.display_unit or '-'}\nper {' or '.join(sorted(units, reverse=True))}]"
     columns = ["", ">tolerance", "distribution", change, ">share of the\nvariance", ">over all"]
-    return table(f"Variance contributions at the worst {result.nominal.driving.noun}: {_place(result, at)}", columns, rows)
+    return table(f"Variance contributions at the worst {result.problem.model.driving.noun}: {_place(result, at)}", columns, rows)
 
 
 def _scatter(result: Tolerance) -> TableSpec:

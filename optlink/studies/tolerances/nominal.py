@@ -14,7 +14,6 @@ from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.vector2d import TURN, Array, Value, cross, dot
 from optlink.problem.design import DesignProblem
 from optlink.problem.document import Column, Number, Rows
-from optlink.problem.driving import Driving
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import check_choice
 from optlink.problem.targets.law import Table
@@ -71,11 +70,6 @@ class Nominal:
         return self.output in self.mechanism.bodies
 
     @property
-    def driving(self) -> Driving:
-        """How the drive moves the linkage."""
-        return self.problem.model.driving
-
-    @property
     def degrees(self) -> Array:
         """Crank angles (angles,) [deg]."""
         return np.degrees(self.crank_angles)
@@ -83,7 +77,7 @@ class Nominal:
     @property
     def places(self) -> Array:
         """Positions of the drive (angles,) in its unit."""
-        return self.driving.shown(self.crank_angles)
+        return self.problem.model.driving.shown(self.crank_angles)
 
     @property
     def unit(self) -> str:
