@@ -17,7 +17,7 @@ import casadi
 import numpy as np
 
 from optlink.linkage.stroke import LEAST_DIFFERENCE
-from optlink.linkage.vector2d import TURN, Array
+from optlink.linkage.vector2d import TURN, Array, unit
 from optlink.optimization.courses import (
     EVENT,
     ErrorCourse,
@@ -60,6 +60,7 @@ TARGET = "target "
 """Beginning of the names of the parameters that are components of the targets."""
 SMOOTHED_BY = "smoothing"
 ROOM = 1.01  # factor on the least difference of slow and quick stroke that a programme enforces
+FINE = 73  # positions through which the angle of a body that swings is followed
 ASIDE = 1e-9  # share of a stroke: distance from its ends at which accelerations count that jump there by a law
 EVENT_SEPARATION = 1e-3  # rad, least crank rotation between two events
 RowsAt = Callable[[Any], list[ConstraintRow]]
@@ -657,15 +658,19 @@ class _Machine:
             ends = sorted(there)
         numbers = np.array([np.ravel(self.trace.at_event([*inputs, angles[k]])) for k in ends])
         positions = numbers[:, place]
-        if width == 2:  # the direction of a body
-            positions = np.unwrap([math.atan2(y, x) for x, y in numbers[:, place : place + 2]])
+        if width == 2:  # the direction of a body, followed through the motion between these positions
+            fine = np.unique(np.concatenate([np.linspace(*self.trace.mechanism.extent, FINE), [angles[k] for k in ends]]))
+            axes = np.array([np.ravel(self.trace.at_event([*inputs, at]))[place : place + 2] for at in fine])
+            positions = np.interp([angles[k] for k in ends], fine, np.unwrap(np.arctan2(axes[:, 1], axes[:, 0])))
         low, high = ends[int(np.argmin(positions))], ends[int(np.argmax(positions))]
         if width == 1:
             if term.quantity == "end":
                 return there[high if term.stroke == "forward" else low][place]
             return there[high][place] - there[low][place]
         (a, b), (c, d) = ((there[k][place], there[k][place + 1]) for k in (low, high))
-        return casadi.atan2(a * d - b * c, a * c + b * d)
+        swing = float(np.ptp(positions)) if self.trace.limited else 0.0  # which may be more than half a turn
+        sine, cosine, (near_cosine, near_sine) = a * d - b * c, a * c + b * d, unit(swing)
+        return swing + casadi.atan2(sine * near_cosine - cosine * near_sine, cosine * near_cosine + sine * near_sine)
 
     def _ratio(self, term: Term) -> Any:
         """Return the ratio of the durations of two strokes; which one is slow is fixed in a programme."""

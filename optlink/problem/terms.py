@@ -720,7 +720,7 @@ class Limit(Term):
             if self.quantity == "stroke":
                 if value < 0.0 or (value == 0.0 and key != "min"):
                     raise Unusable("a stroke must be positive", "Give one above zero", key, stated[key])
-                if key != "max" and value >= math.pi and self.of in rockers(mechanism):
+                if key != "max" and value >= math.pi and mechanism.limits is None and self.of in rockers(mechanism):
                     message = "a rocker between crank and frame swings by less than 180 deg"
                     raise Unusable(message, 'Give less, for example "60 deg"', key, stated[key])
             most = {"transmission angle": 180.0, "pressure angle": 90.0}.get(self.quantity)

@@ -389,3 +389,44 @@ def test_positions_are_called_by_the_drive(tmp_path):
         file, {"G.x": "1 mm"}, "boom", samples=16, design={name: file.model.sizes({})[name] for name in file.model.free}
     )
     np.testing.assert_allclose(scatter.columns["length_mm"][[0, -1]], [800.0, 1300.0])
+
+
+DRAG_LINK = """
+title = "Drag link"
+[mechanism.ground]
+A = ["0 mm", "0 mm"]
+D = ["60 mm", "0 mm"]
+[mechanism.links]
+crank = { joints = ["A", "B"], length = "200 mm" }
+rod = { joints = ["B", "C"], length = { start = "180 mm", bounds = ["150 mm", "260 mm"] } }
+follower = { joints = ["D", "C"], length = "200 mm" }
+[mechanism.assembly]
+C = "left of B-D"
+[drive]
+range = ["20 deg", "240 deg"]
+speed = "static"
+[objective]
+quantity = "length"
+of = "rod.length"
+[limits]
+swing = { quantity = "stroke", of = "follower", min = "SWING deg" }
+"""
+
+
+def test_a_swing_of_more_than_half_a_turn(tmp_path):
+    phi = np.radians(np.linspace(20.0, 240.0, 2001))
+
+    def swing(rod):
+        away = 0.06 - 0.2 * np.exp(1j * phi)
+        q = np.abs(away)
+        c = 0.2 * np.exp(1j * phi) + rod * away / q * np.exp(1j * np.arccos((q * q + rod**2 - 0.2**2) / (2.0 * q * rod)))
+        return math.degrees(float(np.ptp(np.unwrap(np.angle(c - 0.06)))))
+
+    asked = 0.5 * (swing(0.15) + swing(0.26))
+    assert min(swing(0.15), swing(0.26)) > 180.0
+    text = DRAG_LINK.replace("SWING", f"{asked:.9f}")
+    goal = 'quantity = "length"\nof = "rod.length"'
+    sense = "" if swing(0.15) < swing(0.26) else '\nsense = "maximise"'
+    result = optlink.solve(problem(tmp_path, text.replace(goal, goal + sense)), backend="slsqp")
+    assert result.valid
+    assert swing(result.best.design["rod.length"]) == pytest.approx(asked, abs=1e-5)
