@@ -28,6 +28,7 @@ from optlink.version import VERSION
 GROUP = "optlink.extensions"
 
 SUM = "crc32"  # key of the check sum of a document
+META = "meta"  # key of a document that is free for notes of others: the check sum does not cover it
 LOCK = ".optlink.lock"
 LOCKED_BYTE = 1 << 30  # on Windows, whose locks forbid reading: far behind the process number in the file
 _records: list[set[Path]] = []
@@ -158,11 +159,11 @@ def with_check_sum(document: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def checked(document: Mapping[str, Any]) -> dict[str, Any] | None:
-    """Return a document without its check sum; None if it was changed.
+    """Return a document without its check sum and the notes of others; None if it was changed.
 
     The check sum of its text is accepted too: documents were written with it before there was a canonical form.
     """
-    content = {name: value for name, value in document.items() if name != SUM}
+    content = {name: value for name, value in document.items() if name not in (SUM, META)}
     stated = document.get(SUM)
     known = stated == check_sum(_canonical(content)) or stated == check_sum(json.dumps(content).encode())
     return content if known else None

@@ -93,7 +93,14 @@ class ForceBalance:
         self.order = {body: k for k, body in enumerate((FRAME, *self.mechanism.bodies))}
 
     def across(self, guide: Guide, tilts: Mapping[str, Value]) -> Vector:
-        """Return the direction in which a guide exerts no force: its line, rotated by the friction angle."""
+        """Return the direction in which a guide exerts no force: its line, rotated by the friction angle.
+
+        Parameters
+        ----------
+        guide : Guide
+        tilts : mapping of str to Value
+            Tangents of the friction angles of guides with friction.
+        """
         x, y = self.moving.line(guide.name)
         if guide.name not in tilts:
             return x, y
@@ -108,7 +115,13 @@ class ForceBalance:
         return self._places[name]
 
     def about(self, link: Link, point: Vector) -> Value:
-        """Return the moment about a point [m] that the joints exert on a body."""
+        """Return the moment about a point [m] that the joints exert on a body.
+
+        Parameters
+        ----------
+        link : Link
+        point : Vector [m]
+        """
         return self.needed[link.body].about(self.moving.state(link.body).start, point)
 
     def directions(self, group: JointedDyad, tilts: Mapping[str, Value]) -> tuple[Vector, Vector]:
@@ -117,6 +130,12 @@ class ForceBalance:
         They are those of two of its joints, seen from the third one, a pin: its inner joint or, if that is a guide, the outer
         one of the first body. A guide has that in which it exerts no force, another pin the normal to the lever between the two
         pins.
+
+        Parameters
+        ----------
+        group : JointedDyad
+        tilts : mapping of str to Value
+            Tangents of the friction angles of guides with friction.
         """
         first, second, pin = *group.outer, group.inner
         if isinstance(pin, Guide):
@@ -132,6 +151,14 @@ class ForceBalance:
         """Return row . force for the force of one or two bodies on others at the end of the lever from their outer joint.
 
         `row` is one of `directions`, `force` [N] that of all joints of the bodies on them.
+
+        Parameters
+        ----------
+        joint : Joint
+        row : Vector
+            Row vector, see `moment_row`.
+        force : Vector [N]
+        *links : Link
         """
         if isinstance(joint, Guide):
             return -dot(row, force)
@@ -283,6 +310,12 @@ class ForceBalance:
 
         A pin exerts no moment about itself, a guide no force along its line. With an inner pin its force follows from one balance
         of each body, with an inner guide that of the first body's outer pin from one balance of this body and one of both.
+
+        Parameters
+        ----------
+        group : JointedDyad
+        tilts : mapping of str to Value
+            Tangents of the friction angles of guides with friction.
         """
         (first, second), (joint, other) = group.links, group.outer
         of_first, of_second = (self.needed[link.body].force for link in group.links)
@@ -398,7 +431,16 @@ class Reactions:
             return {joint: cross(a, b) / np.sqrt(dot(a, a) * dot(b, b)) for joint, (a, b) in self.rows.items()}
 
     def pin(self, machine: Machine, point: str, on: str | None = None) -> Vector:
-        """Return the reaction at a pin [N] on a body, by default that of `reported_on`."""
+        """Return the reaction at a pin [N] on a body, by default that of `reported_on`.
+
+        Parameters
+        ----------
+        machine : Machine
+        point : str
+            Name of the pin.
+        on : str, optional
+            Body on which the force acts.
+        """
         return self.pins[point][on or reported_on(machine)[point]]
 
 

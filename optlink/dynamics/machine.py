@@ -292,17 +292,41 @@ class Moving:
         return self.motion.pose
 
     def position(self, point: str, body: str = "") -> Vector:
-        """Return the position of a point [m], which is the same on all bodies that share it."""
+        """Return the position of a point [m], which is the same on all bodies that share it.
+
+        Parameters
+        ----------
+        point : str
+            Name of a point.
+        body : str
+            Name of a body with that point; not needed.
+        """
         x, y = self.pose.points[point]
         return as_jet(x).value, as_jet(y).value
 
     def velocity(self, point: str, body: str = "") -> Vector:
-        """Return the velocity of a point [m/s]."""
+        """Return the velocity of a point [m/s].
+
+        Parameters
+        ----------
+        point : str
+            Name of a point.
+        body : str
+            Name of a body with that point; not needed.
+        """
         x, y = self.pose.points[point]
         return as_jet(x).rate, as_jet(y).rate
 
     def acceleration(self, point: str, body: str = "") -> Vector:
-        """Return the acceleration of a point [m/s^2]."""
+        """Return the acceleration of a point [m/s^2].
+
+        Parameters
+        ----------
+        point : str
+            Name of a point.
+        body : str
+            Name of a body with that point; not needed.
+        """
         x, y = self.pose.points[point]
         return as_jet(x).acceleration, as_jet(y).acceleration
 
@@ -344,6 +368,13 @@ class Moving:
 
         `of` maps a machine in motion to the velocity and its acceleration; `size` is that of the machine [m] for the velocity
         of a point, 1 for an angular velocity.
+
+        Parameters
+        ----------
+        of : function of (machine in motion)
+            Returns the velocity and its acceleration.
+        size : Value [m]
+            Of the machine for the velocity of a point, 1 for an angular velocity.
         """
         source = self.turning
         rate, acceleration = of(source)
@@ -374,6 +405,13 @@ class Moving:
         """Return the motion at another crank speed and acceleration; this motion must have a constant speed of 1 rad/s.
 
         `direction` is the sense of crank rotation, +1 or -1.
+
+        Parameters
+        ----------
+        speed : Value [rad/s]
+        acceleration : Value [rad/s^2]
+        direction : Value
+            Sense of crank rotation, +1 or -1.
         """
         return Moving(self.machine, self.motion.scaled(speed, acceleration), self.side, direction)
 

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, BeforeValidator, PlainValidator, TypeAdapter, ValidationError, WithJsonSchema
 
 from optlink.errors import InputError, UnknownName, nearest
-from optlink.io import SUM, Summary, checked, finite, head, with_check_sum
+from optlink.io import META, SUM, Frozen, Summary, checked, finite, head, with_check_sum
 from optlink.problem.enclosed import enclosing
 from optlink.problem.file import ProblemFile, read
 from optlink.problem.upgrades import ADDED, VERSION_OF_SCHEMAS, upgraded
@@ -160,6 +160,9 @@ class Document(Summary):
     stored: ClassVar[tuple[str, ...] | None] = None
     """Fields from which the others are computed again when it is read, see `_restored`. Default: all are stored."""
 
+    meta: ClassVar[Mapping[str, Any]] = Frozen()
+    """Notes of others: the key `meta` of the stored result from which it was read, which it has again when it is written."""
+
     problem: ProblemFile
     if TYPE_CHECKING:  # fields of some classes, properties of others
 
@@ -253,7 +256,7 @@ class Document(Summary):
         if below := {name: value for name, value in state.items() if name in hidden}:
             document["state"] = below
         document["problem_file"] = stored_problem(self.problem)
-        return with_check_sum(finite(document))
+        return with_check_sum(finite(document)) | ({META: finite(dict(self.meta))} if self.meta else {})
 
     @classmethod
     def from_dict(cls, document: Mapping[str, Any], path: Path) -> Self:
@@ -274,15 +277,22 @@ class Document(Summary):
         content = checked(document)
         if content is None:
             raise InputError("the result was changed since it was written", AGAIN, str(path), SUM, document.get(SUM))
+        meta = document.get(META, {})
+        if not isinstance(meta, Mapping):
+            raise InputError(
+                "the notes of a result are an object", 'Write "meta": {"key": value}, or leave it out', str(path), META, meta
+            )
         try:
             content = upgraded(content)
             problem = read_problem(content, path)
             values = content | content["state"] if hidden_fields(cls) else content
             lacking = set(ADDED.get(cls.kind, ())) - values.keys()
-            return cls._restored(problem, {name: values[name] for name in stored_fields(cls) if name not in lacking})
+            result = cls._restored(problem, {name: values[name] for name in stored_fields(cls) if name not in lacking})
         except (KeyError, TypeError, AttributeError, ValueError) as error:  # of another version, whatever its check sum
             message = f"this is not what version {VERSION} writes: it lacks or misreads {_place(error)}"
             raise InputError(message, AGAIN, str(path)) from None
+        object.__setattr__(result, META, Frozen(meta))
+        return result
 
     @classmethod
     def _restored(cls, problem: ProblemFile, values: Mapping[str, Any]) -> Self:
@@ -308,8 +318,9 @@ class Document(Summary):
             **({"state": _object({name: part for name, part in parts.items() if name in hidden}, added)} if hidden else {}),
             "problem_file": _object({key: {"type": "string"} for key in ("file", "toml")}),
             SUM: {"type": "string"},
+            META: {"type": "object"},
         }
-        optional = {*added, *(key.rstrip("?") for key in cls.shown if key.endswith("?"))}
+        optional = {META, *added, *(key.rstrip("?") for key in cls.shown if key.endswith("?"))}
         schema = {"title": cls.__name__, **_object(properties, optional), "$defs": whole.get("$defs", {})}
         return finite(schema)  # type: ignore[no-any-return]
 

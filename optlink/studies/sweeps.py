@@ -232,7 +232,8 @@ class Sweep(GridStudy):
         if table is None or list(table.names) != document["columns"]:
             remedy = f"Keep {TABLE} and result.json of a large sweep in one folder"
             raise InputError(f"the table of this sweep is missing: {TABLE}", remedy, str(path))
-        return replace(result, table=table)
+        object.__setattr__(result, "table", table)  # a copy would lack the notes of others
+        return result
 
     @property
     def columns(self) -> dict[str, NDArray[Any]]:

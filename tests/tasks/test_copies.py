@@ -201,3 +201,24 @@ def test_a_result_reads_itself(result: Any, tmp_path: Path) -> None:
         assert not schema().is_valid(written | wrong)
     for name in ("schema", "problem_hash", "problem_file", "crc32"):
         assert not schema().is_valid({key: item for key, item in written.items() if key != name})
+
+
+def test_notes_of_others_are_kept_beside_the_check_sum(tmp_path: Path) -> None:
+    notes = {"order": 17, "by": ["A", "B"]}
+    document = optlink.validate("crank-rocker", {"coupler": 0.412, "rocker": 0.232}).to_dict()
+    assert "meta" not in document
+    path = tmp_path / "result.json"
+    path.write_text(json.dumps(document | {"meta": notes}), encoding="utf-8")
+    stored = optlink.read_result(path)
+    assert stored.meta == notes
+    assert stored.to_dict() == document | {"meta": notes}
+    assert schema().is_valid(stored.to_dict())
+    assert not schema().is_valid(stored.to_dict() | {"meta": [1]})
+    stored.write(tmp_path / "again")
+    assert json.loads((tmp_path / "again" / "result.json").read_text(encoding="utf-8"))["meta"] == notes
+    path.write_text(json.dumps(document | {"note": "mine"}), encoding="utf-8")
+    with pytest.raises(optlink.InputError, match="the result was changed"):
+        optlink.read_result(path)
+    path.write_text(json.dumps(document | {"meta": "mine"}), encoding="utf-8")
+    with pytest.raises(optlink.InputError, match="the notes of a result are an object"):
+        optlink.read_result(path)
