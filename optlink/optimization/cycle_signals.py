@@ -19,7 +19,6 @@ import numpy as np
 
 from optlink.dynamics.inverse import Reactions, reactions, required_wrench
 from optlink.dynamics.machine import Load, Machine, Moving
-from optlink.dynamics.work import law_knots
 from optlink.linkage.extrema import sign_changes, zeros
 from optlink.linkage.jet import Jet, as_jet
 from optlink.linkage.motion import Motion
@@ -340,6 +339,8 @@ class TracedCycle:
         """Crank angles [rad] at which the law of a drive passes from one piece to the next, within a range or a revolution."""
         if not any(drive.law for drive in self.mechanism.drives):
             return []
+        from optlink.dynamics.work import law_knots  # which a machine without laws does not need
+
         knots = law_knots(self.base, self.low + SAME_KNOT, self.high - SAME_KNOT)
         knots = knots[np.diff(knots, prepend=-np.inf) > SAME_KNOT]
         if self.limited:  # a law of one course begins and ends with the range

@@ -791,7 +791,8 @@ def check_term(term: Term, mechanism: Mechanism, quantities: Mapping[str, Quanti
     if element is not None:
         names = list(element.names(mechanism))
         if name not in names and not (element is GUIDE and guide_of(name, mechanism)):
-            raise Unusable(element.missing, nearest(name, names) if names else "This machine has none", "of", term.of)
+            none = "Leave it out" if term.nature.sole else "This machine has none"
+            raise Unusable(element.missing, nearest(name, names) if names else none, "of", term.of)
     if isinstance(term.about, str):
         check_name(term.about, mechanism.ground, "not a point of the frame", "about")
     if what == "torque" and term.of is None and len(turning := turning_drives(mechanism)) > 1:
