@@ -80,6 +80,8 @@ def test_outputs_are_compared_by_their_words_and_their_figures() -> None:
     assert alike("f = 1.00 mm", "f = 7.10 mm", math.inf)
     assert not alike("f = 1.00 mm", "g = 1.00 mm", math.inf)
     assert not alike("1 and 2", "1", math.inf)
+    assert alike(plain("moves 0 mm"), plain("moves 2.2e-13 mm"), ALIKE)
+    assert not alike(plain("moves 0 mm"), plain("moves 0.2 mm"), ALIKE)
 
 
 @pytest.fixture(autouse=True)

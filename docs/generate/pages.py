@@ -42,8 +42,10 @@ BLOCK = re.compile(
     r"(?P<text>(?:(?!<!--).)*)<!-- end -->",
     re.DOTALL,
 )
-VARYING = re.compile(r"\d[\d.,]*(?:e[-+]?\d+)?[ \u00a0]?(?:ns|µs|ms|s|min)\b|\d[\d.]*e-(?:09|1\d)\b|\d+(?:\.\d+)? times")
-"""What differs between two runs of the same code: durations, their ratios, and rounding errors."""
+VARYING = re.compile(
+    r"\d[\d.,]*(?:e[-+]?\d+)?[ \u00a0]?(?:ns|µs|ms|s|min)\b|\d[\d.]*e-(?:09|1\d)\b|(?<![\w.,])0(?![\w.,])|\d+(?:\.\d+)? times"
+)
+"""What differs between two runs of the same code: durations, their ratios, and rounding errors, which may be zero."""
 NUMBER = re.compile(r"[-+−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 ALIKE = 0.03
 """Relative difference of numbers that two processors may print: searches for several designs end at slightly different ones."""

@@ -547,7 +547,7 @@ class DesignProblem(Problem):
     @cached_property
     def size(self) -> float:
         """Unit of length [m]: the root mean square distance of the points from their centre, the travel of a slider, the frame of
-        a four-bar with a law, else the longest fixed link.
+        a four-bar with a law, else the longest fixed link; without links that have a length, the largest coordinate.
         """
         if (size := self.requirement.size(self)) is not None:
             return float(size)
@@ -558,7 +558,8 @@ class DesignProblem(Problem):
             frame = float(self.four_bar.lengths({name: q.value for name, q in dimensions.items()})[3])
             lengths.append(frame)
             fixed += [frame] if all(dimensions[name].fixed for name in self.four_bar.ground) else []
-        return max(fixed or lengths)
+        away = [abs(q.value) for q in dimensions.values() if q.kind == "coordinate"]
+        return max(fixed or lengths or away, default=0.0) or 1.0
 
     @cached_property
     def radian(self) -> float:

@@ -9,6 +9,7 @@ import pytest
 
 import optlink
 from optlink.errors import InputError
+from optlink.linkage.vector2d import TURN
 from tests.tasks.test_drive_ranges import problem
 from tests.tasks.test_range_targets import BACKENDS, LAW, four_bar, least
 
@@ -178,3 +179,53 @@ def test_gears_carry_a_target(tmp_path, backend):
     assert geared.valid
     assert geared.objective == pytest.approx(plain.objective, rel=1e-3)  # positions on other grids
     assert geared.design["coupler.length"] == pytest.approx(plain.design["coupler"], rel=1e-2)
+
+
+CAM = """
+title = "Cam with a spring whose support is free"
+[mechanism.ground]
+A = ["0 mm", "0 mm"]
+S = ["0 mm", { start = "125 mm", bounds = ["120 mm", "150 mm"] }]
+Q = [{ start = "3 mm", bounds = ["1 mm", "8 mm"] }, "0 mm"]
+[mechanism.links]
+cam = { joints = ["A"] }
+valve = { joints = ["R"] }
+[mechanism.guides]
+stem = { slider = "valve", through = "Q", direction = "90 deg" }
+[mechanism.cams.lobe]
+cam = "cam"
+follower = "valve"
+base_radius = "30 mm"
+roller = "10 mm"
+law = [{ to = "150 deg", rise = "12 mm", law = "cycloidal" }, { to = "360 deg", fall = "12 mm", law = "cycloidal" }]
+[loads]
+spring = { between = ["S", "R"], stiffness = "9 N/mm", free_length = "90 mm" }
+[drive]
+body = "cam"
+speed = "static"
+[objective]
+quantity = "torque"
+"""
+
+
+@BACKENDS
+def test_spring_of_a_cam_is_placed_for_the_least_torque(tmp_path, backend):
+    """Virtual work of the spring on the lift, searched over both places; no link has a length."""
+    phi = np.linspace(0.0, 2.0 * math.pi, 20001)
+    rise = math.radians(150.0)
+    rising, rest = phi < rise, TURN - rise
+    x, way = np.where(rising, phi / rise, (phi - rise) / rest), np.where(rising, 1.0, -1.0)
+    lift = 0.012 * (np.where(way > 0, 0.0, 1.0) + way * (x - np.sin(TURN * x) / TURN))
+    slope = 0.012 * way / np.where(rising, rise, rest) * (1.0 - np.cos(TURN * x))
+
+    def peak(at):
+        support, aside = at
+        begin = math.sqrt(0.04**2 - aside**2)
+        down, across = support - begin - lift, aside
+        apart = np.hypot(down, across)
+        return float(np.max(np.abs(9000.0 * (0.09 - apart) * down / apart * slope)))
+
+    found = optlink.solve(problem(tmp_path, CAM), backend=backend).best
+    assert found.valid
+    expected = least(peak, [(0.12, 0.15), (0.001, 0.008)])
+    assert found.objective == pytest.approx(expected.fun, rel=1e-4)
