@@ -132,8 +132,7 @@ def simulations(session: Session, of: tuple[str, ...]) -> None:
         session.run(0, "simulate", name, "--revolutions", "1", "--points", "60", "--tolerance", "1e-6", "--out", "simulated")
         session.run(0, "simulate", name, "--ideal", *SHORT, *ROWS, "--out", "ideal")
     else:
-        along = file.model.driving.ends is not None  # a slide or cylinder is not simulated
-        session.run(2 if along else 0, "simulate", name, *SHORT, *ROWS, *of, *([] if along else ["--out", "simulated"]))
+        session.run(0, "simulate", name, *SHORT, *ROWS, *of, "--out", "simulated")
         session.run(2, "simulate", name, *SHORT, "--revolutions", "1")
 
 

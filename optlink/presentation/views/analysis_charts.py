@@ -668,7 +668,8 @@ def shaking(cycle: CycleCurves, initial: CycleCurves | None = None) -> list[Char
         pivot = f"{cycle.pivot.lower()} {cycle.result.machine.mechanism.crank.start}"
         title = f"Shaking{' of the frame,' * forced} moment about the {pivot}"
     remark = "" if forced else "force-balanced: no shaking force"
-    charts.append(chart(cycle, "shaking", title, panels, heading=heading, remark=remark, width=5.8 if forced else 7.6))
+    if panels:  # a moment that is rounding alone has none
+        charts.append(chart(cycle, "shaking", title, panels, heading=heading, remark=remark, width=5.8 if forced else 7.6))
     return charts
 
 
