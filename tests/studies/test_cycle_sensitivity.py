@@ -74,12 +74,12 @@ PUMP = {
 
 @pytest.fixture(scope="module")
 def pump():
-    return once("sensitivities of the pump", lambda: sensitivities(optlink.read(PUMP), starts=2))
+    return Displayed(once("sensitivities of the pump", lambda: sensitivities_in_si(optlink.read(PUMP), starts=2)))
 
 
 @pytest.fixture(scope="module")
 def shaper():
-    return once("sensitivities of the shaper", lambda: sensitivities(optlink.load("shaper-design"), starts=2))
+    return Displayed(once("sensitivities of the shaper", lambda: sensitivities_in_si(optlink.load("shaper-design"), starts=2)))
 
 
 @pytest.mark.slow
