@@ -184,12 +184,12 @@ def _cams(outcome: Analysis) -> Iterator[TableSpec]:
         slides = cam.follower in (guide.slider for guide in outcome.machine.mechanism.guides)
 
         def at(angle: float, phase: float = phase) -> Span:
-            return quiet(f"at cam angle {math.degrees(within_cycle(angle - phase)):.2f} deg")
+            return quiet(f"at cam angle {math.degrees(within_cycle(angle - phase)):z.2f} deg")
 
         rows = [
             ("base radius", f"{dimension(1e3 * disc.base_radius)} mm", ""),
             ("lift", f"{dimension(1e3 * lift)} mm" if slides else f"{dimension(math.degrees(lift))} deg", ""),
-            ("largest pressure angle", f"{math.degrees(pressure[0]):.2f} deg", at(pressure[1])),
+            ("largest pressure angle", f"{math.degrees(pressure[0]):z.2f} deg", at(pressure[1])),
             ("least radius of curvature", f"{dimension(1e3 * radius)} mm", at(sharp)),
             ("undercut", bad("yes"), at(undercut)) if math.isfinite(undercut) else ("undercut", good("no"), ""),
         ]
