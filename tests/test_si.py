@@ -42,6 +42,7 @@ DISPLAYED = {"displayed", "displayed_limits", "shown"}
 """Attributes that are documents in display units, by name."""
 NO_RESULTS = {
     "nlp",
+    "source",  # the same
     "whole",
     "part",
     "section",
