@@ -247,7 +247,7 @@ def _shares(result: Tolerance) -> TableSpec:
         cells = quiet(made), per, strong(f"{shares[at]:z.1f} %"), f"{np.mean(shares):z.1f} %"
         rows.append((deviation.name, _symmetric(deviation.tolerance, unit), *cells))
     change = f">change [{result.display_unit or '-'}\nper {' or '.join(sorted(units, reverse=True))}]"
-    columns = ["", ">tolerance", "distribution", change, ">share of the\nvariance", ">over all"]
+    columns = ["", ">tolerance", "distribution", change, ">share of the\nvariance", ">over all\npositions"]
     return table(f"Variance contributions at the worst {result.problem.model.driving.noun}: {_place(result, at)}", columns, rows)
 
 
