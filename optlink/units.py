@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import datetime
+import decimal
 import functools
 import math
 import re
@@ -96,6 +97,7 @@ _SIMPLE = r"[-+]?(?:\d+(?:[.,]\d+)?|\.\d+)(?:[eE][-+]?\d{1,4})?"  # in a range, 
 _AFTER = r"(1\s*/.*?|[^\s\d.<=>].*?)"  # a unit, beside a number
 # texts, compiled at their first use: most files need none of them
 _RANGE = rf"(?as)\s*({_SIMPLE})\s*{_AFTER}?\s*(?:\.\.\.(?=\s)|\.\.(?!\.))\s*({_SIMPLE})\s*{_AFTER}?\s*"
+_TOLERANCE = rf"(?as)\s*({_SIMPLE})\s*{_AFTER}?\s*\+(?:-|/-)\s*({_SIMPLE})\s*(%|[^\s\d.<=>].*?)?\s*"
 _ONE_SIDED = rf"(?as)\s*([<>])=?\s*({_SIMPLE})\s*{_AFTER}?\s*"
 _HYPHEN = r"(?s)(.*\d\s*[a-z]*)\s*(?:(?<!\d[eE])-|\bto\b)\s*(\d.*)"
 _COMMA = r"(?as)([-+]?)(\d+),(\d+)\s*([^\d.].*)?"
@@ -113,7 +115,7 @@ _PLAIN = str.maketrans(
     | dict.fromkeys("\u00b7\u22c5\u2219\u00d7", "*")
     | dict.fromkeys("\u00b5\u03bc", "u")
     | dict.fromkeys("\u00b0\u00ba", "deg")
-    | {"\u2026": " ... ", "\u2264": "<=", "\u2265": ">="}
+    | {"\u2026": " ... ", "\u2264": "<=", "\u2265": ">=", "\u00b1": "+-"}
 )
 _SUPERSCRIPTS = str.maketrans("\u207b\u00b9\u00b2\u00b3\u2074", "-1234")
 _PER_TIME = {"angular velocity": {"1/s": "rad/s", "1/min": "rpm"}, "frequency": {"1/s": "Hz", "1/min": "rpm"}}
@@ -341,13 +343,15 @@ def respelled(text: str) -> tuple[tuple[str, ...], str]:
 
 
 def split_range(text: str) -> dict[str, str | float] | None:
-    """Return the sides of a range such as "40..140 deg", "40 deg ... 140 deg" or ">= 40 deg"; None for any other text.
+    """Return the sides of a range such as "40..140 deg", "80 mm +- 0.2 mm" or ">= 40 deg"; None for any other text.
 
     The values by "min" and "max" have their units; they are numbers where none is written.
     """
-    if len(text) > 200 or not re.search(r"\.\.|\u2026|[<>\u2264\u2265]", text):
+    if len(text) > 200 or not re.search(r"\.\.|\u2026|[<>\u2264\u2265\u00b1]|\+/?[-\u2010\u2011\u2013\u2212]", text):
         return None
     text = plain(text)
+    if (toleranced := re.fullmatch(_TOLERANCE, text)) is not None:
+        return _toleranced(*toleranced.groups())
     one_sided = re.fullmatch(_ONE_SIDED, text)
     if one_sided is not None:
         side, number, unit = one_sided.groups()
@@ -357,6 +361,27 @@ def split_range(text: str) -> dict[str, str | float] | None:
         return None
     low, low_unit, high, high_unit = match.groups()
     return {"min": _side(low, low_unit or high_unit), "max": _side(high, high_unit or low_unit)}
+
+
+def _toleranced(number: str, unit: str | None, tolerance: str, of_tolerance: str | None) -> dict[str, str | float] | None:
+    """Return the sides of a value with a tolerance in its unit, in another unit of its kind, or in percent; None if unlike."""
+    if "," in number + tolerance or tolerance.startswith("-"):
+        return None
+    value, width = decimal.Decimal(number), decimal.Decimal(tolerance)
+    if of_tolerance == "%":
+        width *= abs(value) / 100
+    elif of_tolerance and of_tolerance != (unit or of_tolerance):
+        (size, si), (own, own_si) = in_si(of_tolerance), in_si(unit or "")
+        if si != own_si:
+            return None
+        width = decimal.Decimal(f"{float(width) * (size / own):.12g}")
+    unit = unit or (of_tolerance if of_tolerance != "%" else None)
+    return {side: _side(f"{end:f}", unit) for side, end in (("min", value - width), ("max", value + width))}
+
+
+def is_toleranced(text: str) -> bool:
+    """Return whether a text is a value with a tolerance."""
+    return len(text) <= 200 and re.fullmatch(_TOLERANCE, plain(text)) is not None
 
 
 def is_sweep(text: str) -> bool:

@@ -16,7 +16,7 @@ from pydantic_core import CoreSchema
 
 from optlink.linkage.mechanism import FRAME
 from optlink.problem.quantity import Unusable
-from optlink.units import is_sweep, split_range
+from optlink.units import is_sweep, is_toleranced, split_range
 
 NAME = "[A-Za-z][A-Za-z0-9_]{0,39}"
 DEEPEST = 10
@@ -130,7 +130,7 @@ def with_spellings(raw: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def with_ranges(raw: Any, path: tuple[str, ...] = (), skip: Collection[str] = ()) -> Any:
-    """Write out ranges such as "40..140 deg" in nested tables.
+    """Write out ranges such as "40..140 deg" and values with a tolerance such as "100 deg +- 0.5 deg" in nested tables.
 
     Those of limits and bounds become lists of their two ends, those of other quantities of the mechanism and of the
     requirement bounds, all others (`LIMITED` too) and ranges with one side tables of min and max.
@@ -152,7 +152,12 @@ def with_ranges(raw: Any, path: tuple[str, ...] = (), skip: Collection[str] = ()
     if len(path) > DEEPEST or (path and path[0] in skip):
         return raw
     if isinstance(raw, Mapping):
-        return {key: with_ranges(item, (*path, str(key)), skip) for key, item in raw.items()}
+        table = {key: with_ranges(item, (*path, str(key)), skip) for key, item in raw.items()}
+        exactly = raw.get("exactly")
+        if isinstance(exactly, str) and is_toleranced(exactly) and raw.keys().isdisjoint(("min", "max")):
+            table |= split_range(exactly) or {}
+            del table["exactly"]
+        return table
     if isinstance(raw, list):
         return raw if isinstance(raw, Ends) else [with_ranges(item, (*path, ""), skip) for item in raw]
     if isinstance(raw, str) and is_sweep(raw):
@@ -161,7 +166,7 @@ def with_ranges(raw: Any, path: tuple[str, ...] = (), skip: Collection[str] = ()
             "one value or a range is needed here", f"To try several: optlink study sweep FILE --vary {vary}", ".".join(path), raw
         )
     sides = split_range(raw) if isinstance(raw, str) else None
-    if sides is None:
+    if sides is None or path[-1] == "exactly":  # a tolerance there belongs to its table
         return raw
     ends = Ends(sides.values()) if len(sides) == 2 else None
     if ends is not None:
@@ -170,6 +175,12 @@ def with_ranges(raw: Any, path: tuple[str, ...] = (), skip: Collection[str] = ()
     if path[-1] == "bounds" or (required and path[-1] == "x"):
         return ends or raw
     if path[0] == "mechanism" or (required and LIMITED.isdisjoint(path)):
+        if ends and is_toleranced(raw):
+            message, remedy = (
+                "a tolerance is no range of a design variable",
+                f'Write bounds = ["{ends[0]}", "{ends[1]}"], or the value alone',
+            )
+            raise Unusable(message, f"{remedy}: optlink study tolerance takes the tolerances of parts", ".".join(path), raw)
         return {"bounds": ends} if ends else raw
     return ends if ends and path[0] == "limits" else sides
 

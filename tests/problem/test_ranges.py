@@ -47,6 +47,42 @@ def test_both_spellings_are_the_same_problem(problem):
     ]
 
 
+TOLERANCES = [
+    (LIMIT, "90 deg +- 5 deg", (math.radians(85.0), math.radians(95.0))),
+    (LIMIT, "90\u00b0 \u00b1 5\u00b0", (math.radians(85.0), math.radians(95.0))),
+    (LIMIT, "5400 +/- 300 arcmin", (math.radians(85.0), math.radians(95.0))),
+    (LIMIT, "90 deg +- 30 arcmin", (math.radians(89.5), math.radians(90.5))),
+    (LIMIT, "90 +- 5 deg", (math.radians(85.0), math.radians(95.0))),
+    (LIMIT, "90 deg +- 10 %", (math.radians(81.0), math.radians(99.0))),
+    (RATIO, "1.25 +- 0.05", (1.2, 1.3)),
+    (RATIO, "1.25 +- 4 %", (1.2, 1.3)),
+    (LIMIT, "90 deg +- 5 mm", None),
+    (LIMIT, "90 deg +- -5 deg", None),
+]
+
+
+@pytest.mark.parametrize(("key", "text", "bounds"), TOLERANCES)
+def test_a_value_with_a_tolerance_limits_both_sides(problem, key, text, bounds):
+    if bounds is None:
+        with pytest.raises(InputError, match="transmission_angle"):
+            problem.override({key: text})
+    else:
+        limit = getattr(problem.override({key: text}).model.limits, key.partition(".")[2])
+        assert limit.bounds == pytest.approx(bounds, rel=1e-14)
+
+
+def test_exactly_with_a_tolerance(problem):
+    stroke = load("press-toggle").override({"limits.stroke.exactly": "65 mm +- 0.1 mm"}).spec.bounds[0].interval
+    assert stroke.bounds == pytest.approx((0.0649, 0.0651), rel=1e-14)
+
+
+@pytest.mark.parametrize("key", ["mechanism.coupler", "requirement.from"])
+def test_a_tolerance_is_no_design_variable(problem, key):
+    unit = "mm" if key.startswith("mech") else "deg"
+    with pytest.raises(InputError, match=rf'{key} = "300 {unit} \+- 5 {unit}".*Write bounds = \["295 {unit}", "305 {unit}"\]'):
+        problem.override({key: f"300 {unit} +- 5 {unit}"})
+
+
 ONE_SIDED = [
     (LIMIT, ">= 40 deg", (math.radians(40.0), math.inf)),
     (LIMIT, ">=40deg", (math.radians(40.0), math.inf)),
