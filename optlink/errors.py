@@ -199,6 +199,7 @@ class Status(enum.StrEnum):
     INFEASIBLE = "infeasible"
     NON_FINITE = "non-finite"
     FEASIBLE = "feasible"
+    ROUNDED = "rounded"
     NOT_SEARCHED = "not searched"
 
     @property
@@ -214,6 +215,7 @@ _STATUS_TEXT = {
     Status.INFEASIBLE: "no design was found that meets all limits",
     Status.NON_FINITE: "the objective or a limit has no finite value or derivative at the design found; "
     "try another start or tighter bounds",
+    Status.ROUNDED: "a design with sizes on a grid, near an optimum without rounding",
     Status.FEASIBLE: "a design that meets all limits but is not a local optimum: no local search from it ended at a better one; "
     "try more starts",
     Status.NOT_SEARCHED: "the given design was checked, not optimised",

@@ -30,6 +30,7 @@ from optlink.cli.options import (
     option,
     share_number,
 )
+from optlink.errors import InputError
 
 if TYPE_CHECKING:
     from optlink.problem.file import ProblemFile
@@ -44,6 +45,10 @@ WORKERS = (
     "search. Default: all cores."
 )
 GAP = "--certify: largest gap between design and lower bound, as a share of the objective. Default: 1e-6."
+ROUND = (
+    'Step of all free lengths, such as "0.1 mm", or NAME=STEP, or a stock of sizes, NAME=["50 mm", "60 mm"]; repeatable. '
+    "The design has such sizes, and is validated with them."
+)
 DETAILS = "Print all checks, tables and times too; JSON and page always have them. A failed check is always printed."
 
 
@@ -61,6 +66,7 @@ def solve(
     engine: Engine = None,
     workers: Annotated[int | None, number(WORKERS, "--workers")] = None,
     scheduler: Scheduler = None,
+    rounding: Annotated[list[str] | None, option("STEP", ROUND, "--round")] = None,
     changes: Set = None,
     design: Design = None,
     details: Annotated[bool, flag(DETAILS, "--details")] = False,
@@ -75,7 +81,11 @@ def solve(
     limits: dict[str, object] = {"--gap": gap, "--time-limit": time_limit}
     where: dict[str, object] = {"--engine": engine, "--workers": workers, "--scheduler": scheduler}
     if design:
-        console.refuse({"--certify": certify} | limits | where, "a given design is validated, not optimised", "Leave it out")
+        console.refuse(
+            {"--certify": certify, "--round": rounding} | limits | where,
+            "a given design is validated, not optimised",
+            "Leave it out",
+        )
         _validate(problem, design, changes, as_json, out, details=details)
         return
     from optlink.tasks.results.certificate import GLOBAL_GAP, share_text
@@ -93,11 +103,26 @@ def solve(
         certificate_options: dict[str, Any] = {"certify": certify, "gap": GLOBAL_GAP if gap is None else gap}
         certificate_options |= {"time_limit": math.inf if seconds is None else seconds}
         certificate_options |= console.given(engine=engine, workers=workers, scheduler=scheduler)
+        certificate_options |= console.given(rounding=_steps(rounding))
         certificate_options["proving"] = proving and (lambda share, gap: proving(share, f", gap {share_text(gap)}"))
         result = search(file, backend, starts, seed, progress, designs=designs, track=out is not None, **certificate_options)
     if result.interrupted:
         print(f"Interrupted: {_interrupted(result)}.", file=sys.stderr)
     console.deliver(result, as_json, out, details=details)
+
+
+def _steps(rounding: list[str] | None) -> dict[str, object] | None:
+    """Return what --round states by the name of the size, with "" for all others."""
+    from optlink.problem.assignment import parse_assignments
+
+    if not rounding:
+        return None
+    steps = [text for text in rounding if "=" not in text]
+    if len(steps) > 1:
+        remedy = "Give one, and those of single sizes as NAME=STEP"
+        raise InputError("there are two steps for all sizes", remedy, key="--round", value=steps[1])
+    named = parse_assignments([text for text in rounding if "=" in text], "--round")
+    return {"": steps[0]} | named if steps else named
 
 
 def _automatic(file: ProblemFile) -> bool:

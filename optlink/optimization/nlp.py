@@ -142,6 +142,14 @@ class NLP:
         vars(other).update(vars(self) | {"p": self.p.copy()})
         return other
 
+    def bounded(self, x_low: Array, x_high: Array) -> Self:
+        """Return a `copy` with other bounds of x."""
+        other = self.copy()
+        vars(other).update({"x_low": x_low, "x_high": x_high})
+        for name in ("lower", "upper", "around"):
+            vars(other).pop(name, None)
+        return other
+
     @cached_property
     def low(self) -> Array:
         """Lower bounds of the rows."""

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import cached_property, partial
 from itertools import islice, repeat, zip_longest
+from typing import Any
 
 import numpy as np
 
@@ -29,7 +30,7 @@ from optlink.solvers.infeasibility import Explanation, Follow, explain, feasible
 from optlink.solvers.solution import Solution
 from optlink.synthesis.batch_search import PER_ROUND, PERFECT, Exploration, Searcher
 from optlink.synthesis.freudenstein import FirstStep
-from optlink.tasks.protocol import DesignTask, Search, Timer, agreement, completed, part
+from optlink.tasks.protocol import DesignTask, Progress, Search, Timer, agreement, completed, part
 from optlink.tasks.results.common import INCOMPLETE
 from optlink.tasks.results.conflict import cannot_turn, margin_notes
 from optlink.tasks.results.design import LinkageDesign, SynthesisResult, of_designs
@@ -130,6 +131,18 @@ class SynthesisTask(DesignTask[SynthesisResult]):
             optima=collection.optima() if search.begin is None else (),
             first_step=rounds.first_step,
         )
+
+    def grids(self, problem: ProblemFile, rounding: object) -> dict[str, Any]:
+        """Return the grid of every rounded size; see `DesignTask.grids`."""
+        from optlink.tasks.rounding import read_steps
+
+        return read_steps(problem, rounding)
+
+    def rounded(self, result: SynthesisResult, grids: Mapping[str, Any], backend: str, progress: Progress) -> SynthesisResult:
+        """Return the best designs on the grids; see `DesignTask.rounded`."""
+        from optlink.tasks.rounding import rounded
+
+        return rounded(result, grids, backend, progress)
 
     def programme(self, problem: ProblemFile) -> NLP:
         """Return the programme of one sense of crank rotation, and of the first order of events; see `DesignTask.programme`.

@@ -6,7 +6,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, ClassVar, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 
 from optlink.errors import InputError
 from optlink.execution import interrupts
@@ -177,6 +177,36 @@ class DesignTask(ABC, Generic[R]):
         x : array (n,)
             Scaled point.
         """
+
+    def grids(self, problem: ProblemFile, rounding: object) -> dict[str, Any]:
+        """Return the grids of sizes to which `rounded` rounds a result; see `optlink.tasks.rounding.read_steps`.
+
+        Parameters
+        ----------
+        problem : ProblemFile
+        rounding : object
+            As given to `optlink.solve`.
+
+        Raises
+        ------
+        InputError
+            If it cannot be read, or this kind of problem cannot be rounded.
+        """
+        raise InputError(
+            "the sizes of this kind of problem are not rounded", "Leave it out", problem.file, "--round", str(rounding)
+        )
+
+    def rounded(self, result: R, grids: Mapping[str, Any], backend: str, progress: Progress) -> R:
+        """Return a result whose sizes lie on the `grids`, validated as built.
+
+        Parameters
+        ----------
+        result : DesignResult
+        grids : mapping
+        backend : str
+        progress : function of the completed fraction, optional
+        """
+        raise NotImplementedError
 
     def certifies(self, problem: ProblemFile) -> bool:
         """Return whether the global optimum of such a problem can be certified; not by default.

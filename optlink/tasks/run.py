@@ -54,6 +54,7 @@ def solve(
     gap: float = 1e-6,
     time_limit: float = math.inf,
     proving: Proving = None,
+    rounding: str | Mapping[str, object] | None = None,
     **execution: Unpack[Execution],
 ) -> DesignResult:
     """Find the best design for a problem and validate it.
@@ -84,6 +85,9 @@ def solve(
         Time limit of the proof. The lower bound reached by then is valid.
     proving : function of (completed fraction of the proof, current gap), optional
         Called with the progress of the proof.
+    rounding : str or mapping of str to object, optional
+        Sizes that can be made: the step of all free lengths, such as `"0.1 mm"`, or by the name of a size its step or a list of
+        stock sizes, `""` for the step of all others. The designs have such sizes and are validated with them.
     **execution : Execution
         Where long searches and proofs run; if an option is set, short searches too.
 
@@ -123,16 +127,16 @@ def solve(
     result: DesignResult
     shared = any(value not in (None, "local") for value in execution.values())
     check(**execution)
+    grids = None if rounding is None else task.grids(problem, rounding)
     with contextlib.ExitStack() as ends:
         runs = ends.enter_context(pool(**execution)) if task.divisible and not alone(**execution) else None
         kept: dict[str, Any] = {"designs": designs, "track": track, "runs": runs, "shared": shared}
         result = task.solve(problem, backend, starts, seed, progress, **kept)
-        if not certified or certify is False or result.interrupted:
-            return result
-        boxes = math.inf if certify else _default_boxes(problem, result)
-        if not boxes:
-            return result
-        return proof.certify(cast("SynthesisResult", result), gap, time_limit, proving, seed, boxes, problem, runs=runs)
+        proven = certified and certify is not False and not result.interrupted and (certify or grids is None)
+        boxes = 0.0 if not proven else math.inf if certify else _default_boxes(problem, result)
+        if boxes:
+            result = proof.certify(cast("SynthesisResult", result), gap, time_limit, proving, seed, boxes, problem, runs=runs)
+    return result if grids is None else task.rounded(result, grids, backend, progress)
 
 
 def _default_boxes(problem: ProblemFile, result: Any) -> int:

@@ -292,15 +292,17 @@ class Polisher:
             begun = multistart.solution_at(start.nlp, start.x, start.message)  # with the exchange points of the solution
             if solution.objective > begun.objective * (1.0 + 1e-9):
                 solution = replace(solution, status=Status.STALLED)  # an optimum, but not that near the start
-        first = start.nlp.terms
-        if first is not None and first.events:
-            ends = [solution]
-            for slow in itertools.product((True, False), repeat=len(first.trace.paced)):
-                order = replace(first.structure, slow=slow)
-                if order.key != first.structure.key:
-                    ends.append(self._searched(variant, start, first.trace, order, start.design))
-            solution = min(self.over_orders(variant, ends), key=rank)
+        if start.nlp.terms is not None and start.nlp.terms.events:
+            solution = min(self.over_orders(variant, [solution, *self.other_paces(variant, start)]), key=rank)
         return self.finished(variant, solution)
+
+    def other_paces(self, variant: int, start: Solution) -> Iterator[Solution]:
+        """Yield the optima near a point in which other strokes are the slow ones."""
+        first = start.nlp.terms
+        for slow in itertools.product((True, False), repeat=len(first.trace.paced)) if first is not None else ():
+            order = replace(first.structure, slow=slow)
+            if order.key != first.structure.key:
+                yield self._searched(variant, start, first.trace, order, start.design)
 
     def finished(self, variant: int, solution: Solution) -> LinkageDesign:
         """Return the end of a search with accurate integrals and the better slow stroke, validated."""

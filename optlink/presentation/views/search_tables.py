@@ -38,6 +38,7 @@ from optlink.tasks.results.certificate import MOST_DRAWN, Certificate, Cover, sh
 from optlink.tasks.results.common import Evidence
 from optlink.tasks.results.conflict import OpposedLimit, opposed_limits, outward
 from optlink.tasks.results.fit import Fit
+from optlink.tasks.results.rounding import Rounding
 from optlink.units import percent
 from optlink.validation import Check
 
@@ -302,6 +303,7 @@ def search_summary(
         *tables,
         opposed or priced,
         None if proof is None else certificate_table(proof, model.shown_objective, outcome.seconds),
+        None if outcome.rounding is None else _rounded_sizes(outcome, outcome.rounding, best.values),
         checked,
         *others,
         backends(outcome) if len(outcome.backends) > 1 else None,
@@ -311,6 +313,24 @@ def search_summary(
     headline = [] if figures is None or outcome.conflict else [objective_line(figures)]
     status = [*verdict_lines(verdict), *notes, *headline, *shown, *([] if certified(proof) else proven)]
     return replace(full, short=short_text(model.title, status, dimensions(design), priced, checked, opposed))
+
+
+def _rounded_sizes(outcome: SynthesisResult, rounding: Rounding, values: Mapping[str, float]) -> TableSpec:
+    """Tabulate the rounded sizes beside those of the optimum, with the limit that half a step of each changes most."""
+    rows: list[Row] = []
+    for name, step in rounding.steps.items():
+        factor, unit = outcome.problem.model.display(name)
+        most = next((one for one in rounding.influences if one.size == name), None)
+        change = "" if most is None else f"{number(most.change, 3)} {most.unit} of {number(most.room, 3)}"
+        sizes = dimension(rounding.optimum[name] * factor), strong(dimension(values[name] * factor)), unit
+        rows.append((name, *sizes, step, "" if most is None else most.limit, change))
+    model = outcome.problem.model
+    naive = "" if rounding.naive is None else f"{number(model.shown_objective(rounding.naive).value, 6)}, "
+    nearest = f"nearest sizes: {naive}{'valid' if rounding.naive_valid else 'not valid'}"
+    before = model.shown_objective(rounding.objective)
+    notes = (quiet(f"optimum without rounding: {number(before.value, 6)} {before.unit}".rstrip()), quiet(nearest))
+    heads = ["", ">optimum", ">rounded", "", "step", "changes most", "by half a step, tolerance"]
+    return replace(table("Rounding", heads, rows), notes=notes)
 
 
 def reached(outcome: SynthesisResult, evidence: Evidence) -> str:

@@ -74,7 +74,7 @@ def best_rejected(designs: Iterable[RejectedDesign | None], objective: float) ->
 
 def verified(status: Status, validation: Validation) -> bool:
     """Return whether a design passes its validation, and is optimal unless its status excludes that."""
-    return status in (Status.OPTIMAL, Status.FEASIBLE, Status.NOT_SEARCHED) and validation.valid
+    return status in (Status.OPTIMAL, Status.FEASIBLE, Status.ROUNDED, Status.NOT_SEARCHED) and validation.valid
 
 
 def inexact(status: Status, validation: Validation) -> bool:

@@ -44,6 +44,7 @@ from optlink.tasks.results.common import (
 )
 from optlink.tasks.results.conflict import refutation
 from optlink.tasks.results.fit import FINE, Fit, fit, transmission_fit
+from optlink.tasks.results.rounding import Rounding
 from optlink.tasks.results.strokes import stroke_document
 from optlink.units import DISPLAYED, KINDS, factor, percent
 from optlink.validation import validate
@@ -584,6 +585,7 @@ class SynthesisResult(Document):
     rejected: RejectedDesign | None = None
     optima: tuple[Optimum, ...] = ()
     first_step: FirstStep | None = None
+    rounding: Rounding | None = None
 
     @classmethod
     def _restored(cls, problem: ProblemFile, values: Mapping[str, Any]) -> Self:
@@ -610,6 +612,8 @@ class SynthesisResult(Document):
     @property
     def message(self) -> str:
         """Description of how the search ended."""
+        if self.rounding is not None:
+            return self.rounding.ended(self.objective if self.designs else math.nan)
         return message(self.status, self.certificate, self.refuted)
 
     @property

@@ -1,0 +1,72 @@
+"""What a design with sizes on a grid has lost, and which size matters: a part of the result of a search."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from optlink.problem.document import Number
+from optlink.units import percent
+
+
+@dataclass(frozen=True)
+class Influence:
+    """What half a step of a size changes a limit by, and half the width of that limit, both in `unit`."""
+
+    size: str
+    limit: str
+    change: Number
+    room: Number
+    unit: str
+
+    @property
+    def share(self) -> float:
+        """The change as a share of the tolerance; infinite where there is none."""
+        return self.change / self.room if self.room > 0.0 else math.inf if self.change > 0.0 else 0.0
+
+
+@dataclass(frozen=True)
+class Rounding:
+    """How the sizes of a design came to lie on a grid.
+
+    `steps`: step or stock of every rounded size, in words; `optimum` [SI] and `objective` without rounding; `naive`: the
+    objective with the nearest values of the grid, `naive_valid`: whether that design is valid. `solved`: programmes solved;
+    `whole`: whether the whole grid was searched, so that a better design on it needs another local optimum. `finer`: the number
+    by which the steps must be divided, of those tried, where no design is valid; `needed`: the tolerances with which the nearest
+    design would meet its limits.
+    """
+
+    steps: Mapping[str, str]
+    optimum: Mapping[str, Number]
+    objective: Number
+    naive: Number | None
+    naive_valid: bool
+    solved: int
+    whole: bool
+    influences: tuple[Influence, ...] = ()
+    finer: Number | None = None
+    needed: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def text(self) -> str:
+        """The grid in words: the step of all sizes, or that of each."""
+        same = set(self.steps.values())
+        return same.pop() if len(same) == 1 else "; ".join(f"{name} {step}" for name, step in self.steps.items())
+
+    def loss(self, objective: float) -> float:
+        """Return the increase of the objective [SI] by rounding as a share of the optimum; infinite for an exact one."""
+        more = objective - self.objective
+        return more / abs(self.objective) if self.objective else math.inf if more > 0.0 else 0.0
+
+    def ended(self, objective: float) -> str:
+        """Return how the search of the grid ended, with the objective [SI] of its best design; NaN without one."""
+        if math.isnan(objective):
+            ways = [f"divide the steps by {self.finer:g}"] if self.finer else []
+            if self.needed:
+                ways.append("allow " + ", ".join(f"{name} +- {value}" for name, value in self.needed.items()))
+            return f"no design with sizes on the grid ({self.text}) is valid" + (f"; {', or '.join(ways)}" if ways else "")
+        found = "the whole grid was searched" if self.whole else f"a part of the grid was searched ({self.solved} programmes)"
+        share = self.loss(objective)
+        lost = f"{percent(share, signed=True)} by rounding" if math.isfinite(share) else "exact without rounding"
+        return f"sizes on a grid ({self.text}), valid as built: {found}; {lost}"

@@ -1,0 +1,399 @@
+"""Round an optimum to sizes that can be made: a search on the grid of steps or stock sizes, each design validated as built.
+
+Every node of the search is the programme of the optimum within a box of the grid, solved from the optimum of the node above it,
+which it divides at the size that lies farthest from the grid. The end of a node is a lower bound for the nodes below it as far as
+its local optimum is the best in its box.
+"""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+import math
+from bisect import bisect_left, bisect_right
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from optlink.errors import InputError, Status
+from optlink.execution import interrupts
+from optlink.linkage.vector2d import Array
+from optlink.optimization.nlp import NLP
+from optlink.optimization.programme import solved_values
+from optlink.problem.file import ProblemFile
+from optlink.problem.quantity import Unusable, input_of, read_scalar
+from optlink.solvers import multistart
+from optlink.solvers.contract import BACKENDS
+from optlink.solvers.exchange import solve_semi_infinite
+from optlink.solvers.solution import SAME_OBJECTIVE, Solution, violation
+from optlink.tasks.protocol import Progress, Timer, part
+from optlink.tasks.results.design import LinkageDesign, SynthesisResult
+from optlink.tasks.results.rounding import Influence, Rounding
+from optlink.tasks.search import Polisher
+from optlink.units import factor, show
+from optlink.validation import validate
+
+ON_GRID = 1e-7  # share of a step: a size this close to a grid value has it
+FEW = 4  # sizes up to which the whole grid is searched
+WHOLE, PER_SIZE = 1000, 30  # programmes solved at most on the whole grid; per size where it is too large for that
+FINER = 2.0, 5.0, 10.0, 20.0, 50.0, 100.0  # divisors of the steps with which a design is looked for where none has the steps
+DRAWN, AGAIN = 256, 3  # random designs of a box that seems empty; the best of them, from which it is searched again
+TRIED = 60  # programmes for each of them
+CORNERS = 6  # sizes up to which all designs beside the optimum are tried first
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Values of a size [SI]: the multiples of `step`, or the `stock` in ascending order."""
+
+    step: float = 0.0
+    stock: tuple[float, ...] = ()
+
+    def below(self, value: float) -> float:
+        """Return the largest value of the grid up to a value; -inf if there is none."""
+        if self.step:
+            return math.floor(value / self.step + ON_GRID) * self.step
+        k = bisect_right(self.stock, value * (1.0 + ON_GRID * math.copysign(1.0, value)))
+        return self.stock[k - 1] if k else -math.inf
+
+    def above(self, value: float) -> float:
+        """Return the least value of the grid from a value on; inf if there is none."""
+        if self.step:
+            return math.ceil(value / self.step - ON_GRID) * self.step
+        k = bisect_left(self.stock, value * (1.0 - ON_GRID * math.copysign(1.0, value)))
+        return self.stock[k] if k < len(self.stock) else math.inf
+
+    def nearest(self, value: float) -> float:
+        """Return the nearest value of the grid."""
+        return min(self.below(value), self.above(value), key=lambda one: abs(one - value))
+
+    def width(self, value: float) -> float:
+        """Return the distance of the two values of the grid about a value, that to the nearest one beyond the last."""
+        gap = self.above(value) - self.below(value)
+        return self.step or (gap if gap < math.inf else abs(self.nearest(value) - value))
+
+    def off(self, value: float) -> float:
+        """Return how far a value is from the grid, as a share of its width there; zero on the grid but for rounding."""
+        gap = abs(self.nearest(value) - value)
+        return gap / self.width(value) if gap > ON_GRID * max(self.step, ON_GRID * abs(value)) else 0.0
+
+    def finer(self, share: float) -> Grid:
+        """Return the grid of steps divided by a number; stock remains."""
+        return Grid(self.step / share, self.stock)
+
+
+def read_steps(problem: ProblemFile, rounding: object) -> dict[str, Grid]:
+    """Return the grid of each free size: of one step for all lengths, or by the name of a size (`""`: of all others).
+
+    A list of values is a stock.
+
+    Raises
+    ------
+    InputError
+        If a step is not positive, a size is unknown or not free, or nothing is rounded.
+    """
+    quantities, model = problem.model.quantities, problem.spec
+    stated = dict(rounding) if isinstance(rounding, Mapping) else {"": rounding}
+    free = [name for name in model.free if name in model.mechanism.quantities]
+    grids: dict[str, Grid] = {}
+    for name, raw in stated.items():
+        with input_of(problem.file, f"--round {name}".rstrip(), raw):
+            if name and name not in free:
+                what = "is no free size" if name in quantities else "is unknown"
+                raise Unusable(f"{name} {what}", f"Free sizes: {', '.join(free)}")
+            kind = quantities[name].kind if name else "length"
+            values = [read_scalar(one, "coordinate" if kind == "length" else kind)[0] for one in _listed(raw)]
+            if not values or min(values) <= 0.0 < len(values) == 1:
+                raise Unusable("a step must be positive", 'Give one above zero, for example "0.1 mm"')
+            grid = Grid(step=values[0]) if not isinstance(raw, list | tuple) else Grid(stock=tuple(sorted(set(values))))
+            others = [other for other in free if quantities[other].kind in ("length", "coordinate") and other not in stated]
+            grids |= dict.fromkeys([name] if name else others, grid)
+    if not grids:
+        raise InputError("no free size is a length", f"Name what to round: {', '.join(free)}", problem.file, "--round")
+    return {name: grids[name] for name in free if name in grids}
+
+
+def _listed(raw: object) -> Sequence[object]:
+    return raw if isinstance(raw, list | tuple) else [raw]
+
+
+@dataclass(order=True)
+class _Node:
+    """A box of the grid with its optimum; in the order in which nodes are divided."""
+
+    key: tuple[float, int]
+    low: Array = field(compare=False)
+    high: Array = field(compare=False)
+    solution: Solution = field(compare=False)
+
+
+class _Search:
+    """The search for the best design on the grid near a design with an optimum."""
+
+    def __init__(self, design: LinkageDesign, top: Solution, grids: Mapping[str, Grid], polisher: Polisher) -> None:
+        self.design, self.grids, self.task, self.top, self.polisher = design, dict(grids), design.whole, top, polisher
+        self.nlp: NLP = top.nlp
+        names = [v.name for v in self.nlp.variables]
+        self.at = np.array([names.index(name) for name in grids])
+        self.variables = [self.nlp.variables[k] for k in self.at]
+        self.solved = 0
+        self.best: LinkageDesign | None = None
+        self.tried: dict[tuple[float, ...], LinkageDesign] = {}
+        self.complete = True
+
+    def sizes(self, solution: Solution) -> list[float]:
+        """Return the rounded sizes [SI] of a solution."""
+        return [v.value(float(solution.x[k])) for v, k in zip(self.variables, self.at, strict=True)]
+
+    def within(self, low: Array, high: Array, start: Solution) -> Solution:
+        """Return the optimum with the sizes between two bounds [SI], near another one."""
+        x_low, x_high = self.nlp.x_low.copy(), self.nlp.x_high.copy()
+        for j, (k, v) in enumerate(zip(self.at, self.variables, strict=True)):
+            x_low[k], x_high[k] = max(x_low[k], v.scaled(low[j])), min(x_high[k], v.scaled(high[j]))
+        self.solved += 1
+        nlp = self.nlp.bounded(x_low, x_high)
+        nlp.p[1:] = start.p[1:]
+        end = self._ended(nlp, np.clip(start.x, x_low, x_high), start.message)
+        if end.usable or np.array_equal(low, high):
+            return end
+        others = (self._ended(nlp, x, start.message) for x in self._beside(nlp, end.x))
+        return next((other for other in others if other.usable), end)
+
+    def _ended(self, nlp: NLP, x: Array, message: str) -> Solution:
+        return solve_semi_infinite(self.task, multistart.solution_at(nlp, x, message), self.polisher.method, near=False)
+
+    def _beside(self, nlp: NLP, x: Array) -> list[Array]:
+        """Return random designs of a box in which nothing feasible was found, those that violate the limits least."""
+        drawn, random = np.tile(x, (DRAWN, 1)), np.random.default_rng(0)
+        drawn[:, self.at] = random.uniform(nlp.x_low[self.at], nlp.x_high[self.at], (DRAWN, len(self.at)))
+        misses = []
+        for each in drawn:
+            lifted = nlp.lifted(each)
+            misses.append(violation(nlp, lifted, nlp.values(lifted, nlp.p)[1]))
+        return [drawn[k] for k in np.argsort(np.nan_to_num(misses, nan=math.inf))[:AGAIN]]
+
+    def built(self, sizes: Sequence[float], start: Solution) -> LinkageDesign:
+        """Return the best design with these sizes [SI], validated as built, and keep it if no valid one is better."""
+        key = tuple(sizes)
+        if key not in self.tried:
+            fixed = np.asarray(sizes, dtype=float)
+            end = self.within(fixed, fixed, start)
+            values, angles = solved_values(self.task, end.design, end.x)
+            values = self.task.complete({**values, **dict(zip(self.grids, map(float, sizes), strict=True))})
+            checked = validate(self.task, values, angles)
+            made = LinkageDesign(self.design.problem, values, angles, checked.objective, Status.ROUNDED, checked)
+            self.tried[key] = made
+            better = self.best is None or made.objective < self.best.objective
+            if made.valid and better:
+                self.best = made
+        return self.tried[key]
+
+    def corners(self) -> Iterator[list[float]]:
+        """Yield the nearest values of the grid, and the other ones about the optimum if there are few."""
+        sizes = self.sizes(self.top)
+        yield [grid.nearest(value) for grid, value in zip(self.grids.values(), sizes, strict=True)]
+        if len(sizes) <= CORNERS:
+            sides = [{grid.below(value), grid.above(value)} for grid, value in zip(self.grids.values(), sizes, strict=True)]
+            yield from (list(corner) for corner in itertools.product(*sides))
+
+    def run(self, progress: Progress = None, tries: int = 0) -> None:
+        """Search the grid: best bound first on the whole of it, else depth first by the influence of the sizes.
+
+        `tries`: number of programmes after which a search for any valid design ends; else it looks for the best one. Where a
+        limit has no tolerance, and all free sizes are rounded, only the designs beside the optimum are tried.
+        """
+        whole, most = len(self.at) <= FEW, tries or (WHOLE if len(self.at) <= FEW else PER_SIZE * len(self.at))
+        for corner in self.corners():
+            if all(map(self._allowed, range(len(corner)), corner)):
+                self.built(corner, self.top)
+        if self.exact and self.best is None:
+            return
+        low = np.array([v.value(float(self.nlp.x_low[k])) for v, k in zip(self.variables, self.at, strict=True)])
+        high = np.array([v.value(float(self.nlp.x_high[k])) for v, k in zip(self.variables, self.at, strict=True)])
+        order, count = self.influences(), itertools.count()
+        open_nodes = [_Node((self.top.objective, 0), low, high, self.top)]
+        while open_nodes:
+            if self.solved >= most or (tries and self.best is not None):
+                self.complete = False
+                return
+            node = heapq.heappop(open_nodes) if whole else open_nodes.pop()
+            if self._worse(node.solution.objective):
+                continue
+            sizes = self.sizes(node.solution)
+            shares = [grid.off(value) for grid, value in zip(self.grids.values(), sizes, strict=True)]
+            off = [j for j, share in enumerate(shares) if share]
+            if not off:
+                self.built([grid.nearest(value) for grid, value in zip(self.grids.values(), sizes, strict=True)], node.solution)
+                continue
+            j = max(off, key=lambda j: shares[j]) if whole else max(off, key=lambda j: order[j])
+            grid = list(self.grids.values())[j]
+            sides = []
+            for side, end in ((0, grid.below(sizes[j])), (1, grid.above(sizes[j]))):
+                box = [node.low.copy(), node.high.copy()]
+                box[1 - side][j] = end
+                if not math.isfinite(end) or box[0][j] > box[1][j] * (1.0 + ON_GRID):
+                    continue
+                solution = self.within(box[0], box[1], node.solution)
+                if solution.usable and not self._worse(solution.objective):
+                    sides.append(_Node((solution.objective, next(count)), box[0], box[1], solution))
+            for one in sorted(sides, reverse=True):
+                heapq.heappush(open_nodes, one) if whole else open_nodes.append(one)
+            if progress:
+                progress(min(1.0, self.solved / most))
+
+    @cached_property
+    def exact(self) -> bool:
+        """Whether no size is left that could restore a limit without tolerance which the rounded ones change."""
+        free = {name for name in self.task.free if name in self.task.mechanism.quantities}
+        return free <= self.grids.keys() and any(not one.room and one.change for one in self.table())
+
+    def closest(self) -> tuple[LinkageDesign | None, dict[str, str]]:
+        """Return the design tried that misses the limits least, and the tolerances, by limit, with which it would meet them."""
+        moved: dict[str, float] = {}
+        for one in self.table():
+            moved[one.limit] = max(moved.get(one.limit, 0.0), one.change)
+
+        def missed(design: LinkageDesign) -> dict[str, tuple[float, str]]:
+            excess = {}
+            for bound in self.task.bounds if design.cycle is not None else ():
+                shown = next(one for one in design.figures if one.name == bound.name)
+                (low, high), size = bound.interval.bounds, factor(shown.unit, bound.interval.kind) if bound.interval.kind else 1.0
+                value, half = shown.result * size, 0.5 * (high - low)
+                if math.isfinite(half) and (gap := abs(value - 0.5 * (low + high))) > half:
+                    excess[shown.words] = gap / size, shown.unit
+            return excess
+
+        def worst(design: LinkageDesign) -> float:
+            shares = [gap / moved.get(name, gap) for name, (gap, _) in missed(design).items()]
+            return max(shares, default=math.inf)
+
+        near = min(self.tried.values(), key=worst, default=None)
+        needed = {} if near is None else missed(near)
+        return near, {name: f"{rounded_up(gap)} {unit}".strip() for name, (gap, unit) in needed.items()}
+
+    def _allowed(self, j: int, value: float) -> bool:
+        """Return whether a size is within its bounds."""
+        k, v = self.at[j], self.variables[j]
+        return bool(self.nlp.x_low[k] - 1e-12 <= v.scaled(value) <= self.nlp.x_high[k] + 1e-12)
+
+    def _worse(self, objective: float) -> bool:
+        """Return whether no design with such a bound is better than the best one."""
+        return self.best is not None and objective >= self.best.objective - SAME_OBJECTIVE * abs(self.best.objective)
+
+    def influences(self) -> list[float]:
+        """Return for each size the largest change of a limit by half a step, as a share of its tolerance."""
+        return [max((one.share for one in self.table() if one.size == name), default=0.0) for name in self.grids]
+
+    def table(self) -> list[Influence]:
+        """Return what half a step of each size changes at most, of the limits with two sides; ends of strokes follow it."""
+        nlp, sizes, found = self.nlp, self.sizes(self.top), dict[tuple[str, str], Influence]()
+        here, count = nlp.at(self.top.x, self.top.p), nlp.first_level - nlp.first_event
+        events = np.array([row.limit in nlp.states for row in nlp.rows], dtype=bool)
+        following = np.zeros((count, len(here.gradient)))
+        if count:
+            own = here.jacobian[events]
+            following = -np.linalg.lstsq(own[:, nlp.first_event : nlp.first_level], own, rcond=None)[0]
+        jacobian = here.jacobian + here.jacobian[:, nlp.first_event : nlp.first_level] @ following
+        for j, (name, grid) in enumerate(self.grids.items()):
+            half = 0.5 * grid.width(sizes[j]) / self.variables[j].size
+            for row, slope, value in zip(nlp.rows, jacobian[:, self.at[j]], here.g, strict=True):
+                if row.limit in nlp.helpers or not (math.isfinite(row.low) and math.isfinite(row.high)):
+                    continue
+                size = abs(row.scale.slope(float(value)))
+                change, room = float(abs(slope) * half * size), float(0.5 * (row.high - row.low) * size)
+                key = name, row.label or row.limit
+                if key not in found or change > found[key].change:
+                    found[key] = Influence(*key, change, room, row.scale.unit)
+        return list(found.values())
+
+
+def rounded(
+    result: SynthesisResult, grids: Mapping[str, Grid], backend: str = "ipopt", progress: Progress = None
+) -> SynthesisResult:
+    """Return a result whose designs have sizes on a grid, each one validated as built; unchanged without an optimum.
+
+    Parameters
+    ----------
+    result : SynthesisResult
+        Of a search; the search of the grid begins at each of its designs.
+    grids : mapping of str to Grid
+        From `read_steps`.
+    backend : str
+        Local solver.
+    progress : function of the completed fraction, optional
+    """
+    tops, interrupted = [design for design in result.designs if design.solution is not None], result.interrupted
+    if not tops:
+        return result
+    timer, name = Timer(), BACKENDS[1] if backend == "both" else backend
+    searches = [search for design in tops for search in _searches(design, grids, name)]
+    try:
+        for k, search in enumerate(searches):
+            search.run(part(progress, k, len(searches)))
+        built = sorted((search.best for search in searches if search.best is not None), key=lambda one: one.objective)
+        finer = (
+            None if built or searches[0].exact else next((share for share in FINER if _exists(tops[0], grids, share, name)), None)
+        )
+    except KeyboardInterrupt:
+        interrupts.handled()
+        built = sorted((search.best for search in searches if search.best is not None), key=lambda one: one.objective)
+        if not built:
+            raise
+        interrupted, finer = True, None
+    timer.lap("rounding")
+    first = searches[0]
+    naive = next(iter(first.tried.values()), None)
+    record = Rounding(
+        steps={one: _words(result.problem, one, grid) for one, grid in grids.items()},
+        optimum=tops[0].values,
+        objective=tops[0].objective,
+        naive=None if naive is None else naive.objective,
+        naive_valid=naive is not None and naive.valid,
+        solved=sum(search.solved for search in searches),
+        whole=len(grids) <= FEW and not interrupted and all(search.complete for search in searches),
+        influences=tuple(sorted(first.table(), key=lambda one: -one.share)),
+        finer=finer,
+    )
+    near, needed = (None, {}) if built else first.closest()
+    return replace(
+        result,
+        designs=tuple(built),
+        nearest=near,
+        seconds=result.seconds | timer.seconds,
+        certificate=None,
+        backends={},
+        interrupted=interrupted,
+        rounding=replace(record, needed=needed),
+    )
+
+
+def _exists(design: LinkageDesign, grids: Mapping[str, Grid], share: float, backend: str) -> bool:
+    """Return whether there is a valid design with the steps divided by a number."""
+    search = next(_searches(design, {name: grid.finer(share) for name, grid in grids.items()}, backend))
+    search.run(tries=TRIED)
+    return search.best is not None
+
+
+def _searches(design: LinkageDesign, grids: Mapping[str, Grid], backend: str) -> Iterator[_Search]:
+    """Yield the search about a design, and those about the optima near it in which other strokes are the slow ones."""
+    polisher, top = Polisher([design.problem], backend), design.solution
+    assert top is not None
+    yield _Search(design, top, grids, polisher)
+    for other in polisher.other_paces(0, top):
+        if other.usable:
+            yield _Search(design, other, grids, polisher)
+
+
+def rounded_up(value: float) -> str:
+    """Return a positive number with two digits, not below it."""
+    digits = math.floor(math.log10(value)) - 1
+    return f"{math.ceil(value / 10.0**digits) * 10.0**digits:.2g}"
+
+
+def _words(problem: ProblemFile, name: str, grid: Grid) -> str:
+    quantity = problem.model.quantities[name]
+    if grid.step:
+        return show(grid.step, quantity.kind, quantity.unit)
+    return ", ".join(show(value, quantity.kind, quantity.unit) for value in grid.stock)

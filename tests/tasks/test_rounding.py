@@ -1,0 +1,164 @@
+"""Sizes on a grid: the best design against enumeration by closed forms, and what is said where none is valid."""
+
+from __future__ import annotations
+
+import math
+import sys
+
+import numpy as np
+import pytest
+
+import optlink
+from optlink.errors import InputError, Status
+from optlink.tasks.rounding import Grid, read_steps
+from tests.solved import solution
+
+STEP = 2e-3  # m
+LENGTHS = {"crank": (10, 60), "coupler": (40, 140), "rocker": (40, 140)}  # mm, beside a frame of 100 mm
+
+
+def crank_rockers(crank, coupler, rocker, frame):
+    """Swing [rad], time ratio and largest pressure angle [rad] of crank-rockers, by the cosine rule; NaN for others."""
+
+    def angle(opposite, one, other):
+        cosine = (one**2 + other**2 - opposite**2) / (2.0 * one * other)
+        return np.arccos(np.where(np.abs(cosine) <= 1.0, cosine, np.nan))
+
+    swing = angle(coupler + crank, frame, rocker) - angle(coupler - crank, frame, rocker)
+    between = np.abs(angle(rocker, coupler + crank, frame) - angle(rocker, coupler - crank, frame))
+    pressure = np.maximum(*(np.abs(0.5 * np.pi - angle(frame + side * crank, coupler, rocker)) for side in (-1, 1)))
+    sizes = np.sort(np.stack(np.broadcast_arrays(crank, coupler, rocker, frame)), axis=0)
+    turns = (sizes[0] + sizes[3] < sizes[1] + sizes[2]) & (crank == sizes[0])
+    return tuple(np.where(turns, each, np.nan) for each in (swing, (np.pi + between) / (np.pi - between), pressure))
+
+
+def wanted(seed):
+    """A random problem of a swing and a time ratio with tolerances, made from a crank-rocker; and its text."""
+    random = np.random.default_rng(seed)
+    while True:
+        sizes = [1e-3 * random.uniform(*ends) for ends in LENGTHS.values()]
+        swing, ratio, pressure = (float(each) for each in crank_rockers(*sizes, 0.1))
+        if math.isfinite(swing) and pressure < math.radians(60.0) and 1.02 < ratio < 1.5:
+            break
+    text = f"""
+[mechanism]
+type = "four-bar"
+frame = "100 mm"
+{"".join(f'{name} = {{ bounds = ["{low} mm", "{high} mm"] }}{chr(10)}' for name, (low, high) in LENGTHS.items())}
+[requirement]
+kind = "stroke"
+stroke = "{math.degrees(swing):.2f} deg +- 1 deg"
+time_ratio = "{ratio:.3f} +- 0.02"
+"""
+    return text, (round(math.degrees(swing), 2), round(ratio, 3))
+
+
+def enumerated(swing, ratio):
+    """Least largest pressure angle [rad] on the grid, and its sizes [m]."""
+    ends = [(math.ceil(1e-3 * low / STEP - 1e-9), math.floor(1e-3 * high / STEP + 1e-9)) for low, high in LENGTHS.values()]
+    grids = [STEP * np.arange(low, high + 1) for low, high in ends]
+    sizes = np.meshgrid(*grids, indexing="ij")
+    made = crank_rockers(*sizes, 0.1)
+    meets = (np.abs(np.degrees(made[0]) - swing) <= 1.0 + 1e-9) & (np.abs(made[1] - ratio) <= 0.02 + 1e-9)
+    objective = np.where(meets, made[2], np.inf)
+    best = np.unravel_index(np.argmin(objective), objective.shape)
+    return float(objective[best]), [float(size[best]) for size in sizes]
+
+
+def compare(seed, folder):
+    """Solve a random problem with rounded sizes and enumerate its grid; return both results and programmes solved."""
+    text, (swing, ratio) = wanted(seed)
+    file = folder / f"random-{seed}.toml"
+    file.write_text(text)
+    result = optlink.solve(str(file), rounding="2 mm")
+    return result, enumerated(swing, ratio)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(4))
+def test_the_best_design_on_the_grid_is_that_of_an_enumeration(seed, tmp_path):
+    result, (objective, sizes) = compare(seed, tmp_path)
+    assert result.valid == math.isfinite(objective)
+    if result.valid:
+        assert result.objective == pytest.approx(objective, rel=1e-9)
+        assert [result.design[name] for name in LENGTHS] == pytest.approx(sizes, rel=1e-12)
+
+
+def test_rounded_sizes_of_a_law_are_valid_and_not_worse_than_the_nearest(tmp_path):
+    whole = solution("crank-rocker")
+    result = optlink.solve("crank-rocker", certify=False, rounding="0.1 mm")
+    rounding = result.rounding
+    assert result.valid
+    assert result.status is Status.ROUNDED
+    assert rounding.whole
+    for name in ("coupler", "rocker"):
+        assert result.design[name] * 1e4 == pytest.approx(round(result.design[name] * 1e4), abs=1e-9)
+    assert whole.objective < result.objective < whole.objective * 1.002
+    assert not rounding.naive_valid  # the transmission angle is at its limit
+    again = optlink.read_result(_written(result, tmp_path))
+    assert again.rounding == rounding
+    assert again.message == result.message
+    checked = optlink.validate("crank-rocker", {name: result.design[name] for name in ("coupler", "rocker")})
+    assert checked.valid
+    assert checked.objective == pytest.approx(result.objective, rel=1e-9)
+
+
+def _written(result, folder):
+    result.write(folder)
+    return folder
+
+
+def test_an_exact_requirement_asks_for_tolerances():
+    result = optlink.solve("stroke-crank-rocker", starts=1, rounding="0.1 mm")
+    assert not result.valid
+    assert set(result.rounding.needed) == {"stroke of rocker", "time ratio of rocker"}
+    swing, ratio, _ = crank_rockers(*(result.design[name] for name in LENGTHS), 0.1)
+    assert float(result.rounding.needed["stroke of rocker"].removesuffix(" deg")) >= abs(math.degrees(swing) - 50.0)
+    assert float(result.rounding.needed["time ratio of rocker"]) >= abs(ratio - 1.25)
+
+
+def test_stock_sizes():
+    stock = ["200 mm", "225 mm", "230 mm", "240 mm"]
+    result = optlink.solve("crank-rocker", certify=False, rounding={"": "1 mm", "rocker": stock})
+    assert result.valid
+    assert f"{1e3 * result.design['rocker']:.9g} mm" in stock
+    assert result.design["coupler"] * 1e3 == pytest.approx(round(result.design["coupler"] * 1e3), abs=1e-9)
+
+
+def test_grids():
+    step, stock = Grid(step=1e-3), Grid(stock=(0.1, 0.2))
+    assert (step.below(0.0123), step.above(0.0123)) == pytest.approx((0.012, 0.013))
+    assert (step.below(0.012), step.above(0.012)) == pytest.approx((0.012, 0.012))
+    assert (stock.below(0.15), stock.above(0.15), stock.nearest(0.16)) == (0.1, 0.2, 0.2)
+    assert (stock.below(0.05), stock.above(0.25)) == (-math.inf, math.inf)
+    assert (step.off(0.0125), step.off(0.013), stock.off(0.2)) == pytest.approx((0.5, 0.0, 0.0))
+
+
+REFUSED = [
+    ("0 mm", "a step must be positive"),
+    ("1 kg", "not a unit"),
+    ({"frame": "1 mm"}, "frame is no free size"),
+    ({"foo": "1 mm"}, "foo is unknown"),
+    ({"rocker": []}, "a step must be positive"),
+]
+
+
+@pytest.mark.parametrize(("rounding", "message"), REFUSED)
+def test_what_cannot_be_rounded(rounding, message):
+    with pytest.raises(InputError, match=message):
+        read_steps(optlink.load("crank-rocker"), rounding)
+
+
+def test_a_kind_without_sizes_is_refused():
+    with pytest.raises(InputError, match="the sizes of this kind of problem are not rounded"):
+        optlink.solve("balance-six-bar", rounding="1 mm")
+
+
+if __name__ == "__main__":
+    import pathlib
+    import tempfile
+
+    for number in range(int(sys.argv[1]), int(sys.argv[2])):
+        with tempfile.TemporaryDirectory() as name:
+            one, (least, at) = compare(number, pathlib.Path(name))
+        print(number, one.valid, one.objective, least, one.rounding.solved, one.objective / least - 1.0, flush=True)
