@@ -16,6 +16,7 @@ from optlink.dynamics.machine import Moving, slider_names
 from optlink.io import Entry, register
 from optlink.linkage.dyads import RPR, RRP, RRR, Transmitting, transmitting
 from optlink.linkage.elements import Drive
+from optlink.linkage.jet import as_jet
 from optlink.linkage.mechanism import FRAME, Mechanism
 from optlink.linkage.vector2d import TURN, Array, Value, Vector, cross, dot, magnitude, minus
 from optlink.problem.base_model import SPELLINGS, Section
@@ -107,6 +108,7 @@ DRIVE = Element(
     lambda mechanism: [drive.name for drive in linear_drives(mechanism)], "no slide or cylinder is a drive of that name"
 )
 MOTOR = Element(lambda mechanism: [drive.name for drive in turning_drives(mechanism)], "no drive of that name turns a body")
+POWERED = Element(lambda mechanism: [drive.name for drive in mechanism.drives] or ["input"], "no drive of that name")
 JOINT = Element(lambda mechanism: [group.joint for group in transmitting(mechanism)], "no dyad has its transmission angle there")
 Measure = Literal["peak", "rms", "mean", "largest", "least"]
 _SIGNED = get_args(Measure)
@@ -190,6 +192,19 @@ def _drive(moving: Moving, term: ElementTerm) -> str:
 def _motor(moving: Moving, term: ElementTerm) -> str:
     turning = turning_drives(moving.machine.mechanism)
     return term.of or (turning[0].name if turning else "input")
+
+
+def _only(moving: Moving) -> str:
+    """Return the name of the only drive."""
+    return next((drive.name for drive in moving.machine.mechanism.drives), "input")
+
+
+def _power(moving: Moving, reactions: Reactions, term: ElementTerm) -> Value:
+    name = term.of or _only(moving)
+    for drive in moving.machine.mechanism.drives:
+        if drive.name == name:
+            return reactions.efforts[name] * as_jet(drive.value(moving.pose)).rate
+    return reactions.torque * moving.motion.speed
 
 
 def _guide(moving: Moving, term: ElementTerm) -> str:
@@ -291,6 +306,17 @@ register(
         DRIVE,
         lambda moving, reactions, term: (reactions.efforts[_drive(moving, term)],),
         lambda record, term: record[f"{_drive(record.moving, term)}.force_N"],
+        forces=True,
+        sole=True,
+    ),
+    QuantityType(
+        "power",
+        "power",
+        _SIGNED,
+        "drive",
+        POWERED,
+        lambda moving, reactions, term: (_power(moving, reactions, term),),
+        lambda record, term: record[f"{term.of or _only(record.moving)}.power_W"],
         forces=True,
         sole=True,
     ),
@@ -795,9 +821,10 @@ def check_term(term: Term, mechanism: Mechanism, quantities: Mapping[str, Quanti
             raise Unusable(element.missing, nearest(name, names) if names else none, "of", term.of)
     if isinstance(term.about, str):
         check_name(term.about, mechanism.ground, "not a point of the frame", "about")
-    if what == "torque" and term.of is None and len(turning := turning_drives(mechanism)) > 1:
-        remedy = f"Add of, one of: {', '.join(drive.name for drive in turning)}"
-        raise Unusable("several drives turn a body", remedy, "of")
+    several = {"torque": turning_drives(mechanism), "power": mechanism.drives}.get(what, ())
+    if term.of is None and len(several) > 1:
+        remedy = f"Add of, one of: {', '.join(drive.name for drive in several)}"
+        raise Unusable("several drives turn a body" if what == "torque" else "there are several drives", remedy, "of")
     if what == "drive force" and term.of is None and len(linear_drives(mechanism)) != 1:
         many = ", ".join(drive.name for drive in linear_drives(mechanism))
         message = "several slides and cylinders drive" if many else "no slide and no cylinder drives: the drive turns a body"

@@ -141,6 +141,17 @@ def test_lift_has_the_least_peak_force(tmp_path, backend):
     assert figures["stroke of boom"] == pytest.approx(math.degrees(float(np.ptp(angle))), rel=1e-6)
 
 
+def test_lift_has_the_least_power(tmp_path):
+    """At constant speed the power of the weights is the force times the speed: the same design, and 50 mm/s of its force."""
+    power = {"objective.quantity": "power", "objective.static": True}
+    result = optlink.solve(problem(tmp_path, LIFT, **power, **{"drive.speed": "50 mm/s"}))
+    assert result.valid
+    assert result.best.objective == pytest.approx(0.05 * 14308.2695625, rel=1e-6)
+    assert [figure.unit for figure in result.best.figures if figure.words == "peak static power"] == ["W"]
+    with pytest.raises(InputError, match="a static drive has no power"):
+        problem(tmp_path, LIFT, **power)
+
+
 @pytest.mark.slow
 def test_four_bar_that_need_not_turn_is_designed_over_its_range(tmp_path):
     """Extremes lie within the range, at its ends too; outside it the linkage may do anything."""

@@ -258,7 +258,7 @@ WORTH = {
     ".length_m": ("length", "m"),
     ".force_N": ("force of the drive", "N"),
     "input.torque_Nm": ("torque", "N m"),
-    "input.power_W": ("power", "W"),
+    ".power_W": ("power", "W"),
     "frame.shaking_fx_N": ("shaking force x", "N"),
     "frame.shaking_fy_N": ("shaking force y", "N"),
     "frame.shaking_moment_Nm": ("shaking moment", "N m"),
