@@ -437,6 +437,8 @@ def _check_quantity(raw: object) -> object:
 
 What = Annotated[str, BeforeValidator(_check_quantity)]
 """One of `QUANTITIES`."""
+BACK = " on the way back"
+"""What follows an extreme that occurs on the way back through a range."""
 EXTREME = ("peak", "largest", "least")
 """Measures that a single position decides: as many rows as positions, rather than one figure."""
 
