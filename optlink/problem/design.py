@@ -359,6 +359,8 @@ class DesignProblem(Problem):
             with the full key of the cause.
         """
         terms = (*self.goals, *self.named_limits.values())
+        for term in terms:
+            term.counted(self.driving.whole)
         if any(term.nature.cyclic or term.ended or term.quantity == "work" for term in terms) and self.drive.speed.value == 0.0:
             remedy = "Give the constant speed of the cycle"
             raise Unusable("the crank speed is zero", remedy, "drive.speed", str(self.drive.speed))

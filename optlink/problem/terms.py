@@ -483,6 +483,11 @@ class Term(TermSection):
 
     quantity: What
     """Quantity of the cycle."""
+    _whole: str = "per revolution"
+
+    def counted(self, whole: str) -> None:
+        """State over what the term is counted, in words: "over the range"."""
+        self._whole = whole
 
     def check_keys(self) -> Self:
         """Check that the keys are consistent.
@@ -572,7 +577,7 @@ class Term(TermSection):
         """Name of the term without its measure, for display."""
         words = f"{'static ' if self.static else ''}{self.quantity}"
         if self.quantity == "work":
-            return words + (f" in the {self.stroke} stroke of {self.of}" if self.of else " per revolution")
+            return words + (f" in the {self.stroke} stroke of {self.of}" if self.of else f" {self._whole}")
         if self.quantity == "end":
             along = f" along {self.direction}" if self.direction is not None else ""
             return f"end of the {self.stroke} stroke of {self.of}{along}"
@@ -606,7 +611,7 @@ def read_words(text: str) -> dict[str, Any] | None:
     quantities = "|".join(sorted(QUANTITIES, key=len, reverse=True))
     match = re.fullmatch(
         rf"(?:(?P<sense>minimi[sz]e|maximi[sz]e)\s+)?(?:(?P<measure>{'|'.join(get_args(Measure))})\s+)?(?:(?P<static>static)\s+)?"
-        rf"(?P<quantity>{quantities})(?:\s+per\s+revolution)?"
+        rf"(?P<quantity>{quantities})(?:\s+(?:per\s+(?:revolution|cycle)|over\s+the\s+(?:range|stroke|motion)))?"
         r"(?:\s+(?:of|in)\s+the\s+(?P<stroke>forward|backward)\s+stroke)?"
         rf"(?:\s+(?:of|at|in)\s+(?P<of>{_NAME}))?(?:\s+on\s+(?P<on>{_NAME}))?(?:\s+about\s+(?P<about>{_NAME}))?"
         rf"(?:\s+from\s+(?P<low>{_NUMBER})(?:\s*(?:deg|°))?\s+to\s+(?P<high>{_NUMBER})\s*(?:deg|°))?"

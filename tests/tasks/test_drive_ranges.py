@@ -10,6 +10,7 @@ from numpy.polynomial.legendre import leggauss
 
 import optlink
 from optlink.errors import InputError
+from optlink.problem.terms import read_words
 from tests.tiers import mostly_slow
 
 STRUT = """
@@ -516,3 +517,12 @@ def test_a_swing_of_more_than_half_a_turn(tmp_path):
     result = optlink.solve(problem(tmp_path, text.replace(goal, goal + sense)), backend="slsqp")
     assert result.valid
     assert swing(result.best.design["rod.length"]) == pytest.approx(asked, abs=1e-5)
+
+
+def test_a_work_is_named_by_what_it_is_counted_over(tmp_path):
+    work = {"objective": {"quantity": "work"}}
+    lift, strut = problem(tmp_path, LIFT, **work), problem(tmp_path, STRUT, **work)
+    assert [one.model.goals[0].words for one in (lift, strut)] == ["work over the stroke", "work over the range"]
+    assert read_words(f"minimise {lift.model.goals[0].words}") == {"sense": "minimise", "quantity": "work"}
+    turning = CRANK_ROCKER.replace('range = ["20 deg", "200 deg"]', "")
+    assert problem(tmp_path, turning, **work).model.goals[0].words == "work per revolution"
