@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.polynomial.legendre import leggauss
 import optlink
 from optlink.errors import InputError
 from optlink.problem.terms import read_words
+from tests.cli.test_cli import run
 from tests.tiers import mostly_slow
 
 STRUT = """
@@ -391,6 +393,7 @@ def test_a_spring_relieves_a_cylinder(tmp_path):
     stiffness = np.linspace(0.0, 20000.0, 20001)
     peaks = np.max(np.abs(force + stiffness[:, None] * pull), axis=1)
     assert result.springs[0].stiffness == pytest.approx(float(stiffness[np.argmin(peaks)]), abs=2.0)
+    assert result.columns["length_mm"][[0, -1]] == pytest.approx([800.0, 1300.0])
 
 
 PRESS = """
@@ -526,3 +529,37 @@ def test_a_work_is_named_by_what_it_is_counted_over(tmp_path):
     assert read_words(f"minimise {lift.model.goals[0].words}") == {"sense": "minimise", "quantity": "work"}
     turning = CRANK_ROCKER.replace('range = ["20 deg", "200 deg"]', "")
     assert problem(tmp_path, turning, **work).model.goals[0].words == "work per revolution"
+
+
+def test_a_drawing_of_a_cylinder_is_exported_at_its_length(tmp_path):
+    machine = tmp_path / "lift.toml"
+    machine.write_text(LIFT.partition("[objective]")[0], encoding="utf-8")
+    for length, angle in ((1300.0, math.pi), (800.0, 0.0)):
+        file = tmp_path / "lift.json"
+        assert run("export", str(machine), "-o", str(file), "--at", f"{length:g} mm").exit_code == 0
+        drawn = json.loads(file.read_text(encoding="utf-8"))
+        assert drawn["crank_angle_rad"] == pytest.approx(angle)
+    for text, part in (("30 deg", "is not a unit of coordinate"), ("1.5 m", "Give a length of lift 800 ... 1300 mm")):
+        assert part in run("export", str(machine), "-o", str(tmp_path / "lift.svg"), "--at", text).stderr
+
+
+def test_texts_that_are_no_names_are_refused():
+    with pytest.raises(InputError, match="not a text"):
+        optlink.read_design("shaper-design", [], varied=[[1.0]])
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "part"),
+    [
+        (
+            "loads.gas",
+            {"on": "rod", "gas": {"pressure": "3 bar"}},
+            "loads.gas.gas.bore: this key is missing. Write for example gas",
+        ),
+        ("drive.law", {"over": "t", "at": ["0 s"], "values": ["0 deg"]}, "the law of a drive over the time is a list of motions"),
+    ],
+)
+def test_remedies_are_those_of_the_key(tmp_path, key, value, part):
+    with pytest.raises(InputError) as error:
+        problem(tmp_path, STRUT, **{key: value})
+    assert part in str(error.value)
