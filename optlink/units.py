@@ -79,6 +79,7 @@ KINDS = {
         Kind("force", "N", "N", "1000 N"),
         Kind("torque", "N*m", "N*m", "5 N*m"),
         Kind("energy", "J", "J", "100 J"),
+        Kind("power", "W", "W", "500 W"),
         Kind("moment of inertia", "kg*m**2", "kg*m^2", "0.016 kg*m^2"),
         Kind("acceleration", "m/s**2", "m/s^2", "9.81 m/s^2"),
         Kind("stiffness", "N/m", "N/m", "500 N/m"),

@@ -15,6 +15,7 @@ from optlink.cli.options import Design, Json, Problem, Quiet, Searcher, Seed, Se
 from optlink.errors import InputError
 from optlink.execution import interrupts
 from optlink.io import head
+from optlink.units import measures
 
 if TYPE_CHECKING:
     from optlink.presentation.report_model import ReportModel
@@ -63,7 +64,12 @@ def export(
         Path, option("FILE", "File to write; its suffix selects the format: .dxf, .svg, .csv or .json.", "-o", "--out")
     ],
     at: Annotated[
-        str | None, option("ANGLE", 'Crank angle of the drawing: --at "30 deg"; default: the start of the motion.', "--at")
+        str | None,
+        option(
+            "POSITION",
+            'Crank angle of the drawing: --at "30 deg"; of a slide or cylinder its place or length: --at "250 mm".',
+            "--at",
+        ),
     ] = None,
     hole: Annotated[str | None, option("SIZE", 'DXF: hole diameter: --hole "8 mm".', "--hole")] = None,
     width: Annotated[str | None, option("SIZE", 'DXF: link width: --width "20 mm".', "--width")] = None,
@@ -82,14 +88,22 @@ def export(
     from optlink.presentation.files import check_target
 
     check_target(output, tuple(FORMATS), "drawing.dxf")
-    angle = console.quantity(at, "angle", "--at")
-    options = Options(angle, console.quantity(hole, "length", "--hole"), console.quantity(width, "length", "--width"), points)
+    kind = "coordinate" if at is not None and measures(at, "coordinate") else "angle"
+    options = Options(
+        console.quantity(at, kind, "--at"),
+        console.quantity(hole, "length", "--hole"),
+        console.quantity(width, "length", "--width"),
+        points,
+    )
     with console.working("Reading or solving the problem"):
         about = _report_model(source, output, (backend, starts, seed), changes, design)
         interrupts.check()
     from optlink.presentation.interface import single_design
 
     model = single_design(about, source)
+    needed = "angle" if model.problem.model.driving.ends is None else "coordinate"
+    if at is not None and kind != needed:  # a fault of the unit
+        console.quantity(at, needed, "--at")
     if not (model.valid or even_invalid):
         _refuse(model, as_json)
     write(model, output, options)

@@ -159,6 +159,11 @@ class MotionColumns:
         return {name: meaning for part in sections for name, (meaning, _) in part.items()}
 
     @property
+    def motion_names(self) -> Collection[str]:
+        """Names of the columns of the motion alone."""
+        return self._motion.keys()
+
+    @property
     def reaction_names(self) -> Collection[str]:
         """Names of the reaction columns."""
         return self._reactions.keys()

@@ -507,6 +507,17 @@ def reactions(
         return solved
 
 
+SENSES = 73
+"""Positions at which the forces of both senses of motion are compared."""
+
+
+def depends_on_sense(machine: Machine, low: float, high: float, speed: float) -> bool:
+    """Return whether forces differ on the way back through a range [rad]: by friction, dampers, loads of one stroke."""
+    angles = np.linspace(low, high, SENSES + 2)[1:-1]
+    there, back = (reactions(machine.moving(angles, way * speed)).torque + 0.0 * angles for way in (1.0, -1.0))
+    return not np.allclose(there, back, rtol=1e-9, atol=1e-9 * float(np.max(np.abs(there), initial=0.0)))
+
+
 def virtual_torque(wrenches: Mapping[str, Wrench], moving: Moving) -> Value:
     """Compute the driving torque that corresponds to wrenches on the bodies [N m], by the principle of virtual power."""
     source, power = moving.turning, 0.0

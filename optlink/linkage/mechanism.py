@@ -464,6 +464,11 @@ class Mechanism:
         """Crank angles [rad] between which the motion counts: its limits, else a revolution from 0."""
         return self.limits or (0.0, TURN)
 
+    @property
+    def returns(self) -> bool:
+        """Whether the drive moves through its limits there and back: they are not those of a law, which runs once."""
+        return self.limits is not None and all(drive.law is None for drive in self.drives)
+
     @cached_property
     def followed(self) -> bool:
         """Whether a group is continued through change points."""

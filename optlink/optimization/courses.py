@@ -58,9 +58,11 @@ class ScaledLimit:
     def rows_at(self, parts: Sequence[Any]) -> Iterator[ConstraintRow]:
         """Yield the rows of a term at one position from its components there [SI]."""
         term = self.bound.term
-        if _vector(term, parts):
-            square, scale = sum(part * part for part in parts), SquareRootScale(self.scale.unit, self.scale.factor)
-            yield ConstraintRow(self.bound.key, term.words, square / self.size**2, -math.inf, self.above**2, scale)
+        if term.nature.vector:
+            scale = SquareRootScale(self.scale.unit, self.scale.factor)
+            for x, y in _vectors(parts):
+                square = (x * x + y * y) / self.size**2
+                yield ConstraintRow(self.bound.key, term.words, square, -math.inf, self.above**2, scale)
             return
         for part, sign in itertools.product(parts, (1.0, -1.0) if term.how == "peak" else (1.0,)):
             yield self.row(sign * part)
@@ -78,9 +80,9 @@ def scaled_limit(bound: Bound, length: float) -> ScaledLimit:
     return ScaledLimit(bound, size, below, above, scale)
 
 
-def _vector(term: Term, parts: Sequence[Any]) -> bool:
-    """Whether the components at one position are those of one vector, whose magnitude counts."""
-    return len(parts) > 1 and not term.nature.general
+def _vectors(parts: Sequence[Any]) -> Iterator[tuple[Any, Any]]:
+    """Return the vectors of which these are the components: one, or those there and back."""
+    return zip(parts[::2], parts[1::2], strict=True)
 
 
 SIGNS = {"peak": (1.0, -1.0), "largest": (1.0,), "least": (-1.0,)}
@@ -90,9 +92,9 @@ SIGNS = {"peak": (1.0, -1.0), "largest": (1.0,), "least": (-1.0,)}
 def rows_below_level(goal: Goal, size: float, level: Any, parts: Sequence[Any]) -> Iterator[ConstraintRow]:
     """Yield the rows that keep the values at one position, in units of `size` [SI], below a level."""
     label = f"{goal.words} at another position"
-    if _vector(goal, parts):
-        square = level * level - sum(part * part for part in parts) / size**2
-        yield ConstraintRow(EPIGRAPH, label, square, 0.0, math.inf, PLAIN)
+    if goal.nature.vector:
+        for x, y in _vectors(parts):
+            yield ConstraintRow(EPIGRAPH, label, level * level - (x * x + y * y) / size**2, 0.0, math.inf, PLAIN)
         return
     for part, sign in itertools.product(parts, SIGNS[goal.how]):
         yield ConstraintRow(EPIGRAPH, label, level - sign * part / size, 0.0, math.inf, PLAIN)
@@ -100,11 +102,9 @@ def rows_below_level(goal: Goal, size: float, level: Any, parts: Sequence[Any]) 
 
 def heights_at(goal: Goal, size: float, parts: Sequence[Any]) -> list[Any]:
     """Return the values at one position whose largest is the level of a term, in units of `size` [SI]."""
-    if goal.nature.general:
-        return [casadi.fabs(part) / size for part in parts]
-    if len(parts) > 1:
-        return [casadi.sqrt(sum(part * part for part in parts)) / size]
-    return [(casadi.fabs(parts[0]) if goal.how == "peak" else SIGNS[goal.how][0] * parts[0]) / size]
+    if goal.nature.vector:
+        return [casadi.sqrt(x * x + y * y) / size for x, y in _vectors(parts)]
+    return [(casadi.fabs(part) if goal.how == "peak" else SIGNS[goal.how][0] * part) / size for part in parts]
 
 
 EVENT = "end of a stroke"
@@ -382,7 +382,7 @@ class TermCourse:
     def _rows_of(self, term: Term) -> int:
         """Return the number of rows of a term at one position."""
         width = self.trace.widths[next(k for k, other in enumerate(self.trace.cyclic) if other is term)]
-        return 1 if _vector(term, range(width)) else width * (2 if term.how == "peak" else 1)
+        return width // 2 if term.nature.vector else width * (2 if term.how == "peak" else 1)
 
     def heights(self, motion: "Motion", levels: Array, shares: Array) -> Array:
         """Return the excess (rows, n) of all terms over their limits or largest values along a stroke."""
@@ -392,8 +392,8 @@ class TermCourse:
 
             def values(term: Term, size: float, signs: tuple[float, ...]) -> list[Array]:
                 parts = self.parts(term, signals)
-                if _vector(term, parts):
-                    return [np.hypot(*parts) / size]
+                if term.nature.vector:
+                    return [np.hypot(x, y) / size for x, y in _vectors(parts)]
                 return [sign * part / size for part in parts for sign in signs]
 
             for limit in self.limits:

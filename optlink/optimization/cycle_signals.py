@@ -17,7 +17,7 @@ from typing import Any
 import casadi
 import numpy as np
 
-from optlink.dynamics.inverse import Reactions, reactions, required_wrench
+from optlink.dynamics.inverse import Reactions, depends_on_sense, reactions, required_wrench
 from optlink.dynamics.machine import Load, Machine, Moving
 from optlink.linkage.extrema import sign_changes, zeros
 from optlink.linkage.jet import Jet, as_jet
@@ -202,22 +202,30 @@ class TracedCycle:
 
     # --- the machine in symbols ------------------------------------------------------------------------------------------
 
-    def _moving(self, inputs: Any) -> _MovingWithSenses:
+    def _moving(self, inputs: Any, way: float = 1.0) -> _MovingWithSenses:
+        """Return the machine in motion; with -1 for the `way`, on the way back through the range."""
         sizes = {name: inputs[i] for i, name in enumerate(self.names)}
         machine = self.base.with_(sizes=sizes, inertias=self.problem.inertias(sizes))
-        phi = inputs[len(self.names)]
+        phi, speed = inputs[len(self.names)], way * self.speed
         still = {name: Jet(size) for name, size in sizes.items()}  # casadi operators reject jets: use jets throughout
-        pose = self.mechanism.at(still, Jet(phi, self.speed, 0.0))
-        return _MovingWithSenses(machine, Motion(self.mechanism, sizes, phi, self.speed, pose, 0.0), self.direction)
+        pose = self.mechanism.at(still, Jet(phi, speed, 0.0))
+        return _MovingWithSenses(machine, Motion(self.mechanism, sizes, phi, speed, pose, 0.0), way * self.direction)
 
-    def _signals(self, moving: Moving) -> list[tuple[Value, ...]]:
-        """Return the components of every cyclic term, followed by the driving torque if work is required."""
-        signals = {term.quantity: term.nature.signal for term in self.cyclic}
-        forced = [term for term in self.cyclic if term.nature.forces]
+    @cached_property
+    def _both_ways(self) -> list[Term]:
+        """Terms that also count on the way back through a range: extremes of forces that differ there."""
+        terms = [term for term in self.cyclic if self.mechanism.returns and term.nature.forces and term.extreme]
+        differs = bool(terms) and depends_on_sense(self.base, self.low, self.high, self.speed)
+        return [term for term in terms if differs or term.nature.kind == "power"]
+
+    def _signals(self, moving: Moving, terms: Sequence[Term]) -> list[tuple[Value, ...]]:
+        """Return the components of cyclic terms, followed by the driving torque if work is required."""
+        signals = {term.quantity: term.nature.signal for term in terms}
+        forced = [term for term in terms if term.nature.forces]
         # friction, with which reactions cannot be traced, does not affect the motion
         whole = reactions(moving) if forced or self.works else Reactions(0.0, {}, {}, {})
         still = reactions(moving, required_wrench(moving, inertia=False)) if any(t.static for t in forced) else whole
-        values = [signal(moving, still if t.static else whole, t) for t in self.cyclic if (signal := signals[t.quantity])]
+        values = [signal(moving, still if t.static else whole, t) for t in terms if (signal := signals[t.quantity])]
         return [*values, (whole.torque,)] if self.works else values
 
     def _output(self, term: Term, moving: Moving) -> tuple[Value, ...]:
@@ -233,12 +241,17 @@ class TracedCycle:
     @cached_property
     def _traced(self) -> tuple[list[int], Any, Any, Any]:
         """Numbers of components, signals and margins, symbols for the senses, and these senses; events need no forces."""
-        moving, inputs = self._machine, self._inputs
+        inputs, machines = self._inputs, [self._machine]
         with symbols_in_numpy():
-            signals = self._signals(moving)
-            senses = [self.direction * sign(of(moving)[0] / self.speed) for of, _ in moving.requested]
+            signals = self._signals(self._machine, self.cyclic)
+            if self._both_ways:
+                machines.append(self._moving(inputs, -1.0))
+                for term, parts in zip(self._both_ways, self._signals(machines[1], self._both_ways), strict=False):
+                    signals[next(k for k, other in enumerate(self.cyclic) if other is term)] += parts
+            requested = [(moving, *one) for moving in machines for one in moving.requested]
+            senses = [moving.direction * sign(of(moving)[0] / moving.motion.speed) for moving, of, _ in requested]
         outputs = casadi.vertcat(*[part for signal in signals for part in signal], *self._margins)
-        symbols = casadi.vertcat(*[symbol for _, symbol in moving.requested])
+        symbols = casadi.vertcat(*[symbol for *_, symbol in requested])
         return (
             [len(signal) for signal in signals],
             outputs,

@@ -104,8 +104,8 @@ def export(
         Result of `solve`, `validate` or `analyze`; or a problem, which is solved first, or analysed if it has nothing to design.
     file : str or Path
         File to write; its suffix selects the format: .dxf, .svg, .csv or .json.
-    at : float [rad], optional
-        Crank angle of the drawing. Default: the start of the motion.
+    at : float [rad] or [m], optional
+        Crank angle of the drawing; of a slide or cylinder that drives, its slide or length. Default: the start of the motion.
     hole, width : float [m], optional
         Hole diameter and link width of the DXF drawing.
     points : int

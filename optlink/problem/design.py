@@ -18,6 +18,7 @@ from optlink.linkage.vector2d import Array, Value
 from optlink.problem.driving import check_design_drive
 from optlink.problem.limits import MARGIN_KEYS, MODELS, Bound, Limits, Reach, check_limits, four_bar_limits
 from optlink.problem.linked import Link
+from optlink.problem.machine.bodies import STATIC
 from optlink.problem.machine.model import Problem, ShownObjective
 from optlink.problem.mechanism import check_one_mode
 from optlink.problem.quantity import Quantity, Unusable, below, read_figure
@@ -358,9 +359,14 @@ class DesignProblem(Problem):
             with the full key of the cause.
         """
         terms = (*self.goals, *self.named_limits.values())
+        for term in terms:
+            term.counted(self.driving.whole)
         if any(term.nature.cyclic or term.ended or term.quantity == "work" for term in terms) and self.drive.speed.value == 0.0:
             remedy = "Give the constant speed of the cycle"
             raise Unusable("the crank speed is zero", remedy, "drive.speed", str(self.drive.speed))
+        if self.drive.speed.kind == STATIC and any(term.quantity == "power" for term in terms):
+            message, remedy = "a static drive has no power", 'Give its speed, for example "10 rpm" or "100 mm/s"'
+            raise Unusable(message, remedy, "drive.speed", STATIC)
         for k, goal in enumerate(self.goals):
             with below("objective" if self.single else f"objective.terms.{k}"):
                 self._check_term(goal)
@@ -744,7 +750,7 @@ MODELS.append(DesignProblem)
 
 
 def _forced(term: Term) -> bool:
-    return term.nature.kind in ("torque", "force", "energy")
+    return term.nature.kind in ("torque", "force", "energy", "power")
 
 
 def _order(requirement: Requirement) -> tuple[bool, bool]:

@@ -67,6 +67,13 @@ class Driving:
         return HALF * (1e-3 * shown - self.ends[0]) / (self.ends[1] - self.ends[0])
 
     @property
+    def whole(self) -> str:
+        """What counts of the motion: a revolution, a cycle of laws, a range, a stroke, or the motion of a law that ends."""
+        if self.mechanism.limits is None:
+            return "per cycle" if self.mechanism.drives else "per revolution"
+        return "over the motion" if not self.mechanism.returns else "over the range" if self.ends is None else "over the stroke"
+
+    @property
     def unit(self) -> str:
         """Display unit of the positions of the drive."""
         return "deg" if self.ends is None else "mm"

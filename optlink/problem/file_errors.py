@@ -39,7 +39,7 @@ ELEMENTS = {
 
 def as_written(fault: Fault, raw: object) -> Fault:
     """Return a fault with its key, and the value of a quantity or range, as they stand in the tables of the file."""
-    fault = fault if fault.key is None else replace(fault, key=written(fault.key, raw))
+    fault = fault if fault.key is None else replace(fault, key=_indexed(written(fault.key, raw), raw))
     if isinstance(fault.value, Ends):
         return replace(fault, value=fault.value.text)
     if not isinstance(fault.value, str) or fault.key is None:
@@ -56,6 +56,15 @@ def as_written(fault: Fault, raw: object) -> Fault:
         return replace(fault, value=raw.text)
     quantities = all(isinstance(end, str) and split(end) for end in ends)
     return replace(fault, value=raw) if quantities else fault
+
+
+def _indexed(key: str, raw: Any) -> str:
+    """Return the key of a value in a list with its index in brackets; that of a table in a list can be set with its dots."""
+    parent, _, last = key.rpartition(".")
+    for step in parent.split("."):
+        raw = raw.get(step) if isinstance(raw, Mapping) else None
+    values = isinstance(raw, list) and not any(isinstance(item, Mapping) for item in raw)
+    return f"{parent}[{last}]" if last.isdigit() and values else key
 
 
 UNKNOWN, MISSING = "unknown key", "this key is missing"
@@ -311,6 +320,8 @@ def _example(key: str) -> str:
         return 'Add joints = ["B", "C"], or joints = ["E"] for a body that a guide carries'
     if key.startswith("mechanism.assembly"):
         return 'Write for example "left of B-D", "forward" or "either"'
+    if last in ("bore", "pressure"):
+        return 'Write for example gas = { pressure = "120 bar", bore = "10 mm" }'
     if last == "slider":
         return 'Add slider = "NAME", with the name of the body that slides'
     if key.startswith(

@@ -16,6 +16,7 @@ from optlink.dynamics.machine import Moving, slider_names
 from optlink.io import Entry, register
 from optlink.linkage.dyads import RPR, RRP, RRR, Transmitting, transmitting
 from optlink.linkage.elements import Drive
+from optlink.linkage.jet import as_jet
 from optlink.linkage.mechanism import FRAME, Mechanism
 from optlink.linkage.vector2d import TURN, Array, Value, Vector, cross, dot, magnitude, minus
 from optlink.problem.base_model import SPELLINGS, Section
@@ -107,6 +108,7 @@ DRIVE = Element(
     lambda mechanism: [drive.name for drive in linear_drives(mechanism)], "no slide or cylinder is a drive of that name"
 )
 MOTOR = Element(lambda mechanism: [drive.name for drive in turning_drives(mechanism)], "no drive of that name turns a body")
+POWERED = Element(lambda mechanism: [drive.name for drive in mechanism.drives] or ["input"], "no drive of that name")
 JOINT = Element(lambda mechanism: [group.joint for group in transmitting(mechanism)], "no dyad has its transmission angle there")
 Measure = Literal["peak", "rms", "mean", "largest", "least"]
 _SIGNED = get_args(Measure)
@@ -190,6 +192,19 @@ def _drive(moving: Moving, term: ElementTerm) -> str:
 def _motor(moving: Moving, term: ElementTerm) -> str:
     turning = turning_drives(moving.machine.mechanism)
     return term.of or (turning[0].name if turning else "input")
+
+
+def _only(moving: Moving) -> str:
+    """Return the name of the only drive."""
+    return next((drive.name for drive in moving.machine.mechanism.drives), "input")
+
+
+def _power(moving: Moving, reactions: Reactions, term: ElementTerm) -> Value:
+    name = term.of or _only(moving)
+    for drive in moving.machine.mechanism.drives:
+        if drive.name == name:
+            return reactions.efforts[name] * as_jet(drive.value(moving.pose)).rate
+    return reactions.torque * moving.motion.speed
 
 
 def _guide(moving: Moving, term: ElementTerm) -> str:
@@ -291,6 +306,17 @@ register(
         DRIVE,
         lambda moving, reactions, term: (reactions.efforts[_drive(moving, term)],),
         lambda record, term: record[f"{_drive(record.moving, term)}.force_N"],
+        forces=True,
+        sole=True,
+    ),
+    QuantityType(
+        "power",
+        "power",
+        _SIGNED,
+        "drive",
+        POWERED,
+        lambda moving, reactions, term: (_power(moving, reactions, term),),
+        lambda record, term: record[f"{term.of or _only(record.moving)}.power_W"],
         forces=True,
         sole=True,
     ),
@@ -411,6 +437,8 @@ def _check_quantity(raw: object) -> object:
 
 What = Annotated[str, BeforeValidator(_check_quantity)]
 """One of `QUANTITIES`."""
+BACK = " on the way back"
+"""What follows an extreme that occurs on the way back through a range."""
 EXTREME = ("peak", "largest", "least")
 """Measures that a single position decides: as many rows as positions, rather than one figure."""
 
@@ -455,6 +483,11 @@ class Term(TermSection):
 
     quantity: What
     """Quantity of the cycle."""
+    _whole: str = "per revolution"
+
+    def counted(self, whole: str) -> None:
+        """State over what the term is counted, in words: "over the range"."""
+        self._whole = whole
 
     def check_keys(self) -> Self:
         """Check that the keys are consistent.
@@ -544,7 +577,7 @@ class Term(TermSection):
         """Name of the term without its measure, for display."""
         words = f"{'static ' if self.static else ''}{self.quantity}"
         if self.quantity == "work":
-            return words + (f" in the {self.stroke} stroke of {self.of}" if self.of else " per revolution")
+            return words + (f" in the {self.stroke} stroke of {self.of}" if self.of else f" {self._whole}")
         if self.quantity == "end":
             along = f" along {self.direction}" if self.direction is not None else ""
             return f"end of the {self.stroke} stroke of {self.of}{along}"
@@ -578,7 +611,7 @@ def read_words(text: str) -> dict[str, Any] | None:
     quantities = "|".join(sorted(QUANTITIES, key=len, reverse=True))
     match = re.fullmatch(
         rf"(?:(?P<sense>minimi[sz]e|maximi[sz]e)\s+)?(?:(?P<measure>{'|'.join(get_args(Measure))})\s+)?(?:(?P<static>static)\s+)?"
-        rf"(?P<quantity>{quantities})(?:\s+per\s+revolution)?"
+        rf"(?P<quantity>{quantities})(?:\s+(?:per\s+(?:revolution|cycle)|over\s+the\s+(?:range|stroke|motion)))?"
         r"(?:\s+(?:of|in)\s+the\s+(?P<stroke>forward|backward)\s+stroke)?"
         rf"(?:\s+(?:of|at|in)\s+(?P<of>{_NAME}))?(?:\s+on\s+(?P<on>{_NAME}))?(?:\s+about\s+(?P<about>{_NAME}))?"
         rf"(?:\s+from\s+(?P<low>{_NUMBER})(?:\s*(?:deg|°))?\s+to\s+(?P<high>{_NUMBER})\s*(?:deg|°))?"
@@ -795,9 +828,10 @@ def check_term(term: Term, mechanism: Mechanism, quantities: Mapping[str, Quanti
             raise Unusable(element.missing, nearest(name, names) if names else none, "of", term.of)
     if isinstance(term.about, str):
         check_name(term.about, mechanism.ground, "not a point of the frame", "about")
-    if what == "torque" and term.of is None and len(turning := turning_drives(mechanism)) > 1:
-        remedy = f"Add of, one of: {', '.join(drive.name for drive in turning)}"
-        raise Unusable("several drives turn a body", remedy, "of")
+    several = {"torque": turning_drives(mechanism), "power": mechanism.drives}.get(what, ())
+    if term.of is None and len(several) > 1:
+        remedy = f"Add of, one of: {', '.join(drive.name for drive in several)}"
+        raise Unusable("several drives turn a body" if what == "torque" else "there are several drives", remedy, "of")
     if what == "drive force" and term.of is None and len(linear_drives(mechanism)) != 1:
         many = ", ".join(drive.name for drive in linear_drives(mechanism))
         message = "several slides and cylinders drive" if many else "no slide and no cylinder drives: the drive turns a body"

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from optlink.dynamics.columns import FAULTS, MotionColumns, efforts, pin_columns, tabulated, unbounded_reactions
-from optlink.dynamics.inverse import acting_on, reactions
+from optlink.dynamics.inverse import acting_on, depends_on_sense
 from optlink.dynamics.machine import Machine, slider_names
 from optlink.dynamics.strokes import StrokeLoad, acting_loads
 from optlink.dynamics.work import Flywheel, Work, flywheel
@@ -99,6 +99,11 @@ class Analysis(Tabled):
         "swings": lambda result: result.documents(result.swings, "rad"),
         "extremes": lambda result: {
             name: {"min": low, "max": high, "min_at_deg": math.degrees(low_at), "max_at_deg": math.degrees(high_at)}
+            | {
+                f"{end}_on_way_back": True
+                for end, back in zip(("min", "max"), result.extremes.on_way_back(name), strict=True)
+                if back
+            }
             for name, (low, low_at, high, high_at) in result.extremes.items()
         },
         "load_jumps_deg": lambda result: result.within(result.jumps),
@@ -328,20 +333,18 @@ def analyze(
     check_design(problem, design)
     _check(points, step)
     analysis = _analysed(problem, points, step, crank_speed(problem, speed), design)
-    if analysis.ranges.limits is None or not analysis.valid or not _depends_on_sense(analysis):
+    machine = analysis.machine
+    if not machine.mechanism.returns or not analysis.valid:
         return analysis
+    if not depends_on_sense(machine, analysis.low, analysis.high, analysis.speed):
+        return replace(analysis, extremes=analysis.extremes.both_ways(analysis.extremes.turned, POWER))
     back = _analysed(problem, points, step, -analysis.speed, design)
-    return replace(analysis, notes=(*analysis.notes, _back_note(analysis, back)))
+    extremes = analysis.extremes.both_ways(back.extremes)
+    return replace(analysis, extremes=extremes, notes=(*analysis.notes, _back_note(analysis, back)))
 
 
-SENSES = 73  # positions at which the forces of both senses of motion are compared
-
-
-def _depends_on_sense(analysis: Analysis) -> bool:
-    """Return whether forces differ on the way back through a range: friction, dampers, loads of one stroke."""
-    angles, machine = np.linspace(analysis.low, analysis.high, SENSES + 2)[1:-1], analysis.machine
-    there, back = (reactions(machine.moving(angles, speed)).torque + 0.0 * angles for speed in (analysis.speed, -analysis.speed))
-    return not np.allclose(there, back, rtol=1e-9, atol=1e-9 * float(np.max(np.abs(there), initial=0.0)))
+POWER = ".power_W"
+"""Ending of the columns that differ on the way back through a range wherever they are not zero."""
 
 
 def _back_note(there: Analysis, back: Analysis) -> str:
@@ -351,7 +354,7 @@ def _back_note(there: Analysis, back: Analysis) -> str:
     effort = efforts(there.machine.mechanism)[0]
     extreme, unit = back.extremes[effort.column], effort.unit
     return (
-        f"forces differ on the way back: the results are those of the motion from {driving.coordinate} {way}; "
+        f"forces differ on the way back: their extremes are those of both ways, the rows those from {driving.coordinate} {way}; "
         f"on the way back the {effort.quantity} of the drive lies between {extreme.least:.5g} and {extreme.largest:.5g} {unit}, "
         f"and its work is {back.work:.5g} J (a speed of the opposite sign shows that motion)"
     )

@@ -282,6 +282,9 @@ def read_design(problem: AnyProblem, assignments: list[str], varied: Collection[
             raise InputError("a given design has no bounds", remedy, problem.file, f"--design {name}", value)
         with input_of(problem.file, f"--design {name}", value):
             design[name] = float(read_quantity(value, quantities[name].kind).value)
+    for k, name in enumerate(varied):
+        if not isinstance(name, str):
+            raise InputError("not a text", 'Give the name of a design variable, such as "coupler"', key=f"varied.{k}", value=name)
     check_complete(problem, {*design, *varied})
     return design
 

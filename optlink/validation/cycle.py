@@ -50,6 +50,7 @@ class Cycle:
         self.limits = self.mechanism.limits
         self.low, self.high = self.limits or (0.0, self.machine.cycle)
         self._figures: dict[Term, float] = {}
+        self._back: dict[Term, bool] = {}
 
     @property
     def cycle(self) -> float:
@@ -104,6 +105,10 @@ class Cycle:
         if term not in self._figures:
             self._figures[term] = self._figure(term)
         return self._figures[term]
+
+    def on_way_back(self, term: Term) -> bool:
+        """Return whether the value of a term occurs on the way back through the range."""
+        return math.isfinite(self.figure(term)) and self._back.get(term, False)
 
     def _figure(self, term: Term) -> float:
         if term.quantity == "total length":
@@ -182,20 +187,26 @@ class Cycle:
             return self.work.mean(lambda at: read(MotionColumns(machine.moving(at, self.speed))), square=term.how == "rms")
         terms = [term, *self.problem.goals, *(item.term for item in self.problem.bounds)]
         alike = [other for other in terms if other.extreme and other.static == term.static]
-        for each, value in zip(alike, self._extremes(machine, alike), strict=True):
-            self._figures[each] = float(value)
+        self._figures |= zip(alike, self._extremes(machine, alike, self.speed, self.work).tolist(), strict=True)
+        forced = [other for other in alike if other.nature.forces and self.mechanism.returns]
+        if forced:
+            back = self._extremes(machine, forced, -self.speed, Work(self.machine, self.low, self.low, self.high, -self.speed))
+            for each, value in zip(forced, back.tolist(), strict=True):
+                sense, there = -1.0 if each.how == "least" else 1.0, self._figures[each]
+                self._back[each] = sense * (value - there) > ROUNDING * abs(there)
+                self._figures[each] = sense * max(sense * value, sense * there)
         return self._figures[term]
 
-    def _extremes(self, machine: Machine, terms: Sequence[Term]) -> Array:
+    def _extremes(self, machine: Machine, terms: Sequence[Term], speed: float, work: Work) -> Array:
         """Return the values (terms,) of terms that a single position decides, one-sided at load jumps."""
         scores: dict[str, Callable[[Array], Array]] = {"peak": np.abs, "largest": np.positive, "least": np.negative}
         reads = [(scores[term.how], self.history(term)[1]) for term in terms]
-        jumps, breaks, tops = self.work.jumps, self.work.breaks, self.work.peaks
+        jumps, breaks, tops = work.jumps, work.breaks, work.peaks
         if periodic := self.limits is None:
             jumps, breaks, tops = (np.remainder(at, self.cycle) for at in (jumps, breaks, tops))
 
         def values(angles: Array, side: int = 1) -> Array:
-            record = MotionColumns(machine.moving(angles, self.speed, side=side))
+            record = MotionColumns(machine.moving(angles, speed, side=side))
             return np.array([score(read(record)) for score, read in reads])
 
         peaks = maxima(values, distinct(np.concatenate([self.positions, tops])), tuple(breaks), periodic=periodic)[1]

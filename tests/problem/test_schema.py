@@ -168,7 +168,7 @@ def test_every_key_is_described_and_has_a_form():
 NUMBERS = ("5", "-5", "+5.", ".5", "1e-3", "\u22125", " 5")
 UNITS = """
 mm m um \u00b5m inches in ft deg \u00b0 rad rpm RPM rev/min 1/min min^-1 1/s rad/s rev Hz s ms kg kgs g kg/m^3
-N kN lbf Nm N*m N-m lbf*in J rad/s^2
+N kN lbf Nm N*m N-m lbf*in J W kW rad/s^2
 bar kPa cm^3 cm\u00b3 N\u00b7m kg*m^2 kg\u00b7m\u00b2 kgm^2 m/s m/s^2 m/s\u00b2 m\u00b7s\u207b\u00b2
 N/m N*s/m Pa GPa N/m^1.5 N*m/rad N*m*s/rad
 """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 
 import numpy as np
@@ -10,6 +11,8 @@ from numpy.polynomial.legendre import leggauss
 
 import optlink
 from optlink.errors import InputError
+from optlink.problem.terms import read_words
+from tests.cli.test_cli import run
 from tests.tiers import mostly_slow
 
 STRUT = """
@@ -141,6 +144,17 @@ def test_lift_has_the_least_peak_force(tmp_path, backend):
     assert figures["stroke of boom"] == pytest.approx(math.degrees(float(np.ptp(angle))), rel=1e-6)
 
 
+def test_lift_has_the_least_power(tmp_path):
+    """At constant speed the power of the weights is the force times the speed: the same design, and 50 mm/s of its force."""
+    power = {"objective.quantity": "power", "objective.static": True}
+    result = optlink.solve(problem(tmp_path, LIFT, **power, **{"drive.speed": "50 mm/s"}))
+    assert result.valid
+    assert result.best.objective == pytest.approx(0.05 * 14308.2695625, rel=1e-6)
+    assert [figure.unit for figure in result.best.figures if figure.words == "peak static power"] == ["W"]
+    with pytest.raises(InputError, match="a static drive has no power"):
+        problem(tmp_path, LIFT, **power)
+
+
 @pytest.mark.slow
 def test_four_bar_that_need_not_turn_is_designed_over_its_range(tmp_path):
     """Extremes lie within the range, at its ends too; outside it the linkage may do anything."""
@@ -207,10 +221,85 @@ def test_the_way_back_is_told_where_forces_differ(tmp_path):
     """The weight of 392.4 N m and the damper of 10 N m add on the way up and are subtracted on the way down."""
     result = optlink.analyze(problem(tmp_path, DAMPED_LID))
     extreme = result.extremes["input.torque_Nm"]
-    assert (extreme.least, extreme.largest) == pytest.approx((10.0, 402.4))
+    assert (extreme.least, extreme.largest) == pytest.approx((-10.0, 402.4))
+    assert result.extremes.on_way_back("input.torque_Nm") == (True, False)
+    assert min(result["input.torque_Nm"]) == pytest.approx(10.0)
+    assert result.extremes.on_way_back("lid.omega_rad_s") == (False, False)
+    power = result.extremes["input.power_W"]
+    assert (power.least, power.largest) == pytest.approx((-0.5 * 382.4, 0.5 * 402.4))
+    assert "min_on_way_back" in result.to_dict()["extremes"]["input.torque_Nm"]
     assert result.work == pytest.approx(392.4 + 5.0 * math.pi)
     assert "between -10 and 382.4 N m, and its work is -376.69 J" in result.notes[-1]
-    assert not optlink.analyze(problem(tmp_path, DAMPED_LID.replace("20 N*m", "0 N*m"))).notes
+    still = optlink.analyze(problem(tmp_path, DAMPED_LID.replace("20 N*m", "0 N*m")))
+    assert not still.notes
+    assert tuple(still.extremes["input.power_W"])[::2] == pytest.approx((-0.5 * 392.4, 0.5 * 392.4))
+
+
+BUFFER = """
+title = "Flap with a strut that damps"
+gravity = "9.81 m/s^2"
+[mechanism.ground]
+H = ["0 m", "0 m"]
+S = ["0.1 m", { start = "-0.3 m", bounds = ["-0.5 m", "-0.1 m"] }]
+[mechanism.links]
+lid = { joints = ["H", "E"], length = "0.8 m", points = { M = [{ start = "0.2 m", bounds = ["0.1 m", "0.5 m"] }, "0 m"] } }
+tube = { joints = ["S"] }
+rod = { joints = ["M"] }
+[mechanism.guides]
+strut = { slider = "rod", on = "tube", through = "S" }
+[mechanism.assembly]
+strut = "forward"
+[bodies]
+lid = { mass = "20 kg", centroid = ["0.4 m", "0 m"], inertia = "0 kg*m^2" }
+[loads]
+gas = { on = "rod", force = "350 N", against = "tube" }
+oil = { on = "rod", damping = "900 N*s/m" }
+[drive]
+body = "lid"
+range = ["0 deg", "80 deg"]
+speed = "0.8 rad/s"
+[objective]
+quantity = "torque"
+[limits]
+pull = { quantity = "torque", measure = "least", min = "-45 N*m" }
+hinge = { quantity = "reaction", of = "H", max = "450 N" }
+"""
+
+
+def strut_forces(y, m, way):
+    """Torque of the hand and force at the hinge on one way, by the equilibrium of the lid with the weight and the strut."""
+    phi = np.radians(np.linspace(0.0, 80.0, 4001))
+    e = np.exp(1j * phi)
+    line = m * e - (0.1 + 1j * y)
+    length = np.abs(line)
+    rate = way * 0.8 * np.real(1j * m * e * np.conj(line)) / length
+    push = (350.0 - 900.0 * rate) * line / length
+    inward = -20.0 * 0.4 * 0.8**2 * e  # mass times the acceleration of the centroid
+    torque = np.imag(np.conj(0.4 * e) * (inward + 20.0 * 9.81j)) - np.imag(np.conj(m * e) * push)
+    return torque, np.abs(inward + 20.0 * 9.81j - push)
+
+
+@pytest.mark.parametrize(("backend", "pull"), [("ipopt", 45.0), ("slsqp", 30.0)])
+def test_largest_efforts_are_those_of_both_ways(tmp_path, backend, pull):
+    """A strut that damps: no design of a grid is better by own formulas on the way there and back."""
+    result = optlink.solve(problem(tmp_path, BUFFER, **{"limits.pull.min": f"{-pull} N*m"}), backend=backend, starts=4)
+
+    def both(y, m):
+        ways = [strut_forces(y, m, way) for way in (1.0, -1.0)]
+        peaks = [float(np.max(np.abs(torque))) for torque, _ in ways]
+        slack = min(float(np.min(torque)) for torque, _ in ways) + pull, 450.0 - max(float(np.max(hinge)) for _, hinge in ways)
+        return peaks, min(slack)
+
+    design = result.best.design
+    peaks, slack = both(design["S.y"], design["lid.M.along"])
+    assert result.valid
+    assert max(peaks) == pytest.approx(result.best.objective, rel=1e-6)
+    assert abs(peaks[0] - peaks[1]) < 1e-5 if pull == 45.0 else abs(slack) < 1e-5  # both ways are as hard, or a limit holds
+    assert slack > -1e-5
+    grid = [both(y, m) for y in np.linspace(-0.5, -0.1, 41) for m in np.linspace(0.1, 0.5, 41)]
+    assert result.best.objective <= min(max(values) for values, left in grid if left > -1e-9)
+    words = {figure.words for figure in result.best.figures}
+    assert "peak reaction at H on the way back" in words
 
 
 def test_batches_motions_and_sensitivities_keep_to_the_range(tmp_path):
@@ -304,6 +393,7 @@ def test_a_spring_relieves_a_cylinder(tmp_path):
     stiffness = np.linspace(0.0, 20000.0, 20001)
     peaks = np.max(np.abs(force + stiffness[:, None] * pull), axis=1)
     assert result.springs[0].stiffness == pytest.approx(float(stiffness[np.argmin(peaks)]), abs=2.0)
+    assert result.columns["length_mm"][[0, -1]] == pytest.approx([800.0, 1300.0])
 
 
 PRESS = """
@@ -430,3 +520,46 @@ def test_a_swing_of_more_than_half_a_turn(tmp_path):
     result = optlink.solve(problem(tmp_path, text.replace(goal, goal + sense)), backend="slsqp")
     assert result.valid
     assert swing(result.best.design["rod.length"]) == pytest.approx(asked, abs=1e-5)
+
+
+def test_a_work_is_named_by_what_it_is_counted_over(tmp_path):
+    work = {"objective": {"quantity": "work"}}
+    lift, strut = problem(tmp_path, LIFT, **work), problem(tmp_path, STRUT, **work)
+    assert [one.model.goals[0].words for one in (lift, strut)] == ["work over the stroke", "work over the range"]
+    assert read_words(f"minimise {lift.model.goals[0].words}") == {"sense": "minimise", "quantity": "work"}
+    turning = CRANK_ROCKER.replace('range = ["20 deg", "200 deg"]', "")
+    assert problem(tmp_path, turning, **work).model.goals[0].words == "work per revolution"
+
+
+def test_a_drawing_of_a_cylinder_is_exported_at_its_length(tmp_path):
+    machine = tmp_path / "lift.toml"
+    machine.write_text(LIFT.partition("[objective]")[0], encoding="utf-8")
+    for length, angle in ((1300.0, math.pi), (800.0, 0.0)):
+        file = tmp_path / "lift.json"
+        assert run("export", str(machine), "-o", str(file), "--at", f"{length:g} mm").exit_code == 0
+        drawn = json.loads(file.read_text(encoding="utf-8"))
+        assert drawn["crank_angle_rad"] == pytest.approx(angle)
+    for text, part in (("30 deg", "is not a unit of coordinate"), ("1.5 m", "Give a length of lift 800 ... 1300 mm")):
+        assert part in run("export", str(machine), "-o", str(tmp_path / "lift.svg"), "--at", text).stderr
+
+
+def test_texts_that_are_no_names_are_refused():
+    with pytest.raises(InputError, match="not a text"):
+        optlink.read_design("shaper-design", [], varied=[[1.0]])
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "part"),
+    [
+        (
+            "loads.gas",
+            {"on": "rod", "gas": {"pressure": "3 bar"}},
+            "loads.gas.gas.bore: this key is missing. Write for example gas",
+        ),
+        ("drive.law", {"over": "t", "at": ["0 s"], "values": ["0 deg"]}, "the law of a drive over the time is a list of motions"),
+    ],
+)
+def test_remedies_are_those_of_the_key(tmp_path, key, value, part):
+    with pytest.raises(InputError) as error:
+        problem(tmp_path, STRUT, **{key: value})
+    assert part in str(error.value)

@@ -178,6 +178,30 @@ def test_two_link_arm_has_the_torques_of_the_textbook():
     check(arm["input.power_W"], shoulder * w1 + elbow * (w - w1))
 
 
+def test_power_of_one_of_two_motors_is_a_limit(tmp_path):
+    """The longest upper arm whose shoulder takes 60 W, by the torques of the textbook; the other motor only brakes less."""
+    goal = {"objective": {"quantity": "length", "of": "upper.length", "sense": "maximise"}}
+    goal["limits"] = {"shoulder": {"quantity": "power", "of": "shoulder", "measure": "largest", "max": "60 W"}}
+    goal["mechanism.links.upper.length"] = {"start": "250 mm", "bounds": ["200 mm", "600 mm"]}
+    result = optlink.solve(optlink.load(FILES / "two-link-arm.toml", goal), starts=2)
+    best, length = result.best, result.best.design["upper.length"]
+    arm = optlink.analyze(result.problem, points=7200, design=best.design)
+    q1, q = arm["upper.angle_rad"], arm["fore.angle_rad"] - arm["upper.angle_rad"]
+    w1, w, a1, a = (arm[f"{body}.{part}"] for part in ("omega_rad_s", "alpha_rad_s2") for body in ("upper", "fore"))
+    coupled, g = 1.5 * length * 0.1, 9.81
+    elbow = (0.02 + 1.5 * 0.1**2) * a + coupled * (np.cos(q) * a1 + np.sin(q) * w1**2) + 1.5 * g * 0.1 * np.cos(q1 + q)
+    shoulder = elbow + (0.03 + 2.0 * 0.12**2 + 1.5 * length**2) * a1 + coupled * (np.cos(q) * a - np.sin(q) * w**2)
+    shoulder = shoulder + (2.0 * 0.12 + 1.5 * length) * g * np.cos(q1)
+    assert result.valid
+    assert 0.2 < length < 0.6
+    assert float(np.max(shoulder * w1)) == pytest.approx(60.0, rel=1e-5)
+    check(arm["elbow.power_W"], elbow * (w - w1))
+    with pytest.raises(InputError, match=r"there are several drives.*shoulder, elbow"):
+        optlink.load(FILES / "two-link-arm.toml", {"objective": {"quantity": "power"}})
+    with pytest.raises(InputError, match="no drive of that name"):
+        optlink.load(FILES / "two-link-arm.toml", {"objective": {"quantity": "power", "of": "wrist"}})
+
+
 def five_bar(left, right):
     one, other = polar(0.2, left), np.array([[0.15], [0.0]]) + polar(0.2, right)
     return meet(other, one, 0.25, 0.25)

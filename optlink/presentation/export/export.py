@@ -1,6 +1,5 @@
 """Export of a design: DXF and SVG drawings at a crank angle, motion as CSV, geometry as JSON."""
 
-import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,7 +27,9 @@ FORCES = ("_N", "_Nm", "_J", "_W")
 
 @dataclass(frozen=True)
 class Options:
-    """Export options: crank angle `at` [rad] (default: start of the motion), hole and width [m], rows of the table.
+    """Export options: crank angle `at` [rad], of a slide or cylinder its slide or length [m] (default: start of the motion).
+
+    Hole and width [m], rows of the table.
 
     Raises
     ------
@@ -44,7 +45,7 @@ class Options:
     def __post_init__(self) -> None:
         """Check the values."""
         if self.at is not None and not abs(self.at) <= LARGEST_ANGLE:
-            raise InputError("out of range", 'Give one such as "30 deg"', key="--at", value=f"{self.at:g} rad")
+            raise InputError("out of range", 'Give one such as "30 deg"', key="--at", value=f"{self.at:g}")
         for name, size in (("hole", self.hole), ("width", self.width)):
             if size is not None and not SHORTEST <= size <= LONGEST:
                 raise InputError("no link has such a size", 'Give one such as "8 mm"', key=f"--{name}", value=f"{size:g} m")
@@ -79,23 +80,25 @@ def export(model: ReportModel, path: Path, options: Options | None = None) -> No
 
 
 def place_of(model: ReportModel, cycle: Analysis, at: float | None) -> float:
-    """Return a crank angle [rad] at which the mechanism can be assembled; None stands for the start of the motion.
+    """Return the crank angle [rad] of a position `at` in SI, where the mechanism can be assembled; None: where the motion starts.
 
     Raises
     ------
     InputError
-        If the crank cannot reach the angle; the message contains the reachable ranges.
+        If the drive cannot reach the position; the message contains the reachable ranges.
     """
     if at is None:
         return float(cycle.positions[0])
-    if cycle.full:
-        return at
-    if cycle.ranges.holding(at) is None:
-        failed = failure(cycle.machine.mechanism, cycle.machine.sizes, at)
+    driving = model.problem.model.driving
+    angle = at if driving.ends is None else driving.at(1e3 * at)
+    if not cycle.full and cycle.ranges.holding(angle) is None:
+        failed = failure(cycle.machine.mechanism, cycle.machine.sizes, angle)
         message = str(failed) if failed else "the mechanism cannot be assembled there"
-        shown = f"{math.degrees(at):.6g} deg"
-        raise InputError(message, f"Give an angle within {cycle.ranges.text}", model.problem.file, "--at", shown)
-    return at
+        remedy, shown = f"Give an angle within {cycle.ranges.text}", f"{driving.shown(angle):.6g} {driving.unit}"
+        if driving.ends is not None:
+            message, remedy = "the drive does not move there", f"Give a {driving.reach}"
+        raise InputError(message, remedy, model.problem.file, "--at", shown)
+    return angle
 
 
 def _dxf(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> None:

@@ -39,6 +39,7 @@ from optlink.presentation.chart_spec import (
     max_abs,
 )
 from optlink.presentation.format import Scale, position, round_below, scale
+from optlink.problem.terms import BACK
 from optlink.tasks.analyze import Analysis
 from optlink.tasks.results.extremes import Extreme
 
@@ -297,9 +298,10 @@ def extremes(cycle: CycleCurves, name: str, shown: Scale, colour: str = TARGET, 
     extreme = cycle.result.extremes.get(name) if extreme is None else extreme
     if extreme is None or not math.isfinite(extreme.least) or extreme.largest - extreme.least <= ROUNDING * cycle.peak(name):
         return []
-    marks = []
-    for value, at, direction in ((extreme.least, extreme.least_at, -1.0), (extreme.largest, extreme.largest_at, 1.0)):
-        x, words = cycle.place(at), f"{shown.text(value)} at {position(cycle.driving, at)}"
+    marks, ways = [], cycle.result.extremes.on_way_back(name) if name in cycle.result.extremes else (False, False)
+    ends = (extreme.least, extreme.least_at, -1.0), (extreme.largest, extreme.largest_at, 1.0)
+    for (value, at, direction), back in zip(ends, ways, strict=True):
+        x, words = cycle.place(at), f"{shown.text(value)} at {position(cycle.driving, at)}{BACK * back}"
         marks.append(Mark(x, value * shown.factor, words, colour, prefer=(0.0, direction), gid=f"extreme {name}"))
     return marks
 

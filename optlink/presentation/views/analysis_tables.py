@@ -258,7 +258,7 @@ WORTH = {
     ".length_m": ("length", "m"),
     ".force_N": ("force of the drive", "N"),
     "input.torque_Nm": ("torque", "N m"),
-    "input.power_W": ("power", "W"),
+    ".power_W": ("power", "W"),
     "frame.shaking_fx_N": ("shaking force x", "N"),
     "frame.shaking_fy_N": ("shaking force y", "N"),
     "frame.shaking_moment_Nm": ("shaking moment", "N m"),
@@ -300,8 +300,8 @@ def _extremes(outcome: Analysis) -> TableSpec:
         factor = math.degrees(1.0) if unit == "deg" else 1.0
         ends = ((extreme.least, extreme.least_at), (extreme.largest, extreme.largest_at))
         cells = [
-            (number(factor * (0.0 if abs(value) <= ROUNDING * size else value), 7), fixed(driving.shown(at), 4))
-            for value, at in ends
+            (number(factor * (0.0 if abs(value) <= ROUNDING * size else value), 7), fixed(driving.shown(at), 4) + ", back" * back)
+            for (value, at), back in zip(ends, outcome.extremes.on_way_back(name), strict=True)
         ]
         rows.append((f"{name.rpartition('.')[0]}: {word}", *cells[0], *cells[1], quiet(unit)))
     columns = ["", ">least", f">at [{driving.unit}]", ">largest", f">at [{driving.unit}]", ""]

@@ -103,7 +103,7 @@ def before_after(result: Balance) -> list[ChartSpec]:
         (f"Joint reactions, {k // MAX_PANELS + 1}" if k or chosen else "Joint reactions", remaining[k : k + MAX_PANELS], "")
         for k in range(0, len(remaining), MAX_PANELS)
     ]
-    x, closing = result.columns["crank_angle_deg"], []
+    x, closing = np.degrees(result.angles), []
     if abs(abs(x[-1] - x[0]) + abs(x[1] - x[0]) - 360.0) < 1e-6:  # a whole revolution is closed
         closing = [x[0] + math.copysign(360.0, x[1] - x[0])]
     angles = np.append(x, closing)

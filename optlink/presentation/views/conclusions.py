@@ -7,6 +7,7 @@ from optlink.dynamics.columns import efforts
 from optlink.presentation.format import figure, joined, shown, si, why_invalid
 from optlink.presentation.views.design_tables import sentence
 from optlink.presentation.views.search_tables import clause
+from optlink.problem.terms import BACK
 from optlink.solvers.solution import LimitState
 from optlink.tasks.analyze import Analysis
 from optlink.tasks.results.design import LinkageDesign, SynthesisResult, TermFigure
@@ -84,6 +85,7 @@ def analysis(outcome: Analysis) -> str:
             low = abs(extreme.least) > abs(extreme.largest)
             value, at = (extreme.least, extreme.least_at) if low else (extreme.largest, extreme.largest_at)
             place = f"{driving.noun} of {figure(driving.shown(at), driving.unit)}"
+            place += BACK * outcome.extremes.on_way_back(effort.column)[0 if low else 1]
             drive = f"the drive {effort.drive}" if effort.drive else "the drive"
             words.append(f"{drive} needs up to {si(abs(value), effort.unit)} (at a {place})")
     pins = extremes.select(name for name in extremes if name.endswith(".f_N"))

@@ -20,7 +20,7 @@ from optlink.presentation.labels import place_labels
 from optlink.presentation.style import figure, heading, styled
 from optlink.problem.design import DesignProblem
 from optlink.problem.driving import Driving
-from optlink.problem.terms import Term
+from optlink.problem.terms import BACK, Term
 from optlink.tasks.analyze import Analysis
 from optlink.tasks.results.design import LinkageDesign, SynthesisResult
 from optlink.units import KINDS
@@ -31,27 +31,31 @@ STEPS = 720
 
 
 class Line(NamedTuple):
-    """A quantity over the revolution or range: positions of the drive in its unit, values [SI] with NaN at jumps, its measure."""
+    """A quantity over the revolution or range: positions of the drive in its unit, values [SI] with NaN at jumps, its measure.
+
+    `way` is BACK if they are those of the way back through the range, where the extreme occurs.
+    """
 
     angles: Array
     values: Array
     figure: float
+    way: str
 
 
 def _line(cycle: Cycle, term: Term, driving: Driving) -> Line:
     """Evaluate a cyclic term over the revolution, with one-sided values at load jumps."""
-    machine, read = cycle.history(term)
+    (machine, read), speed = cycle.history(term), -cycle.speed if cycle.on_way_back(term) else cycle.speed
     jumps = cycle.low + np.remainder(cycle.work.jumps - cycle.low, cycle.cycle)
     even = np.linspace(cycle.low, cycle.high, STEPS * max(1, round(cycle.cycle / TURN)) + 1)
     angles = np.concatenate([even, jumps, jumps])
-    values = read(MotionColumns(machine.moving(np.concatenate([even, jumps]), cycle.speed)))
-    before = read(MotionColumns(machine.moving(jumps, cycle.speed, side=-1))) if jumps.size else np.zeros(0)
+    values = read(MotionColumns(machine.moving(np.concatenate([even, jumps]), speed)))
+    before = read(MotionColumns(machine.moving(jumps, speed, side=-1))) if jumps.size else np.zeros(0)
     rank = np.concatenate([np.ones(len(even)), np.full(len(jumps), 2.0), np.zeros(len(jumps))])
-    rank = rank if cycle.speed > 0.0 else -rank
+    rank = rank if speed > 0.0 else -rank
     order = np.lexsort((rank, angles))
     x, y = driving.shown(angles[order]), np.concatenate([values, before])[order]
     gaps = np.flatnonzero(np.diff(x) == 0.0) + 1
-    return Line(np.insert(x, gaps, np.nan), np.insert(y, gaps, np.nan), cycle.figure(term))
+    return Line(np.insert(x, gaps, np.nan), np.insert(y, gaps, np.nan), cycle.figure(term), cycle.on_way_back(term) * BACK)
 
 
 def _distinct_terms(problem: DesignProblem) -> Iterable[tuple[Term, float | None, float | None]]:
@@ -97,7 +101,13 @@ def _panel(design: LinkageDesign, term: Term, cycles: dict[str, Cycle], limits: 
     shown = scale(max(np.nanmax(np.abs(line.values)) for line in lines.values()), unit)
     styles = {"initial": (INITIAL, 1.3), "result": (RESULT, 1.8)}
     curves = [
-        Curve(line.angles, line.values * shown.factor, f"{name}: {term.how} {shown.text(line.figure)}", *styles[name], gid=name)
+        Curve(
+            line.angles,
+            line.values * shown.factor,
+            f"{name}: {term.how} {shown.text(line.figure)}{line.way}",
+            *styles[name],
+            gid=name,
+        )
         for name, line in lines.items()
     ]
     low = min(np.nanmin(line.values) for line in lines.values())

@@ -159,6 +159,9 @@ def _read_law(stated: object, info: ValidationInfo) -> MotionLaw | None:
         return None
     data, folder, (raw, start) = info.data, folder_of(info), stated
     kind = "length" if data.get("cylinder") else "coordinate" if data.get("slide") else "angle"
+    if isinstance(raw, dict) and raw.get("over") in ("t", "time"):
+        remedy = 'Write law = [{ time = "1 s", to = "30 deg" }, { time = "1 s", to = "0 deg" }], or { csv = "law.csv" }'
+        raise Unusable("the law of a drive over the time is a list of motions, or a CSV file", remedy, "over", raw["over"])
     if isinstance(raw, dict) and "over" in raw:
         return paced_law(read_size(raw, folder, "angular velocity", ("phi",)), kind)
     begin = data["start"].value if start and "start" in data else None

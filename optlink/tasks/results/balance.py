@@ -412,7 +412,8 @@ class Balance(Document):
     @cached_property
     def columns(self) -> dict[str, Array]:
         """All measured values over the positions, before and after balancing, by name with unit."""
-        columns = {"crank_angle_deg": np.degrees(self.angles)}
+        driving = self.problem.model.driving
+        columns = {driving.column: driving.shown(self.angles)}
         machines = {"before": self.original} | ({"after": self.heavier} if self.heavier is not None else {})
         for when, machine in machines.items():
             record = MotionColumns(machine.moving(self.angles, self.speed))

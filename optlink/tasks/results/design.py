@@ -26,7 +26,7 @@ from optlink.problem.design import DesignProblem
 from optlink.problem.document import Column, Document, Number, Source, adapter, entries
 from optlink.problem.file import ProblemFile, fixed_design, started
 from optlink.problem.targets.expression import Expression
-from optlink.problem.terms import Term
+from optlink.problem.terms import BACK, Term
 from optlink.solvers.solution import SAME_OBJECTIVE, LimitState, Relaxation, Solution
 from optlink.synthesis.freudenstein import FirstStep
 from optlink.tasks.machine import turning_machine
@@ -225,7 +225,8 @@ class LinkageDesign(Summary):
         size = 1.0 / factor(unit, kind) if kind else 1.0
         values = [math.nan if cycle is None else cycle.figure(term) for cycle in (self.first_cycle, self.cycle)]
         initial, result = (0.0 if kind == "angle" and abs(value) <= NO_ANGLE else size * value for value in values)
-        return TermFigure(name, term.words, initial, result, limit, unit)
+        back = self.cycle is not None and self.cycle.on_way_back(term)
+        return TermFigure(name, term.words + back * BACK, initial, result, limit, unit)
 
     @property
     def comparison(self) -> str:

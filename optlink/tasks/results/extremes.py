@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import ItemsView, Iterable, Iterator, Mapping, Sequence, ValuesView
 from functools import cached_property
@@ -20,6 +21,7 @@ from optlink.linkage.vector2d import Array
 
 CHANGE_POINT_WIDTH = 1e-5  # rad from a passed change point: reactions are inaccurate there
 WORK = "input.work_J"
+SAME = 1e-9  # of the larger force on the way back, by which that on the way there may differ from rounding
 
 
 def distances(angles: Array, positions: ArrayLike, cycle: float) -> Array:
@@ -76,6 +78,8 @@ class Extremes(Mapping[str, Extreme]):
         self._machine, self._ranges, self._grid, self._ends = machine, ranges, grid, (low, high)
         self._speed, self._work, self._without, self._unbounded = speed, work, without, unbounded
         self._found: dict[str, Extreme] = {}
+        self._back: tuple[Extremes, str] | None = None
+        self._ways: dict[str, tuple[bool, bool]] = {}
 
     def __getitem__(self, name: str) -> Extreme:
         if name not in self._names:
@@ -111,6 +115,37 @@ class Extremes(Mapping[str, Extreme]):
         if WORK in missing:
             self._found[WORK] = self._of_work()
         return {name: self._found[name] for name in wanted}
+
+    @property
+    def turned(self) -> Extremes:
+        """The extremes of the motion in the opposite sense, of a machine with the same forces there."""
+        made = copy.copy(self)
+        made._speed, made._found = -self._speed, {}
+        made.__dict__.pop("_sampled", None)
+        return made
+
+    def both_ways(self, back: Extremes, ending: str = "") -> Extremes:
+        """Return the extremes of both ways through a range, of forces and powers in columns with an ending; others are the same.
+
+        Parameters
+        ----------
+        back : Extremes
+            Of the way back.
+        ending : str
+        """
+        made = copy.copy(self)
+        made._found, made._back = {}, (back, ending)
+        return made
+
+    def on_way_back(self, name: str) -> tuple[bool, bool]:
+        """Return whether the least and the largest value of a column occur on the way back through a range.
+
+        Parameters
+        ----------
+        name : str
+        """
+        self.select([name])
+        return self._ways.get(name, (False, False))
 
     @property
     def amounts(self) -> dict[str, float]:
@@ -197,6 +232,15 @@ class Extremes(Mapping[str, Extreme]):
                 best[:, k], at[:, k] = np.where(better, one_sided, best[:, k]), np.where(better, jumps[place], at[:, k])
         for k, (low, high), (low_at, high_at) in zip(rows, best, at, strict=True):
             self._found[self._all[0][k]] = Extreme(float(low), self._placed(low_at), float(high), self._placed(high_at))
+        if self._back is not None:
+            back, ending = self._back
+            motion = MotionColumns(self._machine.moving(self._grid[:1], self._speed)).motion_names
+            names = [name for k in rows if (name := self._all[0][k]).endswith(ending) and name not in motion and name in back]
+            for name, other in back.select(names).items():
+                own, amount = self._found[name], max(map(abs, (other.least, other.largest)))
+                lower, higher = own.least - other.least > SAME * amount, other.largest - own.largest > SAME * amount
+                self._ways[name] = lower, higher
+                self._found[name] = Extreme(*(other if lower else own)[:2], *(other if higher else own)[2:])
 
     def _of_work(self) -> Extreme:
         work, (low, high) = self._work, self._ends
