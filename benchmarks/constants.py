@@ -305,12 +305,12 @@ def _pareto(name: str, objectives: str, points: int) -> Found:
     return {"objectives": front.costs[:, 0].tolist(), "valid": front.complete, "starts": front.solved, "told": told}
 
 
-def _sensitivities(name: str) -> Found:
+def _sensitivities(name: str, changes: Mapping[str, Any] | None = None, *, check: bool = False) -> Found:
     import optlink
     from optlink.studies import sensitivities
 
-    study = sensitivities(optlink.load(name))
-    derivatives = [float(one.objective) for one in study.rows]
+    study = sensitivities(optlink.load(name, dict(changes or {})), check=check)
+    derivatives = [float((one.check or one).objective) for one in study.rows]
     return {"objectives": derivatives, "valid": True, "starts": 0, "told": [study.status, len(study.moving)]}
 
 
@@ -321,6 +321,49 @@ def _tolerance(name: str, *tolerances: str, **options: Any) -> Found:
     study = tolerance(optlink.load(name), list(tolerances), samples=1 << 14, **options)
     shares = [-float(study.monte_carlo.share)] if study.monte_carlo else []
     return {"objectives": shares, "valid": True, "starts": 0, "told": []}
+
+
+def _tune(name: str, **options: Any) -> Found:
+    from optlink.control import tune
+
+    tuned = tune(name, "inverse+pid", ["proportional", "integral"], evaluations=8, starts=1, **options)
+    return {"objectives": [float(tuned.cost)], "valid": True, "starts": 0, "told": []}
+
+
+def _grown(watt: bool) -> Found:
+    """Six-bars of a random path from the best designs of the four-bar that they contain."""
+    import optlink
+    from optlink.synthesis.growth import contained_four_bar
+    from optlink.tasks.search import Polisher, designs_from_four_bar
+    from tests.random_six_bars import random_six_bar
+
+    file = random_six_bar(10 + (not watt), 12).file
+    part = contained_four_bar(file)
+    assert part is not None
+    four_bars = optlink.solve(part.file, "ipopt", 60, 0, workers=1).designs[:1]
+    designs = designs_from_four_bar(part, four_bars, Polisher(file.variants(), "ipopt"), 0)
+    return {"objectives": [float(one.objective) for one in designs], "valid": bool(designs), "starts": 0, "told": []}
+
+
+def _error_bounded(name: str, best: float, changes: Mapping[str, Any], **limits: float) -> Found:
+    """The bound of the largest error of a function; a higher one is better."""
+    import optlink
+    from optlink.solvers.global_search.function_generator import certify_function
+
+    found = certify_function(optlink.load(name, dict(changes)).spec, best, **limits)
+    return {"objectives": [found.best, -found.lower], "valid": True, "starts": 0, "told": [found.status, found.boxes]}
+
+
+def _path_bounded(name: str, changes: Mapping[str, Any], gap: float, boxes: int) -> Found:
+    """The proof of a timed path, begun from the best of few designs."""
+    import optlink
+    from optlink.tasks.certify import certify
+
+    problem = optlink.load(name, dict(changes))
+    result = certify(optlink.solve(problem, "ipopt", 20, 0, workers=1, certify=False), gap, boxes=boxes, original=problem)
+    found = result.certificate
+    objectives = [float(result.objective), -float(found.lower_bound)]
+    return {"objectives": objectives, "valid": bool(result.valid), "starts": 0, "told": [found.status, found.boxes]}
 
 
 PROBLEMS = (
@@ -351,13 +394,40 @@ def cases() -> dict[str, Callable[[], Found]]:
     found["crank-rocker, largest deviation, certified"] = partial(
         _design, "crank-rocker", changes={"requirement.measure": "max"}, **proof
     )
-    found["path-crank-rocker, certified"] = partial(_design, "path-crank-rocker", starts=60, certify=True, gap=0.5)
+    wide = {"limits.link_ratio": [0.333, 3.0], "limits.transmission_angle": ["18 deg", "162 deg"]}
+    found["path-arc5, certified"] = partial(_path_bounded, "path-arc5", wide, 0.9, 100_000)
+    found["path-closed18, certified"] = partial(_path_bounded, "path-closed18", {}, 0.9, 2_000)
+    left = {"mechanism.assembly": "left"}
+    found["function-sin, certified"] = partial(_error_bounded, "function-sin", 0.006, left, gap=0.5)
+    exact = partial(_error_bounded, "function-log10", 6.404826e-5, {}, gap=1e-3, boxes=6000)
+    found["function-log10, certified closely"] = exact
+    lengths = {f"mechanism.{name}": {"bounds": ["20 mm", "300 mm"]} for name in ("frame", "crank")}
+    found["stroke-crank-rocker of any size"] = partial(_design, "stroke-crank-rocker", changes=lengths, starts=4)
+    rod = {"mechanism.links.rod.length": {"bounds": ["100 mm", "300 mm"]}, "objective": {"quantity": "torque", "measure": "rms"}}
+    found["rod of a pump"] = partial(_design, str(ROOT / "templates" / "pump.toml"), changes=rod, starts=2)
+    found["poses-and-law within its span"] = partial(_design, "poses-and-law", changes={"limits.crank": "span"})
+    found["path-ellipse10, 60 starts"] = partial(_design, "path-ellipse10", starts=60)
+    found["Watt from a four-bar"] = partial(_grown, watt=True)
+    found["Stephenson from a four-bar"] = partial(_grown, watt=False)
     found["sweep of crank-rocker"] = partial(_sweep, "crank-rocker", *(f"{axis}:7" for axis in SPAN))
     found["sweep of path-crank-rocker"] = partial(_sweep, "path-crank-rocker", "mechanism.crank=95..105 mm:3")
+    found["grid of crank-rocker"] = partial(_sweep, "crank-rocker", "mechanism.frame=150..900 mm:4", f"{SPAN[1]}:3")
+    found["sweep of the law of crank-rocker"] = partial(_sweep, "crank-rocker", "requirement.span=80..100 deg:3")
+    found["front of crank-rocker in a range"] = partial(
+        _pareto, "crank-rocker", "error, limits.transmission_angle.max=125..135 deg", 3
+    )
     found["front of crank-rocker"] = partial(_pareto, "crank-rocker", "error, limits.transmission_angle.max", 5)
     found["sensitivities of crank-rocker"] = partial(_sensitivities, "crank-rocker")
     found["sensitivities of stroke-crank-rocker"] = partial(_sensitivities, "stroke-crank-rocker")
+    found["sensitivities of law-slider-crank, checked"] = partial(
+        _sensitivities, "law-slider-crank", {"requirement.measure": "max"}, check=True
+    )
     found["yield of crank-rocker"] = partial(_tolerance, "crank-rocker", *LENGTHS, limit="2.3 deg")
+    found["tolerance of stroke-crank-rocker"] = partial(
+        _tolerance, "stroke-crank-rocker", *LENGTHS, limit="0.5 deg", output="rocker"
+    )
+    found["margin of crank-rocker"] = partial(_tolerance, "crank-rocker", *LENGTHS, limit="2.3 deg", robust="margin")
+    found["control of crank-rocker-clearance"] = partial(_tune, "crank-rocker-clearance", revolutions=2, points=36)
     found["robust crank-rocker"] = partial(_tolerance, "crank-rocker", *LENGTHS, limit="2.3 deg", robust="yield")
     found["tolerances of crank-rocker"] = partial(_tolerance, "crank-rocker", *LENGTHS, limit="2.3 deg", target_yield=0.95)
     return found

@@ -70,7 +70,7 @@ SAMPLES = 160  # random designs for each of them; only those with one order of e
 BLOCK = 32  # random designs whose events are determined together
 ORDERS = 2  # further orders of events searched while no feasible design is known
 STEPS = (1e-3, 1e-2)  # of the range of a design variable: from a design at the edge of its order of events to the next order
-NEIGHBOURS, CROSSINGS = 4, 12  # other orders searched from one such design; ends of searches from which others may be searched
+CROSSINGS = 12  # ends of searches from which others may be searched, in the orders beside them
 
 PEAK = "place of a peak"
 
@@ -700,4 +700,4 @@ def orders_beside(
         own = sample.structure
         if own is not None and not own.like(structure):
             orders.setdefault((own.which, own.rising), (replace(own, slow=structure.slow), sample.values))
-    return list(orders.values())[:NEIGHBOURS]
+    return list(orders.values())

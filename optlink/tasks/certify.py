@@ -21,6 +21,7 @@ from optlink.problem.file import ProblemFile
 from optlink.solvers.global_search.branch_and_bound import BATCH, FEW, Bounder, BranchAndBound, joint_history
 from optlink.solvers.global_search.function_generator import CLOSED, INTERRUPTED, MOST, certify_function
 from optlink.solvers.global_search.lagrangian import Guess, LagrangianBounds, least_squares
+from optlink.solvers.solution import SAME_OBJECTIVE
 from optlink.tasks.design import certified_by_default
 from optlink.tasks.protocol import Proving
 from optlink.tasks.results.certificate import (
@@ -42,10 +43,8 @@ if TYPE_CHECKING:
 
 NEAR_LARGEST = 1e-3  # share below the largest deviation within which others are as large
 DERIVATIVE_WIDTH = 1e-8  # half width of the box about the best design in which derivatives are taken, as a share of the bounds
-MIN_IMPROVEMENT = 1e-7  # share of the objective by which a design must be smaller to be better
 GAP_SHARE = 0.999  # share of the gap that the search uses, so that rounding does not decide whether it is kept
 PATH_BOXES = 1024  # boxes of a timed path that are bounded together
-MAX_FAILURES = 20  # searches for a better timed path that may fail
 AUTOMATIC_BOXES = 2_000  # boxes of a certificate that is made by default; they take about a second
 
 
@@ -195,7 +194,7 @@ class _Search:
     def _search_locally(self, variant: ProblemFile, start: dict[str, float]) -> bool:
         """Search locally from a design [SI]; return whether the result improved."""
         candidate = _local(self.result, variant, start)
-        if candidate is None or not candidate.valid or not candidate.objective < (1.0 - MIN_IMPROVEMENT) * self._known:
+        if candidate is None or not candidate.valid or not candidate.objective < (1.0 - SAME_OBJECTIVE) * self._known:
             return False
         self.result, self.improved = candidate, True
         return True
@@ -317,8 +316,6 @@ class _ErrorSearch(_Search):
 class _PathSearch(_Search):
     """The search of a timed path of a four-bar: over its proportions, all assembly modes at once."""
 
-    failed = 0
-
     def run(self, seconds: float, boxes: float, progress: Proving) -> Any:
         """Search all assembly modes."""
         from optlink.solvers.global_search.timed_path import TimedPathBounds
@@ -335,15 +332,15 @@ class _PathSearch(_Search):
         return self._with(self._certificate([search], [self.original]), begin, interrupted=interrupted)
 
     def _from_box(self, bounds: TimedPathBounds, x: Array) -> float:
-        """Search from the four-bar at a point, if it is within the bounds and searches for better ones have not failed often."""
+        """Search from the four-bar at a point, if it is within the bounds."""
         values, free = bounds.design(x), bounds.problem.free
         quantities = bounds.problem.quantities
         inside = all(quantities[name].bounds[0] <= values[name] <= quantities[name].bounds[1] for name in free)
-        if inside and self.failed < MAX_FAILURES:
+        if inside:
             variants, left = self.original.variants(), bounds.left(x)
             sides = [file.spec.four_bar is not None and file.spec.four_bar.side > 0 for file in variants]
             variant = variants[sides.index(left) if left in sides else 0]
-            self.failed += not self._search_locally(variant, {name: values[name] for name in free})
+            self._search_locally(variant, {name: values[name] for name in free})
         return self._squared
 
 

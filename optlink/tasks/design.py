@@ -51,14 +51,12 @@ from optlink.validation.timing import passing
 # What a search finds, and how much longer it takes, if one of them is halved or doubled: docs/constants.md.
 MAX_CERTIFIED_VARIABLES = 2
 """Design variables of a motion law up to which the global optimum is certified by default, without random starts."""
-MIN_CURVATURE = 1e-7  # least curvature, for an objective scaled to 1, of a unique optimum
 NONE_MOVES = "none of {} random designs within the bounds lets {}: widen the bounds, or start from a design that does"
 MISSED_CHANCE = 0.02  # estimated chance that a better design was missed at which a search ends
 FITS_PER_ROUND = 24  # random fits of a function per assembly mode
 MIN_ROUNDS, MAX_ROUNDS = 3, 20  # of random starting points, while a better design is not unlikely
 MAX_ROUNDS_POOR_FIT = 40  # largest number, while the best design fits poorly
-BATCH_ROUNDS = 2  # rounds computed together after the first one, while no design is exact
-SHARED_BATCH_ROUNDS = 4  # the same for several processes
+SHARED_BATCH_ROUNDS = 4  # rounds that several processes compute together after the first one, while no design is exact
 SLOW_VARIABLES = 12  # design variables of a linkage of several dyads from which on its refinements take seconds
 SHARED_FROM_ROUND = 6  # round from which on several processes share a search of four-bars, of which most are at an end by then
 COMPOUND_ROUNDS = 3  # largest number for a linkage of several dyads, whose starts and limits take longer
@@ -260,7 +258,7 @@ def _movable(best: LinkageDesign) -> bool:
     sized = task.objective or task.limits.named or task.limits.regions or any(part.unit == "m" for part in task.parts)
     free = set(task.free)
     scaled = loop is not None and free.issuperset(loop.names) and bool(free & {loop.frame_length, *loop.ground})
-    return not sized and scaled and best.solution is not None and best.solution.curvature <= MIN_CURVATURE
+    return not sized and scaled
 
 
 def _continuum_note(equal: Continuum) -> str:
@@ -466,10 +464,8 @@ class SearchRounds:
     def _ahead(self, exact: int) -> int:
         """Return the number of rounds to compute together."""
         exploration, starts = self.exploration, self.options.starts
-        if exploration.rounds == 0 or exact:
+        if exploration.rounds == 0 or exact or self.searcher.runs is None:
             return 1
-        if self.searcher.runs is None:
-            return BATCH_ROUNDS
         left = math.ceil((starts - self.starts) / PER_ROUND) if starts else self._most - exploration.rounds
         return max(1, min(left, SHARED_BATCH_ROUNDS))
 

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from optlink.tasks.results.design import SynthesisResult
 
 
-INCOMPLETE_BOXES, MAX_UNKNOWNS = 10_000, 3  # boxes, and most design variables, of a certificate after an incomplete search
+MAX_UNKNOWNS = 3  # most design variables of a certificate that is made after an incomplete search
 
 
 def design_task(problem: ProblemFile) -> DesignTask[Any]:
@@ -141,6 +141,7 @@ def solve(
 
 def _default_boxes(problem: ProblemFile, result: Any) -> int:
     """Return the number of boxes of a certificate that is made by default; zero if none is made."""
+    from optlink.solvers.global_search.branch_and_bound import LONG
     from optlink.tasks import certify as proof
 
     if proof.automatic(problem):
@@ -148,7 +149,7 @@ def _default_boxes(problem: ProblemFile, result: Any) -> int:
     if result.incomplete and len(problem.model.free) <= MAX_UNKNOWNS:
         with contextlib.suppress(InputError):
             proof.check_problem(problem)
-            return INCOMPLETE_BOXES
+            return LONG
     return 0
 
 

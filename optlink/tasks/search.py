@@ -75,11 +75,9 @@ MISSING = 0.25  # how far counts can be relied on where the best design misses t
 MOST_IN_ORDER = 0.5  # share of starts that end in order from which the order does not decide which optima are found
 SAME_COST = 1e-4  # relative difference of equal costs of candidates
 ROUNDING = 1e-9  # relative difference of equal errors of one coupler curve
-SLACK = 1e-3  # share of the breadth of an output that counts as unused
 MOST_PROGRAMMES = 24  # programmes that are kept: assembly modes, directions of the crank, orders of ends of strokes
 # Designs from those of a four-bar:
 STARTS = 12  # per design of the four-bar and combination of assembly modes
-SUFFICIENT_DESIGNS = 2  # designs with the same error, no worse than the four-bar, that suffice
 STEPS = 120  # of the descent from each of them
 
 
@@ -475,7 +473,7 @@ def centred(task: DesignProblem, solution: Solution) -> Solution:
             continue
         above = ErrorCourse(part).sizes(part.own(task.complete(solution.design)), np.linspace(0.0, 1.0, FINE))
         below, beyond = (float(side) * part.whole for side in np.max(above, axis=1))
-        if beyond + below < 2.0 * tolerance * (1.0 - SLACK):
+        if beyond + below < 2.0 * tolerance * (1.0 - SAME_OBJECTIVE):
             k = task.free.index(name)
             x[k] = nlp.variables[k].scaled(solution.design[name] - 0.5 * (beyond - below))
     moved = np.clip(x, nlp.x_low, nlp.x_high)
@@ -834,7 +832,7 @@ def designs_from_four_bar(
 def _agree(designs: Sequence[LinkageDesign]) -> bool:
     """Return whether the best of some designs was reached several times."""
     least = min((design.error for design in designs), default=math.inf)
-    return sum(design.error <= least * (1.0 + SAME_OBJECTIVE) for design in designs) >= SUFFICIENT_DESIGNS
+    return sum(design.error <= least * (1.0 + SAME_OBJECTIVE) for design in designs) > 1
 
 
 def _candidates(variant: int, batch: Batch, x: np.ndarray, t: np.ndarray) -> list[Candidate]:

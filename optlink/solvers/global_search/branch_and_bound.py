@@ -30,7 +30,6 @@ BATCH = 256  # boxes that are bounded together
 LONG, WIDE = 10_000, 8  # boxes after which a search takes steps of several batches, for several processes; batches of a step
 FEW = 64  # open boxes below which they are divided before they are bounded: small batches take nearly as long as larger ones
 STEEP, NARROW = 1.5, 1e-4  # widths of the first boxes as multiples of their distance from the best known design, and least one
-RARELY = 1.3  # factor of the number of boxes after a search for a better design in vain until the next one
 SMALLEST = 1e-12  # width of a box, relative to the bounds, below which it is not divided
 MOST_OPEN = 1_000_000  # open boxes beyond which those with the highest bounds are taken first, so that memory is limited
 CHANGING = ("open", "tiny", "leaves", "boxes", "discarded")  # what a batch changes
@@ -301,7 +300,7 @@ class BranchAndBound:
             return
         before, self.best = self.best, min(self.best, self.improve(0.5 * (batch.low[k] + batch.high[k])))
         if not self.best < before:
-            self.next_attempt = math.ceil(RARELY * self.boxes)
+            self.next_attempt = 2 * self.boxes  # so that their number grows with the logarithm of that of the boxes
 
 
 def joint_history(searches: list[BranchAndBound]) -> list[tuple[int, float, float]]:
