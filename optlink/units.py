@@ -71,6 +71,7 @@ KINDS = {
         Kind("length", "m", "mm", "100 mm"),
         Kind("coordinate", "m", "mm", "100 mm"),
         Kind("angle", "rad", "deg", "45 deg"),
+        Kind("ratio", "", "", "0.5"),
         Kind("angular velocity", "rad/s", "rpm", "64 rpm"),
         Kind("angular acceleration", "rad/s**2", "rad/s^2", "40 rad/s^2"),
         Kind("time", "s", "s", "2 s"),
@@ -208,6 +209,10 @@ def plain(text: str) -> str:
 @functools.lru_cache(maxsize=512)
 def _unit(unit: str, kind: str) -> _Unit:
     expected_kind = KINDS[kind]
+    if not expected_kind.si and not unit:
+        return _Unit(1.0, (0.0,) * 4, "")
+    if not expected_kind.si:
+        raise UnitProblem(f"{with_article(kind)} has no unit", f"Write a plain number, for example {expected_kind.example}")
     use = f'Use a unit of {kind}, for example "{expected_kind.example}"'
     spelled = plain(unit)
     if not _UNIT.fullmatch(spelled):
@@ -251,7 +256,7 @@ def is_unit(text: str) -> bool:
 @functools.lru_cache(maxsize=512)
 def kind_of_unit(unit: str) -> str | None:
     """Return the first physical kind that has a unit; None for any other text."""
-    for kind in KINDS:
+    for kind in (kind.name for kind in KINDS.values() if kind.si):
         with contextlib.suppress(UnitProblem):
             _unit(unit, kind)
             return kind
@@ -283,10 +288,14 @@ def parse(text: object, kind: str) -> tuple[float, str]:
     """
     expected_kind, quantity = KINDS[kind], with_article(kind)
     remedy = f'Write a number and a unit: "{expected_kind.example}"'
+    if not expected_kind.si:
+        remedy = f"Write a plain number, for example {expected_kind.example}"
     if isinstance(text, bool) or not isinstance(text, (str, int, float)):
         kinds = {bool: "a logical value", list: "a list", dict: "a table", datetime.date: "a date", datetime.time: "a time"}
         name = kinds.get(type(text), type(text).__name__)
         raise UnitProblem(f"expected {quantity}, found {name}", f'Write it as text: "{expected_kind.example}"')
+    if not isinstance(text, str) and not expected_kind.si and math.isfinite(text):
+        return float(text), ""
     if not isinstance(text, str):
         if abs(text) > 1e300 or not math.isfinite(text):
             raise UnitProblem(f"{quantity} must be finite", remedy)
@@ -301,9 +310,9 @@ def parse(text: object, kind: str) -> tuple[float, str]:
     if match is None:
         raise UnitProblem(f"this is not {quantity}", remedy)
     number, unit = match.groups()
-    if unit is None:
+    if unit is None and expected_kind.si:
         raise UnitProblem(f"{quantity} needs a unit", f'Write "{number} {expected_kind.display}"')
-    known_unit = _unit(unit, kind)
+    known_unit = _unit(unit or "", kind)
     value = float(number) * known_unit.scale
     if not math.isfinite(value):
         raise UnitProblem(f"{quantity} must be finite", remedy)
@@ -431,7 +440,7 @@ def display_unit(kind: str) -> tuple[float, str]:
 def show(value: float, kind: str, unit: str | None = None, digits: int = 6) -> str:
     """Format an SI value in a unit, by default the display unit of its kind: `show(0.412, "length")` is "412 mm"."""
     unit = unit or KINDS[kind].display
-    return f"{value / factor(unit, kind):z.{digits}g} {unit}"
+    return f"{value / factor(unit, kind):z.{digits}g} {unit}".rstrip()
 
 
 def percent(share: float, decimals: int = 1, *, signed: bool = False) -> str:

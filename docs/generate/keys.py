@@ -314,7 +314,7 @@ def _units() -> str:
         "",
     ]
     lines += ["| kind | SI | example | single units |", "|---|---|---|---|"]
-    for kind in KINDS.values():
+    for kind in (one for one in KINDS.values() if one.si):
         fit = ", ".join(f"`{unit}`" for unit in single_units() if _fits(unit, kind.name))
         lines.append(f"| {kind.name} | {kind.si.replace('**', '^')} | `{kind.example}` | {fit or '-'} |")
     return "\n".join(lines)

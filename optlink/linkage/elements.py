@@ -17,7 +17,22 @@ from optlink.linkage.bodies import FRAME, Guide, Joint, Link, Size
 from optlink.linkage.cams import Arm, Contact, DiscCam, Face, Profile, Roller, Slide
 from optlink.linkage.jet import Jet, as_jet
 from optlink.linkage.laws import MotionLaw
-from optlink.linkage.vector2d import TURN, Array, Value, Vector, cross, dot, magnitude, minus, plus, sign, turn, turn_back
+from optlink.linkage.vector2d import (
+    TURN,
+    Array,
+    Value,
+    Vector,
+    angle,
+    cross,
+    dot,
+    magnitude,
+    minus,
+    plus,
+    root,
+    sign,
+    turn,
+    turn_back,
+)
 
 PRESSURE = math.radians(20.0)
 """Pressure angle of involute teeth (ISO 53)."""
@@ -133,6 +148,11 @@ class Element(Protocol):
         """Yield the curves by which it is drawn, with the bodies that carry them, for a pose of the whole motion."""
 
 
+def _size(pose: Pose, size: Size) -> Value:
+    """Return the value of a parameter without its derivatives, which are zero."""
+    return as_jet(pose.size(size)).value
+
+
 def _array(vector: Vector) -> Array:
     return np.array([as_jet(part).value for part in vector], dtype=float)
 
@@ -234,7 +254,7 @@ class Gear:
 
     angle of second = `ratio` * angle of first + `phase` [rad]; two external gears have a negative ratio. Where both turn about
     `pivots` on the arm, teeth press on each other at the pitch point, or the tight strand of a belt on wheels of `radii` pulls;
-    else torques alone are passed on.
+    else torques alone are passed on. The ratio of a belt is that of its radii, times `ratio`, -1 for a crossed one.
     """
 
     name: str
@@ -247,6 +267,8 @@ class Gear:
     radii: tuple[Size, Size] | None = None
     mesh: bool = True
     """Whether the two bodies themselves have teeth or wheels."""
+    radius: float = 1.0
+    """Radius of a wheel over its size in `radii`: a half for diameters."""
 
     @property
     def kind(self) -> str:
@@ -262,9 +284,14 @@ class Gear:
         """Return those of the two bodies and the arm that are not placed."""
         return {*self.bodies, self.arm}.difference(placed)
 
+    def speed(self, pose: Pose) -> Value:
+        """Return the speed of the second body over that of the first one, both relative to the arm."""
+        first, second = self.radii or (1.0, 1.0)
+        return pose.size(self.ratio) * (pose.size(first) / pose.size(second))
+
     def terms(self, pose: Pose) -> dict[Joint, Value]:
-        """Return the terms of angle of second - `ratio` * angle of first, both relative to the arm."""
-        (first, second), ratio = self.bodies, pose.size(self.ratio)
+        """Return the terms of angle of second - ratio * angle of first, both relative to the arm."""
+        (first, second), ratio = self.bodies, self.speed(pose)
         return _terms((second, 1.0), (first, -ratio), (self.arm, ratio - 1.0))
 
     def value(self, pose: Pose) -> Value:
@@ -282,13 +309,13 @@ class Gear:
         """
         if self.pivots is None:
             return
-        ratio = float(pose.size(self.ratio))
+        ratio = float(self.speed(pose))
         first, second = (_array(pose.local(self.arm, pivot)) for pivot in self.pivots)
         if not self.mesh:
             yield self.arm, Profile(np.array([first, second]), auxiliary=True, open=True)
             return
         distance = float(np.hypot(*(second - first)))
-        radii = [float(pose.size(radius)) for radius in self.radii or ()]
+        radii = [self.radius * float(pose.size(radius)) for radius in self.radii or ()]
         radii = radii or [abs(distance / (1.0 - speed)) for speed in (1.0 / ratio, ratio)]
         for body, pivot, radius in zip(self.bodies, self.pivots, radii, strict=True):
             centre = _array(pose.local(body, pivot))[None]
@@ -308,7 +335,7 @@ class Gear:
 
     def actions(self, places: Places, effort: Value) -> Iterator[Action]:
         """Yield the actions on both bodies, and on the arm if torques alone are passed on."""
-        (other, own), speed = self.bodies, places.pose.size(self.ratio)
+        (other, own), speed = self.bodies, as_jet(self.speed(places.pose)).value
         if self.pivots is None:
             for body, torque in ((own, effort), (other, -speed * effort), (self.arm, (speed - 1.0) * effort)):
                 yield Action(body, torque=torque)
@@ -322,7 +349,7 @@ class Gear:
             tangent = effort / lever
             force, arm = (sign(speed) * math.tan(self.pressure) * magnitude(tangent), tangent), (lever, 0.0)
         else:
-            opposite, radius = map(places.pose.size, self.radii)
+            opposite, radius = (self.radius * _size(places.pose, radius) for radius in self.radii)
             sine = (radius - sign(speed) * opposite) / distance
             cosine, side, pull = np.sqrt(1.0 - sine * sine), sign(effort), magnitude(effort) / radius
             force, arm = (pull * cosine, side * pull * sine), (radius * sine, -side * radius * cosine)
@@ -414,7 +441,7 @@ class Rack:
 
     def actions(self, places: Places, effort: Value) -> Iterator[Action]:
         """Yield the actions on the bar and on the wheel."""
-        line, centre, radius = places.line(self._line), places.place(self.pivot), places.pose.size(self.radius)
+        line, centre, radius = places.line(self._line), places.place(self.pivot), _size(places.pose, self.radius)
         force = turn((effort, -self.side * math.tan(self.pressure) * magnitude(effort)), line)
         point = plus(centre, turn((0.0, -self.side * radius), line))
         yield Action(self.bar, force, point)
@@ -427,6 +454,9 @@ class Cam:
 
     The force acts along the common normal, which passes through the point of equal velocities of both, and through the centre of
     the roller (or the knife edge) `contact`; without one the follower has a flat face across its slide.
+
+    Its displacement is `sense` * `lift` * law. It counts from `begin`, or from where the follower stands on a circle of the
+    radius `base`: a swinging one to the left of the line from the pivot of the cam to its own if `sense` is -1.
     """
 
     name: str
@@ -442,6 +472,8 @@ class Cam:
     """The body that carries the follower."""
     roller: Size = 0.0
     """Radius of the roller."""
+    base: Size | None = None
+    sense: float = 1.0
     kind: ClassVar[str] = "cam"
 
     @property
@@ -451,8 +483,8 @@ class Cam:
 
     @property
     def sizes(self) -> tuple[Size, ...]:
-        """Lift, its begin, and phase."""
-        return self.lift, self.begin, self.phase
+        """Lift, its begin, phase, and radii."""
+        return self.lift, self.begin, self.phase, self.roller, *(() if self.base is None else (self.base,))
 
     def unknown(self, placed: Collection[str]) -> set[str]:
         """Return the follower, once the cam and the body that carries the follower are placed."""
@@ -464,7 +496,24 @@ class Cam:
 
     def value(self, pose: Pose) -> Value:
         """Return the slide [m] or the angle [rad]."""
-        return pose.size(self.begin) + pose.size(self.lift) * self.law(self._turned(pose))
+        return self.lowest(pose) + self.sense * pose.size(self.lift) * self.law(self._turned(pose))
+
+    def lowest(self, pose: Pose) -> Value:
+        """Return the slide [m] or the angle [rad] where the displacement is zero; NaN off a base circle that is out of reach."""
+        if self.base is None:
+            return pose.size(self.begin)
+        reach, centre = pose.size(self.base) + pose.size(self.roller), pose.local(self.against, self.pivot)
+        guide, link = _guide(pose, self.follower, self.against), pose.mechanism.bodies[self.follower]
+        if guide is not None:
+            point, line = pose.local_line(guide, self.against)
+            away = minus(centre, point)
+            offset = cross(line, away)
+            return dot(line, away) + (root(reach * reach - offset * offset) if self.contact else reach)
+        back, length = minus(centre, pose.local(self.against, link.start)), pose.size(link.length)
+        square = dot(back, back)
+        cosine = (length * length + square - reach * reach) / (2.0 * length * np.sqrt(square))
+        with np.errstate(invalid="ignore"):
+            return angle(back) + self.sense * np.arccos(cosine)
 
     def _turned(self, pose: Pose) -> Value:
         """Return the angle of the cam from the begin of its law [rad]."""
@@ -477,7 +526,7 @@ class Cam:
     def disc(self, pose: Pose) -> DiscCam:
         """Return the disc cam in the axes of the body that carries the follower, about the pivot of the cam."""
         follower, rail = pose.mechanism.bodies[self.follower], _guide(pose, self.follower, self.against)
-        begin, roller, centre = float(pose.size(self.begin)), float(pose.size(self.roller)), pose.local(self.against, self.pivot)
+        begin, roller, centre = float(self.lowest(pose)), float(pose.size(self.roller)), pose.local(self.against, self.pivot)
         guide: Slide | Arm
         if rail is not None:
             point, line = pose.local_line(rail, self.against)
@@ -492,7 +541,7 @@ class Cam:
             sense = math.copysign(1.0, math.remainder(lowest, TURN))
             guide = Arm((float(pivot[0]), float(pivot[1])), length, side=int(sense))
             base = abs(length * np.exp(1j * lowest) - math.hypot(*pivot))
-        scale, phase = sense * float(pose.size(self.lift)), float(pose.size(self.phase))
+        scale, phase = sense * self.sense * float(pose.size(self.lift)), float(pose.size(self.phase))
 
         def lift(angles: Array) -> tuple[Array, Array, Array]:
             value, rate, bend = as_jet(self.law(Jet(angles - phase, 1.0))).parts
@@ -526,7 +575,7 @@ class Cam:
         pose, guide = places.pose, _guide(places.pose, self.follower, self.against)
         centre = places.place(self.pivot)
         turned = as_jet(self._turned(pose)).value
-        slope = pose.size(self.lift) * as_jet(self.law(Jet(turned, 1.0))).rate  # per rotation of the cam
+        slope = self.sense * _size(pose, self.lift) * as_jet(self.law(Jet(turned, 1.0))).rate  # per rotation of the cam
         if guide is not None:
             line = places.line(guide)
             common = plus(centre, turn((0.0, -slope), line))  # its velocity on the cam is that of the follower

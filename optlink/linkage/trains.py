@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 from optlink.linkage.bodies import Guide, Joint, Link
 from optlink.linkage.elements import Element, Pose
+from optlink.linkage.jet import as_jet
 from optlink.linkage.vector2d import Value, minus, turn, turn_back, unit
 
 
@@ -112,7 +113,8 @@ class Train:
 
     def efforts(self, pose: Pose, needed: Mapping[Joint, Value]) -> list[Value]:
         """Return the effort of each element from the moments [N m] and forces [N] along the coordinates that are needed."""
-        rows, unknown = self.rows(pose), self.coordinates
+        rows = [{joint: as_jet(value).value for joint, value in row.items()} for row in self.rows(pose)]
+        unknown = self.coordinates
         whole = determinant(rows, unknown)
         return [determinant([*rows[:k], needed, *rows[k + 1 :]], unknown) / whole for k in range(len(rows))]
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from optlink.linkage.vector2d import TURN, Array
 from optlink.optimization.mapped_terms import MappedTerms
-from optlink.optimization.terms import DEGREES, ConstraintRow, ErrorMeasure, Scale, millimetres
+from optlink.optimization.terms import DEGREES, PLAIN, ConstraintRow, ErrorMeasure, Scale, millimetres
 from optlink.problem.design import EPIGRAPH
 from optlink.problem.machine.model import Problem
 from optlink.problem.quantity import Quantity, quantity_key
@@ -44,12 +44,13 @@ class Variable:
 
 
 def scaled_variable(problem: Problem, name: str, size: float, *, periodic: bool, origin: float = 0.0) -> Variable:
-    """Return the scaling of a quantity: a length or coordinate, counted from an origin, by a size [m]; an angle by 1 rad."""
+    """Return the scaling of a quantity: a length or coordinate, counted from an origin, by a size [m]; others by 1."""
     key = quantity_key(problem, name)
     periodic = periodic and not any(name in link.names.values() for link in problem.links.values())
-    if problem.quantities[name].kind in ("length", "coordinate"):
+    if problem.quantities[name].in_metres:
         return Variable(name, size, millimetres(size, origin), origin, key)
-    return Variable(name, 1.0, DEGREES, key=key, periodic=periodic)
+    scale = DEGREES if problem.quantities[name].kind == "angle" else PLAIN
+    return Variable(name, 1.0, scale, key=key, periodic=periodic)
 
 
 THREADED = 10_000  # elements from which BLAS shares a dot product among threads, which takes longer than any other test

@@ -320,7 +320,7 @@ def link_rows(problem: Problem, values: Mapping[str, Value], size: float) -> Ite
         low, high = quantity.bounds
         if quantity.low is None and (quantity.kind != "length" or link.positive):
             continue
-        unit, scale = (1.0, DEGREES) if quantity.kind == "angle" else (size, millimetres(size))
+        unit, scale = (size, millimetres(size)) if quantity.in_metres else (1.0, DEGREES if quantity.kind == "angle" else PLAIN)
         yield ConstraintRow(quantity_key(problem, name), name, values[name] / unit, low / unit, high / unit, scale)
 
 

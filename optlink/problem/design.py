@@ -16,12 +16,13 @@ from optlink.linkage.fourbar import InnerFourBar, whole_four_bar
 from optlink.linkage.mechanism import Pose
 from optlink.linkage.vector2d import Array, Value
 from optlink.problem.driving import check_design_drive
+from optlink.problem.elements import check_one_cycle
 from optlink.problem.limits import MARGIN_KEYS, MODELS, Bound, Limits, Reach, check_limits, four_bar_limits
 from optlink.problem.linked import Link
 from optlink.problem.machine.bodies import STATIC
 from optlink.problem.machine.model import Problem, ShownObjective
 from optlink.problem.mechanism import check_one_mode
-from optlink.problem.quantity import Quantity, Unusable, below, read_figure
+from optlink.problem.quantity import Quantity, Unusable, below, quantity_key, read_figure
 from optlink.problem.requirements.base import NoRequirement, Requirement, StartPosition, TargetArrays, names_of
 from optlink.problem.requirements.kinds import AnyRequirement
 from optlink.problem.requirements.points import carrier
@@ -118,6 +119,7 @@ class DesignProblem(Problem):
         """
         check_one_mode(self.mechanism)
         check_design_drive(self.mechanism, self.drive)
+        self._check_cycle()
         if self.linkage.limits is not None and "crank" in self.limits.model_fields_set:
             message = "the drive has a range, throughout which the linkage closes"
             raise Unusable(message, "Leave it out, or the range", "limits.crank", self.limits.crank)
@@ -144,6 +146,15 @@ class DesignProblem(Problem):
         if self.composed:
             self._check_composition()
         super().check()
+
+    def _check_cycle(self) -> None:
+        """Refuse design variables with which the motion repeats after other turns of the crank in each design."""
+        linkage, free = self.linkage, {name: self.quantities[name] for name in self.free}
+        try:
+            check_one_cycle(linkage, free, self.complete)
+        except Unusable as error:
+            error.key = quantity_key(self, error.key)
+            raise
 
     @contextlib.contextmanager
     def keyed(self) -> Iterator[None]:
@@ -313,7 +324,10 @@ class DesignProblem(Problem):
     @cached_property
     def lengths(self) -> tuple[str, ...]:
         """Names of the lengths of the links; of a four-bar by its lengths, the frame is one."""
-        return tuple(name for name, quantity in self.mechanism.quantities.items() if quantity.kind == "length")
+        coupling = {size for element in self.linkage.elements if element.bodies for size in element.sizes}
+        return tuple(
+            name for name, quantity in self.mechanism.quantities.items() if quantity.kind == "length" and name not in coupling
+        )
 
     @property
     def placed_frame(self) -> InnerFourBar | None:

@@ -6,7 +6,7 @@ Each is an entry that builds its part of the mechanism, and says itself what a f
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import replace
 from fractions import Fraction
 from typing import Annotated, Any, Literal, NamedTuple, Self
@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import BeforeValidator, model_validator
 
 from optlink.dynamics.machine import Inertia
-from optlink.linkage.bodies import FRAME
+from optlink.linkage.bodies import FRAME, Size
 from optlink.linkage.elements import PRESSURE, Cam, Element, Gear, Rack, key_of
 from optlink.linkage.mechanism import Guide, Link, Mechanism, Pose
 from optlink.linkage.motion import sweep
@@ -24,22 +24,27 @@ from optlink.linkage.vector2d import TURN, cross, dot, minus
 from optlink.problem.base_model import Name, Section
 from optlink.problem.machine.drives import CamLaw, read_cam_law
 from optlink.problem.quantity import (
+    BOTH,
     Angle,
+    Coordinate,
     FixedAngle,
     FixedLength,
     Length,
     Mass,
-    Number,
     Quantity,
+    Ratio,
     Unusable,
     below,
     check_name,
     check_pair,
     read_positive,
+    read_quantity,
     read_scalar,
     reader,
+    states,
     where,
 )
+from optlink.units import measures
 
 PHASE = Quantity(0.0, "angle", "deg")
 _SLANT = where(
@@ -93,6 +98,27 @@ def _read_pair(raw: object) -> Any:
 
 
 Pair = Annotated[tuple[str, str], BeforeValidator(_read_pair)]
+
+
+def _read_teeth(raw: object) -> object:
+    if isinstance(raw, list | tuple) and any(isinstance(count, dict) for count in raw):
+        remedy = 'Give ratio = "-3..-1" in place of teeth, and choose the teeth by the ratio that is found'
+        raise Unusable("numbers of teeth are whole numbers, which cannot be design variables", remedy, "", raw)
+    return raw
+
+
+def _read_lift(raw: object) -> Quantity | None:
+    """Read the lift of a cam: an angle if one of its values has a unit of angle, else a length."""
+    if raw is None:
+        return None
+    table: dict[str, Any] = raw if isinstance(raw, dict) else {"start": raw}
+    angular = any(measures(text, "angle") for text in (table.get("start"), *(table.get("bounds") or ())) if isinstance(text, str))
+    return read_quantity(raw, "angle" if angular else "length")
+
+
+def named(section: Section, name: str, key: str, default: float = 0.0) -> Size:
+    """Return the name of a dimension of an entry that states it; else its default value."""
+    return f"{name}.{key}" if states(section, key) and getattr(section, key) is not None else default
 
 
 def _read_joints(raw: object) -> Any:
@@ -166,15 +192,15 @@ class GearSection(Section):
 
     bodies: Pair
     """The two bodies; the frame for a fixed gear."""
-    teeth: tuple[int, int] | None = None
+    teeth: Annotated[tuple[int, int], BeforeValidator(_read_teeth)] | None = None
     """Numbers of teeth of both."""
-    ratio: Number | None = None
+    ratio: Ratio | None = None
     """Instead of the teeth: speed of the second body over that of the first, negative if they turn in opposite senses."""
     internal: bool = False
     """Whether one of the gears is a ring with internal teeth: they turn in the same sense."""
     arm: str = FRAME
     """The body that carries both pivots: the frame, or the carrier of a planetary train."""
-    phase: FixedAngle = PHASE
+    phase: Angle = PHASE
     """Angle of the second body where that of the first is zero, both relative to the arm."""
     module: FixedLength | None = None
     """Module: with the teeth it states the distance of the pivots, which is checked."""
@@ -188,8 +214,11 @@ class GearSection(Section):
             raise Unusable(message, "Give teeth = [20, 60], or ratio = -0.333", "teeth")
         if self.teeth is not None and min(self.teeth) < 1:
             raise Unusable("a gear has teeth", "Give two whole numbers above zero", "teeth", list(self.teeth))
-        if self.ratio is not None and not 1e-4 <= abs(self.ratio) <= 1e4:
-            raise Unusable("out of range", "Give a ratio from 0.0001 to 10000, negative for opposite senses", "ratio", self.ratio)
+        low, high = (0.0, 0.0) if self.ratio is None or not self.ratio.free else self.ratio.bounds
+        if low < high and (low <= 0.0 <= high or low <= 1.0 <= high):
+            message = "the senses of rotation, or of the relative rotation, would differ from design to design"
+            remedy = "Give bounds that are both below 0, both between 0 and 1, or both above 1"
+            raise Unusable(message, remedy, "ratio", str(self.ratio))
         if self.ratio is not None and (self.internal or self.module is not None):
             key = "internal" if self.internal else "module"
             raise Unusable(f"{key} belongs to teeth", "Give teeth instead of ratio, or leave it out", key)
@@ -200,7 +229,7 @@ class GearSection(Section):
         for body in self.bodies:
             parts.body(body, "bodies")
         parts.body(self.arm, "arm")
-        ratio = self.ratio or 0.0
+        ratio = 0.0 if self.ratio is None else self.ratio.value
         if self.teeth is not None:
             ratio = self.teeth[0] / self.teeth[1] * (1.0 if self.internal else -1.0)
         pivots = [parts.pin(body, self.arm) for body in self.bodies]
@@ -222,7 +251,8 @@ class GearSection(Section):
         if self.teeth is not None and ratio == 1.0:
             raise Unusable("a ring has more teeth than the gear in it", "Change the teeth", "teeth", list(self.teeth))
         pivoted, mesh = both if ratio != 1.0 else None, self.teeth is not None or ratio < 0.0
-        return Gear(name, self.bodies, ratio, self.phase.value, self.arm, pivoted, self.pressure_angle.value, mesh=mesh)
+        size, phase = ratio if self.ratio is None else f"{name}.ratio", named(self, name, "phase")
+        return Gear(name, self.bodies, size, phase, self.arm, pivoted, self.pressure_angle.value, mesh=mesh)
 
     def distance(self) -> float | None:
         """Return the distance of the pivots [m] that module and teeth state; None without them."""
@@ -239,11 +269,11 @@ class RackSection(Section):
     """The body with the gear."""
     rack: str
     """The body with the rack, which slides in a guide, or on which the body that carries the pinion slides: "frame"."""
-    radius: FixedLength
+    radius: Length
     """Pitch radius of the pinion."""
     side: Literal["left", "right"] | None = None
     """Side of the rack, along its guide, on which the pivot of the pinion lies; default: as drawn, unless the rack is fixed."""
-    phase: FixedLength | None = None
+    phase: Coordinate | None = None
     """Slide of the rack, less that of the pinion, where the angle of the pinion is zero; default: 0."""
     pressure_angle: PressureAngle = TEETH
     """Pressure angle of the teeth."""
@@ -283,9 +313,8 @@ class RackSection(Section):
             message = "a fixed rack lies on either side of the path of its pinion"
             raise Unusable(message, 'Add side = "left" if the pinion is to the left of the rack, else "right"', "side")
         side = -1 if self.side == "right" or (self.side is None and drawn < 0.0) else 1
-        phase = 0.0 if self.phase is None else self.phase.value
-        angle = self.pressure_angle.value
-        return Rack(name, self.pinion, guide, self.radius.value, pivot, side, phase, angle, path, round(way))
+        phase, angle = named(self, name, "phase"), self.pressure_angle.value
+        return Rack(name, self.pinion, guide, f"{name}.radius", pivot, side, phase, angle, path, round(way))
 
 
 class BeltSection(Section):
@@ -293,15 +322,15 @@ class BeltSection(Section):
 
     bodies: Pair
     """The two bodies with the wheels."""
-    diameters: tuple[FixedLength, FixedLength] | None = None
+    diameters: tuple[Length, Length] | None = None
     """Pitch diameters of the wheels."""
-    radii: tuple[FixedLength, FixedLength] | None = None
+    radii: tuple[Length, Length] | None = None
     """Instead of the diameters: pitch radii."""
     crossed: bool = False
     """Whether the belt is crossed: the wheels turn in opposite senses."""
     arm: str = FRAME
     """The body that carries both pivots."""
-    phase: FixedAngle = PHASE
+    phase: Angle = PHASE
     """Angle of the second body where that of the first is zero, both relative to the arm."""
 
     def coupling(self, name: str, parts: Parts) -> Element:
@@ -324,8 +353,10 @@ class BeltSection(Section):
                 f"no {'crossed ' if self.crossed else ''}belt fits on these wheels, whose axes are {1e3 * distance:.6g} mm apart"
             )
             raise Unusable(message, "Give smaller wheels, or move the pivots apart", key, ", ".join(map(str, sizes)))
-        ratio = first / second * (-1.0 if self.crossed else 1.0)
-        return Gear(name, self.bodies, ratio, self.phase.value, self.arm, (one, other), radii=(first, second))
+        key, sense = "radii" if self.radii else "diameters", -1.0 if self.crossed else 1.0
+        wheels, radius = (f"{name}.{key}.{BOTH[0]}", f"{name}.{key}.{BOTH[1]}"), 1.0 if self.radii else 0.5
+        phase = named(self, name, "phase")
+        return Gear(name, self.bodies, sense, phase, self.arm, (one, other), radii=wheels, radius=radius)
 
 
 class CamSection(Section):
@@ -337,15 +368,17 @@ class CamSection(Section):
     """The body that slides in a guide or turns about a pivot."""
     law: Any
     """Displacement of the follower over a revolution of the cam, segment by segment."""
-    base_radius: FixedLength | None = None
+    base_radius: Length | None = None
     """Radius of the base circle, from which the displacement counts; default: it counts from `start`."""
     start: Any = None
     """Without a base circle: the slide or angle of the follower where its displacement is zero; default: 0."""
-    roller: FixedLength | None = None
+    lift: Annotated[Quantity | None, BeforeValidator(_read_lift)] = None
+    """Difference of the largest and the least displacement, to which that of the law is scaled; default: that of the law."""
+    roller: Length | None = None
     """Radius of the roller of the follower; its centre is the point of the follower on its guide, or at the end of its link."""
     flat: bool = False
     """Whether the follower has a flat face, across its guide."""
-    phase: FixedAngle = PHASE
+    phase: Angle = PHASE
     """Angle of the cam, relative to the body that carries the follower, at which the law begins."""
     side: Literal["left", "right"] = "left"
     """Of a swinging follower with a base circle: the side of the line from the pivot of the cam to that of the follower."""
@@ -371,62 +404,48 @@ class CamSection(Section):
             message = f"{self.cam} and {self.follower} have no body on which both have a joint"
             raise Unusable(message, "Pin the cam to the body that carries the follower", "cam", self.cam)
         pivot, link = str(parts.pin(self.cam, carrier)), parts.links[self.follower]
-        law = self._law("angle" if guide is None else "length")
-        centre = parts.pose.local(carrier, pivot)
-        lift, contact = 1.0, "" if self.flat else link.start
-        if guide is not None:
-            begin = self._slide(parts, guide, centre)
-            contact = contact and (guide.at or link.start)
-        else:
-            contact = self._tip(parts, link, carrier)
-            begin, lift = self._angle(parts, link, carrier, centre)
-        roller = 0.0 if self.roller is None else self.roller.value
-        return Cam(name, self.cam, self.follower, pivot, law.law(), lift, begin, self.phase.value, contact, carrier, roller)
+        swings, sense = guide is None, 1.0
+        if swings and self.flat:
+            raise Unusable("a swinging follower with a flat face is not supported", "Give it a roller", "flat", True)
+        law = self._law("angle" if swings else "length").law()
+        contact = "" if self.flat else self._tip(parts, link, carrier) if guide is None else guide.at or link.start
+        begin = 0.0
+        if self.base_radius is None:
+            kind = "angle" if swings else "coordinate"
+            begin = 0.0 if self.start is None else read_scalar(self.start, kind, "start")[0]
+        elif swings:
+            sense = -1.0 if self.side == "left" else 1.0
+        lift = named(self, name, "lift", 1.0)
+        if self.lift is not None:
+            if (self.lift.kind == "angle") is not swings:
+                message, unit = ("the follower turns", "deg") if swings else ("the follower slides", "mm")
+                raise Unusable(f"{message}, so its lift is in {unit}", f'Write lift = "12 {unit}"', "lift", str(self.lift))
+            least, _, largest, _ = law.extremes()
+            law = law.scaled(1.0 / (largest - least))
+        base = None if self.base_radius is None else f"{name}.base_radius"
+        roller, phase = named(self, name, "roller"), named(self, name, "phase")
+        cam = Cam(name, self.cam, self.follower, pivot, law, lift, begin, phase, contact, carrier, roller, base, sense)
+        if not math.isfinite(float(cam.lowest(parts.pose))):
+            message, remedy = (
+                "the follower does not reach its base circle",
+                "Change the base circle, or the length of the follower",
+            )
+            if guide is not None:
+                message = "the line of the guide passes the axis of the cam outside the base circle"
+                remedy = "Give a larger base circle, or a smaller offset"
+            raise Unusable(message, remedy, "base_radius", str(self.base_radius))
+        return cam
 
     def _law(self, kind: str) -> CamLaw:
         with below("law"):
             return read_cam_law(self.law, kind)
 
-    def _reach(self) -> float:
-        """Return the distance of the follower's point from the axis of the cam where the displacement is zero [m]."""
-        assert self.base_radius is not None
-        return self.base_radius.value + (0.0 if self.roller is None else self.roller.value)
-
-    def _slide(self, parts: Parts, guide: Guide, centre: tuple[Any, Any]) -> float:
-        """Return the slide of the follower where the displacement is zero [m]."""
-        if self.base_radius is None:
-            return 0.0 if self.start is None else read_scalar(self.start, "coordinate", "start")[0]
-        begin, line = parts.pose.local_line(guide, guide.on)
-        away = minus(centre, begin)
-        offset, reach = float(cross(line, away)), self._reach()
-        if self.flat:
-            return float(dot(line, away)) + reach
-        if abs(offset) >= reach:
-            message = f"the line of the guide passes the axis of the cam at {1e3 * abs(offset):.6g} mm, outside the base circle"
-            raise Unusable(message, "Give a larger base circle, or a smaller offset", "base_radius", str(self.base_radius))
-        return float(dot(line, away)) + math.sqrt(reach * reach - offset * offset)
-
     def _tip(self, parts: Parts, link: Link, carrier: str) -> str:
         """Return the point of a swinging follower that follows the pitch curve: the end of its link."""
-        if self.flat:
-            raise Unusable("a swinging follower with a flat face is not supported", "Give it a roller", "flat", True)
         if parts.pin(self.follower, carrier) != link.start or not link.end:
             message = "a swinging follower turns about its first joint, and its second one touches the cam"
             raise Unusable(message, 'Write joints = ["F", "R"] with the pivot first, and a length', "follower", self.follower)
         return link.end
-
-    def _angle(self, parts: Parts, link: Link, carrier: str, centre: tuple[Any, Any]) -> tuple[float, float]:
-        """Return the angle of a swinging follower where the displacement is zero [rad], and the sense of its displacement."""
-        if self.base_radius is None:
-            return (0.0 if self.start is None else read_scalar(self.start, "angle", "start")[0]), 1.0
-        back = minus(centre, parts.pose.local(carrier, link.start))
-        length, distance, reach = float(parts.pose.size(link.length)), float(np.hypot(*back)), self._reach()
-        cosine = (length**2 + distance**2 - reach**2) / (2.0 * length * distance)
-        if not abs(cosine) < 1.0:
-            message = "the follower does not reach its base circle"
-            raise Unusable(message, "Change the base circle, or the length of the follower", "base_radius", str(self.base_radius))
-        way = -1.0 if self.side == "left" else 1.0
-        return float(np.arctan2(back[1], back[0])) + way * math.acos(cosine), way
 
 
 ELEMENTS = ("gears", "racks", "belts", "cams")
@@ -449,6 +468,8 @@ def couplings(tables: Mapping[str, Mapping[str, Any]], parts: Parts) -> Iterator
 
 MOST_TURNS = 1000
 """Revolutions of the crank after which a geared mechanism must repeat."""
+SAME_TURNS = 1e-9
+"""Difference of two numbers of turns that is rounding."""
 
 
 def geared(mechanism: Mechanism, sizes: Mapping[str, float]) -> Mechanism:
@@ -484,18 +505,45 @@ def geared(mechanism: Mechanism, sizes: Mapping[str, float]) -> Mechanism:
         mechanism = replace(mechanism, middles=middles)
     if mechanism.limits is not None:
         return mechanism
-    turned = [mechanism.at(sizes, at).turns for at in (0.3, 0.3 + TURN)]
     shares = [Fraction(1)]
-    for train in mechanism.trains:
-        for body in (single.link.body for single in train.singles if single.link.body in turned[0]):
-            turns = float(turned[1][body] - turned[0][body]) / TURN
-            if not np.isfinite(turns):
-                continue
-            shares.append(Fraction(turns).limit_denominator(MOST_TURNS))
-            if abs(turns - shares[-1]) > 1e-9:
-                message = f"{body} makes {turns:.9g} turns in one of the crank: the motion does not repeat"
-                remedy = "Give numbers of teeth, or sizes in a ratio of whole numbers, or a range of the drive"
-                key = next((f"mechanism.{key_of(element)}" for element in train.elements if element.bodies), "drive")
-                raise Unusable(message, remedy, key)
+    for (place, body), turns in _turns(mechanism, sizes).items():
+        shares.append(Fraction(turns).limit_denominator(MOST_TURNS))
+        if abs(turns - shares[-1]) > SAME_TURNS:
+            message = f"{body} makes {turns:.9g} turns in one of the crank: the motion does not repeat"
+            remedy = "Give numbers of teeth, or sizes in a ratio of whole numbers, or a range of the drive"
+            elements = (element for element in mechanism.trains[place].elements if element.bodies)
+            key = next((f"mechanism.{key_of(element)}" for element in elements), "drive")
+            raise Unusable(message, remedy, key)
     count = math.lcm(*(share.denominator for share in shares))
     return replace(mechanism, cycle=max(mechanism.cycle, count * TURN))
+
+
+def _turns(mechanism: Mechanism, sizes: Mapping[str, float]) -> dict[tuple[int, str], float]:
+    """Return the turns of the bodies of trains, by number of the train and name, in one turn of the crank."""
+    before, after = (mechanism.at(sizes, at).turns for at in (0.3, 0.3 + TURN))
+    bodies = [(k, single.link.body) for k, train in enumerate(mechanism.trains) for single in train.singles]
+    turns = {(k, body): float(after[body] - before[body]) / TURN for k, body in bodies if body in before}
+    return {which: turned for which, turned in turns.items() if math.isfinite(turned)}
+
+
+def check_one_cycle(
+    mechanism: Mechanism, free: Mapping[str, Quantity], complete: Callable[[Mapping[str, float]], Mapping[str, float]]
+) -> None:
+    """Refuse design variables that change the turns of a body in one of the crank, after which the motion repeats.
+
+    `complete` returns all dimensions for values of those that are `free`.
+
+    Raises
+    ------
+    Unusable
+        whose key is the name of the variable.
+    """
+    if mechanism.limits is not None or not mechanism.singles:
+        return
+    turns = _turns(mechanism, complete({}))
+    for name, quantity in free.items():
+        for end in quantity.bounds:
+            for which, other in _turns(mechanism, complete({name: end})).items():
+                if abs(other - turns.get(which, other)) > SAME_TURNS:
+                    message = f"{which[1]} would make other numbers of turns in one of the crank, after which the motion repeats"
+                    raise Unusable(message, 'Give the drive a range: range = ["0 deg", "90 deg"], or fix it', name, str(quantity))

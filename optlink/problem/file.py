@@ -40,7 +40,7 @@ from optlink.problem.machine.balance import with_terms
 from optlink.problem.machine.model import FORMAT, Problem, marked_kinds
 from optlink.problem.mechanism import read_near
 from optlink.problem.overview import linkage_type
-from optlink.problem.quantity import input_of, nearest, write
+from optlink.problem.quantity import BOTH, input_of, nearest, write
 from optlink.problem.requirements.base import DEFAULT_KIND, names_of
 from optlink.problem.requirements.kinds import REQUIREMENTS
 from optlink.problem.targets.target_points import split_enclosed
@@ -636,6 +636,7 @@ def _coordinate(path: tuple[str, ...], table: Any, step: str) -> int | None:
     if not placed or not isinstance(table, list) or len(table) != 2 or path[-1] in ("bounds", "joints"):
         return None
     names = ("along", "across") if "points" in path or path[-1] == "centroid" else ("x", "y")
+    names = BOTH if path[-1] in ("diameters", "radii") else names
     return names.index(step) if step in names else None
 
 

@@ -131,7 +131,9 @@ class _Kind:
 
     def fits(self, kind: str) -> bool:
         """Return whether it is the kind of a quantity."""
-        return self.length == 0.0 and self.turn != NUMBER if kind == "angle" else math.isclose(self.length, 1.0)
+        if kind in ("angle", "ratio"):
+            return self.length == 0.0 and self.turn != (NUMBER if kind == "angle" else ANGLE)
+        return math.isclose(self.length, 1.0)
 
 
 def _kind(expression: Expression, kinds: Mapping[str, str]) -> _Kind:
@@ -146,7 +148,7 @@ def _kind(expression: Expression, kinds: Mapping[str, str]) -> _Kind:
         if step == "number":
             stack.append(_Kind(0.0, EITHER if what == math.pi else NUMBER, what))
         elif step == "name":
-            stack.append(_Kind(0.0, ANGLE) if kinds[what] == "angle" else _Kind(1.0))
+            stack.append({"angle": _Kind(0.0, ANGLE), "ratio": _Kind(0.0)}.get(kinds[what], _Kind(1.0)))
         else:
             parts = list(reversed([stack.pop() for _ in range(2 if step == "binary" else 1)]))
             constants = [part.value for part in parts if part.value is not None]

@@ -31,6 +31,8 @@ from optlink.problem.elements import (
     couplings,
 )
 from optlink.problem.quantity import (
+    BOTH,
+    DIMENSIONS,
     Angle,
     Coordinate,
     Friction,
@@ -41,6 +43,7 @@ from optlink.problem.quantity import (
     check_name,
     check_pair,
     read_quantity,
+    states,
 )
 from optlink.unsupported import unsupported
 
@@ -393,17 +396,14 @@ class DyadsSection(Section):
                 quantities[f"{name}.length"] = link.length
             for point, (along, across) in link.points.items():
                 quantities[f"{name}.{point}.along"], quantities[f"{name}.{point}.across"] = along, across
-        for name, cylinder in self.cylinders.items():
-            quantities[f"{name}.closed"], quantities[f"{name}.open"] = cylinder.closed, cylinder.open
-        for name, slot in self.slots.items():
-            if slot.direction is not None:
-                quantities[f"{name}.direction"] = slot.direction
-        for name, guide in self.guides.items():
-            if isinstance(guide.through, tuple):
-                quantities[f"{name}.x"], quantities[f"{name}.y"] = guide.through
-            for key in ("direction", "offset", "tilt"):
-                if getattr(guide, key) is not None:
-                    quantities[f"{name}.{key}"] = getattr(guide, key)
+        for table, keys in DIMENSIONS.items():
+            for name, entry in getattr(self, table).items():
+                if isinstance(getattr(entry, "through", None), tuple):
+                    quantities[f"{name}.x"], quantities[f"{name}.y"] = entry.through
+                for key in (key for key in keys if states(entry, key)):
+                    value = getattr(entry, key)
+                    both = zip(BOTH, value, strict=True) if isinstance(value, tuple) else [("", value)]
+                    quantities |= {f"{name}.{key}.{which}".rstrip("."): one for which, one in both}
         return quantities
 
     @property
@@ -552,6 +552,11 @@ class DyadsSection(Section):
                 if name in seen:
                     raise Unusable(f"{name} names a {seen[name]} and a {kind}", "Rename one of them", "mechanism", name)
                 seen[name] = kind
+        coupled = [(kind, name, entry) for kind in ELEMENTS for name, entry in getattr(self, kind).items()]
+        stated = [(kind, name, key) for kind, name, entry in coupled for key in DIMENSIONS[kind] if states(entry, key)]
+        for at, (kind, *of) in enumerate(stated):
+            if of in [other for _, *other in stated[:at]]:
+                raise Unusable(f"two couplings have this name and a {of[1]}", "Rename one of them", f"mechanism.{kind}", of[0])
         if not self.ground:
             raise Unusable("there is no ground pivot", 'Add A = ["0 mm", "0 mm"]', "mechanism.ground")
         if not self.links:

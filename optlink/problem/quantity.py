@@ -20,6 +20,7 @@ from optlink.linkage.fourbar import LENGTHS
 from optlink.units import KINDS, display_unit, factor, mistyped_range, parse, show, with_article
 
 SHORTEST, LONGEST = 1e-9, 1e6  # m; beyond them squares of ratios overflow
+LEAST_RATIO = 1e-4
 LARGEST, LARGEST_ANGLE = 1e30, 1e6  # in SI: products of several larger ones overflow, and sines of larger angles lose digits
 
 
@@ -86,6 +87,11 @@ class Quantity:
         if self.equals is not None:
             return (0.0 if self.kind == "length" else -math.inf), math.inf
         return self.value, self.value
+
+    @property
+    def in_metres(self) -> bool:
+        """Whether it is a length or a coordinate."""
+        return self.kind in ("length", "coordinate")
 
     @property
     def begun(self) -> bool:
@@ -194,6 +200,8 @@ def read_scalar(text: object, kind: str, key: str = "") -> tuple[float, str]:
             raise Unusable("a length must be positive", f'Give one above zero, for example "{KINDS[kind].example}"')
         if kind == "length" and not SHORTEST <= value <= LONGEST:
             raise Unusable("no linkage has such a length", "Give one between 1e-9 m and 1000 km, and check its unit")
+        if kind == "ratio" and not LEAST_RATIO <= abs(value) <= 1.0 / LEAST_RATIO:
+            raise Unusable("out of range", "Give a ratio from 0.0001 to 10000, negative for opposite senses")
         if abs(value) > largest(kind):
             remedy = f'Give at most {largest(kind):.0e} {KINDS[kind].si}, for example "{KINDS[kind].example}", and check its unit'
             raise Unusable("the value is too large", remedy)
@@ -255,7 +263,7 @@ def _read_link(raw: dict[str, Any], kind: str) -> str:
 
 def range_example(kind: str | None) -> str:
     """Return a valid range of a kind (None: plain numbers) in quotes, for remedies."""
-    number, unit = KINDS[kind].example.split(" ", 1) if kind else ("1", "")
+    number, _, unit = KINDS[kind].example.partition(" ") if kind else ("1", "", "")
     return f'"{f"{number}..{2.0 * float(number):g} {unit}".strip()}"'
 
 
@@ -329,6 +337,7 @@ Angle = Annotated[Quantity, reader(read_quantity, "angle")]
 FixedLength = Annotated[Quantity, reader(read_fixed, "length")]
 FixedAngle = Annotated[Quantity, reader(read_fixed, "angle")]
 Coordinate = Annotated[Quantity, reader(read_quantity, "coordinate")]
+Ratio = Annotated[Quantity, reader(read_quantity, "ratio")]
 Speed = Annotated[Quantity, reader(read_fixed, "angular velocity")]
 Duration = Annotated[Quantity, reader(read_positive, "time")]
 Velocity = Annotated[Quantity, reader(read_positive, "velocity")]
@@ -533,6 +542,20 @@ StiffnessInterval = Annotated[Interval, reader(read_interval, "stiffness")]
 # Keys of the quantities of a problem in its file: of "link2.P.along" it is `mechanism.links.link2.points.P.along`.
 
 
+DIMENSIONS: dict[str, tuple[str, ...]] = {
+    "cylinders": ("closed", "open"),
+    "slots": ("direction",),
+    "guides": ("direction", "offset", "tilt"),
+    "gears": ("ratio", "phase"),
+    "racks": ("radius", "phase"),
+    "belts": ("diameters", "radii", "phase"),
+    "cams": ("base_radius", "roller", "lift", "phase"),
+}
+"""Dimensions of the entries of each table of [mechanism]: of an entry NAME they are the quantities NAME.closed, NAME.open."""
+BOTH = ("first", "second")
+"""Names of the two of a list, as in NAME.diameters.first."""
+
+
 def write(mechanism: dict[str, Any], name: str, value: object) -> None:
     """Write one quantity into the section [mechanism] at its place.
 
@@ -585,18 +608,21 @@ def key_path(mechanism: Mapping[str, Any], name: str) -> list[str | int]:
         if parts[0] == "A":
             return ["pivot", "xy".index(parts[1])]
         return ["points", parts[0], ("along", "across").index(parts[1])]
+    for table, keys in DIMENSIONS.items():
+        if parts[1] in keys and states(mechanism.get(table, {}).get(parts[0]), parts[1]):
+            return [table, *parts[:2], *(BOTH.index(which) for which in parts[2:])]
     if len(parts) == 3:
         return ["links", parts[0], "points", parts[1], ("along", "across").index(parts[2])]
     if parts[1] == "length":
         return ["links", parts[0], "length"]
-    for table in ("cylinders", "slots"):
-        if parts[0] in mechanism.get(table, ()):
-            return [table, *parts]
     if parts[0] in mechanism["ground"]:
         return ["ground", parts[0], "xy".index(parts[1])]
-    if parts[1] in ("x", "y"):
-        return ["guides", parts[0], "through", "xy".index(parts[1])]
-    return ["guides", *parts]
+    return ["guides", parts[0], "through", "xy".index(parts[1])]
+
+
+def states(entry: Any, key: str) -> bool:
+    """Return whether an entry of a table, as in a file or as a section, states a key."""
+    return entry is not None and key in getattr(entry, "model_fields_set", entry)
 
 
 def file_key(mechanism: Mapping[str, Any], name: str) -> str:

@@ -90,6 +90,8 @@ def text(*kinds: str | None) -> Form:
     """Return a quantity of one of these kinds, of any without one, as text; for None a number or a share in percent."""
     if kinds == (None,):
         return {"anyOf": [NUMBER, PERCENT]}
+    if kinds == ("ratio",):
+        return {"anyOf": [NUMBER, {"type": "string", "pattern": rf"^\s*{_NUMBER}\s*$"}]}
     known = [kind for kind in kinds if kind]
     single = [rf"{unit}\s*$" for kind in known for unit in _units(kind)]
     units = "|".join([*single, r"1\s*/", _PRODUCT] if known else [_ANY_UNIT])
@@ -153,6 +155,7 @@ READERS: dict[str, Callable[[Any], Form]] = {
 """Forms by the name of the function that reads a field, for the physical kind that it reads."""
 
 _PLACE = pair(either("coordinate, fixed, free or linked", *free("coordinate")))
+_WHEELS = {"title": "list of two lengths, fixed, free or linked", **pair({"anyOf": [*free("length")]})}
 _PLACES = {**named(_PLACE), "propertyNames": _NAME}
 _FIXED_PLACE = pair(text("coordinate"))
 _ACCELERATION, _PRESSURE = text("acceleration"), text("pressure")
@@ -207,8 +210,9 @@ FORMS: dict[str, Form] = {
     "GearSection.bodies": {"title": "list of two names", **pair(_NAME)},
     "BeltSection.bodies": {"title": "list of two names", **pair(_NAME)},
     "GearSection.teeth": {"title": "list of two whole numbers", **pair({"type": "integer", "minimum": 1})},
-    "BeltSection.diameters": {"title": "list of two lengths", **pair(text("length"))},
-    "BeltSection.radii": {"title": "list of two lengths", **pair(text("length"))},
+    "BeltSection.diameters": _WHEELS,
+    "BeltSection.radii": _WHEELS,
+    "CamSection.lift": either("length or angle, fixed, free or linked", *free("length", "angle")),
     "CamSection.law": {"title": "list of segments", "type": "array", "items": table("to", "rise", "fall", "law", form=TEXT)},
     "CamSection.start": either("angle or coordinate", text("angle", "coordinate")),
     "LoadSection.force": size("force"),

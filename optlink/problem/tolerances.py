@@ -284,7 +284,7 @@ def deviations(
         if any(name == other.name or (size == other.size and name not in pins and other.name not in pins) for other in result):
             raise Unusable("a tolerance is given twice", "Give each once", name)
         quantity = quantities.get(size)
-        kind = "angle" if quantity is not None and quantity.kind == "angle" else "length"
+        kind = "length" if quantity is None or quantity.in_metres else quantity.kind
         result.append(_deviation(entry, name, size, kind, CONTACT if name in pins else shape))
         low, _ = result[-1].ends
         if quantity is not None and quantity.kind == "length" and -low > LARGEST * sizes[size]:
@@ -295,7 +295,7 @@ def deviations(
 def _deviation(entry: ToleranceEntry, name: str, size: str, kind: str, shape: str) -> Deviation:
     if entry.measured:
         try:
-            (values,) = read_columns({"csv": entry.source}, entry.folder, {name: "angle" if kind == "angle" else "coordinate"})
+            (values,) = read_columns({"csv": entry.source}, entry.folder, {name: "coordinate" if kind == "length" else kind})
         except Unusable as error:
             remedy = error.remedy.replace("the problem file", "the working folder") if entry.folder == Path() else error.remedy
             raise Unusable(error.message, remedy, name, entry.text if error.value is None else error.value) from None

@@ -101,8 +101,8 @@ def _continuum(task: DesignProblem, solution: Solution, other: Solution, lead: i
     }
     ratios = {name: other.design[name] / value for name, value in solution.design.items() if abs(value) > 0.0}
     quantities = task.quantities
-    lengths = [name for name in task.free if quantities[name].kind in ("length", "coordinate")]
-    sized = {name for name, quantity in quantities.items() if quantity.kind in ("length", "coordinate") and quantity.value != 0.0}
+    lengths = [name for name in task.free if quantities[name].in_metres]
+    sized = {name for name, quantity in quantities.items() if quantity.in_metres and quantity.value != 0.0}
     whole = sized <= set(lengths)  # a length fixed at zero scales too
     factors = [ratios.get(name, 1.0) for name in lengths if abs(solution.design[name]) > 1e-6 * task.longest]
     scale = whole and set(changed) <= set(lengths) and bool(np.ptp(factors) <= 1e-3 * abs(np.mean(factors) - 1.0))

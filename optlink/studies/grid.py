@@ -58,14 +58,13 @@ def knobs(problem: ProblemFile) -> tuple[Knob, ...]:
 
 def _dimensions(problem: ProblemFile) -> Iterator[Knob]:
     """Yield the fixed dimensions, from half to one and a half times their values."""
-    largest = max((abs(q.value) for q in problem.model.mechanism.quantities.values() if q.kind != "angle"), default=1.0)
+    largest = max((abs(q.value) for q in problem.model.mechanism.quantities.values() if q.in_metres), default=1.0)
     for name, quantity in problem.model.mechanism.quantities.items():
         if not quantity.fixed:
             continue
         value, unit = quantity.value / quantity.si_per_unit, quantity.display[1]
-        room = (
-            ANGLE if quantity.kind == "angle" else 0.5 * (value if quantity.kind == "length" else largest / quantity.si_per_unit)
-        )
+        size = largest / quantity.si_per_unit if quantity.kind == "coordinate" else abs(value)
+        room = ANGLE if quantity.kind == "angle" else 0.5 * size
         yield Knob(name, value, value - room, value + room, unit, file_key(problem.raw["mechanism"], name))
 
 

@@ -1,6 +1,5 @@
 """Four-bars for a hand-drawn curve: a path problem of its points, and the best designs of a short search."""
 
-import math
 import time
 from collections.abc import Callable
 from typing import Any
@@ -220,6 +219,6 @@ def _item(design: LinkageDesign) -> dict[str, Any]:
     displayed = Design(design.problem, design.values, crank_angles=design.crank_angles)
     scene = Picture(displayed.machine, displayed.start, displayed.speed).document()
     quantities = design.task.quantities.items()
-    sizes = {name: design.values[name] * (math.degrees(1.0) if q.kind == "angle" else 1e3) for name, q in quantities}
+    sizes = {name: design.values[name] * q.display[0] for name, q in quantities}
     item = {"error": 1e3 * _largest_error(design), "unit": "mm", "valid": design.valid, "design": sizes}
     return {**finite(item), "curve": scene["points"][design.task.requirement.point], "scene": scene}

@@ -290,7 +290,7 @@ class SimilarityFit:
         ground = {name: q for name, q in quantities.items() if q.kind == "coordinate" and name.rpartition(".")[2] in ("x", "y")}
         angles = [name for name, q in quantities.items() if q.kind == "angle"]
         sizes = [
-            name for name in quantities if name not in ground and name not in angles and (name not in marks or not self.point)
+            name for name, q in quantities.items() if name not in ground and q.in_metres and (name not in marks or not self.point)
         ]
         on_frame = {f"{guide.name}.direction" for guide in problem.linkage.guides if guide.on == FRAME}
         turning = [name for name in angles if name in {"direction", *on_frame}]  # they turn with the frame

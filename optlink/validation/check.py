@@ -151,8 +151,7 @@ def bounds_and_links(problem: Problem, design: Mapping[str, ArrayLike], size: Ar
     """
     values = {name: np.asarray(value, dtype=float) for name, value in design.items()}
     for name, quantity in problem.quantities.items():
-        length = quantity.kind in ("length", "coordinate")
-        factor, unit = (1e3, "mm") if length else (math.degrees(1.0), "deg")
+        length, (factor, unit) = quantity.in_metres, quantity.display
         tolerance, value = 1e-8 * (np.asarray(size) if length else 1.0), values[name]
         if name in problem.links:
             with np.errstate(all="ignore"):

@@ -70,7 +70,7 @@ class Cycle:
     @property
     def longest(self) -> float:
         """The largest length or coordinate [m]."""
-        return max(abs(value) for name, value in self.design.items() if self.problem.quantities[name].kind != "angle")
+        return max(abs(value) for name, value in self.design.items() if self.problem.quantities[name].in_metres)
 
     @cached_property
     def revolution(self) -> FourBarMotion | LinkageMotion:

@@ -680,7 +680,7 @@ def _sizes(tested: _Tested) -> Iterator[Checks]:
     """Check bounds, fixed quantities, and constant link lengths in motion."""
     yield from bounds_and_links(tested.problem, tested.design, tested.size)
     yield from _reached(tested)
-    lengths = (np.abs(tested.sizes[name][:, 0]) for name, q in tested.problem.mechanism.quantities.items() if q.kind != "angle")
+    lengths = (np.abs(tested.sizes[name][:, 0]) for name, q in tested.problem.mechanism.quantities.items() if q.in_metres)
     yield tested.required.link_lengths(functools.reduce(np.maximum, lengths, np.asarray(tested.size)))
 
 

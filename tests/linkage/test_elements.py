@@ -45,10 +45,10 @@ MECHANISMS = {
         GROUND, [CRANK, WHEEL], couplings=[Gear("g", ("wheel", "crank"), -2.0, pivots=("D", "A"))]
     ),
     "belt": lambda: built(
-        GROUND, [CRANK, WHEEL], couplings=[Gear("b", ("crank", "wheel"), 0.5, pivots=("A", "D"), radii=(0.04, 0.08))]
+        GROUND, [CRANK, WHEEL], couplings=[Gear("b", ("crank", "wheel"), 1.0, pivots=("A", "D"), radii=(0.04, 0.08))]
     ),
     "crossed belt": lambda: built(
-        GROUND, [CRANK, WHEEL], couplings=[Gear("b", ("crank", "wheel"), -0.5, pivots=("A", "D"), radii=(0.04, 0.08))]
+        GROUND, [CRANK, WHEEL], couplings=[Gear("b", ("crank", "wheel"), -1.0, pivots=("A", "D"), radii=(0.04, 0.08))]
     ),
     "planet in a ring": lambda: built(
         {"A": (0.0, 0.0)},

@@ -176,7 +176,7 @@ N/m N*s/m Pa GPa N/m^1.5 N*m/rad N*m*s/rad
 
 def test_every_spelling_of_a_quantity_that_is_read_validates():
     units = [*UNITS.split(), "N m", "kg m2", "kg m^2"]
-    for kind in KINDS:
+    for kind in (kind.name for kind in KINDS.values() if kind.si):
         pattern = text(kind)["pattern"]
         read = {f"{number}{space}{unit}" for number in NUMBERS for unit in units for space in ("", " ", "\u00a0")}
         read = {quantity for quantity in read if measures(quantity, kind)}

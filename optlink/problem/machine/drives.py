@@ -12,7 +12,17 @@ from optlink.linkage.extrema import distinct, zeros
 from optlink.linkage.jet import Jet, as_jet
 from optlink.linkage.laws import SEGMENTS, Law, MotionLaw, Segment, joined, paced, spline
 from optlink.linkage.vector2d import TURN, Array, Value
-from optlink.problem.quantity import Quantity, Unusable, below, check_keys, check_name, largest, read_fixed, read_scalar
+from optlink.problem.quantity import (
+    Quantity,
+    Unusable,
+    below,
+    check_keys,
+    check_name,
+    largest,
+    range_example,
+    read_fixed,
+    read_scalar,
+)
 from optlink.problem.targets.expression import MOST_REVOLUTIONS, Expression, Wording, parse, period_of
 from optlink.problem.targets.target_points import read_columns
 from optlink.units import KINDS, factor, show
@@ -365,6 +375,12 @@ def _read_cam_segment(part: object, begin: float, kind: str) -> CamSegment:
     if not given:
         return CamSegment(begin, end, name)
     with below(given[0], table[given[0]]):
+        if isinstance(table[given[0]], dict):
+            message, remedy = (
+                "the ways of the segments cannot be free",
+                f"Fix them, and scale the whole law: lift = {range_example(kind)}",
+            )
+            raise Unusable(message, remedy)
         way = read_fixed(table[given[0]], kind)
         if not way.value > 0.0:
             raise Unusable("a rise or a fall is positive", "Write a fall in place of a negative rise; leave both out for a dwell")

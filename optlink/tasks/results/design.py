@@ -380,7 +380,7 @@ class LinkageDesign(Summary):
             if quantity.kind == "angle":
                 gaps.append(abs(math.remainder(gap, TURN)))
             else:
-                gaps.append(gap / max(self.task.size, abs(self.values[name])))
+                gaps.append(gap / max(self.task.size if quantity.in_metres else 0.0, abs(self.values[name])))
         return max(gaps, default=0.0) <= DISTINCT
 
     @property
@@ -739,7 +739,7 @@ class SynthesisResult(Document):
         equal = [d for d in equal if str(d.assembly) == min(str(other.assembly) for other in equal)]
         for name in first.whole.free:
             most = max(design.unwrapped(name) for design in equal)
-            within = DISTINCT * max(first.task.size if first.whole.quantities[name].kind != "angle" else 1.0, abs(most))
+            within = DISTINCT * max(first.task.size if first.whole.quantities[name].in_metres else 1.0, abs(most))
             equal = [design for design in equal if design.unwrapped(name) >= most - within]
         chosen = replace(equal[0], values={name: equal[0].unwrapped(name) for name in equal[0].values})
         return replace(self, designs=(chosen, *(design for design in self.designs if design is not equal[0])))
