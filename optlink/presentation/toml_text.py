@@ -62,16 +62,20 @@ def _edit(place: Any, old: Any, new: Any) -> None:
     from tomlkit.items import AoT, Table
 
     named, top, last = isinstance(new, Mapping), isinstance(place, TOMLDocument), None
+    sections = named and any(isinstance(item, AoT | Table) for item in place.values())
     if named:
         for key in old.keys() - new.keys():
             del place[key]
-        last = next((key for key in reversed(list(old)) if key in new and not isinstance(place[key], AoT | Table)), None)
+        kept = [key for key in old if key in new and key in place]  # a file can leave the type of its mechanism out
+        last = next((key for key in reversed(kept) if not isinstance(place[key], AoT | Table)), None)
     for key, value in new.items() if named else enumerate(new):
         old_value = old.get(key) if named else old[key]
         if value == old_value:
             continue
         if old_value is not None and _alike(old_value, value, place[key]):
             _edit(place[key], old_value, value)
+        elif sections and isinstance(value, Mapping) and not top:
+            place.append(key, _item(value, section=True))
         elif old_value is not None or top or last is None:
             place[key] = _item(value, section=top)
         else:  # before the blank lines and the comment above the next section

@@ -42,6 +42,10 @@ class Driving:
     ends: tuple[float, float] | None = None
     """Slides or lengths [m] of a single drive along a line at the ends of its stroke."""
 
+    def of(self, sizes: Mapping[str, float]) -> Driving:
+        """Return it for other dimensions [m, rad]: those of a cylinder can be the ends of the stroke."""
+        return self if self.ends is None else replace(self, ends=_stroke_ends(self.mechanism.drives[0], sizes))
+
     def place(self, position: Position) -> Position:
         """Return the slide or length [m] of a drive along a line at a value of the cycle variable [rad]."""
         assert self.ends is not None
@@ -184,7 +188,7 @@ def _along(section: FourBarSection | DyadsSection, name: str, drive: DriveSectio
     element = linear_drive(section, INPUT, drive, "drive", sizes)
     if element.end is None:
         element = _reaching(section, name, drive, element, sizes)
-    ends = [sizes[end] if isinstance(end, str) else float(end or 0.0) for end in (element.begin, element.end)]
+    ends = _stroke_ends(element, sizes)
     mechanism = geared(replace(section.linkage(name, "", (element,)), limits=(0.0, HALF)), sizes)
     speed = drive.speed.value if "speed" in drive.model_fields_set else USUAL
     if drive.speed.kind not in ("velocity", STATIC) and "speed" in drive.model_fields_set:
@@ -199,7 +203,13 @@ def _along(section: FourBarSection | DyadsSection, name: str, drive: DriveSectio
         if not -1e-9 <= first <= HALF + 1e-9:
             low, high = (f"{1e3 * end:.6g} mm" for end in ends)
             raise Unusable("the drive starts outside its range", f"Start from {low} to {high}", "drive.start", str(drive.start))
-    return Driving(mechanism, pace, first, (ends[0], ends[1]))
+    return Driving(mechanism, pace, first, ends)
+
+
+def _stroke_ends(element: Drive, sizes: Mapping[str, float]) -> tuple[float, float]:
+    """Return the slides or lengths [m] at the ends of the stroke of a drive."""
+    begin, end = (sizes[end] if isinstance(end, str) else float(end or 0.0) for end in (element.begin, element.end))
+    return begin, end
 
 
 def linear_drive(section: DyadsSection, name: str, drive: DriveMotion, key: str, sizes: Mapping[str, float]) -> Drive:

@@ -20,6 +20,7 @@ from pydantic_core import core_schema
 
 from optlink.clearance.joint import DAMPING
 from optlink.io import load_extensions
+from optlink.linkage.laws import SEGMENTS
 from optlink.problem.base_model import NAME, SPELLINGS, Section
 from optlink.problem.design import DesignProblem
 from optlink.problem.limits import OF_QUANTITY, OF_REGION
@@ -177,6 +178,9 @@ _LAW = table(
 _ROW = table(**{name: text(kind) if kind else NUMBER for name, kind in POINT_COLUMNS.items()})
 _CURVE = table(*itertools.chain(*POINT_KEYS.values()), **dict.fromkeys(("csv", "svg", "unit"), TEXT), points={"type": "integer"})
 
+_RISE = text("angle", "length")
+_CAM_SEGMENT = table(to=text("angle"), rise=_RISE, fall=_RISE, law={"enum": list(SEGMENTS)})
+
 FORMS: dict[str, Form] = {
     "Problem.gravity": either("acceleration, or `[x, y]`", _ACCELERATION, pair(_ACCELERATION)),
     "Problem.measured": {
@@ -202,7 +206,7 @@ FORMS: dict[str, Form] = {
     ),
     "DriveMotion.law": either(
         "list of motions, expression of `t`, or table of `csv`",
-        {"type": "array", "items": table("time", "to", "law", form=TEXT)},
+        {"type": "array", "items": table(time=text("time"), to=text("angle", "coordinate"), law={"enum": list(SEGMENTS)})},
         TEXT,
         table("expression", "unit", "period", "duration", "csv", form=TEXT),
     ),
@@ -213,7 +217,7 @@ FORMS: dict[str, Form] = {
     "BeltSection.diameters": _WHEELS,
     "BeltSection.radii": _WHEELS,
     "CamSection.lift": either("length or angle, fixed, free or linked", *free("length", "angle")),
-    "CamSection.law": {"title": "list of segments", "type": "array", "items": table("to", "rise", "fall", "law", form=TEXT)},
+    "CamSection.law": {"title": "list of segments", "type": "array", "items": _CAM_SEGMENT},
     "CamSection.start": either("angle or coordinate", text("angle", "coordinate")),
     "LoadSection.force": size("force"),
     "GasSection.pressure": size("pressure"),
@@ -380,12 +384,17 @@ def _shared(part: Any, parts: Form) -> Any:
     return {"anyOf": [referring], **own} if own else referring  # beside a reference, editors pass over what is said of a key
 
 
+def schema_of(kind: Any) -> Form:
+    """Return the schema of a model, or of the type of a field, with what it refers to under `$defs`."""
+    return TypeAdapter(kind).json_schema(schema_generator=_Generator)
+
+
 def problem_schema() -> Form:
     """Return the JSON schema (draft 2020-12) of problem files, with what extensions have registered."""
     load_extensions()
     models: Any = functools.reduce(operator.or_, marked_kinds().values(), DesignProblem)
     forms: Form = {}
-    schema = _shared(TypeAdapter(models).json_schema(schema_generator=_Generator), forms)
+    schema = _shared(schema_of(models), forms)
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "$id": f"urn:optlink:problem:{FORMAT}",

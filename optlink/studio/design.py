@@ -7,9 +7,9 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from optlink.dynamics.columns import MotionColumns
+from optlink.dynamics.columns import MotionColumns, efforts
 from optlink.dynamics.machine import Machine
-from optlink.errors import InputError, OptlinkError, Status
+from optlink.errors import Fault, InputError, OptlinkError, Status
 from optlink.io import finite
 from optlink.linkage.dyads import transmitting
 from optlink.linkage.vector2d import Array
@@ -351,11 +351,11 @@ UNVERIFIED = "not verified"
 ANALYSED_TEXT = "Only the machine is analysed; `optlink solve` checks the requirements of the file."
 MOVING_TEXT = "Optimised from the last design; it is verified when the handle is released."
 MACHINE_TEXT = "The motion of the machine with these dimensions."
-LIMITED_TEXT = f"{MACHINE_TEXT} The crank cannot turn fully."
+LIMITED_TEXT = f"{MACHINE_TEXT} It cannot be assembled at every position of its drive."
 NOT_VALIDATED_TEXT = "No validated design."
 SOUND_TEXT = "There are no design variables to check: the analysis over the cycle found no singular position."
 BALANCED_TEXT = "The measures of the balanced machine were computed again, and agree."
-UNASSEMBLED_TEXT = "With these dimensions the linkage cannot be assembled at any crank angle. The last one stays drawn."
+UNASSEMBLED_TEXT = "With these dimensions it cannot be assembled at any position of its drive. The last linkage stays drawn."
 
 
 @dataclass(frozen=True)
@@ -425,6 +425,16 @@ def in_modes(problem: ProblemFile, design: Design) -> ProblemFile:
     return problem.override({"mechanism.assembly": modes})
 
 
+def same_parts(problem: ProblemFile, other: ProblemFile) -> bool:
+    """Return whether two problems have dimensions and assembly modes of the same names: a design of one fits the other."""
+
+    def parts(one: ProblemFile) -> Any:
+        modes = one.raw["mechanism"].get("assembly")
+        return set(one.model.quantities), set(modes) if isinstance(modes, Mapping) else None
+
+    return bool(parts(problem) == parts(other))
+
+
 def carried_design(problem: ProblemFile, last: Design) -> Design:
     """Return the last design in a changed problem, without optimisation: fixed sizes have their new values."""
     values = problem.model.design({name: last.values[name] for name in problem.model.free if name in last.values})
@@ -433,7 +443,7 @@ def carried_design(problem: ProblemFile, last: Design) -> Design:
 
 
 def moved_machine(design: Design, full: bool | None) -> Design:
-    """Return a machine that is not analysed yet, with a status from whether it assembles at every crank angle; None: at none."""
+    """Return a machine that is not analysed yet, with a status from whether it assembles at every position; None: at none."""
     if design.status != UNVERIFIED or full:
         return design
     if full is None:
@@ -504,15 +514,12 @@ def verdict(design: Design) -> dict[str, Any]:
 
 def failure(error: OptlinkError, status: str = "failed") -> dict[str, Any]:
     """Return the verdict of a problem that cannot be stated or solved."""
-    why = fault_text(error)
+    why = fault_text(error.faults[0]) if isinstance(error, InputError) else str(error)
     return {**NO_RESULT, "status": status, "conclusion": why, "conflicts": (why,)}
 
 
-def fault_text(error: OptlinkError) -> str:
-    """Return the fault of a value set on the page, without its place in the file."""
-    if not isinstance(error, InputError):
-        return str(error)
-    fault = error.faults[0]
+def fault_text(fault: Fault) -> str:
+    """Return the sentence of a fault, without its place in the file."""
     return f"{fault.message[:1].upper()}{fault.message[1:]}. {fault.remedy.rstrip('.')}."
 
 
@@ -597,10 +604,10 @@ def checks(design: Design) -> list[dict[str, Any]] | None:
 
 
 def charts(design: Design, picture: Picture, problem: ProblemFile) -> list[dict[str, Any]]:
-    """Return the curves of a design over the crank angle, with the limits of the present problem."""
+    """Return the curves of a design over the positions of its drive, with the limits of the present problem."""
     kind, model = kind_of(design.problem), design.problem.model
     curves = kind.error_curves(model, design.values, design.start, design.crank_angles)
-    specs = [_chart(*curve[:2], [curve[2:]]) for curve in curves]
+    specs = [_chart(curve.title, picture.axis(curve.crank_angles), [curve[2:]]) for curve in curves]
     specs += _transmission(picture, problem)
     if model.loads or model.bodies:
         specs += _forces(design, picture)
@@ -610,11 +617,10 @@ def charts(design: Design, picture: Picture, problem: ProblemFile) -> list[dict[
 
 
 def _chart(
-    title: str, x: Array, series: Sequence[tuple[str, str, Array]], limits: Sequence[tuple[str, float]] = ()
+    title: str, x: Mapping[str, Any], series: Sequence[tuple[str, str, Array]], limits: Sequence[tuple[str, float]] = ()
 ) -> dict[str, Any]:
     curves = [{"label": label, "unit": unit, "values": finite(_rounded(values))} for label, unit, values in series]
-    axis = {"label": "crank angle", "unit": "deg", "values": np.round(np.degrees(x), 3).tolist()}
-    return {"title": title, "x": axis, "series": curves, "limits": [{"label": n, "value": v} for n, v in limits]}
+    return {"title": title, "x": x, "series": curves, "limits": [{"label": n, "value": v} for n, v in limits]}
 
 
 def _transmission(picture: Picture, problem: ProblemFile) -> Iterator[dict[str, Any]]:
@@ -631,7 +637,7 @@ def _transmission(picture: Picture, problem: ProblemFile) -> Iterator[dict[str, 
             if bound is not None:
                 limits.append((word, math.degrees(bound)))
     series = [(f"at {group.joint}", "deg", angles[:, k]) for k, group in enumerate(groups)]
-    yield _chart("Transmission angle", picture.angles, series, limits)
+    yield _chart("Transmission angle", picture.axis(picture.angles), series, limits)
 
 
 def _motion(picture: Picture) -> Iterator[dict[str, Any]]:
@@ -639,29 +645,35 @@ def _motion(picture: Picture) -> Iterator[dict[str, Any]]:
     for guide in mechanism.guides:
         if guide.on == "frame":
             slide = np.asarray(motion.slide(guide.name).value)
-            yield _chart(f"Slide of {guide.slider}", picture.angles, [(guide.slider, "mm", 1e3 * slide)])
+            yield _chart(f"Slide of {guide.slider}", picture.axis(picture.angles), [(guide.slider, "mm", 1e3 * slide)])
             return
-    body = mechanism.links[-1].body
-    yield _chart(f"Angle of {body}", picture.angles, [(body, "deg", np.degrees(np.asarray(motion.body_angle(body).value)))])
+    driven = {drive.body for drive in mechanism.drives}
+    body = next((link.body for link in reversed(mechanism.links) if link.body not in driven), mechanism.crank.body)
+    yield _chart(
+        f"Angle of {body}", picture.axis(picture.angles), [(body, "deg", np.degrees(np.asarray(motion.body_angle(body).value)))]
+    )
 
 
 def _forces(design: Design, picture: Picture) -> Iterator[dict[str, Any]]:
-    """Yield the driving torque and the joint reactions."""
+    """Yield the torques and forces of the drives and the joint reactions."""
     yield from _motion(picture)
+    x = picture.axis(picture.angles)
     moving = picture.machine.moving(picture.angles, design.speed)
     with np.errstate(all="ignore"):
         record = MotionColumns(moving)
-        torque = np.asarray(record["input.torque_Nm"], dtype=float)
+        exerted = [(effort, np.asarray(record[effort.column], dtype=float)) for effort in efforts(picture.mechanism)]
         pins = {
             name.partition(".")[0]: np.hypot(record[name], record[name.replace(".fx_N", ".fy_N")])
             for name in record.columns
             if name.endswith(".fx_N") and name.replace(".fx_N", ".fy_N") in record.columns
         }
-    torque_scale = scale(float(np.nanmax(np.abs(torque), initial=0.0)), "N m")
-    yield _chart("Driving torque", picture.angles, [("torque", torque_scale.unit, torque * torque_scale.factor)])
+    for effort, values in exerted:
+        size = scale(max_abs(values), effort.unit)
+        words = f"{effort.words[:1].upper()}{effort.words[1:]}"
+        yield _chart(words, x, [(effort.quantity, size.unit, values * size.factor)])
     if pins:
         most = scale(max(float(np.nanmax(force, initial=0.0)) for force in pins.values()), "N")
-        yield _chart("Joint reactions", picture.angles, [(pin, most.unit, force * most.factor) for pin, force in pins.items()])
+        yield _chart("Joint reactions", x, [(pin, most.unit, force * most.factor) for pin, force in pins.items()])
 
 
 def _rounded(values: Array) -> Any:

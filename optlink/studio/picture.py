@@ -12,6 +12,7 @@ from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.vector2d import TURN, Array
 from optlink.presentation.scene import LOOKS, MM, Outline, Region, Scene
 from optlink.presentation.shapes import zigzag
+from optlink.problem.driving import Driving
 
 POSITIONS = 72  # positions per revolution
 END_MARGIN = 1e-8  # rad from the ends of a limited motion: there rounding decides
@@ -21,19 +22,32 @@ class Picture:
     """A design in motion: its positions, and the data that the page draws.
 
     `start` [rad] is the first crank angle, in the reachable range if the crank cannot turn fully; `speed` gives the sense of
-    rotation; `regions` are those of the limits.
+    rotation; `regions` are those of the limits; `driving` says how the drive moves the machine, by default a crank that turns.
     """
 
-    def __init__(self, machine: Machine, start: float, speed: float = 1.0, regions: Sequence[Region] = ()) -> None:
+    def __init__(
+        self,
+        machine: Machine,
+        start: float,
+        speed: float = 1.0,
+        regions: Sequence[Region] = (),
+        driving: Driving | None = None,
+    ) -> None:
         self.machine, self.mechanism = machine, machine.mechanism
-        direction = math.copysign(1.0, speed)
-        count = POSITIONS * max(1, round(self.mechanism.cycle / TURN))
-        angles = start + direction * np.linspace(0.0, self.mechanism.cycle, count + 1)
+        self.driving = None if driving is None else driving.of(machine.sizes)
+        direction, limits = math.copysign(1.0, speed), self.mechanism.limits
+        if limits is None:
+            count = POSITIONS * max(1, round(self.mechanism.cycle / TURN))
+            angles = start + direction * np.linspace(0.0, self.mechanism.cycle, count + 1)
+        else:
+            low, high = limits if direction > 0.0 else limits[::-1]
+            angles = np.linspace(low, high, POSITIONS + 1)
         motion = sweep(self.mechanism, machine.sizes, angles)
         points = np.array([motion.position(name) for name in self.mechanism.owners])
         assembled = motion.assembled & np.isfinite(points).all(axis=(0, 2))
-        self.closed = bool(np.all(assembled))
-        if not self.closed:
+        self.complete = bool(np.all(assembled))
+        self.closed = self.complete and limits is None
+        if not self.complete:
             angles = angles[assembled] if machine.ranges.full else self._reachable(start, direction)
             motion = sweep(self.mechanism, machine.sizes, angles)
         self.motion: Motion = motion
@@ -48,6 +62,21 @@ class Picture:
         low, high = ranges.holding(start) or max(ranges.ranges, key=lambda ends: ends[1] - ends[0])
         ends = (low + END_MARGIN, high - END_MARGIN) if direction > 0.0 else (high - END_MARGIN, low + END_MARGIN)
         return np.linspace(*ends, max(2, math.ceil((high - low) / TURN * POSITIONS) + 1))
+
+    def axis(self, angles: Array) -> dict[str, Any]:
+        """Return what the slider and the charts show at crank angles or values of the cycle variable [rad], as plain data.
+
+        The time of laws and of several drives; else the positions of the drive in their unit.
+        """
+        driving = self.driving
+        if driving is not None and driving.ends is None and driving.mechanism.drives:
+            label, unit, values = "time", "s", (angles - driving.first) / driving.pace
+        elif driving is not None:
+            label, unit, values = driving.coordinate, driving.unit, driving.shown(angles)
+        else:
+            label, unit, values = "crank angle", "deg", np.degrees(angles)
+        decimals = 3 if np.ptp(values) > 1.0 else 3 - math.floor(math.log10(max(float(np.ptp(values)), 1e-9)))
+        return {"label": label, "unit": unit, "values": _plain(np.round(values, decimals))}
 
     # --- what is sent -------------------------------------------------------------------------------------------------------
 
@@ -68,7 +97,7 @@ class Picture:
             placed = np.column_stack([np.round(poses[:, :2], scene.decimals), np.round(poses[:, 2], 4)])
             bodies.append({"name": name, "colour": scene.colours[name], "parts": parts, "poses": _plain(placed)})
         return {
-            "angles": np.round(scene.crank_angles, 4).tolist(),
+            "drive": self.axis(self.angles),
             "closed": scene.closed,
             "box": self._places(np.array([x, y, x + wide, y + high])),
             "bodies": bodies,

@@ -11,7 +11,7 @@ from optlink.presentation.scene import regions_of
 from optlink.problem.assignment import parse_assignment
 from optlink.problem.enclosed import references
 from optlink.problem.file import ProblemFile, load
-from optlink.studio import design as state
+from optlink.studio import design as state, forms
 from optlink.studio.design import (
     Design,
     Follower,
@@ -22,6 +22,7 @@ from optlink.studio.design import (
     in_modes,
     kind_of,
     moved_machine,
+    same_parts,
     solved_design,
     started,
     structure,
@@ -88,6 +89,8 @@ class Session:
             if self._history is None and request["type"] not in OPENING:
                 raise InputError("no problem is open", "Open one, or draw a curve")
             act(self, request)
+        except InputError as error:
+            self._answer("fault", message=str(error), faults=[{"key": one.key, "text": fault_text(one)} for one in error.faults])
         except OptlinkError as error:
             self.fault(str(error))
         except OSError as error:  # no folder for temporary files, or no space
@@ -151,7 +154,7 @@ class Session:
             document = self._document.with_changes(changes)
             _ = document.problem
         except InputError as error:
-            self.fault(f"{fault_text(error)} The problem is as before the drag.")
+            self.fault(f"{fault_text(error.faults[0])} The problem is as before the drag.")
             self._settle()
             return
         self._commit(document)
@@ -160,12 +163,23 @@ class Session:
 
     def _set(self, request: Mapping[str, Any]) -> None:
         key, value = parse_assignment(f"{_text(request, 'key')}={_text(request, 'value')}", "set")
-        nested: Any = value
-        for name in reversed(key.split(".")):
-            nested = {name: nested}
-        if any(references(nested)):
-            raise InputError("a value that is set on the page cannot name a file", "Write it into the problem file", key=key)
-        self._commit(self._document.with_changes({key: value}))
+        self._change({key: value})
+
+    def _edit(self, request: Mapping[str, Any]) -> None:
+        """Replace whole tables by dotted key, all at once; None removes one. Changed texts are read as on the command line."""
+        stated = request.get("tables")
+        if not isinstance(stated, Mapping):
+            raise InputError("expected tables by key", "Send the tables that change", key="tables", value=stated)
+        self._change(forms.changes(self._document.problem, stated))
+
+    def _change(self, changes: Mapping[str, object]) -> None:
+        for key, value in changes.items():
+            nested: Any = value
+            for name in reversed(key.split(".")):
+                nested = {name: nested}
+            if any(references(nested)):
+                raise InputError("a value that is set on the page cannot name a file", "Write it into the problem file", key=key)
+        self._commit(self._document.with_changes(changes))
 
     def _lock(self, request: Mapping[str, Any]) -> None:
         size = _text(request, "size")
@@ -300,6 +314,8 @@ class Session:
     def _settle(self) -> None:
         """Show the optimum near the last design with its validation, then the result of the ordinary search."""
         problem, ident = self._document.problem, self._id
+        if self._design is not None and not same_parts(problem, self._design.problem):
+            self._design = None  # its dimensions and assembly modes are those of other parts
         self._answer("kept", step="settled")  # the document can be saved from now on
         near = self._show_near(problem)
 
@@ -371,11 +387,11 @@ class Session:
         problem, done = in_modes(problem, design), time.perf_counter()
         try:
             regions = regions_of(problem, design.checks or ())
-            picture: Picture | None = Picture(design.machine, design.start, design.speed, regions)
+            picture: Picture | None = Picture(design.machine, design.start, design.speed, regions, problem.model.driving)
         except (ArithmeticError, InputError, ValueError):
             picture = None
         if not problem.model.free:
-            design = moved_machine(design, None if picture is None else picture.closed)
+            design = moved_machine(design, None if picture is None else picture.complete)
         self._verdict, self._last = design.status, (design, problem)
         self._handles = handles(problem, picture)
         if moving:  # no handle vanishes, or becomes another one, under the hand
@@ -414,6 +430,8 @@ class Session:
             "scene": None if picture is None else picture.document(),
             "charts": [] if picture is None else state.charts(design, picture, problem),
         }
+        if not moving:
+            message |= {"tables": forms.groups(document.problem), "names": forms.names(document.problem)}
         total = time.perf_counter()
         message["seconds"] = {"solve": done - self._begun, "total": total - self._begun}
         self._send(message)
@@ -426,6 +444,7 @@ def warm() -> None:
     from optlink.tasks.analyze import analyze
 
     solved_design(load("crank-rocker"))
+    forms.groups(load("six-bar"))
     _ = certify, design, analyze, curve, files
 
 
@@ -445,6 +464,7 @@ _ACTIONS: dict[str, Callable[[Session, Mapping[str, Any]], None]] = {
     "resume": Session._resume,
     "drag": Session._drag,
     "set": Session._set,
+    "edit": Session._edit,
     "lock": Session._lock,
     "search": lambda session, request: session._settle(),
     "undo": Session._undo,

@@ -215,8 +215,8 @@ def test_handles_keep_their_kind_while_one_is_dragged() -> None:
     page.ask("drag", handle="mechanism.ground.D.x", at=[1500.0, 0.0], moving=True)
     for length, status, words in (
         (1100.0, "not verified", "these dimensions."),
-        (900.0, "not verified", "The crank cannot turn fully."),
-        (100.0, "infeasible", "cannot be assembled at any crank angle."),
+        (900.0, "not verified", "at every position of its drive."),
+        (100.0, "infeasible", "cannot be assembled at any position of its drive."),
         (1150.0, "not verified", "these dimensions."),
     ):
         state = page.state("drag", handle="mechanism.links.link2.length", value=length, moving=True)
@@ -454,7 +454,7 @@ def test_a_drawn_curve_gets_four_bars_and_a_drawing() -> None:
     best = answers[-1]["items"][0]
     assert best["valid"]
     assert best["error"] < 2.0
-    assert len(best["curve"]) == len(best["scene"]["angles"])
+    assert len(best["curve"]) == len(best["scene"]["drive"]["values"])
     page.patient = False
     assert {design.assembly for design in page.session._curve.designs} == {"left", "right"}
     for k, item in list(enumerate(answers[-1]["items"]))[::-1]:

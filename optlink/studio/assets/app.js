@@ -3,6 +3,7 @@ import { Background } from "./background.js";
 import { dropDown, keyboard, takeFiles } from "./commands.js";
 import { Curve } from "./curve.js";
 import { $, download, hint, sentence, setText, svg, toast } from "./dom.js";
+import { Elements } from "./elements.js";
 import { Handles } from "./handles.js";
 import { keep, lost } from "./kept.js";
 import { Linkage } from "./linkage.js";
@@ -121,16 +122,18 @@ const curve = new Curve(overlay, view, {
   hint,
 });
 const background = new Background(linkage.layers.below, overlay, view, choose);
-const motion = new Motion((at, angle) => {
+const motion = new Motion((at, position) => {
   linkage.show(at);
   knobs.fade();
-  panel.cursor(angle);
+  panel.cursor(position);
 });
 const panel = new Panel({
   lock: (size, locked) => live.send("lock", { size, locked }),
   set: (key, value) => live.send("set", { key, value }),
   drag: (fields) => drag(fields, performance.now()),
 });
+
+const elements = new Elements((tables) => ask("edit", { tables }));
 
 // What is drawn is not verified from the first movement on, also where the answer takes its time.
 function drag(fields, stamp) {
@@ -227,7 +230,7 @@ function take(next) {
   knobs.infeasible = next.status === "infeasible" || next.status === "failed";
   knobs.take(handles);
   panel.take(state, handles);
-  panel.cursor(motion.angle);
+  panel.cursor(motion.position);
   verdict(next.status);
   const { can_undo: undo, can_redo: redo } = next.document;
   titled(keep(next));
@@ -280,6 +283,12 @@ const live = new Live(keptToken(), {
   state(message) {
     busy(false);
     search.state(message);
+    if (message.tables) {
+      if (refit) {
+        elements.discard();
+      }
+      elements.take(message.id, message.tables, message.names);
+    }
     fresh = fresh && !message.handles ? { ...message, handles: fresh.handles, scene: merged(message.scene, fresh.scene) } : message;
     redrawNow();
   },
@@ -300,9 +309,12 @@ const live = new Live(keptToken(), {
     $("link").showModal();
     $("link-text").select();
   },
-  fault({ message }) {
+  fault({ id, message, faults }) {
     busy(false);
     search.take(null);
+    if (elements.refused(id, faults || [])) {
+      return;
+    }
     toast(sentence(message), true);
     state && panel.take(state, handles); // what was typed and refused is in the message
     if (linkage.canvas.classList.contains("preview")) {
@@ -334,6 +346,9 @@ function ask(type, fields) {
   busy(true);
   if (search.running && AFTER_SEARCH[type]) {
     toast(`${AFTER_SEARCH[type]} Stop ends it.`);
+  }
+  if (type === "undo" || type === "redo") {
+    elements.discard();
   }
   if (type === "open" || type === "new") {
     refit = true;

@@ -1,10 +1,10 @@
-// A light line chart: axes with a few round numbers, curves, limits as dashed lines, and a cursor at the crank angle.
+// A light line chart: axes with a few round numbers, curves, limits as dashed lines, and a cursor at the position of the drive.
 import { el, keyed, number, plain, setText, svg, unitText } from "./dom.js";
 import { round125 } from "./view.js";
 
 const [WIDTH, HEIGHT, LEFT, RIGHT, TOP, BOTTOM] = [340, 150, 44, 14, 8, 22];
 const FINE = 1e-9;
-const SLACK = 0.01; // of a crank angle, rounded [deg]
+const SLACK = 1e-4; // share of the range of the positions, which are rounded
 
 function ticks(low, high, count) {
   const raw = (high - low) / count;
@@ -114,10 +114,11 @@ function update(node, chart) {
     (span, one) => setText(span.lastChild, one.label)
   );
   setText(title, `${chart.title}: ${chart.series.map((one) => `${one.label} from ${number(Math.min(...finite(one.values)), 3)} to ${number(Math.max(...finite(one.values)), 3)} ${unitText(one.unit || "")}`).join("; ")}`);
-  node.cursor = (angle) => {
-    const inside = angular && angle !== null && x.length > 1;
-    const shown = inside ? x0 + ((((angle - x0 + SLACK) % 360) + 360) % 360) - SLACK : 0;
-    const seen = inside && shown <= x1 + SLACK;
+  node.cursor = (position) => {
+    const inside = position !== null && x.length > 1;
+    const slack = SLACK * (x1 - x0);
+    const shown = inside && angular ? x0 + ((((position - x0 + slack) % 360) + 360) % 360) - slack : position;
+    const seen = inside && shown >= x0 - slack && shown <= x1 + slack;
     cursor.setAttribute("visibility", seen ? "inherit" : "hidden");
     if (seen) {
       cursor.setAttribute("x1", px(shown).toFixed(1));
@@ -128,12 +129,12 @@ function update(node, chart) {
 
 const short = (value) => (Math.abs(value) >= 1e5 || (value !== 0 && Math.abs(value) < 1e-3) ? value.toExponential(0) : String(Number(value.toPrecision(6)))).replace("-", "−");
 
-// Charts of a panel; returns a function that moves their cursors to a crank angle [deg].
+// Charts of a panel; returns a function that moves their cursors to a position of the drive.
 export function drawCharts(parent, charts) {
   keyed(parent, charts, (one) => one.title, build, update);
-  return (angle) => {
+  return (position) => {
     for (const node of parent.children) {
-      node.cursor?.(angle);
+      node.cursor?.(position);
     }
   };
 }

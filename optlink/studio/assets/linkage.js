@@ -70,7 +70,7 @@ export class Linkage {
   }
 
   get last() {
-    return this.scene ? this.scene.angles.length - 1 : 0;
+    return this.scene ? this.scene.drive.values.length - 1 : 0;
   }
 
   get period() {

@@ -1,13 +1,13 @@
-// Plays the motion: the position over time, the slider of the crank angle, its text.
-import { $, icon } from "./dom.js";
+// Plays the motion: the position over time, the slider of the drive or of the time, its text.
+import { $, icon, quantity } from "./dom.js";
 
-const TURN = 4; // duration of one revolution [s]
+const TURN = 4; // duration of one revolution, or of one motion forth and back [s]
 
 export class Motion {
-  // `shown(position, angle)` draws a position
+  // `shown(at, position)` draws a position, whose angle, length or time in its unit is the second one
   constructor(shown) {
     this.shown = shown;
-    this.angles = [0];
+    this.drive = { unit: "deg", values: [0] };
     this.at = 0;
     this.way = 1;
     this.frame = null;
@@ -18,12 +18,14 @@ export class Motion {
     });
   }
 
-  take({ angles, closed }) {
-    const same = angles.length === this.angles.length && angles[0] === this.angles[0] && angles.at(-1) === this.angles.at(-1);
-    const share = this.at / Math.max(this.angles.length - 1, 1);
-    this.angles = angles;
+  take({ drive, closed }) {
+    const [values, before] = [drive.values, this.drive.values];
+    const same = values.length === before.length && values[0] === before[0] && values.at(-1) === before.at(-1);
+    const share = this.at / Math.max(before.length - 1, 1);
+    this.drive = drive;
     this.closed = closed;
-    this.last = angles.length - 1;
+    this.turns = closed && drive.unit === "deg";
+    this.last = values.length - 1;
     $("transport").hidden = this.last < 1;
     $("crank").max = String(this.last);
     if (!same) {
@@ -32,10 +34,11 @@ export class Motion {
     this.write();
   }
 
-  // Angle of the crank at a position [deg].
-  get angle() {
+  // Angle, length or time at the present position, in its unit.
+  get position() {
+    const { values } = this.drive;
     const low = Math.min(Math.floor(this.at), this.last - 1);
-    return this.last > 0 ? this.angles[low] + (this.at - low) * (this.angles[low + 1] - this.angles[low]) : this.angles[0];
+    return this.last > 0 ? values[low] + (this.at - low) * (values[low + 1] - values[low]) : values[0];
   }
 
   // Distance of the present position from another one, over the end of a closed motion if that is shorter.
@@ -47,16 +50,20 @@ export class Motion {
   put(at) {
     this.at = Math.min(Math.max(at, 0), this.last);
     this.write();
-    this.shown(this.at, this.angle);
+    this.shown(this.at, this.position);
   }
 
   write() {
-    const angle = this.closed ? ((this.angle % 360) + 360) % 360 : this.angle;
-    const text = `${angle.toFixed(1).replace("-", "−")}°`;
-    if (this.text !== text) {
-      this.text = text;
+    const { label, unit, values } = this.drive;
+    const position = this.turns ? ((this.position % 360) + 360) % 360 : this.position;
+    const decimals = unit === "s" ? Math.max(0, 3 - Math.ceil(Math.log10(Math.abs(values.at(-1) - values[0]) || 1))) : 1;
+    const text = quantity(position, unit, decimals, (value) => value.toFixed(decimals).replace("-", "−"));
+    if (this.text !== text || this.label !== label) {
+      Object.assign(this, { text, label });
       $("angle").textContent = text;
+      $("what").textContent = label;
       $("crank").setAttribute("aria-valuetext", text);
+      $("crank").setAttribute("aria-label", label);
     }
     $("crank").value = String(this.at);
   }
@@ -79,7 +86,8 @@ export class Motion {
     }
     let before = null;
     const step = (now) => {
-      const span = Math.abs(this.angles[this.last] - this.angles[0]) || 360;
+      const { unit, values } = this.drive;
+      const span = unit === "deg" ? Math.abs(values[this.last] - values[0]) || 360 : this.closed ? 360 : 180;
       const gone = before === null ? 0 : Math.min((now - before) / 1000, 0.1);
       before = now;
       let at = this.at + (this.way * gone * 360 * this.last) / (TURN * span);
