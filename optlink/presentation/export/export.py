@@ -78,7 +78,7 @@ def export(model: ReportModel, path: Path, options: Options | None = None) -> No
     FORMATS[path.suffix.lower()](model, model.cycle, path, options)
 
 
-def place_of(model: ReportModel, cycle: Analysis, at: float | None) -> float:
+def place_of(file: str, cycle: Analysis, at: float | None, key: str = "--at") -> float:
     """Return a crank angle [rad] at which the mechanism can be assembled; None stands for the start of the motion.
 
     Raises
@@ -94,14 +94,14 @@ def place_of(model: ReportModel, cycle: Analysis, at: float | None) -> float:
         failed = failure(cycle.machine.mechanism, cycle.machine.sizes, at)
         message = str(failed) if failed else "the mechanism cannot be assembled there"
         shown = f"{math.degrees(at):.6g} deg"
-        raise InputError(message, f"Give an angle within {cycle.ranges.text}", model.problem.file, "--at", shown)
+        raise InputError(message, f"Give an angle within {cycle.ranges.text}", file, key, shown)
     return at
 
 
 def _dxf(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> None:
     from optlink.presentation.export.dxf import document
 
-    at = place_of(model, cycle, options.at)
+    at = place_of(model.problem.file, cycle, options.at)
     drawing = document(cycle, at, model.problem.model.title, options.hole, options.width, model.regions)
     with whole(path) as temporary:
         drawing.saveas(temporary)
@@ -111,7 +111,7 @@ def _svg(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> N
     from optlink.presentation.export.svg import svg
     from optlink.presentation.scene import scene
 
-    at = place_of(model, cycle, options.at)
+    at = place_of(model.problem.file, cycle, options.at)
     title = f"{model.problem.model.title}: {model.problem.model.driving.text(at)}"
     text = svg(scene(cycle, at=at, regions=model.regions), title, true_size=True)
     with whole(path) as temporary:
@@ -138,7 +138,7 @@ def cam_curves(cycle: Analysis) -> Iterator[tuple[str, Array]]:
 
 
 def _json(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> None:
-    write_json(path, geometry(model, cycle, place_of(model, cycle, options.at)))
+    write_json(path, geometry(model, cycle, place_of(model.problem.file, cycle, options.at)))
 
 
 def geometry(model: ReportModel, cycle: Analysis, at: float) -> dict[str, Any]:
