@@ -30,6 +30,7 @@ from optlink.problem.file import (
     shipped as shipped,
 )
 from optlink.problem.templates import new as new
+from optlink.studies.sweeps import sweep as sweep
 from optlink.studio import explore as explore
 from optlink.tasks.analyze import Analysis as Analysis, analyze as analyze, analyze_batch as analyze_batch, motion as motion
 from optlink.tasks.balance import balance as balance
@@ -48,8 +49,6 @@ __version__: str
 def four_bar(*args: Any, **options: Any) -> linkage.Mechanism: ...
 @deprecated("optlink.grashof is now optlink.linkage.grashof")
 def grashof(*args: Any, **options: Any) -> linkage.GrashofClass: ...
-@deprecated("optlink.sweep is now optlink.linkage.sweep")
-def sweep(*args: Any, **options: Any) -> linkage.Motion: ...
 @deprecated("optlink.compare is now optlink.control.compare")
 def compare(*args: Any, **options: Any) -> control.Comparison: ...
 @deprecated("optlink.inverse_model is now optlink.control.inverse_model")

@@ -90,6 +90,8 @@ def lacking(source: str, module: str, public: Collection[str]) -> list[str]:
     """
     result = []
     for full_name, function in functions(ast.parse(source).body, module):
+        if "overload" in map(ast.unparse, function.decorator_list):
+            continue
         text = ast.get_docstring(function) or ""
         names, known = arguments(function), described(text)
         shown = full_name in public or full_name.rpartition(".")[0] in public

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
 
 import optlink
 from optlink.errors import InputError
@@ -99,13 +102,73 @@ def test_a_member_of_a_former_name_warns(kind: str, former: str) -> None:
 
 
 def test_every_result_is_plotted(result: Document) -> None:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     assert result.plots
-    assert isinstance(result.plot(), Figure)
+    assert isinstance(result.plot(), Axes)
     assert isinstance(result.plot(result.plots[0]), Figure)
     with pytest.raises(InputError, match=r"has no picture nothing\. Known: "):
         result.plot("nothing")
+
+
+def joints_of(axes: Axes, names: str) -> dict[str, NDArray[np.float64]]:
+    """Places [m] at which axes show joints: the rings with their names."""
+    rings = [line for line in axes.lines if line.get_marker() == "o" and line.get_gid() in [*names]]
+    return {str(line.get_gid()): 1e-3 * np.asarray(line.get_xydata())[0] for line in rings}
+
+
+def test_a_linkage_is_drawn_into_axes_at_an_angle() -> None:
+    from matplotlib.figure import Figure
+
+    result = RESULTS["design"]()
+    left, right = Figure().subplots(1, 2)
+    assert result.plot(ax=right, angle=1.25) is right
+    moved = optlink.motion(result.machine, [1.25])
+    shown = joints_of(right, "ABCD")
+    assert shown.keys() == {*"ABCD"}
+    for name, at in shown.items():
+        np.testing.assert_allclose(at, moved.position(name)[0], atol=1e-12)
+    assert {text.get_text() for text in right.texts} >= {*"ABCD"}
+    assert not left.lines
+    with pytest.raises(InputError, match=r"has axes and positions of its own.*Leave the name out"):
+        result.plot("law", ax=left)  # type: ignore[call-overload]
+
+
+def test_a_linkage_is_drawn_where_its_joints_spread() -> None:
+    result = RESULTS["design"]()
+    angles = np.linspace(0.0, 2.0 * np.pi, 181)
+    moved = optlink.motion(result.machine, angles)
+    spread = [np.linalg.det(np.cov([moved.position(name)[k] for name in "ABCD"], rowvar=False)) for k in range(len(angles))]
+    shown = np.linalg.det(np.cov([*joints_of(result.plot(), "ABCD").values()], rowvar=False))
+    assert shown > 0.999 * max(spread)
+    assert max(spread) > 1.5 * min(spread)
+
+
+def test_a_position_out_of_reach_is_refused() -> None:
+    result = optlink.analyze(optlink.load("slider-crank", {"drive.start": "20 deg", "drive.range": ["15 deg", "60 deg"]}), 12)
+    with pytest.raises(InputError, match=r"angle = \"5156\.62 deg\": .*Give an angle within"):
+        result.plot(angle=90.0)
+
+
+def test_every_result_moves(result: Document) -> None:
+    animation = result.animate(frames=3)
+    page = animation._repr_html_()  # type: ignore[attr-defined]
+    assert page.count("data:image/png;base64,") == 3
+    with pytest.raises(InputError, match=r"frames = 1: out of range. Give 2 to"):
+        result.animate(1)
+
+
+def test_an_animation_shows_the_positions_of_the_motion(tmp_path: Path) -> None:
+    result = optlink.analyze("slider-crank", 36)
+    animation = result.animate(frames=4)
+    animation.save(tmp_path / "motion.gif", writer="pillow")
+    (axes,) = animation._fig.axes  # type: ignore[attr-defined]
+    angle = np.radians(float(axes.get_title().rpartition(" ")[2].rstrip("°")))
+    moved = optlink.motion("slider-crank", [angle])
+    for name, at in joints_of(axes, "ABC").items():
+        np.testing.assert_allclose(at, moved.position(name)[0], atol=1e-4)
+    assert 4.0 < angle < 5.0  # the last of four quarters
 
 
 def test_every_result_is_a_frame(result: Document, tmp_path: Path) -> None:
@@ -119,6 +182,79 @@ def test_every_result_is_a_frame(result: Document, tmp_path: Path) -> None:
             pandas.testing.assert_frame_equal(there, pandas.read_csv(path), check_dtype=False)
     with pytest.raises(InputError, match=r"has no table nothing\. Known: "):
         result.to_frame("nothing")
+
+
+def test_a_frame_has_the_units_of_the_file(result: Document) -> None:
+    import pint
+
+    pint_of = pint.UnitRegistry()
+    one, other = result.to_frame(), result.to_frame(units="file")
+    assert one.shape == other.shape
+    changed = 0
+    for before, after in zip(one, other, strict=True):
+        units = [frame.attrs["units"].get(name, "") for frame, name in ((one, before), (other, after))]
+        if units[0] == units[1]:
+            assert before == after
+            continue
+        changed += 1
+        first, second = (pint_of.parse_units(unit.replace("²", "**2")) for unit in units)
+        expected = pint_of.Quantity(one[before].to_numpy(), first).to(second).magnitude
+        np.testing.assert_allclose(other[after].to_numpy(), expected, rtol=1e-12)
+    assert changed or type(result).__name__ in ("Sensitivities",)
+    with pytest.raises(InputError, match=r"units = \"mm\": no such units"):
+        result.to_frame(units="mm")
+
+
+def test_units_of_columns() -> None:
+    units = optlink.analyze("whitworth", 12).to_frame().attrs["units"]
+    expected = {"crank.omega_rad_s": "rad/s", "B.vx_m_s": "m/s", "B.ax_m_s2": "m/s²", "ram.s_m": "m", "time_s": "s"}
+    assert {name: units[name] for name in expected} == expected
+    assert optlink.analyze("whitworth", 12).to_frame(units="file")["B.x_mm"].max() == pytest.approx(100.0)
+
+
+def cells(text: str) -> list[list[str]]:
+    """Cells of the lines of tables for LaTeX."""
+    return [line.removesuffix(r" \\").split(" & ") for line in text.splitlines() if line.endswith(r"\\")]
+
+
+def test_every_result_is_a_table_for_latex(result: Document, tmp_path: Path) -> None:
+    text = result.to_latex(tmp_path / "table.tex")
+    assert (tmp_path / "table.tex").read_text(encoding="utf-8") == text
+    assert text.count(r"\toprule") == text.count(r"\bottomrule") == text.count(r"\begin{tabular}") >= 1
+    assert text.isascii()
+    assert not re.search(r"(?<!\\)[_#%]|(?<!\\)&(?! )", text)
+    for part in re.findall(r"\\begin\{tabular\}\{(\w+)\}(.*?)\\end", text, re.DOTALL):
+        assert {len(row) for row in cells(part[1]) if "multicolumn" not in row[0]} == {len(part[0])}
+
+
+def test_a_latex_table_has_the_columns_of_the_frame_in_units_of_the_file() -> None:
+    import io
+
+    result, buffer = optlink.analyze("whitworth", 12), io.StringIO()
+    names = ["crank_angle_deg", "B.x_m", "input.torque_Nm"]
+    text = result.to_latex(buffer, columns=names)
+    assert buffer.getvalue() == text
+    head, *rows = cells(text)
+    assert head == [r"crank\_angle [deg]", "B.x [mm]", r"input.torque [N\textperiodcentered{}m]"]
+    frame = result.to_frame(units="file")[["crank_angle_deg", "B.x_mm", "input.torque_Nm"]]
+    read = [[float(cell.strip("$").replace(r" \cdot 10^{", "e").rstrip("}")) for cell in row] for row in rows]
+    np.testing.assert_allclose(read, frame.to_numpy(), rtol=1e-4, atol=1e-12)
+    with pytest.raises(InputError, match=r"no such column. Did you mean"):
+        result.to_latex(columns=["B.x_mm"])
+
+
+def test_latex_of_a_design_has_its_sizes_and_limits() -> None:
+    result = RESULTS["design"]()
+    rows = cells(result.to_latex())
+    assert ["coupler", "412.000", "mm", "free, 100 ... 900"] in rows
+
+
+def test_letters_that_latex_reads_as_commands_are_escaped() -> None:
+    from optlink.presentation.latex import escaped
+
+    assert escaped(r"50 % of A_1 & \x{y} ^2 ≤ 3°") == (
+        r"50 \% of A\_1 \& \textbackslash{}x\{y\} \textasciicircum{}2 $\leq$ 3\textdegree{}"
+    )
 
 
 def test_a_missing_pandas_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

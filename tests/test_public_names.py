@@ -19,7 +19,7 @@ PUBLIC = {
         Analysis AnyProblem Balance DesignResult Document Execution InputError LinkageDesign OptlinkError ProblemFile Programme
         Result Simulation SolverError Status SynthesisResult UnknownName
         analyze analyze_batch balance build explore export load motion new read read_design read_result report shipped simulate
-        solve validate
+        solve sweep validate
         control extending linkage studies style synthesis testing
     """,
     "optlink.control": """
@@ -56,7 +56,7 @@ PUBLIC = {
 TYPES = ("AnyProblem", "Course", "Former", "Joint", "Signal", "Value", "Vector")
 """Names for types, which have no docstring of their own."""
 DEPRECATED = {
-    **{name: f"optlink.linkage.{name}" for name in ("four_bar", "grashof", "sweep")},
+    **{name: f"optlink.linkage.{name}" for name in ("four_bar", "grashof")},
     **{name: f"optlink.control.{name}" for name in ("ClearanceSimulation", "Comparison", "InverseMotion", "Tuning")},
     **{name: f"optlink.control.{name}" for name in ("compare", "inverse_model", "simulate_clearance", "tune")},
     **dict.fromkeys(("CycleResult", "FunctionResult", "PathResult"), "optlink.SynthesisResult"),

@@ -193,7 +193,7 @@ def figure(value: float, unit: str = "") -> str:
     return shown.replace("-", "−") + ("°" if unit == "deg" else f" {pretty(unit)}" if unit else "")
 
 
-_UNIT = re.compile(r"(.+)_((?:rad|m)_s2?|(?:rad|mm|m|deg)2?|s|kg|N|Nm|W|J|Pa|percent|[A-Za-z]+\d?_per_[A-Za-z]+\d?)")
+_UNIT = re.compile(r"(.+?)_((?:rad|m)_s2?|(?:rad|mm|m|deg)2?|s|kg|N|Nm|W|J|Pa|percent|[A-Za-z]+\d?_per_[A-Za-z]+\d?)")
 
 
 def column_unit(column: str) -> tuple[str, str]:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import itertools
-import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TextIO, TypeAlias
 
 from optlink.errors import InputError, UnknownName, extra_remedy, nearest
-from optlink.io import folder as made
-from optlink.presentation.format import column_unit
+from optlink.io import Frozen, folder as made, whole
+from optlink.presentation.columns import file_units, in_units
 from optlink.presentation.registry import stored_page, view_of
 from optlink.problem.arguments import typed
 from optlink.problem.document import Document, Result
@@ -19,18 +18,16 @@ from optlink.problem.quantity import check_choice
 
 if TYPE_CHECKING:
     import pandas
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from optlink.presentation.linkage_mpl import LinkageAnimation
     from optlink.presentation.report_model import ReportModel
     from optlink.presentation.view import StoredStudy
 
     Subject: TypeAlias = AnyProblem | Result
 else:
     Subject = AnyProblem | Document  # all results are documents
-
-
-MEASURE = re.compile(r"\.(min|max|rms)$")
-"""End of the columns of a sweep that are a figure of a column of an analysis."""
 
 
 def content(source: Subject, facts: Mapping[str, Any], name: str = "") -> ReportModel | StoredStudy:
@@ -176,16 +173,33 @@ def figures(result: Document) -> dict[str, Callable[[], Figure | None]]:
     }
 
 
-def plot(result: Document, name: str | None = None) -> Figure:
-    """Return a picture of a result; see `Document.plot`."""
+def picture(result: Document, name: str) -> Figure:
+    """Return a picture of a result by its name; see `Document.plot`."""
     known = figures(result)
-    for key in [name] if name is not None else known:
-        if key not in known:
-            raise UnknownName(f"this {result.kind} has no picture {key}", nearest(str(key), known), key="name", value=key)
-        if (picture := known[key]()) is not None:
-            return picture
-    message = "there is no such picture of this result" if name else "there is no picture of this result"
-    raise InputError(message, f"Plot one of: {', '.join(known)}" if name else "Write its page: optlink.report(result, file)")
+    if name not in known:
+        raise UnknownName(f"this {result.kind} has no picture {name}", nearest(str(name), known), key="name", value=name)
+    if (drawn := known[name]()) is None:
+        raise InputError("there is no such picture of this result", f"Plot one of: {', '.join(known)}")
+    return drawn
+
+
+def plot(result: Document, name: str | None, axes: Axes | None, angle: float | None) -> Figure | Axes:
+    """Draw a picture of a result by its name, or its linkage; see `Document.plot`."""
+    if name is None:
+        from optlink.presentation.linkage_mpl import draw_linkage
+
+        return draw_linkage(result, axes, angle)
+    if axes is not None or angle is not None:
+        message = "a picture by name has axes and positions of its own"
+        raise InputError(message, "Leave the name out to draw the linkage", key="ax" if angle is None else "angle")
+    return picture(result, name)
+
+
+def animate(result: Document, frames: int) -> LinkageAnimation:
+    """Return the linkage of a result in motion; see `Document.animate`."""
+    from optlink.presentation.linkage_mpl import animate_linkage
+
+    return animate_linkage(result, frames)
 
 
 def write(result: Document, place: Path, pictures: str) -> list[Path]:
@@ -194,20 +208,50 @@ def write(result: Document, place: Path, pictures: str) -> list[Path]:
     return view_of(result.kind).write(result, made(place, "folder"), pictures)
 
 
-def to_frame(result: Document, name: str | None = None) -> pandas.DataFrame:
-    """Return a table of a result; see `Document.to_frame`."""
-    tables: dict[str, Mapping[str, Iterable[float | str]]] = dict(view_of(result.kind).tables(result))
+def tables_of(result: Document) -> dict[str, Mapping[str, Iterable[float | str]]]:
+    """Return the tables of a result by name: columns by name."""
     own = getattr(result, "columns", None)
-    tables = tables or ({"columns": own} if own else {})
+    return dict(view_of(result.kind).tables(result)) or ({"columns": own} if own else {})
+
+
+def table_of(result: Document, name: str | None) -> Mapping[str, Iterable[float | str]]:
+    """Return a table of a result, by default the first one."""
+    tables = tables_of(result)
     if name is not None and name not in tables:
         raise UnknownName(f"this {result.kind} has no table {name}", nearest(name, tables), key="name", value=name)
     if not tables:
         raise InputError(f"this {result.kind} has no table", "See its to_dict()")
-    return frame_of(tables[name or next(iter(tables))])
+    return tables[name or next(iter(tables))]
 
 
-def frame_of(table: Mapping[str, Iterable[float | str]]) -> pandas.DataFrame:
-    """Return a table as a data frame with its units in `attrs`.
+def to_frame(result: Document, name: str | None = None, units: str = "SI") -> pandas.DataFrame:
+    """Return a table of a result; see `Document.to_frame`."""
+    check_choice("units", units, ("SI", "file"), "no such units")
+    return frame_of(table_of(result, name), file_units(result.problem) if units == "file" else {})
+
+
+def to_latex(result: Document, buf: str | Path | TextIO | None, name: str | None, columns: Sequence[str] | None) -> str:
+    """Return a table of a result, or those of a design, for LaTeX; see `Document.to_latex`."""
+    from optlink.presentation.latex import columns_to_latex, parts_to_latex
+
+    view = view_of(result.kind)
+    if name is None and columns is None and (view.design(result) is not None or not tables_of(result)):
+        text = parts_to_latex(view.table(result).parts)
+    else:
+        table = table_of(result, name)
+        for key in columns or ():
+            check_choice("columns", key, table, "no such column")
+        text = columns_to_latex({key: table[key] for key in (columns or table)}, file_units(result.problem))
+    if isinstance(buf, str | Path):
+        with whole(Path(buf)) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+    elif buf is not None:
+        buf.write(text)
+    return text
+
+
+def frame_of(table: Mapping[str, Iterable[float | str]], units: Mapping[str, str] = Frozen()) -> pandas.DataFrame:
+    """Return a table as a data frame with its units in `attrs`; `units` are those in place of units of SI, by these.
 
     Raises
     ------
@@ -218,6 +262,7 @@ def frame_of(table: Mapping[str, Iterable[float | str]]) -> pandas.DataFrame:
         import pandas
     except ImportError:
         raise InputError("to_frame needs the package pandas, which is not installed", extra_remedy("frame")) from None
-    frame = pandas.DataFrame({key: list(column) for key, column in table.items()})
-    frame.attrs["units"] = {key: unit for key in frame for unit in [column_unit(MEASURE.sub("", key))[1]] if unit}
+    columns = [in_units(key, values, units) for key, values in table.items()]
+    frame = pandas.DataFrame({column.key: column.values for column in columns})
+    frame.attrs["units"] = {column.key: column.unit for column in columns if column.unit}
     return frame

@@ -12,12 +12,12 @@ import json
 import math
 import re
 import warnings
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
 from operator import attrgetter
 from pathlib import Path
 from types import NoneType
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Protocol, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Protocol, Self, TextIO, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,8 @@ from optlink.version import VERSION
 
 if TYPE_CHECKING:
     import pandas
+    from matplotlib.animation import FuncAnimation
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 AGAIN = "Solve it again with this version, or use the version of optlink that wrote it"
@@ -109,12 +111,54 @@ class Result(Protocol):
         """Names of the pictures that `plot` draws."""
         ...
 
-    def plot(self, name: str | None = None) -> Figure:
-        """Draw a picture with matplotlib, by default the first one."""
+    @overload
+    def plot(self, *, ax: Axes | None = None, angle: float | None = None) -> Axes: ...
+    @overload
+    def plot(self, name: str) -> Figure: ...
+    def plot(self, name: str | None = None, *, ax: Axes | None = None, angle: float | None = None) -> Figure | Axes:
+        """Draw the linkage into axes of matplotlib, or a picture by its name.
+
+        Parameters
+        ----------
+        name : str, optional
+            One of `plots`. Default: the linkage.
+        ax : Axes, optional
+            Axes to draw the linkage into.
+        angle : float [rad], optional
+            Crank angle of the linkage.
+        """
         ...
 
-    def to_frame(self, name: str | None = None) -> pandas.DataFrame:
-        """Return a table as a data frame of pandas, by default the first one."""
+    def animate(self, frames: int = 48) -> FuncAnimation:
+        """Return the linkage in motion, which a notebook shows."""
+        ...
+
+    def to_frame(self, name: str | None = None, *, units: str = "SI") -> pandas.DataFrame:
+        """Return a table as a data frame of pandas.
+
+        Parameters
+        ----------
+        name : str, optional
+            Name of the table. Default: the first one.
+        units : "SI" or "file"
+            SI, or the units of the problem file.
+        """
+        ...
+
+    def to_latex(
+        self, buf: str | Path | TextIO | None = None, name: str | None = None, *, columns: Sequence[str] | None = None
+    ) -> str:
+        """Return a table for LaTeX.
+
+        Parameters
+        ----------
+        buf : str, Path or TextIO, optional
+            File to write it to as well.
+        name : str, optional
+            Name of a table of columns.
+        columns : sequence of str, optional
+            Names of the columns.
+        """
         ...
 
     def to_dict(self) -> dict[str, Any]:
@@ -183,26 +227,55 @@ class Document(Summary):
         """Names of the pictures that `plot` draws of results of this kind; this one may lack some."""
         return tuple(reports("interface").figures(self))
 
-    def plot(self, name: str | None = None) -> Figure:
-        """Draw a picture of the result with matplotlib.
+    @overload
+    def plot(self, *, ax: Axes | None = None, angle: float | None = None) -> Axes: ...
+    @overload
+    def plot(self, name: str) -> Figure: ...
+    def plot(self, name: str | None = None, *, ax: Axes | None = None, angle: float | None = None) -> Figure | Axes:
+        """Draw the linkage of the result with matplotlib, or by its name a picture with charts.
 
         Parameters
         ----------
         name : str, optional
-            One of `plots`. Default: the first one that there is.
+            One of `plots`. Default: the linkage.
+        ax : Axes, optional
+            Axes to draw the linkage into. Default: those of a new figure.
+        angle : float [rad], optional
+            Crank angle of the linkage. Default: that at which the links cover each other least.
 
         Returns
         -------
-        Figure
-            Shown by a notebook; `figure.savefig(file)` writes it.
+        Figure or Axes
+            The figure of a picture by name; the axes with the linkage, whose figure is `axes.figure`. `savefig(file)` writes it.
 
         Raises
         ------
         InputError
-            If there is none of this name.
+            If there is no picture of this name, no linkage that can be drawn in motion, or the crank cannot reach the angle.
         """
-        figure: Figure = reports("interface").plot(self, name)
-        return figure
+        drawn: Figure | Axes = reports("interface").plot(self, name, ax, angle)
+        return drawn
+
+    def animate(self, frames: int = 48) -> FuncAnimation:
+        """Return the linkage of the result in motion: over a revolution, the range of the drive, or the time of a simulation.
+
+        Parameters
+        ----------
+        frames : int
+            Most pictures.
+
+        Returns
+        -------
+        FuncAnimation
+            Shown by a notebook with buttons; `animation.save("motion.gif")` writes it.
+
+        Raises
+        ------
+        InputError
+            If the result has no linkage that can be drawn in motion.
+        """
+        animation: FuncAnimation = reports("interface").animate(self, frames)
+        return animation
 
     def write(self, folder: str | Path, pictures: str = "png") -> list[Path]:
         """Write what `--out` writes: result.json, which `optlink.read_result` reads, tables, the design, pictures.
@@ -226,23 +299,50 @@ class Document(Summary):
         paths: list[Path] = reports("interface").write(self, Path(folder), pictures)
         return paths
 
-    def to_frame(self, name: str | None = None) -> pandas.DataFrame:
+    def to_frame(self, name: str | None = None, *, units: str = "SI") -> pandas.DataFrame:
         """Return a table of the result as a data frame of pandas, as `--out` writes it to CSV files.
 
-        Columns are in SI, or in the unit that ends their name; `frame.attrs["units"]` has the unit of each column with one.
+        The unit of a column ends its name; `frame.attrs["units"]` has the unit of each column with one.
 
         Parameters
         ----------
         name : str, optional
             File name of the table without ending. Default: the first one.
+        units : "SI" or "file"
+            SI, or the unit that ends the name of a column; "file": the units that stand most often in the problem file.
 
         Raises
         ------
         InputError
             If pandas is not installed, or there is no such table.
         """
-        frame: pandas.DataFrame = reports("interface").to_frame(self, name)
+        frame: pandas.DataFrame = reports("interface").to_frame(self, name, units)
         return frame
+
+    def to_latex(
+        self, buf: str | Path | TextIO | None = None, name: str | None = None, *, columns: Sequence[str] | None = None
+    ) -> str:
+        """Return a table of the result for LaTeX, which needs the package booktabs.
+
+        Of a design these are its sizes, its objective and its active constraints, of other results a table of columns, in the
+        units of the problem file.
+
+        Parameters
+        ----------
+        buf : str, Path or TextIO, optional
+            File to write it to as well.
+        name : str, optional
+            Name of a table of columns, as in `to_frame`. Default: that of the design, or the first one.
+        columns : sequence of str, optional
+            Names of the columns, as `to_frame` has them in SI. Default: all.
+
+        Raises
+        ------
+        InputError
+            If there is no such table, or the file cannot be written.
+        """
+        text: str = reports("interface").to_latex(self, buf, name, columns)
+        return text
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as a JSON document: SI, or the unit that ends the key; null where there is no finite value."""

@@ -79,7 +79,7 @@ def export(model: ReportModel, path: Path, options: Options | None = None) -> No
     FORMATS[path.suffix.lower()](model, model.cycle, path, options)
 
 
-def place_of(model: ReportModel, cycle: Analysis, at: float | None) -> float:
+def place_of(cycle: Analysis, at: float | None, key: str = "--at") -> float:
     """Return the crank angle [rad] of a position `at` in SI, where the mechanism can be assembled; None: where the motion starts.
 
     Raises
@@ -89,7 +89,7 @@ def place_of(model: ReportModel, cycle: Analysis, at: float | None) -> float:
     """
     if at is None:
         return float(cycle.positions[0])
-    driving = model.problem.model.driving
+    driving = cycle.problem.model.driving
     angle = at if driving.ends is None else driving.at(1e3 * at)
     if not cycle.full and cycle.ranges.holding(angle) is None:
         failed = failure(cycle.machine.mechanism, cycle.machine.sizes, angle)
@@ -97,14 +97,14 @@ def place_of(model: ReportModel, cycle: Analysis, at: float | None) -> float:
         remedy, shown = f"Give an angle within {cycle.ranges.text}", f"{driving.shown(angle):.6g} {driving.unit}"
         if driving.ends is not None:
             message, remedy = "the drive does not move there", f"Give a {driving.reach}"
-        raise InputError(message, remedy, model.problem.file, "--at", shown)
+        raise InputError(message, remedy, cycle.problem.file, key, shown)
     return angle
 
 
 def _dxf(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> None:
     from optlink.presentation.export.dxf import document
 
-    at = place_of(model, cycle, options.at)
+    at = place_of(cycle, options.at)
     drawing = document(cycle, at, model.problem.model.title, options.hole, options.width, model.regions)
     with whole(path) as temporary:
         drawing.saveas(temporary)
@@ -114,7 +114,7 @@ def _svg(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> N
     from optlink.presentation.export.svg import svg
     from optlink.presentation.scene import scene
 
-    at = place_of(model, cycle, options.at)
+    at = place_of(cycle, options.at)
     title = f"{model.problem.model.title}: {model.problem.model.driving.text(at)}"
     text = svg(scene(cycle, at=at, regions=model.regions), title, true_size=True)
     with whole(path) as temporary:
@@ -141,7 +141,7 @@ def cam_curves(cycle: Analysis) -> Iterator[tuple[str, Array]]:
 
 
 def _json(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> None:
-    write_json(path, geometry(model, cycle, place_of(model, cycle, options.at)))
+    write_json(path, geometry(model, cycle, place_of(cycle, options.at)))
 
 
 def geometry(model: ReportModel, cycle: Analysis, at: float) -> dict[str, Any]:

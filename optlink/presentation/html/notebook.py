@@ -8,13 +8,10 @@ import json
 import re
 from typing import TYPE_CHECKING, Any
 
-from optlink.errors import InputError
 from optlink.presentation.html.moving_linkage import Moving
-from optlink.presentation.html.page import animation_of
+from optlink.presentation.html.page import moving_linkage
 from optlink.presentation.html.shell import asset, fragment, templates
-from optlink.presentation.html.study_page import moving_of
 from optlink.presentation.registry import view_of
-from optlink.presentation.report_model import ReportModel, report_model_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -28,7 +25,7 @@ def notebook_html(result: Any) -> str | None:
     if view.no_page:
         return None
     shown = view.table(result)
-    moving = _moving(result)
+    moving = moving_linkage(result, STEPS)
     linkage = "" if moving is None else _linkage(moving, result.problem.model.title)
     chart = _chart(result) if moving is None or view.page is not None else ""
     return fragment(shown.status) + linkage + chart + fragment(*shown.parts)
@@ -40,18 +37,6 @@ def _linkage(moving: Moving, title: str) -> str:
     script = asset("motion.js") + asset("notebook.js")
     text = templates().get_template("notebook.html").render(moving=moving, title=title, motion=motion, script=script)
     return text.replace("\n\n", "\n")
-
-
-def _moving(result: Any) -> Moving | None:
-    """Return the moving linkage of a result; None if it has none, or cannot be assembled."""
-    try:
-        page = view_of(result.kind).page
-        if page is None:
-            return animation_of(report_model_of(result), STEPS)
-        about = page(result)
-        return None if isinstance(about, ReportModel) else moving_of(about, STEPS)
-    except InputError:  # a design that cannot be assembled, a study without a design
-        return None
 
 
 def _chart(result: Any) -> str:

@@ -5,14 +5,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from optlink.errors import Status
+from optlink.errors import InputError, Status
 from optlink.io import whole
 from optlink.presentation.chart_spec import ChartSpec
 from optlink.presentation.format import single_units
 from optlink.presentation.html.moving_linkage import Moving, turning
-from optlink.presentation.html.study_page import study_page
+from optlink.presentation.html.study_page import moving_of, study_page
 from optlink.presentation.registry import view_of
-from optlink.presentation.report_model import ReportModel
+from optlink.presentation.report_model import ReportModel, report_model_of
 from optlink.presentation.table_spec import Paragraph, Span, Summary
 from optlink.presentation.view import PageSection, StoredStudy
 from optlink.presentation.views import analysis_charts, sensitivity
@@ -81,6 +81,16 @@ def _report(model: ReportModel) -> StoredStudy:
 def animation_of(model: ReportModel, steps: int) -> Moving | None:
     """Return the animated machine of a report model for a number of positions per revolution; None if there is none."""
     return None if model.cycle is None else turning(model.cycle, steps, model.regions)
+
+
+def moving_linkage(result: Any, steps: int) -> Moving | None:
+    """Return the moving linkage of any result; None if it has none, or if it cannot be assembled."""
+    try:
+        page = view_of(result.kind).page
+        about = report_model_of(result) if page is None else page(result)
+        return animation_of(about, steps) if isinstance(about, ReportModel) else moving_of(about, steps)
+    except InputError:  # a design that cannot be assembled, a study without a design
+        return None
 
 
 def sensitivities_of(model: ReportModel) -> Sensitivities | None:
