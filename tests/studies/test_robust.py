@@ -311,6 +311,7 @@ def test_a_wrong_scatter_fails_validation(problem, robust, measure):
         assert failed == ["error with tolerances measured in motion"]
 
 
+@pytest.mark.slow
 def test_the_validator_fails_on_a_changed_linkage(problem):
     """The same lengths in the other assembly mode move otherwise, and so does what tolerances do."""
     result = solve(problem)

@@ -354,6 +354,7 @@ def test_mean_torque_and_power_are_those_of_the_work():
     assert re.search(rf"mean torque +{result.mean_torque:.3f} +N·m\s", shown)
 
 
+@pytest.mark.slow
 def test_rms_torque_is_that_of_closed_forms_and_of_the_table():
     """Of a crank that lifts its own weight, m g r cos(phi), and of a load with jumps."""
     raw = optlink.load("scotch-yoke").raw
@@ -377,6 +378,7 @@ def test_rms_torque_is_that_of_closed_forms_and_of_the_table():
     assert "rms_torque_Nm" not in partial.to_dict()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "clearance", [(), ("--set", "joints.B={ clearance = '0.5 mm', bearing_radius = '10 mm', modulus = '0.2 GPa' }")]
 )
