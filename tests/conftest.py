@@ -14,12 +14,16 @@ import pytest
 import typer.main
 
 import optlink
-from tests import solved as shared
+from tests import solved as shared, tiers
 from tests.browser import browser
 
 # a test run has a process per core: libraries of linear algebra use one thread in each
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
+
+# the processes that tests start, and the next run, need not compile the modules and rewrite the assertions again
+sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 # if it is installed, jsonschema builds a grammar of addresses from it for seconds; no schema here has such a format
 sys.modules["rfc3987_syntax"] = None  # type: ignore[assignment]
@@ -60,6 +64,11 @@ FIRST = (
     "test_templates.py",
 )
 """What takes ten seconds and more."""
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Say to the tests whether slow ones are left out."""
+    tiers.PLAIN[:] = [config.getoption("markexpr") == "not slow"]
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

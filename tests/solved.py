@@ -111,6 +111,12 @@ def shared_searches(changed: int | None = None) -> Iterator[None]:
 
 
 @cache
+def loaded(name: str) -> ProblemFile:
+    """Return a shipped problem, read once per process: to choose the cases of tests by what it is."""
+    return optlink.load(name)
+
+
+@cache
 def solution(name: str) -> Solution:
     """Return the solution of a shipped problem with default options."""
 

@@ -24,15 +24,15 @@ from optlink.problem.targets.expression import parse as parse_expression
 from optlink.tasks.analyze import Analysis, analyze
 from optlink.units import factor, parse
 from tests import synthesis_oracle as oracle
-from tests.solved import solution
+from tests.solved import loaded, solution
 
 NAMES = sorted(optlink.shipped())
 LONG = ("function-exp", "function-log10", "function-sin", "crank-rocker-robust")
 """With both back ends they take three to twelve seconds."""
-DESIGNS = [name for name in NAMES if optlink.load(name).task == "function"]
-GENERATED = [name for name in NAMES if optlink.load(name).task == "path"]
+DESIGNS = [name for name in NAMES if loaded(name).task == "function"]
+GENERATED = [name for name in NAMES if loaded(name).task == "path"]
 POINTED = [name for name in GENERATED if name.startswith(("path-", "motion-"))]
-MACHINES = [name for name in NAMES if name not in (*DESIGNS, *GENERATED) and optlink.load(name).task != "cycle"]
+MACHINES = [name for name in NAMES if name not in (*DESIGNS, *GENERATED) and loaded(name).task != "cycle"]
 
 
 def test_problems_are_found():
@@ -124,7 +124,7 @@ def judged(design: optlink.LinkageDesign) -> oracle.Report:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name in POINTED if isinstance(optlink.load(name).model.mechanism, FourBarSection)])
+@pytest.mark.parametrize("name", [name for name in POINTED if isinstance(loaded(name).model.mechanism, FourBarSection)])
 def test_four_bars_are_free_of_defects_before_the_oracle(name):
     for design in solution(name).designs:
         report, task = judged(design), design.task

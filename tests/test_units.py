@@ -8,12 +8,13 @@ import re
 
 import pint
 import pytest
-from hypothesis import assume, example, given, settings, strategies as st
+from hypothesis import assume, example, given, strategies as st
 
 from optlink import units
 from optlink.units import DEFINITIONS, KINDS, UnitProblem, factor, parse, percent, plain, show
+from tests.tiers import examples
 
-seeded = settings(derandomize=True, deadline=None, max_examples=200)
+seeded = examples(200)
 
 # --- values: what one unit is in SI, written out by hand -------------------------------------------------------------
 
@@ -243,7 +244,7 @@ composed = st.builds(  # units of a kind, spelled with other units of the same d
 )
 
 
-@settings(seeded, max_examples=100)
+@examples(100)
 @given(composed | products.map(lambda unit: (None, unit)))
 @example(("angular velocity", "rev/min"))
 @example(("stiffness", "N/mm"))

@@ -724,6 +724,7 @@ def test_work_of_a_spring_and_a_damper():
     assert np.all(np.diff(computed["work.oil_J"]) <= 0.0)
 
 
+@pytest.mark.slow
 def test_work_of_a_torsion_spring_and_of_a_torque():
     twist = {"on": "rod", "torsional_stiffness": "40 N*m/rad", "free_angle": "10 deg"}
     computed = loaded(twist=twist, drag={"on": "rod", "torque": "2 N*m", "acts": "opposing"})
@@ -735,6 +736,7 @@ def test_work_of_a_torsion_spring_and_of_a_torque():
     assert since(computed, "drag") == pytest.approx(-lost, abs=1e-2 * lost[-1])
 
 
+@pytest.mark.slow
 def test_work_of_a_formula():
     computed = loaded(gas={"on": "slider", "force": {"expression": "200 + 150*sin(phi) - 5*v", "unit": "N"}})
     force = 200.0 + 150.0 * np.sin(np.radians(computed["crank_angle_deg"])) - 5.0 * computed["slider.v_m_s"]
@@ -878,6 +880,7 @@ def test_longer_run_begins_as_the_shorter_one():
         assert np.array_equal(values, long.per_revolution[name][:3]), name
 
 
+@pytest.mark.slow
 def test_the_predictability_check_does_not_disturb_the_run():
     one = simulate(PERIODIC, 1, 90)
     other = simulate_clearance(optlink.read(PERIODIC), 1, 90, tolerance=one.tolerance)
@@ -906,6 +909,7 @@ def test_memory_is_bounded_and_all_rows_are_streamed():
     assert result.figures["rms_from_start_m"] == pytest.approx(math.sqrt(float(np.mean(error**2))), rel=1e-12)
 
 
+@pytest.mark.slow
 def test_every_contact_is_counted_however_few_stay_in_memory(monkeypatch):
     raw = edited(PERIODIC, {"joints.C.law": "hertz", "joints.C.friction": 0.0})
     known = simulate(raw, 1, 90)
@@ -918,6 +922,7 @@ def test_every_contact_is_counted_however_few_stay_in_memory(monkeypatch):
     assert contacts.rows[0][4].text == str(counted)
 
 
+@pytest.mark.slow
 def test_figures_of_revolutions_are_those_of_their_rows():
     result = simulate(CHAOTIC, 3, 90)
     for k in range(3):
@@ -1050,6 +1055,7 @@ def test_peaks_agree_in_all_outputs():
     assert figures["torque_max_Nm"] == np.max(result.per_revolution["torque_max_Nm"]) >= largest(result["input.torque_Nm"])
 
 
+@pytest.mark.slow
 def test_interrupted_run_returns_what_was_computed():
     def stop(share: float) -> None:
         if share > 1 / 3:
@@ -1143,6 +1149,7 @@ def machine(changes: Mapping[str, object]) -> optlink.ProblemFile:
     return optlink.read(edited(optlink.load("slider-crank-clearance").raw, changes), file="machine.toml")
 
 
+@pytest.mark.slow
 def test_the_largest_energy_does_not_depend_on_the_height_of_the_machine():
     low, high = (simulate(machine({"mechanism.ground.A": ["0 m", y]}).raw, tolerance=1e-7).figures for y in ("0 m", "5 m"))
     assert high["largest_energy_J"] == pytest.approx(low["largest_energy_J"], rel=1e-3)
@@ -1183,6 +1190,7 @@ def test_machine_that_cannot_be_simulated_is_refused(what):
     refused(fault, *words)
 
 
+@pytest.mark.slow
 def test_remedy_for_a_body_without_mass_helps():
     """Who follows the advice word for word gets on."""
     with pytest.raises(optlink.InputError) as caught:

@@ -13,6 +13,7 @@ import optlink
 from optlink.cli.app import app
 from optlink.errors import InputError
 from optlink.studies import sweep
+from tests.tiers import mostly_slow
 
 POINTS, RPM = 72, 900.0
 SPEED = RPM * math.pi / 30.0
@@ -58,7 +59,7 @@ def waved(run):
     return phase, last(run, run.output.column) + wave, wave
 
 
-@pytest.mark.parametrize("form", ["time", "angle", "voltage", "column"])
+@pytest.mark.parametrize("form", mostly_slow(["time", "angle", "voltage", "column"], "column"))
 def test_a_known_difference_is_found_again_in_every_form_of_the_series(tmp_path, slider, plain, form):
     phase, values, wave = waved(plain)
     keys = {}
@@ -85,6 +86,7 @@ def test_a_known_difference_is_found_again_in_every_form_of_the_series(tmp_path,
     assert run.figures["rms_m"] == plain.figures["rms_m"]
 
 
+@pytest.mark.slow
 def test_between_rows_the_simulation_is_interpolated(tmp_path, slider, plain):
     fine = optlink.control.simulate_clearance(slider, 3, 10 * POINTS, SPEED, tolerance=1e-8, check_predictability=False)
     rows = slice(-10 * POINTS + 5, None, 7)
@@ -93,6 +95,7 @@ def test_between_rows_the_simulation_is_interpolated(tmp_path, slider, plain):
     assert run.figures["measured.peak_m"] < 2e-5  # a line between two rows is up to 70 um off
 
 
+@pytest.mark.slow
 def test_an_angle_is_compared_across_its_jump(tmp_path):
     problem = optlink.load("crank-rocker-clearance")
     run = simulated(problem, 2)
@@ -103,6 +106,7 @@ def test_an_angle_is_compared_across_its_jump(tmp_path):
     assert again.figures["measured.rms_rad"] == pytest.approx(math.sqrt(np.mean(wave**2)), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_rows_before_the_counted_revolutions_are_left_out(tmp_path, slider):
     long = simulated(slider, 12)
     file = written(tmp_path / "slide.csv", time_s=long["time_s"], displacement_mm=1e3 * long["slider.s_m"])
@@ -171,6 +175,7 @@ def test_the_inverse_model_finds_the_crank_speed_of_a_displacement():
     assert motion.reached == pytest.approx(ideal(motion.angle), abs=1e-7)
 
 
+@pytest.mark.slow
 def test_the_speed_of_the_command_is_the_derivative_of_its_angle(slider):
     run = simulated(slider, 2, control="inverse")
     correction, time = run["command.correction_rad"], run["time_s"]

@@ -124,6 +124,7 @@ def alignment(design: dict[str, float], span: float) -> float:
     return math.degrees(math.acos(np.max(np.abs(cosine))))
 
 
+@pytest.mark.slow
 def test_a_valid_law_ends_at_a_stated_angle_from_alignment(file: Any) -> None:
     path = file(SPAN)
     computed = answer("solve", path)
@@ -131,6 +132,7 @@ def test_a_valid_law_ends_at_a_stated_angle_from_alignment(file: Any) -> None:
     assert alignment(computed["design"], math.radians(-30.0)) == pytest.approx(1.0, abs=1e-4)  # deg, the default limit
 
 
+@pytest.mark.slow
 def test_an_active_alignment_limit_is_shown(file: Any) -> None:
     path = file(SPAN)
     (line,) = (line for line in run("show", path).stdout.splitlines() if line.startswith("alignment"))
@@ -171,6 +173,7 @@ def test_an_explicit_number_of_starts_is_no_worse_than_the_default(file: Any) ->
     assert stated["objective"]["value"] == pytest.approx(default["objective"]["value"], rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_poor_fit_is_marked_and_its_start_counts_as_a_hit(file: Any) -> None:
     path = file(PATH)
     done = run("solve", path, "--starts", 60, "--designs", 1)
@@ -230,7 +233,7 @@ HOSTILE_PLACES = {
 }
 
 
-@pytest.mark.parametrize("place", mostly_slow(HOSTILE_PLACES, "title", "name"))
+@pytest.mark.parametrize("place", mostly_slow(HOSTILE_PLACES, "name"))
 def test_control_characters_do_not_reach_the_terminal(place, tmp_path):
     """Of a title, a name, a key, a file: they could rename the window, turn text around or hide a verdict."""
     arguments, words = HOSTILE_PLACES[place]

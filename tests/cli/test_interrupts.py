@@ -301,6 +301,7 @@ def test_a_lost_interrupt_is_raised_again():
     assert (done.returncode, done.stdout, done.stderr) == (0, "lost\nkept\n", "")
 
 
+@pytest.mark.slow
 @posix
 def test_compiled_code_that_does_not_return_is_ended():
     script = "import hashlib, signal, threading, os\nfrom optlink.execution import interrupts\n"

@@ -220,16 +220,13 @@ def test_a_table_may_lie_in_the_folder_of_the_results(tmp_path, monkeypatch):
     assert rows.stat().st_ino != before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "note"),
     [
-        pytest.param(
-            ("--duration", "0.08 s"),
-            "0.08 s are 1.6 revolutions; with clearance whole revolutions are simulated: 2",
-            marks=pytest.mark.slow,
-        ),
+        (("--duration", "0.08 s"), "0.08 s are 1.6 revolutions; with clearance whole revolutions are simulated: 2"),
         (("--set", "drive.duration=0.012 s"), "0.012 s are 0.24 revolutions; with clearance whole revolutions are simulated: 1"),
-        pytest.param(("--duration", "0.1 s"), None, marks=pytest.mark.slow),
+        (("--duration", "0.1 s"), None),
         (("--duration", "0.08 s", "--quiet"), None),
     ],
 )

@@ -30,6 +30,7 @@ def test_the_page_of_a_changed_problem_needs_no_set(tmp_path):
         assert read_result(subject).problem.model.quantities["frame"].value == pytest.approx(0.48)
 
 
+@pytest.mark.slow
 def test_a_result_states_its_changes_and_takes_no_others(tmp_path):
     out = tmp_path / "out"
     assert run("analyze", "slider-crank", "--points", "12", "--set", "gravity=0 m/s^2", "--out", out).exit_code == 0

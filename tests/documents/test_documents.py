@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 
 from tests.documents.faults import Fault
+from tests.tiers import mostly_slow
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
 
@@ -123,7 +124,7 @@ def uncomputed(text: str, figures: list[readme.Figure], own: Mapping[str, Mappin
     return found if len(table) > 2 else ["no table"]
 
 
-@pytest.mark.parametrize("page", PAGES)
+@pytest.mark.parametrize("page", mostly_slow(PAGES, *(page for page in PAGES if page != "slider-crank")))
 def test_each_value_beside_a_document_is_computed(page):
     module = importlib.import_module(f"tests.documents.{page.replace('-', '_')}")
     figures = [figure for figure in readme.FIGURES if figure.page == f"docs/{page}.md"]

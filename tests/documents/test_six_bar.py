@@ -21,6 +21,7 @@ def run(name: str) -> Diagram:
     return diagram(start(), load_across, with_moment)
 
 
+@pytest.mark.slow
 def test_the_equations_of_the_document_are_right_from_a_consistent_start():
     """With Fy6 in the vertical row, and the moment of the pin force at C."""
     own, course = run("consistent start"), second()
@@ -45,6 +46,7 @@ def test_the_printed_start_gives_the_figures_of_an_independent_integration(name,
     assert own.work[-1] == pytest.approx(work, abs=5e-3)
 
 
+@pytest.mark.slow
 def test_the_table_of_the_page_has_the_figures_of_the_diagram():
     lines = re.findall(r"^\| (.*) \|$", PAGE.partition("## The printed block diagram, run")[2].partition("**")[0], re.MULTILINE)
     head, *rows = (line.split(" | ") for line in lines)

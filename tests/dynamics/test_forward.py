@@ -19,13 +19,14 @@ from optlink.dynamics.machine import Inertia
 from optlink.dynamics.work import Fluctuation, flywheel
 from optlink.tasks.clearance import _setting
 from optlink.tasks.machine import machine_of
+from tests.solved import loaded
 from tests.tiers import mostly_slow
 
 TURN = 2.0 * math.pi
 
 
 def turns_fully(name):
-    problem = optlink.load(name)
+    problem = loaded(name)
     return problem.task != "path" and getattr(getattr(problem.model, "limits", None), "crank", "") != "span"
 
 

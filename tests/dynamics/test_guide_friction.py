@@ -9,6 +9,7 @@ import optlink
 from optlink.dynamics.forward import Ending, crank_acceleration
 from optlink.dynamics.inverse import reactions
 from optlink.tasks.machine import machine_of
+from tests.tiers import mostly_slow
 
 CRANK, ROD, INERTIA, MASS = 0.1, 0.14, 0.02, 1.5
 
@@ -56,7 +57,7 @@ def by_hand(friction, angle, speed, torque, sense):
     return result
 
 
-@pytest.mark.parametrize("friction", [0.2, 1.2, 1.6])
+@pytest.mark.parametrize("friction", mostly_slow([0.2, 1.2, 1.6], 1.2))
 def test_acceleration_is_the_only_one_that_satisfies_the_equations_of_motion(friction):
     machine, jammed, undetermined = machine_of(slider_crank(friction)), 0, 0
     for speed in (6.0, -6.0):
@@ -79,7 +80,7 @@ def test_machine_that_starts_backwards_has_the_friction_of_that_sense_in_its_fir
     assert result["crank.alpha_rad_s2"][1] == pytest.approx(expected[0], rel=1e-2)
 
 
-@pytest.mark.parametrize("friction", [0.3, 1.2, 1.6, 2.5])
+@pytest.mark.parametrize("friction", mostly_slow([0.3, 1.2, 1.6, 2.5], 1.6))
 def test_resting_machine_starts_only_if_nothing_else_satisfies_coulombs_law(friction):
     """At rest the massless rod carries S = torque / lever, and friction holds its part along the guide if it lies in the cone."""
     seen = set()
@@ -101,7 +102,9 @@ def test_resting_machine_starts_only_if_nothing_else_satisfies_coulombs_law(fric
     assert seen - {Ending.UNDETERMINED} == few
 
 
-@pytest.mark.parametrize(("speed", "torque"), [(6.0, 25.0), (-6.0, 25.0), (6.0, -30.0), (-6.0, -30.0)])
+@pytest.mark.parametrize(
+    ("speed", "torque"), mostly_slow([(6.0, 25.0), (-6.0, 25.0), (6.0, -30.0), (-6.0, -30.0)], (-6.0, -30.0))
+)
 def test_machines_with_no_or_several_accelerations_are_reported(speed, torque):
     seen = set()
     for degrees in np.linspace(50.0, 130.0, 33):

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import assume, example, given, settings, strategies as st
+from hypothesis import assume, example, given, strategies as st
 
 from optlink.errors import InputError
 from optlink.linkage.fourbar import Inversion, four_bar, reachable
@@ -17,8 +17,9 @@ from optlink.linkage.jet import Jet
 from optlink.linkage.mechanism import BodyPoint
 from optlink.linkage.motion import sweep
 from optlink.linkage.roberts import Cognate, Cognates, CouplerLinkage, cognates
+from tests.tiers import examples
 
-seeded = settings(derandomize=True, deadline=None, max_examples=80)
+seeded = examples(80)
 
 share = st.floats(0.05, 0.95)
 REVOLUTION = np.linspace(-np.pi, np.pi, 181)

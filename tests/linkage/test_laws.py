@@ -8,14 +8,15 @@ from dataclasses import replace
 import casadi
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 from scipy.interpolate import CubicSpline
 
 from optlink.linkage.jet import Jet
 from optlink.linkage.laws import SEGMENTS, Law, MotionLaw, Piece, Segment, accelerated, joined, spline
 from optlink.symbolic import symbols_in_numpy
+from tests.tiers import examples
 
-seeded = settings(derandomize=True, deadline=None, max_examples=60)
+seeded = examples(60)
 NAMES = list(SEGMENTS)
 MOVING = [name for name in NAMES if name != "dwell"]
 

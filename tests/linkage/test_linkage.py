@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import assume, example, given, settings, strategies as st
+from hypothesis import assume, example, given, strategies as st
 
 from optlink.linkage import dyads as groups_module
 from optlink.linkage.dyads import RRR, rrr
@@ -31,9 +31,10 @@ from optlink.linkage.fourbar import (
 from optlink.linkage.mechanism import BodyPoint, Link, Mechanism
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.vector2d import unit
+from tests.tiers import examples
 
-seeded = settings(derandomize=True, deadline=None, max_examples=150)
-fewer = settings(derandomize=True, deadline=None, max_examples=50)
+seeded = examples(150)
+fewer = examples(50)
 
 REVOLUTION = np.linspace(0.0, 2.0 * np.pi, 361)
 

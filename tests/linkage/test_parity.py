@@ -29,6 +29,7 @@ from optlink.problem.design import DesignProblem
 from optlink.problem.requirements.base import StartPosition
 from optlink.problem.targets.expression import FUNCTIONS, parse
 from optlink.symbolic import symbols_in_numpy
+from tests.solved import loaded
 
 SAME = 1e-12
 JET = 1e-10
@@ -114,7 +115,7 @@ def problem(
     limits: dict[str, object] | None = None,
 ) -> DesignProblem:
     """The shipped crank-rocker with other values (None: without that key)."""
-    raw = {key: value for key, value in optlink.load("crank-rocker").raw.items() if key != "expected"}
+    raw = {key: value for key, value in loaded("crank-rocker").raw.items() if key != "expected"}
     for section, changes in (("mechanism", mechanism), ("requirement", requirement), ("limits", limits)):
         merged = {**raw[section], **(changes or {})}
         raw[section] = {key: value for key, value in merged.items() if value is not None}

@@ -45,7 +45,8 @@ def programme(speed: str = "64 rpm", table: bool = False) -> NLP:
     return nlp
 
 
-@pytest.mark.parametrize("speed", ["64 rpm", pytest.param("-40 rpm", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("speed", ["64 rpm", "-40 rpm"])
 def test_derivatives_are_those_of_differences(speed: str) -> None:
     nlp = programme(speed)
     point, expected = nlp.at(nlp.x_start, nlp.p), differences(nlp, nlp.x_start)
@@ -108,6 +109,7 @@ def test_copies_and_programmes_with_moving_peaks_have_the_same_derivatives() -> 
     same_derivatives(_with_moving_peaks(nlp, [3, 0, 17]))
 
 
+@pytest.mark.slow
 def test_a_programme_is_built_again_from_its_recipe() -> None:
     nlp = programme()
     again = build_again(nlp.terms.problem, nlp.recipe)

@@ -34,7 +34,8 @@ def same_derivatives(nlp: NLP) -> None:
         np.testing.assert_allclose(values, expected, rtol=0.0, atol=1e-12 * np.max(np.abs(expected), initial=1e-300))
 
 
-@pytest.mark.parametrize("machine", mostly_slow(MACHINES, "peaks"))
+@pytest.mark.slow
+@pytest.mark.parametrize("machine", MACHINES)
 def test_derivatives_are_those_of_the_whole_expression(machine: str) -> None:
     task = optlink.load("shaper-design").override(MACHINES[machine]).spec
     nlp = build(task, terms=TermCourse(task, None, count=16))
@@ -47,7 +48,9 @@ def test_derivatives_are_those_of_the_whole_expression(machine: str) -> None:
         same_derivatives(_with_moving_peaks(copy, [4, 2]))
 
 
-@pytest.mark.parametrize("name", ["crank-rocker", "function-exp", "crank-rocker-robust"])
+@pytest.mark.parametrize(
+    "name", mostly_slow(["crank-rocker", "function-exp", "crank-rocker-robust"], "crank-rocker", "function-exp")
+)
 def test_a_law_by_vectors_is_that_by_scalars(name: str) -> None:
     nlp = build(optlink.load(name).spec)
     nlp.set_exchange_points(np.linspace(0.1, 0.9, nlp.exchange_count))
@@ -92,8 +95,6 @@ PATHS = {
         "from a free start angle, tolerances",
         "largest deviation",
         "poses",
-        "limits over revolution and span",
-        "law of several dyads",
     ),
 )
 def test_a_path_by_vectors_is_that_by_scalars(kind: str) -> None:

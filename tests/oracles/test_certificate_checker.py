@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import copy
+import itertools
 import json
 import re
 import subprocess
@@ -27,6 +28,7 @@ from tests.oracles import ball, certificate_checker as checker
 from tests.oracles.ball import Ball, box_minimum, constant, floats, lower_bound, positive_definite, square_floats, tangent_bound
 from tests.oracles.certificate_checker import Refused, check, identity, uncovered
 from tests.oracles.linkage_formulas import Expression, Problem, Unknown
+from tests.tiers import mostly_slow
 
 NARROW = {"mechanism.coupler": "412..418 mm", "mechanism.rocker": "228..232 mm", "requirement.points": 8}
 NO_DESIGN = {"limits.transmission_angle": ["80 deg", "100 deg"]}
@@ -124,7 +126,17 @@ KINDS: dict[str, tuple[str, dict[str, Any], float]] = {
 }
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    "kind",
+    mostly_slow(
+        KINDS,
+        "law of the largest error",
+        "law over a span",
+        "law that no design meets",
+        "law with a linked rocker",
+        "law without a design variable in the missed limit",
+    ),
+)
 def test_a_sound_certificate_is_proven(kind: str) -> None:
     name, changes, gap = KINDS[kind]
     document = certificate(optlink.load(name, changes), gap)
@@ -134,9 +146,15 @@ def test_a_sound_certificate_is_proven(kind: str) -> None:
     assert str(verdict).startswith(f"proven: {name} ({document['problem_hash']};")
 
 
-@pytest.mark.parametrize("swapped", [False, True])
 @pytest.mark.parametrize(
-    "kind", ["law", "law with both assembly modes", "law over a span", "law with limits of the rocker", "transmission"]
+    ("kind", "swapped"),
+    mostly_slow(
+        itertools.product(
+            ("law", "law with both assembly modes", "law over a span", "law with limits of the rocker", "transmission"),
+            (False, True),
+        ),
+        ("law over a span", True),
+    ),
 )
 def test_a_four_bar_of_dyads_has_the_certificate_of_its_lengths(kind: str, swapped: bool) -> None:
     name, changes, gap = KINDS[kind]
@@ -167,6 +185,7 @@ def test_the_whole_crank_rocker_is_proven_as_the_page_on_certificates_shows() ->
     assert worded(f"refused: run/certificate.json: {refused.value}") in page
 
 
+@pytest.mark.slow
 def test_the_command_needs_no_optlink_and_checks_the_result_too(tmp_path: Path) -> None:
     changes = [f"--set={key}={value}" for key, value in NARROW.items()]
     assert run("solve", "crank-rocker", "--certify", "--out", str(tmp_path), *changes).exit_code == 0
@@ -412,6 +431,7 @@ def test_a_forgery_of_an_infeasible_problem_is_refused(
         check(sealed(document))
 
 
+@pytest.mark.slow
 def test_no_damage_ends_in_a_traceback(infeasible: Document) -> None:
     """Any entry left out, or replaced by a value of another kind."""
     rng = np.random.default_rng(11)
@@ -451,6 +471,7 @@ def test_the_certificate_of_another_result_is_refused(narrow: Document, key: str
         check(narrow, result)
 
 
+@pytest.mark.slow
 def test_wrong_multipliers_do_not_matter(narrow: Document) -> None:
     document = copy.deepcopy(narrow)
     for row in document["covers"][0]["multipliers"]:
@@ -528,7 +549,7 @@ OTHERS: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize("kind", OTHERS)
+@pytest.mark.parametrize("kind", mostly_slow(OTHERS, "RPR", "RPP"))
 def test_every_dyad_has_the_positions_of_the_search_and_a_proof(kind: str) -> None:
     file = one_dyad(kind).variants()[0]
     assert [group.kind for group in file.model.linkage.groups] == [kind]
@@ -536,6 +557,7 @@ def test_every_dyad_has_the_positions_of_the_search_and_a_proof(kind: str) -> No
     assert check(certificate(one_dyad(kind), 1e-3))
 
 
+@pytest.mark.slow
 def test_poses_pivots_and_tolerances_are_proven_too() -> None:
     linkage = copy.deepcopy(OTHERS["RPR"]["mechanism"])
     poses = [{**place, "angle": f"{angle} deg"} for place, angle in zip(POINTS["points"], (20, 25, 30), strict=True)]

@@ -12,6 +12,7 @@ from scipy.optimize import nnls
 from tests.oracles import composed_problems as composed
 
 
+@pytest.mark.slow
 def test_the_straightest_line_with_equal_links() -> None:
     answer = composed.straight_line()
     assert answer.optimum == pytest.approx(2.1404e-4, rel=1e-4)
@@ -62,6 +63,7 @@ def test_a_path_as_two_edges_misses_half_the_distances() -> None:
     assert {name: answer.figures[name] for name in composed.PLANTED} == pytest.approx(composed.PLANTED, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_no_smaller_machine_follows_the_law() -> None:
     answer = composed.smallest_machine()
     assert answer.optimum == pytest.approx(642.80545, abs=1e-4)
@@ -69,6 +71,7 @@ def test_no_smaller_machine_follows_the_law() -> None:
     assert composed.smallest_machine(2.6).optimum < answer.optimum < composed.smallest_machine(2.4).optimum
 
 
+@pytest.mark.slow
 def test_the_smallest_four_bar_of_five_poses() -> None:
     answer = composed.smallest_of_exact_poses()
     assert len(composed.dyads_of_poses()) == 4
@@ -105,6 +108,7 @@ def test_the_torque_is_the_change_of_energy() -> None:
     assert composed.peak_torque(x) == pytest.approx(0.44633792, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_the_path_of_a_limited_torque_and_the_torque_of_a_limited_path_are_the_same() -> None:
     alone = composed.path_alone()
     assert alone.optimum == pytest.approx(6.87692799e-7, rel=1e-8)  # best of 12000 starts of the shipped problem path-bean

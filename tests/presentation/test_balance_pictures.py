@@ -20,7 +20,6 @@ from optlink.presentation.chart_mpl import pictures
 from optlink.presentation.registry import view_of
 from optlink.presentation.views import balance, balance_drawing
 from tests.solved import once
-from tests.tiers import mostly_slow
 
 SPRUNG = {
     "gravity": "9.81 m/s^2",
@@ -75,7 +74,8 @@ def test_bars_beyond_the_axes_are_not_clipped_silently(picture, case):
             assert box.y1 <= whole.y1 + 2.0, text.get_text()
 
 
-@pytest.mark.parametrize("quantity", mostly_slow(["shaking moment", "torque"], "torque"))
+@pytest.mark.slow
+@pytest.mark.parametrize("quantity", ["shaking moment", "torque"])
 def test_curves_show_the_machine_before_and_after_balancing(quantity):
     """Against the inverse dynamics at the drawn crank angles, in the unit of the axis."""
     outcome, figure = result(), drawn("before_after")
@@ -172,6 +172,7 @@ def test_no_pictures_without_data():
     assert balance_drawing.mechanism(nothing) is None
 
 
+@pytest.mark.slow
 def test_files_can_be_opened(tmp_path):
     for path in view_of("balance").write(result(), tmp_path):
         assert path.stat().st_size > 100

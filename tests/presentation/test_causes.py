@@ -17,7 +17,6 @@ from optlink.presentation.report_model import ReportModel
 from optlink.presentation.views.design_drawings import at_positions as drawn_mechanism
 from optlink.tasks.results.conflict import Length, cannot_turn, four_bar_conflict
 from optlink.validation.check import Check
-from tests.tiers import mostly_slow
 
 
 def failing(name: str, value: float, limit: str, unit: str) -> Check:
@@ -85,7 +84,8 @@ def turns(bounds: list[tuple[float, float]], shortest: str) -> bool:
     return bool(linprog(np.zeros(4), A_ub=np.array(SUMS[shortest]), b_ub=np.zeros(3), bounds=bounds).status == 0)
 
 
-@pytest.mark.parametrize("crank", mostly_slow(["full rotation", "double-crank", ""], "double-crank"))
+@pytest.mark.slow
+@pytest.mark.parametrize("crank", ["full rotation", "double-crank", ""])
 def test_bounds_that_let_no_crank_turn_are_named_with_a_change_that_does(crank: str) -> None:
     random = np.random.default_rng(8)
     named = 0

@@ -13,6 +13,7 @@ import optlink
 from optlink.presentation.export.dimensions import dimensioned
 from optlink.presentation.scene import scene
 from optlink.problem.templates import template
+from tests.tiers import mostly_slow
 
 LINKAGES = {
     "narrow swing": {"crank": "46.3 mm", "coupler": "282.5 mm", "rocker": "150 mm", "frame": "240 mm"},
@@ -112,7 +113,7 @@ def texts(svg: str) -> Iterator[tuple[str, np.ndarray]]:
         yield text, np.stack([u, v], axis=-1).reshape(-1, 2) @ turned + [float(x), float(y) - 0.35 * size]
 
 
-@pytest.mark.parametrize("name", DRAWN)
+@pytest.mark.parametrize("name", mostly_slow(DRAWN, "whitworth", "offset", "watt-i"))
 def test_texts_are_clear_of_each_other_and_in_the_drawing(name: str) -> None:
     drawing = dimensioned(optlink.analyze(DRAWN[name]()), name)
     left, top, wide, high = map(float, re.findall(r'viewBox="(\S+) (\S+) (\S+) (\S+)"', drawing.svg)[0])

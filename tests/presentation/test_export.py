@@ -367,9 +367,10 @@ def test_export_does_not_overwrite_its_input(tmp_path):
 STORED = (("solve",), "stroke-crank-rocker")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("command", "name"),
-    mostly_slow([STORED, (("solve",), "path-arc5"), (("study", "sensitivity"), "crank-rocker")], STORED),
+    [STORED, (("solve",), "path-arc5"), (("study", "sensitivity"), "crank-rocker")],
 )
 def test_a_stored_design_is_exported_without_a_search(command, name, tmp_path, monkeypatch):
     """The file is that of the design itself."""
@@ -430,7 +431,7 @@ def test_failed_writes_keep_the_previous_file(tmp_path):
     assert {path.read_text() for path in paths} == {"as it was"}
 
 
-@pytest.mark.parametrize("ending", mostly_slow([".svg", ".csv", ".json", ".html"], ".svg", ".html"))
+@pytest.mark.parametrize("ending", mostly_slow([".svg", ".csv", ".json", ".html"], ".svg"))
 def test_a_full_disk_keeps_the_previous_file(tmp_path, monkeypatch, ending):
     """Every way of writing, with a disk that is full after the first letters."""
     path = tmp_path / f"a{ending}"
@@ -579,7 +580,8 @@ FLAT = {
 }
 
 
-@pytest.mark.parametrize("name", mostly_slow(FLAT, "flat kite"))
+@pytest.mark.slow
+@pytest.mark.parametrize("name", FLAT)
 def test_every_name_of_a_moving_drawing_is_nearest_to_its_own_point(name):
     """Also where links lie flat on one another; only the name of a pivot, which does not move, may be passed by a pin."""
     raw = dict(zip(("crank", "coupler", "rocker", "frame"), FLAT[name], strict=True))
@@ -600,6 +602,7 @@ def test_every_name_of_a_moving_drawing_is_nearest_to_its_own_point(name):
     assert wrong[True] <= 8
 
 
+@pytest.mark.slow
 def test_names_are_readable_without_the_order_of_painting():
     """Programs that do not know `paint-order` draw the rim of a letter over it: a white blot."""
     problem = optlink.load("six-bar")

@@ -207,6 +207,7 @@ def test_other_numbers_are_refused(design: dict[str, Any], tmp_path: Path, schem
     assert caught.value.faults[0].remedy.startswith(remedy)
 
 
+@pytest.mark.slow
 def test_the_schemas_name_themselves_and_their_number() -> None:
     assert json_schema("problem")["$id"] == "urn:optlink:problem:1"
     assert json_schema("result")["$id"] == f"urn:optlink:result:{VERSION_OF_SCHEMAS}"

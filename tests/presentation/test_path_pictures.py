@@ -254,7 +254,7 @@ def test_a_curve_through_all_points_of_a_six_bar():
     assert np.max(np.linalg.norm(target[:, None] - feet, axis=-1).min(axis=1)) < 5e-3  # chords of half a degree
 
 
-@pytest.mark.parametrize("name", mostly_slow(("path", "tolerances", "poses", "slider", "miss"), "path", "tolerances", "poses"))
+@pytest.mark.parametrize("name", mostly_slow(("path", "tolerances", "poses", "slider", "miss"), "path"))
 def test_deviation_lines_connect_target_and_generated_points(name):
     axes = picture(name, "path").axes[1]
     times = fold(axes)
@@ -493,6 +493,7 @@ def test_a_design_that_never_assembles_is_not_drawn(tmp_path):
     assert "not valid" in printed(lost, 80)
 
 
+@pytest.mark.slow
 def test_a_failed_write_leaves_no_partial_files(tmp_path, monkeypatch):
     def half(image, path, *_, **__):
         path.write_bytes(b"half")
@@ -546,7 +547,9 @@ def test_columns_of_poses_tolerances_functions_and_transmission():
 # --- film ----------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["path", "poses", "slider", "function", "transmission"])
+@pytest.mark.parametrize(
+    "name", mostly_slow(["path", "poses", "slider", "function", "transmission"], "path", "poses", "slider", "function")
+)
 def test_the_mark_of_the_film_is_the_mechanism(name, monkeypatch):
     caught = {}
 

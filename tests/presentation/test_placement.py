@@ -8,6 +8,7 @@ import pytest
 import optlink
 from optlink.presentation.placement import Places, arrange, beside
 from optlink.presentation.scene import scene
+from tests.tiers import mostly_slow
 
 HALF = np.array([2.0, 0.5])
 
@@ -43,7 +44,9 @@ def test_a_moving_text_changes_its_place_only_for_long() -> None:
     np.testing.assert_array_equal(met(range(15, 40), range(15)), np.arange(40) >= 15)
 
 
-@pytest.mark.parametrize("name", ["shaper", "watt-i", "whitworth", "slider-crank", "two-wipers"])
+@pytest.mark.parametrize(
+    "name", mostly_slow(["shaper", "watt-i", "whitworth", "slider-crank", "two-wipers"], "whitworth", "slider-crank")
+)
 def test_names_of_points_hide_no_joint_and_no_ground(name: str) -> None:
     drawn = scene(optlink.analyze(optlink.load(name)), 90)
     ground = np.concatenate([line for line, _, _ in drawn.ground])

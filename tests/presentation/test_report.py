@@ -41,6 +41,7 @@ def test_mechanism_is_drawn_at_its_characteristic_positions(solved):
         assert lengths == pytest.approx([100.0, 232.246171, 412.865416], abs=1e-5)
 
 
+@pytest.mark.slow
 def test_point_names_avoid_links_and_stay_inside(solved):
     figure = at_positions(solved)
     figure.draw_without_rendering()
@@ -95,6 +96,7 @@ def test_transmission_touches_its_limit(solved):
     assert np.min(gamma) == pytest.approx(70.3792, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_map_holds_the_iterations_and_the_optimum(solved):
     axes = objective_map(solved).axes[0]
     labels = {line.get_label(): line.get_xydata() for line in axes.get_lines()}
@@ -105,6 +107,7 @@ def test_map_holds_the_iterations_and_the_optimum(solved):
         assert path[-1] == pytest.approx([412.865416, 232.246171], abs=0.1)
 
 
+@pytest.mark.slow
 def test_the_infeasible_region_of_a_map_is_veiled_up_to_its_edge(solved):
     """And not in steps of the grid of the map."""
     sets = [each for each in objective_map(solved).axes[0].collections if isinstance(each, ContourSet)]

@@ -40,6 +40,7 @@ from optlink.tasks.results.extremes import Extreme
 from tests.browser import colours, console, faults, opened, requests
 from tests.cli.test_cli import run
 from tests.solved import folder_once
+from tests.tiers import mostly_slow
 
 PROBLEMS = (
     "crank-rocker",
@@ -66,7 +67,7 @@ def shipped(name: str) -> ReportModel:
     return subject(name)
 
 
-@pytest.fixture(params=PROBLEMS)
+@pytest.fixture(params=mostly_slow(PROBLEMS, "crank-rocker", "scotch-yoke", "motion-3-poses"))
 def about(request) -> ReportModel:
     return shipped(request.param)
 

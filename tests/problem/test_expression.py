@@ -15,12 +15,13 @@ from hypothesis import example, given, settings, strategies as st
 
 from optlink.problem.targets import expression
 from optlink.problem.targets.expression import CONSTANTS, FUNCTIONS, MAX_CHARACTERS, MAX_DEPTH, LawError, parse
+from tests.tiers import examples
 
 NAMES = ("phi", "phi0", "psi0")
 HERE = {"phi": 1.3, "phi0": 0.7, "psi0": 2.1}
 phi, phi0, psi0, pi = HERE["phi"], HERE["phi0"], HERE["psi0"], math.pi
 
-seeded = settings(derandomize=True, deadline=None, max_examples=300)
+seeded = examples(300)
 
 
 def value(text: str, **changes: object) -> object:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 
 from optlink.cli.show import _template
 from optlink.errors import InputError
@@ -14,8 +14,9 @@ from optlink.problem.base_model import with_ranges
 from optlink.problem.file import load, read
 from optlink.problem.quantity import Unusable, read_interval, read_quantity
 from optlink.units import UnitProblem, parse, split_range
+from tests.tiers import examples
 
-seeded = settings(derandomize=True, deadline=None, max_examples=150)
+seeded = examples(150)
 LIMIT, RATIO, SIZE = "limits.transmission_angle", "limits.time_ratio", "mechanism.coupler"
 
 

@@ -283,6 +283,7 @@ def test_a_scale_continuum_is_noted_and_listed_once():
         assert math.isfinite(cycle.objective)
 
 
+@pytest.mark.slow
 def test_a_single_optimum_is_no_continuum():
     assert not any("continuum" in note or "scaled" in note for note in pump().notes)
     assert optlink.load("press-toggle").model.free  # a machine whose lengths are held by loads and limits in millimetres

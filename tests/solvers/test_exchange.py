@@ -15,7 +15,6 @@ from optlink.solvers import exchange, multistart
 from optlink.solvers.contract import BACKENDS
 from optlink.solvers.solution import Solution
 from optlink.synthesis import freudenstein
-from tests.tiers import mostly_slow
 
 RAW = {
     "title": "function",
@@ -94,7 +93,8 @@ def test_peaks_that_are_not_level_are_no_optimum(monkeypatch: pytest.MonkeyPatch
     assert stalled.objective == pytest.approx(largest_error(file, file.spec.design(stalled.design)), rel=1e-7)
 
 
-@pytest.mark.parametrize("assembly", mostly_slow(["left", "right"], "right"))
+@pytest.mark.slow
+@pytest.mark.parametrize("assembly", ["left", "right"])
 def test_both_back_ends_level_the_peaks(assembly: str) -> None:
     """A largest error of 1e-4 needs its own scale in SLSQP, also beside the places of its peaks: its line search failed."""
     file = optlink.load("function-log10", {"mechanism.assembly": assembly})

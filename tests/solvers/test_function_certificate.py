@@ -23,6 +23,7 @@ from optlink.solvers.global_search.function_generator import (
 )
 from optlink.synthesis.freudenstein import FitProblem, LoopEquation, first_steps
 from optlink.tasks.certify import certify
+from tests.tiers import mostly_slow
 
 X = np.linspace(0.0, 1.2, 9)
 
@@ -103,7 +104,10 @@ def test_the_bound_of_a_sum_of_rows_exceeds_all_samples_and_is_close():
 
 
 @pytest.mark.parametrize(
-    ("ratio", "widths"), [(0.0, [0.8, 0.8, 0.0, 0.0]), (-1.0, [0.0, 0.0, 0.6, 0.6]), (1.0, [0.4, 0.4, 0.6, 0.6])]
+    ("ratio", "widths"),
+    mostly_slow(
+        [(0.0, [0.8, 0.8, 0.0, 0.0]), (-1.0, [0.0, 0.0, 0.6, 0.6]), (1.0, [0.4, 0.4, 0.6, 0.6])], (0.0, [0.8, 0.8, 0.0, 0.0])
+    ),
 )
 def test_the_bound_of_one_row_exceeds_a_dense_sample(ratio, widths):
     rng = np.random.default_rng(4)
@@ -183,6 +187,7 @@ def test_a_search_without_a_good_design_finds_one_and_bounds_it():
     assert all(0.0 <= share <= 1.0 and 0.0 <= gap <= 1.0 for share, gap in seen)
 
 
+@pytest.mark.slow
 def test_a_search_that_is_stopped_claims_nothing_beyond_its_last_level():
     problem = optlink.load("function-exp").spec
     result = certify_function(problem, problem.expected.objective, boxes=300)

@@ -50,6 +50,7 @@ def test_conflicting_transmission_and_ratio_limits_are_listed(reason: Explanatio
     assert all(math.isfinite(item.relaxed) for item in reason.conflict)
 
 
+@pytest.mark.slow
 def test_a_relaxation_is_the_least_that_a_grid_of_linkages_shows(reason: Explanation) -> None:
     """Both sides of the range give by the same angle, although the rows are cosines."""
     least, largest = transmission()

@@ -71,20 +71,16 @@ def test_blocks_cover_a_grid_with_few_points_each(sizes):
         assert all(block in blocks.neighbours(other) for other in blocks.neighbours(block))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("vary", "overrides"),
     [
         (CHANGING, {}),
         ([f"{LIMIT}=81..135 deg:10", "mechanism.frame=430..560 mm:9"], {}),
-        pytest.param(
-            ["mechanism.rocker.max=210..260 mm:7", "mechanism.crank=90..110 mm:7"],
-            {"requirement.measure": "max"},
-            marks=pytest.mark.slow,
-        ),
-        pytest.param(
+        (["mechanism.rocker.max=210..260 mm:7", "mechanism.crank=90..110 mm:7"], {"requirement.measure": "max"}),
+        (
             ["requirement.from=10..50 deg:7", f"{LIMIT}=110..140 deg:7"],
             {"requirement.from": "20 deg", "limits.transmission_over": "span"},
-            marks=pytest.mark.slow,
         ),
     ],
     ids=["bounds", "limits", "largest error", "span"],

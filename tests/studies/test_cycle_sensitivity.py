@@ -115,6 +115,7 @@ def test_a_limit_of_a_length_moves_the_length(pump):
     assert row.objective < 0.0
 
 
+@pytest.mark.slow
 def test_moving_the_pivot_is_equivalent_to_moving_the_guide(pump):
     """Along the guide nothing changes; across it, what lies on the machine goes along."""
     assert pump["mechanism.ground.A.y"].design["G.y"] == pytest.approx(1.0, abs=1e-9)

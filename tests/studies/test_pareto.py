@@ -167,6 +167,7 @@ def test_angles_of_the_front_are_measured_in_motion():
         assert float(np.min(angle)) >= math.radians(45.0) - 1e-8
 
 
+@pytest.mark.slow
 def test_the_tight_end_is_the_tightest_feasible_limit():
     """Over a grid of all couplers and rockers no crank-rocker with 45 deg at least has a much smaller largest angle."""
     a, b = np.meshgrid(np.linspace(0.1, 0.9, 1601), np.linspace(0.1, 0.9, 1601))

@@ -176,6 +176,7 @@ def test_the_ends_of_a_front_are_feasible(name):
     assert (front.valid_points, front.infeasible) == (front.solved, 0)
 
 
+@pytest.mark.slow
 def test_a_point_without_a_design_gets_the_one_of_a_tighter_limit():
     """A row whose search failed is that of a search from a neighbour; at the tightest limit no design is known."""
     problem = optlink.load("crank-rocker", {"mechanism.coupler": {"bounds": ["100 mm", "900 mm"]}})

@@ -154,6 +154,7 @@ def test_the_expected_square_is_that_of_samples(problem):
     assert result.objective - drawn > 20.0 * np.std(squares) / math.sqrt(count)  # what tolerances add is no rounding
 
 
+@pytest.mark.slow
 def test_a_start_that_the_drawing_meets_is_judged_too(problem):
     """Built, the rocker is not where the drawing has it at the start; as drawn, it is by definition."""
     assert len(problem.spec.law.offsets) == 31
@@ -161,6 +162,7 @@ def test_a_start_that_the_drawing_meets_is_judged_too(problem):
     assert solve(problem.override({"requirement.robust": None})).valid
 
 
+@pytest.mark.slow
 def test_no_sigma_and_no_mean_is_the_minimax_design(problem):
     none = solve(problem.override({"requirement.robust": "0 sigma"}))
     plain = solve(problem.override({"requirement.robust": None}))
@@ -275,6 +277,7 @@ def test_a_law_of_a_linkage_with_extra_points_is_drawn(tmp_path):
     assert (tmp_path / "mechanism.png").stat().st_size > 5000
 
 
+@pytest.mark.slow
 def test_a_tolerance_without_effect_changes_nothing(problem):
     """Its standard deviation is nought everywhere, where a square root has no slope."""
     result = solve(problem.override({"mechanism.points": {"P": ["10 mm", "5 mm"]}, "tolerances": {"P.along": "1 mm"}}))
@@ -308,6 +311,7 @@ def test_a_wrong_scatter_fails_validation(problem, robust, measure):
         assert failed == ["error with tolerances measured in motion"]
 
 
+@pytest.mark.slow
 def test_the_validator_fails_on_a_changed_linkage(problem):
     """The same lengths in the other assembly mode move otherwise, and so does what tolerances do."""
     result = solve(problem)

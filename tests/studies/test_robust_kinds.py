@@ -82,12 +82,13 @@ def slide_errors(design, by=None, count=31):
     return (slide - (design["zero"] - 0.04 * (phi - design["start"]) / (math.pi / 2.0)))[None, :]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("robust", "measure"),
     [
         ("expected value", "sum of squares"),
-        pytest.param("3 sigma", "max", marks=pytest.mark.slow),
-        pytest.param("worst case", "max", marks=pytest.mark.slow),
+        ("3 sigma", "max"),
+        ("worst case", "max"),
     ],
 )
 def test_a_law_of_a_slider_is_robust(robust, measure):

@@ -13,7 +13,7 @@ import tracemalloc
 import casadi
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 from typer.testing import CliRunner
 
 import optlink
@@ -27,11 +27,12 @@ from optlink.studies import sweep
 from optlink.symbolic import symbols_in_numpy
 from optlink.tasks.machine import machine_of
 from tests.clearance.test_joint_clearance import ending_after
-from tests.tiers import mostly_slow
+from tests.solved import loaded
+from tests.tiers import examples, mostly_slow
 
 TURN = 2.0 * math.pi
-DESIGNED = {name for name in optlink.shipped() if optlink.load(name).task == "function"}
-MACHINES = sorted(name for name in optlink.shipped() if name not in DESIGNED and optlink.load(name).task != "path")
+DESIGNED = {name for name in optlink.shipped() if loaded(name).task == "function"}
+MACHINES = sorted(name for name in optlink.shipped() if name not in DESIGNED and loaded(name).task != "path")
 
 
 @pytest.fixture(scope="module")
@@ -188,7 +189,7 @@ def test_jumps_are_the_dead_centres_of_the_shaper():
 # --- ranges, strokes ------------------------------------------------------------------------------------------------------
 
 
-@settings(derandomize=True, max_examples=150, deadline=None)
+@examples(150)
 @given(*(st.floats(0.05, 1.0) for _ in range(4)))
 def test_reachable_ranges_are_those_of_the_four_bar_theory(crank, coupler, rocker, frame):
     sizes = {"crank": crank, "coupler": coupler, "rocker": rocker, "frame": frame}
@@ -226,7 +227,7 @@ def offset_slider_crank(offset):
     )
 
 
-@settings(derandomize=True, max_examples=25, deadline=None)
+@examples(25)
 @given(st.floats(-0.15, 0.15))
 def test_stroke_and_time_ratio_of_the_offset_slider_crank(offset):
     """Limits at sqrt((l +- r)^2 - e^2); the strokes take pi +- (asin(e / (l - r)) - asin(e / (l + r)))."""
@@ -353,6 +354,7 @@ def test_mean_torque_and_power_are_those_of_the_work():
     assert re.search(rf"mean torque +{result.mean_torque:.3f} +N·m\s", shown)
 
 
+@pytest.mark.slow
 def test_rms_torque_is_that_of_closed_forms_and_of_the_table():
     """Of a crank that lifts its own weight, m g r cos(phi), and of a load with jumps."""
     raw = optlink.load("scotch-yoke").raw
@@ -376,6 +378,7 @@ def test_rms_torque_is_that_of_closed_forms_and_of_the_table():
     assert "rms_torque_Nm" not in partial.to_dict()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "clearance", [(), ("--set", "joints.B={ clearance = '0.5 mm', bearing_radius = '10 mm', modulus = '0.2 GPa' }")]
 )

@@ -56,6 +56,7 @@ def slider_crank(**sections: object) -> dict[str, optlink.ProblemFile]:
     return modes(mechanism, sections, "C")
 
 
+@pytest.mark.slow
 def test_a_law_of_dyads_takes_the_better_mode() -> None:
     law = {"slide": "s0 + 30*sin(phi)", "unit": "mm"}
     files = slider_crank(requirement={"kind": "function", "output": "G", "law": law, "span": "120 deg", "start": "30 deg"})
@@ -80,6 +81,7 @@ def test_a_stroke_names_the_mode_that_it_takes() -> None:
     assert optlink.validate(files["either"], either.design).objective == pytest.approx(backward.objective, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_a_cycle_takes_the_better_mode() -> None:
     """Until now the first mode was taken without a word."""
     goal = {"quantity": "end", "of": "ram", "stroke": "forward"}

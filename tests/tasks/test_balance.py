@@ -148,7 +148,9 @@ def test_compression_is_exact():
         assert np.linalg.norm(rows @ x + offset) == pytest.approx(expected, rel=1e-12)
 
 
-@pytest.mark.parametrize("arc", [(300.0, 420.0), (0.0, 90.0), (-30.0, 10.0)])
+@pytest.mark.parametrize(
+    "arc", [*(pytest.param(arc, marks=pytest.mark.slow) for arc in ((300.0, 420.0), (0.0, 90.0))), (-30.0, 10.0)]
+)
 def test_a_range_counts_its_positions_alone(arc):
     """The torque over a range is that of the rows of an analysis with crank angles inside it."""
     over = [f"{end} deg" for end in arc]

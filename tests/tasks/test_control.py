@@ -347,6 +347,7 @@ def saved():
     return [json.loads(json.dumps(document)) for document in checkpoints]
 
 
+@pytest.mark.slow
 def test_checkpoints_of_other_kinds_are_refused(saved):
     """Of another version, of another kind, or of another run: one sentence before any run."""
     options = {"starts": 1, "kinds": ("none",), **SHORT}

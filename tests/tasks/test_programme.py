@@ -15,13 +15,14 @@ import optlink
 from optlink.errors import InputError
 from optlink.tasks.programme import Programme
 from tests.crank_rocker_oracle import FRAME, error, extreme_cosines, slacks
+from tests.solved import loaded
 from tests.tiers import mostly_slow
 
 Array = np.ndarray
 OTHERS = {"analysis", "balance"}
-DESIGNED = [name for name in optlink.shipped() if optlink.load(name).task not in OTHERS]
+DESIGNED = [name for name in optlink.shipped() if loaded(name).task not in OTHERS]
 QUICK = ("crank-rocker", "crank-rocker-robust", "path-ellipse10", "stroke-slider-crank")
-MARGIN = optlink.load("crank-rocker").spec.limits.length_margin
+MARGIN = loaded("crank-rocker").spec.limits.length_margin
 STEP = 1e-6  # of a central difference, as a share of the size of a variable
 
 

@@ -6,9 +6,9 @@ import pytest
 
 import optlink
 from optlink.errors import InputError, Status
-from tests.solved import solution
+from tests.solved import loaded, solution
 
-QUESTIONS = {name: optlink.load(name) for name in optlink.shipped()}
+QUESTIONS = {name: loaded(name) for name in optlink.shipped()}
 SOLVED = {name: problem for name, problem in QUESTIONS.items() if problem.task != "analysis"}
 LONG = {"function-exp", "function-log10", "path-stephenson-dwell", "path-watt-leg", "press-toggle", "crank-rocker-robust"}
 

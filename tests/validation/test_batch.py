@@ -45,9 +45,15 @@ def assert_same(one: Validation, other: Validation) -> None:
     "rule",
     [
         SHIPPED,
-        problem(None, None, {"swing_angle": ["40 deg", "60 deg"], "time_ratio": [1.0, 1.2], "link_ratio": [0.2, 0.9]}),
+        pytest.param(
+            problem(None, None, {"swing_angle": ["40 deg", "60 deg"], "time_ratio": [1.0, 1.2], "link_ratio": [0.2, 0.9]}),
+            marks=pytest.mark.slow,
+        ),
         problem({"assembly": "right"}, {"from": "40 deg", "span": "-70 deg", "measure": "max"}, {"crank": "span"}),
-        problem(None, {"from": "inner dead centre", "measure": "rms"}, {"transmission_over": "span", "pressure_angle": None}),
+        pytest.param(
+            problem(None, {"from": "inner dead centre", "measure": "rms"}, {"transmission_over": "span", "pressure_angle": None}),
+            marks=pytest.mark.slow,
+        ),
     ],
     ids=["shipped", "strokes", "span", "inner"],
 )

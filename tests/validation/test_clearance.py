@@ -30,7 +30,7 @@ from tests.tiers import mostly_slow
 DATA = Path(__file__).resolve().parent.parent / "data"
 RPM = math.pi / 30.0
 SPEEDS = (5000, 1200, 1500, 1800)
-ONE_AND_ALL = mostly_slow(SPEEDS, 5000)
+
 STEPS = 72
 """Rows of a revolution: those of the tables, each 5 degrees."""
 
@@ -98,7 +98,7 @@ def test_problem_is_the_published_one():
 
 
 @pytest.mark.parametrize("rpm", SPEEDS)
-@pytest.mark.parametrize("tolerance", [1e-9, 1e-11])
+@pytest.mark.parametrize("tolerance", mostly_slow([1e-9, 1e-11], 1e-9))
 def test_first_impact(rpm, tolerance):
     """Held at the tolerance that runs have if nothing is said, too."""
     impact = first_impact(rpm, tolerance)
@@ -144,7 +144,8 @@ def test_revolution_eleven(rpm):
     assert np.all(computed["C.contact"][rows] == 1.0)
 
 
-@pytest.mark.parametrize("rpm", mostly_slow(SPEEDS, 1200))
+@pytest.mark.slow
+@pytest.mark.parametrize("rpm", SPEEDS)
 def test_revolution_eleven_at_the_usual_tolerance(rpm):
     """Published agreement: 1 um."""
     table, computed = read_csv(DATA / f"clearance_mu01_{rpm}rpm.csv"), simulate(rpm, 0.1, 11, tolerance=1e-9)
@@ -162,7 +163,8 @@ def test_deviation_over_twenty_revolutions(rpm):
     assert result.figures["rms_m"] == pytest.approx(float(np.sqrt(np.mean(error * error))), rel=1e-12)
 
 
-@pytest.mark.parametrize("rpm", ONE_AND_ALL)
+@pytest.mark.slow
+@pytest.mark.parametrize("rpm", SPEEDS)
 def test_contact_becomes_permanent_and_the_motion_periodic(rpm):
     result = simulate(rpm, 0.1, 25)
     assert max(impact.end for impact in result.impacts if math.isfinite(impact.end)) * rpm / 60.0 < 1.0  # in the first revolution
@@ -173,7 +175,8 @@ def test_contact_becomes_permanent_and_the_motion_periodic(rpm):
     assert changes[-1] < 1e-3 * changes[4]
 
 
-@pytest.mark.parametrize(("rpm", "switches"), [(5000, 43), pytest.param(1200, 63, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize(("rpm", "switches"), [(5000, 43), (1200, 63)])
 def test_number_of_switches(rpm, switches):
     """Begins and ends of contacts; the last begins and stays."""
     result = simulate(rpm, 0.1, 25)
@@ -183,7 +186,8 @@ def test_number_of_switches(rpm, switches):
     assert int(np.sum(result.per_revolution["impacts"])) == len(ends)
 
 
-@pytest.mark.parametrize("rpm", ONE_AND_ALL)
+@pytest.mark.slow
+@pytest.mark.parametrize("rpm", SPEEDS)
 def test_energy_account_closes(rpm):
     """To 1e-6 of the largest energy, to 1e-8 at a tight tolerance."""
     usual, tight = simulate(rpm, 0.1, 11, tolerance=1e-9), simulate(rpm, 0.1, 25)

@@ -113,6 +113,7 @@ def changed(machine, change):
     return done.exit_code, f"{'; '.join(failed)} {done.stderr}"
 
 
+@pytest.mark.slow
 def test_a_result_of_a_cycle_that_agrees_is_valid(machine):
     code, output = changed(machine, lambda own: None)
     assert code == 0, output

@@ -9,7 +9,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings, strategies as st
+from hypothesis import assume, given, strategies as st
 
 import optlink
 from optlink.linkage.dyads import RRR, rrr
@@ -19,6 +19,8 @@ from optlink.linkage.mechanism import Link, Mechanism
 from optlink.optimization import terms
 from optlink.problem.design import DesignProblem
 from optlink.validation import Validation, validate
+from tests.solved import loaded
+from tests.tiers import examples
 
 OPTIMUM = {"coupler": 0.41286541580, "rocker": 0.23224617124}
 PRINTED = {"coupler": 0.41226, "rocker": 0.2322417}
@@ -66,7 +68,7 @@ def problem(
     limits: Mapping[str, object] | None = None,
 ) -> DesignProblem:
     """The shipped crank-rocker with other values (None: without that key)."""
-    raw = {key: value for key, value in optlink.load("crank-rocker").raw.items() if key != "expected"}
+    raw = {key: value for key, value in loaded("crank-rocker").raw.items() if key != "expected"}
     for section, changes in (("mechanism", mechanism), ("requirement", requirement), ("limits", limits)):
         merged = {**raw[section], **(changes or {})}
         raw[section] = {key: value for key, value in merged.items() if value is not None}
@@ -509,7 +511,7 @@ def transmission(values: list[float]) -> tuple[float, float]:
     return both[0], both[1]
 
 
-@settings(derandomize=True, deadline=None, max_examples=120)
+@examples(120)
 @given(st.floats(0.05, 0.95), st.floats(0.05, 0.95))
 def test_verdict_on_random_designs_is_that_of_the_formulas(coupler, rocker):
     """Textbook formulas decide; the validator, which sweeps, must come to the same verdict."""
