@@ -12,6 +12,7 @@ from optlink.errors import InputError, UnknownName, extra_remedy, nearest
 from optlink.io import folder as made
 from optlink.presentation.format import column_unit
 from optlink.presentation.registry import stored_page, view_of
+from optlink.presentation.view import registered_charts
 from optlink.problem.arguments import typed
 from optlink.problem.document import Document, Result
 from optlink.problem.file import AnyProblem, ProblemFile, problem_of
@@ -165,7 +166,7 @@ def figures(result: Document) -> dict[str, Callable[[], Figure | None]]:
 
     view = view_of(result.kind)
     model = view.model(result)
-    named = [chart for chart in view.charts(model) if chart.file]
+    named = [chart for chart in (*view.charts(model), *registered_charts(result)) if chart.file]
     groups = itertools.groupby(
         sorted(named, key=lambda chart: [one.file for one in named].index(chart.file)), lambda chart: chart.file
     )
