@@ -384,7 +384,7 @@ class Entry:
 
 
 def register(*entries: Entry) -> None:
-    """Add entries to optlink: a limit, a quantity, a back end, a dyad, a kind of problem, a kind of result.
+    """Add entries to optlink: limits, quantities, kinds of loads, back ends, dyads, kinds of problems and results, charts.
 
     Parameters
     ----------

@@ -13,7 +13,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from optlink.errors import InputError
-from optlink.linkage.vector2d import TURN, Array
+from optlink.linkage.vector2d import TURN, Array, minus, plus, turn, turn_back
 from optlink.problem.document import Result
 from optlink.problem.file import AnyProblem, problem_of
 
@@ -97,12 +97,14 @@ def check_motion(problem: AnyProblem, design: Mapping[str, float] | None = None,
 
 
 def check_forces(problem: AnyProblem, design: Mapping[str, float] | None = None, tolerance: float = 1e-6) -> float:
-    """Compare the driving torque, which follows from all joint reactions, with the slope of the energy: of a dyad.
+    """Compare the driving torque, which follows from all joint reactions, with the slope of the energy: of a dyad or a load.
+
+    Loads take up power at the velocities of differences of positions.
 
     Parameters
     ----------
     problem : ProblemFile, str or Path
-        A machine with masses, without friction and loads.
+        A machine with masses or loads, without friction.
     design : mapping of str to float [SI], optional
         Values of design variables. Default: their starting values.
     tolerance : float
@@ -111,23 +113,40 @@ def check_forces(problem: AnyProblem, design: Mapping[str, float] | None = None,
     ------
     Disagreement
     InputError
-        If the machine has no masses, or has friction or loads.
+        If the machine has neither masses nor loads, or has friction.
     """
+    from optlink.linkage.mechanism import FRAME
     from optlink.tasks.analyze import analyze
     from optlink.tasks.machine import machine_of
 
     problem = problem_of(problem)
     machine = machine_of(problem, design)
-    if machine.friction or machine.loads or not machine.inertias:
-        raise InputError("energies are compared for machines with masses, without friction and loads", "Give such a machine")
+    if machine.friction or not (machine.inertias or machine.loads):
+        raise InputError("energies are compared for machines with masses or loads, without friction", "Give such a machine")
     cycle = analyze(problem, design=design)
     angles = cycle.positions
 
+    now = machine.moving(angles, cycle.speed)
+    acting = [one for load in machine.loads for one in load.act(now) if one.body != FRAME]
+
     def energy(at: Array) -> Array:
         moving = machine.moving(at, cycle.speed)
-        return np.asarray(moving.kinetic + moving.potential)
+        return np.asarray(machine.kinetic(moving.state) + machine.weight(moving.state))
+
+    def place(at: Array) -> list[Array]:
+        """Return the places of the points of bodies on which loads act now, and the angles of these bodies."""
+        moving, places = machine.moving(at, cycle.speed), []
+        for one in acting:
+            here, there = now.state(one.body), moving.state(one.body)
+            arm = turn(turn_back(minus(one.point, here.start), here.axis), there.axis)
+            places.append(np.stack(np.broadcast_arrays(*plus(there.start, arm), np.arctan2(*there.axis[::-1]))))
+        return places
 
     slope = (energy(angles + STEP) - energy(angles - STEP)) / (2.0 * STEP)
+    for one, later, earlier in zip(acting, place(angles + STEP), place(angles - STEP), strict=True):
+        along, across, turned = later - earlier
+        turned = np.angle(np.exp(1j * turned))
+        slope = slope - (one.force[0] * along + one.force[1] * across + one.torque * turned) / (2.0 * STEP)
     return _compared("driving torque", cycle["input.torque_Nm"], slope, tolerance)
 
 

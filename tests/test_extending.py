@@ -19,9 +19,21 @@ import optlink
 from docs.generate.extending import ADDITIONS
 from optlink import InputError
 from optlink.cli.app import app
-from optlink.extending import DyadType, LimitTerm, ProblemKind, QuantityType, Solver, register
+from optlink.extending import (
+    ChartSpec,
+    DyadType,
+    LimitTerm,
+    LoadKind,
+    ProblemKind,
+    QuantityType,
+    ResultChart,
+    Solver,
+    crank_angle,
+    register,
+)
 from optlink.io import Entry
 from optlink.problem.limits import MODELS
+from optlink.problem.machine.loads import LOADS
 from optlink.studio import design as studio_design
 
 FOLDER = Path(__file__).parent / "extending"
@@ -215,6 +227,65 @@ def test_a_new_kind_of_result_and_its_view(extended, tmp_path):
     assert "unknown key" in run("solve", str(file), "--set", "clearing.poit=B", code=2)
 
 
+AIR = {"on": "rocker", "at": "C", "drag": 1.2, "width": "300 mm", "height": "200 mm"}
+WINDY = SLOW_ROCKER | {
+    "bodies": {name: {"mass": "1 kg", "inertia": "uniform bar"} for name in ("crank", "rocker")},
+    "objective": {"quantity": "torque", "measure": "peak"},
+    "loads": {"air": AIR},
+}
+
+
+def test_a_new_load(extended, tmp_path):
+    with pytest.raises(InputError, match="unknown key"):
+        optlink.read(WINDY)
+    extended("load")
+    file = tmp_path / "windy.toml"
+    file.write_text(optlink.problem.file.dump(optlink.read(WINDY)))
+    windy, calm = (optlink.analyze(optlink.read(raw), points=3600) for raw in (WINDY, {**WINDY, "loads": {}}))
+    velocity = np.gradient(np.stack([windy["C.x_m"], windy["C.y_m"]]), windy.positions / windy.speed, axis=1)  # by differences
+    power = 0.5 * 1.2 * 1.2 * 0.06 * np.linalg.norm(velocity, axis=0) ** 3
+    added = (windy["input.torque_Nm"] - calm["input.torque_Nm"]) * windy.speed
+    assert added[1:-1] == pytest.approx(power[1:-1], abs=1e-4 * np.max(power))
+    assert np.max(power) > 1e-3
+    result = optlink.solve(optlink.load(file), starts=1)
+    assert result.valid
+    found = optlink.analyze(result.machine, points=3600)
+    assert result.objective == pytest.approx(np.max(np.abs(found["input.torque_Nm"])), rel=1e-4)
+    run_down = optlink.simulate(optlink.load(file, {"drive.torque": "1 N*m"}), duration=0.5)
+    assert run_down.valid
+    assert run_down["air.work_J"][-1] < 0.0
+    balanced = optlink.load("balance-four-bar", {"loads.air": {**AIR, "width": "30 mm"}})
+    assert optlink.solve(balanced).valid
+    assert "on rocker, at C, drag 1.2" in page(tmp_path, str(file), "--starts", "1")
+    assert "the body has no such point. Known: D, C" in run("analyze", str(file), "--set", "loads.air.at=B", code=2)
+    assert "a load with drag has no stiffness" in run("analyze", str(file), "--set", "loads.air.stiffness=1 N/m", code=2)
+    assert "damping, drag" in run("analyze", "six-bar", "--set", 'loads.air={ on = "slider" }', code=2)
+    assert 'Did you mean "width"' in run("analyze", str(file), "--set", "loads.air.wdth=1 m", code=2)
+    schema = optlink.presentation.registry.json_schema("problem")
+    assert schema["$defs"]["DragLoad"]["properties"]["drag"]["description"] == "Drag coefficient."
+    validator = jsonschema.Draft202012Validator(schema)
+    assert validator.is_valid(WINDY)
+    assert not validator.is_valid({**WINDY, "loads": {"air": AIR | {"stiffness": "1 N/m"}}})
+
+
+def test_a_new_chart(extended, tmp_path):
+    before = optlink.analyze("six-bar").plots
+    extended("chart")
+    result = optlink.analyze("six-bar")
+    assert result.plots[: len(before) + 1] == (*before[: len(before) - 1], "power", before[-1])  # drawings are last
+    (line,) = [line for line in result.plot("power").axes[0].lines if len(line.get_xdata()) > 2]
+    assert line.get_ydata() == pytest.approx(result["input.torque_Nm"] * result.speed)
+    assert {path.name for path in result.write(tmp_path)} >= {"power.png"}
+    assert ">Power of the drive<" in page(tmp_path, "six-bar")
+    assert ">Power of the drive<" in page(tmp_path, str(tmp_path))
+    calm = optlink.analyze("crank-rocker")
+    assert "power" not in calm.plots
+    with pytest.raises(InputError, match="no picture power"):
+        calm.plot("power")
+    register(ResultChart("ends", "simulation", lambda run: ChartSpec("", "Ends", [], crank_angle(), page=False)))
+    assert "ends" in optlink.simulate(optlink.load("six-bar", {"drive.torque": "1 N*m"}), duration=0.05).plots
+
+
 def test_the_schema_of_problem_files_has_what_is_registered(extended):
     for name in ("constraint", "objective", "kind"):
         extended(name)
@@ -243,6 +314,9 @@ FAULTY = {
     'QuantityType = "x": the measure "peek" is unknown. Did you mean "peak"': QuantityType("x", "force", ("peek",), **COURSE),
     'QuantityType = "half": only one of signal and history': QuantityType("half", "force", ("peak",), signal=COURSE["signal"]),
     'LimitTerm = "crank": limits.crank is a key of problem files': LimitTerm("crank", None, None, None),
+    'LoadKind = "wind": its form has no key wind': LoadKind("wind", LOADS["force"].form),
+    'LoadKind = "at": the key force of its form marks another kind of load': LoadKind("at", LOADS["force"].form),
+    'ResultChart = "x": there are no results of the kind analyses': ResultChart("x", "analyses", lambda result: None),
     'Solver = "both": it stands for two back ends': Solver("both", lambda: None),
     'DyadType = "slot": a dyad is named by its three joints': DyadType("slot", None),
     'ProblemKind = "own": the section "mechanism" belongs to another kind': ProblemKind("own", None, "mechanism", object),
@@ -280,10 +354,12 @@ def without_loads(name):
 SUBJECTS = {
     "constraint": lambda: optlink.load("crank-rocker", {"limits.coupler_ratio": [0.1, 2.5]}),
     "objective": lambda: optlink.read(SLOW_ROCKER),
+    "load": lambda: optlink.read(WINDY),
     "back_end": lambda: "crank-rocker",
     "dyad": lambda: without_loads("scotch-yoke"),
     "kind": clearing,
     "view": clearing,
+    "chart": lambda: optlink.analyze("six-bar"),
 }
 """What the oracles of an example take: a problem that uses it, or a result."""
 

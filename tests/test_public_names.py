@@ -27,11 +27,12 @@ PUBLIC = {
         compare inverse_model simulate_clearance tune
     """,
     "optlink.extending": """
-        AngleInterval Array Assembly Attempt Backend Check Course DesignProblem DesignTask Dyad DyadType Element ElementTerm
-        FixedLength ForceBalance Former GroupForces Guide Interval Joint LengthInterval LimitTerm Link MotionColumns Moved Moving
-        NLP NumberInterval Problem ProblemKind QuantityType Reach Reactions ResultKind Search Section Signal SingleResult Solver
-        Summary Validation Value Vector View
-        checks cross dot extremes minus plus register solve_two_by_two summary turn turn_back
+        Acting AngleInterval Array Assembly Attempt Axis Backend Bars ChartSpec Check Course Curve DesignProblem
+        DesignTask Dyad DyadType Element ElementTerm FixedLength ForceBalance Former GroupForces Guide Interval
+        InvalidValue Joint LengthInterval LimitTerm Link Load LoadKind LoadSection MotionColumns Moved Moving NLP Number
+        NumberInterval OnBody Panel Problem ProblemKind QuantityType Reach Reactions ResultChart ResultKind
+        RevolutionSamples Search Section Signal SingleResult Solver Summary Validation Value Vector View
+        checks crank_angle cross dot extremes minus plus register solve_two_by_two summary turn turn_back
     """,
     "optlink.linkage": """
         Cognate CouplerLinkage GrashofClass Jet Mechanism Motion Pose Travel cognates four_bar grashof reachable sweep travels
@@ -53,7 +54,7 @@ PUBLIC = {
     """,
 }
 """Public names by namespace. One that goes stays in the stub, deprecated, for as long as docs/stability.md states."""
-TYPES = ("AnyProblem", "Course", "Former", "Joint", "Signal", "Value", "Vector")
+TYPES = ("AnyProblem", "Course", "Former", "Joint", "Number", "Signal", "Value", "Vector")
 """Names for types, which have no docstring of their own."""
 DEPRECATED = {
     **{name: f"optlink.linkage.{name}" for name in ("four_bar", "grashof")},

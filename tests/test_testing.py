@@ -37,12 +37,29 @@ def test_a_wrong_velocity_is_detected(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_torque_agrees_with_the_energy(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = optlink.load("balance-four-bar")
     assert check_forces(problem) < 1e-6
-    with pytest.raises(optlink.InputError, match="without friction and loads"):
-        check_forces("shaper")
-    from optlink.dynamics.machine import Moving
+    with pytest.raises(optlink.InputError, match="without friction"):
+        check_forces(optlink.load("shaper", {"mechanism.guides.F.friction": 0.1}))
+    from optlink.dynamics.machine import Machine
 
-    kinetic = Moving.__dict__["kinetic"].func
-    monkeypatch.setattr(Moving, "kinetic", property(lambda self: 1.001 * kinetic(self)))
+    kinetic = Machine.kinetic
+    monkeypatch.setattr(Machine, "kinetic", lambda self, state: 1.001 * kinetic(self, state))
+    with pytest.raises(Disagreement, match="driving torque"):
+        check_forces(problem)
+
+
+def test_the_torque_agrees_with_the_power_of_loads(monkeypatch: pytest.MonkeyPatch) -> None:
+    loads = {
+        "loads.spring": {"between": ["A", "C"], "stiffness": "5 N/m", "damping": "1 N*s/m"},
+        "loads.leaf": {"on": "rocker", "against": "coupler", "torsional_stiffness": "2 N*m/rad"},
+        "loads.push": {"on": "coupler", "at": "C", "force": "3 N", "direction": "30 deg"},
+    }
+    problem = optlink.load("balance-four-bar", loads)
+    assert check_forces(problem) < 1e-6
+    assert check_forces("six-bar") < 1e-6
+    from optlink.dynamics.machine import Acting
+
+    wrench = Acting.wrench
+    monkeypatch.setattr(Acting, "wrench", lambda self, state: wrench(self._replace(torque=1.001 * self.torque), state))
     with pytest.raises(Disagreement, match="driving torque"):
         check_forces(problem)
 

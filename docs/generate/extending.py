@@ -8,7 +8,9 @@ from docs.generate.api import ROOT, cell, code, package, reference
 from optlink.io import Entry
 from optlink.linkage.assur import DyadType
 from optlink.presentation.registry import ResultKind
+from optlink.presentation.view import ResultChart
 from optlink.problem.limits import LimitTerm
+from optlink.problem.machine.loads import LoadKind
 from optlink.problem.machine.model import ProblemKind
 from optlink.problem.terms import QuantityType
 from optlink.solvers.contract import Solver
@@ -45,6 +47,17 @@ ADDITIONS = (
             *("dynamics.machine.Moving", "dynamics.inverse.Reactions", "dynamics.columns.MotionColumns"),
         ),
     ),
+    Addition(
+        "kind of load",
+        LoadKind,
+        "load",
+        ("check_forces",),
+        (
+            *(f"dynamics.machine.{name}" for name in ("Load", "Acting")),
+            *(f"problem.machine.loads.{name}" for name in ("LoadSection", "OnBody", "RevolutionSamples")),
+            "errors.InvalidValue",
+        ),
+    ),
     Addition("back end", Solver, "back_end", ("check_optimum",), ("solvers.solution.Backend", "solvers.solution.Attempt")),
     Addition(
         "dyad",
@@ -55,6 +68,13 @@ ADDITIONS = (
     ),
     Addition("kind of problem", ProblemKind, "kind", ("check_stored",), ("tasks.protocol.DesignTask", "tasks.protocol.Search")),
     Addition("kind of result", ResultKind, "view", ("check_stored",), ("presentation.view.View",)),
+    Addition(
+        "chart",
+        ResultChart,
+        "chart",
+        ("check_stored",),
+        tuple(f"presentation.chart_spec.{name}" for name in ("ChartSpec", "Panel", "Axis", "Curve", "Bars", "crank_angle")),
+    ),
 )
 
 

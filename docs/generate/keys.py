@@ -79,7 +79,16 @@ class Part:
             return "At the top of the file" if self.root is Problem else f"At the top: {ROOTS[self.root][1]}"
         name = f"[[{self.path}]]" if self.many else f"[{self.path}]"
         key, kind = _variant(self.model)
+        if marker := _marker(self.model):
+            return f"{name}, with `{marker}`"
         return name + (f', {key} = "{kind}"' if kind else f": {ROOTS[self.root][1]}" if self.root is not Problem else "")
+
+
+def _marker(model: type[Section]) -> str:
+    """The key that marks the tables of this model among those of a registry; empty where there is one model."""
+    return next(
+        (key for base in model.__mro__[1:] if issubclass(base, Section) for key, one in base.models().items() if one is model), ""
+    )
 
 
 def _variant(model: type[Section]) -> tuple[str, str]:
@@ -121,7 +130,7 @@ def _models(annotation: Any) -> Iterator[tuple[str, type[Section], bool]]:
     """Models inside an annotation, with what the name of their table ends in, and whether there may be many."""
     origin, inside = typing.get_origin(annotation), typing.get_args(annotation)
     if inspect.isclass(annotation) and issubclass(annotation, Section):
-        yield "", annotation, False
+        yield from (("", model, False) for model in annotation.models().values())
     elif origin is dict:
         yield from ((f".NAME{suffix}", model, many) for suffix, model, many in _models(inside[1]))
     elif origin is tuple:
@@ -233,8 +242,9 @@ def _stated(model: type[Section], raw: Mapping[str, Any]) -> Iterator[tuple[type
         for suffix, inner, many in below:
             tables = raw[key] if many else raw[key].values() if suffix else [raw[key]]
             for table in tables:
-                word, kind = _variant(inner)
-                if len(below) == 1 or table.get(word, DEFAULT_KIND) == kind:
+                (word, kind), marker = _variant(inner), _marker(inner)
+                first = next((key for key in (_marker(one) for _, one, _ in below) if key in table), "")
+                if first == marker if marker else len(below) == 1 or table.get(word, DEFAULT_KIND) == kind:
                     yield from _stated(inner, table)
 
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, ClassVar, Literal, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -161,25 +161,58 @@ class Acting(NamedTuple):
         return dot(self.force, state.at(self.point)[0]) + self.torque * state.omega
 
 
-class Load(Protocol):
-    """Protocol of all loads."""
+Ends = tuple[tuple[str, str], tuple[str, str]]
+"""Body and point, twice."""
 
-    @property
-    def name(self) -> str:
-        """Name in the problem file."""
+
+class Load:
+    """Base class of loads: forces and torques on the bodies of a machine in motion.
+
+    Unless a subclass says otherwise, a load does not jump, stores no energy and is not drawn.
+    """
+
+    name: str
+    """Name in the problem file."""
+    middle: Value = 0.0
+    """Angle [rad] from which it counts the swing of a body, whose angle is at most half a revolution from it."""
+
+    def act(self, moving: Moving) -> Iterator[Acting]:
+        """Yield the forces and torques of the load, body by body: elementwise on floats, arrays and symbols.
+
+        Parameters
+        ----------
+        moving : Moving
+            Gives positions, velocities and states of the bodies.
+        """
+        raise NotImplementedError
 
     @property
     def switching(self) -> bool:
         """Whether the load jumps where a motion reverses."""
-
-    def act(self, moving: Moving) -> Iterator[Acting]:
-        """Yield the forces and torques of the load, body by body."""
+        return False
 
     def reversing(self, moving: Moving) -> tuple[Value, Value] | None:
-        """Return the velocity at whose reversal the load jumps, and the corresponding acceleration."""
+        """Return the velocity at whose reversal the load jumps, and the corresponding acceleration; None if it does not jump.
+
+        Parameters
+        ----------
+        moving : Moving
+        """
+        return None
 
     def potential(self, moving: Moving) -> Value:
-        """Return the potential energy [J]; zero except for springs."""
+        """Return the potential energy that it stores [J]; its power is otherwise work done on the machine.
+
+        Parameters
+        ----------
+        moving : Moving
+        """
+        return 0.0
+
+    @property
+    def drawn(self) -> Ends | None:
+        """The ends between which a spring is drawn, or two bodies at whose joint a torsion spring is, with no points."""
+        return None
 
 
 @dataclass(frozen=True, repr=False)
@@ -239,9 +272,9 @@ class Machine:
         return reachable(self.mechanism, self.sizes)
 
     @property
-    def processes(self) -> list[Force | Torque]:
+    def processes(self) -> list[Process]:
         """Loads with a magnitude that may change: forces and torques."""
-        return [load for load in self.loads if isinstance(load, Force | Torque)]
+        return [load for load in self.loads if isinstance(load, Process)]
 
     @cached_property
     def revolutions(self) -> int | None:
@@ -443,63 +476,78 @@ Magnitude = Callable[[Mapping[str, Value]], Value]
 Stroke = Literal["both", "forward", "backward"]
 
 
-def _sense(load: Force | Torque, moving: Moving) -> Value:
-    """Factor of the magnitude: -1 against a positive velocity if the load opposes motion, 0 in the other stroke."""
-    opposing, stroke = load.opposing, load.stroke
-    if not opposing and stroke == "both":
-        return 1.0
-    sign = moving.sense(load.reversing, moving.machine.size if isinstance(load, Force) else 1.0)
-    share = 1.0
-    if stroke != "both":
-        way = moving.direction if load.turning else 1.0
-        share = 0.5 * (1.0 + (sign if stroke == "forward" else -sign) * way)
-    return share * (-sign if opposing else 1.0)
-
-
 @dataclass(frozen=True)
-class _Process:
+class Process(Load):
     """Base class of forces and torques: they may oppose the motion, act in one stroke, and react on another body."""
 
+    name: str
+    body: str
     opposing: bool = field(default=False, kw_only=True)
     stroke: Stroke = field(default="both", kw_only=True)
     turning: bool = field(default=False, kw_only=True)
     """The stroke is that of a crank that turns counter-clockwise; clockwise it is the other one."""
     against: str = field(default=FRAME, kw_only=True)
     """The body on which the reaction acts."""
+    moves: ClassVar[str] = "turn"
+    """What the body does where the load acts, in words."""
 
-    @property
-    def guide(self) -> str:
-        """The guide along which the load acts, if it does."""
-        return ""
+    if TYPE_CHECKING:  # a field of every subclass
+
+        @property
+        def magnitude(self) -> Magnitude:
+            """Force [N] or torque [N m]."""
 
     @property
     def switching(self) -> bool:
         """Whether the load jumps where the motion reverses."""
         return self.opposing or self.stroke != "both"
 
-    def potential(self, moving: Moving) -> Value:
-        """Return zero: the load stores no energy."""
-        return 0.0
+    @property
+    def guide(self) -> str:
+        """The guide along which the load acts, if it does."""
+        return ""
+
+    def reversing(self, moving: Moving) -> tuple[Value, Value]:
+        """Return velocity and acceleration of the motion that the load opposes, relative to the body that takes the reaction."""
+        raise NotImplementedError
+
+    def extent(self, machine: Machine) -> Value:
+        """Return the velocity of that motion per crank speed that is large: 1, or the size of the machine [m]."""
+        return 1.0
 
     def known(self, moving: Moving) -> dict[str, Value]:
         """Return the variables of the magnitude: crank angle [rad] and speed, and those of the body on which the load acts."""
         return moving.variables
 
+    def size(self, moving: Moving) -> Value:
+        """Return the magnitude with its sign: against a positive velocity if the load opposes it, zero in the other stroke."""
+        magnitude = self.magnitude(self.known(moving))
+        if not self.switching:
+            return magnitude * 1.0
+        sign, share = moving.sense(self.reversing, self.extent(moving.machine)), 1.0
+        if self.stroke != "both":
+            way = moving.direction if self.turning else 1.0
+            share = 0.5 * (1.0 + (sign if self.stroke == "forward" else -sign) * way)
+        return magnitude * (share * (-sign if self.opposing else 1.0))
+
 
 @dataclass(frozen=True)
-class Force(_Process):
+class Force(Process):
     """A force on a point of a body, along a direction fixed in the plane or along the guide of a slider."""
 
-    name: str
-    body: str
     point: str
     magnitude: Magnitude
     direction: float | str  # angle [rad], or the guide that the body slides in
+    moves: ClassVar[str] = "move in this direction"
 
     @property
     def guide(self) -> str:
         """The guide along which the load acts, if it does."""
         return self.direction if isinstance(self.direction, str) else ""
+
+    def extent(self, machine: Machine) -> Value:
+        """Return the size of the machine [m]."""
+        return machine.size
 
     def reversing(self, moving: Moving) -> tuple[Value, Value]:
         """Return the velocity and acceleration along the direction, relative to the body that takes the reaction."""
@@ -521,7 +569,7 @@ class Force(_Process):
 
     def act(self, moving: Moving) -> Iterator[Acting]:
         """Yield the force, and its reaction on the other body."""
-        size = self.magnitude(self.known(moving)) * _sense(self, moving)
+        size = self.size(moving)
         x, y = moving.line(self.guide) if self.guide else unit(self.direction)
         at, force = moving.position(self.point, self.body), (size * x + 0.0, size * y + 0.0)  # + 0.0: avoids -0.0
         yield Acting(self.body, at, force)
@@ -530,11 +578,9 @@ class Force(_Process):
 
 
 @dataclass(frozen=True)
-class Torque(_Process):
+class Torque(Process):
     """A torque on a body; `middle` [rad]: the angle of the body that the magnitude sees is at most half a revolution from it."""
 
-    name: str
-    body: str
     magnitude: Magnitude
     middle: Value = 0.0
 
@@ -551,39 +597,30 @@ class Torque(_Process):
     def act(self, moving: Moving) -> Iterator[Acting]:
         """Yield the torque, and its reaction on the other body."""
         state = moving.state(self.body)
-        torque = self.magnitude(self.known(moving)) * _sense(self, moving)
+        torque = self.size(moving)
         yield Acting(self.body, state.start, torque=torque)
         if self.against != FRAME:
             yield Acting(self.against, moving.state(self.against).start, torque=-torque)
 
 
-class Steady:
-    """Base class of loads without jumps; they store no energy unless they are springs."""
-
-    switching = False
-
-    def reversing(self, moving: Moving) -> None:
-        """Return None: the load does not jump."""
-        return
-
-    def potential(self, moving: Moving) -> Value:
-        """Return zero: the load stores no energy."""
-        return 0.0
-
-
 @dataclass(frozen=True)
-class Spring(Steady):
+class Spring(Load):
     """A linear spring and damper between two points: `stiffness` [N/m], `free` length [m], `damping` [N s/m].
 
     `push`: a force [N] over their distance s and its rate v, which drives them apart.
     """
 
     name: str
-    ends: tuple[tuple[str, str], tuple[str, str]]  # (body, point) twice
+    ends: Ends
     stiffness: Value
     free: Value
     damping: Value
     push: Magnitude | None = None
+
+    @property
+    def drawn(self) -> Ends:
+        """Its ends."""
+        return self.ends
 
     def length(self, moving: Moving) -> Value:
         """Return the distance of the two points [m]."""
@@ -613,7 +650,7 @@ class Spring(Steady):
 
 
 @dataclass(frozen=True)
-class TorsionSpring(Steady):
+class TorsionSpring(Load):
     """A torsion spring and damper between two bodies: `stiffness` [N m/rad], `free` angle [rad], `damping` [N m s/rad].
 
     `middle` [rad]: relative angle of the bodies near the middle of the swing, at most half a revolution from `free`; the
@@ -627,6 +664,11 @@ class TorsionSpring(Steady):
     free: Value
     damping: Value
     middle: Value = 0.0
+
+    @property
+    def drawn(self) -> Ends:
+        """The two bodies."""
+        return (self.body, ""), (self.against, "")
 
     def _deflection(self, moving: Moving) -> Value:
         axis, other = moving.state(self.body).axis, moving.state(self.against).axis
@@ -646,7 +688,7 @@ class TorsionSpring(Steady):
 
 
 @dataclass(frozen=True)
-class SlideDamper(Steady):
+class SlideDamper(Load):
     """Viscous damping in a guide: `damping` [N s/m]."""
 
     name: str
@@ -667,7 +709,7 @@ class SlideDamper(Steady):
 
 
 @dataclass(frozen=True)
-class EndStops:
+class EndStops(Load):
     """Elastic end stops of a drive at crank angles, or values of its cycle variable, `low` and `high` [rad].
 
     `stiffness` [N m/rad], of a drive along a line [N/m] with its `lever` [m/rad]. Going out the force is that share of it which
@@ -685,10 +727,6 @@ class EndStops:
     def reversing(self, moving: Moving) -> tuple[Value, Value]:
         """Return speed and acceleration of the crank, with which the force jumps."""
         return moving.motion.speed, moving.motion.crank_acceleration
-
-    def potential(self, moving: Moving) -> Value:
-        """Return zero: its energy counts as work."""
-        return 0.0
 
     def act(self, moving: Moving) -> Iterator[Acting]:
         """Yield the torque on the crank, or the force on slider, or on rod and barrel of a cylinder."""

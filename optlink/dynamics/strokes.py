@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.dynamics.machine import Force, Load, Machine, Torque, slider_names
+from optlink.dynamics.machine import Load, Machine, Process, slider_names
 from optlink.linkage.extrema import POINTS, distinct, refined_minima, zeros
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.stroke import OTHER, Direction, Pace, StrokeRange, Travel, pace_of, slow_stroke, travels
@@ -196,13 +196,13 @@ def without_values(machine: Machine, names: Collection[str]) -> Machine:
 
     return machine.with_(
         loads=tuple(
-            replace(load, magnitude=unknown) if load.name in names and isinstance(load, Force | Torque) else load
+            replace(load, magnitude=unknown) if load.name in names and isinstance(load, Process) else load  # type: ignore[call-arg]
             for load in machine.loads
         )
     )
 
 
-def _breakpoints(machine: Machine, load: Force | Torque, speed: float) -> Callable[[Array], Array]:
+def _breakpoints(machine: Machine, load: Process, speed: float) -> Callable[[Array], Array]:
     """Return a function of crank angles (n,) to the quantities (k, n) at whose zeros the magnitude of a load is irregular."""
 
     def values(angles: Array) -> Array:
@@ -235,7 +235,7 @@ def _least(values: Callable[[Array], Array], grid: Array, samples: Array) -> tup
     return at, least <= NOTHING * largest[rows]
 
 
-def _grows(machine: Machine, load: Force | Torque, speed: float, at: Array) -> NDArray[np.bool_]:
+def _grows(machine: Machine, load: Process, speed: float, at: Array) -> NDArray[np.bool_]:
     """Return whether the magnitude of a load grows without bound towards crank angles (n,), from either side."""
     beside = at[:, None, None] + BESIDE * np.array([[-1.0], [1.0]])
     values = load.magnitude(load.known(machine.moving(beside.ravel(), speed)))

@@ -5,7 +5,8 @@ from optlink.dynamics.inverse import (
     Reactions as Reactions,
     solve_two_by_two as solve_two_by_two,
 )
-from optlink.dynamics.machine import Moving as Moving
+from optlink.dynamics.machine import Acting as Acting, Load as Load, Moving as Moving
+from optlink.errors import InvalidValue as InvalidValue
 from optlink.io import register as register
 from optlink.linkage.assur import Assembly as Assembly, DyadType as DyadType, Former as Former
 from optlink.linkage.extrema import extremes as extremes
@@ -22,19 +23,34 @@ from optlink.linkage.vector2d import (
     turn_back as turn_back,
 )
 from optlink.optimization.nlp import NLP as NLP
+from optlink.presentation.chart_spec import (
+    Axis as Axis,
+    Bars as Bars,
+    ChartSpec as ChartSpec,
+    Curve as Curve,
+    Panel as Panel,
+    crank_angle as crank_angle,
+)
 from optlink.presentation.registry import ResultKind as ResultKind
 from optlink.presentation.table_spec import Summary as Summary, summary as summary
-from optlink.presentation.view import View as View
+from optlink.presentation.view import ResultChart as ResultChart, View as View
 from optlink.presentation.views.search_tables import checks as checks
 from optlink.problem.base_model import Section as Section
 from optlink.problem.design import DesignProblem as DesignProblem
 from optlink.problem.limits import LimitTerm as LimitTerm, Moved as Moved, Reach as Reach
+from optlink.problem.machine.loads import (
+    LoadKind as LoadKind,
+    LoadSection as LoadSection,
+    OnBody as OnBody,
+    RevolutionSamples as RevolutionSamples,
+)
 from optlink.problem.machine.model import Problem as Problem, ProblemKind as ProblemKind
 from optlink.problem.quantity import (
     AngleInterval as AngleInterval,
     FixedLength as FixedLength,
     Interval as Interval,
     LengthInterval as LengthInterval,
+    Number as Number,
     NumberInterval as NumberInterval,
 )
 from optlink.problem.terms import (

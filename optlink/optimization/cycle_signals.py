@@ -334,9 +334,11 @@ class TracedCycle:
             cuts = cuts or (key in events and events[key].cuts)
             events[key] = StrokeEnd(key, value, cuts)
 
-        for load in self.base.processes:
+        for load in self.base.loads:
             if load.switching:
-                add(("guide", load.guide) if load.guide else ("load", load.name), functools.partial(_reversal, load))
+                guide = getattr(load, "guide", "")
+                add(("guide", guide) if guide else ("load", load.name), functools.partial(_reversal, load))
+        for load in self.base.processes:
             if isinstance(load.magnitude, LoadTable) and load.magnitude.over == "s":
                 for row, at in enumerate(load.magnitude.at):
                     add((CORNER, load.name, str(row)), functools.partial(_corner, load.guide, at))
@@ -401,7 +403,7 @@ class TracedCycle:
         upon the angle that is opposite to the middle in the trace.
         """
         relevant = self._relevant(self.problem.machine(values, self.slow))
-        middles = np.array([[getattr(load, "middle", 0.0) for load in machine.loads] for machine in (self.base, relevant)])
+        middles = np.array([[load.middle for load in machine.loads] for machine in (self.base, relevant)])
         moved = middles[0] - middles[1]
         whole = self.high if self.limited else relevant.cycle
         moving = relevant.moving(np.linspace(self.low, whole, GRID * self.revolutions, endpoint=self.limited), self.speed)

@@ -70,7 +70,15 @@ class Axis:
 
 
 def crank_angle(*, clockwise: bool = False, limits: tuple[float, float] | None = None) -> Axis:
-    """Return the axis of the crank angle [deg]; time increases to the right, so the angle of a clockwise crank decreases."""
+    """Return the axis of the crank angle [deg]; time increases to the right, so the angle of a clockwise crank decreases.
+
+    Parameters
+    ----------
+    clockwise : bool
+        Sense of crank rotation.
+    limits : (float, float) or None [deg]
+        Ends of the axis; None for those of the curves.
+    """
     tenths = 6.0 if limits is None else min(6.0, math.ceil((limits[1] - limits[0]) / 60.0))
     return Axis(CRANK_ANGLE + (", clockwise to the right" if clockwise else ""), limits, reversed=clockwise, step=10.0 * tenths)
 
@@ -111,12 +119,28 @@ class Curve:
 
     @classmethod
     def through(cls, places: Array, name: str = "", colour: str = INK, width: float = 1.6, **options: Any) -> Curve:
-        """Return a curve through places (n, 2); `options` are further attributes."""
+        """Return a curve through places.
+
+        Parameters
+        ----------
+        places : array (n, 2)
+        name, colour : str
+        width : float
+        **options : any
+            Further attributes.
+        """
         return cls(places[:, 0], places[:, 1], name, colour, width, **options)
 
     @classmethod
     def entry(cls, name: str, colour: str, **options: Any) -> Curve:
-        """Return an entry in the legend without a curve; `options` are further attributes."""
+        """Return an entry in the legend without a curve.
+
+        Parameters
+        ----------
+        name, colour : str
+        **options : any
+            Further attributes.
+        """
         return cls(np.full(1, np.nan), np.full(1, np.nan), name, colour, **options)
 
 

@@ -11,6 +11,7 @@ from optlink.errors import InputError, UnknownName, extra_remedy, nearest
 from optlink.io import Frozen, folder as made, whole
 from optlink.presentation.columns import file_units, in_units
 from optlink.presentation.registry import stored_page, view_of
+from optlink.presentation.view import registered_charts
 from optlink.problem.arguments import typed
 from optlink.problem.document import Document, Result
 from optlink.problem.file import AnyProblem, ProblemFile, problem_of
@@ -162,7 +163,7 @@ def figures(result: Document) -> dict[str, Callable[[], Figure | None]]:
 
     view = view_of(result.kind)
     model = view.model(result)
-    named = [chart for chart in view.charts(model) if chart.file]
+    named = [chart for chart in (*view.charts(model), *registered_charts(result)) if chart.file]
     groups = itertools.groupby(
         sorted(named, key=lambda chart: [one.file for one in named].index(chart.file)), lambda chart: chart.file
     )

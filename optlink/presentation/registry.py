@@ -16,7 +16,7 @@ from optlink.errors import InputError
 from optlink.io import Entry, load_extensions, register
 from optlink.presentation.format import single_units
 from optlink.presentation.table_spec import Summary
-from optlink.presentation.view import View
+from optlink.presentation.view import PageSection, StoredStudy, View, registered_charts
 from optlink.problem.arguments import typed
 from optlink.problem.document import Document, Result, read_document
 from optlink.problem.upgrades import OLDEST, VERSION_OF_SCHEMAS, kind_of
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from optlink.presentation.report_model import ReportModel
-    from optlink.presentation.view import StoredStudy
 
 
 @dataclass(frozen=True)
@@ -238,4 +237,7 @@ def stored_page(result: Result, facts: Mapping[str, Any], path: str) -> ReportMo
     if view.page is None:
         return report_model_of(result)  # type: ignore[arg-type]
     with single_units():
-        return view.page(result)
+        page, further = view.page(result), registered_charts(result)
+    if not further or not isinstance(page, StoredStudy):  # the page of a machine has them among its curves
+        return page
+    return replace(page, sections=(*page.sections, PageSection("Further charts", further)))

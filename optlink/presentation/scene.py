@@ -14,7 +14,7 @@ from typing import Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.dynamics.machine import Machine, Spring, TorsionSpring
+from optlink.dynamics.machine import Ends, Machine
 from optlink.linkage.cams import Profile
 from optlink.linkage.jet import as_jet
 from optlink.linkage.mechanism import FRAME, Guide
@@ -310,10 +310,9 @@ class Scene:
         }
         self.parts = {body: self._parts(body) for body in (*self.mechanism.bodies, *self.mechanism.rods)}
         self.parts |= {FRAME: self._curves(FRAME)} if FRAME in self.profiles else {}
-        self.springs = [load for load in machine.loads if isinstance(load, Spring)] if machine else []
-        self.torsion_springs = (
-            [self._turned_at(load) for load in machine.loads if isinstance(load, TorsionSpring)] if machine else []
-        )
+        drawn = {load.name: load.drawn for load in machine.loads if load.drawn} if machine else {}
+        self.springs = {name: ends for name, ends in drawn.items() if ends[0][1]}
+        self.torsion_springs = [self._turned_at(ends) for ends in drawn.values() if not ends[0][1]]
         self.ground = self._ground_lines()
         self.low, self.high = self._extent()
         self.regions = tuple(regions)
@@ -361,8 +360,7 @@ class Scene:
 
     def ends(self, motion: Motion, spring: str) -> Array:
         """Return the positions (positions, 2, 2) of both ends of a spring."""
-        (found,) = (one for one in self.springs if one.name == spring)
-        return np.stack([self.position(motion, point) for _, point in found.ends], axis=1)
+        return np.stack([self.position(motion, point) for _, point in self.springs[spring]], axis=1)
 
     def located(self, shape: Shape, motion: Motion) -> Array:
         """Return the places (positions, n, 2) of a shape; one position of a shape that stands still."""
@@ -449,11 +447,11 @@ class Scene:
         finite_slides = slides[np.isfinite(slides) & self.near]
         return (float(finite_slides.min()), float(finite_slides.max())) if finite_slides.size else (0.0, 0.0)
 
-    def _turned_at(self, spring: TorsionSpring) -> str:
+    def _turned_at(self, ends: Ends) -> str:
         """Return the point about which a torsion spring is drawn: the joint of its bodies, else the first point of one."""
-        pins = self.mechanism.pins.items()
-        shared = (name for name, bodies in pins if {spring.body, spring.against} <= {*bodies})
-        return next(shared, self.mechanism.bodies[spring.body].start)
+        (body, _), (against, _) = ends
+        shared = (name for name, bodies in self.mechanism.pins.items() if {body, against} <= {*bodies})
+        return next(shared, self.mechanism.bodies[body].start)
 
     # --- shapes of the bodies ------------------------------------------------------------------------------------------
 
@@ -502,7 +500,7 @@ class Scene:
         lines: list[tuple[Array, float, bool]] = []
         middle = np.mean(finite(self._places[:, self.near] * self.scale.factor), axis=0)
         s = self.size
-        anchors = {point for spring in self.springs for body, point in spring.ends if body == FRAME}
+        anchors = {point for ends in self.springs.values() for body, point in ends if body == FRAME}
         for name in self.mechanism.ground:
             at = self._vector(self.motion.pose.points[name])
             if name in self.mechanism.pins or name in anchors:
@@ -604,7 +602,7 @@ class Scene:
                 shape = Shape(layer, body, part.outline, colour, width, "body", colour if face else "", face)
                 shapes.append(replace(shape, dashed=layer == "auxiliary"))
         zigzagged = np.array(zigzag(self.size))
-        shapes += [Shape("springs", spring.name, zigzagged, MUTED, 1.2, "spring") for spring in self.springs]
+        shapes += [Shape("springs", spring, zigzagged, MUTED, 1.2, "spring") for spring in self.springs]
         shapes += [Shape("springs", point, spiral(self.size), MUTED, 1.2, "point") for point in self.torsion_springs]
         for body, at in self.centroids.items():
             colour, cross = self.colours[body], at + 0.35 * self.size * CROSS

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from optlink.io import write_json
+from optlink.errors import nearest
+from optlink.io import Entry, write_json
 from optlink.presentation.files import write_csv, write_design
 from optlink.presentation.table_spec import Line, Paragraph, Part, Summary
 
@@ -61,6 +62,37 @@ class StoredStudy:
     drawn: str = ""
     after: int = 0
     notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class ResultChart(Entry):
+    """A chart of results: a picture of `plots`, `plot` and `--out`, and a chart of their page.
+
+    Parameters
+    ----------
+    name : str
+        File name of the picture.
+    kind : str
+        Kind of the results: "analysis", "design", "simulation", "sweep", ...
+    build : function of (result)
+        Returns the chart, or None if this result has none.
+    """
+
+    name: str
+    kind: str
+    build: Callable[[Any], ChartSpec | None]
+
+    def fault(self) -> tuple[str, str] | None:
+        """Refuse a kind of results that there is not."""
+        from optlink.presentation.registry import KINDS
+
+        return None if self.kind in KINDS else (f"there are no results of the kind {self.kind}", nearest(self.kind, KINDS))
+
+
+def registered_charts(result: Any) -> list[ChartSpec]:
+    """Return the charts of a result that extensions have registered, each with the name of its picture."""
+    found = [(one.name, one.build(result)) for one in ResultChart.registry.values() if one.kind == result.kind]
+    return [replace(spec, file=name) for name, spec in found if spec is not None]
 
 
 @dataclass(frozen=True)
@@ -142,7 +174,7 @@ class View:
             written += write_design(folder, *design)
         model = self.model(result)
         drawings = {name: draw(model) for name, draw in self.drawings.items()}
-        for name, fig in {**drawings, **chart_mpl.pictures(self.charts(model))}.items():
+        for name, fig in {**drawings, **chart_mpl.pictures([*self.charts(model), *registered_charts(result)])}.items():
             if fig is not None:
                 written.append(folder / f"{name}.{pictures}")
                 save(fig, written[-1])

@@ -1,5 +1,7 @@
 """Base models: tables of problem files, and records of results, which write themselves and are read with one check."""
 
+from __future__ import annotations
+
 import re
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
@@ -40,6 +42,11 @@ class Section(BaseModel):
     """A table of the problem file."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True, defer_build=True)  # most unused
+
+    @classmethod
+    def models(cls) -> dict[str, type[Section]]:
+        """Return the models that read such a table, by the key that marks each; of most tables there is one."""
+        return {"": cls}
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel
 
+from optlink.problem.machine.loads import LoadSection
 from optlink.problem.machine.model import Problem
 from optlink.problem.quantity import Unusable
 from optlink.problem.targets.target_points import decoded, enclosed, read_file, split_enclosed
@@ -113,7 +114,10 @@ def _content(value: Any) -> Any:
         return {str(key): _content(item) for key, item in value.items() if item is not None}
     names = _fields(value)
     if names is not None:
-        return [_name(type(value)), _content({name: getattr(value, name) for name in names})]
+        return [
+            _name(LoadSection if isinstance(value, LoadSection) else type(value)),
+            _content({name: getattr(value, name) for name in names}),
+        ]
     if isinstance(value, enum.Enum):
         return _content(value.value)
     if isinstance(value, datetime.date | datetime.time):

@@ -12,9 +12,10 @@ from typing import Any
 import pydantic
 
 from optlink.errors import Fault
-from optlink.problem.base_model import ALSO_WRITTEN, Ends, written
+from optlink.problem.base_model import ALSO_WRITTEN, Ends, Section, written
 from optlink.problem.design import DesignProblem
 from optlink.problem.limits import OF_QUANTITY, OF_REGION, Limits, RegionLimit, four_bar_limits
+from optlink.problem.machine.loads import kind_of
 from optlink.problem.machine.model import Problem, marked_kinds
 from optlink.problem.mechanism import DyadsSection, FourBarSection
 from optlink.problem.quantity import Unusable, nearest
@@ -108,8 +109,8 @@ def keys_ending(raw: Mapping[str, Any], end: str, above: str = "") -> list[str]:
 
 def _models(annotation: Any) -> Iterator[Any]:
     """Yield the sections that a key can contain."""
-    if isinstance(annotation, type) and issubclass(annotation, pydantic.BaseModel):
-        yield annotation
+    if isinstance(annotation, type) and issubclass(annotation, Section):
+        yield from annotation.models().values()
     for inner in getattr(annotation, "__args__", ()):
         yield from _models(inner)
 
@@ -122,6 +123,8 @@ def _known(path: tuple[str | int, ...], model: type[Problem], raw: Mapping[str, 
         return keys_of(REQUIREMENTS[raw["requirements"][path[1]].get("kind", DEFAULT_KIND)])
     if path[:1] == ("limits",) and len(path) == 2 and {"region", "quantity"} & set(raw["limits"][path[1]]):
         return keys_of(RegionLimit if "region" in raw["limits"][path[1]] else Limit)
+    if path[:1] == ("loads",) and len(path) == 2 and (kind := kind_of(raw["loads"][path[1]])):
+        return keys_of(kind.form)
     keys, dyads = known_keys(path, model), of_dyads(raw)
     if path == ("mechanism",):
         fields = (DyadsSection if dyads else FourBarSection).model_fields

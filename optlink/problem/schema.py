@@ -219,9 +219,9 @@ FORMS: dict[str, Form] = {
     "CamSection.lift": either("length or angle, fixed, free or linked", *free("length", "angle")),
     "CamSection.law": {"title": "list of segments", "type": "array", "items": _CAM_SEGMENT},
     "CamSection.start": either("angle or coordinate", text("angle", "coordinate")),
-    "LoadSection.force": size("force"),
+    **dict.fromkeys(("ForceLoad.force", "SpringLoad.force"), size("force")),
     "GasSection.pressure": size("pressure"),
-    "LoadSection.torque": size("torque"),
+    "TorqueLoad.torque": size("torque"),
     "JointSection.clearance": text("length"),
     "JointSection.law": {"title": ", ".join(f"`{law}`" for law in DAMPING), "enum": list(DAMPING)},
     "JointSection.modulus": either("pressure, or `[journal, bearing]`", _PRESSURE, pair(_PRESSURE)),
@@ -342,6 +342,12 @@ class _Generator(GenerateJsonSchema):
         return form
 
     def model_schema(self, schema: core_schema.ModelSchema) -> Form:
+        if "" not in (models := schema["cls"].models()):
+            forms = [(key, self.generate_inner(TypeAdapter(form).core_schema)) for key, form in models.items()]
+            result = forms[-1][1]
+            for key, form in reversed(forms[:-1]):
+                result = {"if": {"required": [key]}, "then": form, "else": result}
+            return {**result, "anyOf": [*(form for _, form in forms), {}]}
         result, model = super().model_schema(schema), schema["cls"]
         keys, others = result.get("properties", {}), result.get("additionalProperties")
         result |= {"description": result.get("description", "").split("\n\n")[0]}

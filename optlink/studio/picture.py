@@ -108,9 +108,7 @@ class Picture:
             "owner": {name: scene.owner(name) for name in scene.free},
             "ground": [{"line": self._gaps(line), "width": width, "filled": filled} for line, width, filled in scene.ground],
             "regions": [self._region(outline) for outline in scene.outlines],
-            "springs": {
-                spring.name: self._places(scene.ends(self.motion, spring.name).reshape(-1, 4)) for spring in scene.springs
-            },
+            "springs": {spring: self._places(scene.ends(self.motion, spring).reshape(-1, 4)) for spring in scene.springs},
             "zigzag": zigzag(scene.size),
             "size": round(scene.size, scene.decimals),
         }

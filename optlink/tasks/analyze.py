@@ -527,7 +527,7 @@ def quick_stroke_notes(problem: ProblemFile, machine: Machine, speed: float) -> 
     """Return a note for every load that acts in the quick stroke although the file does not specify "quick"."""
     notes = []
     for item in acting_loads(machine, speed):
-        if item.pace == "quick" and problem.model.loads[item.load].stroke != "quick":
+        if item.pace == "quick" and getattr(problem.model.loads[item.load], "stroke", "quick") != "quick":
             rotation = math.degrees(math.fsum(end - begin for begin, end in item.ranges))
             share = f"{rotation:.5g} of {math.degrees(machine.mechanism.cycle):.5g} deg"
             notes.append(

@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from optlink.dynamics.columns import MotionColumns
-from optlink.dynamics.machine import Acting, Machine, Moving, Parameters, Steady, slider_names
+from optlink.dynamics.machine import Acting, Load, Machine, Moving, Parameters, slider_names
 from optlink.dynamics.work import NODES, WEIGHTS, Work, gauss_points
 from optlink.linkage.extrema import distinct, extremes, maxima
 from optlink.linkage.motion import sweep
@@ -23,7 +23,7 @@ from optlink.validation.motion import FourBarMotion, LinkageMotion, motion_of
 ROUNDING = 1e-6  # of the size of the signal, below which a mean or a work counts as zero
 
 
-class _Weight(Steady):
+class _Weight(Load):
     """Gravity on a body as a separate load, which remains if its inertia is removed."""
 
     def __init__(self, body: str, parameters: Parameters, gravity: tuple[float, float]) -> None:

@@ -20,7 +20,7 @@ from typer.testing import CliRunner
 import optlink
 from optlink.cli.app import app
 from optlink.errors import InputError
-from optlink.problem.base_model import InFolder
+from optlink.problem.base_model import InFolder, Section
 from optlink.problem.design import DesignProblem
 from optlink.problem.enclosed import identity
 from optlink.problem.file import WORDS, read
@@ -404,8 +404,8 @@ def marks(annotation: Any) -> Iterator[Any]:
 
 
 def sections(annotation: Any, named: bool = False) -> Iterator[tuple[type[pydantic.BaseModel], bool]]:
-    if isinstance(annotation, type) and issubclass(annotation, pydantic.BaseModel):
-        yield annotation, named
+    if isinstance(annotation, type) and issubclass(annotation, Section):
+        yield from ((model, named) for model in annotation.models().values())
     for part in get_args(annotation):
         yield from sections(part, named or getattr(annotation, "__origin__", None) in (dict, list, tuple))
 

@@ -164,15 +164,16 @@ def test_every_example_of_the_reference_page_runs(example):
 
 def test_the_reference_page_lists_all_keys():
     from optlink.problem.machine.bodies import BodySection, DriveSection
-    from optlink.problem.machine.loads import LoadSection
+    from optlink.problem.machine.loads import LOADS
     from optlink.problem.mechanism import GuideSection, LinkSection
 
     assert len(EXAMPLES) >= 5
-    for section in (BodySection, DriveSection, LoadSection, GuideSection, LinkSection):
+    loads = [kind.form for kind in LOADS.values()]
+    for section in (BodySection, DriveSection, *loads, GuideSection, LinkSection):
         for key in section.model_fields:
             assert f"`{key}`" in PAGE or re.search(rf"\b{key} = ", PAGE), f"{key} of {section.__name__} is not documented"
     told = {key for example in EXAMPLES for own in tomllib.loads(example).get("loads", {}).values() for key in own}
-    assert set(LoadSection.model_fields) <= told
+    assert {key for load in loads for key in load.model_fields} <= told
 
 
 # --- fuzz ---------------------------------------------------------------------------------------------------------------------

@@ -152,7 +152,7 @@ def motion_data(scene: Scene) -> dict[str, Any]:
         return {name: np.round(values, decimals).tolist() for name, values in zip(names, table.T, strict=True)}
 
     bodies = {name: scene.poses(name) * [1.0, -1.0, -1.0] for name in scene.parts}
-    ends = {spring.name: scene.ends(scene.shown, spring.name) * FLIP for spring in scene.springs}
+    ends = {spring: scene.ends(scene.shown, spring) * FLIP for spring in scene.springs}
     names = {name: scene.places_of_names[name] for name in scene.moving}
     return {
         "angles_deg": np.round(scene.crank_angles, 9).tolist(),

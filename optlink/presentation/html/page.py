@@ -14,7 +14,7 @@ from optlink.presentation.html.study_page import moving_of, study_page
 from optlink.presentation.registry import view_of
 from optlink.presentation.report_model import ReportModel, report_model_of
 from optlink.presentation.table_spec import Paragraph, Span, Summary
-from optlink.presentation.view import PageSection, StoredStudy
+from optlink.presentation.view import PageSection, StoredStudy, registered_charts
 from optlink.presentation.views import analysis_charts, sensitivity
 from optlink.presentation.views.analysis_charts import CycleCurves
 from optlink.studies.sensitivity import Sensitivities, of_solution
@@ -130,7 +130,7 @@ def charts(model: ReportModel) -> list[ChartSpec]:
         result += analysis_charts.motion(curves, initial) if of_cycle or model.forces else []
         result += analysis_charts.transmission(curves) if of_cycle else []
         result += analysis_charts.forces(curves, initial) if model.forces else []
-    return result
+    return result + registered_charts(outcome)
 
 
 def _method(model: ReportModel) -> str:

@@ -81,10 +81,8 @@ def machine(file: ProblemFile) -> Iterator[TableSpec]:
         drive.append(("end stops", f"{stops.stiffness or 'rigid'}, restitution {stops.restitution:g}"))
     drive.append(("gravity", f"({built.gravity[0]:g}, {built.gravity[1]:g}) m/s^2" if gravity else "none"))
     for name, section in model.loads.items():
-        explicit = {key: getattr(section, key) for key in type(section).model_fields if key in section.model_fields_set}
-        words = ", ".join(f"{key} {'-'.join(value) if isinstance(value, tuple) else value}" for key, value in explicit.items())
         stroke = getattr(next(load for load in built.loads if load.name == name), "stroke", "both")
-        drive.append((name, words + (f" (the {stroke} one)" if section.by_pace and not model.free else "")))
+        drive.append((name, section.words + (f" (the {stroke} one)" if section.by_pace and not model.free else "")))
     drive += [(f"friction in {name}", number(coefficient)) for name, coefficient in built.friction.items()]
     yield table("[drive] and loads", "<<", drive)
     yield from _clearances(file, built)

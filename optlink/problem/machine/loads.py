@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
+from pydantic import ModelWrapValidatorHandler, ValidationInfo, model_validator
 
 from optlink.clearance.joint import Gap
-from optlink.dynamics.machine import Force, Load, Machine, Moving, SlideDamper, Spring, Torque, TorsionSpring
+from optlink.dynamics.machine import Force, Load, Machine, Moving, Process, SlideDamper, Spring, Torque, TorsionSpring
+from optlink.io import Entry, register
 from optlink.linkage.mechanism import FRAME, Mechanism
 from optlink.linkage.stroke import LEAST_DIFFERENCE, OTHER, Direction
 from optlink.linkage.vector2d import TURN, Array, Value, cross, dot
@@ -283,7 +285,7 @@ class RevolutionSamples:
         velocity = load.reversing(self.moving)
         return np.broadcast_to(np.asarray(velocity[0] if velocity else 0.0, dtype=float), self.moving.motion.assembled.shape)
 
-    def check_moves(self, load: Load) -> None:
+    def check_moves(self, load: Process) -> None:
         """Refuse a load that opposes a motion that does not exist.
 
         Raises
@@ -292,11 +294,9 @@ class RevolutionSamples:
         """
         rates = self._rate(load)
         rates = rates[np.isfinite(rates)]
-        size = float(np.max(self.machine.size)) if isinstance(load, Force) else 1.0
-        moves = np.count_nonzero(np.abs(rates) > 1e-12 * size)
+        moves = np.count_nonzero(np.abs(rates) > 1e-12 * float(np.max(load.extent(self.machine))))
         if rates.size and moves < 0.5 * rates.size:  # near singular positions rounding errors are larger
-            what = "does not move in this direction" if isinstance(load, Force) else "does not turn"
-            message = f"an opposing load needs a motion, but what it opposes {what}"
+            message = f"an opposing load needs a motion, but what it opposes does not {load.moves}"
             raise Unusable(message, 'Remove the load, or write acts = "constant"', "acts")
 
     def slow(self, load: Load) -> Direction:
@@ -345,9 +345,16 @@ class RevolutionSamples:
         return np.asarray(sense, dtype=float).reshape(-1)
 
     def middle(self, body: str, against: str, free: float) -> Value:
-        """Return the middle of the swing of a body relative to another [rad], within half a revolution of `free` [rad].
+        """Return the middle of the swing of a body relative to another [rad], within half a revolution of an angle.
 
         A number, or an array (designs, 1) if the swing differs from design to design.
+
+        Parameters
+        ----------
+        body, against : str
+            Names of the bodies.
+        free : float [rad]
+            The angle.
 
         Raises
         ------
@@ -398,24 +405,216 @@ def _per_design(values: Array) -> Value:
     return values[:, None] if values.ndim else float(values)
 
 
-def spring_ends(mechanism: Mechanism, between: tuple[str, str]) -> list[tuple[str, str]]:
-    """Return body and point of both ends of a spring or damper between two points.
-
-    Raises
-    ------
-    Unusable
-        when a point does not exist, or both are on one body.
-    """
-    for point in between:
-        check_name(point, mechanism.owners, "no such point", "between")
-    one, other = (mechanism.owners[point] for point in between)
-    if set(one) & set(other):
-        raise Unusable("both ends are on one body", "Name two points of different bodies", "between", list(between))
-    return [(one[0], between[0]), (other[0], between[1])]
-
-
 def _value(quantity: Quantity | None) -> float:
     return 0.0 if quantity is None else quantity.value
+
+
+# Kinds of loads: one model and one entry of the registry for each. The key that marks a kind is in no other table.
+
+
+class LoadSection(Section):
+    """A load; its keys determine its kind."""
+
+    @classmethod
+    def models(cls) -> dict[str, type[Section]]:
+        """Return the models of the registered kinds by the keys that mark them, of which the first in a table counts."""
+        return {name: kind.form for name, kind in LOADS.items()} if cls is LoadSection else super().models()
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _of_kind(cls, raw: Any, handler: ModelWrapValidatorHandler[Self], info: ValidationInfo) -> Self:
+        """Read a table with the model of its kind."""
+        if cls is not LoadSection or not isinstance(raw, Mapping):
+            return handler(raw)
+        kind = kind_of(raw)
+        known = {key for one in LOADS.values() for key in one.form.model_fields}
+        if kind is None and known.issuperset(raw):
+            others = ", ".join(name for name in LOADS if name != "force")
+            raise Unusable("the load has no magnitude", f'Give force = "1000 N", or one of: {others}', "force")
+        if kind is None:
+            return handler({key: item for key, item in raw.items() if key not in known})
+        keys = set(kind.form.model_fields)
+        if wrong := sorted(known & set(raw) - keys):
+            possible = ", ".join(sorted(keys - {kind.name}))
+            raise Unusable(f"a load with {kind.name} has no {wrong[0]}", f"Possible:  {possible}", wrong[0])
+        return kind.form.model_validate(raw, context=info.context)  # type: ignore[return-value]
+
+    @property
+    def kind(self) -> str:
+        """The key that marks its kind."""
+        return next(name for name, kind in LOADS.items() if kind.form is type(self))
+
+    @property
+    def by_pace(self) -> bool:
+        """Whether the dimensions determine its direction: it acts in the slow or in the quick stroke."""
+        return False
+
+    @property
+    def words(self) -> str:
+        """What the file states of it, for tables."""
+        keys = dict.fromkeys(("on", *type(self).__annotations__, *type(self).model_fields))
+        stated = ((key, getattr(self, key)) for key in keys if key in self.model_fields_set)
+        return ", ".join(f"{key} {'-'.join(value) if isinstance(value, tuple) else value}" for key, value in stated)
+
+    def build(self, name: str, mechanism: Mechanism, motion: RevolutionSamples) -> Load:
+        """Return the load of a machine.
+
+        Parameters
+        ----------
+        name : str
+            Of the load.
+        mechanism : Mechanism
+            With the bodies and points that the keys name.
+        motion : RevolutionSamples
+            Motion over a revolution, which decides on strokes and angles.
+
+        Raises
+        ------
+        Unusable
+            With the key below the load.
+        """
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class LoadKind(Entry):
+    """A kind of load: the tables of `[loads]` with its key.
+
+    Parameters
+    ----------
+    name : str
+        The key, by which a table is known to be of this kind.
+    form : type of LoadSection
+        Its keys, and how the load is built from them.
+    """
+
+    name: str
+    form: type[LoadSection]
+
+    def fault(self) -> tuple[str, str] | None:
+        """Refuse a form without the key, and one with the key of another kind, whose tables would be taken for that."""
+        if self.name not in self.form.model_fields:
+            return f"its form has no key {self.name}", "Give the form a field of this name"
+        if taken := next((key for key in self.form.model_fields if key in self.registry), None):
+            return f"the key {taken} of its form marks another kind of load", "Choose another name for the key"
+        return None
+
+
+LOADS: dict[str, LoadKind] = LoadKind.registry
+
+
+def kind_of(table: Mapping[str, Any]) -> LoadKind | None:
+    """Return the kind of a load by the keys of its table: of several that mark a kind the first registered one counts."""
+    return next((kind for name, kind in LOADS.items() if name in table), None)
+
+
+class OnBody(LoadSection):
+    """A load on a body."""
+
+    on: str | None = None
+    """The body on which the load acts."""
+
+    def body(self, mechanism: Mechanism) -> str:
+        """Return the body on which it acts.
+
+        Parameters
+        ----------
+        mechanism : Mechanism
+
+        Raises
+        ------
+        Unusable
+            If there is none of this name.
+        """
+        if self.on is None:
+            raise Unusable("the load has no body to act on", 'Name a body: on = "slider"', "on")
+        check_name(self.on, mechanism.bodies, "no such body", "on")
+        return self.on
+
+
+class _Between(OnBody):
+    """A load on a body with its reaction on another."""
+
+    against: str | None = None
+    """The body on which the reaction of the load acts; default: the frame."""
+
+    def taking(self, mechanism: Mechanism) -> str:
+        """Return the body on which the reaction acts."""
+        if self.against not in (None, FRAME):
+            check_name(self.against, mechanism.bodies, "no such body", "against")
+            if self.against == self.on:
+                raise Unusable("a load does not act against itself", "Name another body, or frame", "against", self.against)
+        return self.against or FRAME
+
+
+class _Stroked(_Between):
+    """A force or torque that may act in one stroke, and against the motion."""
+
+    acts: Literal["constant", "opposing"] = "constant"
+    """`constant`: in a fixed direction; `opposing`: against the motion."""
+    stroke: Literal["both", "forward", "backward", "slow", "quick"] = "both"
+    """Stroke in which the load acts; forward is along the guide, or counter-clockwise."""
+
+    @property
+    def by_pace(self) -> bool:
+        """Whether the dimensions determine its direction: it acts in the slow or in the quick stroke."""
+        return self.stroke in ("slow", "quick")
+
+    def in_stroke(self, load: Process, motion: RevolutionSamples) -> Load:
+        """Return the load in its stroke: of the slow or quick stroke that of a crank that turns counter-clockwise."""
+        load = replace(load, opposing=self.acts == "opposing")
+        if load.opposing or self.stroke != "both":
+            motion.check_moves(load)
+        if self.stroke == "slow" or self.stroke == "quick":
+            slow = motion.slow(load)
+            return replace(load, stroke=slow if self.stroke == "slow" else OTHER[slow], turning=True)
+        return replace(load, stroke=self.stroke)
+
+
+def _point_of(body: str, at: str | None, mechanism: Mechanism) -> tuple[str, str]:
+    """Return the point of a body at which a force acts, and the guide (or "") of the body."""
+    guide, link = next((g for g in mechanism.guides if g.slider == body), None), mechanism.bodies[body]
+    if at is not None:
+        points = [point for point, bodies in mechanism.owners.items() if body in bodies]
+        check_name(at, points, "the body has no such point", "at")
+    elif link.end and guide is None:
+        raise Unusable("the force has no point", f"Add at, one of: {link.start}, {link.end} or another", "at")
+    return at or (guide and guide.at) or link.start, guide.name if guide else ""
+
+
+class ForceLoad(_Stroked):
+    """A force on a point of a body."""
+
+    at: str | None = None
+    """Point of that body where the force acts; default: the point of a slider on its guide."""
+    force: Annotated[Any, in_folder(partial(read_size, kind="force", names=VARIABLES))]
+    """Magnitude of the force: a quantity, a table over phi, omega, s or v, or an expression."""
+    direction: FixedAngle | None = None
+    """Direction of the force, from +x; default: along the guide of a slider."""
+
+    def build(self, name: str, mechanism: Mechanism, motion: RevolutionSamples) -> Load:
+        """Return the force."""
+        body = self.body(mechanism)
+        point, guide = _point_of(body, self.at, mechanism)
+        if self.direction is None and not guide:
+            raise Unusable("the force has no direction", 'Add direction = "90 deg" (from +x)', "direction")
+        if self.force.names & {"s", "v"} and self.direction is not None:
+            raise Unusable("s and v are those of a slider along its guide", "Leave direction out, or use phi", "force")
+        direction = guide if self.direction is None else self.direction.value
+        return self.in_stroke(Force(name, body, point, self.force, direction, against=self.taking(mechanism)), motion)
+
+
+class TorqueLoad(_Stroked):
+    """A torque on a body."""
+
+    torque: Annotated[Any, in_folder(partial(read_size, kind="torque", names=("phi", "omega", "theta", "w")))]
+    """Magnitude of the torque: a quantity, a table over phi or omega, or an expression."""
+
+    def build(self, name: str, mechanism: Mechanism, motion: RevolutionSamples) -> Load:
+        """Return the torque."""
+        body = self.body(mechanism)
+        against, middle = self.taking(mechanism), motion.branch(body) if "theta" in self.torque.names else 0.0
+        return self.in_stroke(Torque(name, body, self.torque, middle, against=against), motion)
 
 
 class GasSection(Section):
@@ -462,8 +661,8 @@ class GasSection(Section):
         grown = f"({self.volume.value!r} + ({self.lever!r})*(s - ({self.at.value!r})))"
         return _formula(f"({size({}) - outside!r})*({self.volume.value!r}/{grown})^{self.exponent!r} + ({outside!r})")
 
-    def check(self, place: Value) -> None:
-        """Check that an enclosed volume stays positive at slides or distances [m].
+    def check(self, place: Callable[[], Value]) -> None:
+        """Check that an enclosed volume stays positive at slides or distances [m], which are computed if there is one.
 
         Raises
         ------
@@ -471,165 +670,138 @@ class GasSection(Section):
             with the key below the gas.
         """
         if self.volume is not None:
-            least = float(np.nanmin(self.volume.value + self.lever * (np.asarray(place) - self.at.value)))
+            least = float(np.nanmin(self.volume.value + self.lever * (np.asarray(place()) - self.at.value)))
             if least <= 0.0:
                 message = f"the volume of the gas would fall to {1e6 * least:.4g} cm^3"
                 raise Unusable(message, "Give a larger volume, or the place at which it is this one", "volume", str(self.volume))
 
 
-class LoadSection(Section):
-    """A load; its keys determine its type."""
+class GasLoad(_Between):
+    """The force of a gas on a slider, along its guide."""
 
-    on: str | None = None
-    """The body on which the load acts."""
     at: str | None = None
-    """Point of that body where a force acts; default: the point of a slider on its guide."""
-    force: Annotated[Any, in_folder(partial(read_size, kind="force", names=VARIABLES))] = None
-    """Magnitude of the force: a quantity, a table over phi, omega, s or v, or an expression; with `between` it drives the two
-    points apart, and s is their distance, v its rate."""
-    gas: GasSection | None = None
-    """Instead of a force: the pressure of a gas on a slider, along its guide, or between two points."""
-    torque: Annotated[Any, in_folder(partial(read_size, kind="torque", names=("phi", "omega", "theta", "w")))] = None
-    """Magnitude of the torque: a quantity, a table over phi or omega, or an expression."""
-    direction: FixedAngle | None = None
-    """Direction of the force, from +x; default: along the guide of a slider."""
-    acts: Literal["constant", "opposing"] = "constant"
-    """`constant`: in a fixed direction; `opposing`: against the motion."""
-    stroke: Literal["both", "forward", "backward", "slow", "quick"] = "both"
-    """Stroke in which the load acts; forward is along the guide, or counter-clockwise."""
-    between: tuple[str, str] | None = None
-    """The two points that a spring or damper connects."""
-    against: str | None = None
-    """The body on which the reaction of the load acts; default: the frame."""
+    """Point of the slider where the force acts; default: that on its guide."""
+    gas: GasSection
+    """The pressure of the gas."""
+
+    def build(self, name: str, mechanism: Mechanism, motion: RevolutionSamples) -> Load:
+        """Return the force of the gas."""
+        with below("gas"):
+            push = self.gas.force()
+        body = self.body(mechanism)
+        point, guide = _point_of(body, self.at, mechanism)
+        if not guide:
+            raise Unusable("the gas has no direction", "Name a slider, or two points: between = [...]", "on", body)
+        against = self.taking(mechanism)
+        with below("gas"):
+            self.gas.check(lambda: motion.moving.slides[guide][0])
+        return Force(name, body, point, push, guide, against=against)
+
+
+def spring_ends(mechanism: Mechanism, between: tuple[str, str]) -> list[tuple[str, str]]:
+    """Return body and point of both ends of a spring or damper between two points.
+
+    Raises
+    ------
+    Unusable
+        when a point does not exist, or both are on one body.
+    """
+    for point in between:
+        check_name(point, mechanism.owners, "no such point", "between")
+    one, other = (mechanism.owners[point] for point in between)
+    if set(one) & set(other):
+        raise Unusable("both ends are on one body", "Name two points of different bodies", "between", list(between))
+    return [(one[0], between[0]), (other[0], between[1])]
+
+
+class SpringLoad(LoadSection):
+    """A spring, damper, gas spring or other force between two points."""
+
+    between: tuple[str, str]
+    """The two points that it connects."""
     stiffness: Stiffness | None = None
-    """Stiffness of a spring between two points."""
+    """Stiffness of the spring."""
     free_length: FixedLength | None = None
-    """Free length of that spring; default: 0."""
+    """Free length of the spring; default: 0."""
     damping: Damping | None = None
-    """Viscous damping between two points, or in the guide of a slider."""
-    torsional_stiffness: TorsionalStiffness | None = None
+    """Viscous damping."""
+    force: Annotated[Any, in_folder(partial(read_size, kind="force", names=VARIABLES))] = None
+    """Force that drives the two points apart: a quantity, or a table or expression over their distance s and its rate v."""
+    gas: GasSection | None = None
+    """Instead of a force: the pressure of a gas."""
+
+    def build(self, name: str, mechanism: Mechanism, motion: RevolutionSamples) -> Load:
+        """Return the spring."""
+        push = self.force
+        if push is not None and self.gas is not None:
+            raise Unusable("the load has a force and a gas", "Give one of the two, or two loads", "gas")
+        if self.gas is not None:
+            with below("gas"):
+                push = self.gas.force()
+        if push is None and self.stiffness is None and self.damping is None:
+            raise Unusable("a spring needs a stiffness", 'Add stiffness = "500 N/m" or damping = "20 N*s/m"', "stiffness")
+        one, other = spring_ends(mechanism, self.between)
+        if push is not None and not push.names <= {"s", "v"}:
+            message = "a force between two points depends on their distance s and its rate v"
+            raise Unusable(message, "Give a quantity, or a table or expression over s or v", "force" if self.force else "gas")
+        spring = Spring(name, (one, other), _value(self.stiffness), _value(self.free_length), _value(self.damping), push)
+        if self.gas is not None:
+            with below("gas"):
+                self.gas.check(lambda: spring.length(motion.moving))
+        return spring
+
+
+class TorsionDamperLoad(_Between):
+    """Viscous damping of a rotation."""
+
+    torsional_damping: TorsionalDamping
+    """Viscous damping of the rotation of `on` relative to `against`."""
+
+    def build(self, name: str, mechanism: Mechanism, motion: RevolutionSamples) -> Load:
+        """Return the damper."""
+        return TorsionSpring(name, self.body(mechanism), self.taking(mechanism), 0.0, 0.0, self.torsional_damping.value)
+
+
+class TorsionSpringLoad(_Between):
+    """A torsion spring between two bodies."""
+
+    torsional_stiffness: TorsionalStiffness
     """Stiffness of a torsion spring between `on` and `against`."""
     free_angle: FixedAngle | None = None
-    """Free angle of that spring; default: 0."""
+    """Free angle of the spring; default: 0."""
     torsional_damping: TorsionalDamping | None = None
     """Viscous damping of the rotation of `on` relative to `against`."""
 
     def build(self, name: str, mechanism: Mechanism, motion: RevolutionSamples) -> Load:
-        """Return the load of a machine, whose motion over a revolution decides on strokes and angles.
+        """Return the spring."""
+        body, against = self.body(mechanism), self.taking(mechanism)
+        stiffness, free = self.torsional_stiffness.value, _value(self.free_angle)
+        middle = motion.middle(body, against, free) if stiffness else 0.0
+        return TorsionSpring(name, body, against, stiffness, free, _value(self.torsional_damping), middle)
 
-        Raises
-        ------
-        Unusable
-            with the key below the load.
-        """
-        self._check_keys()
-        opposing, against, push = self.acts == "opposing", self.against or FRAME, self.force
-        if self.gas is not None:
-            with below("gas"):
-                push = self.gas.force()
-        if push is not None and self.between is None:
-            body, point, guide = self._target(mechanism)
-            along_guide = self.direction is None
-            if along_guide and not guide:
-                raise Unusable("the force has no direction", 'Add direction = "90 deg" (from +x)', "direction")
-            if push.names & {"s", "v"} and not along_guide:
-                raise Unusable("s and v are those of a slider along its guide", "Leave direction out, or use phi", "force")
-            self._check_against(mechanism)
-            if self.gas is not None and self.gas.volume is not None:
-                with below("gas"):
-                    self.gas.check(motion.moving.slides[guide][0])
-            direction = guide if self.direction is None else self.direction.value
-            force = Force(name, body, point, push, direction, opposing=opposing, against=against)
-            return replace(force, **self._stroke(force, motion))
-        if self.torque is not None:
-            body = self._body(mechanism, self.on, "on")
-            self._check_against(mechanism)
-            angular = isinstance(self.torque, Formula) and "theta" in self.torque.expression.names
-            branch = motion.branch(body) if angular else 0.0
-            torque = Torque(name, body, self.torque, branch, opposing=opposing, against=against)
-            return replace(torque, **self._stroke(torque, motion))
-        if self.between is not None:
-            one, other = spring_ends(mechanism, self.between)
-            if push is not None and not push.names <= {"s", "v"}:
-                message = "a force between two points depends on their distance s and its rate v"
-                raise Unusable(message, "Give a quantity, or a table or expression over s or v", "force" if self.force else "gas")
-            spring = Spring(name, (one, other), _value(self.stiffness), _value(self.free_length), _value(self.damping), push)
-            if self.gas is not None and self.gas.volume is not None:
-                with below("gas"):
-                    self.gas.check(spring.length(motion.moving))
-            return spring
-        if self.torsional_stiffness is not None or self.torsional_damping is not None:
-            body = self._body(mechanism, self.on, "on")
-            self._check_against(mechanism)
-            stiffness, free = _value(self.torsional_stiffness), _value(self.free_angle)
-            middle = motion.middle(body, against, free) if stiffness else 0.0
-            return TorsionSpring(name, body, against, stiffness, free, _value(self.torsional_damping), middle)
-        slot = next((guide for guide in mechanism.guides if guide.slider == self.on), None)
+
+class GuideDamperLoad(OnBody):
+    """Viscous damping in a guide."""
+
+    damping: Damping
+    """Viscous damping of the slider `on` in its guide."""
+
+    def build(self, name: str, mechanism: Mechanism, motion: RevolutionSamples) -> Load:
+        """Return the damper."""
+        body = self.body(mechanism)
+        slot = next((guide for guide in mechanism.guides if guide.slider == body), None)
         if slot is None:
-            self._body(mechanism, self.on, "on")
             message = "damping without two points applies to a body in a guide only"
-            raise Unusable(message, "Name a slider, or two points: between = [...]", "on", self.on)
-        at = slot.at or mechanism.bodies[slot.slider].start
-        return SlideDamper(name, slot.name, slot.slider, slot.on, at, _value(self.damping))
+            raise Unusable(message, "Name a slider, or two points: between = [...]", "on", body)
+        return SlideDamper(name, slot.name, body, slot.on, slot.at or mechanism.bodies[body].start, self.damping.value)
 
-    @property
-    def by_pace(self) -> bool:
-        """Whether the dimensions determine its direction: it acts in the slow or in the quick stroke."""
-        return self.stroke in ("slow", "quick")
 
-    def _check_keys(self) -> None:
-        """Refuse inconsistent combinations of keys."""
-        keys = {key for key in self.model_fields_set if getattr(self, key) is not None}
-        kinds: dict[str, set[str]] = {
-            "between": {"stiffness", "free_length", "damping", "force", "gas"},
-            "gas": {"on", "at", "against"},
-            "force": {"on", "at", "direction", "acts", "stroke", "against"},
-            "torque": {"on", "acts", "stroke", "against"},
-            "torsional_stiffness": {"on", "against", "free_angle", "torsional_damping"},
-            "torsional_damping": {"on", "against"},
-            "damping": {"on"},
-        }
-        kind = next((kind for kind in kinds if kind in keys), None)
-        if kind is None:
-            remedy = 'Give force = "1000 N", torque = "5 N*m", between = [...] with stiffness, or damping'
-            raise Unusable("the load has no magnitude", remedy)
-        wrong = sorted(keys - kinds[kind] - {kind})
-        if wrong:
-            raise Unusable(f"a load with {kind} has no {wrong[0]}", f"Possible:  {', '.join(sorted(kinds[kind]))}", wrong[0])
-        if {"force", "gas"} <= keys:
-            raise Unusable("the load has a force and a gas", "Give one of the two, or two loads", "gas")
-        if kind == "between" and not {"stiffness", "damping", "force", "gas"} & keys:
-            raise Unusable("a spring needs a stiffness", 'Add stiffness = "500 N/m" or damping = "20 N*s/m"', "stiffness")
-        if kind != "between" and "on" not in keys:
-            raise Unusable("the load has no body to act on", 'Name a body: on = "slider"', "on")
-
-    def _body(self, mechanism: Mechanism, body: str | None, key: str) -> str:
-        check_name(body, mechanism.bodies, "no such body", key)
-        return str(body)
-
-    def _target(self, mechanism: Mechanism) -> tuple[str, str, str]:
-        """Return body, point and guide (or "") of a force."""
-        body = self._body(mechanism, self.on, "on")
-        guide = next((g for g in mechanism.guides if g.slider == body), None)
-        link = mechanism.bodies[body]
-        if self.at is not None:
-            points = [point for point, bodies in mechanism.owners.items() if body in bodies]
-            check_name(self.at, points, "the body has no such point", "at")
-        elif link.end and guide is None:
-            raise Unusable("the force has no point", f"Add at, one of: {link.start}, {link.end} or another", "at")
-        return body, self.at or (guide and guide.at) or link.start, guide.name if guide else ""
-
-    def _check_against(self, mechanism: Mechanism) -> None:
-        if self.against not in (None, FRAME):
-            self._body(mechanism, self.against, "against")
-            if self.against == self.on:
-                raise Unusable("a load does not act against itself", "Name another body, or frame", "against", self.against)
-
-    def _stroke(self, load: Force | Torque, motion: RevolutionSamples) -> dict[str, Any]:
-        """Return the stroke in which the load acts, and whether it follows the sense of crank rotation."""
-        if load.opposing or self.stroke != "both":
-            motion.check_moves(load)
-        if not self.by_pace:
-            return {"stroke": self.stroke}
-        slow = motion.slow(load)
-        return {"stroke": slow if self.stroke == "slow" else OTHER[slow], "turning": True}
+register(
+    LoadKind("between", SpringLoad),
+    LoadKind("gas", GasLoad),
+    LoadKind("force", ForceLoad),
+    LoadKind("torque", TorqueLoad),
+    LoadKind("torsional_stiffness", TorsionSpringLoad),
+    LoadKind("torsional_damping", TorsionDamperLoad),
+    LoadKind("damping", GuideDamperLoad),
+)

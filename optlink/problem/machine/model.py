@@ -478,8 +478,7 @@ class Problem(Section):
             name = max(revolutions, key=lambda name: revolutions[name] or 0)
             message = f"motion and loads repeat together only after {machine.revolutions} revolutions of the crank"
             remedy = f"Change its period: cycles of at most {MOST_REVOLUTIONS} revolutions are supported"
-        key = next(key for key in ("force", "torque", "gas") if getattr(self.loads[name], key) is not None)
-        raise Unusable(message, remedy, f"loads.{name}.{key}", str(sizes[name]))
+        raise Unusable(message, remedy, f"loads.{name}.{self.loads[name].kind}", str(sizes[name]))
 
     @property
     def slow_assumed(self) -> dict[str, Direction] | None:
