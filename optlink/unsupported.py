@@ -41,11 +41,6 @@ UNSUPPORTED = {
         'Leave it out, and give its torque as a load: loads.friction_{point} = {{ on = "{body}", against = "{other}", '
         'torque = "0.2 N*m", acts = "opposing" }}',
     ),
-    "free drives": Unsupported(
-        "several drives of which one is under a torque or force are",
-        "Give each a law or a speed; a machine with one drive may have a torque or force: [drive]",
-        r"drives\.\w+\.(torque|force|stops|initial_speed)",
-    ),
     "load over time": Unsupported("a load over time is", "Write it over phi, which is the speed times the time"),
     "redundant body": Unsupported(
         "redundant bodies are",

@@ -14,7 +14,7 @@ import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -68,6 +68,15 @@ _TEXT = {
 }
 
 
+Mark = tuple[Any, Callable[[Array], float], float]
+"""An event of a simulation: its kind, a quantity of the state, and the value that this passes."""
+
+
+def crank_angle(state: Array) -> float:
+    """Return the crank angle [rad] of a state."""
+    return float(state[0])
+
+
 @dataclass(frozen=True)
 class Limits:
     """Crank angles or values of the cycle variable [rad] between which a machine moves, and what happens there.
@@ -82,12 +91,12 @@ class Limits:
     restitution: float | None = None
 
     @property
-    def marks(self) -> list[tuple[str, float]]:
+    def marks(self) -> list[Mark]:
         """The events at both ends."""
         aside = {Ending.DEAD_POSITION: EDGE, Ending.END_OF_RANGE: -ROUNDING}.get(self.ending or Ending.FINISHED, 0.0)
         inward = aside * (self.high - self.low)
         kind = "limit" if self.ending else "switch" if self.restitution is None else "stop"
-        return [(kind, self.low + inward), (kind, self.high - inward)]
+        return [(kind, crank_angle, self.low + inward), (kind, crank_angle, self.high - inward)]
 
     def pushes(self, angle: float, direction: float) -> float | None:
         """Return the end at which a machine is, if it would move beyond it in a direction; else None."""
@@ -117,23 +126,23 @@ def nearest(angle: float, marks: Array, cycle: float, aside: float = 0.0) -> lis
     return [float(np.max(every[every <= angle - aside])), float(np.min(every[every >= angle + aside]))]
 
 
-def first_event(step: Step, direction: float, marks: list[tuple[str, float]]) -> tuple[float, str | None]:
-    """Return the time of the first event within a step, an angle is reached or the crank stops, and its kind; else the end.
+def first_event(step: Step, direction: float, marks: list[Mark]) -> tuple[float, Any]:
+    """Return the time of the first event within a step, a mark is passed or the crank stops, and its kind; else the end.
 
     The state begins with crank angle and speed; `direction` is the sense in which the crank turns, 0 if it cannot come to rest.
     """
-    (angle, speed), (later, slower) = step.before[:2].tolist(), step.after[:2].tolist()
-    events = [(kind, 0, at) for kind, at in marks if (angle - at) * (later - at) < 0.0]
-    if speed * direction > 0.0 > slower * direction:
-        events.append(("rest", 1, 0.0))
+    events = [(kind, of, at) for kind, of, at in marks if (of(step.before) - at) * (of(step.after) - at) < 0.0]
+    if step.before[1] * direction > 0.0 > step.after[1] * direction:
+        events.append(("rest", lambda state: float(state[1]), 0.0))
     if not events:
         return step.end, None
     from scipy.optimize import brentq
 
-    return min(
-        (float(brentq(lambda t, part=part, at=at: step.at(t, part) - at, step.time, step.end, xtol=1e-16, rtol=1e-15)), kind)
-        for kind, part, at in events
-    )
+    def time(of: Callable[[Array], float], at: float) -> float:
+        found = brentq(lambda t: of(step.at(t)) - at, step.time, step.end, xtol=1e-16, rtol=1e-15)
+        return float(found)
+
+    return min(((time(of, at), kind) for kind, of, at in events), key=lambda event: event[0])
 
 
 # Acceleration of the crank under a torque, with Coulomb friction in guides: none, one or several, and rest.
@@ -237,6 +246,18 @@ LEAST, PATIENCE = 1e-4, 2000  # least share of the duration per so many steps; l
 TOGETHER = 500  # steps whose rows are interpolated together
 
 
+class Coordinate(NamedTuple):
+    """Free coordinate of a drive (n,): its value [rad, m] with derivatives, the effort of the drive [N m, N] and of its stop.
+
+    `error` [rad, m]: distance to the law that it follows, zero without one.
+    """
+
+    value: Jet
+    effort: Value
+    stop: Value
+    error: Value
+
+
 @dataclass(frozen=True)
 class Run:
     """Simulated motion of a machine: crank angle [rad], speed, acceleration, driving torque [N m], works [J] at times (n,) [s].
@@ -244,6 +265,7 @@ class Run:
     `works`: of the drive, of each load, of friction; `kinetic`, `potential`: energies, that of gravity zero at y = 0. `drift`
     [m]: largest distance between the twice integrated and the closed-loop positions of the bodies; `imbalance` [J]: largest error
     of the energy balance. `last_turn`: mean speed [rad/s] and its fluctuation over the last cycle (`LastTurn.speed`).
+    `coordinates` of drives that move freely beside others, by name.
     """
 
     time: Array
@@ -263,6 +285,7 @@ class Run:
     ending: Ending
     stopped: float
     last_turn: tuple[float, float] | None
+    coordinates: Mapping[str, Coordinate]
 
     @property
     def energy(self) -> Array:
@@ -276,7 +299,7 @@ class Run:
         return max(float(np.max(np.abs(values), initial=0.0)) for values in every)
 
 
-class _EquationsOfMotion:
+class EquationsOfMotion:
     """Right-hand side of the equations; state = crank angle, speed, works, then position and velocity of every body."""
 
     def __init__(self, machine: Machine, torque: Magnitude | None, *, stops: bool = False) -> None:
@@ -288,7 +311,7 @@ class _EquationsOfMotion:
             *(["friction"] if machine.friction else []),
             *(["stops"] if stops else []),
         ]
-        self.direction, self.rigid = 1.0, stops
+        self.direction, self.rigid, self.head = 1.0, stops, 2  # `head`: so many elements of the state determine the rates
         self.by_numbers = bool(machine.friction)  # symbols do not support the iteration for friction
         self.buffered: dict[float, tuple[Callable[..., list[Array]], Callable[..., list[Array]]]] = {}
         self.evaluations = 0
@@ -299,16 +322,26 @@ class _EquationsOfMotion:
         return Moving(self.machine, Motion(self.machine.mechanism, self.machine.sizes, angle, 1.0, pose), 1, self.direction)
 
     def start(self, angle: float, speed: float) -> Array:
+        """The state at the start."""
         moving = self.geared(angle).scaled(speed, 0.0, self.direction)
+        return self.begun(np.array([angle, speed]), moving)
+
+    def begun(self, head: Array, moving: Moving) -> Array:
+        """The state at the start of a motion, whose first elements are `head`."""
         states = list(map(moving.state, self.bodies))
         positions = [part for s in states for part in (*s.start, np.arctan2(s.axis[1], s.axis[0]))]
-        velocities = [part for s in states for part in (*s.velocity, s.omega)]
-        return np.concatenate([[angle, speed], np.zeros(len(self.names)), _flat(positions), _flat(velocities)])
+        return np.concatenate([head, np.zeros(len(self.names)), flat(positions), self.velocities(moving)])
+
+    def velocities(self, moving: Moving) -> Array:
+        """The velocities of all bodies."""
+        return flat([part for s in map(moving.state, self.bodies) for part in (*s.velocity, s.omega)])
 
     def accelerations(self, moving: Moving) -> list[Value]:
+        """The accelerations of all bodies."""
         return [part for s in map(moving.state, self.bodies) for part in (*s.acceleration, s.alpha)]
 
     def torque(self, angle: Value, speed: Value) -> Value:
+        """The torque of the drive [N m]."""
         assert self.drive is not None
         return self.drive({"phi": angle, "omega": speed})
 
@@ -354,12 +387,13 @@ class _EquationsOfMotion:
 
         from optlink.symbolic import dense_function, symbols_in_numpy
 
-        crank, size = casadi.SX.sym("crank", 2), casadi.SX.sym("size")
-        n = 2 + len(self.names) + 6 * len(self.bodies)
+        head, size = casadi.SX.sym("head", self.head), casadi.SX.sym("size")
+        n = self.head + len(self.names) + 6 * len(self.bodies)
         state, first = casadi.SX.sym("state", n), casadi.SX.sym("first", n)
         with symbols_in_numpy():
-            rates = dense_function([crank], [casadi.cse(casadi.vertcat(*self.rates(crank[0], crank[1])))])  # for all 16 stages
-            whole = lambda y: casadi.vertcat(*self.placed(rates(y[:2]), y))  # noqa: E731
+            parts = self.rates(*(head[k] for k in range(self.head)))
+            rates = dense_function([head], [casadi.cse(casadi.vertcat(*parts))])  # for all 16 stages
+            whole = lambda y: casadi.vertcat(*self.placed(rates(y[: self.head]), y))  # noqa: E731
             trial = attempt(whole, lambda parts: casadi.horzcat(*parts), state, first, size)
         outputs = [trial.state, casadi.horzcat(*trial.rates), casadi.vertcat(trial.fifth, trial.third)]
         return rates, dense_function([state, first, size], outputs)
@@ -369,11 +403,42 @@ class _EquationsOfMotion:
         count = 3 * len(self.bodies)
         return state[1:2], rates[:-count], state[-count:], rates[-count:]
 
+    @property
+    def switches(self) -> Array:
+        """Crank angles [rad] at which the rates may jump; they repeat every cycle."""
+        return jumps(self.machine, 0.0, self.cycle)
+
+    def marks(self, state: Array) -> list[Mark]:
+        """Further events ahead of a state, for `met`."""
+        return []
+
+    def met(self, state: Array, event: Any) -> Array:
+        """The state after one of its events."""
+        return state
+
+    def along(self, states: Array, ways: Array, resting: bool) -> tuple[Moving, Value]:
+        """The motion and the driving torque at states (n, size) and senses of motion (n,); the machine may rest in the last."""
+        angles, speeds = states[:, 0], states[:, 1]
+        geared = self.machine.moving(angles, 1.0)
+        if self.drive is None:
+            moving = geared.scaled(speeds, 0.0, ways)
+            return moving, required_torque(moving, geared)[0]
+        torque = self.torque(angles, speeds)
+        accelerations = np.array(np.broadcast_to(np.asarray(crank_acceleration(geared, speeds, torque, ways)), angles.shape))
+        if resting:
+            accelerations[-1] = 0.0
+        return geared.scaled(speeds, accelerations, ways), torque
+
+    def coordinates(self, states: Array) -> dict[str, Coordinate]:
+        """The free coordinates at states (n, size)."""
+        return {}
+
     def __call__(self, state: Array) -> Array:
         """Rates of the state; also where the crank is at rest, for which symbols cannot choose the sense of motion."""
         self.evaluations += 1
         numbers = self.by_numbers or state[1] == 0.0
-        rates = _flat(self.rates(float(state[0]), float(state[1]))) if numbers else self.functions()[0](state[:2])[0]
+        head = state[: self.head]
+        rates = flat(self.rates(*head.tolist())) if numbers else self.functions()[0](head)[0]
         return np.concatenate(self.placed(rates, state))
 
     def attempt(self, state: Array, first: Array, size: float) -> TrialStep:
@@ -386,11 +451,11 @@ class _EquationsOfMotion:
         return TrialStep(new, rates.reshape(ALL, len(state)), float(fifth), float(third))
 
 
-def _flat(parts: list[Value]) -> Array:
+def flat(parts: Sequence[Value]) -> Array:
+    """Return numbers, each perhaps an array of one, as an array."""
     return np.array([np.asarray(part, dtype=float).item() for part in parts])
 
 
-@np.errstate(all="ignore")
 def run(
     machine: Machine,
     times: Array,
@@ -409,7 +474,22 @@ def run(
     beyond which the motion is not determined; `progress` is called with the completed share, `interrupted` at once on Ctrl-C,
     which ends the motion.
     """
-    equations = _EquationsOfMotion(machine, torque, stops=limits is not None and limits.restitution is not None)
+    equations = EquationsOfMotion(machine, torque, stops=limits is not None and limits.restitution is not None)
+    return integrated(equations, times, angle, speed, limits, progress, singular, interrupted)
+
+
+@np.errstate(all="ignore")
+def integrated(
+    equations: EquationsOfMotion,
+    times: Array,
+    angle: float,
+    speed: float,
+    limits: Limits | None = None,
+    progress: Callable[[float], None] | None = None,
+    singular: Sequence[float] = (),
+    interrupted: Callable[[], None] | None = None,
+) -> Run:
+    """Integrate equations of motion; the arguments are those of `run`."""
     integration = _Integration(equations, times, angle, speed, limits, np.array(singular))
     integration.travel(progress, interrupted)
     return integration.result()
@@ -420,7 +500,7 @@ class _Integration:
 
     def __init__(
         self,
-        equations: _EquationsOfMotion,
+        equations: EquationsOfMotion,
         times: Array,
         angle: float,
         speed: float,
@@ -429,7 +509,7 @@ class _Integration:
     ) -> None:
         self.equations, self.times, self.limits, self.singular = equations, times, limits, singular
         equations.direction = float(np.sign(speed)) or 1.0
-        self.switches = jumps(equations.machine, 0.0, equations.cycle)
+        self.switches = equations.switches
         stopped = limits is not None and limits.ending is None  # a rebound within a step would pass unseen
         self.may_rest, self.hardest = equations.drive is not None and (equations.machine.switching or stopped), 0.0
         self.time, self.state = 0.0, equations.start(angle, speed)
@@ -446,7 +526,7 @@ class _Integration:
         elif self.state[1] == 0.0 and self.equations.drive is not None:
             self.set_off()
             self.ways = [self.equations.direction]
-        if any(abs(at - float(self.state[0])) <= 2.0 * STOP for _, at in self.stops()):
+        if any(abs(at - float(self.state[0])) <= 2.0 * STOP for *_, at in self.stops()):
             self.ending = Ending.SINGULAR
         try:
             while self.ending is Ending.FINISHED and len(self.ways) < len(self.times):
@@ -459,10 +539,10 @@ class _Integration:
                 interrupted()
             self.ending = Ending.INTERRUPTED
 
-    def stops(self) -> list[tuple[str, float]]:
+    def stops(self) -> list[Mark]:
         """Return the nearest singular position on either side, with a small margin."""
         around = nearest(float(self.state[0]), self.singular, self.equations.cycle)
-        return [("singular", at + way * STOP) for way, at in zip((1.0, -1.0), around, strict=False)]
+        return [("singular", crank_angle, at + way * STOP) for way, at in zip((1.0, -1.0), around, strict=False)]
 
     def leg(self, progress: Callable[[float], None] | None) -> None:
         """Integrate to the next event."""
@@ -471,11 +551,13 @@ class _Integration:
             self.ending = _stopped(self.equations, self.state)
             return
         stepper = Stepper(self.equations, self.equations.attempt, self.time, end, self.state, first)
-        ahead = [("switch", at) for at in nearest(float(self.state[0]), self.switches, self.equations.cycle, PASSED_JUMP)]
-        ahead += self.stops()
-        for kind, at in self.limits.marks if self.limits is not None else ():
-            if kind != "switch" or abs(at - float(self.state[0])) > PASSED_JUMP:
-                ahead.append((kind, at))
+        ahead = [
+            mark
+            for mark in (self.limits.marks if self.limits is not None else ())
+            if mark[0] != "switch" or abs(mark[2] - float(self.state[0])) > PASSED_JUMP
+        ]
+        around = nearest(float(self.state[0]), self.switches, self.equations.cycle, PASSED_JUMP)
+        ahead += [*(("switch", crank_angle, at) for at in around), *self.stops(), *self.equations.marks(self.state)]
         event = None
         while event is None and self.time < end:
             step = stepper.step()
@@ -487,7 +569,7 @@ class _Integration:
             self.recent.append(step)
             self.time, self.state = upto, step.after
             if event is not None:
-                self.state = states_at(np.array([upto]), [step])[0]
+                self.state = step.at(upto)
             if len(self.recent) >= TOGETHER:
                 self.keep()
             if progress:
@@ -505,6 +587,8 @@ class _Integration:
         elif event == "rest":
             self.state[1] = 0.0
             self.set_off()
+        else:
+            self.state = self.equations.met(self.state, event)
 
     def set_off(self) -> None:
         """Set the sense in which a resting machine starts to turn, or end where it stays at rest."""
@@ -556,23 +640,15 @@ class _Integration:
             times = np.append(times, self.time)
         states, ways = np.concatenate(self.blocks), np.array(self.ways)
         machine, angles, speeds = equations.machine, states[:, 0], states[:, 1]
-        geared = machine.moving(angles, 1.0)
-        if equations.drive is None:
-            accelerations = np.zeros(len(times))
-            torque, _ = required_torque(geared.scaled(speeds, 0.0, ways), geared)
-        else:
-            torque = equations.torque(angles, speeds)
-            accelerations = np.broadcast_to(np.asarray(crank_acceleration(geared, speeds, torque, ways)), angles.shape)
-        if self.ending in (Ending.AT_REST, Ending.AT_STOP) and speeds[-1] == 0.0:
-            accelerations = np.where(np.arange(len(times)) == len(times) - 1, 0.0, accelerations)
-        moving = geared.scaled(speeds, accelerations, ways)
+        resting = self.ending in (Ending.AT_REST, Ending.AT_STOP) and speeds[-1] == 0.0
+        moving, torque = equations.along(states, ways, resting)
         kinetic, potential = (np.zeros(len(times)) + energy(moving.state) for energy in (machine.kinetic, machine.weight))
-        works = {name: states[:, 2 + k] for k, name in enumerate(equations.names)}
+        works = {name: states[:, equations.head + k] for k, name in enumerate(equations.names)}
         energy = kinetic + potential
         imbalance = energy - energy[0] - sum(works.values())
         drift = twist = 0.0
         for k, body in enumerate(equations.bodies):
-            state, begin = moving.state(body), 2 + len(works) + 3 * k
+            state, begin = moving.state(body), equations.head + len(works) + 3 * k
             x, y, angle = states[:, begin : begin + 3].T
             drift = max(drift, float(np.max(np.hypot(x - state.start[0], y - state.start[1]))))
             turned = angle - np.arctan2(state.axis[1], state.axis[0])
@@ -581,7 +657,7 @@ class _Integration:
             times,
             angles,
             speeds,
-            np.asarray(accelerations),
+            np.broadcast_to(np.asarray(moving.motion.crank_acceleration, dtype=float), angles.shape),
             np.broadcast_to(np.asarray(torque, dtype=float), angles.shape),
             ways,
             works,
@@ -595,10 +671,11 @@ class _Integration:
             self.ending,
             self.time,
             self.last_turn.speed,
+            equations.coordinates(states),
         )
 
 
-def _set_off(equations: _EquationsOfMotion, angle: float) -> Ending:
+def _set_off(equations: EquationsOfMotion, angle: float) -> Ending:
     """Set the sense in which a resting machine starts to turn; return why it ends there, `FINISHED` if it starts."""
     torque, geared = np.asarray(equations.torque(angle, 0.0)).item(), equations.geared(angle)
     starts: list[tuple[float, float]] = []
@@ -623,7 +700,7 @@ def _set_off(equations: _EquationsOfMotion, angle: float) -> Ending:
     return Ending.AT_REST if rest else _stopped(equations, np.array([angle, 0.0]))
 
 
-def _stopped(equations: _EquationsOfMotion, state: Array) -> Ending:
+def _stopped(equations: EquationsOfMotion, state: Array) -> Ending:
     """Return why the integration cannot continue from a state."""
     if not equations.machine.friction:
         return Ending.STALLED

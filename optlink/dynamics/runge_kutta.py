@@ -149,10 +149,10 @@ class Step(NamedTuple):
     after: Array
     rates: Array
 
-    def at(self, time: float, part: int) -> float:
-        """Return the element number `part` of the state at a time [s] within the step."""
-        parts = (self.before[None, [part]], self.after[None, [part]], self.rates[None, :, [part]])
-        return float(dense(np.array([(time - self.time) / self.size]), np.array([self.size]), *parts)[0, 0])
+    def at(self, time: float) -> Array:
+        """Return the state (n,) at a time [s] within the step."""
+        state: Array = states_at(np.array([time]), [self])[0]
+        return state
 
 
 def dense(shares: Array, sizes: Array, before: Array, after: Array, rates: Array) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import TypeVar
@@ -153,7 +153,7 @@ def driven(
     return Driving(replace(mechanism, limits=(low, high)), pace, first)
 
 
-def _start(drive: DriveSection, low: float, high: float) -> float:
+def _start(drive: DriveMotion, low: float, high: float, key: str = "drive") -> float:
     """Return the position at which the motion through a range begins; by default the end from which the drive moves."""
     if "start" not in drive.model_fields_set:
         return low if drive.speed.value > 0.0 else high
@@ -163,7 +163,7 @@ def _start(drive: DriveSection, low: float, high: float) -> float:
         raise Unusable(
             "the drive starts outside its range",
             f"Start from {drive.range[0]} to {drive.range[1]}",
-            "drive.start",
+            f"{key}.start",
             str(drive.start),
         )
     return start
@@ -368,16 +368,22 @@ def _accelerated(drive: DriveSection) -> Law:
     return Law((0.0, time), math.copysign(way, speed), repeats=False, pieces=(piece,))
 
 
+def end_with_speed(laws: Iterable[MotionLaw]) -> float | None:
+    """Return the time [s] at which the first of some laws ends with a speed; None if all of them repeat or come to rest."""
+    return min((law.period for law in laws if not law.repeats and law.derivative(law.end, 1) != 0.0), default=None)
+
+
 def _timed(
     laws: Mapping[str, MotionLaw | None], turns: Mapping[str, float] | None = None
 ) -> tuple[float, tuple[float, float] | None]:
     """Return the rate of the cycle variable [rad/s], and its limits [rad] if the motion does not repeat.
 
-    `turns`: periods [s] of the drives at constant speed.
+    `turns`: periods [s] of the drives at constant speed. A law that ends with a speed does not say how its drive moves on: the
+    motion of all drives ends with the first such law.
     """
-    resting = [law.period for law in laws.values() if law is not None and not law.repeats]
-    if resting:
-        return TURN / max(resting), (0.0, TURN)
+    once = [law for law in laws.values() if law is not None and not law.repeats]
+    if once:
+        return TURN / (end_with_speed(once) or max(law.period for law in once)), (0.0, TURN)
     periods = {name: law.period for name, law in laws.items() if law is not None} | dict(turns or {})
     if not periods:
         return 1.0, None
@@ -411,8 +417,7 @@ def _several(
             if moving:
                 remedy = 'Give a law: law = [{ time = "2 s", to = "1400 mm" }, { time = "2 s", to = "1000 mm" }]'
                 raise Unusable("a constant speed along a line has no cycle", remedy, f"{key}.speed", str(drive.speed))
-            stated = "start" in drive.model_fields_set
-            begin = drive.start.value if stated else element.begin
+            begin = drive.start.value if "start" in drive.model_fields_set else element.begin
             laws[of] = law_of(drive, key, "length" if element.size else "coordinate")
             if element.size:
                 _check_stroke(element, laws[of], begin, sizes, key)
@@ -430,6 +435,8 @@ def _several(
             if rate:
                 turns[of] = TURN / abs(rate)
             begin = 0.0 if laws[of] is not None else drive.start.value
+            if drive.effort is not None and drive.range is not None:
+                begin = _start(drive, drive.range[0].value, drive.range[1].value, key)
             elements[of] = Drive(of, "angle", body, begin, None, None, rate, against=drive.against)
     pace, limits = _timed(laws, turns)
     timed = []

@@ -15,7 +15,7 @@ from optlink.linkage.stroke import Ranges, failure
 from optlink.linkage.vector2d import TURN, Array, Value
 from optlink.problem.file import ProblemFile, check_plausible
 from optlink.problem.quantity import check_choice, input_of
-from optlink.units import KINDS, with_article
+from optlink.units import KINDS
 
 _machines: dict[int, Machine] = {}
 """Machines at fixed and starting values by the identity of their problem, with their ranges and compiled functions."""
@@ -121,13 +121,9 @@ def starting_speed(problem: ProblemFile, speed: float | None = None) -> float:
     if drive.torque is None and drive.force is None:
         return crank_speed(problem, speed)
     key = "speed" if drive.initial_speed is None else "initial_speed"
-    kind = "angular velocity" if driving.ends is None else "velocity"
-    if drive.initial_speed is not None and drive.initial_speed.kind != kind:
-        remedy = f'Give a speed such as "{KINDS[kind].example}"'
-        raise _of_drive(problem, "drive.initial_speed", f"the drive has {with_article(kind)}", remedy)
     if driving.ends is not None:
         of = getattr(drive, key)
-        return of.value / driving.lever if key in drive.model_fields_set and of.kind == kind else 0.0
+        return of.value / driving.lever if key in drive.model_fields_set and of.kind == "velocity" else 0.0
     stated = speed if speed is not None else getattr(drive, key).value if key in drive.model_fields_set else 0.0
     return crank_speed(problem, speed, key) if stated else 0.0
 

@@ -1,5 +1,6 @@
 """Simulate the motion of a machine in time."""
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -7,16 +8,20 @@ from typing import ClassVar
 
 import numpy as np
 
-from optlink.dynamics.columns import efforts, tabulated
-from optlink.dynamics.forward import DriveForce, Ending, Limits, Run, run
+from optlink.dynamics.columns import effort_of, efforts, tabulated
+from optlink.dynamics.forward import DriveForce, Ending, Limits, Run, integrated, run
+from optlink.dynamics.freedoms import Controller, Freedom, FreeEquations
 from optlink.dynamics.inverse import reduced_inertia
 from optlink.dynamics.machine import EndStops, Machine, Moving
 from optlink.errors import InputError
 from optlink.execution import interrupts
 from optlink.linkage.continuation import continue_through_singularities
+from optlink.linkage.jet import Jet, as_jet
+from optlink.linkage.stroke import Ranges, failure
 from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.arguments import typed
 from optlink.problem.document import Columns, Number, Renamed, Source, Tabled
+from optlink.problem.driving import end_with_speed
 from optlink.problem.file import AnyProblem, ProblemFile, problem_of
 from optlink.problem.machine.bodies import StopsSection
 from optlink.problem.quantity import check_range
@@ -68,6 +73,12 @@ class Simulation(Tabled):
     columns: Columns
 
     finished = Renamed("valid")
+
+    @property
+    def free(self) -> bool:
+        """Whether some of several drives, or one with a controller, moved freely: their positions are in the columns alone."""
+        model = self.problem.model
+        return model.drive.controller is not None or any(drive.free for drive in model.drives.values())
 
     @property
     def valid(self) -> bool:
@@ -151,9 +162,14 @@ def simulate(
     driving = problem.model.driving
     torque = drive.torque if drive.force is None else DriveForce(drive.force, driving.place(0.0), driving.lever)
     prescribed = bool(machine.mechanism.drives) and driving.ends is None
-    ranges, low, high = motion_range(problem, machine, start)
-    laws = [drive.law for drive in machine.mechanism.drives if drive.law is not None and not drive.law.repeats]
-    bounded = machine.mechanism.limits is not None and (not prescribed or any(law.derivative(law.end, 1) != 0.0 for law in laws))
+    freedoms = freedoms_of(problem, with_flywheel(machine, flywheel))
+    ranges, low, high = (Ranges((), full=True), 0.0, TURN) if freedoms else motion_range(problem, machine, start)
+    free = [one.drive for one in freedoms]
+    laws = [one.law for one in machine.mechanism.drives if one.law is not None and one not in free]
+    end = end_with_speed(laws)
+    if end is not None:
+        high = end * driving.pace
+    bounded = machine.mechanism.limits is not None and (not prescribed or end is not None)
     if machine.mechanism.limits is not None and not bounded:  # the drives rest at the ends of their laws
         machine = machine.with_(mechanism=replace(machine.mechanism, limits=None))
     if machine.mechanism.drives and (speed is not None or (flywheel and machine.mechanism.drives[0].kind != "angle")):
@@ -167,6 +183,9 @@ def simulate(
     duration = duration_of(problem, duration)
     if duration is None:
         way = TURN if not bounded else high - start if driving.pace > 0.0 else start - low
+        if freedoms and not any(one.law or one.rate for one in machine.mechanism.drives):
+            message = "the drives move freely, so the duration of the motion is not known"
+            raise InputError(message, 'Give it: --duration "2 s"', problem.file, "drives")
         if MAX_DURATION * abs(driving.pace) < way:
             message = "the duration is missing, and the speed is too low for a default"
             raise InputError(message, 'Give drive.duration = "2 s"', problem.file, "drive.duration")
@@ -191,9 +210,13 @@ def simulate(
         mechanism = continue_through_singularities(machine.mechanism, machine.sizes, start, every=True)
         singular = [at + k * cycle for at in singular for k in range(round(mechanism.cycle / cycle))]
         machine = machine.with_(mechanism=mechanism)
-    result = run(
-        machine, np.linspace(0.0, duration, rows + 1), start, speed, torque, limits, progress, singular, interrupts.handled
-    )
+    times = np.linspace(0.0, duration, rows + 1)
+    if freedoms:
+        equations = FreeEquations(machine, freedoms)
+        machine = equations.machine
+        result = integrated(equations, times, start, speed, limits, progress, (), interrupts.handled)
+    else:
+        result = run(machine, times, start, speed, torque, limits, progress, singular, interrupts.handled)
     if result.ending is not Ending.FINISHED:
         last, cycle = float(result.crank_angle[-1]), machine.mechanism.cycle
         if result.ending is Ending.SINGULAR:
@@ -202,9 +225,20 @@ def simulate(
     low, high = float(np.min(result.crank_angle)), float(np.max(result.crank_angle))
     way = speed if torque is None else 1.0  # a torque may swing the crank to and fro
     revolutions = (high - low + (0.0 if result.ending is Ending.FINISHED else AHEAD)) / TURN
-    notes += pole_notes(machine, low if way > 0.0 else high, revolutions, way, torque is None)
+    if not freedoms:
+        notes += pole_notes(machine, low if way > 0.0 else high, revolutions, way, torque is None)
     columns, meanings = _columns(machine, result)
     figures = _figures(problem, machine, result)
+    for freedom in freedoms:
+        one, effort, name = result.coordinates[freedom.size], effort_of(freedom.drive), freedom.drive.name
+        if freedom.limits is not None:  # the balance is that of drive and stop together
+            columns[effort.column] = columns[effort.column] - one.stop
+            column = effort.column.replace(f"{name}.", f"{name}.stop_")
+            columns[column], meanings[column] = one.stop, f"{effort.quantity} of the end stop of {name} on {effort.body}"
+        if freedom.controller is not None:
+            column = f"{name}.error_{'rad' if freedom.drive.kind == 'angle' else 'm'}"
+            columns[column], meanings[column] = one.error, f"distance from {name} to its law"
+            figures[column.replace("error", "largest_error")] = float(np.max(np.abs(one.error)))
     if result.ending is Ending.AT_STOP:  # the balance of the last row is that of drive and stop together
         effort = efforts(machine.mechanism)[0]
         own, both = float(result.torque[-1]) / driving.lever, columns[effort.column]
@@ -212,6 +246,8 @@ def simulate(
         both[-1] = own
         notes.append(f"the end stop holds it with {held:.6g} {effort.unit}")
     law = "motion laws" if len(machine.mechanism.drives) > 1 else "a motion law"
+    if freedoms:
+        law = f"{len(free)} free of {len(machine.mechanism.drives)} drives" if problem.model.drives else "a controller"
     return Simulation(
         problem,
         dict(design or {}),
@@ -226,6 +262,56 @@ def simulate(
         meanings,
         columns,
     )
+
+
+def freedoms_of(problem: ProblemFile, machine: Machine) -> list[Freedom]:
+    """Return the drives that move freely, beside others or by a controller.
+
+    Raises
+    ------
+    InputError
+        If what the machine has is not supported beside them, or no inertia governs their motion.
+    """
+    model, mechanism, freedoms = problem.model, machine.mechanism, list[Freedom]()
+    sections = model.drives or ({"input": model.drive} if model.drive.controller is not None else {})
+    if not any(section.free for section in sections.values()):
+        return freedoms
+    key, pace = "drives" if model.drives else "drive", model.driving.pace
+    switching = next((f"loads.{load.name}" for load in machine.loads if load.switching), None)
+    if switching or machine.friction or mechanism.followed:
+        what, remedy = "motion through singular positions", 'Leave ", continue" out'
+        if not mechanism.followed:
+            what, remedy = "friction in guides", "Give damping instead"
+        if switching:
+            what = "a load that opposes the motion, or acts in one stroke,"
+            remedy = 'Give damping, or a smooth change over the speed: torque = { expression = "-2*tanh(w/0.01)", unit = "N*m" }'
+        raise InputError(f"{what} is not supported with drives that move freely", remedy, problem.file, switching or "mechanism")
+    if failed := failure(mechanism, machine.sizes, 0.0):
+        raise InputError(failed.at("the start"), "Change the start of the drives", problem.file, key)
+    pose = mechanism.at(machine.sizes, Jet(0.0, pace))
+    for drive in mechanism.drives:
+        section = sections[drive.name]
+        if not section.free:
+            continue
+        at = as_jet(drive.value(pose))
+        stops, control = section.stops or StopsSection(), section.controller
+        if stops.stiffness is not None:
+            message = "elastic end stops of drives that move freely beside others are not supported"
+            raise InputError(message, "Leave stiffness out, for rigid ones", problem.file, f"{key}.{drive.name}.stops.stiffness")
+        limits = (machine.sizes[str(end)] for end in drive.stroke) if drive.size else None
+        if section.range is not None:
+            limits = (end.value for end in section.range)
+        of = None
+        if control is not None:
+            gains = [None if one is None else one.value for one in (control.derivative, control.limit)]
+            of = Controller(control.proportional.value, gains[0] or 0.0, gains[1] or math.inf, control.feedforward)
+        speed = at.rate if section.initial_speed is None else section.initial_speed.value
+        ends = None if limits is None else (float(next(limits)), float(next(limits)))
+        freedoms.append(Freedom(drive, float(at.value), float(speed), section.effort, of, ends, stops.restitution))
+    if not np.linalg.eigvalsh(FreeEquations(machine, freedoms).inertia)[0] > 0.0:
+        message = "the machine has no inertia, so the motion of its free drives is not determined"
+        raise InputError(message, "Give the bodies masses", problem.file, "bodies")
+    return freedoms
 
 
 def _figures(problem: ProblemFile, machine: Machine, result: Run) -> dict[str, float]:
@@ -256,7 +342,9 @@ def _columns(machine: Machine, result: Run) -> tuple[dict[str, Array], dict[str,
 
     def moving(rows: slice) -> Moving:
         angles, speeds, accelerations = result.crank_angle[rows], result.speed[rows], result.acceleration[rows]
-        return machine.moving(angles, speeds, accelerations, direction=result.direction[rows])
+        placed = {name: Jet(*(part[rows] for part in one.value.parts)) for name, one in result.coordinates.items()}
+        whole = machine.with_(sizes={**machine.sizes, **placed}) if placed else machine
+        return whole.moving(angles, speeds, accelerations, direction=result.direction[rows])
 
     crank = machine.mechanism.crank.body
     first, what = POSITION[bool(machine.mechanism.drives)]

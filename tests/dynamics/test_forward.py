@@ -267,18 +267,18 @@ def test_loaded_slider_crank_follows_its_lagrangian(sign):
 def test_traced_rates_are_those_of_numbers(name, direction):
     problem = optlink.load(name)
     machine = machine_of(problem, None).with_(friction={})
-    plant = drive_module._EquationsOfMotion(machine, lambda known: 3.0 - 0.1 * known["omega"] + np.sin(known["phi"]))
+    plant = drive_module.EquationsOfMotion(machine, lambda known: 3.0 - 0.1 * known["omega"] + np.sin(known["phi"]))
     plant.direction = direction
     for angle in problem.model.drive.start.value + direction * np.linspace(0.0, 6.0, 7):
         crank = np.array([angle, 7.0 * direction])
-        expected = drive_module._flat(plant.rates(*crank))
+        expected = drive_module.flat(plant.rates(*crank))
         np.testing.assert_allclose(plant.functions()[0](crank)[0], expected, rtol=1e-10, atol=1e-12 * np.max(np.abs(expected)))
 
 
 def test_drift_and_energy_account_see_a_wrong_acceleration(monkeypatch):
-    honest = drive_module._EquationsOfMotion.accelerations
+    honest = drive_module.EquationsOfMotion.accelerations
     monkeypatch.setattr(
-        drive_module._EquationsOfMotion, "accelerations", lambda self, moving: [1.000001 * a for a in honest(self, moving)]
+        drive_module.EquationsOfMotion, "accelerations", lambda self, moving: [1.000001 * a for a in honest(self, moving)]
     )
     assert optlink.simulate(slider_crank(), duration=0.5, rows=10).figures["drift_m"] > 1e-8
 

@@ -89,14 +89,14 @@ def test_rejected_steps_do_not_end_the_integration_and_states_without_a_value_do
 @pytest.mark.parametrize("name", ["slider-crank", "six-bar", "whitworth"])
 def test_compiled_step_is_the_step_in_numbers(name):
     problem = optlink.load(name)
-    plant = forward._EquationsOfMotion(
+    plant = forward.EquationsOfMotion(
         problem.model.machine(None), lambda known: 3.0 - 0.1 * known["omega"] + np.sin(known["phi"])
     )
     state = plant.start(0.4, 6.0)
     state[2:] += np.random.default_rng(0).normal(size=len(state) - 2)
     first = plant(state)
     fast = plant.attempt(state, first, 2e-3)
-    plain = numbers(lambda y: np.concatenate(plant.placed(forward._flat(plant.rates(*y[:2])), y)), state, first, 2e-3)
+    plain = numbers(lambda y: np.concatenate(plant.placed(forward.flat(plant.rates(*y[:2])), y)), state, first, 2e-3)
     largest = np.max(np.abs(plain.rates), axis=0)
     assert np.all(np.abs(fast.rates - plain.rates) <= 1e-12 * largest + 1e-12)
     np.testing.assert_allclose(fast.state, plain.state, rtol=1e-13, atol=1e-13)

@@ -281,8 +281,8 @@ def test_lid_falls_on_its_stop():
     [
         ({"torque": "5 N*m"}, r"drive\.torque.*moves along a line"),
         ({"stops": "rigid"}, r"drive\.stops.*under a torque or force"),
-        ({"force": "5 N", "stops": {"stiffness": "5 N*m/rad"}}, r"stops\.stiffness.*does not fit"),
-        ({"force": "5 N", "initial_speed": "5 rpm", "duration": "1 s"}, r"initial_speed.*a velocity"),
+        ({"force": "5 N", "stops": {"stiffness": "5 N*m/rad"}}, r"stops\.stiffness.*along a line.*a stiffness"),
+        ({"force": "5 N", "initial_speed": "5 rpm", "duration": "1 s"}, r"initial_speed.*along a line.*a velocity"),
     ],
 )
 def test_what_does_not_fit_a_drive_along_a_line(changes, words):
@@ -360,8 +360,3 @@ def test_winch_turns_three_times_between_its_stops():
 def test_fluctuation_within_a_range_is_refused():
     with pytest.raises(InputError, match=r"drive\.fluctuation.*turns fully"):
         optlink.load(FILES / "hatch.toml", {"drive.fluctuation": "5 %"})
-
-
-def test_torque_of_one_of_several_drives_is_refused():
-    with pytest.raises(InputError, match=r"drives\.elbow\.torque.*under a torque or force are not supported"):
-        optlink.load(FILES / "two-link-arm.toml", {"drives.elbow.torque": "0 N*m"})

@@ -208,7 +208,7 @@ def page(run: Simulation) -> StoredStudy:
         conclusion=conclusion(run),
         status=[f"{run.ending.value}, driven by {run.driven}{analysis_tables.unnoted(run)}", *run.notes],
         sections=[PageSection("Figures", (analysis_tables.simulation(run).parts,)), PageSection("Over time", curves)],
-        moving=partial(_moving, run) if curves else None,
+        moving=partial(_moving, run) if curves and not run.free else None,
         by=f"integration in time; driven by {run.driven}",
         drawn="As the crank turned in time: the slider goes from row to row of the simulation.",
     )

@@ -37,7 +37,7 @@ from optlink.problem.quantity import (
     reader,
     where,
 )
-from optlink.units import KINDS, measures
+from optlink.units import KINDS, measures, with_article
 from optlink.unsupported import unsupported
 
 # --- bodies ----------------------------------------------------------------------------------------------------------
@@ -173,6 +173,41 @@ Pace = Annotated[Quantity, BeforeValidator(_read_speed)]
 Position = Annotated[Quantity, BeforeValidator(partial(_either, angular="angle", linear="coordinate"))]
 
 
+_Speed = Annotated[Quantity, BeforeValidator(partial(_either, angular="angular velocity", linear="velocity"))]
+_Stiffness = Annotated[Quantity, BeforeValidator(partial(_either, angular="torsional stiffness", linear="stiffness"))]
+_Damping = Annotated[Quantity, BeforeValidator(partial(_either, angular="torsional damping", linear="damping"))]
+_Effort = Annotated[Quantity, BeforeValidator(partial(_either, angular="torque", linear="force"))]
+LINEAR = {"torsional stiffness": "stiffness", "torsional damping": "damping", "torque": "force", "angular velocity": "velocity"}
+"""Kinds of quantities of a drive that turns, and those of one that moves along a line."""
+
+
+class StopsSection(Section):
+    """End stops of a drive under a torque or force, at the ends of its range: rigid ones, or with a stiffness."""
+
+    restitution: Annotated[
+        Number, where(lambda e: 0.0 <= e <= 1.0, "a coefficient of restitution lies between 0 and 1", "Give for example 0.4")
+    ] = 0.0
+    """Coefficient of restitution: the speed after an impact over that before it."""
+    stiffness: _Stiffness | None = None
+    """Stiffness of the stops, which otherwise are rigid; they give back the square of the restitution of the energy."""
+
+
+class ControllerSection(Section):
+    """Controller of a drive for `simulate`: its torque or force is the proportional gain times the distance of the drive from its
+    law, and the derivative gain times that of its speed."""
+
+    proportional: Annotated[_Stiffness, where(lambda gain: gain > 0.0, "a gain is positive", 'Give for example "200 N*m/rad"')]
+    """Proportional gain, a torsional stiffness, or of a slide or cylinder a stiffness."""
+    derivative: _Damping | None = None
+    """Derivative gain, a torsional damping or a damping."""
+    limit: Annotated[_Effort, where(lambda most: most > 0.0, "the limit is not positive", 'Give for example "50 N*m"')] | None = (
+        None
+    )
+    """Largest torque or force of the drive."""
+    feedforward: bool = False
+    """Whether it adds the torque or force that the laws need."""
+
+
 class DriveMotion(Section):
     """One of several drives: what it moves, and its law or constant speed; without either it is held where it starts."""
 
@@ -196,6 +231,19 @@ class DriveMotion(Section):
     speed: Pace = Quantity(1.0, "angular velocity", "rad/s")
     """Constant speed of the crank, negative clockwise, or of a slide or cylinder; `static` is without inertia. For
     `optlink simulate` under a torque the speed at the start."""
+    torque: Annotated[Any, in_folder(partial(read_size, kind="torque", names=("phi", "omega")))] = None
+    """For `optlink simulate`, instead of the constant speed: a torque, or a table or expression over phi or omega."""
+    force: Annotated[Any, in_folder(partial(read_size, kind="force", names=("s", "v")))] = None
+    """For `optlink simulate`, of a slide or cylinder: a force, positive along the guide or where it extends the cylinder, or a
+    table or expression over its slide or length s and its speed v."""
+    stops: Annotated[StopsSection | None, BeforeValidator(lambda raw: {} if raw == "rigid" else raw)] = None
+    """End stops of a drive under a torque or force: `{ restitution = 0.4 }`, with `stiffness` elastic ones; default: `rigid` ones
+    at the ends of its range, from which it does not rebound."""
+    controller: ControllerSection | None = None
+    """For `optlink simulate`: the drive follows its law by a controller, in place of exactly."""
+    initial_speed: _Speed | None = None
+    """Speed at the start of `optlink simulate` under a torque, force or controller; default: `speed` if that is given, with a
+    controller that of the law, else at rest."""
 
     @model_validator(mode="before")
     @classmethod
@@ -216,7 +264,35 @@ class DriveMotion(Section):
     def _moves(self) -> Self:
         if sum(one is not None for one in (self.body, self.slide, self.cylinder)) > 1:
             raise Unusable("the drive acts in one place", "Give one of body, slide and cylinder", "body", self.body)
+        if self.effort is not None and self.law is not None:
+            key = "torque" if self.force is None else "force"
+            raise Unusable(f"the drive has a prescribed motion and a {key}", "Give one of the two", key, str(self.effort))
+        if self.torque is not None and self.linear:
+            raise Unusable("the drive moves along a line", 'Give force = "10 kN" instead', "torque", str(self.torque))
+        if self.controller is not None and self.law is None:
+            remedy = 'Give the law that it follows: law = { expression = "45*sin(2*pi*t)", unit = "deg" }'
+            raise Unusable("the controller has no law", remedy, "controller")
+        if self.stops is not None and not (self.free and (self.range or self.linear)):
+            message = "end stops hold a drive under a torque or force at the ends of its range"
+            raise Unusable(message, 'Give range = ["0 deg", "90 deg"], and torque = "0 N*m" if it moves freely', "stops")
+        stated = [("initial_speed", self.initial_speed)]
+        stated += [(f"{section}.{key}", of) for section in ("stops", "controller") for key, of in getattr(self, section) or ()]
+        for key, of in stated:
+            if isinstance(of, Quantity) and self.linear != (of.kind in LINEAR.values()):
+                kind = next(b if self.linear else a for a, b in LINEAR.items() if of.kind in (a, b))
+                remedy = f'Give {with_article(kind)} such as "{KINDS[kind].example}"'
+                raise Unusable("the drive moves along a line" if self.linear else "the drive turns", remedy, key, str(of))
         return self
+
+    @property
+    def effort(self) -> Any:
+        """The torque or force under which the drive moves freely in `simulate`, if it does."""
+        return self.torque if self.force is None else self.force
+
+    @property
+    def free(self) -> bool:
+        """Whether the drive moves freely in `simulate`, under a torque, force or controller."""
+        return self.effort is not None or self.controller is not None
 
     @property
     def linear(self) -> bool:
@@ -225,22 +301,10 @@ class DriveMotion(Section):
 
     @property
     def stated_linear(self) -> tuple[str, str]:
-        """Key and value of the first position or speed along a line that the file states; empty without one."""
+        """Key and value of the first position, speed or force along a line that the file states; empty without one."""
         stated = [("speed", self.speed), ("start", self.start), *(("range", end) for end in self.range or ())]
-        return next(((key, str(one)) for key, one in stated if one.kind in ("velocity", "coordinate")), ("", ""))
-
-
-class StopsSection(Section):
-    """End stops of a drive under a torque or force, at the ends of its range: rigid ones, or with a stiffness."""
-
-    restitution: Annotated[
-        Number, where(lambda e: 0.0 <= e <= 1.0, "a coefficient of restitution lies between 0 and 1", "Give for example 0.4")
-    ] = 0.0
-    """Coefficient of restitution: the speed after an impact over that before it."""
-    stiffness: (
-        Annotated[Quantity, BeforeValidator(partial(_either, angular="torsional stiffness", linear="stiffness"))] | None
-    ) = None
-    """Stiffness of the stops, which otherwise are rigid; they give back the square of the restitution of the energy."""
+        force = ("", "") if self.force is None else ("force", str(self.force))
+        return next(((key, str(one)) for key, one in stated if one.kind in ("velocity", "coordinate")), force)
 
 
 class DriveSection(DriveMotion):
@@ -248,20 +312,8 @@ class DriveSection(DriveMotion):
 
     acceleration: Acceleration | None = None
     """Constant angular acceleration of the crank, from `start` and `speed` on, for one revolution or to the end of its range."""
-    torque: Annotated[Any, in_folder(partial(read_size, kind="torque", names=("phi", "omega")))] = None
-    """For `optlink simulate`, instead of the constant speed: a torque, or a table or expression over phi or omega."""
-    force: Annotated[Any, in_folder(partial(read_size, kind="force", names=("s", "v")))] = None
-    """For `optlink simulate`, of a slide or cylinder: a force, positive along the guide or where it extends the cylinder, or a
-    table or expression over its slide or length s and its speed v."""
-    stops: Annotated[StopsSection | None, BeforeValidator(lambda raw: {} if raw == "rigid" else raw)] = None
-    """End stops of a drive under a torque or force: `{ restitution = 0.4 }`, with `stiffness` elastic ones; default: `rigid` ones
-    at the ends of its range, from which it does not rebound."""
     servo: ServoSection | None = None
     """For `optlink simulate` with clearance: the crank follows a reference signal; not together with `torque`."""
-    initial_speed: (
-        Annotated[Quantity, BeforeValidator(partial(_either, angular="angular velocity", linear="velocity"))] | None
-    ) = None
-    """Speed at the start of `optlink simulate` under a torque or force; default: `speed` if that is given, else at rest."""
     duration: Duration | None = None
     """Duration of `optlink simulate`."""
     fluctuation: Annotated[Number, _SMALL] | None = None
@@ -269,31 +321,15 @@ class DriveSection(DriveMotion):
 
     @model_validator(mode="after")
     def _turns(self) -> Self:
-        effort, key = (self.torque, "torque") if self.force is None else (self.force, "force")
-        if self.speed.value == 0.0 and effort is None:
+        if self.speed.value == 0.0 and self.effort is None:
             remedy = 'Give a speed, or "static" for statics; from rest the drive needs a torque'
             raise Unusable("the crank speed is zero", remedy, "speed", str(self.speed))
-        if effort is not None and (self.law is not None or self.acceleration is not None):
-            raise Unusable(f"the drive has a prescribed motion and a {key}", "Give one of the two", key, str(effort))
-        if self.torque is not None and self.linear:
-            raise Unusable("the drive moves along a line", 'Give force = "10 kN" instead', "torque", str(self.torque))
-        if self.stops is not None and (effort is None or not (self.range or self.linear)):
-            message = "end stops hold a drive under a torque or force at the ends of its range"
-            raise Unusable(message, 'Give range = ["0 deg", "90 deg"], and torque = "0 N*m" if it moves freely', "stops")
+        if self.effort is not None and self.acceleration is not None:
+            raise Unusable("the drive has an acceleration and a torque", "Give one of the two", "torque", str(self.effort))
         if self.fluctuation is not None and (self.range or self.linear or self.law or self.acceleration):
             message = "the fluctuation is that of a crank that turns fully, near a constant speed"
             raise Unusable(message, "Leave it out, or range and law", "fluctuation", self.fluctuation)
-        linear = "stiffness" if self.linear else "torsional stiffness"
-        if self.stops is not None and self.stops.stiffness is not None and self.stops.stiffness.kind != linear:
-            remedy = f'Give a {linear} such as "{KINDS[linear].example}"'
-            raise Unusable("the stiffness does not fit the drive", remedy, "stops.stiffness", str(self.stops.stiffness))
         return self
-
-    @property
-    def stated_linear(self) -> tuple[str, str]:
-        """Key and value of the first position, speed or force along a line that the file states; empty without one."""
-        stated = super().stated_linear
-        return stated if stated[0] or self.force is None else ("force", str(self.force))
 
 
 def _read_gravity(raw: object) -> Any:
