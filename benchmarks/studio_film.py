@@ -171,6 +171,7 @@ PICTURES: dict[str, Callable[[Page, Path], None]] = {
     "start": start,
     "poses": poses,
     "curve": curve,
+    "elements": elements,
     "phone": phone,
 }
 
