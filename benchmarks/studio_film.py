@@ -139,6 +139,23 @@ def curve(page: Page, out: Path) -> None:
     still(page, out / "studio-curve.png")
 
 
+def elements(page: Page, out: Path) -> None:
+    """The forms of gears and drive, with a value that is refused."""
+    page.size(1200, 760)
+    page.open()
+    page.find('[data-template="geared-five-bar"]').click()
+    page.verified()
+    page.run("for (const key of ['drive', 'mechanism.gears.train']) document.querySelector(`[data-entry='${key}']`).open = true")
+    page.run("document.querySelector('#elements').scrollIntoView()")
+    page.run(
+        "const field = document.getElementById('field-mechanism.gears.train.teeth.1');"
+        "field.value = '0'; field.dispatchEvent(new Event('change'))"
+    )
+    page.until("return document.querySelector('#elements .fault')")
+    page.run("document.querySelector('#elements').scrollIntoView(); document.querySelector('#hint').hidden = true")
+    still(page, out / "studio-elements.png")
+
+
 def phone(page: Page, out: Path) -> None:
     """A narrow window in dark colours."""
     page.size(400, 860)
@@ -154,6 +171,7 @@ PICTURES: dict[str, Callable[[Page, Path], None]] = {
     "start": start,
     "poses": poses,
     "curve": curve,
+    "elements": elements,
     "phone": phone,
 }
 

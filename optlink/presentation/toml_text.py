@@ -58,7 +58,7 @@ def _replace_sections(page: Any, old: Mapping[str, Any], new: Mapping[str, Any])
 
 def _edit(place: Any, old: Any, new: Any) -> None:
     """Change a table or a list of a document where the values differ, in place."""
-    from tomlkit import TOMLDocument
+    from tomlkit import TOMLDocument, nl
     from tomlkit.items import AoT, Table
 
     named, top, last = isinstance(new, Mapping), isinstance(place, TOMLDocument), None
@@ -75,7 +75,7 @@ def _edit(place: Any, old: Any, new: Any) -> None:
         if old_value is not None and _alike(old_value, value, place[key]):
             _edit(place[key], old_value, value)
         elif sections and isinstance(value, Mapping) and not top:
-            place.append(key, _item(value, section=True))
+            place.append(key, _item(value, section=True).add(nl()))
         elif old_value is not None or top or last is None:
             place[key] = _item(value, section=top)
         else:  # before the blank lines and the comment above the next section

@@ -659,3 +659,90 @@ def test_joint_names_do_not_overlap_the_links(page, name):
         return near;"""
     )
     assert covered == []
+
+
+# --- elements and drives -------------------------------------------------------------------------------------------------------
+
+
+def typed(page, key: str, text: str) -> None:
+    """Type the value of a field as a user does."""
+    from selenium.webdriver.common.keys import Keys
+
+    field = page.run("const field = document.getElementById(`field-${arguments[0]}`); field.scrollIntoView(); return field", key)
+    field.send_keys(Keys.CONTROL, "a")
+    field.send_keys(text, Keys.TAB)
+
+
+def chosen(page, selector: str, value: str) -> None:
+    """Choose an entry of a list."""
+    page.run(
+        "const list = document.querySelector(arguments[0]); list.value = arguments[1]; list.dispatchEvent(new Event('change'))",
+        selector, value,
+    )  # fmt: skip
+
+
+def applied(page) -> None:
+    page.until("return !document.querySelector('#elements .draft')")
+    page.verified()
+
+
+@pytest.mark.slow
+def test_elements_are_changed_and_exchanged_in_forms(page, tmp_path):
+    page.downloads(tmp_path)
+    page.find('[data-template="geared-five-bar"]').click()
+    page.verified()
+    train = "mechanism.gears.train"
+    entry = page.find(f'[data-entry="{train}"]')
+    entry.find_element("css selector", "summary").click()
+    typed(page, f"{train}.teeth.0", "0")
+    page.until("return document.querySelector('#elements .fault')")
+    assert page.text(f'[data-key="{train}.teeth"] .fault') == "A gear has teeth. Give two whole numbers above zero."
+    assert page.find("#toast").get_attribute("hidden") is not None
+    typed(page, f"{train}.teeth.0", "60")
+    applied(page)
+    typed(page, f"{train}.phase", "45")  # without its unit
+    applied(page)
+    page.find(f'[data-entry="{train}"] .acts button').click()
+    page.until("return document.querySelector('#elements .unapplied.alert')")  # the second crank would hang freely
+    assert "mechanism.links.arm" in page.text("#elements .unapplied")
+    page.run("document.querySelectorAll('#elements details').forEach((one) => (one.open = true))")
+    assert faults(page.driver) == []
+    page.size(400, 860)
+    assert page.run("return document.documentElement.scrollWidth") <= 400
+    page.size(1400, 900)
+    chosen(page, "#add", "mechanism.belts")
+    for key, text in (("bodies.0", "crank"), ("bodies.1", "second")):
+        typed(page, f"mechanism.belts.belt1.{key}", text)
+    page.until("return document.querySelector('[data-key=\"mechanism.belts.belt1.diameters\"] .fault')")  # it shows the field
+    for key, text in (("diameters.0", "80 mm"), ("diameters.1", "40 mm")):
+        typed(page, f"mechanism.belts.belt1.{key}", text)
+    applied(page)
+    page.find("#save").click()
+    saved = tmp_path / "geared-five-bar.toml"
+    end = time.monotonic() + 60.0
+    while not saved.exists():
+        assert time.monotonic() < end
+        time.sleep(0.05)
+    raw = optlink.load(saved).raw["mechanism"]
+    assert "gears" not in raw
+    assert raw["belts"] == {"belt1": {"bodies": ["crank", "second"], "diameters": ["80 mm", "40 mm"]}}
+    page.find("#undo").click()
+    page.until(f"return document.querySelector('[data-entry=\"{train}\"]')")
+    assert "60, 20 · 45°" in page.text(f'[data-entry="{train}"] summary')
+
+
+@pytest.mark.slow
+def test_the_slider_runs_over_the_length_of_a_cylinder_whose_pin_is_dragged(page):
+    page.find('[data-template="excavator-arm"]').click()
+    page.verified()
+    assert page.text("#angle") == "1150.0 mm"
+    assert page.find("#crank").get_attribute("aria-label") == "length of ram"
+    page.run("crank.value = crank.max; crank.dispatchEvent(new Event('input'))")
+    assert page.text("#angle") == "1700.0 mm"
+    page.run("crank.value = 0; crank.dispatchEvent(new Event('input'))")
+    page.press("mechanism.ground.G.x")
+    page.move([(-3, 0), (-3, 3)])
+    page.release()
+    page.until("return document.getElementById('field-mechanism.ground.G.0').value !== '0 mm'")
+    x = float(page.find('[id="field-mechanism.ground.G.0"]').get_attribute("value").removesuffix(" mm"))
+    assert x == pytest.approx(-6.0 / page.scale, rel=0.2)

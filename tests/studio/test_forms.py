@@ -101,6 +101,8 @@ def test_an_element_takes_the_place_of_another_in_one_step(page: Page) -> None:
     assert "gears" not in raw
     assert raw["belts"] == {"belt1": belt}
     assert "# shaft of the second crank" in text(page)
+    assert "\n\n[mechanism.belts]\nbelt1 = {" in text(page)
+    assert "}\n\n[bodies]" in text(page)
     back = page.ask("undo")[-1]
     assert next(one["value"] for one in back["tables"] if one["key"] == "mechanism.gears") == {"train": GEARED}
 

@@ -131,6 +131,7 @@ export class Elements {
     }
     const group = this.groups.find((one) => one.key === key);
     let entry = key;
+    const form = group.form.of ?? group.form;
     if (group.form.of?.is === "table") {
       const taken = new Set(Object.keys(Object.fromEntries([...$("names").children].map((one) => [one.value, 1]))));
       this.entries(group).forEach((one) => taken.add(one.name));
@@ -139,6 +140,9 @@ export class Elements {
         count += 1;
       }
       entry = `${key}.${this.one(key)}${count}`;
+    }
+    for (const name of form.required?.length ? [] : Object.keys(form.fields || {}).slice(0, FEW)) {
+      this.shown.add(`${entry}.${name}`);
     }
     this.drafts.set(entry, {});
     this.render();
@@ -249,7 +253,7 @@ export class Elements {
       const both = Array.from({ length: form.most }, (_, k) => items[k] ?? "");
       return el("span", { class: "pair" }, ...both.map((one, k) => el("span", { "data-key": `${key}.${k}` }, this.control(form.of, one, `${key}.${k}`, `${label} ${k + 1}`, own, (next) => change(Object.assign([...both], { [k]: next }))))));
     }
-    const heads = form.of.is === "table" ? [el("p", { class: "row heads", "aria-hidden": "true" }, ...Object.entries(form.of.fields).map(([name, of]) => el("small", { class: of.only && "wide", text: words(name) })), el("i"))] : [];
+    const heads = form.of.is === "table" ? [el("p", { class: "row heads", "aria-hidden": "true" }, ...Object.entries(form.of.fields).map(([name, of]) => el("small", { class: of.only && "wide", text: words(name) })), el("i", { class: "less" }))] : [];
     const rows = items.map((one, k) => {
       const cells = form.of.is === "table" ? Object.entries(form.of.fields).map(([name, of]) => el("span", { class: of.only && "wide", "data-key": `${key}.${k}.${name}` }, this.control({ ...of, default: undefined, examples: [] }, one[name], `${key}.${k}.${name}`, `${label} ${k + 1}, ${words(name)}`, own, (next) => set(k, { ...one, [name]: next })))) : [item(one, k)];
       return el("div", { class: "row", "data-key": `${key}.${k}` }, ...cells, this.less(`Remove ${label} ${k + 1}`, () => change(items.filter((_, at) => at !== k))));
