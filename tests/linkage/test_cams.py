@@ -9,6 +9,7 @@ from hypothesis import given, strategies as st
 from optlink.linkage import cams
 from optlink.linkage.cams import Arm, DiscCam, Face, Roller, Slide, least_base_radius
 from optlink.linkage.jet import Jet
+from tests.tiers import mostly_slow
 
 TURN = 2.0 * math.pi
 ANGLES = np.linspace(0.0, TURN, 360, endpoint=False)
@@ -290,7 +291,7 @@ def test_the_least_base_radius_for_a_pressure_angle():
     assert least_base_radius(cam, (2.0 * expected, 0.5), limit) == pytest.approx(2.0 * expected, rel=1e-12)
 
 
-@pytest.mark.parametrize("least", [0.0, 0.004])
+@pytest.mark.parametrize("least", mostly_slow([0.0, 0.004], 0.0))
 def test_the_least_base_radius_for_a_curvature(least):
     cam = wavy("flat face", 0.03)
     s, _, a = cam.lift(np.linspace(0.0, TURN, 200_001))

@@ -47,7 +47,7 @@ def test_the_slider_moves_the_design(result):
     ("made", "moves", "charts"),
     [
         (lambda: optlink.analyze(optlink.load("shaper")), True, 0),
-        (lambda: optlink.simulate(optlink.load("slider-crank"), rows=50), True, 1),
+        pytest.param(lambda: optlink.simulate(optlink.load("slider-crank"), rows=50), True, 1, marks=pytest.mark.slow),
         (lambda: sensitivities(optlink.load("crank-rocker")), True, 1),
         pytest.param(
             lambda: pareto(optlink.load("crank-rocker"), "error, limits.transmission_angle.max", points=3, workers=1),

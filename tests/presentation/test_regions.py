@@ -20,6 +20,7 @@ from optlink.presentation.style import GROUND, LIMIT
 from optlink.presentation.views.design_drawings import beside_curve
 from optlink.problem.limits import RegionLimit
 from optlink.studio.picture import Picture
+from tests.tiers import mostly_slow
 
 LOW, HIGH, SIZE = np.array([-0.1, -0.1]), np.array([0.1, 0.1]), 0.005
 SIDES = {"outside": -1.0, "inside": 1.0}
@@ -38,7 +39,7 @@ DESIGN = {"crank": 0.01916797, "coupler": 0.03692093, "rocker": 0.2, "frame": 0.
 """Nearly the best design of path-in-trough."""
 
 
-@pytest.fixture(scope="module", params=[False, True], ids=["kept", "violated"])
+@pytest.fixture(scope="module", params=mostly_slow([False, True], False), ids=["kept", "violated"])
 def shown(request) -> tuple[bool, ReportModel]:
     changes = {"limits.shaft.clearance": "2.99 mm", "limits.bottom.clearance": "1.99 mm", "mechanism.assembly": "left"}
     changes |= {"limits.shaft.radius": "14 mm"} if request.param else {}

@@ -118,6 +118,7 @@ def test_the_infeasible_region_of_a_map_is_veiled_up_to_its_edge(solved):
     assert max(np.min(np.hypot(*(veiled - place).T)) for place in along) < 1e-6
 
 
+@pytest.mark.slow
 def test_map_only_for_two_free_quantities(crank_rocker):
     changed = crank_rocker.override({"mechanism.frame": {"bounds": ["450 mm", "550 mm"]}})
     assert objective_map(optlink.solve(changed)) is None

@@ -67,7 +67,7 @@ def shipped(name: str) -> ReportModel:
     return subject(name)
 
 
-@pytest.fixture(params=mostly_slow(PROBLEMS, "crank-rocker", "scotch-yoke", "motion-3-poses"))
+@pytest.fixture(params=mostly_slow(PROBLEMS, "crank-rocker", "scotch-yoke"))
 def about(request) -> ReportModel:
     return shipped(request.param)
 

@@ -14,7 +14,6 @@ from optlink.solvers.infeasibility import Explanation, explain, limit_sides, tig
 from optlink.solvers.solution import Relaxation
 from optlink.tasks.results.conflict import outward
 from optlink.tasks.run import solve
-from tests.tiers import mostly_slow
 
 TEMPLATES = Path(__file__).parents[2] / "templates"
 LIMITS = {"limits.transmission_angle": ["80 deg", "82 deg"], "limits.link_ratio": [0.95, 1.05]}
@@ -85,12 +84,10 @@ def test_limits_missed_by_little_more_than_the_solver_tolerance_are_listed(miss:
     assert all(item.amount == pytest.approx(miss, abs=math.degrees(2e-8)) for item in result.conflict)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("key", "miss"),
-    mostly_slow(
-        [("limits.pressure_angle", 3e-7), ("limits.pressure_angle", 1e-8), ("limits.transmission_angle", 6e-7)],
-        ("limits.pressure_angle", 3e-7),
-    ),
+    [("limits.pressure_angle", 3e-7), ("limits.pressure_angle", 1e-8), ("limits.transmission_angle", 6e-7)],
 )
 def test_limits_missed_by_the_solver_tolerance_are_listed(key: str, miss: float) -> None:
     """Where the limits leave no design, or only one within a tolerance, the search ends at no optimum ("stalled")."""

@@ -56,6 +56,7 @@ def widest_swing() -> float:
     return best
 
 
+@pytest.mark.slow
 def test_an_infeasible_transmission_problem_names_its_limits_and_their_amounts(mover: SynthesisResult) -> None:
     assert not mover.valid
     assert {item.key for item in mover.conflict} == {"limits.swing_angle", "limits.transmission_angle"}
@@ -84,6 +85,7 @@ def test_a_law_with_the_longest_crank_is_reported() -> None:
     assert any("cannot be the shortest link" in note for note in result.notes)
 
 
+@pytest.mark.slow
 def test_the_check_of_optimality_never_contradicts_its_figure(mover: SynthesisResult) -> None:
     solution = solve(optlink.load("crank-rocker")).solution
     assert solution is not None

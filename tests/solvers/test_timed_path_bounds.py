@@ -11,6 +11,7 @@ from optlink.linkage.vector2d import unit
 from optlink.solvers.global_search.branch_and_bound import BranchAndBound
 from optlink.solvers.global_search.lagrangian import OPEN, TESTS
 from optlink.solvers.global_search.timed_path import ColumnFit, TimedPathBounds, unsuitable
+from tests.tiers import mostly_slow
 
 Array = NDArray[np.float64]
 
@@ -80,7 +81,7 @@ def falsified(bounds: TimedPathBounds) -> tuple[int, int]:
     return wrong, right
 
 
-@pytest.mark.parametrize("case", PROBLEMS)
+@pytest.mark.parametrize("case", mostly_slow(PROBLEMS, "fixed pivot"))
 def test_no_design_in_a_box_is_better_than_its_bound(case: str) -> None:
     wrong, right = falsified(bounds_of(case))
     assert wrong == 0
@@ -114,7 +115,7 @@ def other_sign(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(TimedPathBounds, "columns_over", turned)
 
 
-@pytest.mark.parametrize("defect", [no_remainder, no_tangent, other_sign])
+@pytest.mark.parametrize("defect", mostly_slow([no_remainder, no_tangent, other_sign], no_tangent))
 def test_defects_are_detected(defect: object, monkeypatch: pytest.MonkeyPatch) -> None:
     defect(monkeypatch)  # type: ignore[operator]
     wrong, _ = falsified(bounds_of("free frame"))

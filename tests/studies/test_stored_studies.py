@@ -44,7 +44,8 @@ STUDIES: dict[str, Callable[[], Document]] = {
     "sensitivity of a path": lambda: sensitivities(optlink.load("path-scott-russell")),
     "sensitivity of a stroke": lambda: sensitivities(optlink.load("stroke-crank-rocker")),
 }
-SLOW = ("sweep", "front", "sensitivity of a path", "allocation", "sweep of simulations")
+SLOW = ("sweep", "sweep without a design", "sweep of simulations", "front", "allocation", "robust design")
+SLOW += ("sensitivity of a path", "sensitivity of a stroke")
 
 
 def written(study: Document, folder: Path) -> Path:

@@ -27,6 +27,7 @@ def of_tolerances(tolerances, limit) -> Tolerance:
     return tolerance(LAW, tolerances, limit=limit, design=DESIGN, samples=256)
 
 
+@pytest.mark.slow
 def test_a_front_takes_the_values_of_a_limit_as_an_array_or_a_text():
     other = pareto(LAW, f"error, {LIMIT}=125..135 deg", points=3, workers=1)
     assert front().grid == other.grid

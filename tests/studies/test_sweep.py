@@ -154,12 +154,14 @@ def test_a_small_grid_has_a_search_near_its_first_row():
     assert table["objective_rad"][0] == pytest.approx(single.objective, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_the_last_axis_changes_fastest():
     columns = sweep(problem(), [f"{LIMIT}=130, 135 deg", f"{FRAME}:3"], workers=1).columns
     assert columns["mechanism.frame_m"].tolist() == [0.45, 0.5, 0.55] * 2
     assert np.degrees(columns[f"{LIMIT}_rad"]) == pytest.approx([130.0] * 3 + [135.0] * 3, rel=1e-14)
 
 
+@pytest.mark.slow
 def test_active_set_changes_are_marked():
     """Freed, the coupler takes 412.865 mm: its bound holds it below, and not above."""
     result = sweep(problem(), ["mechanism.coupler.max=405..420 mm:61"], workers=1)

@@ -57,6 +57,7 @@ def lever_torque(x):
     return np.concatenate([there, np.full(400, there[-1]), there[::-1]])  # the way back has the same accelerations and squares
 
 
+@pytest.mark.slow
 @BACKENDS
 def test_rms_torque_of_a_law(tmp_path, backend):
     best = optlink.solve(problem(tmp_path, LEVER), backend=backend).best
@@ -70,6 +71,7 @@ def test_rms_torque_of_a_law(tmp_path, backend):
     assert best.objective == pytest.approx(found.fun, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_peak_torque_of_a_law(tmp_path):
     best = optlink.solve(problem(tmp_path, LEVER, **{"objective.measure": "peak"}), backend="slsqp").best
     assert best.valid
@@ -110,6 +112,7 @@ other = { quantity = "torque", of = "b", measure = "peak", max = "4 N*m" }
 """
 
 
+@pytest.mark.slow
 @BACKENDS
 def test_torques_of_two_drives(tmp_path, backend):
     """The rms torque of one drive is least while the peak of the other one is limited: from slopes of the height of C."""
@@ -169,6 +172,7 @@ speed = "static"
 """
 
 
+@pytest.mark.slow
 @BACKENDS
 def test_gears_carry_a_target(tmp_path, backend):
     """At half the speed and backwards the crank moves from 130 to 40 deg: the law of the lever run backwards."""

@@ -60,6 +60,7 @@ def least(cost, bounds, seed=1):
     return differential_evolution(safe, bounds, seed=seed, tol=1e-10, maxiter=400)
 
 
+@pytest.mark.slow
 @BACKENDS
 def test_poses_of_a_hood_over_its_lever_range(tmp_path, backend):
     """The pivot, the lid and the guide link are the best of an own search that must close everywhere from 20 to 100 deg."""
@@ -160,6 +161,7 @@ measure = "rms"
 """
 
 
+@pytest.mark.slow
 @BACKENDS
 def test_law_over_the_range_starts_where_the_range_does(tmp_path, backend):
     """The start is fixed by the range, as the law needs all of it; psi0 is the best constant, so it is eliminated here."""
