@@ -34,6 +34,7 @@ from optlink.studies.sweeps import sweep as sweep
 from optlink.studio import explore as explore
 from optlink.tasks.analyze import Analysis as Analysis, analyze as analyze, analyze_batch as analyze_batch, motion as motion
 from optlink.tasks.balance import balance as balance
+from optlink.tasks.derivatives import gradient as gradient, hessian as hessian
 from optlink.tasks.programme import Programme as Programme, build as build
 from optlink.tasks.results.balance import Balance as Balance
 from optlink.tasks.results.common import DesignResult as DesignResult

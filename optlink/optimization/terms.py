@@ -402,9 +402,14 @@ class ErrorMeasure:
         """Unit of the objective of the NLP: of an rms the mean square."""
         return f"{self.unit}^2" if self.name == "rms" and self.unit else self.unit
 
+    @property
+    def rooted(self) -> bool:
+        """Whether the value is the root of the objective of the NLP."""
+        return self.name == "rms"
+
     def slope(self, residuals: ArrayLike) -> float:
         """Return the derivative with respect to the objective of the NLP (sum of squares, mean square, largest)."""
-        return 0.5 / max(self.of(residuals), 1e-150) if self.name == "rms" else 1.0
+        return 0.5 / max(self.of(residuals), 1e-150) if self.rooted else 1.0
 
 
 @dataclass(frozen=True)
@@ -419,9 +424,10 @@ class Figure(ErrorMeasure):
         """Return the value of the objective."""
         return float(np.asarray(residuals, dtype=float).ravel()[0])
 
-    def slope(self, residuals: ArrayLike) -> float:
-        """Return the derivative of the objective with respect to that of the NLP."""
-        return 1.0
+    @property
+    def rooted(self) -> bool:
+        """False: it is the objective of the NLP itself."""
+        return False
 
 
 def error_measures(unit: str, width: int = 1) -> dict[str, ErrorMeasure]:

@@ -195,6 +195,17 @@ class Programme:
         """
         return self._nlp.measure.of(self._nlp.residuals(self._scaled_point(x)))
 
+    def stated_derivatives(self, x: ArrayLike) -> tuple[float, float]:
+        """Return the first and second derivative of `objective` with respect to f at x.
+
+        Parameters
+        ----------
+        x : array (n,)
+        """
+        measure, residuals = self._nlp.measure, self._nlp.residuals(self._scaled_point(x))
+        slope = measure.slope(residuals)
+        return slope, -slope / max(measure.of(residuals), 1e-150) * slope if measure.rooted else 0.0
+
     @cached_property
     def expressions(self) -> dict[str, Any]:
         """The casadi symbol `x` and the casadi expressions `f` and `g` of it, as `casadi.nlpsol` takes them."""

@@ -1,0 +1,96 @@
+"""`optlink.gradient` and `optlink.hessian` against differences of what the validator measures, for every kind of requirement."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+
+import numpy as np
+import pytest
+
+import optlink
+from optlink.errors import InputError
+from tests.tiers import mostly_slow
+
+QUICK = ("crank-rocker", "path-ellipse10", "function-log10")
+KINDS = (*QUICK, "motion-3-poses", "transmission-optimal", "stroke-slider-crank", "law-slider-crank", "crank-rocker-robust")
+STEP = 2e-5  # of central differences, as a share of a value
+
+
+@cache
+def beside_the_optimum(name: str) -> tuple[optlink.ProblemFile, dict[str, float]]:
+    """A problem with one programme, and a design near its optimum, where no two positions share the largest value."""
+    problem = optlink.load(name).variants()[0]
+    if getattr(getattr(problem.model, "requirement", None), "rotation", "") == "either":
+        problem = problem.override({"requirement.rotation": "clockwise"})
+    best = optlink.solve(problem, starts=3).design
+    return problem, {key: best[key] * (1.0 + 3e-4 * np.sin(7 * k + 1)) for k, key in enumerate(problem.model.free)}
+
+
+def differences(of: Callable[[dict[str, float]], float], design: dict[str, float]) -> dict[str, float]:
+    slopes = {}
+    for name, value in design.items():
+        step = STEP * max(abs(value), 1e-2)
+        slopes[name] = (of({**design, name: value + step}) - of({**design, name: value - step})) / (2.0 * step)
+    return slopes
+
+
+def agree(exact: dict[str, float], other: dict[str, float], design: dict[str, float], tolerance: float) -> None:
+    sizes = np.array([max(abs(value), 1e-2) for value in design.values()])
+    one, two = (np.array([slopes[name] for name in design]) * sizes for slopes in (exact, other))
+    np.testing.assert_allclose(one, two, rtol=0, atol=tolerance * np.max(np.abs(two)))
+
+
+@pytest.mark.parametrize("name", mostly_slow(KINDS, *QUICK))
+def test_the_gradient_is_that_of_the_measured_objective(name: str) -> None:
+    problem, design = beside_the_optimum(name)
+    measured = differences(lambda given: optlink.validate(problem, given).objective, design)
+    assert max(map(abs, measured.values())) > 0.0
+    agree(optlink.gradient(problem, design), measured, design, 1e-3)
+
+
+@pytest.mark.parametrize("name", mostly_slow(KINDS, *QUICK))
+def test_the_hessian_is_that_of_differences_of_the_gradient(name: str) -> None:
+    problem, design = beside_the_optimum(name)
+    curvature = optlink.hessian(problem, design)
+    for name_of in design:
+        changes = differences(lambda given, name_of=name_of: optlink.gradient(problem, given)[name_of], design)
+        sizes = {key: max(abs(value), 1e-2) for key, value in design.items()}
+        largest = max(abs(curvature[a][b]) * sizes[a] * sizes[b] for a in design for b in design)
+        for key, change in changes.items():
+            assert abs(curvature[name_of][key] - change) * sizes[name_of] * sizes[key] < 1e-3 * largest
+
+
+def test_derivatives_of_a_transmission_angle_are_those_of_the_law_of_cosines() -> None:
+    b, c, far = 0.42, 0.24, 0.6  # m: coupler, rocker, frame + crank
+    design = {"coupler": b, "rocker": c}
+    name = "largest transmission angle"  # where the crank points away from the rocker
+    slopes, curvature = (of("crank-rocker", design, name) for of in (optlink.gradient, optlink.hessian))
+    top = b * b + c * c - far * far
+    assert slopes["coupler"] == pytest.approx(1.0 / c - top / (2.0 * b * b * c), rel=1e-9)
+    assert slopes["rocker"] == pytest.approx(1.0 / b - top / (2.0 * b * c * c), rel=1e-9)
+    mixed = -1.0 / b**2 - 1.0 / c**2 + top / (2.0 * b * b * c * c)
+    assert curvature["coupler"]["rocker"] == pytest.approx(mixed, rel=1e-9)
+    assert curvature["coupler"]["coupler"] == pytest.approx(-1.0 / (b * c) + top / (b**3 * c), rel=1e-9)
+
+
+def test_a_corner_of_the_objective_is_refused() -> None:
+    problem = optlink.load("function-log10").variants()[0]
+    best = optlink.solve(problem, starts=3).design
+    with pytest.raises(InputError, match="the objective has a corner at this design"):
+        optlink.gradient(problem, {name: best[name] for name in problem.model.free})
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: optlink.gradient("crank-rocker", {"coupler": 0.4, "rocker": 0.2}, "swing"), r'of = "swing": no such limit'),
+        (lambda: optlink.hessian("crank-rocker", {"coupler": 0.4}), r"the design lacks rocker"),
+        (lambda: optlink.gradient("crank-rocker", {"coupler": 0.2, "rocker": 0.2}), r"cannot be assembled at every position"),
+        (lambda: optlink.gradient("shaper", {}), r"shaper\.toml"),
+    ],
+)
+def test_what_has_no_derivatives_is_refused(call: Callable[[], object], message: str) -> None:
+    with pytest.raises(InputError, match=message) as caught:
+        call()
+    assert len(str(caught.value).splitlines()) == 1
