@@ -238,7 +238,8 @@ def simulate(
         if freedom.controller is not None:
             column = f"{name}.error_{'rad' if freedom.drive.kind == 'angle' else 'm'}"
             columns[column], meanings[column] = one.error, f"distance from {name} to its law"
-            figures[column.replace("error", "largest_error")] = float(np.max(np.abs(one.error)))
+            figures[column.replace("error", "largest_error")] = far = float(np.max(np.abs(one.error)))
+            notes.append(f"the drive {name} is at most {far:.4g} {column.rpartition('_')[2]} from its law")
     if result.ending is Ending.AT_STOP:  # the balance of the last row is that of drive and stop together
         effort = efforts(machine.mechanism)[0]
         own, both = float(result.torque[-1]) / driving.lever, columns[effort.column]
@@ -293,11 +294,11 @@ def freedoms_of(problem: ProblemFile, machine: Machine) -> list[Freedom]:
         section = sections[drive.name]
         if not section.free:
             continue
-        at = as_jet(drive.value(pose))
+        at, own = as_jet(drive.value(pose)), f"{key}.{drive.name}" if model.drives else key
         stops, control = section.stops or StopsSection(), section.controller
         if stops.stiffness is not None:
             message = "elastic end stops of drives that move freely beside others are not supported"
-            raise InputError(message, "Leave stiffness out, for rigid ones", problem.file, f"{key}.{drive.name}.stops.stiffness")
+            raise InputError(message, "Leave stiffness out, for rigid ones", problem.file, f"{own}.stops.stiffness")
         limits = (machine.sizes[str(end)] for end in drive.stroke) if drive.size else None
         if section.range is not None:
             limits = (end.value for end in section.range)
