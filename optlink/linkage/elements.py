@@ -32,6 +32,7 @@ from optlink.linkage.vector2d import (
     sign,
     turn,
     turn_back,
+    unit,
 )
 
 PRESSURE = math.radians(20.0)
@@ -40,6 +41,9 @@ PRESSURE = math.radians(20.0)
 
 BARREL, SLIM, RIM = 0.85, 0.04, (1.04, 1.12)
 """Length of a barrel and half its width over the length of the closed cylinder, and radii of a rim over that of its teeth."""
+
+FLATTEST = 100.0
+"""Radius of curvature of a flat or hollow pitch curve, over the distance of the follower's point from the axis of the cam."""
 
 SMOOTH: tuple[Value, tuple[float, ...], float] = (0.0, (), 1.0)
 """Knots of an element with a smooth law."""
@@ -522,6 +526,41 @@ class Cam:
     def knots(self, pose: Pose) -> tuple[Value, tuple[float, ...], float]:
         """Return the angle of the cam from the begin of its law, and the knots and the period of the law [rad]."""
         return self._turned(pose), self.law.knots, self.law.period
+
+    def contact_at(self, pose: Pose, turned: Value) -> tuple[Value, Value]:
+        """Return the pressure angle [rad] and the radius of curvature of the profile [m] at an angle of the cam; elementwise.
+
+        `pose` has the sizes alone, and the angle counts from the begin of the law. The profile is parallel to the pitch curve,
+        the path of the follower's point on the cam (R. L. Norton, Cam Design and Manufacturing Handbook, 2nd ed., 2009, chapter
+        7); where it is undercut its radius is negative, and where it is flat or hollow very large.
+        """
+        centre, guide = pose.local(self.against, self.pivot), _guide(pose, self.follower, self.against)
+        lowest, size = self.lowest(pose), self.sense * pose.size(self.lift)
+        lift, first, second = (size * part for part in as_jet(self.law(Jet(turned, 1.0))).parts)
+        if guide is not None:
+            begin, way = pose.local_line(guide, self.against)
+            begin = minus(begin, centre)
+            outwards = sign(lowest + dot(begin, way))
+            along, rate, bend = lowest + lift, (first * way[0], first * way[1]), (second * way[0], second * way[1])
+            point = begin[0] + along * way[0], begin[1] + along * way[1]
+            if not self.contact:
+                return 0.0 * along, outwards * (dot(point, way) + second)
+        else:
+            link = pose.mechanism.bodies[self.follower]
+            begin, length = minus(pose.local(self.against, link.start), centre), pose.size(link.length)
+            (c, s), (c_low, s_low) = unit(lowest + lift), unit(lowest)
+            way, outwards = (-s, c), sign(cross((c_low, s_low), begin))
+            point = begin[0] + length * c, begin[1] + length * s
+            rate = first * length * way[0], first * length * way[1]
+            square = first * first
+            bend = length * (second * way[0] - square * c), length * (second * way[1] - square * s)
+        rate_on_cam = rate[0] + point[1], rate[1] - point[0]
+        bend_on_cam = bend[0] + 2.0 * rate[1] - point[0], bend[1] - 2.0 * rate[0] - point[1]
+        speed = np.sqrt(dot(rate_on_cam, rate_on_cam))
+        normal = -outwards * rate_on_cam[1], outwards * rate_on_cam[0]
+        cube, flattest = speed * speed * speed, FLATTEST * np.sqrt(dot(point, point))
+        radius = cube / np.maximum(-cross(rate_on_cam, bend_on_cam), cube / flattest) - pose.size(self.roller)
+        return np.arctan2(cross(way, normal), dot(way, normal)), radius
 
     def disc(self, pose: Pose) -> DiscCam:
         """Return the disc cam in the axes of the body that carries the follower, about the pivot of the cam."""

@@ -14,10 +14,11 @@ from pydantic import BeforeValidator, model_validator
 from optlink.dynamics.inverse import ForceBalance, Reactions, shaking
 from optlink.dynamics.machine import Moving, slider_names
 from optlink.io import Entry, register
+from optlink.linkage.cams import CamContact
 from optlink.linkage.dyads import RPR, RRP, RRR, Transmitting, transmitting
-from optlink.linkage.elements import Drive
+from optlink.linkage.elements import FLATTEST, Cam, Drive
 from optlink.linkage.jet import as_jet
-from optlink.linkage.mechanism import FRAME, Mechanism
+from optlink.linkage.mechanism import FRAME, Mechanism, Pose
 from optlink.linkage.vector2d import TURN, Array, Value, Vector, cross, dot, magnitude, minus
 from optlink.problem.base_model import SPELLINGS, Section
 from optlink.problem.mechanism import moving_points
@@ -109,6 +110,11 @@ DRIVE = Element(
 )
 MOTOR = Element(lambda mechanism: [drive.name for drive in turning_drives(mechanism)], "no drive of that name turns a body")
 POWERED = Element(lambda mechanism: [drive.name for drive in mechanism.drives] or ["input"], "no drive of that name")
+CAM = Element(lambda mechanism: _cams(mechanism), "no such cam")
+ROUND = Element(
+    lambda mechanism: [name for name, cam in _cams(mechanism).items() if cam.contact],
+    "no cam of that name moves its follower by a roller or a knife edge",
+)
 JOINT = Element(lambda mechanism: [group.joint for group in transmitting(mechanism)], "no dyad has its transmission angle there")
 Measure = Literal["peak", "rms", "mean", "largest", "least"]
 _SIGNED = get_args(Measure)
@@ -282,6 +288,41 @@ def _measured(record: MotionColumns, group: Transmitting) -> Array:
     return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))  # values beyond +-1 are rounding errors
 
 
+def _cams(mechanism: Mechanism) -> dict[str, Cam]:
+    """Return the cams of a mechanism by name."""
+    return {element.name: element for element in mechanism.elements if isinstance(element, Cam)}
+
+
+def _on_cam(part: int) -> Signal:
+    """Return a function for one of the figures of the contact of a cam with its follower."""
+
+    def signal(moving: Moving, reactions: Reactions, term: ElementTerm) -> tuple[Value, ...]:
+        mechanism, motion = moving.machine.mechanism, moving.motion
+        cam = _cams(mechanism)[str(term.of)]
+        turned = as_jet(cam.knots(motion.pose)[0]).value
+        return (cam.contact_at(Pose(mechanism, motion.sizes), turned)[part],)
+
+    return signal
+
+
+def _measured_on_cam(read: Callable[[CamContact], Array]) -> Course:
+    """Return a function that reads a figure from the disc cam, whose profile is an envelope."""
+
+    def course(record: MotionColumns, term: ElementTerm) -> Array:
+        motion = record.moving.motion
+        cam, pose = _cams(motion.mechanism)[str(term.of)], motion.pose
+        angles = as_jet(pose.turned(cam.cam) - pose.turned(cam.against)).value
+        return read(cam.disc(Pose(motion.mechanism, motion.sizes)).at(record.full(angles)))
+
+    return course
+
+
+def _bulging_radius(contact: CamContact) -> Array:
+    """Return the radius of curvature of a profile, very large where it is flat or hollow, as in `Cam.contact_at`."""
+    largest = FLATTEST * np.abs(contact.point)
+    return np.where(contact.turning > 0.0, np.minimum(contact.radius, largest), largest)
+
+
 def _lever_arm(record: MotionColumns, term: ElementTerm) -> Array:
     return np.asarray(np.abs(_column("v_m_s", of_slider=True)(record, term) / record.moving.motion.speed))
 
@@ -402,6 +443,16 @@ register(
     QuantityType(
         "pressure angle", "angle", ("peak",), "joint of a dyad", JOINT, _pressure, _pressure_measured, general=True, at="at"
     ),
+    QuantityType(
+        "cam pressure angle",
+        "angle",
+        ("peak",),
+        "cam",
+        ROUND,
+        _on_cam(0),
+        _measured_on_cam(lambda contact: contact.pressure_angle),
+    ),
+    QuantityType("profile radius", "length", ("least",), "cam", CAM, _on_cam(1), _measured_on_cam(_bulging_radius)),
     QuantityType(
         "slide",
         "coordinate",
@@ -756,7 +807,7 @@ class Limit(Term):
                 if key != "max" and value >= math.pi and mechanism.limits is None and self.of in rockers(mechanism):
                     message = "a rocker between crank and frame swings by less than 180 deg"
                     raise Unusable(message, 'Give less, for example "60 deg"', key, stated[key])
-            most = {"transmission angle": 180.0, "pressure angle": 90.0}.get(self.quantity)
+            most = {"transmission angle": 180.0, "pressure angle": 90.0, "cam pressure angle": 90.0}.get(self.quantity)
             if most is not None and not 0.0 < value < math.radians(most):
                 raise Unusable("out of range", f'Give an angle between 0 and {most:g} deg, for example "45 deg"', key, str(value))
         first = next(iter(sides.values()))

@@ -9,6 +9,7 @@ import pytest
 
 import optlink
 from optlink.errors import InputError
+from optlink.linkage.mechanism import Pose
 from optlink.optimization.programme import build
 from tests.tasks.test_drive_ranges import problem
 from tests.tasks.test_law_designs import GEARED
@@ -277,7 +278,99 @@ def test_cams_that_cannot_be(tmp_path, change, message):
         )
 
 
-@pytest.mark.parametrize("text", [RACK, BELT, VALVE, SWINGING, GEARED + FUNCTION], ids=["rack", "belt", "cam", "gears", "law"])
+SMALLEST = """
+title = "Smallest cam"
+[mechanism.ground]
+A = ["0 mm", "0 mm"]
+Q = [{ start = "0 mm", bounds = ["-10 mm", "10 mm"] }, "0 mm"]
+[mechanism.links]
+cam = { joints = ["A"] }
+valve = { joints = ["R"] }
+[mechanism.guides]
+stem = { slider = "valve", through = "Q", direction = "90 deg" }
+[mechanism.cams.lobe]
+cam = "cam"
+follower = "valve"
+base_radius = "10..80 mm"
+roller = "10 mm"
+law = [{ to = "150 deg", rise = "12 mm", law = "cycloidal" }, { to = "360 deg", fall = "12 mm", law = "cycloidal" }]
+[drive]
+body = "cam"
+speed = "60 rpm"
+[objective]
+quantity = "length"
+of = "lobe.base_radius"
+[limits]
+slant = { quantity = "cam pressure angle", of = "lobe", max = "15 deg" }
+profile = { quantity = "profile radius", of = "lobe", min = "5 mm" }
+"""
+
+
+def slant_and_radius(base, offset, roller=0.01):
+    """Largest pressure angle [rad] and least radius where the profile bulges [m], from differences of the pitch curve."""
+    s, slope = lift_of_cam(0.012)
+    height = math.sqrt((base + roller) ** 2 - offset**2) + s
+    path = (offset + 1j * height) * np.exp(-1j * np.linspace(0.0, 2.0 * math.pi, 20001))
+    step = path[1:-1] - path[:-2], path[2:] - path[1:-1]
+    turned = -np.angle(step[1] / step[0])  # clockwise round the cam
+    radius = 0.5 * (abs(step[0]) + abs(step[1])) / np.where(turned > 0.0, turned, np.nan)
+    return float(np.max(np.abs(np.arctan((slope - offset) / height)))), float(np.nanmin(radius)) - roller
+
+
+@BACKENDS
+@pytest.mark.parametrize(("slant", "radius", "active"), [(15.0, 5.0, 0), (60.0, 18.0, 1)])
+def test_smallest_cam_of_a_pressure_angle_and_a_radius(tmp_path, backend, slant, radius, active):
+    limits = {"limits.slant.max": f"{slant} deg", "limits.profile.min": f"{radius} mm"}
+    best = optlink.solve(problem(tmp_path, SMALLEST, **limits), backend=backend).best
+
+    def room(x):
+        most, least_radius = slant_and_radius(*x)
+        return math.radians(slant) - most, 100.0 * (least_radius - 1e-3 * radius)
+
+    expected = least(lambda x: x[0] + max(0.0, *(-one for one in room(x))), [(0.01, 0.08), (-0.01, 0.01)])
+    found = best.design["lobe.base_radius"], best.design["Q.x"]
+    assert best.valid
+    assert found[0] == pytest.approx(expected.x[0], rel=5e-4)
+    assert room(found)[active] == pytest.approx(0.0, abs=1e-3)  # of differences
+    assert min(room((found[0] * 0.99, found[1]))) < -1e-3  # a smaller one is none
+
+
+FOLLOWERS = {
+    "roller": SMALLEST,
+    "flat": SMALLEST.replace('roller = "10 mm"', "flat = true"),
+    "swinging": SMALLEST.replace('valve = { joints = ["R"] }', 'valve = { joints = ["F", "R"], length = "60 mm" }')
+    .replace("[mechanism.guides]", "")
+    .replace('stem = { slider = "valve", through = "Q", direction = "90 deg" }', "")
+    .replace("Q = [", 'F = ["70 mm", "20 mm"]\nQ = [')
+    .replace('rise = "12 mm"', 'rise = "11 deg"')
+    .replace('fall = "12 mm"', 'fall = "11 deg"'),
+}
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+@pytest.mark.parametrize("kind", FOLLOWERS)
+def test_contact_that_is_designed_is_that_of_the_disc_cam(tmp_path, kind, side):
+    """The formulas of the programme against the envelope that the profile is drawn by, also where it is undercut."""
+    changes = {} if kind == "roller" else {"limits": None}
+    changes |= {"mechanism.cams.lobe.side": side} if kind == "swinging" else {}
+    for base in (0.02, 0.045):
+        model = problem(tmp_path, FOLLOWERS[kind], **changes).model
+        sizes = {**model.complete({}), "lobe.base_radius": base, "Q.x": 0.004}
+        pose = Pose(model.linkage, sizes)
+        (cam,) = (element for element in model.linkage.elements if element.kind == "cam")
+        angles = np.linspace(0.01, 6.2, 300)
+        there = cam.disc(pose).at(angles)
+        slant, radius = cam.contact_at(pose, angles)
+        assert slant == pytest.approx(there.pressure_angle if kind != "flat" else 0.0 * angles, abs=1e-12)
+        bulging = (there.turning > 0.0) & (np.abs(there.radius) < 1.0)
+        assert radius[bulging] == pytest.approx(there.radius[bulging], rel=1e-9)
+        assert np.all(radius[~bulging] > 0.9)
+
+
+PROGRAMMES = {"rack": RACK, "belt": BELT, "valve": VALVE, "cam": SMALLEST, "gears": SWINGING, "law": GEARED + FUNCTION}
+
+
+@pytest.mark.parametrize("text", PROGRAMMES.values(), ids=PROGRAMMES)
 def test_derivatives_by_dimensions_of_elements(tmp_path, text):
     """First and second derivatives of the programme against differences."""
     ratio = (
