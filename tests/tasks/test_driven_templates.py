@@ -17,14 +17,16 @@ OUT = 1e3
 
 
 def hood(design):
-    """Peak torque of the hand [N m], and lengths of the strut closed and open [m]: by the lever arm of its line."""
-    x, y, m = design
+    """Peak torque of the hand [N m], and what is left to the lengths of the strut and to the two poses: by its lever arm."""
+    hx, hy, x, y, m = design
     phi = np.radians(np.linspace(0.0, 75.0, 401))
     ex, ey = m * np.cos(phi) + 0.03 * np.sin(phi), m * np.sin(phi) - 0.03 * np.cos(phi)
-    length = np.hypot(ex - x, ey - y)
-    lever = (ex * (ey - y) - ey * (ex - x)) / length
-    torque = 20.0 * 9.81 * 0.42 * np.cos(phi) - 800.0 * lever
-    return float(np.max(np.abs(torque))), [length[0] - 0.32, 0.56 - length[-1], *np.diff(length[[0, -1]])]
+    away = hx + ex - x, hy + ey - y
+    length = np.hypot(*away)
+    torque = 20.0 * 9.81 * 0.42 * np.cos(phi) - 800.0 * (ex * away[1] - ey * away[0]) / length
+    edge = hx + 1j * hy + 0.9 * np.exp(1j * phi[[0, -1]])
+    met = 0.001 - np.abs(edge - [0.92 + 0.04j, 0.253 + 0.909j])
+    return float(np.max(np.abs(torque))), [length[0] - 0.32, 0.56 - length[-1], *np.diff(length[[0, -1]]), *1e3 * met]
 
 
 def excavator(design):
@@ -58,7 +60,12 @@ def excavator(design):
 
 
 SEARCHED = {
-    "hood": (hood, [(0.0, 0.45), (-0.4, -0.08), (0.06, 0.6)], ("S.x", "S.y", "hood.M.along"), 1e-4),
+    "hood": (
+        hood,
+        [(0.01, 0.03), (0.03, 0.05), (0.04, 0.3), (-0.25, -0.08), (0.25, 0.45)],
+        ("H.x", "H.y", "S.x", "S.y", "hood.M.along"),
+        1e-3,
+    ),
     "excavator-arm": (
         excavator,
         [(0.3, 0.55), (0.25, 0.55), (0.2, 0.42)],
