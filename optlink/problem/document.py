@@ -267,7 +267,7 @@ class Document(Summary):
         Returns
         -------
         FuncAnimation
-            Shown by a notebook with buttons; `animation.save("motion.gif")` writes it.
+            Shown by a notebook with buttons; `animation.save("motion.gif", writer="pillow")` writes it.
 
         Raises
         ------
