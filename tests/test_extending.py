@@ -316,7 +316,6 @@ FAULTY = {
     'LimitTerm = "crank": limits.crank is a key of problem files': LimitTerm("crank", None, None, None),
     'LoadKind = "wind": its form has no key wind': LoadKind("wind", LOADS["force"].form),
     'LoadKind = "at": the key force of its form marks another kind of load': LoadKind("at", LOADS["force"].form),
-    'ResultChart = "x": there are no results of the kind analyses': ResultChart("x", "analyses", lambda result: None),
     'Solver = "both": it stands for two back ends': Solver("both", lambda: None),
     'DyadType = "slot": a dyad is named by its three joints': DyadType("slot", None),
     'ProblemKind = "own": the section "mechanism" belongs to another kind': ProblemKind("own", None, "mechanism", object),

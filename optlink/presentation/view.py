@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from optlink.errors import nearest
 from optlink.io import Entry, write_json
 from optlink.presentation.files import write_csv, write_design
 from optlink.presentation.table_spec import Line, Paragraph, Part, Summary
@@ -81,12 +80,6 @@ class ResultChart(Entry):
     name: str
     kind: str
     build: Callable[[Any], ChartSpec | None]
-
-    def fault(self) -> tuple[str, str] | None:
-        """Refuse a kind of results that there is not."""
-        from optlink.presentation.registry import KINDS
-
-        return None if self.kind in KINDS else (f"there are no results of the kind {self.kind}", nearest(self.kind, KINDS))
 
 
 def registered_charts(result: Any) -> list[ChartSpec]:
