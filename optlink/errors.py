@@ -92,6 +92,7 @@ ARGUMENTS = {
     "distribution": "shape",
     "out": "folder",
     "quantity": "output",
+    "round": "rounding",
     "set": "overrides",
     "tolerance": "tolerances",
     "tune": "names",

@@ -32,6 +32,8 @@ ACCEPTED = {
     optlink.solve: {"problem": LAW, "certify": False},
     optlink.validate: {"problem": LAW, "design": DESIGN},
     optlink.build: {"problem": LAW},
+    optlink.gradient: {"problem": LAW, "design": {"coupler": 0.4, "rocker": 0.26}},
+    optlink.hessian: {"problem": LAW, "design": {"coupler": 0.4, "rocker": 0.26}},
     optlink.analyze: {"problem": MACHINE},
     optlink.analyze_batch: {"problem": MACHINE, "designs": {"crank.length": [0.1]}},
     optlink.simulate: {"problem": MACHINE, "duration": 0.01},

@@ -206,6 +206,9 @@ def pint_factor(unit, kind):
         return None
 
 
+WITH_UNIT = sorted(kind for kind, one in KINDS.items() if one.display)
+
+
 def own_factor(unit, kind):
     try:
         return factor(unit, kind)
@@ -216,9 +219,9 @@ def own_factor(unit, kind):
 
 @pytest.mark.parametrize("unit", NAMES)
 def test_each_unit_has_the_factor_of_pint(unit):
-    for kind in KINDS:
+    for kind in WITH_UNIT:
         assert own_factor(unit, kind) == pint_factor(unit, kind)
-    assert any(own_factor(unit, kind) or own_factor(f"J/{unit}", kind) or own_factor(f"{unit}/s", kind) for kind in KINDS)
+    assert any(own_factor(unit, kind) or own_factor(f"J/{unit}", kind) or own_factor(f"{unit}/s", kind) for kind in WITH_UNIT)
 
 
 powers = st.tuples(st.sampled_from(NAMES), st.sampled_from(["", "", "^2", "^-1", "^1.5"])).map("".join)
@@ -236,7 +239,7 @@ composed = st.builds(  # units of a kind, spelled with other units of the same d
             KINDS[kind].si.replace("**", "^"),
         ),
     ),
-    st.sampled_from(sorted(KINDS)),
+    st.sampled_from(WITH_UNIT),
     st.sampled_from(["mm", "cm", "in", "ft", "km", "um"]),
     st.sampled_from(["ms", "min", "hour"]),
     st.sampled_from(["g", "t", "lb"]),
@@ -251,7 +254,7 @@ composed = st.builds(  # units of a kind, spelled with other units of the same d
 @example(("torque", "N*mm"))
 def test_products_have_the_factor_of_pint(case):
     kind, unit = case
-    for name in KINDS if kind is None else (kind,):
+    for name in WITH_UNIT if kind is None else (kind,):
         ours, theirs = own_factor(unit, name), pint_factor(unit, name)
         assert (ours is None) == (theirs is None)
         assert theirs is None or abs(ours - theirs) <= math.ulp(theirs)

@@ -15,7 +15,6 @@ from optlink.cli.options import Design, Json, Problem, Quiet, Searcher, Seed, Se
 from optlink.errors import InputError
 from optlink.execution import interrupts
 from optlink.io import head
-from optlink.units import measures
 
 if TYPE_CHECKING:
     from optlink.presentation.report_model import ReportModel
@@ -88,6 +87,8 @@ def export(
     from optlink.presentation.files import check_target
 
     check_target(output, tuple(FORMATS), "drawing.dxf")
+    from optlink.units import measures
+
     kind = "coordinate" if at is not None and measures(at, "coordinate") else "angle"
     options = Options(
         console.quantity(at, kind, "--at"),

@@ -119,7 +119,6 @@ class DesignProblem(Problem):
         """
         check_one_mode(self.mechanism)
         check_design_drive(self.mechanism, self.drive)
-        self._check_cycle()
         if self.linkage.limits is not None and "crank" in self.limits.model_fields_set:
             message = "the drive has a range, throughout which the linkage closes"
             raise Unusable(message, "Leave it out, or the range", "limits.crank", self.limits.crank)
@@ -136,6 +135,7 @@ class DesignProblem(Problem):
                 part.requirement.check(part)
                 part.requirement.check_reached(part)
                 check_robust(part.robust, part.measure, len(part.tolerances))
+        self._check_cycle()
         minimised = [part for part in self.each if not part.requirement.limited]
         for part in self.each:
             for key in ("weight", "scale"):

@@ -67,8 +67,9 @@ def validator() -> Any:
 
 def parts(result: Any, content: dict[str, Any]) -> dict[str, Any]:
     """What a document holds of the fields of its result."""
-    hidden = hidden_fields(type(result))
-    return {name: (content["state"] if name in hidden else content)[name] for name in stored_fields(type(result))}
+    hidden, added = hidden_fields(type(result)), upgrades.ADDED.get(type(result).kind, ())
+    names = [name for name in stored_fields(type(result)) if name not in added]
+    return {name: (content["state"] if name in hidden else content)[name] for name in names}
 
 
 def differences(one: Any, other: Any, place: str = "") -> Iterator[str]:
@@ -162,7 +163,7 @@ def test_a_document_from_before_a_key_was_added_is_read(
     with pytest.raises(InputError, match="lacks or misreads conflict"):
         read_result(path)
     assert not validator().is_valid(json.loads(path.read_text()))
-    monkeypatch.setitem(upgrades.ADDED, "design", ("conflict",))
+    monkeypatch.setitem(upgrades.ADDED, "design", ("conflict", *upgrades.ADDED["design"]))
     assert read_result(path).to_dict()["conflict"] == []
     jsonschema.validate(json.loads(path.read_text()), json_schema("design"))
 

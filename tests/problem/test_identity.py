@@ -92,6 +92,24 @@ CARRIAGE = {
 }
 
 
+PENDULUM = {
+    "mechanism": {"ground": {"A": ["0 mm", "0 mm"]}, "links": {"arm": {"joints": ["A", "B"], "length": "80 mm"}}},
+    "bodies": {"arm": {"mass": "2 kg", "centroid": ["40 mm", "0 mm"], "inertia": "0.01 kg*m^2"}},
+}
+
+
+def beside(loose: Mapping[str, Any], **drive: Any) -> dict[str, Any]:
+    """A mechanism that a free drive moves beside a wheel."""
+    ground, links = {"W": ["0 mm", "300 mm"]}, {"wheel": {"joints": ["W", "R"], "length": "50 mm"}}
+    mechanism, law = loose["mechanism"], [{"time": "0.5 s", "to": "60 deg", "law": "cycloidal"}]
+    whole = mechanism | {"ground": mechanism["ground"] | ground, "links": mechanism["links"] | links}
+    return {
+        **loose,
+        "mechanism": whole,
+        "drives": {"motor": {"body": "wheel", "start": "0 deg", "law": law}, "other": drive},
+    }
+
+
 def curve(size: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
     """Points [mm] of the coupler of a four-bar, scaled about their centre, with the crank angles [deg]."""
     file = read({"mechanism": {**TRACER, "coupler": "150 mm"}})
@@ -339,6 +357,22 @@ CASES = {
     "push": Case(
         "drive.force",
         CARRIAGE | {"drive": {"slide": "rail", "speed": "0.1 m/s", "force": {"over": "s", "csv": "data.csv"}, "duration": "1 s"}},
+        "data.csv",
+        PUSH,
+        scaled(PUSH, 1.5),
+        (simulation,),
+    ),
+    "turned beside another": Case(
+        "drives.*.torque",
+        beside(PENDULUM, body="arm", torque=TABLE),
+        "data.csv",
+        TORQUE,
+        scaled(TORQUE, 1.5),
+        (simulation,),
+    ),
+    "pushed beside another": Case(
+        "drives.*.force",
+        beside(CARRIAGE, slide="rail", force={"over": "s", "csv": "data.csv"}),
         "data.csv",
         PUSH,
         scaled(PUSH, 1.5),

@@ -21,7 +21,8 @@ def crank_rockers(crank, coupler, rocker, frame):
     """Swing [rad], time ratio and largest pressure angle [rad] of crank-rockers, by the cosine rule; NaN for others."""
 
     def angle(opposite, one, other):
-        cosine = (one**2 + other**2 - opposite**2) / (2.0 * one * other)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            cosine = (one**2 + other**2 - opposite**2) / (2.0 * one * other)
         return np.arccos(np.where(np.abs(cosine) <= 1.0, cosine, np.nan))
 
     swing = angle(coupler + crank, frame, rocker) - angle(coupler - crank, frame, rocker)
