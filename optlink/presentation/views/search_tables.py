@@ -320,16 +320,25 @@ def _rounded_sizes(outcome: SynthesisResult, rounding: Rounding, values: Mapping
     rows: list[Row] = []
     for name, step in rounding.steps.items():
         factor, unit = outcome.problem.model.display(name)
-        most = next((one for one in rounding.influences if one.size == name), None)
-        change = "" if most is None else f"{number(most.change, 3)} {most.unit} of {number(most.room, 3)}"
-        sizes = dimension(rounding.optimum[name] * factor), strong(dimension(values[name] * factor)), unit
-        rows.append((name, *sizes, step, "" if most is None else most.limit, change))
+        row: Row = (name, dimension(rounding.optimum[name] * factor), strong(dimension(values[name] * factor)), unit, step)
+        if rounding.influences:
+            most = next((one for one in rounding.influences if one.size == name), None)
+            change = "" if most is None else f"{number(most.change, 3)} {most.unit} of {number(most.room, 3)}"
+            row = (*row, "" if most is None else most.limit, change)
+        rows.append(row)
     model = outcome.problem.model
     naive = "" if rounding.naive is None else f"{number(model.shown_objective(rounding.naive).value, 6)}, "
     nearest = f"nearest sizes: {naive}{'valid' if rounding.naive_valid else 'not valid'}"
     before = model.shown_objective(rounding.objective)
     notes = (quiet(f"optimum without rounding: {number(before.value, 6)} {before.unit}".rstrip()), quiet(nearest))
-    heads = ["", ">optimum", ">rounded", "", "step", "changes most", "by half a step, tolerance"]
+    heads = [
+        "",
+        ">optimum",
+        ">rounded",
+        "",
+        "step",
+        *(["changes most", "by half a step, tolerance"] if rounding.influences else []),
+    ]
     return replace(table("Rounding", heads, rows), notes=notes)
 
 
