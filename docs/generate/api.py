@@ -132,10 +132,17 @@ def _is_enum(item: Any) -> bool:
     return item.is_class and any("Enum" in str(base) for base in item.bases)
 
 
+def _is_named_tuple(item: Any) -> bool:
+    return item.is_class and any(str(base) == "NamedTuple" for base in item.bases)
+
+
 def _signature(item: Any, owner: str) -> str:
     """Return a signature as it stands in a stub, with a line for each parameter if it is long."""
     parts: list[str] = []
     seen: set[str] = set()
+    for one in item.members.values() if _is_named_tuple(item) else ():
+        if one.is_attribute and not one.is_alias and "instance-attribute" in one.labels:
+            parts.append(f"{one.name}: {_type(one.annotation)}{f' = {one.value}' if one.value is not None else ''}")
     for one in item.parameters:
         kind = one.kind.value if one.kind else ""
         if kind == "keyword-only" and not seen & {kind, "variadic positional"}:
@@ -176,7 +183,14 @@ def _entry(one: Any) -> str:
     typed = f" ({code(one.annotation)}{f', default {code(default)}' if stated else ''})" if one.annotation is not None else ""
     if not name:
         name, typed = str(one.annotation), ""
-    return f"- `{name}`{typed}: {' '.join(one.description.split())}".removesuffix(": ")
+    told = " ".join(one.description.split())
+    if one.annotation is not None and _letters(told.replace(" of ", " ")) == _letters(_type(one.annotation)):
+        told = ""  # the type again
+    return f"- `{name}`{typed}: {told}".removesuffix(": ")
+
+
+def _letters(text: str) -> str:
+    return re.sub("[^a-z]", "", text.lower())
 
 
 def _type(text: Any) -> str:

@@ -29,6 +29,7 @@ WRONG = {
     "mapping": ("not a mapping of names to values", "Give SI values by name, for example result.design"),
     "dict": ("not a mapping of names to values", "Give SI values by name, for example result.design"),
     "callable": ("not a function", "Give one, or leave it out"),
+    "_buffer": ("not an array of numbers", "Give a list or an array of them, in SI units"),
     "is": ("not a problem", "Give what optlink.load returns, the name of a shipped problem, or the path of a file"),
 }
 """Message and remedy by the first word of the type of pydantic's error."""

@@ -45,6 +45,7 @@ from optlink.tasks.machine import (
 )
 from optlink.tasks.results.extremes import Extremes, distances
 from optlink.tasks.results.strokes import stroke_records
+from optlink.units import KINDS
 
 if TYPE_CHECKING:
     import pandas
@@ -696,16 +697,17 @@ class Columns(dict[str, Array]):
     """Columns by name, arrays (designs, points) of as many designs as `valid` has entries.
 
     `valid` (designs,): whether a design can be assembled at every crank angle and its motion is determined; `singular`: message
-    by design index where the motion is not determined.
+    by design index where the motion is not determined; `designs`: what was varied, arrays (designs,) [SI] by name with SI unit.
     """
 
-    def __init__(self, designs: int = 0) -> None:
+    def __init__(self, count: int = 0, designs: Mapping[str, Array] | None = None) -> None:
         super().__init__()
-        self.valid = np.zeros(designs, dtype=bool)
+        self.valid = np.zeros(count, dtype=bool)
         self.singular: dict[int, str] = {}
+        self.designs = dict(designs or {})
 
     def to_frame(self) -> pandas.DataFrame:
-        """Return a data frame of pandas with a row per design: `valid`, then least, largest and rms of each column.
+        """Return a data frame of pandas with a row per design: its sizes, `valid`, then least, largest and rms of each column.
 
         Their names end in ".min", ".max" and ".rms"; those of a design that is not valid are NaN where a value is.
         `frame.attrs["units"]` has the unit of each column with one.
@@ -715,7 +717,7 @@ class Columns(dict[str, Array]):
         InputError
             If pandas is not installed.
         """
-        table: dict[str, Any] = {"valid": self.valid}
+        table: dict[str, Any] = {**self.designs, "valid": self.valid}
         for name, values in self.items():
             table[f"{name}.min"], table[f"{name}.max"] = np.min(values, axis=1), np.max(values, axis=1)
             table[f"{name}.rms"] = np.sqrt(np.mean(np.square(values), axis=1))
@@ -786,7 +788,8 @@ def analyze_batch(
     columns = [effort.column for effort in efforts(given.mechanism)] if columns is None else columns
     for name in columns:
         check_choice("columns", name, available, "no such column", problem.file)
-    result = Columns(count)
+    kinds = problem.model.mechanism.quantities
+    result = Columns(count, {f"{name}_{KINDS[kinds[name].kind].si}".rstrip("_"): values for name, values in arrays.items()})
     result.update({name: np.empty((count, len(angles))) for name in columns})
     samples = angles
     if points < SAMPLES and limits is None:
@@ -935,7 +938,9 @@ def _read(problem: ProblemFile, designs: Mapping[str, ArrayLike]) -> dict[str, A
         check_choice("designs", name, quantities, "unknown quantity", problem.file)
         if values.ndim != 1 or len(sizes) > 1:
             raise InputError("one value per design is needed", "Give arrays of one length", problem.file, name)
-        if not np.all(np.isfinite(values)) or (quantities[name].kind == "length" and np.any(values <= 0.0)):
-            raise InputError("not a size", "Give finite values, lengths above zero", problem.file, name)
+        wrong = np.flatnonzero(~np.isfinite(values) | ((quantities[name].kind == "length") & (values <= 0.0)))
+        if wrong.size:
+            where, value = f"designs.{name}[{wrong[0]}]", float(values[wrong[0]])
+            raise InputError("not a size", "Give finite values, lengths above zero", problem.file, where, value)
         check_sizes(problem, name, values, f"designs.{name}")
     return arrays

@@ -931,6 +931,8 @@ def test_a_batch_marks_the_designs_that_close_and_has_a_row_for_each() -> None:
     assert batch.valid.tolist() == [True, False, True]
     frame = batch.to_frame()
     assert frame["valid"].tolist() == batch.valid.tolist()
+    assert frame["coupler.length_m"].tolist() == lengths["coupler.length"]
+    assert frame.attrs["units"]["coupler.length_m"] == "m"
     torque = batch["input.torque_Nm"]
     assert frame["input.torque_Nm.max"].tolist()[::2] == torque.max(axis=1).tolist()[::2]
     assert frame["input.torque_Nm.min"].tolist()[::2] == torque.min(axis=1).tolist()[::2]
