@@ -386,7 +386,7 @@ def _toleranced(number: str, unit: str | None, tolerance: str, of_tolerance: str
             return None
         width = decimal.Decimal(f"{float(width) * (size / own):.12g}")
     unit = unit or (of_tolerance if of_tolerance != "%" else None)
-    return {side: _side(f"{end:f}", unit) for side, end in (("min", value - width), ("max", value + width))}
+    return {side: _side(f"{end:zf}", unit) for side, end in (("min", value - width), ("max", value + width))}
 
 
 def is_toleranced(text: str) -> bool:

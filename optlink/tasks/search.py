@@ -76,6 +76,7 @@ MOST_IN_ORDER = 0.5  # share of starts that end in order from which the order do
 SAME_COST = 1e-4  # relative difference of equal costs of candidates
 ROUNDING = 1e-9  # relative difference of equal errors of one coupler curve
 MOST_PROGRAMMES = 24  # programmes that are kept: assembly modes, directions of the crank, orders of ends of strokes
+SLACK = 1e-3  # share of the breadth of an output that counts as unused
 # Designs from those of a four-bar:
 STARTS = 12  # per design of the four-bar and combination of assembly modes
 STEPS = 120  # of the descent from each of them
@@ -473,7 +474,7 @@ def centred(task: DesignProblem, solution: Solution) -> Solution:
             continue
         above = ErrorCourse(part).sizes(part.own(task.complete(solution.design)), np.linspace(0.0, 1.0, FINE))
         below, beyond = (float(side) * part.whole for side in np.max(above, axis=1))
-        if beyond + below < 2.0 * tolerance * (1.0 - SAME_OBJECTIVE):
+        if beyond + below < 2.0 * tolerance * (1.0 - SLACK):
             k = task.free.index(name)
             x[k] = nlp.variables[k].scaled(solution.design[name] - 0.5 * (beyond - below))
     moved = np.clip(x, nlp.x_low, nlp.x_high)
