@@ -192,9 +192,7 @@ class DesignTask(ABC, Generic[R]):
         InputError
             If it cannot be read, or this kind of problem cannot be rounded.
         """
-        raise InputError(
-            "the sizes of this kind of problem are not rounded", "Leave it out", problem.file, "--round", str(rounding)
-        )
+        raise InputError("the sizes of this kind of problem are not rounded", "Leave it out", problem.file, "--round")
 
     def rounded(self, result: R, grids: Mapping[str, Any], backend: str, progress: Progress) -> R:
         """Return a result whose sizes lie on the `grids`, validated as built.

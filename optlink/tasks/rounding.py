@@ -27,7 +27,7 @@ from optlink.problem.quantity import Unusable, input_of, read_scalar
 from optlink.solvers import multistart
 from optlink.solvers.contract import BACKENDS
 from optlink.solvers.exchange import solve_semi_infinite
-from optlink.solvers.solution import SAME_OBJECTIVE, Solution, violation
+from optlink.solvers.solution import SAME_OBJECTIVE, Solution
 from optlink.tasks.protocol import Progress, Timer, part
 from optlink.tasks.results.design import LinkageDesign, SynthesisResult
 from optlink.tasks.results.rounding import Influence, Rounding
@@ -39,8 +39,7 @@ ON_GRID = 1e-7  # share of a step: a size this close to a grid value has it
 FEW = 4  # sizes up to which the whole grid is searched
 WHOLE, PER_SIZE = 1000, 30  # programmes solved at most on the whole grid; per size where it is too large for that
 FINER = 2.0, 5.0, 10.0, 20.0, 50.0, 100.0  # divisors of the steps with which a design is looked for where none has the steps
-DRAWN, AGAIN = 256, 3  # random designs of a box that seems empty; the best of them, from which it is searched again
-TRIED = 60  # programmes for each of them
+TRIED = 20  # programmes for each of them
 CORNERS = 6  # sizes up to which all designs beside the optimum are tried first
 
 
@@ -103,11 +102,12 @@ def read_steps(problem: ProblemFile, rounding: object) -> dict[str, Grid]:
             if name and name not in free:
                 what = "is no free size" if name in quantities else "is unknown"
                 raise Unusable(f"{name} {what}", f"Free sizes: {', '.join(free)}")
-            kind = quantities[name].kind if name else "length"
-            values = [read_scalar(one, "coordinate" if kind == "length" else kind)[0] for one in _listed(raw)]
-            if not values or min(values) <= 0.0 < len(values) == 1:
+            kind, listed = quantities[name].kind if name else "length", isinstance(raw, list | tuple)
+            kind = "length" if kind == "coordinate" and not listed else kind
+            values = [read_scalar(one, kind)[0] for one in _listed(raw)]
+            if not values or (not listed and values[0] <= 0.0):
                 raise Unusable("a step must be positive", 'Give one above zero, for example "0.1 mm"')
-            grid = Grid(step=values[0]) if not isinstance(raw, list | tuple) else Grid(stock=tuple(sorted(set(values))))
+            grid = Grid(stock=tuple(sorted(set(values)))) if listed else Grid(step=values[0])
             others = [other for other in free if quantities[other].kind in ("length", "coordinate") and other not in stated]
             grids |= dict.fromkeys([name] if name else others, grid)
     if not grids:
@@ -151,44 +151,32 @@ class _Search:
         """Return the optimum with the sizes between two bounds [SI], near another one."""
         x_low, x_high = self.nlp.x_low.copy(), self.nlp.x_high.copy()
         for j, (k, v) in enumerate(zip(self.at, self.variables, strict=True)):
-            x_low[k], x_high[k] = max(x_low[k], v.scaled(low[j])), min(x_high[k], v.scaled(high[j]))
+            x_high[k] = min(x_high[k], v.scaled(high[j]))
+            x_low[k] = min(max(x_low[k], v.scaled(low[j])), x_high[k])  # a bound may be a value of the grid but for rounding
         self.solved += 1
         nlp = self.nlp.bounded(x_low, x_high)
         nlp.p[1:] = start.p[1:]
-        end = self._ended(nlp, np.clip(start.x, x_low, x_high), start.message)
-        if end.usable or np.array_equal(low, high):
-            return end
-        others = (self._ended(nlp, x, start.message) for x in self._beside(nlp, end.x))
-        return next((other for other in others if other.usable), end)
+        begin = multistart.solution_at(nlp, np.clip(start.x, x_low, x_high), start.message)
+        return solve_semi_infinite(self.task, begin, self.polisher.method, near=False)
 
-    def _ended(self, nlp: NLP, x: Array, message: str) -> Solution:
-        return solve_semi_infinite(self.task, multistart.solution_at(nlp, x, message), self.polisher.method, near=False)
+    def build(self, sizes: Sequence[float], start: Solution) -> None:
+        """Validate the best design with these sizes [SI] as built, and keep it if no valid one is better.
 
-    def _beside(self, nlp: NLP, x: Array) -> list[Array]:
-        """Return random designs of a box in which nothing feasible was found, those that violate the limits least."""
-        drawn, random = np.tile(x, (DRAWN, 1)), np.random.default_rng(0)
-        drawn[:, self.at] = random.uniform(nlp.x_low[self.at], nlp.x_high[self.at], (DRAWN, len(self.at)))
-        misses = []
-        for each in drawn:
-            lifted = nlp.lifted(each)
-            misses.append(violation(nlp, lifted, nlp.values(lifted, nlp.p)[1]))
-        return [drawn[k] for k in np.argsort(np.nan_to_num(misses, nan=math.inf))[:AGAIN]]
-
-    def built(self, sizes: Sequence[float], start: Solution) -> LinkageDesign:
-        """Return the best design with these sizes [SI], validated as built, and keep it if no valid one is better."""
-        key = tuple(sizes)
-        if key not in self.tried:
-            fixed = np.asarray(sizes, dtype=float)
-            end = self.within(fixed, fixed, start)
-            values, angles = solved_values(self.task, end.design, end.x)
-            values = self.task.complete({**values, **dict(zip(self.grids, map(float, sizes), strict=True))})
-            checked = validate(self.task, values, angles)
-            made = LinkageDesign(self.design.problem, values, angles, checked.objective, Status.ROUNDED, checked)
-            self.tried[key] = made
-            better = self.best is None or made.objective < self.best.objective
-            if made.valid and better:
-                self.best = made
-        return self.tried[key]
+        Of many sizes, of which validation takes longest, designs that their programme refuses are not validated.
+        """
+        key, fixed = tuple(sizes), np.asarray(sizes, dtype=float)
+        if key in self.tried:
+            return
+        end = self.within(fixed, fixed, start)
+        if self.tried and len(sizes) > FEW and not end.usable:
+            return
+        values, angles = solved_values(self.task, end.design, end.x)
+        values = self.task.complete({**values, **dict(zip(self.grids, map(float, sizes), strict=True))})
+        checked = validate(self.task, values, angles)
+        made = LinkageDesign(self.design.problem, values, angles, checked.objective, Status.ROUNDED, checked)
+        self.tried[key] = made
+        if made.valid and (self.best is None or made.objective < self.best.objective):
+            self.best = made
 
     def corners(self) -> Iterator[list[float]]:
         """Yield the nearest values of the grid, and the other ones about the optimum if there are few."""
@@ -205,9 +193,9 @@ class _Search:
         limit has no tolerance, and all free sizes are rounded, only the designs beside the optimum are tried.
         """
         whole, most = len(self.at) <= FEW, tries or (WHOLE if len(self.at) <= FEW else PER_SIZE * len(self.at))
-        for corner in self.corners():
+        for corner in itertools.islice(self.corners(), 1 if tries else None):
             if all(map(self._allowed, range(len(corner)), corner)):
-                self.built(corner, self.top)
+                self.build(corner, self.top)
         if self.exact and self.best is None:
             return
         low = np.array([v.value(float(self.nlp.x_low[k])) for v, k in zip(self.variables, self.at, strict=True)])
@@ -225,7 +213,7 @@ class _Search:
             shares = [grid.off(value) for grid, value in zip(self.grids.values(), sizes, strict=True)]
             off = [j for j, share in enumerate(shares) if share]
             if not off:
-                self.built([grid.nearest(value) for grid, value in zip(self.grids.values(), sizes, strict=True)], node.solution)
+                self.build([grid.nearest(value) for grid, value in zip(self.grids.values(), sizes, strict=True)], node.solution)
                 continue
             j = max(off, key=lambda j: shares[j]) if whole else max(off, key=lambda j: order[j])
             grid = list(self.grids.values())[j]
@@ -233,7 +221,7 @@ class _Search:
             for side, end in ((0, grid.below(sizes[j])), (1, grid.above(sizes[j]))):
                 box = [node.low.copy(), node.high.copy()]
                 box[1 - side][j] = end
-                if not math.isfinite(end) or box[0][j] > box[1][j] * (1.0 + ON_GRID):
+                if not math.isfinite(end) or box[0][j] > box[1][j] + ON_GRID * grid.width(sizes[j]):
                     continue
                 solution = self.within(box[0], box[1], node.solution)
                 if solution.usable and not self._worse(solution.objective):
@@ -325,8 +313,9 @@ def rounded(
     progress : function of the completed fraction, optional
     """
     tops, interrupted = [design for design in result.designs if design.solution is not None], result.interrupted
-    if not tops:
-        return result
+    if interrupted or not tops:
+        why = "the search was interrupted" if interrupted else "its search ended at no optimum"
+        return replace(result, notes=(*result.notes, f"the sizes are not rounded: {why}")) if result.designs else result
     timer, name = Timer(), BACKENDS[1] if backend == "both" else backend
     searches = [search for design in tops for search in _searches(design, grids, name)]
     try:
@@ -344,7 +333,7 @@ def rounded(
         interrupted, finer = True, None
     timer.lap("rounding")
     first = searches[0]
-    naive = next(iter(first.tried.values()), None)
+    naive = first.tried.get(tuple(next(first.corners())))
     record = Rounding(
         steps={one: _words(result.problem, one, grid) for one, grid in grids.items()},
         optimum=tops[0].values,

@@ -128,6 +128,8 @@ def solve(
     shared = any(value not in (None, "local") for value in execution.values())
     check(**execution)
     grids = None if rounding is None else task.grids(problem, rounding)
+    if certify and grids is not None:
+        raise InputError("a proof is one of sizes that are not rounded", "Leave one of them out", problem.file, "--certify")
     with contextlib.ExitStack() as ends:
         runs = ends.enter_context(pool(**execution)) if task.divisible and not alone(**execution) else None
         kept: dict[str, Any] = {"designs": designs, "track": track, "runs": runs, "shared": shared}

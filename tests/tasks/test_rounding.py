@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import optlink
 from optlink.errors import InputError, Status
-from optlink.tasks.rounding import Grid, read_steps
+from optlink.tasks import rounding
+from optlink.tasks.rounding import Grid, read_steps, rounded
 from tests.solved import solution
 
 STEP = 2e-3  # m
@@ -136,18 +138,57 @@ def test_grids():
 
 
 REFUSED = [
-    ("0 mm", "a step must be positive"),
-    ("1 kg", "not a unit"),
+    ("0 mm", "a length must be positive"),
+    ({"rocker": ["-5 mm"]}, "a length must be positive"),
+    ("1 kg", "not a unit of length"),
     ({"frame": "1 mm"}, "frame is no free size"),
     ({"foo": "1 mm"}, "foo is unknown"),
     ({"rocker": []}, "a step must be positive"),
 ]
 
 
-@pytest.mark.parametrize(("rounding", "message"), REFUSED)
-def test_what_cannot_be_rounded(rounding, message):
+@pytest.mark.parametrize(("steps", "message"), REFUSED)
+def test_what_cannot_be_rounded(steps, message):
     with pytest.raises(InputError, match=message):
-        read_steps(optlink.load("crank-rocker"), rounding)
+        read_steps(optlink.load("crank-rocker"), steps)
+
+
+@pytest.mark.slow
+def test_a_mirrored_linkage_has_the_mirrored_sizes(monkeypatch):
+    """Also where a box has one value, below zero; the designs beside the optimum alone would not show it."""
+    monkeypatch.setattr(rounding, "CORNERS", 0)
+    results = []
+    for bounds in (["1 mm", "50 mm"], ["-50 mm", "-1 mm"]):
+        changes = {"requirement.stroke": "100 mm +- 2 mm", "requirement.time_ratio": "1.2 +- 0.05"}
+        problem = optlink.load("stroke-slider-crank", {**changes, "mechanism.guides.G.offset": {"bounds": bounds}})
+        results.append(optlink.solve(problem, rounding={"": "5 mm", "G.offset": "50 mm"}))
+    above, below = results
+    assert above.valid
+    assert below.valid
+    assert below.objective == pytest.approx(above.objective, rel=1e-9)
+    assert below.design["G.offset"] == pytest.approx(-above.design["G.offset"], abs=1e-12)
+    assert above.design["G.offset"] == pytest.approx(0.05, abs=1e-12)
+
+
+def test_a_bound_may_lie_on_the_grid_but_for_rounding():
+    problem = optlink.load("crank-rocker", {"mechanism.coupler": {"bounds": ["412 mm", "413 mm"]}})
+    design = optlink.solve(problem, certify=False).designs[0]
+    search = next(rounding._searches(design, read_steps(problem, "1 mm"), "ipopt"))
+    high = np.array([0.413 * (1.0 + 1e-15), 0.231])
+    end = search.within(high, high, search.top)
+    assert search.sizes(end) == pytest.approx([0.413, 0.231], rel=1e-14)
+
+
+def test_a_proof_of_rounded_sizes_is_refused():
+    with pytest.raises(InputError, match="a proof is one of sizes that are not rounded"):
+        optlink.solve("crank-rocker", certify=True, rounding="1 mm")
+
+
+def test_an_interrupted_search_says_that_its_sizes_are_not_rounded():
+    result = optlink.solve("crank-rocker", certify=False)
+    ended = rounded(replace(result, interrupted=True), read_steps(result.problem, "1 mm"))
+    assert ended.notes[-1] == "the sizes are not rounded: the search was interrupted"
+    assert ended.rounding is None
 
 
 def test_a_kind_without_sizes_is_refused():

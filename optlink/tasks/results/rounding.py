@@ -65,7 +65,7 @@ class Rounding:
             ways = [f"divide the steps by {self.finer:g}"] if self.finer else []
             if self.needed:
                 ways.append("allow " + ", ".join(f"{name} +- {value}" for name, value in self.needed.items()))
-            return f"no design on a grid of {self.text} is valid" + (f"; {', or '.join(ways)}" if ways else "")
+            return f"no valid design was found on a grid of {self.text}" + (f"; {', or '.join(ways)}" if ways else "")
         found = "the whole grid was searched" if self.whole else f"a part of the grid was searched ({self.solved} programmes)"
         share = self.loss(objective)
         lost = f"{percent(share, signed=True)} by rounding" if math.isfinite(share) else "exact without rounding"
