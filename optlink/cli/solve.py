@@ -82,7 +82,7 @@ def solve(
     where: dict[str, object] = {"--engine": engine, "--workers": workers, "--scheduler": scheduler}
     if design:
         console.refuse(
-            {"--certify": certify, "--round": " ".join(rounding or ())} | limits | where,
+            {"--certify": certify, "--round": " ".join(rounding) if rounding else None} | limits | where,
             "a given design is validated, not optimised",
             "Leave it out",
         )
