@@ -190,6 +190,7 @@ def test_a_new_dyad(extended, tmp_path):
     assert "Scotch yoke" in page(tmp_path, "scotch-yoke")
 
 
+@pytest.mark.slow
 def test_a_new_kind_of_result_and_its_view(extended, tmp_path):
     raw = dict(optlink.load("six-bar").raw)
     raw.pop("expected", None)
@@ -235,6 +236,7 @@ WINDY = SLOW_ROCKER | {
 }
 
 
+@pytest.mark.slow
 def test_a_new_load(extended, tmp_path):
     with pytest.raises(InputError, match="unknown key"):
         optlink.read(WINDY)
@@ -268,6 +270,7 @@ def test_a_new_load(extended, tmp_path):
     assert not validator.is_valid({**WINDY, "loads": {"air": AIR | {"stiffness": "1 N/m"}}})
 
 
+@pytest.mark.slow
 def test_a_new_chart(extended, tmp_path):
     before = optlink.analyze("six-bar").plots
     extended("chart")

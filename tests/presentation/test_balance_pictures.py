@@ -103,6 +103,7 @@ def test_a_limit_is_a_line_on_either_side():
     assert float(np.max(np.abs(np.asarray(torque.get_ydata())))) <= heights[1] * (1.0 + 1e-6)
 
 
+@pytest.mark.slow
 def test_discs_are_to_scale_and_in_their_place():
     """Radius from the mass; the centre lies where body axes put it, in both positions."""
     outcome, figure = result(), drawn("mechanism")

@@ -340,6 +340,7 @@ def test_three_objectives_leave_no_dominated_point():
 # --- machines ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_front_of_a_slider_crank_is_its_closed_form(press):
     """With a stroke of 100 mm the rod of the least angle mu is 50 mm / cos(mu)."""
     front = pareto(press, f"rod.length, {LEAST}", points=4, workers=1)

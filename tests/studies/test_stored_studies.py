@@ -45,7 +45,7 @@ STUDIES: dict[str, Callable[[], Document]] = {
     "sensitivity of a stroke": lambda: sensitivities(optlink.load("stroke-crank-rocker")),
 }
 SLOW = ("sweep", "sweep without a design", "sweep of simulations", "front", "allocation", "robust design")
-SLOW += ("sensitivity of a path", "sensitivity of a stroke")
+SLOW += ("sensitivity of a path", "sensitivity of a stroke", "sensitivity", "linear tolerance")
 
 
 def written(study: Document, folder: Path) -> Path:

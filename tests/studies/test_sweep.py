@@ -100,6 +100,7 @@ def test_a_balancing_problem_is_not_swept():
         sweep(optlink.load("balance-four-bar"), ["mechanism.rocker=70..80 mm:2"])
 
 
+@pytest.mark.slow
 def test_a_million_million_points_are_refused_with_their_size():
     with pytest.raises(InputError) as error:
         sweep(problem(), [f"{FRAME}:1000000", f"{LIMIT}=120..140 deg:1000000"])

@@ -62,6 +62,7 @@ def test_a_point_that_is_met_exactly_scatters_too():
     assert np.all(result.monte_carlo.most <= result.worst[1] * 1.7)  # normal deviations reach beyond three sigma
 
 
+@pytest.mark.slow
 def test_the_error_of_a_slide():
     problem = optlink.load("law-slider-crank")
     result = tolerance(problem, [f"{name}={text}" for name, text in SLIDE_TEXTS.items()], limit="0.6 mm", samples=1 << 15)

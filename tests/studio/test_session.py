@@ -334,6 +334,7 @@ def test_files_that_a_problem_reads_are_named_and_not_linked(tmp_path: Any) -> N
     assert page.ask("link")[0]["type"] == "link"
 
 
+@pytest.mark.slow
 def test_a_conclusion_writes_every_length_in_mm() -> None:
     conclusion = design_of(optlink.solve(optlink.load("path-bean"))).conclusion
     assert "root mean square 0.1382 mm" in conclusion

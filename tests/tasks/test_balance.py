@@ -667,6 +667,7 @@ def test_trade_off_is_monotone_convex_and_proven(pair):
         assert point.realised == pytest.approx((point.first, point.second), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_ends_of_the_trade_off_are_the_single_optima():
     trade = six_bar(None, "force,torque").trade
     assert trade.points[0].first == pytest.approx(six_bar("rms shaking force").objective, rel=5e-7)

@@ -40,6 +40,7 @@ def peak(analysis: optlink.Analysis, column: str) -> float:
     return max(analysis.figures[f"{column}.max"], -analysis.figures[f"{column}.min"])
 
 
+@pytest.mark.slow
 def test_both_back_ends_design_the_same_shaper():
     result = shaper()
     assert result.valid

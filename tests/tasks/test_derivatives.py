@@ -49,6 +49,7 @@ def test_the_gradient_is_that_of_the_measured_objective(name: str) -> None:
     agree(optlink.gradient(problem, design), measured, design, 1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", mostly_slow(KINDS, *QUICK))
 def test_the_hessian_is_that_of_differences_of_the_gradient(name: str) -> None:
     problem, design = beside_the_optimum(name)

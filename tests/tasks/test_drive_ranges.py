@@ -144,6 +144,7 @@ def test_lift_has_the_least_peak_force(tmp_path, backend):
     assert figures["stroke of boom"] == pytest.approx(math.degrees(float(np.ptp(angle))), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_lift_has_the_least_power(tmp_path):
     """At constant speed the power of the weights is the force times the speed: the same design, and 50 mm/s of its force."""
     power = {"objective.quantity": "power", "objective.static": True}
@@ -279,7 +280,7 @@ def strut_forces(y, m, way):
     return torque, np.abs(inward + 20.0 * 9.81j - push)
 
 
-@pytest.mark.parametrize(("backend", "pull"), [("ipopt", 45.0), ("slsqp", 30.0)])
+@pytest.mark.parametrize(("backend", "pull"), [pytest.param("ipopt", 45.0, marks=pytest.mark.slow), ("slsqp", 30.0)])
 def test_largest_efforts_are_those_of_both_ways(tmp_path, backend, pull):
     """A strut that damps: no design of a grid is better by own formulas on the way there and back."""
     result = optlink.solve(problem(tmp_path, BUFFER, **{"limits.pull.min": f"{-pull} N*m"}), backend=backend, starts=4)

@@ -317,6 +317,7 @@ def slant_and_radius(base, offset, roller=0.01):
     return float(np.max(np.abs(np.arctan((slope - offset) / height)))), float(np.nanmin(radius)) - roller
 
 
+@pytest.mark.slow
 @BACKENDS
 @pytest.mark.parametrize(("slant", "radius", "active"), [(15.0, 5.0, 0), (60.0, 18.0, 1)])
 def test_smallest_cam_of_a_pressure_angle_and_a_radius(tmp_path, backend, slant, radius, active):

@@ -183,6 +183,7 @@ def test_law_over_the_range_starts_where_the_range_does(tmp_path, backend):
     assert best.objective == pytest.approx(found.fun, rel=1e-5)
 
 
+@pytest.mark.slow
 @BACKENDS
 def test_a_lift_reaches_two_angles_with_the_least_force(tmp_path, backend):
     """The own search has the two angles and M as unknowns; G then is where two circles meet."""

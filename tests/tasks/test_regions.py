@@ -180,6 +180,7 @@ def test_the_default_clearance_is_a_share_of_the_box() -> None:
     assert check.limit == ">= 0.72"
 
 
+@pytest.mark.slow
 def test_a_region_beside_a_dwell_and_a_position() -> None:
     """The straight line of 200 mm travel, with a roof over it that the whole curve stays below."""
     known = optlink.load("straight-line")

@@ -111,6 +111,7 @@ def _written(result, folder):
     return folder
 
 
+@pytest.mark.slow
 def test_an_exact_requirement_asks_for_tolerances():
     result = optlink.solve("stroke-crank-rocker", starts=1, rounding="0.1 mm")
     assert not result.valid

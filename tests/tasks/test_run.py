@@ -7,6 +7,7 @@ import pytest
 import optlink
 from optlink.errors import InputError, Status
 from tests.solved import loaded, solution
+from tests.tiers import mostly_slow
 
 QUESTIONS = {name: loaded(name) for name in optlink.shipped()}
 SOLVED = {name: problem for name, problem in QUESTIONS.items() if problem.task != "analysis"}
@@ -16,7 +17,7 @@ LONG = {"function-exp", "function-log10", "path-stephenson-dwell", "path-watt-le
 MEMBERS = {name for name in vars(optlink.DesignResult) if not name.startswith("_")}
 
 
-@pytest.mark.parametrize("name", ["crank-rocker", "path-arc5", "stroke-crank-rocker"])
+@pytest.mark.parametrize("name", mostly_slow(["crank-rocker", "path-arc5", "stroke-crank-rocker"], "crank-rocker"))
 def test_the_results_of_all_kinds_have_the_same_members(name: str) -> None:
     result = solution(name)
     assert {"valid", "limits", "with_checks"} <= MEMBERS <= set(dir(result))

@@ -113,6 +113,7 @@ def test_processes_change_no_digit_of_a_machine() -> None:
     assert cycle_digits(optlink.solve(file, "both", seed=1, workers=2)) == cycle_digits(alone)
 
 
+@pytest.mark.slow
 def test_ctrl_c_keeps_the_searches_of_a_machine() -> None:
     part = shared("shaper-design", pressed(2), starts=8)
     assert part.interrupted
@@ -131,6 +132,7 @@ def test_ctrl_c_keeps_the_refined_designs_of_a_path() -> None:
         shared("path-conveyor", pressed(0), starts=60)
 
 
+@pytest.mark.slow
 def test_ctrl_c_keeps_the_searches_of_a_law() -> None:
     """Pressed while the designs of the first round are refined: the start of the file and those that are refined remain."""
     part = shared("crank-rocker", pressed(3), starts=200)
@@ -151,6 +153,7 @@ def test_no_cluster_is_started_for_a_problem_that_cannot_use_it(monkeypatch: pyt
         optlink.solve(optlink.load("path-vline6"), engine="dask")
 
 
+@pytest.mark.slow
 def test_one_worker_computes_no_round_of_starts_ahead(monkeypatch: pytest.MonkeyPatch) -> None:
     """A round that is computed ahead is not used if the search ends before it: one process gains nothing by it."""
     computed, sample = [], Searcher._sample

@@ -271,6 +271,7 @@ def test_unusable_start_is_repaired(crank_rocker):
     assert result.design["coupler"] * 1e3 == pytest.approx(412.86542, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_optima_of_many_starts_are_grouped(crank_rocker):
     seen = []
     result = optlink.solve(crank_rocker, "slsqp", starts=100, seed=3, progress=seen.append)
@@ -300,6 +301,7 @@ def test_an_interrupted_search_keeps_its_best_design(crank_rocker, monkeypatch):
         optlink.solve(crank_rocker, "slsqp", starts=50)
 
 
+@pytest.mark.slow
 def test_distinct_optima_are_listed(crank_rocker):
     """With a bounded start angle the problem has more than one local optimum, one at a bound; the best is taken."""
     problem = crank_rocker.override(

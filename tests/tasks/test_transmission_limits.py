@@ -227,6 +227,7 @@ def test_best_transmission_is_the_worst_of_the_revolution() -> None:
     assert result.best.least_transmission == pytest.approx(math.acos(35.0 / 200.0), abs=1e-9)
 
 
+@pytest.mark.slow
 def test_the_worst_angle_of_several_dyads_counts() -> None:
     """Of a toggle press: that of the programme of its cycle, which has its own formula and its own search."""
     links = {

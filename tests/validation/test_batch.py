@@ -41,6 +41,7 @@ def assert_same(one: Validation, other: Validation) -> None:
     assert repr(one) == repr(other)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "rule",
     [
