@@ -38,6 +38,9 @@ def report(
     part: Annotated[str | None, option("TEXT", "Name or number of the part.", "--part")] = None,
     revision: Annotated[str | None, option("TEXT", "Revision of the part.", "--revision")] = None,
     date: Annotated[str | None, option("TEXT", "Date; default: today.", "--date")] = None,
+    brief: Annotated[
+        bool, flag("Write the short page, two printed sheets: drawing, limits, motion, two charts.", "--brief")
+    ] = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -53,7 +56,7 @@ def report(
     from optlink.presentation.html.page import write_page
 
     with console.working(f"Writing {output}"):
-        write_page(about, output)
+        write_page(about, output, brief=brief)
     _written(about, output, as_json)
 
 

@@ -305,7 +305,8 @@ class ChartSpec:
     `file` names the picture and `title` is the caption on the page and of its part of a picture. `heading` is the title of the
     picture (default: `title`), in red with `warning`; the first chart of a picture supplies it. `remark` is a sentence below the
     title. `equal` draws x and y on one scale. `cursor` lets the page mark the position of the slider, whose unit is that of the x
-    axis. `width` [inch] is that in the picture. `designs` returns problem and design [m, rad] of a source of `picks`.
+    axis. `width` [inch] is that in the picture. `designs` returns problem and design [m, rad] of a source of `picks`. The short
+    page shows charts that are `brief` before others.
     """
 
     file: str
@@ -322,6 +323,7 @@ class ChartSpec:
     designs: Callable[[int], tuple[ProblemFile, Mapping[str, float]]] | None = None
     cursor: bool = True
     page: bool = True
+    brief: bool = False
     row: int = 0
     width: float = 7.6
 

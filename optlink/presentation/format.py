@@ -7,6 +7,7 @@ import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextvars import ContextVar
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 from optlink.units import percent
@@ -250,6 +251,8 @@ OTHERS = (
 """Names of other checks, and how to state that they fail."""
 GENERAL = (KEY + r"(.+)", r"\1 is {}")
 TURNS = OTHERS[0][0]
+STATED = (*(name for name, _ in MEASURED if not name.startswith("(.+) ")), r"[\w.]+: .+")
+"""Names of limits that a file states, not of its bounds of dimensions or of the checks of the kinematics."""
 SIDES = {">=": "at least ", "<=": "at most ", "=": "", "": ""}
 LIMIT = re.compile(r"(>=|<=|=|)\s*([-+]?\d\S*(?: \.\.\. \S+)?)")
 
@@ -264,6 +267,19 @@ def causes(checks: Sequence[Check]) -> list[str]:
     turns = [check for check in failed if re.fullmatch(TURNS, check.name)]
     valued = [check for check in failed if math.isfinite(check.value)]
     return list(dict.fromkeys(_cause(check, checks) for check in turns or valued or failed))
+
+
+def requirements(checks: Sequence[Check]) -> list[tuple[Check, str, str]]:
+    """Return the measured limits of a file with their senses and bounds; two limits with the same bound are one value."""
+    found: dict[tuple[str, str], tuple[Check, str, str]] = {}
+    for check in checks:
+        limit = LIMIT.fullmatch(check.limit)
+        named = any(re.fullmatch(name, check.name) for name in STATED) and not re.fullmatch(TURNS, check.name)
+        if limit is not None and named:
+            name = re.sub(", (?:least|largest)$", "", check.name.removeprefix(re.match(KEY, check.name)[0]))  # type: ignore[index]
+            both = (name, limit[2]) in found
+            found[name, limit[2]] = replace(check, name=name), "=" if both else limit[1], limit[2]
+    return list(found.values())
 
 
 def why_invalid(checks: Sequence[Check], otherwise: str) -> str:

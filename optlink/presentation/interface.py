@@ -45,7 +45,7 @@ def content(source: Subject, facts: Mapping[str, Any], name: str = "") -> Report
 
 
 @typed
-def report(source: Subject, file: str | Path, facts: Mapping[str, str] | None = None) -> Path:
+def report(source: Subject, file: str | Path, facts: Mapping[str, str] | None = None, *, brief: bool = False) -> Path:
     """Write a self-contained HTML page: results, checks, charts, animation, sources.
 
     Parameters
@@ -56,6 +56,8 @@ def report(source: Subject, file: str | Path, facts: Mapping[str, str] | None = 
         HTML file to write.
     facts : mapping of str to str, optional
         Entries at the head of the page: title, company, author, part, revision, date.
+    brief : bool, optional
+        Write the short page: what the linkage is and does, its drawing, limits, positions and two charts, on two printed sheets.
 
     Returns
     -------
@@ -79,7 +81,7 @@ def report(source: Subject, file: str | Path, facts: Mapping[str, str] | None = 
     from optlink.presentation.html.page import write_page
 
     path = check_target(Path(file), (".html", ".htm"), "report.html", "file")
-    write_page(content(source, {f"report.{key}": text for key, text in (facts or {}).items()}), path)
+    write_page(content(source, {f"report.{key}": text for key, text in (facts or {}).items()}), path, brief=brief)
     return path
 
 

@@ -45,7 +45,8 @@ class StoredStudy:
 
     `kind` describes the task; `conclusion` says in a sentence what was found; `status` are lines below the verdict;
     `sections` contain tables and charts; `by` is the method. The linkage of a `design` [m, rad] turns, or `moving` returns an
-    animated one for a number of positions per revolution; `drawn` is its caption, `after` the number of sections before it.
+    animated one for a number of positions per revolution; `drawn` is its caption, `after` the number of sections before it. The
+    short page shows `achieved`, or else the conclusion, and `limits`, or else the first table.
     """
 
     problem: ProblemFile
@@ -61,6 +62,8 @@ class StoredStudy:
     drawn: str = ""
     after: int = 0
     notes: tuple[str, ...] = ()
+    achieved: str = ""
+    limits: Sequence[Part] = ()
 
 
 @dataclass(frozen=True)
@@ -116,6 +119,10 @@ class View:
         Returns the page of a result. Default: the page of a design with the motion of its machine.
     no_page : str
         Where to read results of a kind without a page.
+    achieved : function, optional
+        Returns what a result achieves, without words of the search, for the short page. Default: the conclusion.
+    limits : function
+        Returns the tables of the short page, of limits with values and margins; if there are none, it shows the first table.
     """
 
     table: Callable[[Any], Summary] = lambda _: Summary("", Paragraph())
@@ -129,6 +136,8 @@ class View:
     frames: Callable[[Any], list[Image.Image]] = lambda _: []
     page: Callable[[Any], StoredStudy | ReportModel] | None = None
     no_page: str = ""
+    achieved: Callable[[Any], str] | None = None
+    limits: Callable[[Any], Sequence[Part]] = lambda _: ()
 
     def write(self, result: Any, folder: Path, pictures: str = "png", *, film: bool = False) -> list[Path]:
         """Write result.json, the certificate, the tables, the design and the pictures; return the paths.

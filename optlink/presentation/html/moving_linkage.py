@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from optlink.presentation.format import Scale, pretty, scale
 from optlink.presentation.scene import Region, Scene, scene
 from optlink.tasks.analyze import Analysis
 
+STILLS = 4  # positions that are printed
 STACKED_RATIO = 0.45  # ratio of height to width below which the quantities are shown below the drawing
 
 
@@ -82,6 +83,17 @@ class Moving:
         """Whether the quantities are shown below the drawing."""
         _, _, width, height = self.scene.box
         return height < STACKED_RATIO * width
+
+    @property
+    def stills(self) -> list[tuple[str, str]]:
+        """Drawings of some positions, evenly over the motion, with the position as caption: what paper shows of the motion."""
+        count, stops = len(self.stops.values), self.stops
+        chosen = np.linspace(0, count - 1, STILLS + self.scene.closed).round().astype(int)[:STILLS]
+        captions = [replace(stops, values=stops.values[k:]).text() for k in chosen]
+        return [
+            (caption, svg(self.scene, f"{stops.name} {caption}", int(k), names=False))
+            for caption, k in zip(captions, chosen, strict=True)
+        ]
 
     def svg(self, title: str) -> str:
         """Return the drawing."""

@@ -2,6 +2,7 @@
 
 import functools
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,33 +16,35 @@ from optlink.presentation.registry import view_of
 from optlink.presentation.report_model import ReportModel, report_model_of
 from optlink.presentation.table_spec import Paragraph, Span, Summary
 from optlink.presentation.view import PageSection, StoredStudy, registered_charts
-from optlink.presentation.views import analysis_charts, sensitivity
+from optlink.presentation.views import analysis_charts, conclusions, sensitivity
 from optlink.presentation.views.analysis_charts import CycleCurves
 from optlink.studies.sensitivity import Sensitivities, of_solution
 from optlink.tasks.analyze import Analysis
 
 
-def write_page(model: ReportModel | StoredStudy, path: Path) -> None:
+def write_page(model: ReportModel | StoredStudy, path: Path, *, brief: bool = False) -> None:
     """Write the HTML page of a report model or of a stored result.
 
     Parameters
     ----------
     model : ReportModel or StoredStudy
     path : Path
+    brief : bool, optional
+        Write the short page instead.
 
     Raises
     ------
     InputError
         If the file cannot be written; then no file is left behind.
     """
-    text = page(model)
+    text = page(model, brief=brief)
     with whole(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 
-def page(model: ReportModel | StoredStudy) -> str:
-    """Return the HTML page of a report model or of a stored result."""
-    return study_page(model if isinstance(model, StoredStudy) else _report(model))
+def page(model: ReportModel | StoredStudy, *, brief: bool = False) -> str:
+    """Return the HTML page of a report model or of a stored result, or the short one."""
+    return study_page(model if isinstance(model, StoredStudy) else _report(model), brief=brief)
 
 
 def _report(model: ReportModel) -> StoredStudy:
@@ -52,7 +55,8 @@ def _report(model: ReportModel) -> StoredStudy:
         shown = view.table(outcome)
         sections = [PageSection(view.heading, (list(shown.parts),)), PageSection("Curves", charts(model))]
         if effects is not None:
-            parts: list[Any] = [*sensitivity.charts(effects), tuple(sensitivity.parts(effects))]
+            tornado = [replace(one, brief=requested) for one in sensitivity.charts(effects)]
+            parts: list[Any] = [*tornado, tuple(sensitivity.parts(effects))]
             sections.insert(0 if requested else 1, PageSection("Sensitivities", parts))
         if model.cycle is None and model.unmoved:
             unmoved = PageSection("Linkage", (Paragraph(f"It cannot be shown in motion: {model.unmoved}."),))
@@ -75,7 +79,20 @@ def _report(model: ReportModel) -> StoredStudy:
             by=_method(model),
             after=1 if requested else 0,  # the requested study comes first
             notes=model.notes,
+            achieved=_achieved(model),
+            limits=view.limits(outcome),
         )
+
+
+def _achieved(model: ReportModel) -> str:
+    """Return in one sentence what the machine is and does."""
+    outcome: Any = model.result
+    view = view_of(outcome.kind)
+    told = (view.achieved or view.conclusion or (lambda _: ""))(outcome)
+    if model.cycle is None:
+        return told
+    clauses = told.rstrip(".").split(". ")
+    return f"{conclusions.machine(model.cycle)}: {'; '.join(clause[:1].lower() + clause[1:] for clause in clauses)}."
 
 
 def animation_of(model: ReportModel, steps: int) -> Moving | None:

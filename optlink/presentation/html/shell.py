@@ -39,11 +39,12 @@ _DECIMAL = re.compile(r"(?<![\w.,])(\d+\.\d+)(e[-+]\d+)?(?![\w]|\.\d)")
 
 @dataclass(frozen=True)
 class PageContent:
-    """Content of a page: what it is about, its sections with the appendix, and the linkage in motion."""
+    """Content of a page: what it is about, its sections with the appendix, the linkage in motion; whether it is short."""
 
     about: StoredStudy
     sections: Sequence[PageSection]
     moving: Moving | None
+    brief: bool = False
 
     @cached_property
     def charts(self) -> tuple[Chart, ...]:

@@ -14,32 +14,67 @@ from optlink.presentation.format import Scale, single_units
 from optlink.presentation.html import chart_plotly, moving_linkage
 from optlink.presentation.html.chart_plotly import Chart
 from optlink.presentation.html.moving_linkage import Moving
-from optlink.presentation.html.shell import MAX_BYTES, STEPS, PageContent, arrange, plotly_version
+from optlink.presentation.html.shell import MAX_BYTES, STEPS, WIDE, PageContent, arrange, plotly_version, table_width
 from optlink.presentation.scene import scene_at
 from optlink.presentation.shapes import even
-from optlink.presentation.table_spec import Paragraph
+from optlink.presentation.table_spec import Paragraph, Span, TableSpec
 from optlink.presentation.view import PageSection, StoredStudy
 from optlink.presentation.views import problem_tables
 from optlink.problem.file import ProblemFile, fixed_design
 from optlink.tasks.analyze import Analysis, analyze
 from optlink.version import VERSION
 
+CHARTS, PANELS, ROWS = 2, 2, 10  # largest numbers of charts, of panels of one, and of lines of a table, of the short page
 MAX_DRAWINGS = 60  # largest number of selectable points with a drawing of their own
 
 
-def study_page(studied: StoredStudy) -> str:
-    """Return the HTML page of a result with the most positions per revolution that keep it below `MAX_BYTES`."""
+def study_page(studied: StoredStudy, *, brief: bool = False) -> str:
+    """Return the HTML page of a result with the most positions per revolution that keep it below `MAX_BYTES`.
+
+    With `brief` it is the short page: a selection of the parts that fits two printed sheets.
+    """
     with single_units():
-        studied = replace(studied, sections=drawn(studied.sections))
+        studied = abridged(studied) if brief else replace(studied, sections=drawn(studied.sections))
         for steps in STEPS:
-            text = content_of(studied, steps).html()
+            text = content_of(studied, steps, brief=brief).html()
             if len(text.encode()) <= MAX_BYTES:
                 break
     return text
 
 
-def content_of(studied: StoredStudy, steps: int) -> PageContent:
+def abridged(studied: StoredStudy) -> StoredStudy:
+    """Return the parts of a result that the short page shows: limits, or else the first table, and two charts.
+
+    The charts are those marked for it, or else the first ones. Their points cannot be selected: of designs the first one turns.
+    """
+    grouped = (item if isinstance(item, tuple | list) else (item,) for section in studied.sections for item in section.parts)
+    parts = [part for group in grouped for part in group]
+    specs = sorted((one for one in parts if isinstance(one, ChartSpec) and one.page), key=lambda one: not one.brief)[:CHARTS]
+    tables = [one for one in parts if isinstance(one, TableSpec) and not one.appendix and table_width(one) <= WIDE]
+    figures = [replace(one, rows=_first_rows(one)) for one in tables[:1]]
+    shown = PageSection("Limits", (studied.limits,)) if studied.limits else PageSection("Figures", (figures,))
+    charts = [replace(one, panels=one.panels[:PANELS], picks=None, designs=None) for one in specs]
+    picked = (one.designs(one.picks.sources[one.picks.first]) for one in specs if one.designs and one.picks)
+    return replace(
+        studied,
+        conclusion=studied.achieved or studied.conclusion,
+        status=(),
+        notes=(),
+        design=studied.design or next(picked, None),
+        sections=[*([shown] if studied.limits or figures else []), *drawn([PageSection("Curves", charts)] if charts else [])],
+    )
+
+
+def _first_rows(spec: TableSpec) -> tuple[tuple[Span, ...], ...]:
+    """Return the first rows of a table, up to `ROWS` lines."""
+    lines = np.cumsum([max(cell.text.count("\n") + 1 for cell in row) for row in spec.rows])
+    return spec.rows[: max(1, int(np.sum(lines <= ROWS)))]
+
+
+def content_of(studied: StoredStudy, steps: int, *, brief: bool = False) -> PageContent:
     """Return the content of the page of a result for a number of positions per revolution."""
+    if brief:
+        return _brief_content(studied, steps)
     file, moving, sections = studied.problem, moving_of(studied, steps), drawn(studied.sections)
     if moving is not None:
         picked = any(isinstance(part, Chart) and part.draw for section in sections for part in section.parts)
@@ -48,6 +83,14 @@ def content_of(studied: StoredStudy, steps: int) -> PageContent:
         shown.append(PageSection("Linkage in motion", (*caption, moving)))
         sections[studied.after : studied.after] = shown
     return PageContent(studied, arrange(sections, closing_sections(file, studied.by)), moving)
+
+
+def _brief_content(studied: StoredStudy, steps: int) -> PageContent:
+    moving, sections = moving_of(studied, steps), list(studied.sections)
+    if moving is not None:
+        drawing = dimensioned(moving.cycle, studied.problem.model.title)
+        sections[:0] = [PageSection("Dimensions", (drawing,)), PageSection("Motion", (moving,))]
+    return PageContent(studied, sections, moving, brief=True)
 
 
 def moving_of(studied: StoredStudy, steps: int) -> Moving | None:

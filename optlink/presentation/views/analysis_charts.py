@@ -329,7 +329,7 @@ def machine_title(cycle: CycleCurves, words: str) -> str:
 
 def motion(cycle: CycleCurves, initial: CycleCurves | None = None) -> list[ChartSpec]:
     """Return displacement, velocity and acceleration of every slider, or of the last oscillating body."""
-    shown = outputs(cycle)
+    shown, main = outputs(cycle), output(cycle).name
     charts = []
     for out in shown:
         words = ("displacement s", "velocity", "acceleration") if out.slides else ("angle θ", "angular velocity", "acceleration")
@@ -347,9 +347,8 @@ def motion(cycle: CycleCurves, initial: CycleCurves | None = None) -> list[Chart
         lines, spans = _strokes(cycle, out.travel)
         width, heading, caption = 7.6 if len(shown) == 1 else 5.6, machine_title(cycle, "motion"), _stroke_text(cycle, out)
         title = f"Motion of {out.name}"
-        charts.append(
-            chart(cycle, "motion", title, panels, heading=heading, remark=caption, lines=lines, spans=spans, width=width)
-        )
+        options: dict[str, Any] = {"heading": heading, "remark": caption, "spans": spans, "width": width}
+        charts.append(chart(cycle, "motion", title, panels, lines=lines, brief=out.name == main, **options))
     return charts
 
 
@@ -449,7 +448,8 @@ def transmission(cycle: CycleCurves) -> list[ChartSpec]:
         for k, name in enumerate(names)
         for curve in curves(cycle, name, unit, f"at {name.partition('.')[0]}", BODIES[k % len(BODIES)])
     ]
-    return [chart(cycle, "", "Transmission angle", [Panel(Axis("angle between the links [deg]"), traces, 1.4)])] if traces else []
+    panel, forced = Panel(Axis("angle between the links [deg]"), traces, 1.4), any(cycle.has(one.column) for one in cycle.efforts)
+    return [chart(cycle, "", "Transmission angle", [panel], brief=not forced)] if traces else []
 
 
 # Charts of the driving torque, joint reactions, guide forces, work and shaking force of a machine over its cycle.
@@ -484,7 +484,7 @@ def torque(cycle: CycleCurves, initial: CycleCurves | None = None) -> list[Chart
     speed = f"{abs(result.speed):.5g} rad/s ({abs(result.speed) * 30.0 / math.pi:.5g} rpm)"
     speed += "" if result.speed > 0.0 else ", clockwise"
     title = f"Driving {' and '.join(dict.fromkeys(effort.quantity for effort in shown))}"
-    return [chart(cycle, "torque", title, panels, remark="" if result.machine.mechanism.drives else speed)]
+    return [chart(cycle, "torque", title, panels, remark="" if result.machine.mechanism.drives else speed, brief=True)]
 
 
 def joints(cycle: CycleCurves) -> dict[str, str]:

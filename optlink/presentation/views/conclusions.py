@@ -22,11 +22,18 @@ def design(outcome: SynthesisResult, limits: Iterable[LimitState]) -> str:
     """Return the conclusion of a synthesis or of the validation of a given design; `limits` have the shadow prices."""
     best, certified = outcome.best, clause(outcome.certificate)
     if best is None or outcome.conflict:
-        return _sentences(shown(outcome.refuted) or "No design was found.", certified)
-    achieved = _compared(best) if best.whole.of_cycle else _sentences(_optimised(best), sentence(best))
+        return _sentences(achieved(outcome), certified)
     if outcome.valid:
-        return _sentences(achieved, _limiting(limits), certified)
-    return f"Not valid: {why_invalid(best.validation.checks, best.status.text)}. {achieved}"
+        return _sentences(achieved(outcome), _limiting(limits), certified)
+    return f"Not valid: {why_invalid(best.validation.checks, best.status.text)}. {achieved(outcome)}"
+
+
+def achieved(outcome: SynthesisResult) -> str:
+    """Return what a design achieves, or why there is none."""
+    best = outcome.best
+    if best is None or outcome.conflict:
+        return shown(outcome.refuted) or "No design was found."
+    return _compared(best) if best.whole.of_cycle else _sentences(_optimised(best), sentence(best))
 
 
 def _sentences(*sentences: str) -> str:
@@ -71,6 +78,20 @@ def _limiting(limits: Iterable[LimitState]) -> str:
     more = f"; {others} more limits are active" if others > 1 else "; one more limit is active" * others
     bound = bound.replace("<=", "≤").replace(">=", "≥").replace(" ", NO_BREAK)
     return f"Active limit: {first.name} ({bound}){more}."
+
+
+BARS = {4: "four-bar", 5: "five-bar", 6: "six-bar", 8: "eight-bar"}
+
+
+def machine(cycle: Analysis) -> str:
+    """Return what a machine is: its links with the frame, its sliders, its drive."""
+    mechanism, driving = cycle.machine.mechanism, cycle.problem.model.driving
+    bars, slides = len(mechanism.bodies) + 1, len(mechanism.guides)
+    sliders = "" if not slides else " with a slider" if slides == 1 else f" with {slides} sliders"
+    drive = f"the {driving.coordinate}" if driving.ends is not None else "laws of its drives" if mechanism.drives else "its crank"
+    turning = ", which turns fully" if cycle.ranges.full and not mechanism.drives and mechanism.limits is None else ""
+    text = f"{BARS.get(bars, f'{bars}-bar')} linkage{sliders}, driven by {drive}{turning}"
+    return f"{text[0].upper()}{text[1:]}"
 
 
 # --- machines ----------------------------------------------------------------------------------------------------------------

@@ -32,10 +32,11 @@ from optlink.presentation.views.design_drawings import at_positions, beside_curv
 from optlink.presentation.views.design_tables import design_result, words_of
 from optlink.presentation.views.design_view import DesignView, best, views, with_verdict
 from optlink.presentation.views.objective_map import objective_map
-from optlink.presentation.views.search_tables import certificate_charts
+from optlink.presentation.views.search_tables import certificate_charts, limits
 from optlink.tasks.results.design import SynthesisResult
 
 FRAMES = 90
+MAX_BRIEF = 10  # limits on the short page
 HIGHLIGHT = "#ffc20a"
 
 
@@ -154,4 +155,6 @@ VIEW = View(
     tables=tables,
     design=lambda result: with_verdict(result.best, result.refuted),
     frames=frames,
+    achieved=conclusions.achieved,
+    limits=lambda result: [] if result.best is None else limits(result.best.validation.checks, MAX_BRIEF),
 )

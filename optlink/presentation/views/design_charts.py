@@ -161,7 +161,7 @@ class CloseUp:
         traces.append(Curve.through(targets, words, TARGET, mode="markers", size=size, text=numbers, gid="target"))
         (x0, y0), (x1, y1) = self.limits()
         x, y = Axis(f"x [{unit}]", None if points else (x0, x1)), Axis(f"y [{unit}]", None if points else (y0, y1))
-        return ChartSpec("", "Path", [Panel(y, traces, marks=self._numbers(size))], x, equal=True, cursor=False)
+        return ChartSpec("", "Path", [Panel(y, traces, marks=self._numbers(size))], x, equal=True, cursor=False, brief=True)
 
     def draw(self, axes: Axes, magnified: float | None) -> list[Label]:
         """Draw the close-up without a legend and return the labels of the points."""
@@ -331,7 +331,7 @@ def law(view: DesignView) -> list[ChartSpec]:
     ]
     title = title_of(view, 7.0, view.title, wrapped(captions(design), 7.0, "; "))
     warning = not design.valid
-    chart = ChartSpec("law", "Output over the range", panels, _crank(view, crank), title, warning=warning)
+    chart = ChartSpec("law", "Output over the range", panels, _crank(view, crank), title, warning=warning, brief=True)
     source = task.requirement.law
     if not isinstance(source, Function):
         return [chart]
@@ -387,7 +387,8 @@ def transmission(view: DesignView) -> list[ChartSpec]:
     panel = Panel(Axis("transmission angle γ [deg]"), traces, 1.4, limits, marks)
     title = title_of(view, 7.0, f"{task.title}: transmission angle")
     x = _crank(view, crank)
-    return [ChartSpec("transmission", "Transmission angle", [panel], x, title, spans=spans, warning=not view.design.valid)]
+    warning = not view.design.valid
+    return [ChartSpec("transmission", "Transmission angle", [panel], x, title, spans=spans, warning=warning, brief=True)]
 
 
 def _crank(view: DesignView, crank: Array) -> Axis:

@@ -91,7 +91,7 @@ def courses(design: LinkageDesign) -> list[ChartSpec]:
         x = Axis(f"{x.name}, turned clockwise: from right to left", x.limits, step=x.step)
     whole = optimal.over if optimal.limits or optimal.cycle == TURN else "the cycle"
     title = f"Objectives and limits over {whole}"
-    return [ChartSpec("courses", title, panels, x, heading=design.whole.title, lines=jumps)]
+    return [ChartSpec("courses", title, panels, x, heading=design.whole.title, lines=jumps, brief=True)]
 
 
 def _panel(design: LinkageDesign, term: Term, cycles: dict[str, Cycle], limits: tuple[float | None, float | None]) -> Panel:

@@ -12,7 +12,17 @@ import numpy as np
 
 from optlink.errors import Status
 from optlink.presentation.chart_spec import Axis, Boxes, ChartSpec, Curve, Mark, Panel
-from optlink.presentation.format import dimension, fixed, joined, number, pretty, price_step, significant, times
+from optlink.presentation.format import (
+    dimension,
+    fixed,
+    joined,
+    number,
+    pretty,
+    price_step,
+    requirements,
+    significant,
+    times,
+)
 from optlink.presentation.table_spec import (
     Inline,
     Line,
@@ -53,6 +63,7 @@ LINES = 25
 """Lines that the short text of a valid design has at most, 80 characters wide."""
 MAX_DIMENSIONS = 8  # rows of a design; a longer one is written as text
 MAX_LIMITS = 4  # rows of the active limits
+EXACT = 1e-6  # margin of a limit, relative to its bound, up to which the design is at it
 SENSES = ("minimised", "maximised")  # remarks on what is optimised beside other demands
 DETAILS = "--details shows the rest"
 
@@ -455,6 +466,33 @@ def checks(selected: Sequence[Check]) -> TableSpec:
         rows.append((good("ok"), f"{len(gathered)} dimensions within bounds", "all", "", ""))
     title = f"Validation: {sum(check.passed for check in selected)} of {len(selected)} checks passed"
     return table(title, ["", "check", ">value", "", "limit"], rows, appendix=True)
+
+
+def limits(selected: Sequence[Check], most: int) -> list[TableSpec]:
+    """Tabulate the limits of a file with measured values and margins, violated ones first; none if it states none.
+
+    Of more than `most` limits, those with the least margins relative to their bounds are shown.
+    """
+    rated: list[tuple[bool, float, Row]] = []
+    for check, sense, bound in requirements(selected):
+        low, _, high = bound.partition(" ... ")
+        ends = [(">=", float(low)), ("<=", float(high))] if high else [(sense, float(low))]
+        margin = min(check.value - end if side == ">=" else end - check.value for side, end in ends)
+        size = max(abs(end) for _, end in ends) or 1.0
+        exact = sense == "=" or abs(margin) <= EXACT * size
+        words = (
+            ("met" if sense == "=" else "none")
+            if exact and check.passed
+            else f"{number(abs(margin), 3)} {check.unit}{'' if check.passed else ' short'}"
+        )
+        required = f"{sense} {bound} {check.unit}".strip()
+        value = f"{number(check.value, 4)} {check.unit}".rstrip()
+        row = (check.name if check.passed else bad(check.name), strong(value), required, verdict(words.rstrip(), check.passed))
+        rated.append((check.passed, abs(margin) / size, row))
+    rated.sort(key=lambda one: one[:2])
+    notes = [quiet(f"and {len(rated) - most} more, with larger margins")] if len(rated) > most else []
+    rows = [row for *_, row in rated[:most]]
+    return [table("", ["", ">value", "required", "margin"], rows, notes=notes)] if rows else []
 
 
 def optima(outcome: SynthesisResult) -> TableSpec | None:

@@ -1,0 +1,114 @@
+"""The short page: two printed sheets with what a customer asks for, and without words of the search."""
+
+from __future__ import annotations
+
+import base64
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+import optlink
+from optlink.presentation.format import requirements
+from optlink.presentation.html.page import page, write_page
+from optlink.presentation.html.study_page import abridged
+from optlink.presentation.interface import content
+from optlink.presentation.views.search_tables import limits
+from optlink.validation import Check
+from tests.browser import console, faults, opened
+from tests.cli.test_cli import run
+from tests.tiers import mostly_slow
+
+RECORDED = sorted((Path(__file__).parents[1] / "data" / "results").glob("*/*.json"))
+NO_PAGE = ("output-sensitivity", "tuning")
+SOURCES = [*optlink.shipped(), *(str(path) for path in RECORDED if path.stem not in NO_PAGE)]
+KEPT = ("crank-rocker", *(one for one in SOURCES if Path(one).stem in ("pareto", "control-comparison", "design-infeasible")))
+SEARCH = re.compile(r"KKT|multistart|Lagrange|shadow|iterations|local(?:ly)? optim|ipopt|residual|certif|proven|multiplier", re.I)
+
+
+def short(source: str) -> str:
+    return page(content(optlink.read_result(source) if source.endswith(".json") else source, {}), brief=True)
+
+
+def text_of(document: str) -> str:
+    return re.sub(r"<(script|style)\b.*?</\1>|<[^>]+>", " ", document, flags=re.S)
+
+
+@pytest.mark.parametrize("source", mostly_slow(SOURCES, *KEPT))
+def test_a_short_page_fills_at_most_two_sheets(driver, source, tmp_path):
+    place = tmp_path / "page.html"
+    place.write_text(short(source), encoding="utf-8")
+    assert opened(driver, place) == ([], [])
+    printed = base64.b64decode(driver.execute_cdp_cmd("Page.printToPDF", {"preferCSSPageSize": True})["data"])
+    assert 1 <= len(re.findall(rb"/Type\s*/Page\b", printed)) <= 2
+    assert console(driver) == []
+
+
+def test_paper_shows_positions_in_place_of_the_motion(driver, tmp_path):
+    place = tmp_path / "page.html"
+    write_page(content("crank-rocker", {}), place, brief=True)
+    opened(driver, place)
+    stills, moving = (driver.find_element("css selector", name) for name in (".stills", ".linkage"))
+    assert moving.is_displayed()
+    assert not stills.is_displayed()
+    assert faults(driver) == []
+    driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
+    assert stills.is_displayed()
+    assert not moving.is_displayed()
+    drawn = [
+        figure.get_attribute("innerHTML") for figure in stills.find_elements("css selector", "figure svg [data-layer=bodies]")
+    ]
+    assert len(set(drawn)) == 4
+    driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
+
+
+@pytest.mark.parametrize("source", mostly_slow(optlink.shipped(), "crank-rocker", "shaper"))
+def test_a_short_page_has_no_words_of_the_search(source):
+    told = text_of(short(source))
+    assert not SEARCH.search(told)
+    assert "linkage" in told.partition("Dimensions")[0]
+
+
+def test_limits_have_values_and_margins():
+    checks = optlink.solve("crank-rocker").best.validation.checks
+    (table,) = limits(checks, 10)
+    rows = [[cell.text for cell in row] for row in table.rows]
+    assert rows == [
+        ["largest transmission angle", "135 deg", "<= 135 deg", "none"],
+        ["smallest transmission angle", "70.38 deg", ">= 45 deg", "25.4 deg"],
+    ]
+    assert len(limits(checks, 1)[0].rows) == 1
+    assert "1 more" in limits(checks, 1)[0].notes[0].text
+
+
+def test_a_violated_limit_comes_first_and_a_value_is_one_row():
+    sides = [Check("stroke: stroke of ram", True, 500.0, f"{sense} 500", "mm") for sense in (">=", "<=")]
+    angle = Check("smallest transmission angle", False, 42.0, ">= 45", "deg")
+    other = Check("link lengths re-measured in motion", True, 0.0, "<= 1e-9", "mm")
+    assert [(check.name, *limit) for check, *limit in requirements([*sides, other])] == [("stroke of ram", "=", "500")]
+    (table,) = limits([*sides, other, angle], 10)
+    assert [[cell.text for cell in row] for row in table.rows] == [
+        ["smallest transmission angle", "42 deg", ">= 45 deg", "3 deg short"],
+        ["stroke of ram", "500 mm", "= 500 mm", "met"],
+    ]
+
+
+def test_a_chart_marked_for_the_short_page_comes_before_others():
+    from optlink.presentation.html.page import _report
+
+    study = _report(content("crank-rocker", {}))
+    *before, curves = study.sections
+    marked = replace(curves, parts=[replace(curves.parts[0], brief=False), *curves.parts[1:]])
+    titles = [chart.title for chart in abridged(replace(study, sections=[*before, marked])).sections[-1].parts]
+    assert titles[0] == "Transmission angle"
+    assert len(titles) == 2
+
+
+def test_the_command_and_the_function_write_the_same_short_page(tmp_path):
+    facts = {"date": "2026-01-02"}
+    optlink.report("crank-rocker", tmp_path / "a.html", facts, brief=True)
+    done = run("report", "crank-rocker", "-o", str(tmp_path / "b.html"), "--brief", "--date", facts["date"])
+    assert done.exit_code == 0, done.stderr
+    assert (tmp_path / "a.html").read_text() == (tmp_path / "b.html").read_text()
+    assert 'class="brief"' in (tmp_path / "a.html").read_text()
