@@ -1,9 +1,9 @@
 """Errors and result status, each with a remedy for the user.
 
     OptlinkError
-    ├── InputError    the user's file, key or value is not usable       exit code 2
+    ├── InputError    the user's file, key or value is not usable; also a ValueError    exit code 2
     │   └── UnknownName   no part or column has this name; also a KeyError
-    └── SolverError   unexpected breakdown of a solver                  exit code 3
+    └── SolverError   unexpected breakdown of a solver                                  exit code 3
 
 An infeasible problem or a design that fails its validation raises no exception: it is a result (`Status`). Any other exception is
 a fault of optlink: exit code 4.
@@ -154,8 +154,8 @@ class OptlinkError(Exception):
     exit_code = 3
 
 
-class InputError(OptlinkError):
-    """The input is not usable; `faults` has one entry for each error to correct.
+class InputError(OptlinkError, ValueError):
+    """The input is not usable, also a `ValueError`; `faults` has one entry for each error to correct.
 
     Parameters
     ----------

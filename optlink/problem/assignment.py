@@ -51,9 +51,6 @@ def parse_assignment(text: str, option: str = "--set") -> tuple[str, object]:
         raise InputError(f"expected {words}", remedy, key=option, value=text)
     try:
         read_back = tomllib.loads(f"value = {value}")
-        if len(read_back) == 1:
-            return key, read_back["value"]
-        raise InputError("a value must be on one line", f"Repeat {option} for every key", key=key, value=value)
     except (tomllib.TOMLDecodeError, ValueError, RecursionError):
         repaired = _BARE.sub(_quoted, value) if value[0] in "[{" and len(value) <= MOST_BARE else plain(value)
         with contextlib.suppress(tomllib.TOMLDecodeError, ValueError, RecursionError):
@@ -63,6 +60,9 @@ def parse_assignment(text: str, option: str = "--set") -> tuple[str, object]:
             remedy = f"""Put it into single quotes, and texts in it into double quotes: {option} '{key}=["40 deg", "140 deg"]'"""
             raise InputError("the value is not valid TOML", remedy, key=key, value=value) from None
         return key, value
+    if len(read_back) > 1:
+        raise InputError("a value must be on one line", f"Repeat {option} for every key", key=key, value=value)
+    return key, read_back["value"]
 
 
 _BARE = re.compile(r"""(?<=[\[,=])(\s*)([^\s\[\]{},="'](?:[^\[\]{},="']*[^\s\[\]{},="'])?)(?=\s*[\],}])""")

@@ -388,6 +388,8 @@ class Document(Summary):
             values = content | content["state"] if hidden_fields(cls) else content
             lacking = set(ADDED.get(cls.kind, ())) - values.keys()
             result = cls._restored(problem, {name: values[name] for name in stored_fields(cls) if name not in lacking})
+        except InputError:
+            raise
         except (KeyError, TypeError, AttributeError, ValueError) as error:  # of another version, whatever its check sum
             message = f"this is not what version {VERSION} writes: it lacks or misreads {_place(error)}"
             raise InputError(message, AGAIN, str(path)) from None

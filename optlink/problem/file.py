@@ -454,11 +454,11 @@ def _read_toml(path: Path) -> dict[str, Any]:
 def _parse(text: str, file: str) -> dict[str, Any]:
     try:
         raw = tomllib.loads(text)
-        _check_values(raw, file)
     except RecursionError:
         raise InputError("brackets are nested too deep", "Simplify the file", file) from None
     except ValueError as error:  # TOMLDecodeError, and integers of thousands of digits
         raise InputError(toml_fault(str(error), file, text)) from None
+    _check_values(raw, file)
     if not raw:
         raise InputError("the file has no keys: all sections are missing", "Begin with a template: `optlink new --list`", file)
     return raw

@@ -304,5 +304,7 @@ def inflated(fragment: str) -> str:
         if not unpacker.eof:
             raise ValueError
         return text.decode()
+    except InputError:
+        raise
     except (ValueError, binascii.Error, zlib.error):
         raise InputError("the link contains no problem", "Copy the whole link") from None

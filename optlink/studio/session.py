@@ -388,7 +388,7 @@ class Session:
         try:
             regions = regions_of(problem, design.checks or ())
             picture: Picture | None = Picture(design.machine, design.start, design.speed, regions, problem.model.driving)
-        except (ArithmeticError, InputError, ValueError):
+        except (ArithmeticError, ValueError):
             picture = None
         if not problem.model.free:
             design = moved_machine(design, None if picture is None else picture.complete)
