@@ -19,6 +19,7 @@ from timing import Row
 
 LOAD = os.getloadavg()[0] if hasattr(os, "getloadavg") else None  # programs that ran on the machine before the measurements began
 PEERS = ("pylinkage", "fourbarhinge", "pymoo", "numba", "exudyn")
+PACKAGES = ("numpy", "scipy", "casadi", "cvxpy-base", "distributed", *PEERS)
 
 
 def show(parts: Mapping[str, list[Row]], file: Path | None) -> None:
@@ -61,7 +62,7 @@ def record(rows: list[Row]) -> dict[str, Any]:
         "python": platform.python_version(),
         "system": f"{platform.system()} {platform.machine()}, {os.cpu_count()} processors",
         "load": LOAD,
-        "packages": {name: version(name) for name in ("numpy", "scipy", "casadi", "cvxpy-base", "distributed", *PEERS)},
+        "packages": {name: found for name in PACKAGES if (found := version(name))},
         "rows": [
             {
                 "what": row.what,

@@ -60,6 +60,7 @@ def measurements() -> dict[str, Callable[[], list[Row]]]:
     import batch
     import certificates
     import clearance
+    import drives
     import dynamics
     import solves
     import studies
@@ -70,6 +71,7 @@ def measurements() -> dict[str, Callable[[], list[Row]]]:
         "batches": batch.rows,
         "analyses": analyses.rows,
         "dynamics": dynamics.rows,
+        "drives": drives.rows,
         "clearance": clearance.rows,
         "synthesis": partial(synthesis.rows, **SYNTHESIS),
         "studies": studies.rows,

@@ -5,7 +5,7 @@ either mode.
 """
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -88,19 +88,14 @@ class AlignedPosition(NamedTuple):
         return self.group.passages is not None
 
 
-def positions_text(positions: Iterable[AlignedPosition]) -> str:
-    """Return the crank angles of positions as one comma-separated text, each with all groups that have one there."""
+def positions_text(positions: Iterable[AlignedPosition], text: Callable[[float], str]) -> str:
+    """Return positions as one comma-separated text, each with all groups that have one there; `text` names one [rad]."""
     joints: dict[tuple[str, str], list[str]] = {}
     for position in positions:
-        joints.setdefault((f"{math.degrees(position.crank_angle):.6g} deg", position.group.kind), []).append(position.group.joint)
+        joints.setdefault((text(position.crank_angle), position.group.kind), []).append(position.group.joint)
     return ", ".join(
         f"{angle} ({kind} group{'s' if len(names) > 1 else ''} of {', '.join(names)})" for (angle, kind), names in joints.items()
     )
-
-
-def angles_text(angles: Array) -> str:
-    """Return crank angles [rad] in degrees as one comma-separated text, the first six of them."""
-    return ", ".join(f"{math.degrees(angle):.6g}" for angle in angles[:6]) + (" ..." if len(angles) > 6 else "") + " deg"
 
 
 def squared_sines(pose: Pose, groups: Sequence[Dyad] | None = None) -> Array:

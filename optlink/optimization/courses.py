@@ -290,7 +290,7 @@ class TermCourse:
     @property
     def strokes(self) -> int:
         """Number of parts into which events divide the cycle."""
-        return self.cuts + 1 if self.trace.limited else max(1, self.cuts) * self.trace.revolutions
+        return self.cuts + 1 if self.trace.limited else max(1, self.cuts) * self.trace.repeats
 
     @property
     def ended(self) -> bool:
@@ -300,7 +300,7 @@ class TermCourse:
     @property
     def whole(self) -> float:
         """Crank rotation [rad] over which quantities of the cycle are means."""
-        return (self.trace.high - self.trace.low) * self.trace.revolutions
+        return (self.trace.high - self.trace.low) * self.trace.repeats
 
     @cached_property
     def nodes(self) -> tuple[Array, Array]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import itertools
+import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -19,6 +20,7 @@ import numpy as np
 
 from optlink.dynamics.inverse import Reactions, depends_on_sense, reactions, required_wrench
 from optlink.dynamics.machine import Load, Machine, Moving
+from optlink.linkage.elements import Element
 from optlink.linkage.extrema import sign_changes, zeros
 from optlink.linkage.jet import Jet, as_jet
 from optlink.linkage.motion import Motion
@@ -32,7 +34,8 @@ from optlink.symbolic import CompiledFunction, NumpyEvaluator, symbols_in_numpy
 GRID = 240  # crank angles among which events are bracketed
 TOUCHING = 1e-2  # rad between two reversals of a motion that only comes to rest
 CORNER, LAW = "corner", "law"
-SAME_KNOT = 1e-6  # rad between two knots that are one
+SAME_ANGLE = 1e-6  # rad between two events that are at one position, whose order is that of their numbers
+PROBES = 3  # positions of two laws at which they pass a knot together if they always do
 AHEAD = 1e-6  # rad beyond an event at which its sense (rising or falling) is determined
 
 
@@ -63,6 +66,11 @@ class StrokeEnd:
     key: tuple[str, ...]
     value: Callable[[Moving], Value]
     cuts: bool
+
+    @property
+    def of_law(self) -> bool:
+        """Whether it is the knot of a law."""
+        return self.key[:2] == (CORNER, LAW)
 
     def unit(self, length: float, speed: float) -> float:
         """Return the unit of the function [SI] from those of lengths and of the crank speed: a velocity, unless of a corner."""
@@ -121,9 +129,10 @@ def _reversal(load: Load, moving: Moving) -> Value:
     return (load.reversing(moving) or (0.0, 0.0))[0]
 
 
-def _knot(at: float, moving: Moving) -> Value:
-    """Return a function of the crank angle that vanishes where a law passes a knot."""
-    return np.sin(0.5 * (moving.motion.crank_angle - at))
+def _knot(element: Element, at: float, moving: Moving) -> Value:
+    """Return a function that vanishes where the law of an element passes a knot: half a turn in a period of the law."""
+    x, _, period = element.knots(moving.pose)
+    return np.sin((as_jet(x).value - at) * (math.pi / period))
 
 
 def _corner(guide: str, at: float, moving: Moving) -> Value:
@@ -151,7 +160,8 @@ class TracedCycle:
     ) -> None:
         self.problem, self.mechanism, self.values = problem, problem.linkage, values
         self.speed = problem.driving.pace
-        self.limited, (self.low, self.high) = self.mechanism.limits is not None, self.mechanism.extent
+        self.limited = self.mechanism.limits is not None
+        self.low, self.high = self.mechanism.limits or (0.0, self.mechanism.cycle)
         self.direction = -1.0 if self.speed < 0.0 else 1.0
         self.names = list(problem.quantities)
         self.terms: tuple[Term, ...] = (*problem.goals, *(bound.term for bound in problem.bounds))
@@ -159,7 +169,7 @@ class TracedCycle:
         self.ended = [term for term in self.terms if term.quantity in ("stroke", "end")]  # computed at the ends of strokes
         self.works = any(term.quantity == "work" for term in self.terms)
         self.base, self.slow = self._relevant(problem.machine(values, slow)), slow
-        self.revolutions = 1 if self.limited else self.base.revolutions or 1
+        self.repeats = 1 if self.limited else round(self.base.cycle / self.high)
         self.events = self._events()
         inputs = casadi.SX.sym("inputs", len(self.names) + 1)
         with symbols_in_numpy():
@@ -184,9 +194,13 @@ class TracedCycle:
         if self.limited:
             return EventOrder((), (), ())
         cutting = sorted(range(len(self.events)), key=lambda k: not self.events[k].cuts)
-        angles = [0.5 * TURN * k / max(1, len(cutting)) for k in range(len(cutting))]
+        half = 0.5 * self.high
+        angles = [half * k / max(1, len(cutting)) for k in range(len(cutting))]
         every = [
-            (k, at + half, up) for half, up in ((0.0, True), (0.5 * TURN, False)) for k, at in zip(cutting, angles, strict=True)
+            (k, at if up else at + half, up)
+            for up in (True, False)
+            for k, at in zip(cutting, angles, strict=True)
+            if up or not self.events[k].of_law  # a law passes each of its knots once
         ]
         every.sort(key=lambda event: (not self.events[event[0]].cuts, event[1] if self.events[event[0]].cuts else event[0]))
         which, places, rising = zip(*every, strict=True) if every else ((), (), ())
@@ -282,15 +296,15 @@ class TracedCycle:
         return sum(self.events[which].cuts for which in structure.which)
 
     def edges(self, begins: Sequence[Any]) -> list[Any]:
-        """Return the crank angles [rad] that divide a cycle, and its end, from those of the cuts of its first revolution.
+        """Return the crank angles [rad] that divide a cycle, and its end, from those of the cuts in its first period.
 
-        Motions repeat in every revolution, so that the cuts of the others follow. There are none where no motion divides a
-        revolution. A range begins at its lower end.
+        Those of the other periods of a longer cycle of the loads follow. There are none where nothing divides a period. A range
+        begins at its lower end.
         """
         if self.limited:
             return [self.low, *begins, self.high]
         begins = list(begins) or [0.0]
-        return [*(begin + k * TURN for k in range(self.revolutions) for begin in begins), begins[0] + self.revolutions * TURN]
+        return [*(begin + k * self.high for k in range(self.repeats) for begin in begins), begins[0] + self.repeats * self.high]
 
     def event_of(self, term: Term) -> int:
         """Return the index of the event that ends the strokes of a term's output."""
@@ -342,25 +356,32 @@ class TracedCycle:
             if isinstance(load.magnitude, LoadTable) and load.magnitude.over == "s":
                 for row, at in enumerate(load.magnitude.at):
                     add((CORNER, load.name, str(row)), functools.partial(_corner, load.guide, at))
-        for k, at in enumerate(self.knots):
-            add((CORNER, LAW, str(k)), functools.partial(_knot, at))
+        for number, (element, at) in enumerate(self._knots()):
+            add((CORNER, LAW, str(number)), functools.partial(_knot, element, at))
         for term in self.terms:
             if term.ended:
                 add(self._key(term), functools.partial(self._rate, term), cuts=term.quantity == "work")
         return list(events.values())
 
-    @cached_property
-    def knots(self) -> list[float]:
-        """Crank angles [rad] at which the law of a drive passes from one piece to the next, within a range or a revolution."""
-        if not any(drive.law for drive in self.mechanism.drives):
-            return []
-        from optlink.dynamics.work import law_knots  # which a machine without laws does not need
+    def _knots(self) -> list[tuple[Element, float]]:
+        """Return the elements with a law and its knots, each once: where a law passes from one piece to the next.
 
-        knots = law_knots(self.base, self.low + SAME_KNOT, self.high - SAME_KNOT)
-        knots = knots[np.diff(knots, prepend=-np.inf) > SAME_KNOT]
-        if self.limited:  # a law of one course begins and ends with the range
-            return [float(at) for at in knots if self.low + TOUCHING < at < self.high - TOUCHING]
-        return [self.low, *knots.tolist()]
+        They move with the design variables, as the phase of a cam. Laws that always pass two knots together do so at any probe.
+        """
+        rng, found = np.random.default_rng(0), dict[tuple[float, ...], tuple[Element, float]]()
+        sizes = {name: value * rng.uniform(0.99, 1.01) for name, value in self.base.sizes.items()}
+        pose = self.mechanism.at(sizes, rng.uniform(self.low, self.high, PROBES))
+        for element in self.mechanism.elements:
+            x, knots, period = element.knots(pose)
+            for at in knots:
+                share = np.broadcast_to((x - at) / period, PROBES)
+                found.setdefault(tuple(np.round(share - np.round(share), 9).tolist()), (element, at))
+        return list(found.values())
+
+    @property
+    def divided_by_laws(self) -> bool:
+        """Whether knots of laws divide the cycle, beside which alone a quantity has the values of its piece."""
+        return any(event.of_law for event in self.events)
 
     def _rate(self, term: Term, moving: Moving) -> Value:
         """Return the velocity of an output."""
@@ -406,7 +427,8 @@ class TracedCycle:
         middles = np.array([[load.middle for load in machine.loads] for machine in (self.base, relevant)])
         moved = middles[0] - middles[1]
         whole = self.high if self.limited else relevant.cycle
-        moving = relevant.moving(np.linspace(self.low, whole, GRID * self.revolutions, endpoint=self.limited), self.speed)
+        count = GRID * max(1, round(whole / TURN))
+        moving = relevant.moving(np.linspace(self.low, whole, count, endpoint=self.limited), self.speed)
         return all(
             abs(moved[k]) <= 0.25 * TURN and np.allclose(before.torque, after.torque, rtol=1e-9)
             for k in np.flatnonzero(moved)
@@ -439,21 +461,25 @@ class TracedCycle:
         if self.limited:
             return Counter((which, up) for which, _, up in events if self.events[which].key[0] != CORNER)
         for k in (k for k, event in enumerate(self.events) if event.key[0] != CORNER):
-            places = sorted((angle % TURN, up) for which, angle, up in events if which == k)
+            places = sorted((angle % self.high, up) for which, angle, up in events if which == k)
             numbers.update((k, up) for _, up in places)
             for (angle, up), (after, up_after) in itertools.pairwise([*places, *places[:1]]):
-                if up != up_after and (after - angle) % TURN < TOUCHING:
+                if up != up_after and (after - angle) % self.high < TOUCHING:
                     numbers.subtract([(k, True), (k, False)])
         return +numbers
 
     def samples(self, designs: Sequence[Mapping[str, float]]) -> Iterator[Sample]:
         """Yield each design with what is needed to compute its events."""
         inputs = np.array([self.inputs(values) for values in designs])
-        grid = np.linspace(self.low, self.high, GRID + 1) + (0.0 if self.limited else 0.37 * TURN / GRID)
+        count = GRID * max(1, round((self.high - self.low) / TURN))
+        grid = np.linspace(self.low, self.high, count + 1) + (0.0 if self.limited else 0.37 * TURN / GRID)
+        inside = slice(None)
+        if self.limited:  # a motion may come to rest, and a law begin, at an end of the range
+            grid[[1, -2]], inside = (self.low + TOUCHING, self.high - TOUCHING), slice(1, -1)
         there = self._watch(*inputs.T[..., None], grid)
         groups = len(self.mechanism.groups)
         rotates = np.all(np.isfinite(there), axis=(0, 2)) & np.all(there[:groups] >= 0.0, axis=(0, 2))
-        counts = np.count_nonzero(sign_changes(there[groups : groups + len(self.events)], still=True)[0], axis=-1).T
+        counts = np.count_nonzero(sign_changes(there[groups : groups + len(self.events), :, inside], still=True)[0], axis=-1).T
         for k, values in enumerate(designs):
             structure = functools.partial(self._structure, inputs[k], grid, there[:, k]) if rotates[k] else None
             yield Sample(values, tuple(counts[k].tolist()), structure)
@@ -475,36 +501,40 @@ class TracedCycle:
         every: dict[int, list[tuple[float, int, bool]]] = {}
         separate: list[tuple[float, int, bool]] = []
         for k, places in enumerate(zeros(values_at, grid, still=True, slope=slope, samples=there[groups:])):
-            if self.limited:  # a motion may come to rest at an end of the range
+            if self.limited:
                 places = places[(places > self.low + TOUCHING) & (places < self.high - TOUCHING)]
-            rises = [slope(k, at + AHEAD)[0] > 0.0 for at in places.tolist()]
-            begins = places if self.limited else places % TURN
+            of_law = self.events[k].of_law  # the function of a knot rises and falls in turn, for the same event
+            rises = [of_law or slope(k, at + AHEAD)[0] > 0.0 for at in places.tolist()]
+            begins = places if self.limited else (places + SAME_ANGLE) % self.high - SAME_ANGLE
             events = [(float(at), k, bool(up)) for at, up in zip(begins, rises, strict=True)]
             every[k] = events
             if self.events[k].cuts:
                 cutting += events
             else:
-                separate += sorted(events) if self.limited else _from_rise(events)
-        ordered = [*(sorted(cutting) if self.limited else _from_rise(cutting)), *separate]
-        slow = tuple(_forward_slow(every[k]) for k in self.paced)
+                separate += self._ordered(events)
+        ordered = [*self._ordered(cutting), *separate]
+        slow = tuple(_forward_slow(every[k], self.high) for k in self.paced)
         return EventOrder(tuple(k for _, k, _ in ordered), tuple(up for *_, up in ordered), tuple(at for at, *_ in ordered), slow)
 
+    def _ordered(self, events: list[tuple[float, int, bool]]) -> list[tuple[float, int, bool]]:
+        """Sort events (angle, which, rising) within a range; or a period, starting at the first rise of the first of them."""
+        if not events:
+            return []
+        events = sorted(events)
+        groups = itertools.accumulate(b[0] - a[0] > SAME_ANGLE for a, b in zip([events[0], *events], events, strict=False))
+        events = [event for _, event in sorted(zip(groups, events, strict=True), key=lambda pair: (pair[0], pair[1][1]))]
+        if self.limited:
+            return events
+        first = min(range(len(events)), key=lambda i: (events[i][1], not events[i][2], events[i][0]))
+        return [*events[first:], *((at + self.high, k, up) for at, k, up in events[:first])]
 
-def _forward_slow(events: list[tuple[float, int, bool]]) -> bool | None:
+
+def _forward_slow(events: list[tuple[float, int, bool]], period: float) -> bool | None:
     """Return whether the forward stroke between reversals (angle, which, rising) is slow; None if undetermined."""
     if len(events) < 2:
         return None
     events = sorted(events)
-    ends = [*(at for at, *_ in events[1:]), events[0][0] + TURN]
+    ends = [*(at for at, *_ in events[1:]), events[0][0] + period]
     forward = sum(end - at for (at, _, up), end in zip(events, ends, strict=True) if up)
-    slow = slow_stroke(forward, TURN - forward)
+    slow = slow_stroke(forward, period - forward)
     return None if slow is None else slow == "forward"
-
-
-def _from_rise(events: list[tuple[float, int, bool]]) -> list[tuple[float, int, bool]]:
-    """Sort events (angle, which, rising) within a revolution, starting at the first rise of the first of them."""
-    if not events:
-        return []
-    events = sorted(events)
-    first = min(range(len(events)), key=lambda i: (events[i][1], not events[i][2], events[i][0]))
-    return [*events[first:], *((at + TURN, k, up) for at, k, up in events[:first])]

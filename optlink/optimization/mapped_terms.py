@@ -263,7 +263,7 @@ class _MappedFunction:
         """
         count = self.outputs.shape[0]
         every = casadi.kron(rates.sparsity(), casadi.Sparsity.dense(count, 1))
-        if not rates.nnz():
+        if not rates.nnz() or not count:
             return casadi.MX(*every.shape)
         each = casadi.vec(rates.nz[:])
         return casadi.MX(every, casadi.vec((slopes[rates.sparsity().row(), :] * casadi.repmat(each, 1, count)).T))

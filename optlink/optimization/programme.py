@@ -259,7 +259,7 @@ class _Builder:
             given = {k: v.scaled(self.terms.near[v.name]) for k, v in enumerate(self.variables) if v.name in self.terms.near}
             box = [(low, high, given.get(k, start)) for k, (low, high, start) in enumerate(box)]
         (low, whole), limits = extent_of(problem), problem.linkage.limits
-        reached = limits or (-2.0 * TURN, 2.0 * TURN)
+        reached = limits or (-2.0 * problem.linkage.cycle, 2.0 * problem.linkage.cycle)
         for block in self.blocks:
             step = block.direction * whole / block.count
             first = 0.0 if limits is None else (low if step > 0.0 else low + whole) + 0.5 * step
@@ -519,7 +519,7 @@ class _Machine:
         for *_, signals in self.nodes:
             yield from self._rows_of(signals)
         for begin, span, senses in self.strokes if self.terms.ended else ():  # forces are often largest where they jump
-            for share in (ASIDE, 1.0 - ASIDE) if self.trace.knots else (0.0, 1.0):
+            for share in (ASIDE, 1.0 - ASIDE) if self.trace.divided_by_laws else (0.0, 1.0):
                 yield from self._rows_of(self.at.at(begin + share * span, senses))
 
     def courses(self) -> Iterator[tuple[tuple[Any, Any], RowsAt]]:
@@ -553,7 +553,7 @@ class _Machine:
             label = f"{EVENT} {k + 1}: {' '.join(event.key)}"
             yield ConstraintRow(EVENT, label, there[which] / event.unit(size, speed), 0.0, 0.0, PLAIN)
         cuts = self.terms.cuts
-        angles = [*self.structure.angles[:cuts], self.structure.angles[0] + TURN] if cuts > 1 else []
+        angles = [*self.structure.angles[:cuts], self.structure.angles[0] + self.trace.high] if cuts > 1 else []
         if self.trace.limited:
             angles = self.trace.edges(self.structure.angles[:cuts]) if cuts else []
         for k, ((_, span, _), (begin, end)) in enumerate(zip(self.strokes, itertools.pairwise(angles), strict=False)):
@@ -599,12 +599,12 @@ class _Machine:
         for k in range(self.terms.cuts):
             state = self.structure.rising[k] if k in indices else state
             intervals.append(state)
-        return intervals * self.trace.revolutions
+        return intervals * self.trace.repeats
 
     def _duration(self, which: int, forward: bool) -> Any:
         """Return the crank rotation [rad] during which an output, which reverses at an event, moves forward or backward."""
         indices = self._reversals(which)
-        total, angles = casadi.SX(0.0), [*(self.events[k] for k in indices), self.events[indices[0]] + TURN]
+        total, angles = casadi.SX(0.0), [*(self.events[k] for k in indices), self.events[indices[0]] + self.trace.high]
         for k, (begin, end) in zip(indices, itertools.pairwise(angles), strict=True):
             if self.structure.rising[k] is forward:
                 total += end - begin
@@ -640,7 +640,7 @@ class _Machine:
         for stroke, weight, signals in self.nodes:
             if way[stroke]:
                 total += weight * self.trace.direction * signals[last]
-        return total / self.trace.revolutions
+        return total if self.trace.limited else total / round(self.terms.whole / TURN)
 
     def _stroke(self, term: Term) -> Any:
         """Return the distance between the outermost dead centres of an output, or for the term "end" one of these positions.
@@ -659,7 +659,8 @@ class _Machine:
         numbers = np.array([np.ravel(self.trace.at_event([*inputs, angles[k]])) for k in ends])
         positions = numbers[:, place]
         if width == 2:  # the direction of a body, followed through the motion between these positions
-            fine = np.unique(np.concatenate([np.linspace(*self.trace.mechanism.extent, FINE), [angles[k] for k in ends]]))
+            count = FINE * max(1, round((self.trace.high - self.trace.low) / TURN))
+            fine = np.unique(np.concatenate([np.linspace(self.trace.low, self.trace.high, count), [angles[k] for k in ends]]))
             axes = np.array([np.ravel(self.trace.at_event([*inputs, at]))[place : place + 2] for at in fine])
             positions = np.interp([angles[k] for k in ends], fine, np.unwrap(np.arctan2(axes[:, 1], axes[:, 0])))
         low, high = ends[int(np.argmin(positions))], ends[int(np.argmax(positions))]

@@ -88,7 +88,7 @@ def drive_axis(driving: Driving, *, clockwise: bool = False, limits: tuple[float
     if driving.ends is not None:
         return Axis(f"{driving.coordinate} [{driving.unit}]", limits, reversed=clockwise)
     axis = crank_angle(clockwise=clockwise, limits=limits)
-    return replace(axis, name=axis.name.replace("crank angle", driving.noun))
+    return replace(axis, name=axis.name.replace("crank angle", driving.coordinate))
 
 
 @dataclass(frozen=True, eq=False)

@@ -60,6 +60,11 @@ class Driving:
         """Return a crank angle, or a value of the cycle variable [rad], as a designer calls it: "crank angle 30 deg"."""
         return f"{self.coordinate} {self.shown(position):.6g} {self.unit}"
 
+    def texts(self, positions: Array) -> str:
+        """Return several positions as `text` does one, the first six of them."""
+        places = ", ".join(f"{place:.6g}" for place in np.asarray(self.shown(positions))[:6].tolist())
+        return f"{self.coordinate} {places}{' ...' if len(positions) > 6 else ''} {self.unit}"
+
     def shown(self, position: Position) -> Position:
         """Return a crank angle, or the slide or length at a value of the cycle variable [rad], in `unit`."""
         return math.degrees(1.0) * position if self.ends is None else 1e3 * self.place(position)
@@ -84,20 +89,22 @@ class Driving:
 
     @property
     def noun(self) -> str:
-        """What the positions of the drive are in short: crank angles, cycle angles of laws, slides, lengths."""
+        """What the positions of the drive are in short: angles of a crank or a lever, cycle angles of laws, slides, lengths."""
         if self.ends is None:
-            return "cycle angle" if self.mechanism.drives else "crank angle"
+            return "cycle angle" if self.mechanism.drives else "crank angle" if self.mechanism.limits is None else "angle"
         return "length" if self.mechanism.drives[0].size else "slide"
 
     @property
     def coordinate(self) -> str:
-        """What the positions of the drive are: crank angles, the slide of a body, the length of a cylinder."""
-        return self.noun if self.ends is None else f"{self.noun} of {self.mechanism.drives[0].body}"
+        """What the positions of the drive are: crank angles, the angle of a lever, a slide, the length of a cylinder."""
+        if self.ends is None:
+            return f"angle of {self.mechanism.crank.body}" if self.noun == "angle" else self.noun
+        return f"{self.noun} of {self.mechanism.drives[0].body}"
 
     @property
     def column(self) -> str:
         """Name of a column of positions of the drive: "crank_angle_deg", "length_mm"."""
-        return f"{self.noun.replace(' ', '_')}_{self.unit}"
+        return "crank_angle_deg" if self.noun == "angle" else f"{self.noun.replace(' ', '_')}_{self.unit}"
 
     @property
     def reach(self) -> str:

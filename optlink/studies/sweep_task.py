@@ -296,7 +296,7 @@ def _unreached(problem: ProblemFile, machine: Machine, ranges: Ranges) -> str:
 def _unsound(analysis: Analysis) -> str:
     """Return why an analysis is not sound, and where."""
     if analysis.ranges.singular:
-        where = f"singular position at crank angle {positions_text(analysis.ranges.singular)}"
+        where = f"singular position at {positions_text(analysis.ranges.singular, analysis.problem.model.driving.text)}"
         return f"{where}: the assembly modes meet, and the motion beyond it is not determined"
     for angles, what in (
         (analysis.singular, "singular position, reactions are infinite,"),

@@ -22,11 +22,12 @@ from optlink.linkage.arguments import check_array, sweep as checked_sweep
 from optlink.linkage.continuation import continue_through_singularities
 from optlink.linkage.extrema import distinct, extremes_of_rows
 from optlink.linkage.motion import Motion, sweep
-from optlink.linkage.singular import AlignedPosition, angles_text, near_singular, positions_text
+from optlink.linkage.singular import AlignedPosition, near_singular, positions_text
 from optlink.linkage.stroke import Ranges, Travel, range_end_reason, reachable, travels, within_cycle
 from optlink.linkage.vector2d import TURN, Array, Value
 from optlink.problem.arguments import typed
 from optlink.problem.document import Renamed, Source, Tabled, reports
+from optlink.problem.driving import Driving
 from optlink.problem.file import AnyProblem, ProblemFile, problem_of
 from optlink.problem.machine.bodies import SLOWNESS
 from optlink.problem.quantity import check_choice, check_range
@@ -431,8 +432,8 @@ def _analysed(
         (
             *begun,
             *_notes(problem, ranges, design, machine, singular),
-            *_missing_notes(machine, jammed, undefined, speed, work.poles),
-            *_continuation_notes(machine, ranges, unbounded),
+            *_missing_notes(problem.model.driving, machine, jammed, undefined, speed, work.poles),
+            *_continuation_notes(problem.model.driving, machine, ranges, unbounded),
             *(quick_stroke_notes(problem, machine, speed) if ranges.full else ()),
         ),
         flywheel(machine, speed, share, low) if share is not None and ranges.full else None,
@@ -545,7 +546,7 @@ def _notes(
     machine: Machine,
     singular: Array,
 ) -> list[str]:
-    notes = start_value_notes(problem, design)
+    notes, driving = start_value_notes(problem, design), problem.model.driving
     if not ranges.complete:
         notes.append(f"the crank cannot turn fully; reachable: {ranges.text} (without the last 0.1 % at either end)")
         for low, high in ranges.ranges[:1]:
@@ -555,16 +556,16 @@ def _notes(
                     notes.append(reason)
     for position in ranges.aligned:
         if not position.singular:
-            notes.append(_alignment_note(machine, position))
+            notes.append(_alignment_note(driving, machine, position))
     if ranges.singular:
         notes.append(
-            f"singular position at crank angle {positions_text(ranges.singular)}: the assembly modes meet, and the motion "
+            f"singular position at {positions_text(ranges.singular, driving.text)}: the assembly modes meet, and the motion "
             "beyond it is not determined, so extremes, strokes and work are left out. Change the lengths, or follow the smooth "
             f"motion: write {CONTINUED}"
         )
         singular = np.empty(0)
     if singular.size:
-        notes.append(f"a group is in a singular position: its reactions are infinite at crank angle {angles_text(singular)}")
+        notes.append(f"a group is in a singular position: its reactions are infinite at {driving.texts(singular)}")
     if not machine.inertias and not machine.loads:
         notes.append("no masses and no loads are given, so there are no forces")
     with_clearance = [name for name, joint in problem.model.joints.items() if joint.has_clearance]
@@ -573,7 +574,9 @@ def _notes(
     return notes
 
 
-def _missing_notes(machine: Machine, jammed: Array, undefined: Array, speed: float, poles: Mapping[str, Array]) -> Iterator[str]:
+def _missing_notes(
+    driving: Driving, machine: Machine, jammed: Array, undefined: Array, speed: float, poles: Mapping[str, Array]
+) -> Iterator[str]:
     """Yield notes on the positions without forces: friction has no solution or several, or a load has no finite value."""
     several, guilty = np.zeros(jammed.shape, dtype=bool), set[str]()
     if jammed.size:
@@ -588,18 +591,18 @@ def _missing_notes(machine: Machine, jammed: Array, undefined: Array, speed: flo
         (undefined, f"{loads} has no finite value"),
     ):
         if angles.size:
-            yield f"{what} at crank angle {angles_text(angles)}"
+            yield f"{what} at {driving.texts(angles)}"
     for name, angles in poles.items():
-        yield f"{name} grows without bound at crank angle {angles_text(angles)}"
+        yield f"{name} grows without bound at {driving.texts(angles)}"
     if jammed.size or undefined.size or poles:
         yield "extremes of the forces that have no value there, and works, are left out"
 
 
-def _continuation_notes(machine: Machine, ranges: Ranges, unbounded: tuple[str, ...]) -> Iterator[str]:
+def _continuation_notes(driving: Driving, machine: Machine, ranges: Ranges, unbounded: tuple[str, ...]) -> Iterator[str]:
     """Yield notes on the revolutions of a cycle, and on motion through change points and what it leaves undetermined."""
     revolutions = round(machine.mechanism.cycle / TURN)
     if ranges.followed:
-        yield f"the motion is followed smoothly through the change points at crank angle {positions_text(ranges.followed)}"
+        yield f"the motion is followed smoothly through the change points at {positions_text(ranges.followed, driving.text)}"
     if ranges.full and machine.cycle > machine.mechanism.cycle:
         what = "the loads repeat" if revolutions == 1 else "motion and loads repeat together"
         yield f"{what} after {machine.revolutions} revolutions of the crank, which are one cycle here"
@@ -613,10 +616,10 @@ def _continuation_notes(machine: Machine, ranges: Ranges, unbounded: tuple[str, 
         )
 
 
-def _alignment_note(machine: Machine, position: AlignedPosition) -> str:
+def _alignment_note(driving: Driving, machine: Machine, position: AlignedPosition) -> str:
     """Return a note on a joint whose near-alignment causes force peaks."""
     joint, amount = position.group.joint, f"{math.degrees(position.angle):.3g} deg"
-    where = f"at crank angle {math.degrees(position.crank_angle):.6g} deg"
+    where = f"at {driving.text(position.crank_angle)}"
     name = f"{joint}.transmission_rad"
     columns = MotionColumns(machine.moving(np.array([position.crank_angle])))
     if name in columns.columns:
@@ -806,14 +809,14 @@ def analyze_batch(
             for name in columns:
                 result[name][part] = record[name]
             result.valid[part] = np.all(np.broadcast_to(record.moving.motion.assembled, (len(part), len(angles))), axis=1)
-            result.singular |= _singular(machine, part, samples)
+            result.singular |= _singular(problem.model.driving, machine, part, samples)
     for name in columns:
         result[name][list(result.singular)] = np.nan
     result.valid[list(result.singular)] = False
     return result
 
 
-def _singular(machine: Machine, part: NDArray[np.intp], angles: Array) -> dict[int, str]:
+def _singular(driving: Driving, machine: Machine, part: NDArray[np.intp], angles: Array) -> dict[int, str]:
     """Return for designs whose motion is not determined, by index, the reason."""
     suspects = near_singular(sweep(machine.mechanism, machine.sizes, angles).pose, angles)
     reasons = {}
@@ -822,7 +825,7 @@ def _singular(machine: Machine, part: NDArray[np.intp], angles: Array) -> dict[i
         singular = reachable(machine.mechanism, sizes).singular
         if singular:
             reasons[int(part[k])] = (
-                f"singular position at crank angle {positions_text(singular)}: the motion beyond it is not determined"
+                f"singular position at {positions_text(singular, driving.text)}: the motion beyond it is not determined"
             )
     return reasons
 

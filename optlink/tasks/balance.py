@@ -99,8 +99,8 @@ class _Task:
         record = MotionColumns(self.moving)
         bad = [*self.angles[record.singular | record.jammed | record.undefined], *poles(self.machine, self.angles, self.speed)]
         if bad:
-            where = ", ".join(f"{math.degrees(a):.6g}" for a in bad[:3])
-            message = f"the reactions are not finite at crank angle {where} deg, so the machine cannot be balanced"
+            where = self.problem.model.driving.texts(np.array(bad[:3]))
+            message = f"the reactions are not finite at {where}, so the machine cannot be balanced"
             remedy = "`optlink analyze` gives the reason; keep away from singular positions"
             raise InputError(message, remedy, self.problem.file, "mechanism")
 

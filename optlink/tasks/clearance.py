@@ -269,7 +269,9 @@ def simulate_clearance(
     kept_at, saved = time.monotonic(), save()
     ending, message = Ending.FINISHED, f"{revolutions} revolution{' was' if revolutions == 1 else 's were'} simulated"
     notes = [*start_value_notes(problem, design), *_sample_time_note(setting, closed_loop)]
-    notes += pole_notes(setting.machine, setting.start, revolutions, setting.nominal, setting.servo is not None)
+    notes += pole_notes(
+        problem.model.driving, setting.machine, setting.start, revolutions, setting.nominal, setting.servo is not None
+    )
     try:
         with interrupts.watched() as stop:
             for member in closed_loops:

@@ -10,9 +10,10 @@ import numpy as np
 from optlink.dynamics.machine import Inertia, Machine
 from optlink.dynamics.strokes import SAMPLES, irregular
 from optlink.errors import InputError
-from optlink.linkage.singular import angles_text, positions_text
+from optlink.linkage.singular import positions_text
 from optlink.linkage.stroke import Ranges, failure
 from optlink.linkage.vector2d import TURN, Array, Value
+from optlink.problem.driving import Driving
 from optlink.problem.file import ProblemFile, check_plausible
 from optlink.problem.quantity import check_choice, input_of
 from optlink.units import KINDS
@@ -340,7 +341,9 @@ def check_regular(problem: ProblemFile, ranges: Ranges, what: str) -> None:
     """
     positions = (*ranges.singular, *ranges.followed)
     if positions:
-        message = f"singular position at crank angle {positions_text(positions)}, where reactions have no bound: {what}"
+        message = (
+            f"singular position at {positions_text(positions, problem.model.driving.text)}, where reactions have no bound: {what}"
+        )
         remedy = "Change the lengths so that coupler and rocker, or a link and the normal of its guide, are never in line"
         raise InputError(message, remedy, problem.file, "mechanism")
 
@@ -364,7 +367,7 @@ def table_angles(start: float, low: float, high: float, speed: float, ranges: Ra
     return np.asarray(start + direction * step * np.arange(count + 1), dtype=float)
 
 
-def pole_notes(machine: Machine, start: float, revolutions: float, speed: float, steady: bool) -> Iterator[str]:
+def pole_notes(driving: Driving, machine: Machine, start: float, revolutions: float, speed: float, steady: bool) -> Iterator[str]:
     """Yield a note for every load that grows without bound at a crank angle that the motion passes.
 
     An integrator may step over such a position, where the work of the load is finite but the load is not. Unless the speed is
@@ -381,4 +384,4 @@ def pole_notes(machine: Machine, start: float, revolutions: float, speed: float,
     ends = start, start + math.copysign(turned, speed)
     grid = np.linspace(min(ends), max(ends), max(2, math.ceil(SAMPLES * turned / TURN)) + 1)
     for name, angles in irregular(machine.with_(loads=tuple(loads)), grid, speed).poles.items():
-        yield f"{name} grows without bound at crank angle {angles_text(angles)}: forces and torque have no largest value there"
+        yield f"{name} grows without bound at {driving.texts(angles)}: forces and torque have no largest value there"

@@ -226,7 +226,7 @@ def simulate(
     way = speed if torque is None else 1.0  # a torque may swing the crank to and fro
     revolutions = (high - low + (0.0 if result.ending is Ending.FINISHED else AHEAD)) / TURN
     if not freedoms:
-        notes += pole_notes(machine, low if way > 0.0 else high, revolutions, way, torque is None)
+        notes += pole_notes(problem.model.driving, machine, low if way > 0.0 else high, revolutions, way, torque is None)
     columns, meanings = _columns(machine, result)
     figures = _figures(problem, machine, result)
     for freedom in freedoms:

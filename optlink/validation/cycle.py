@@ -58,6 +58,11 @@ class Cycle:
         return self.high - self.low
 
     @property
+    def _motion(self) -> tuple[float, float]:
+        """Crank angles [rad] between which the motion alone is complete."""
+        return self.limits or (0.0, self.mechanism.cycle)
+
+    @property
     def over(self) -> str:
         """What the quantities are taken over, in words."""
         return "the revolution" if self.limits is None else "the range"
@@ -91,7 +96,7 @@ class Cycle:
 
     @cached_property
     def _travels(self) -> tuple[dict[str, Travel], dict[str, Travel]]:
-        return travels(self.mechanism, self.design, *self.mechanism.extent, self.limits is None)
+        return travels(self.mechanism, self.design, *self._motion, self.limits is None)
 
     @cached_property
     def _still(self) -> Machine:
@@ -143,7 +148,8 @@ class Cycle:
         """Return the stroke, an end, or the time ratio of a point along a direction, from the extremes of its path."""
         assert term.direction is not None
         way = np.array([math.cos(term.direction.value), math.sin(term.direction.value)])
-        grid = np.linspace(*self.mechanism.extent, POSITIONS + 1)
+        low, high = self._motion
+        grid = np.linspace(low, high, POSITIONS * max(1, round((high - low) / TURN)) + 1)
 
         def along(at: Array) -> Array:
             placed: Array = sweep(self.mechanism, self.design, at).position(str(term.of)) @ way

@@ -310,7 +310,7 @@ def test_batches_motions_and_sensitivities_keep_to_the_range(tmp_path):
     phi = np.radians(np.linspace(0.0, 90.0, 10))
     for row, m in zip(torque, arms, strict=True):
         np.testing.assert_allclose(row, strut_torque({"S.x": 0.1, "S.y": -0.3, "lid.M.along": m}, phi), rtol=1e-9)
-    with pytest.raises(InputError, match=r"crank angle 120 deg lies outside the range of the drive\. .*crank angle 90 deg"):
+    with pytest.raises(InputError, match=r"angle of lid 120 deg lies outside the range of the drive\. .*angle of lid 90 deg"):
         optlink.motion(file, [0.0, math.radians(120.0)])
 
 

@@ -119,7 +119,7 @@ def turning(cycle: Analysis, steps: int, regions: Sequence[Region] = ()) -> Movi
     """Return the animation of a machine over its crank angle, with `steps` positions per revolution and regions of its limits."""
     drawn = scene(cycle, steps, regions=regions)
     driving = cycle.problem.model.driving
-    stops = Stops(driving.noun, "°", drawn.crank_angles, 1, 360.0)
+    stops = Stops(driving.coordinate, "°", drawn.crank_angles, 1, 360.0)
     if driving.ends is not None:
         lengths = np.array([driving.shown(at) for at in np.radians(drawn.crank_angles)])
         stops = Stops(driving.coordinate, " mm", lengths, decimals_of(lengths))

@@ -303,7 +303,7 @@ def _extremes(outcome: Analysis) -> TableSpec:
         ]
         rows.append((f"{name.rpartition('.')[0]}: {word}", *cells[0], *cells[1], quiet(unit)))
     columns = ["", ">least", f">at [{driving.unit}]", ">largest", f">at [{driving.unit}]", ""]
-    where = "crank angles" if driving.ends is None else f"positions: {driving.coordinate}"
+    where = "crank angles" if driving.coordinate == "crank angle" else f"positions: {driving.coordinate}"
     return table(f"Extremes over the motion, at their exact {where}", columns, rows)
 
 

@@ -198,7 +198,7 @@ def outputs(study: OutputStudy) -> TableSpec:
         (f"{place:g}", fixed(shown[i], 4), *(fixed(factor * column[i], 6) for column in sensitivity.by.values()))
         for i, place in enumerate(driving.shown(sensitivity.crank_angles))
     ]
-    first = "crank" if driving.noun == "crank angle" else driving.coordinate
+    first = "crank" if driving.column == "crank_angle_deg" else driving.coordinate
     columns = [f">{first} [{driving.unit}]", f">{sensitivity.name} [{unit}]", *(f">{name}" for name in sensitivity.by)]
     return table(
         f"{sensitivity.name}: derivative with respect to each dimension at constant {driving.noun} [{per}]", columns, rows

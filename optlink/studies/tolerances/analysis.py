@@ -144,7 +144,7 @@ class Tolerance(LinearAnalysis, Document):
     def columns(self) -> dict[str, Array]:
         """Table over the positions of the drive, by name with SI unit, but the positions in the unit of the drive."""
         worst, driving = self.worst, self.nominal.problem.model.driving
-        columns = {"crank_deg" if driving.noun == "crank angle" else driving.column: self.nominal.places}
+        columns = {"crank_deg" if driving.column == "crank_angle_deg" else driving.column: self.nominal.places}
         named_columns = {"value": self.nominal.value, "judged": self.nominal.base, "worst_low": worst[0], "worst_high": worst[1]}
         named_columns |= {"rss": self.rss, "sigma": self.sigma, "shift": self.shift}
         if self.monte_carlo is not None:
